@@ -28,8 +28,7 @@ from ssp_lp.methods.refinement import Proved
 from ssp_lp.methods.risk import least_risk, prove_risk
 from ssp_lp.methods.rounding import (
     is_split,
-    prove_on_rounded_costs,
-    prove_on_split_costs,
+    prove_by_units,
     solve_on_rounded_costs,
     solve_on_split_costs,
 )
@@ -99,8 +98,8 @@ def _is_split(case: Case) -> bool:
 
 
 APPROACHES = (
-    Approach(_is_on_rounded_costs, solve_on_rounded_costs, prove_on_rounded_costs, afresh=True),
-    Approach(_is_split, solve_on_split_costs, prove_on_split_costs, afresh=True),
+    Approach(_is_on_rounded_costs, solve_on_rounded_costs, prove_by_units, afresh=True),
+    Approach(_is_split, solve_on_split_costs, prove_by_units, afresh=True),
     Approach(lambda case: case.asks.is_risk, least_risk, prove_risk, afresh=True),
     Approach(lambda case: case.asks.several_rows, solve_constrained, prove_limits),
     Approach(lambda case: case.asks.aim is not Aim.LEAST_COST, extreme_goal, prove_goal),

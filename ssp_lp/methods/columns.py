@@ -122,8 +122,17 @@ def best_within_budget(problem: Problem, options: SolveOptions) -> Solution:
     notes = [remarks(problem, outcome.row.budget, generated.finished)]
     if compiled.charge is not None and compiled.charge.settled is None:
         notes += [_UNSETTLED] * (outcome.gap > options.tolerance)
-    answer = outcome.answer(price, "; ".join(note for note in notes if note))
-    solution = assembled(problem, answer, outcome.run(options, reason), sense)
+    answer = Found(
+        outcome.lottery,
+        generated.objective,
+        generated.lower_bound,
+        generated.failure,
+        price,
+        generated.values,
+        note="; ".join(note for note in notes if note),
+    )
+    run = Run(options.method, reason, outcome.calls, 0.0, outcome.work, outcome.program)
+    solution = assembled(problem, answer, run, sense)
     if not options.deterministic:
         return solution
     from ssp_lp.methods.deterministic import best_deterministic
@@ -175,12 +184,11 @@ def _proved_as_asked(
     sense: ObjectiveSense, evaluation: Evaluation, bound: float, allowed: float, tail: float = 0.0
 ) -> Proved:
     """What a bound of what is minimised says of what is asked; rounding apart, it is attained."""
-    value = (
-        evaluation.objective if sense.constant is None else sense.constant - evaluation.objective
-    )
+    objective = evaluation.objective
+    value = sense.worth(objective)  # a difference, taken twice, leads back
     if sense.constant is not None and sense.settled_bound(value, bound) == value:
-        return Proved(evaluation.objective, evaluation.objective, allowed)
-    return Proved(evaluation.objective, sense.worth(bound), allowed, tail=tail)
+        return Proved(objective, objective, allowed)
+    return Proved(objective, sense.worth(bound), allowed, tail=tail)
 
 
 def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: float) -> Proved:
@@ -203,9 +211,9 @@ def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: fl
     if not (np.isfinite(price) and price >= 0.0):
         reason = f"the price is not a number >= {penalty:g}"
         return Proved(evaluation.objective, sense.worth(0.0), budget, reason)
-    kappa = price + (
-        evaluation.objective if problem.ratio and evaluation.goal_probability > 0 else 0.0
-    )
+    kappa = price
+    if problem.ratio and evaluation.goal_probability > 0:
+        kappa += evaluation.objective
     levels = levels_of(solution.policy.policies, len(values))
     compiled, least = problem.compile().matching(np.asarray(values), levels), None
     row = FailureRow(budget, problem.ratio, compiled.lowest)
@@ -219,11 +227,7 @@ def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: fl
         bound, tail = _bound_by_values(exact, row, kappa, price == 0.0, solution)
     if least is not None and row.leaves_only(least.column) and least.column.failure < 1.0:
         kept = evaluation.limited_failure <= budget  # to the last digit, which tells it from others
-        value = (
-            evaluation.objective
-            if sense.constant is None
-            else sense.constant - evaluation.objective
-        )
+        value = sense.worth(evaluation.objective)
         if not (kept and relative_gap(least.objective_bound, value) > CONTRADICTION):
             bound = max(bound, least.objective_bound)
     return _proved_as_asked(sense, evaluation, bound, row.budget, tail)
@@ -300,29 +304,6 @@ class RefinedOutcome:
         """The lottery on the model that the search ended with."""
         return self.found.lottery(self.compiled.pricing())
 
-    def answer(self, price: float, note: str) -> Found:
-        """What was found, as an answer.
-
-        Args:
-            price: multiplier of the failure row.
-            note: what a reader should know.
-        """
-        generated = self.found
-        lottery, bound = self.lottery, generated.lower_bound
-        return Found(
-            lottery,
-            generated.objective,
-            bound,
-            generated.failure,
-            price,
-            generated.values,
-            note=note,
-        )
-
-    def run(self, options: SolveOptions, reason: str) -> Run:
-        """What was done, and why."""
-        return Run(options.method, reason, self.calls, 0.0, self.work, self.program)
-
     def followed_by(self, other: RefinedOutcome) -> RefinedOutcome:
         """The other, with the work of both."""
         return replace(other, calls=self.calls + other.calls, work=self.work + other.work)
@@ -365,10 +346,24 @@ def _finer_outcomes(outcome: RefinedOutcome, options: SolveOptions) -> Iterator[
     while True:
         yield outcome
         gaps.append(outcome.gap)
-        before, outcome = outcome, _finer_outcome(outcome, gaps, options)
-        if outcome.found is before.found:
+        generated, compiled, row = outcome.found, outcome.compiled, outcome.row
+        later = options.after(outcome.calls)
+        if outcome.least is None and generated.columns[0].failure >= row.budget - _NEAR:
+            least = checked_least_failure(compiled, row.budget)
+            outcome = replace(outcome, least=least)
+            if row.leaves_only(least.column):  # then its policy is the answer
+                row = replace(row, budget=least.column.failure)
+                outcome = outcome.followed_by(_attempt(compiled, row, least, later, None))
+                continue
+        is_stagnant = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]  # rounding?
+        is_done = is_stagnant and compiled.tail_loss(generated.price) == 0.0
+        finer = None if is_done else compiled.refined(generated.price)
+        if finer is None:
             yield outcome
             return
+        spread = _TRIAL_TOLERANCE if compiled.is_trial else _SPREAD
+        guess = DualGuess(generated.price, spread, slack=len(generated.columns) == 1)
+        outcome = outcome.followed_by(_attempt(finer, row, outcome.least, later, guess))
 
 
 def _capped_by_case_m(
@@ -394,27 +389,6 @@ def _capped_by_case_m(
     )
 
 
-def _finer_outcome(
-    outcome: RefinedOutcome, gaps: list[float], options: SolveOptions
-) -> RefinedOutcome:
-    """A finer search's outcome; with what was found before where refining does not help."""
-    generated, here = outcome.found, outcome.compiled
-    if outcome.least is None and generated.columns[0].failure >= outcome.row.budget - _NEAR:
-        outcome = _at_least_failure(outcome, options)
-        if outcome.found is not generated:
-            return outcome
-    is_stagnant = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]  # rounding?
-    if is_stagnant and here.tail_loss(generated.price) == 0.0:
-        return outcome
-    finer = here.refined(generated.price)
-    if finer is None:
-        return outcome
-    spread = _TRIAL_TOLERANCE if here.is_trial else _SPREAD
-    guess = DualGuess(generated.price, spread, slack=len(generated.columns) == 1)
-    later = options.after(outcome.calls)
-    return outcome.followed_by(_attempt(finer, outcome.row, outcome.least, later, guess))
-
-
 def _safest_outcome(
     compiled: CompiledProblem, row: FailureRow, stop: BaseException
 ) -> RefinedOutcome:
@@ -432,16 +406,6 @@ def _safest_outcome(
         return RefinedOutcome(replace(generated, finished=False), compiled, rule.row, least)
     told = stop.told if isinstance(stop, Stop) else ""
     raise Stop(told=told or "no policy was measured by then") from stop
-
-
-def _at_least_failure(outcome: RefinedOutcome, options: SolveOptions) -> RefinedOutcome:
-    """Work out the least failure; where the budget is equal to it, its policy is the answer."""
-    least = checked_least_failure(outcome.compiled, outcome.row.budget)
-    if not outcome.row.leaves_only(least.column):
-        return replace(outcome, least=least)
-    row = replace(outcome.row, budget=least.column.failure)
-    later = options.after(outcome.calls)
-    return outcome.followed_by(_attempt(outcome.compiled, row, least, later, None))
 
 
 def _attempt(

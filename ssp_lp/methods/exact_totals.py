@@ -45,9 +45,13 @@ class _Action(NamedTuple):
 class _Option(NamedTuple):
     """An action at a place."""
 
-    late: float  # mass that arrives beyond the bound
+    paid: float  # for mass that arrives beyond the bound, and for what fails
     failing: float  # mass that fails
-    onward: list[_Part]  # where the rest goes on
+    onward: list[tuple[float, _Place]]  # mass that goes on, and where
+
+    def value(self) -> float:
+        """A lower bound of what is paid from here on."""
+        return self.paid + sum(mass * place.value for mass, place in self.onward)
 
 
 @dataclass(eq=False, slots=True)
@@ -60,10 +64,6 @@ class _Place:
     is_open: bool  # before the bound, so that it may be expanded
     options: list[_Option] | None = None  # None: not expanded
     parents: list[_Place] = field(default_factory=list)
-
-
-_Part = tuple[float, _Place]
-"""Mass, and where it is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,9 +82,9 @@ def rises_by_each_step(model: SSP, total: float) -> bool:
     return bool(model.costs[going_on].min(initial=np.inf) > _RISING * total)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class ExactTotals:
-    """The search at one price: what is late costs 1, and what fails the price."""
+    """The search at one price: what is late costs 1, and what fails the price. Mutable."""
 
     model: SSP  # with its true costs
     start: FloatArray  # [states]
@@ -92,6 +92,8 @@ class ExactTotals:
     proof: Proof  # at the price, with its table
     last: float  # total beyond which an arrival is late
     usable: BoolArray | None = None  # pairs that may be used, [model pairs]; None: all
+    places: dict[tuple[int, int], _Place] = field(default_factory=dict, init=False)
+    actions: dict[int, list[_Action]] = field(default_factory=dict, init=False)  # of states
 
     def raised(self, enough: float, most: int) -> Bounded:
         """Raise the start's bound until it is enough, or the value of the best policy.
@@ -100,87 +102,76 @@ class ExactTotals:
             enough: bound beyond which none is needed.
             most: places after which the search ends.
         """
-        places, roots, constant = dict[tuple[int, int], _Place](), list[_Part](), self.proof.bound
-        for state in np.flatnonzero((self.start > 0.0) & (self._node_of >= 0)).tolist():
-            roots.append((float(self.start[state]), self._place(places, state, 0.0)))
-            constant -= roots[-1][0] * roots[-1][1].value
+        live = np.flatnonzero((self.start > 0.0) & (self._node_of >= 0)).tolist()
+        begun = _Option(0.0, 0.0, [(float(self.start[x]), self._place(x, 0.0)) for x in live])
+        root = _Place(-1, -1.0, begun.value(), is_open=True, options=[begun])
+        for _, place in begun.onward:
+            place.parents.append(root)
+        constant = self.proof.bound - root.value
         while True:
             check_time()
-            tips, failure = self._tips(roots)
-            bound = constant + sum(mass * place.value for mass, place in roots)
+            tips, failure = self._tips(root)
+            bound = constant + root.value
             bound -= _ROUNDING * (abs(bound) + self.proof.price + 1.0)
-            if bound > enough or not tips or len(places) > most:
+            if bound > enough or not tips or len(self.places) > most:
                 return Bounded(max(bound, self.proof.bound), failure, not tips)
             for place in tips:
-                self._expand(places, place)
+                self._expand(place)
             self._raise_bounds(tips)
 
-    def _place(self, places: dict[tuple[int, int], _Place], state: int, paid: float) -> _Place:
+    def _place(self, state: int, paid: float) -> _Place:
         """The place of a state and a total, with the table's bound where it is new."""
-        key = state, round(paid / self._same)
-        if key not in places:
-            layer = int(paid / self._unit * (1.0 - SAME))
+        key = state, round(paid / (SAME * self.last))
+        if key not in self.places:
+            layer = int(paid / self.process.base.unit * (1.0 - SAME))
             cap, node = self.process.cap, int(self._node_of[state])
             row = min(layer - cap, len(self._beyond) - 1)
             value = self.proof.values[layer, node] if layer < cap else self._beyond[row, node]
-            places[key] = _Place(state, paid, float(value), is_open=layer < cap)
-        return places[key]
+            self.places[key] = _Place(state, paid, float(value), is_open=layer < cap)
+        return self.places[key]
 
-    def _expand(self, places: dict[tuple[int, int], _Place], place: _Place) -> None:
+    def _expand(self, place: _Place) -> None:
         """Find what a place leads to by each of its actions."""
         place.options = []
         for arriving, failing, steps in self._actions(place.state):
             late = sum(mass for mass, cost in arriving if place.paid + cost > self.last)
-            onward = [(mass, self._place(places, to, place.paid + c)) for mass, to, c in steps]
-            for _, reached in onward:
-                reached.parents.append(place)
-            place.options.append(_Option(late, failing, onward))
+            onward = [(mass, self._place(to, place.paid + cost)) for mass, to, cost in steps]
+            for _, successor in onward:
+                successor.parents.append(place)
+            place.options.append(_Option(late + self.proof.price * failing, failing, onward))
 
     def _actions(self, state: int) -> list[_Action]:
         """What each action of a state does at any total."""
-        if state in self._known:
-            return self._known[state]
-        model, found = self.model, list[_Action]()
+        if state in self.actions:
+            return self.actions[state]
+        model, usable = self.model, self.usable
+        actions = self.actions[state] = []
         for pair in range(model.pair_offsets[state], model.pair_offsets[state + 1]):
-            if self.usable is not None and not self.usable[pair]:
+            if usable is not None and not usable[pair]:
                 continue
-            begin, end = model.outcome_offsets[pair : pair + 2].tolist()
-            arriving, failing, steps = (
-                list[tuple[float, float]](),
-                0.0,
-                list[tuple[float, int, float]](),
-            )
-            for outcome in range(begin, end):
+            action = _Action([], 0.0, [])
+            for outcome in range(*model.outcome_offsets[pair : pair + 2].tolist()):
                 mass, to = float(model.probabilities[outcome]), int(model.successors[outcome])
                 cost = float(model.costs[outcome])
                 if model.goal_mask[to]:
-                    arriving.append((mass, cost))
+                    action.arriving.append((mass, cost))
                 elif self._node_of[to] < 0:
-                    failing += mass
+                    action = action._replace(failing=action.failing + mass)
                 elif mass > 0.0:
-                    steps.append((mass, to, cost))
-            found.append(_Action(arriving, failing, steps))
-        if self._gives_up[self._node_of[state]]:
-            found.append(_Action([], 1.0, []))
-        self._known[state] = found
-        return found
+                    action.steps.append((mass, to, cost))
+            actions.append(action)
+        quotient = self.process.base.quotient
+        if self._node_of[state] in quotient.pair_node[quotient.gives_up]:
+            actions.append(_Action([], 1.0, []))
+        return actions
 
-    def _tips(self, roots: list[_Part]) -> tuple[list[_Place], float]:
+    def _tips(self, root: _Place) -> tuple[list[_Place], float]:
         """Places to which the policy that seems best comes and that were not expanded; its failure.
 
         Each expanded place of it has its best option chosen on the way.
         """
-        mass, order = dict[_Place, float](), list[tuple[float, int, _Place]]()
+        mass, order = {root: 1.0}, [(root.paid, id(root), root)]
         tips, failure = list[_Place](), 0.0
-
-        def sent(parts: list[_Part], share: float) -> None:
-            """Send mass on to places."""
-            for part, place in parts:
-                if place not in mass:
-                    heappush(order, (place.paid, id(place), place))
-                mass[place] = mass.get(place, 0.0) + share * part
-
-        sent(roots, 1.0)
         while order:
             place = heappop(order)[2]
             here = mass.pop(place)
@@ -192,9 +183,12 @@ class ExactTotals:
                 else:
                     failure += here * float(self._failing_late[self._node_of[place.state]])
                 continue
-            best = min(place.options, key=self._value)
+            best = min(place.options, key=_Option.value)
             failure += here * best.failing
-            sent(best.onward, here)
+            for share, successor in best.onward:
+                if successor not in mass:
+                    heappush(order, (successor.paid, id(successor), successor))
+                mass[successor] = mass.get(successor, 0.0) + here * share
         return tips, failure
 
     def _raise_bounds(self, changed: list[_Place]) -> None:
@@ -205,7 +199,8 @@ class ExactTotals:
         while order:
             place = heappop(order)[2]
             waiting.discard(place)
-            value = min(map(self._value, place.options or ()), default=self.proof.price)
+            options = place.options or ()
+            value = min((option.value() for option in options), default=self.proof.price)
             if value > place.value:
                 place.value = value
                 for parent in place.parents:
@@ -213,38 +208,10 @@ class ExactTotals:
                         waiting.add(parent)
                         heappush(order, (-parent.paid, id(parent), parent))
 
-    def _value(self, option: _Option) -> float:
-        """A lower bound of an option's value."""
-        onward = sum(mass * place.value for mass, place in option.onward)
-        return option.late + self.proof.price * option.failing + onward
-
     @property
     def _node_of(self) -> IntArray:
         """Node of each state, -1 at goals and dead-ends, [states]."""
         return self.process.base.quotient.node_of
-
-    @cached_property
-    def _unit(self) -> float:
-        """Cost of a layer."""
-        return self.process.base.unit
-
-    @cached_property
-    def _same(self) -> float:
-        """Difference of totals that are one."""
-        return SAME * self.last
-
-    @cached_property
-    def _known(self) -> dict[int, list[_Action]]:
-        """The actions of states, kept."""
-        return {}
-
-    @cached_property
-    def _gives_up(self) -> BoolArray:
-        """Nodes where a policy may fail at once, [nodes]."""
-        quotient = self.process.base.quotient
-        found = np.zeros(quotient.n_nodes, dtype=np.bool_)
-        found[quotient.pair_node[quotient.gives_up]] = True
-        return found
 
     @cached_property
     def _beyond(self) -> FloatArray:

@@ -32,6 +32,7 @@ what is left: it is what the sweeps say, whenever the search ends.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from bisect import bisect_left
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -98,12 +99,9 @@ def least_risk(
     """
     has_answer()
     question = question_of(problem) if question is None else question
-    match problem.semantics.measure:
-        case CostQuantileOf(level):
-            return least_quantile(problem, question, level, options, near)
-        case TailMeanOf(level):
-            return least_tail_mean(problem, question, level, options, near)
-    raise ModelError(f"{problem.semantics.measure!r} is no measure of risk")
+    is_quantile, level = _level_of(problem)
+    search = least_quantile if is_quantile else least_tail_mean
+    return search(problem, question, level, options, near)
 
 
 def prove_risk(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
@@ -111,18 +109,32 @@ def prove_risk(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
 
     Args:
         solution: of the problem.
-        evaluation: what its policy attains.
+        evaluation: what its policy attains; no policy is shown to have a lower quantile, or than
+            one below it.
     """
-    problem, value = solution.problem, evaluation.objective
-    question = question_of(problem)
+    problem, value, bound = solution.problem, evaluation.objective, 0.0
+    question, (is_quantile, level) = question_of(problem), _level_of(problem)
+    if not is_quantile:
+        bound = _TailMeanSearch(problem, question, level, CERTIFYING).run()[1]
+    elif (number := question.thresholds.number(value)) > 0:
+        trial = question.attempt(LateCharge(question.thresholds.total(number - 1)), CERTIFYING)
+        refuted = _last_refuted(question, trial, level, -1, number)
+        bound = _beyond_refuted(question, refuted)
+    return Proved(value, bound, question.allowed)
+
+
+def _level_of(problem: Problem) -> tuple[bool, float]:
+    """Whether the least quantile is asked for rather than the least tail mean; at which level.
+
+    Raises:
+        ModelError: another measure.
+    """
     match problem.semantics.measure:
         case CostQuantileOf(level):
-            bound = quantile_bound(question, level, value, CERTIFYING)
+            return True, level
         case TailMeanOf(level):
-            bound = tail_mean_bound(problem, question, level, CERTIFYING)
-        case measure:
-            raise ModelError(f"{measure!r} is no measure of risk")
-    return Proved(value, bound, question.allowed)
+            return False, level
+    raise ModelError(f"{problem.semantics.measure!r} is no measure of risk")
 
 
 @dataclass(frozen=True)
@@ -153,40 +165,31 @@ class ThresholdSums:
     def __init__(self, model: SSP) -> None:
         self._model = model
         self._steps, self._last = step_costs(model)[1], last_steps(model)[1]
-        self._cap = 4.0 * float(max(self._steps[-1], self._last[-1])) or 1.0
-        self._totals = self._found()
+        self._grow(4.0 * float(max(self._steps[-1], self._last[-1])) or 1.0)
 
     def total(self, number: int) -> float:
         """The total of a number; the greatest one where there are no more."""
-        while number >= len(self._totals):
-            before, self._cap = len(self._totals), 2.0 * self._cap
-            self._totals = self._found()
-            if len(self._totals) == before:
-                break
+        size = 0
+        while size < len(self._totals) <= number:
+            size = len(self._totals)
+            self._grow(2.0 * self._cap)
         return float(self._totals[min(number, len(self._totals) - 1)])
 
     def number(self, total: float) -> int:
         """The number of the nearest total."""
         while self._cap <= total * (1.0 + 1e-9):
-            self._cap *= 2.0
-            self._totals = self._found()
-        above = int(np.searchsorted(self._totals, total))
-        if above == 0:
-            return 0
-        if above == len(self._totals):
-            return above - 1
-        nearer_below = total - self._totals[above - 1] <= self._totals[above] - total
-        return above - 1 if nearer_below else above
+            self._grow(2.0 * self._cap)
+        return int(np.abs(self._totals - total).argmin())
 
-    def _found(self) -> FloatArray:
-        """All sums up to the cap that a threshold may be."""
-        sums = sums_in(self._model, self._cap, MOST_SUMS)
+    def _grow(self, cap: float) -> None:
+        """Find all sums up to the cap that a threshold may be."""
+        sums = sums_in(self._model, cap, MOST_SUMS)
         if sums is None:
-            raise ModelError(f"more than {MOST_SUMS:,} sums of costs lie below {self._cap:g}")
+            raise ModelError(f"more than {MOST_SUMS:,} sums of costs lie below {cap:g}")
         every = np.unique((sums[:, None] + self._last).ravel())
-        every = every[every < self._cap]
-        room = room_of(np.union1d(self._steps, self._last), self._cap)
-        return np.asarray(every[np.diff(every, prepend=-np.inf) > room])
+        every = every[every < cap]
+        room = room_of(np.union1d(self._steps, self._last), cap)
+        self._cap, self._totals = cap, every[np.diff(every, prepend=-np.inf) > room]
 
 
 Thresholds = ThresholdMultiples | ThresholdSums
@@ -219,28 +222,17 @@ class Near(NamedTuple):
     kappa: float  # what failing is worth there; 0: unknown
 
 
-@dataclass(frozen=True, eq=False)
-class _QuestionWithinBudget:
-    """Failure alone is limited."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Question(ABC):
+    """The policies among which the least risk is sought."""
 
-    compiled: CompiledArrivalCost  # of the total cost
     budget: float | None  # of failure; None: only policies of least failure
-    least: float  # the least failure
+    allowed: float  # the failure that is allowed: the budget, or what is least
     typical: float  # a cost given success: of the policy that fails least
+    thresholds: Thresholds  # the totals that can occur, or those of a grid
     note: str = ""
 
-    @cached_property
-    def thresholds(self) -> Thresholds:
-        """The totals that can occur."""
-        if self.compiled.by_sums:
-            return ThresholdSums(self.compiled.model)
-        return ThresholdMultiples(self.compiled.base.exact_unit)
-
-    @property
-    def allowed(self) -> float:
-        """The failure that is allowed: the budget, or what is least."""
-        return self.least if self.budget is None else self.budget
-
+    @abstractmethod
     def attempt(self, charge: Charge, options: SolveOptions, kappa: float = 0.0) -> Trial:
         """Minimise E[charge | goal] by one search.
 
@@ -249,63 +241,76 @@ class _QuestionWithinBudget:
             options: method, tolerance and limits.
             kappa: what the price of failure may be, to choose the size of the table; 0: unknown.
         """
-        compiled = self._charging(charge, kappa)
-        if self.budget is None:
-            pricing = compiled.pricing()
-            column = pricing.minimise(0.0)
-            policy = MixedPolicy((pricing.policy(column),), np.ones(1))
-            value = column.cost / column.goal
-            return Trial(value, min(self._bound(compiled, 0.0), value), policy, 0.0, 2)
-        guess = DualGuess(kappa, _NEARBY) if kappa > 0.0 else None
-        outcome = refined_optimum(compiled, self.budget, options, guess)
-        generated = outcome.found
-        return Trial(
-            generated.objective,
-            generated.lower_bound,
-            outcome.lottery,
-            generated.price,
-            outcome.calls,
-        )
 
+    @abstractmethod
     def refuted_below(
         self, charge: Charge, kappa: float, prices: Mapping[str, float], *, slack: bool = False
     ) -> float:
-        """A lower bound of E[charge | goal] by one sweep at a guess of what failing is worth.
-
-        Policies of least failure all fail alike: there no price matters.
+        """A lower bound of E[charge | goal] at a guess of what failing is worth.
 
         Args:
             charge: of the total cost.
             kappa: the guess.
-            prices: guesses of the multipliers of further rows, by name; there are none.
+            prices: guesses of the multipliers of further rows, by name.
             slack: the budget is thought to be slack: success is counted rather than failure, which
                 is exact where it is best to fail.
         """
-        return self._bound(self._charging(charge, kappa), kappa, slack=slack)
 
     def late_shares(
         self, number: int, kappa: float, prices: Mapping[str, float], *, slack: bool = False
     ) -> Callable[[int], float]:
         """Lower bounds of Pr(C > B | goal) for the bounds B up to one, by their numbers.
 
-        What is best depends on what is left of the bound alone. So where layers are multiples of a
-        unit one sweep for the greatest bound answers all: whoever begins with as much paid as parts
-        two bounds has the lesser one left.
-
         Args:
             number: of the greatest bound.
             kappa: what failing is thought to be worth.
-            prices: of further rows, by name; there are none.
+            prices: of further rows, by name.
             slack: as of :meth:`refuted_below`.
         """
-        charge = LateCharge(self.thresholds.total(number))
+        total = self.thresholds.total
+        return lambda k: self.refuted_below(LateCharge(total(k)), kappa, prices, slack=slack)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class WithinBudget(Question):
+    """Failure alone is limited. Policies of least failure fail alike: there no price matters."""
+
+    compiled: CompiledArrivalCost  # of the total cost
+
+    def attempt(self, charge: Charge, options: SolveOptions, kappa: float = 0.0) -> Trial:
+        """One search on layers of the total cost."""
+        compiled = self._charging(charge, kappa)
+        if self.budget is None:
+            pricing = compiled.pricing()
+            column = pricing.minimise(0.0)
+            policy = MixedPolicy((pricing.policy(column),), np.ones(1))
+            value = column.cost / column.goal
+            return Trial(value, min(self.share(pricing.prove(0.0)), value), policy, 0.0, 2)
+        guess = DualGuess(kappa, _NEARBY) if kappa > 0.0 else None
+        outcome = refined_optimum(compiled, self.budget, options, guess)
+        value, bound = outcome.found.objective, outcome.found.lower_bound
+        return Trial(value, bound, outcome.lottery, outcome.found.price, outcome.calls)
+
+    def refuted_below(
+        self, charge: Charge, kappa: float, prices: Mapping[str, float], *, slack: bool = False
+    ) -> float:
+        """The bound of one sweep; there are no prices of further rows."""
+        kappa, slack = (0.0, False) if self.budget is None else (kappa, slack)
+        return self.share(self._charging(charge, kappa).pricing().prove(kappa, slack=slack))
+
+    def late_shares(
+        self, number: int, kappa: float, prices: Mapping[str, float], *, slack: bool = False
+    ) -> Callable[[int], float]:
+        """The same where layers are multiples of a unit: one sweep for the greatest bound.
+
+        What is best depends on what is left of the bound alone: whoever begins with as much paid as
+        parts two bounds has the lesser one left.
+        """
         if self.compiled.by_sums:
-            return lambda k: self.refuted_below(
-                LateCharge(self.thresholds.total(k)), kappa, prices, slack=slack
-            )
-        compiled = self.compiled.charging(charge)
-        price = 0.0 if self.budget is None else kappa
-        proof = compiled.pricing().prove(price, slack=slack and self.budget is not None)
+            return super().late_shares(number, kappa, prices, slack=slack)
+        kappa, slack = (0.0, False) if self.budget is None else (kappa, slack)
+        compiled = self.compiled.charging(LateCharge(self.thresholds.total(number)))
+        proof = compiled.pricing().prove(kappa, slack=slack)
         by_layer = required(proof.by_layer)
         last = len(by_layer) - 1
         return lambda k: self.share(replace(proof, bound=by_layer[min(number - k, last)]))
@@ -317,11 +322,6 @@ class _QuestionWithinBudget:
             return compiled
         return self.compiled.charging(charge, compiled.lossless_units(kappa))
 
-    def _bound(self, compiled: CompiledArrivalCost, kappa: float, *, slack: bool = False) -> float:
-        """One sweep's bound at a price of failure."""
-        kappa, slack = (0.0, False) if self.budget is None else (kappa, slack)
-        return self.share(compiled.pricing().prove(kappa, slack=slack))
-
     def share(self, proof: Proof) -> float:
         """A bound given success, from one of every policy's value."""
         if self.budget is not None:
@@ -330,90 +330,18 @@ class _QuestionWithinBudget:
         return max(proof.bound, 0.0) / min(greatest, 1.0)
 
 
-@dataclass(frozen=True, eq=False)
-class _QuestionWithinRows:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class WithinRows(Question):
     """Other quantities are limited, too."""
 
     problem: Problem
     compiled: CompiledExplicit  # of the total cost
 
-    @cached_property
-    def thresholds(self) -> Thresholds:
-        """The totals that can occur, or those of a grid."""
-        if self.compiled.resolution is None:
-            return ThresholdMultiples(self.compiled.base.exact_unit)
-        try:
-            found = ThresholdSums(self.compiled.model)
-            found.number(_AHEAD * self.compiled.typical_cost)
-        except ModelError:
-            return ThresholdMultiples(Fraction(self.compiled.typical_cost / _FINE), sharp=False)
-        return found
-
-    @property
-    def budget(self) -> float | None:
-        """Of failure; None: only policies of least failure."""
-        return self.compiled.budget
-
-    @property
-    def allowed(self) -> float:
-        """The failure that is allowed: the budget, or what is least."""
-        if self.budget is not None:
-            return self.budget
-        return max(1.0 - self.compiled.least_goal, 0.0)
-
-    @property
-    def typical(self) -> float:
-        """The cost given success of the policy that fails least."""
-        return self.compiled.typical_cost
-
-    @property
-    def note(self) -> str:
-        """No note: nothing is rounded here."""
-        return ""
-
     def attempt(self, charge: Charge, options: SolveOptions, kappa: float = 0.0) -> Trial:
-        """Minimise E[charge | goal] by column generation with all rows."""
-        del kappa  # the table grows until its gap is closed
-        optimum = rows_optimum(self.compiled.charging(charge), options, self._truth(charge))
-        failing = optimum.prices.get(FAILURE_ROW, 0.0) + optimum.value
-        return Trial(
-            optimum.value, optimum.bound, optimum.policy, failing, optimum.calls, optimum.prices
-        )
-
-    def refuted_below(
-        self, charge: Charge, kappa: float, prices: Mapping[str, float], *, slack: bool = False
-    ) -> float:
-        """The bound at the prices of another charge's optimum."""
-        del slack
-        ratio = kappa - prices.get(FAILURE_ROW, 0.0)
-        return bound_at(self.compiled.charging(charge), prices, ratio, self._least_goal)
-
-    @cached_property
-    def _least_goal(self) -> float:
-        """A goal probability that all lotteries within the rows have."""
-        bounds = self.compiled.bounds
-        return least_goal_within(self.compiled, np.where(np.isfinite(bounds), bounds, 0.0))
-
-    def late_shares(
-        self, number: int, kappa: float, prices: Mapping[str, float], *, slack: bool = False
-    ) -> Callable[[int], float]:
-        """Lower bounds of Pr(C > B | goal) by the numbers of bounds B, a sweep for each.
-
-        Args:
-            number: of the greatest bound that is asked for.
-            kappa: what failing is thought to be worth.
-            prices: of further rows, by name.
-            slack: as of :meth:`refuted_below`.
-        """
-        del number
-        total = self.thresholds.total
-        return lambda k: self.refuted_below(LateCharge(total(k)), kappa, prices, slack=slack)
-
-    def _truth(self, charge: Charge) -> Truth:
-        """The charge of a lottery given success, by the law of its total cost."""
+        """Column generation with all rows; the table grows until its gap is closed."""
 
         def value(policy: MixedPolicy) -> float:
-            """The charge given success of a lottery."""
+            """The charge given success of a lottery, by the law of its total cost."""
             law = success_costs(policy, self.problem)
             return _expected_charge(charge, law) / law.goal
 
@@ -423,11 +351,25 @@ class _QuestionWithinRows:
             spent = row_activities(self.compiled, evaluation)
             return np.array([_expected_charge(charge, law), evaluation.failure_probability, *spent])
 
-        return Truth(value, figures)
+        compiled, truth = self.compiled.charging(charge), Truth(value, figures)
+        optimum = rows_optimum(compiled, options, truth)
+        failing = optimum.prices.get(FAILURE_ROW, 0.0) + optimum.value
+        return Trial(
+            optimum.value, optimum.bound, optimum.policy, failing, optimum.calls, optimum.prices
+        )
 
+    def refuted_below(
+        self, charge: Charge, kappa: float, prices: Mapping[str, float], *, slack: bool = False
+    ) -> float:
+        """The bound at the prices of another charge's optimum."""
+        ratio = kappa - prices.get(FAILURE_ROW, 0.0)
+        return bound_at(self.compiled.charging(charge), prices, ratio, self._least_goal)
 
-Question = _QuestionWithinBudget | _QuestionWithinRows
-"""The policies among which the least risk is sought."""
+    @cached_property
+    def _least_goal(self) -> float:
+        """A goal probability that all lotteries within the rows have."""
+        bounds = self.compiled.bounds
+        return least_goal_within(self.compiled, np.where(np.isfinite(bounds), bounds, 0.0))
 
 
 def _expected_charge(charge: Charge, law: CostLaw) -> float:
@@ -457,12 +399,33 @@ def question_of(problem: Problem) -> Question:
     Raises:
         InfeasibleError: the budget is below the least failure, or the goal is out of reach.
     """
-    if requirements(problem).several_rows:
-        return _QuestionWithinRows(problem, compiled_constrained(problem).settled())
-    return question_of_compiled(compiled_totals(problem), problem.failure_budget)
+    if not requirements(problem).several_rows:
+        return question_of_compiled(compiled_totals(problem), problem.failure_budget)
+    compiled = compiled_constrained(problem).settled()
+    budget = compiled.budget
+    return WithinRows(
+        budget=budget,
+        allowed=max(1.0 - compiled.least_goal, 0.0) if budget is None else budget,
+        typical=compiled.typical_cost,
+        thresholds=_thresholds_within_rows(compiled),
+        problem=problem,
+        compiled=compiled,
+    )
 
 
-def question_of_compiled(compiled: CompiledArrivalCost, budget: float | None) -> Question:
+def _thresholds_within_rows(compiled: CompiledExplicit) -> Thresholds:
+    """The totals that can occur, or those of a grid."""
+    if compiled.resolution is None:
+        return ThresholdMultiples(compiled.base.exact_unit)
+    try:
+        sums = ThresholdSums(compiled.model)
+        sums.number(_AHEAD * compiled.typical_cost)
+    except ModelError:
+        return ThresholdMultiples(Fraction(compiled.typical_cost / _FINE), sharp=False)
+    return sums
+
+
+def question_of_compiled(compiled: CompiledArrivalCost, budget: float | None) -> WithinBudget:
     """The same of a problem whose failure alone is limited, already compiled.
 
     Args:
@@ -473,15 +436,28 @@ def question_of_compiled(compiled: CompiledArrivalCost, budget: float | None) ->
         InfeasibleError: the budget is below the least failure, or the goal is out of reach.
     """
     column = checked_least_failure(compiled, budget).column
-    least, typical = column.failure, column.cost / column.goal
-    if budget is not None and budget > least + _ROUNDING * column.goal:
-        return _QuestionWithinBudget(compiled, budget, least, typical)
-    note = ""
-    if budget is not None and budget != least:
-        side = "below" if budget < least else "above"
-        away = abs(budget - least)
-        note = f"the budget lies {away:.1e} {side} the least failure and counts as equal"
-    return _QuestionWithinBudget(compiled.safest(), None, least, typical, note)
+    allowed, note = column.failure, ""
+    if budget is not None and budget > allowed + _ROUNDING * column.goal:
+        allowed = budget
+    else:
+        if budget is not None and budget != allowed:
+            side = "below" if budget < allowed else "above"
+            away = abs(budget - allowed)
+            note = f"the budget lies {away:.1e} {side} the least failure and counts as equal"
+        compiled, budget = compiled.safest(), None
+    thresholds: Thresholds
+    if compiled.by_sums:
+        thresholds = ThresholdSums(compiled.model)
+    else:
+        thresholds = ThresholdMultiples(compiled.base.exact_unit)
+    return WithinBudget(
+        budget=budget,
+        allowed=allowed,
+        typical=column.cost / column.goal,
+        thresholds=thresholds,
+        note=note,
+        compiled=compiled,
+    )
 
 
 def question_remarks(question: Question, *, in_time: bool) -> str:
@@ -555,24 +531,6 @@ def least_quantile(
     return assembled(problem, answer, Run(options.method, reason, calls, 0.0))
 
 
-def quantile_bound(
-    question: Question, level: float, quantile: float, options: SolveOptions
-) -> float:
-    """Prove afresh that no policy has a lower quantile than this one, or than one below it.
-
-    Args:
-        question: the policies that count.
-        level: in (0, 1).
-        quantile: what no policy undercuts.
-        options: tolerance and limits.
-    """
-    number = question.thresholds.number(quantile)
-    if number == 0:
-        return 0.0
-    trial = question.attempt(LateCharge(question.thresholds.total(number - 1)), options)
-    return _beyond_refuted(question, _last_refuted(question, trial, level, -1, number))
-
-
 def _last_refuted(question: Question, trial: Trial, level: float, first: int, last: int) -> int:
     """The greatest number of a bound that no policy keeps to, as is proved at a trial's prices.
 
@@ -606,7 +564,7 @@ _PLACES = 2_000, 50_000  # looked at for a price, at least and at most
 _CELLS_A_PLACE = 64  # of the table, for each of them in between
 
 
-def exactly_refuted(question: Question, model: SSP, level: float, quantile: float) -> float:
+def exactly_refuted(question: WithinBudget, model: SSP, level: float, quantile: float) -> float:
     """A quantile, by next to nothing less, if exact totals prove that no policy has a lower one.
 
     Args:
@@ -619,9 +577,7 @@ def exactly_refuted(question: Question, model: SSP, level: float, quantile: floa
         The bound; 0 where nothing is proved.
     """
     bound, share = quantile * (1.0 - _BELOW), _late_share(level)
-    if quantile <= 0.0 or not isinstance(question, _QuestionWithinBudget):
-        return 0.0
-    if not rises_by_each_step(model, bound):
+    if quantile <= 0.0 or not rises_by_each_step(model, bound):
         return 0.0
     compiled, budget = question.compiled.charging(LateCharge(bound)), question.budget
     cells = compiled.process.cap * compiled.base.n_nodes
@@ -670,25 +626,6 @@ _FACTOR = 1.5  # between the first two
 _NEAR = 0.02  # relative distance of prices at which trying others ends
 
 
-@dataclass(frozen=True, eq=False)
-class _BestTailMean:
-    """The least value so far, who attains it, and what its search took."""
-
-    value: float
-    policy: MixedPolicy
-    failure: float
-    threshold: int  # number of the policy's quantile
-    kappa: float  # price of failure
-    calls: int
-    prices: Mapping[str, float]  # of constraints, by name
-
-    @property
-    def price(self) -> float:
-        """What failing costs beyond the value; 0 where that is rounding."""
-        beyond = self.kappa - self.value
-        return beyond if beyond > _TIED * self.value else 0.0
-
-
 @dataclass(eq=False)
 class _TailMeanSearch:
     """A search over thresholds. Mutable: it learns."""
@@ -697,33 +634,30 @@ class _TailMeanSearch:
     question: Question
     level: float
     options: SolveOptions
-    best: _BestTailMean | None = None
+    best: Found | None = None
+    quantile: int = 0  # number of the best policy's own quantile
     tried: dict[int, Trial] = field(default_factory=dict)  # by the number of the threshold
     kappas: dict[int, float] = field(default_factory=dict)  # what failing is worth there
+    calls: int = 0
     sweeps: int = 0
 
-    @property
-    def in_time(self) -> bool:
-        """Whether there is time left."""
-        return not is_late()
-
-    def attempt(self, threshold: int) -> _BestTailMean:
+    def attempt(self, threshold: int) -> Found:
         """The better of the best so far and the best policy at a threshold."""
-        best = self.best
         charge = ExcessCharge(self.question.thresholds.total(threshold), 1.0 - self.level)
         trial = self.question.attempt(charge, self.options, self._kappa(threshold))
         self.tried[threshold], self.kappas[threshold] = trial, trial.kappa
+        self.calls += trial.calls
         law = success_costs(trial.policy, self.problem)
-        value = law.tail_mean(self.level)
+        value, best = law.tail_mean(self.level), self.best
         quantile = self.question.thresholds.number(law.quantile(self.level))
-        calls = trial.calls + (0 if best is None else best.calls)
         tied = _TIED if quantile == threshold else -_TIED  # of equals: whose z is its quantile
-        if best is not None and value > best.value * (1.0 + tied):
-            self.best = replace(best, calls=calls)
-        else:
-            found = value, trial.policy, 1.0 - law.goal, quantile, trial.kappa, calls
-            self.best = _BestTailMean(*found, trial.prices)
-        return self.best
+        if best is None or value <= best.value * (1.0 + tied):
+            beyond = trial.kappa - value  # what failing costs beyond the value
+            price = beyond if beyond > _TIED * value else 0.0
+            failure = 1.0 - law.goal
+            best = Found(trial.policy, value, 0.0, failure, price, None, trial.prices)
+            self.best, self.quantile = best, quantile
+        return best
 
     def refuted(self, first: int, last: int) -> float:
         """A lower bound of F on all thresholds between two, and at them, by one sweep.
@@ -732,15 +666,23 @@ class _TailMeanSearch:
         """
         places, middle = self.question.thresholds, (first + last) // 2
         charge = ExcessCharge(places.total(last), 1.0 - self.level, places.total(first))
-        kappa = self._kappa(middle)
-        bound = self._swept(charge, middle, kappa)
+        nearest = min(self.tried, key=lambda number: abs(number - middle))
+        prices, kappa = self.tried[nearest].prices, self._kappa(middle)
+
+        def swept(kappa: float) -> float:
+            """The bound at a guess of what failing is worth."""
+            self.sweeps += 1
+            at = max(kappa, self.target)
+            return self.question.refuted_below(charge, at, prices, slack=kappa <= self.target)
+
+        bound = swept(kappa)
         if first < last or self.question.budget is None or kappa <= 0.0:
             return bound
         factor = _FACTOR if bound > 0.0 else 1.0 / _FACTOR
         for _ in range(_PRICES):
             if bound >= self.target or abs(factor - 1.0) < _NEAR:
                 break
-            other = self._swept(charge, middle, kappa * factor)
+            other = swept(kappa * factor)
             if other > bound:
                 bound, kappa = other, kappa * factor
             else:
@@ -753,27 +695,68 @@ class _TailMeanSearch:
         """The value that thresholds must not fall below."""
         return 0.0 if self.best is None else self.best.value * (1.0 - self.options.tolerance)
 
-    def _swept(self, charge: ExcessCharge, threshold: int, kappa: float) -> float:
-        """The bound at a guess of what failing is worth."""
-        near, target = self._nearest(threshold), self.target
-        prices: Mapping[str, float] = {} if near is None else near.prices
-        self.sweeps += 1
-        return self.question.refuted_below(
-            charge, max(kappa, target), prices, slack=kappa <= target
-        )
-
     def _kappa(self, threshold: int) -> float:
         """What failing may be worth at a threshold, between those at which it is known."""
-        known = sorted(self.kappas)
-        if not known:
-            return 0.0
-        return float(np.interp(threshold, known, [self.kappas[number] for number in known]))
+        numbers = sorted(self.kappas)
+        kappas = [self.kappas[number] for number in numbers]
+        return float(np.interp(threshold, numbers, kappas)) if numbers else 0.0
 
-    def _nearest(self, threshold: int) -> Trial | None:
-        """The trial at the nearest threshold."""
-        if not self.tried:
-            return None
-        return self.tried[min(self.tried, key=lambda number: abs(number - threshold))]
+    def run(self, near: Near | None = None) -> tuple[Found, float]:
+        """The best policy, and a lower bound of every policy's tail mean.
+
+        Args:
+            near: where the best threshold may be; None: unknown.
+        """
+        places, best = self.question.thresholds, self.attempt(0)
+        whole = self.tried[0].lower_bound
+        if self.level == 0.0:
+            return best, max(whole, 0.0)  # the whole mean: the least threshold is best
+        if near is not None:
+            self.kappas.setdefault(places.number(near.total), near.kappa)
+        with WithIncumbent():
+            while self.quantile not in self.tried and not is_late():
+                best = self.attempt(self.quantile)
+        last = places.number(best.value) + 1
+        least = whole * (1.0 - self.level)  # no tail's mean is below its share of the whole's
+        bounds = [trial.lower_bound for trial in self.tried.values()]
+        numbers = sorted(number for number in self.tried if number < last)
+        between = 1 if places.sharp else 0  # else every real number has to be covered
+        weakest = [
+            (least, after + between, before - between)
+            for after, before in zip(numbers, [*numbers[1:], last + 1], strict=True)
+            if before - after > between
+        ]
+        while weakest and not is_late() and weakest[0][0] < self.target:
+            with WithIncumbent():
+                self._split(weakest, bounds)
+        best = self.best or best
+        return best, max(min([*bounds, *(part[0] for part in weakest), best.value]), 0.0)
+
+    def _split(self, weakest: list[tuple[float, int, int]], bounds: list[float]) -> None:
+        """Refute the interval of the least bound, or halve it; of one threshold find a policy.
+
+        Args:
+            weakest: bound, first and last threshold of each interval, a heap; changed.
+            bounds: of what will not be looked at again; added to.
+        """
+        places, (bound, first, final) = self.question.thresholds, weakest[0]
+        if self.best is not None and places.total(first) >= self.best.value:
+            heappop(weakest)
+            return  # as F(z) >= z
+        bound = max(bound, self.refuted(first, final))
+        if bound >= self.target:
+            heapreplace(weakest, (bound, first, final))
+        elif first == final:
+            self.attempt(first)
+            bounds.append(max(bound, self.tried[first].lower_bound))
+            heappop(weakest)
+        elif final - first == 1 and not places.sharp:
+            bounds.append(bound)
+            heappop(weakest)
+        else:
+            middle, between = (first + final) // 2, 1 if places.sharp else 0
+            heapreplace(weakest, (bound, first, middle))
+            heappush(weakest, (bound, middle + between, final))
 
 
 def least_tail_mean(
@@ -793,94 +776,10 @@ def least_tail_mean(
         near: where the best threshold may be; None: unknown.
     """
     search = _TailMeanSearch(problem, question, level, options)
-    best, bound = _proved_tail_mean(search, near)
+    best, bound = search.run(near)
     sweeps = f", {search.sweeps} sweeps over intervals" if search.sweeps else ""
-    reason = f"{len(search.tried)} thresholds, {best.calls} pricing calls{sweeps}"
+    reason = f"{len(search.tried)} thresholds, {search.calls} pricing calls{sweeps}"
     price = None if question.budget is None else best.price
-    note = question_remarks(question, in_time=search.in_time)
-    answer = Found(
-        best.policy,
-        best.value,
-        min(bound, best.value),
-        best.failure,
-        price,
-        None,
-        best.prices,
-        note,
-    )
-    return assembled(problem, answer, Run(options.method, reason, best.calls, 0.0))
-
-
-def tail_mean_bound(
-    problem: Problem, question: Question, level: float, options: SolveOptions
-) -> float:
-    """Prove a lower bound of every policy's tail mean afresh.
-
-    Args:
-        problem: the problem.
-        question: the policies that count.
-        level: in [0, 1).
-        options: tolerance and limits.
-    """
-    return _proved_tail_mean(_TailMeanSearch(problem, question, level, options))[1]
-
-
-def _proved_tail_mean(
-    search: _TailMeanSearch, near: Near | None = None
-) -> tuple[_BestTailMean, float]:
-    """The best policy, and a lower bound of every policy's tail mean."""
-    places, best = search.question.thresholds, search.attempt(0)
-    whole = search.tried[0].lower_bound
-    if search.level == 0.0:
-        return best, max(whole, 0.0)  # the whole mean: the least threshold is best
-    if near is not None:
-        search.kappas.setdefault(places.number(near.total), near.kappa)
-    with WithIncumbent():
-        while best.threshold not in search.tried and search.in_time:
-            best = search.attempt(best.threshold)
-    last = places.number(best.value) + 1
-    least = whole * (1.0 - search.level)  # no tail's mean is below its share of the whole's
-    bounds = [trial.lower_bound for trial in search.tried.values()]
-    known = sorted(number for number in search.tried if number < last)
-    between = 1 if places.sharp else 0  # else every real number has to be covered
-    weakest = [
-        (least, after + between, before - between)
-        for after, before in zip(known, [*known[1:], last + 1], strict=True)
-        if before - after > between
-    ]
-    while weakest and search.in_time and weakest[0][0] < search.target:
-        with WithIncumbent():
-            _split_thresholds(search, weakest, bounds)
-    best = search.best or best
-    return best, max(min([*bounds, *(part[0] for part in weakest), best.value]), 0.0)
-
-
-def _split_thresholds(
-    search: _TailMeanSearch, weakest: list[tuple[float, int, int]], bounds: list[float]
-) -> None:
-    """Refute the interval of the least bound, or halve it; of one threshold a policy is found.
-
-    Args:
-        search: what is known.
-        weakest: bound, first and last threshold of each interval, a heap; changed.
-        bounds: of what will not be looked at again; added to.
-    """
-    places = search.question.thresholds
-    bound, first, final = weakest[0]
-    if search.best is not None and places.total(first) >= search.best.value:
-        heappop(weakest)
-        return  # as F(z) >= z
-    bound = max(bound, search.refuted(first, final))
-    if bound >= search.target:
-        heapreplace(weakest, (bound, first, final))
-    elif first == final:
-        search.attempt(first)
-        bounds.append(max(bound, search.tried[first].lower_bound))
-        heappop(weakest)
-    elif final - first == 1 and not places.sharp:
-        bounds.append(bound)
-        heappop(weakest)
-    else:
-        middle, between = (first + final) // 2, 1 if places.sharp else 0
-        heapreplace(weakest, (bound, first, middle))
-        heappush(weakest, (bound, middle + between, final))
+    note = question_remarks(question, in_time=not is_late())
+    answer = replace(best, bound=min(bound, best.value), price=price, note=note)
+    return assembled(problem, answer, Run(options.method, reason, search.calls, 0.0))

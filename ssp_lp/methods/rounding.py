@@ -24,9 +24,9 @@ moment; finer ones follow, by the time left.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from fractions import Fraction
-from typing import cast
+from typing import TypeVar, cast
 
 import numpy as np
 
@@ -44,7 +44,7 @@ from ssp_lp.column_generation.column import (
 )
 from ssp_lp.column_generation.compiled_problem import CompiledAccumulatedCost
 from ssp_lp.column_generation.search import DualGuess
-from ssp_lp.compiled.deadline import Stop, WithIncumbent, closing, has_answer, is_late
+from ssp_lp.compiled.deadline import WithIncumbent, closing, has_answer, is_late
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.columns import (
@@ -83,27 +83,6 @@ _CELLS = 100_000_000  # states times levels that a policy measured truly may hav
 _ROUNDING = 1e-12  # of the budget, or of what it leaves: so far a policy may seem to break it
 
 
-@dataclass(frozen=True, eq=False)
-class _Split:
-    """The best that is known: a lottery of the true model, and a bound of all others."""
-
-    lottery: MixedPolicy | None = None
-    value: float = np.inf  # cost given success
-    failure: float = 1.0
-    bound: float = 0.0
-    price: float = 0.0  # kappa
-    layers: int = 0
-    end: float = 0.0  # the total that they reach up to
-    calls: int = 0
-    work: Work = field(default_factory=Work)
-    note: str = ""
-
-    @property
-    def gap(self) -> float:
-        """Relative gap between both sides."""
-        return relative_gap(self.value, self.bound) if np.isfinite(self.value) else np.inf
-
-
 def solve_on_split_costs(problem: Problem, options: SolveOptions) -> Solution:
     """The best lottery and the best lower bound that finer and finer units give.
 
@@ -115,121 +94,119 @@ def solve_on_split_costs(problem: Problem, options: SolveOptions) -> Solution:
         InfeasibleError: no policy keeps to the budget.
         Stop: the time ended before one that does was found.
     """
-    best = refine(_split_attempts(problem, options), options.tolerance)
-    return _split_solution(problem, best, options)
+    best = refine(_while_room(_split_attempts(problem, options)), options.tolerance)
+    if best.note != CUT_SHORT and (best.gap <= options.tolerance or is_late()):
+        return replace(best, note="")
+    return best
 
 
-def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[_Split]:
-    """The best that is known after each unit."""
-    best, guess, span = _incumbent_split(problem), None, span_of_steps(problem)
-    asked: int | None = getattr(problem, "cost_levels", None)
-    reach, units = _REACH * span, list(split_units(problem, span))
-    if best.lottery is not None:
-        yield best
-    for unit in units:
-        is_first = best.lottery is not None and unit != units[-1] and parts_of(problem, unit) > 2
-        enough = max(_ROUGH, _ENOUGH * options.tolerance)
-        rough = _ROUGH_FIRST if is_first else min(_SHARE * best.gap, enough)
-        finer = replace(options.after(best.calls), tolerance=rough)
-        try:
-            outcome = split_optimum(problem, unit, finer, guess, asked, reach)
-            best = _with_split_bound(best, outcome)
-            if not is_first:
-                with WithIncumbent() as improving, closing():
-                    best = _with_true_lottery(problem, best, outcome)
-                if improving.stop and best.lottery is None:
-                    raise improving.stop
-        except ModelError:  # a table of so many layers is too large
-            if best.lottery is None:
-                raise
-            return
-        yield best
-        guess, reach = DualGuess(outcome.found.price, _SPREAD), outcome.found.price
+_Attempt = TypeVar("_Attempt")
 
 
-def _incumbent_split(problem: Problem) -> _Split:
-    """A policy of case M, with what it costs given success; nothing, where there is none."""
-    incumbent = Incumbent(problem)
+def _while_room(attempts: Iterator[_Attempt]) -> Iterator[_Attempt]:
+    """Attempts with smaller and smaller units, until a table of so many layers is too large."""
+    is_first = True
+    try:
+        for attempt in attempts:
+            yield attempt
+            is_first = False
+    except ModelError:
+        if is_first:
+            raise
+
+
+def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solution]:
+    """The best lottery of the true model and the best bound that are known after each unit."""
+    incumbent, best, bound, calls, work = Incumbent(problem), None, 0.0, 0, Work()
     incumbent.find()
     has_answer(by_itself=incumbent.solution is not None)
-    known = incumbent.solution
-    if known is None:
-        return _Split()
-    lottery = known.policy
-    return _Split(lottery, known.objective, known.budget_used, known.lower_bound)
+    if (found := incumbent.solution) is not None:
+        best = Found(found.policy, found.objective, 0.0, found.budget_used)
+        bound = found.lower_bound
+        yield replace(found, note="")
+    asked, cheapest = _levels_asked(problem), float(step_costs(problem.model)[1][1])
+    units, guess, reach = list(_split_units(problem)), None, _REACH * _span_of_steps(problem)
+    for unit in units:
+        is_first = best is not None and unit != units[-1] and float(unit) > 2.0 * cheapest
+        value, gap = np.inf, np.inf
+        if best is not None:
+            value, gap = best.value, relative_gap(best.value, bound)
+        rough = min(_SHARE * gap, max(_ROUGH, _ENOUGH * options.tolerance))
+        finer = replace(options.after(calls), tolerance=_ROUGH_FIRST if is_first else rough)
+        outcome = split_optimum(problem, unit, finer, guess, asked, reach)
+        generated, layers = outcome.found, outcome.compiled.layers
+        bound, calls = max(bound, generated.lower_bound), calls + outcome.calls
+        work, reach = work + outcome.work, generated.price
+        guess = DualGuess(reach, _SPREAD)
+        if not is_first:
+            with WithIncumbent() as measuring, closing():
+                lottery = _true_lottery(problem, outcome)
+                best = lottery if lottery.value < value else best
+            if measuring.stop and best is None:
+                raise measuring.stop
+        if best is None:
+            continue
+        levels = f"{layers:,} levels up to {layers * float(_unit_of(outcome)):.6g}"
+        more = "more of them leave a smaller gap" if asked else "no room for more of them"
+        note = f"totals are rounded to {levels}: {more}" if generated.finished else CUT_SHORT
+        reason = f"costs split between {layers:,} layers, {calls} pricing calls"
+        answer = replace(best, bound=bound, price=max(reach - best.value, 0.0), note=note)
+        yield assembled(problem, answer, Run(options.method, reason, calls, 0.0, work))
 
 
-def prove_on_split_costs(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
+def prove_by_units(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
     """A bound worked out afresh, and the failure that is allowed.
 
     Units get smaller until the gap is what the solution says, which is taken for no more than that,
-    or as small as the tolerance, or until a smaller one brings next to nothing of what is missing.
+    or as small as the tolerance; of split costs, until a smaller one brings next to nothing of what
+    is missing.
 
     Args:
-        solution: of a problem with split costs.
+        solution: of a problem with split or rounded costs.
         evaluation: what its policy attains.
     """
+    problem, attained = solution.problem, evaluation.objective
     rough = replace(CERTIFYING, tolerance=max(CERTIFYING.tolerance, _SHARE * solution.gap))
     enough = max(CERTIFYING.tolerance, (1.0 + _SHARE) * solution.gap)
-    return refine(_split_proofs(solution.problem, evaluation.objective, enough, rough), enough)
+    if problem.semantics.measure is None:
+        proofs = _split_proofs(problem, attained, enough, rough)
+    else:
+        proofs = _rounded_proofs(problem, attained, rough)
+    return refine(_while_room(proofs), enough)
 
 
 def _split_proofs(
     problem: Problem, attained: float, enough: float, rough: SolveOptions
 ) -> Iterator[Proved]:
     """The best bound that units prove, until a finer one adds next to nothing to it."""
-    guess, proved, before = None, Proved(attained, 0.0, problem.failure_budget or 0.0), -np.inf
-    for unit in split_units(problem, span_of_steps(problem), finest=True):
-        try:
-            outcome = split_optimum(problem, unit, rough, guess)
-        except ModelError:  # a table of so many layers is too large
-            if guess is None:
-                raise
-            return
-        bound = max(proved.bound, outcome.found.lower_bound)
-        proved = Proved(attained, bound, max(proved.allowed, outcome.row.budget))
-        yield proved
+    guess, bound, allowed, before = None, 0.0, problem.failure_budget or 0.0, -np.inf
+    for unit in _split_units(problem, finest=True):
+        outcome = split_optimum(problem, unit, rough, guess)
         guess = DualGuess(outcome.found.price, _SPREAD)
+        bound, allowed = max(bound, outcome.found.lower_bound), max(allowed, outcome.row.budget)
+        yield Proved(attained, bound, allowed)
         if bound - before < _SHARE * ((1.0 - enough) * attained - bound):
             return
         before = bound
 
 
-def _with_split_bound(best: _Split, outcome: RefinedOutcome) -> _Split:
-    """The best that is known with the bound that one unit gives."""
-    generated, calls, work = outcome.found, best.calls + outcome.calls, best.work + outcome.work
-    note = "" if generated.finished else CUT_SHORT
-    bound, process = max(best.bound, generated.lower_bound), layers_of_split(outcome).process
-    known = replace(best, bound=bound, price=generated.price, calls=calls, work=work, note=note)
-    return replace(known, layers=process.cap, end=process.cap * process.base.unit)
+def _true_lottery(problem: Problem, outcome: RefinedOutcome) -> Found:
+    """The best lottery over one unit's policies, evaluated on the true model."""
+    row, least, columns, members = outcome.row, outcome.least, list[Column](), None
+    if least is None or row.budget > least.column.failure:
+        columns = _true_columns(problem, outcome)
+        members = _best_lottery(columns, row)
+    if members is None:  # the least failure keeps to the budget, if nothing else does
+        least = least or outcome.compiled.least_failure()
+        columns.append(_true_column(problem, outcome, least.policy))
+        members = _best_lottery(columns, row) or [(columns[-1], 1.0)]
+    weights = np.array([weight for _, weight in members])
+    cost, failure, goal = weights @ [(c.cost, c.failure, c.goal) for c, _ in members]
+    lottery = MixedPolicy(tuple(c.policy for c, _ in members if c.policy), weights)
+    return Found(lottery, row.objective(float(cost), float(goal)), 0.0, float(failure))
 
 
-def _with_true_lottery(problem: Problem, best: _Split, outcome: RefinedOutcome) -> _Split:
-    """The best that is known with one unit's policies, evaluated truly."""
-    least, points, chosen = outcome.least, list[Column](), None
-    if least is None or outcome.row.budget > least.column.failure:
-        points = _true_points(problem, outcome)
-        chosen = _best_of_points(points, outcome.row)
-    if chosen is None:  # the least failure keeps to the budget, if nothing else does
-        least = least or layers_of_split(outcome).least_failure()
-        points.append(_true_point(problem, outcome, least.policy))
-        chosen = _best_of_points(points, outcome.row) or [(len(points) - 1, 1.0)]
-    members, weights = [points[k] for k, _ in chosen], np.array([weight for _, weight in chosen])
-    failure = float(weights @ [point.failure for point in members])
-    goal = float(weights @ [point.goal for point in members])
-    value = outcome.row.objective(float(weights @ [point.cost for point in members]), goal)
-    if value >= best.value:
-        return best
-    lottery = MixedPolicy(tuple(point.policy for point in members if point.policy), weights)
-    return replace(best, lottery=lottery, value=value, failure=failure)
-
-
-def parts_of(problem: Problem, unit: Fraction) -> int:
-    """Parts of a unit of which the cheapest step takes one at least."""
-    return max(int(np.ceil(float(unit) / float(step_costs(problem.model)[1][1]))), 1)
-
-
-def _true_points(problem: Problem, outcome: RefinedOutcome) -> list[Column]:
+def _true_columns(problem: Problem, outcome: RefinedOutcome) -> list[Column]:
     """Policies that split costs found, measured on the true model, on both sides of the budget.
 
     What keeps to the budget with split costs may break it by rounding, and the other way round:
@@ -238,35 +215,34 @@ def _true_points(problem: Problem, outcome: RefinedOutcome) -> list[Column]:
     Raises:
         Stop: the time ended before one within the budget was measured.
     """
-    compiled, generated = layers_of_split(outcome), outcome.found
-    pricing, one_sided = compiled.pricing(), len(outcome.found.columns) == 1
-    points: list[Column] = []
-    last = generated.columns[0]
+    generated, pricing, row = outcome.found, outcome.compiled.pricing(), outcome.row
+    columns, last, one_sided = list[Column](), generated.columns[0], len(generated.columns) == 1
     with WithIncumbent() as search:
         for column in generated.columns:
-            points.append(_true_point(problem, outcome, pricing.policy(column)))
+            columns.append(_true_column(problem, outcome, pricing.policy(column)))
         for factor in _BESIDE:
-            within = [_keeps_to_budget(point, outcome.row) for point in points]
+            within = [_keeps_to_budget(column, row) for column in columns]
             if is_late() or (any(within) and (one_sided or not all(within))):
                 break
-            price = generated.price * factor if not any(within) else generated.price / factor
+            price = generated.price / factor if any(within) else generated.price * factor
             last = pricing.minimise(price, last)
-            points.append(_true_point(problem, outcome, pricing.policy(last)))
-    if search.stop and not any(_keeps_to_budget(point, outcome.row) for point in points):
+            columns.append(_true_column(problem, outcome, pricing.policy(last)))
+    if search.stop and not any(_keeps_to_budget(column, row) for column in columns):
         raise search.stop
-    return points
+    return columns
 
 
-def _true_point(problem: Problem, outcome: RefinedOutcome, policy: Policy) -> Column:
+def _true_column(problem: Problem, outcome: RefinedOutcome, policy: Policy) -> Column:
     """A policy of the model with split costs on the true one, where memory is the nearest level.
 
     Where a step is less than a unit its levels are parts of one: else it would round to nothing.
     """
-    unit = layers_of_split(outcome).base.exact_unit
     if isinstance(policy, CostAwarePolicy):
-        asked: int | None = getattr(problem, "cost_levels", None)
+        unit, asked = _unit_of(outcome), _levels_asked(problem)
         room = _CELLS // max(problem.model.n_states, 1) if asked is None else asked
-        parts = max(min(parts_of(problem, unit), room // policy.cap), 1)
+        # parts of which the cheapest step takes one at least
+        parts = int(np.ceil(float(unit) / float(step_costs(problem.model)[1][1])))
+        parts = max(min(parts, room // policy.cap), 1)
         levels = read_only(totals_of(np.arange(policy.cap * parts + 1), unit / parts))
         nearest = np.minimum((np.arange(policy.cap * parts) + parts // 2) // parts, policy.cap - 1)
         policy = replace(
@@ -279,59 +255,38 @@ def _true_point(problem: Problem, outcome: RefinedOutcome, policy: Policy) -> Co
     elif isinstance(policy, DeterministicPolicy):
         policy = replace(policy, model=problem.model)
     evaluation = evaluate(policy, problem)
-    failure, goal = evaluation.failure_probability, evaluation.goal_probability
+    failure, goal = evaluation.limited_failure, evaluation.goal_probability
     if evaluation.discounted_failure is not None:
-        failure, goal = evaluation.discounted_failure, 1.0 - evaluation.discounted_failure
+        goal = 1.0 - failure
     cost = evaluation.objective * goal if goal > 0.0 else 0.0
     return Column(cost, failure, goal, None, policy=policy)
 
 
-def _keeps_to_budget(point: Column, row: FailureRow) -> bool:
+def _keeps_to_budget(column: Column, row: FailureRow) -> bool:
     """Whether a policy measured on the true model keeps to the budget, up to rounding."""
-    return row.spare(point) >= -_ROUNDING * min(row.budget, 1.0 - row.budget)
+    return row.spare(column) >= -_ROUNDING * min(row.budget, 1.0 - row.budget)
 
 
-def _best_of_points(points: list[Column], row: FailureRow) -> list[tuple[int, float]] | None:
-    """Numbers and weights of the points whose lottery is cheapest given success; None: none is.
+def _best_lottery(columns: list[Column], row: FailureRow) -> list[tuple[Column, float]] | None:
+    """Members and weights of the lottery that is cheapest given success; None: none is allowed.
 
-    A ratio is least at a vertex: a point within the budget, or two between which it lies.
+    A ratio is least at a vertex: a policy within the budget, or two between which it lies.
     """
-    best, chosen = np.inf, None
-    for i, inside in enumerate(points):
+    best, members = np.inf, None
+    for inside in columns:
         if not _keeps_to_budget(inside, row) or inside.goal <= 0.0:
             continue
         if (value := row.objective(inside.cost, inside.goal)) < best:
-            best, chosen = value, [(i, 1.0)]
-        for j, outside in enumerate(points):
+            best, members = value, [(inside, 1.0)]
+        for outside in columns:
             if row.spare(outside) >= 0.0 or row.spare(inside) <= 0.0:
                 continue
             weight = row.spare(inside) / excess_failure(outside, inside)
             cost = (1.0 - weight) * inside.cost + weight * outside.cost
             value = row.objective(cost, (1.0 - weight) * inside.goal + weight * outside.goal)
             if value < best:
-                best, chosen = value, [(i, 1.0 - weight), (j, weight)]
-    return chosen
-
-
-def _split_solution(problem: Problem, best: _Split, options: SolveOptions) -> Solution:
-    """The solution that the best that is known makes.
-
-    Raises:
-        Stop: no policy within the budget is known.
-    """
-    if best.lottery is None:
-        raise Stop
-    note = best.note
-    if best.gap > options.tolerance and not is_late() and not note:
-        levels = f"{best.layers:,} levels up to {best.end:.6g}"
-        is_asked = getattr(problem, "cost_levels", None) is not None
-        more = "more of them leave a smaller gap" if is_asked else "no room for more of them"
-        note = f"totals are rounded to {levels}: {more}"
-    price = max(best.price - best.value, 0.0)
-    reason = f"costs split between {best.layers:,} layers, {best.calls} pricing calls"
-    run = Run(options.method, reason, best.calls, 0.0, best.work)
-    answer = Found(best.lottery, best.value, best.bound, best.failure, price, note=note)
-    return assembled(problem, answer, run)
+                best, members = value, [(inside, 1.0 - weight), (outside, weight)]
+    return members
 
 
 _WIDEST = 1_000.0  # times as dear may one step be as another, or a unit rounds too much to nothing
@@ -355,16 +310,14 @@ def is_split(problem: Problem, asked: Requirements, seconds: float = np.inf) -> 
     """
     on_grid = asked.totals is TotalScale.GRID
     is_mean = asked.ratio and asked.measure is None and not (asked.rows or asked.least_failure)
-    if not is_mean or getattr(problem, "cost_cap", None) is not None:
-        return False
-    if not on_grid and not (np.isfinite(seconds) and asked.totals is TotalScale.SUMS):
+    is_timed = np.isfinite(seconds) and asked.totals is TotalScale.SUMS
+    if not (is_mean and (on_grid or is_timed)) or getattr(problem, "cost_cap", None) is not None:
         return False
     steps = step_costs(problem.model)[1]
     if len(steps) <= 1 or steps[-1] > _WIDEST * steps[1]:
         return False
-    levels: int | None = getattr(problem, "cost_levels", None) if on_grid else MOST_SUMS
-    most = _FEW_SUMS if levels is None else int(levels)
-    sums = sums_in(problem.model, span_of_steps(problem), most)
+    most = (_levels_asked(problem) or _FEW_SUMS) if on_grid else MOST_SUMS
+    sums = sums_in(problem.model, _span_of_steps(problem), most)
     if on_grid:
         return sums is None
     many = most if sums is None else len(sums)
@@ -400,19 +353,24 @@ def with_split_costs(model: SSP, unit: Fraction) -> SSP:
     )
 
 
-def split_units(problem: Problem, span: float, *, finest: bool = False) -> Iterator[Fraction]:
+def _levels_asked(problem: Problem) -> int | None:
+    """How many totals may be told apart; None: as many as there is room for."""
+    asked: int | None = getattr(problem, "cost_levels", None)
+    return asked
+
+
+def _split_units(problem: Problem, *, finest: bool = False) -> Iterator[Fraction]:
     """Smaller and smaller units, none of which splits a step into nothing, if these are few.
 
     Args:
         problem: of case S.
-        span: the totals that matter.
         finest: as far as there is room, whatever is asked for.
     """
     cheapest = float(step_costs(problem.model)[1][1])
-    return rounding_units(problem, span, cheapest=cheapest, finest=finest)
+    return rounding_units(problem, _span_of_steps(problem), cheapest=cheapest, finest=finest)
 
 
-def span_of_steps(problem: Problem) -> float:
+def _span_of_steps(problem: Problem) -> float:
     """The totals that matter; what a step costs that only ends an episode is not remembered."""
     return span_of_totals(problem, float(step_costs(problem.model)[1][-1]))
 
@@ -451,16 +409,16 @@ def split_optimum(
         cap = None if np.isinf(reach) or fixed else int(np.ceil(_MARGIN * reach / float(unit))) + 1
         compiled = CompiledAccumulatedCost(model, start, problem.discount, fixed, cap)
         outcome = refined_optimum(compiled, budget, options, guess)
-        layers = layers_of_split(outcome).process.cap
+        layers = outcome.compiled.layers
         if most is None or layers <= most or is_late():
             break
         unit = short_decimal(1.02 * float(unit) * layers / most)
     return outcome
 
 
-def layers_of_split(outcome: RefinedOutcome) -> CompiledAccumulatedCost:
-    """The process that a search on split costs ended with."""
-    return cast("CompiledAccumulatedCost", outcome.compiled)  # as it was handed to the search
+def _unit_of(outcome: RefinedOutcome) -> Fraction:
+    """The cost of a layer of the process that a search on split costs ended with."""
+    return cast("CompiledAccumulatedCost", outcome.compiled).base.exact_unit
 
 
 def _solved_on_lattice(
@@ -485,83 +443,62 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
         InfeasibleError: no policy keeps to the budget.
         Stop: the time ended before one that does was found.
     """
-    best = refine(_rounded_attempts(problem, options), options.tolerance)
-    return _rounded_solution(problem, best, options)
+    best = refine(_while_room(_rounded_attempts(problem, options)), options.tolerance)
+    maximised, measure = problem.semantics.maximises, problem.semantics.measure
+    attained, note = best.objective, best.note
+    bound = best.lower_bound if best.upper_bound is None else best.upper_bound
+    if measure is not None and measure.charge.settled is None and not is_late():
+        with WithIncumbent():
+            attained = measure.of(measured_costs(best.policy, problem))  # beyond its table, too
+    if two_sided_gap(attained, bound) > options.tolerance and not is_late():
+        unit = cast("CostAwarePolicy", best.policy.policies[0]).unit
+        more = "no room for more levels"
+        if _levels_asked(problem) is not None:
+            more = "more levels leave a smaller gap"
+        note = f"costs are rounded to multiples of {unit:g}: {more}"
+    return replace(
+        best,
+        problem=problem,
+        objective=attained,
+        lower_bound=attained if maximised else min(bound, attained),
+        upper_bound=max(bound, attained) if maximised else None,
+        note=note,
+    )
 
 
-@dataclass(frozen=True, eq=False)
-class _Rounded:
-    """The best policy that is known, by costs rounded up, and a bound of all others."""
-
-    solution: Solution
-    bound: float
-    unit: Fraction
-
-    @property
-    def gap(self) -> float:
-        """Relative gap between what costs rounded up and down say."""
-        return two_sided_gap(self.solution.objective, self.bound)
-
-
-def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[_Rounded]:
-    """The best policy, and the best bound, that are known after each unit."""
-    attempt: _Rounded | None = None
-    sign = -1.0 if problem.semantics.maximises else 1.0
-    bound, span, measure = _no_worse(problem), span_of_totals(problem), problem.semantics.measure
+def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solution]:
+    """The best policy, by costs rounded up, with the best bound of all, after each unit."""
+    best, semantics, measure = None, problem.semantics, problem.semantics.measure
+    sign = -1.0 if semantics.maximises else 1.0
+    bound, span = _trivial_bound(problem), span_of_totals(problem)
     for unit in rounding_units(problem, span):
-        best = None if attempt is None else attempt.solution
-        rough = float(unit) / span if attempt is None else _SHARE * attempt.gap
+        rough = float(unit) / span if best is None else _SHARE * best.gap
         finer = replace(options, tolerance=max(options.tolerance, rough))
-        try:
-            near = None if best is None else _starting_point(problem, best)
-            # the best policy of costs rounded up, on the model itself
-            solution = _solved_on_lattice(_with_rounded_costs(problem, unit, up=True), finer, near)
-            members = tuple(_rounding_up(p, problem.model, unit) for p in solution.policy.policies)
-            policy = MixedPolicy(members, solution.policy.weights)
-            solution = replace(solution, policy=policy, value_function=None)
-            if measure is not None and measure.is_a_total:
-                law = measured_costs(policy, problem)
-                if law.is_finer:
-                    attained = min(measure.of(law), solution.objective)
-                    solution = replace(solution, objective=attained)
-            if best is None or sign * solution.objective < sign * best.objective:
-                best = solution
-            with WithIncumbent():
-                proved = lattice_bound(problem, unit, finer, best.objective, near)[0]
-                bound = sign * max(sign * bound, sign * proved)
-        except ModelError:  # a table of so many layers is too large
-            if best is None:
-                raise
-            return
-        attempt = _Rounded(best, bound, unit)
-        yield attempt
-
-
-def prove_on_rounded_costs(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
-    """A bound worked out afresh, and the failure that is allowed.
-
-    Units get smaller until the gap is what the solution says, which is taken for no more than that.
-
-    Args:
-        solution: of ``solve_on_rounded_costs``.
-        evaluation: what its policy attains.
-    """
-    rough = replace(CERTIFYING, tolerance=max(CERTIFYING.tolerance, _SHARE * solution.gap))
-    enough = max(CERTIFYING.tolerance, (1.0 + _SHARE) * solution.gap)
-    return refine(_rounded_proofs(solution.problem, evaluation.objective, rough), enough)
+        near = None if best is None else _starting_point(problem, best)
+        # the best policy of costs rounded up, on the model itself
+        solution = _solved_on_lattice(_with_rounded_costs(problem, unit, up=True), finer, near)
+        members = tuple(_rounding_up(p, problem.model, unit) for p in solution.policy.policies)
+        policy = MixedPolicy(members, solution.policy.weights)
+        solution = replace(solution, policy=policy, value_function=None)
+        if measure is not None and measure.is_a_total:
+            law = measured_costs(policy, problem)
+            if law.is_finer:
+                attained = min(measure.of(law), solution.objective)
+                solution = replace(solution, objective=attained)
+        if best is None or sign * solution.objective < sign * best.objective:
+            best = solution
+        with WithIncumbent():
+            proved = lattice_bound(problem, unit, finer, best.objective, near)[0]
+            bound = sign * max(sign * bound, sign * proved)
+        best = replace(best, lower_bound=bound, upper_bound=bound if semantics.maximises else None)
+        yield best
 
 
 def _rounded_proofs(problem: Problem, attained: float, rough: SolveOptions) -> Iterator[Proved]:
     """The best bound that is known after each unit."""
-    sign = -1.0 if problem.semantics.maximises else 1.0
-    bound, allowed = _no_worse(problem), np.inf
+    sign, bound = -1.0 if problem.semantics.maximises else 1.0, _trivial_bound(problem)
     for unit in rounding_units(problem, span_of_totals(problem), finest=True):
-        try:
-            proved, allowed = lattice_bound(problem, unit, rough, attained)
-        except ModelError:  # a table of so many layers is too large
-            if np.isinf(allowed):
-                raise
-            return
+        proved, allowed = lattice_bound(problem, unit, rough, attained)
         bound = sign * max(sign * bound, sign * proved)
         yield Proved(attained, bound, allowed)
 
@@ -635,40 +572,17 @@ def _with_rounded_costs(problem: Problem, unit: Fraction, *, up: bool) -> Restat
         whole = np.minimum(whole, np.ceil(float(measure.bound) / float(unit)) + 2.0)
     costs = totals_of(whole.astype(np.int64), unit)[kind]
     rounded = replace(model, costs=read_only(costs), exact_costs={})
-    asked = problem.start, problem.ratio, problem.failure_budget, problem.semantics
-    return Restated(rounded, *asked)
+    return Restated(
+        rounded, problem.start, problem.ratio, problem.failure_budget, problem.semantics
+    )
 
 
-def _no_worse(problem: Problem) -> float:
+def _trivial_bound(problem: Problem) -> float:
     """What is known of the optimum before anything is solved."""
     semantics, charge = problem.semantics, problem.semantics.charge(problem.ratio)
     if charge is None or not semantics.maximises:
         return 0.0
     return semantics.failing_worth - charge.lowest
-
-
-def _rounded_solution(problem: Problem, attempt: _Rounded, options: SolveOptions) -> Solution:
-    """The best policy with the best bound, and what a reader should know."""
-    best, bound = attempt.solution, attempt.bound
-    maximised, attained = problem.semantics.maximises, best.objective
-    measure = problem.semantics.measure
-    if measure is not None and measure.charge.settled is None and not is_late():
-        with WithIncumbent():
-            attained = measure.of(measured_costs(best.policy, problem))  # beyond its table, too
-    told = best.note
-    if two_sided_gap(attained, bound) > options.tolerance and not is_late():
-        more = "no room for more levels"
-        if getattr(problem, "cost_levels", None) is not None:
-            more = "more levels leave a smaller gap"
-        told = f"costs are rounded to multiples of {float(attempt.unit):g}: {more}"
-    return replace(
-        best,
-        problem=problem,
-        objective=attained,
-        lower_bound=attained if maximised else min(bound, attained),
-        upper_bound=max(bound, attained) if maximised else None,
-        note=told,
-    )
 
 
 _FIRST = 128  # units in the totals that matter, at first
@@ -694,9 +608,8 @@ def rounding_units(
         cheapest: step that is to be a unit at least, if that makes no great many.
         finest: as far as there is room, whatever is asked for.
     """
-    asked: int | None = None if finest else getattr(problem, "cost_levels", None)
     room = min(max(_MOST, _ROOM // problem.model.n_states), _FINEST)
-    most = asked or room
+    most = (None if finest else _levels_asked(problem)) or room
     least = _ROOM_FOR_DIGITS * span / cheapest
     is_quick = least * problem.model.n_outcomes <= _QUICK
     many = float(min(max(_FIRST, least if is_quick else 0.0), most))

@@ -20,13 +20,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from ssp_lp.accumulated_cost.totals import Resolution
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.arrays import BELOW_RATIO, MACHINE_EPSILON, RELATIVE_GAP, FloatArray, read_only
-from ssp_lp.column_generation.column import Proof, least_of, relative_gap
+from ssp_lp.column_generation.column import Proof, least_of, relative_gap, two_sided_gap
 from ssp_lp.column_generation.compiled_problem import ATTAINABLE, CompiledExplicit
 from ssp_lp.column_generation.explicit_pricing import LARGEST
 from ssp_lp.column_generation.restricted_master import solve_master
@@ -81,10 +82,8 @@ class RowsOptimum(Found):
     def gap(self) -> float:
         """Relative gap, of what is asked for."""
         worth = self.compiled.sense.worth
-        attained, limit = worth(self.value), worth(self.bound)
-        if not np.isfinite(attained):
-            return np.inf
-        return relative_gap(max(attained, limit), min(attained, limit))
+        is_attained = np.isfinite(self.value)
+        return two_sided_gap(worth(self.value), worth(self.bound)) if is_attained else np.inf
 
 
 def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
@@ -136,8 +135,19 @@ def rows_optimum(
     best = refine(_rows_attempts(stated, options, truth, guess), options.tolerance)
     if best.gap <= options.tolerance:
         return best
-    note = best.note or CUT_SHORT if is_late() else best.note
-    return _with_remark(replace(best, note=note))
+    compiled, note = best.compiled, best.note or (CUT_SHORT if is_late() else "")
+    levels = f"{compiled.layers:,} levels"
+    if compiled.totals is not None:
+        levels = f"{levels} up to {compiled.totals.values[-1]:.6g}"
+    if not np.isfinite(best.value):
+        raise SolverError(
+            f"no policy on {levels} of accumulated cost keeps to the limits: more ",
+            Argument("cost_levels"),
+            ", or more time, make them finer",
+        )
+    if compiled.is_rounded and not note:
+        note = f"totals are rounded to {levels}: more of them leave a smaller gap"
+    return replace(best, note=note)
 
 
 def _rows_attempts(
@@ -166,56 +176,25 @@ def _rows_attempts(
             guess = optimum
 
 
-def _with_remark(optimum: RowsOptimum) -> RowsOptimum:
-    """The optimum with a remark on rounded totals, if some policy keeps to the rows.
-
-    Raises:
-        SolverError: none was found that does so on the model itself.
-    """
-    if np.isfinite(optimum.value) and (optimum.note or not optimum.compiled.is_rounded):
-        return optimum
-    levels = f"{optimum.compiled.layers:,} levels"
-    if optimum.compiled.totals is not None:
-        levels = f"{levels} up to {optimum.compiled.totals.values[-1]:.6g}"
-    if not np.isfinite(optimum.value):
-        raise SolverError(
-            f"no policy on {levels} of accumulated cost keeps to the limits: more ",
-            Argument("cost_levels"),
-            ", or more time, make them finer",
-        )
-    told = f"totals are rounded to {levels}: more of them leave a smaller gap"
-    return replace(optimum, note=told)
-
-
 def _rows_attempt(
     stated: CompiledExplicit, options: SolveOptions, truth: Truth | None, guess: RowsOptimum | None
 ) -> RowsOptimum:
-    """One search for the rows' optimum, in the precision that the compiled problem says."""
+    """One search for the rows' optimum, in the precision that the compiled problem says.
+
+    With a certified bound at the prices that the search ended with.
+    """
     finer = 1.0 if stated.sense.constant is None else _FINER
     options = replace(options, tolerance=finer * options.tolerance)
-    compiled = stated.settled()
-    opened, program = phase_one(compiled, stated, options), None
+    compiled, program = stated.settled(), None
+    rule = phase_one(compiled, stated, options)
     if guess is not None:
-        opened = begun_at_guess(compiled, opened, guess)
+        rule = begun_at_guess(compiled, rule, guess)
     if options.program is not None:
         if compiled.ratio:  # whether any lottery within the rows succeeds is no solver's to say
-            best_lottery(compiled, opened, replace(options, tolerance=_COARSE))
-        program, opened = begun_at_duals(compiled, opened, options)
-    found, ratio = best_lottery(compiled, opened, options)
-    return _proved_optimum(compiled, stated, opened, found, ratio, truth, program)
-
-
-def _proved_optimum(
-    compiled: CompiledExplicit,
-    stated: CompiledExplicit,
-    opened: StabilisedMaster,
-    generated: Generated,
-    ratio: float,
-    truth: Truth | None,
-    program: ProgramOptimum | None,
-) -> RowsOptimum:
-    """The lottery, and a certified bound at the prices that the search ended with."""
-    pool, rows = opened.pool, opened.rows
+            best_lottery(compiled, rule, replace(options, tolerance=_COARSE))
+        program, rule = begun_at_duals(compiled, rule, options)
+    generated, ratio = best_lottery(compiled, rule, options)
+    pool, rows = rule.pool, rule.rows
     cost, failure = generated.figures[:2].tolist()
     value = generated.ratio if compiled.ratio else cost
     if program is not None and generated.finished:
@@ -223,7 +202,7 @@ def _proved_optimum(
     prices = without_trifles(generated.prices, pool.sizes(rows), cost + ratio * failure)
     bound, values = bound_in_time(compiled, rows, prices, ratio, pool)
     policy = generated.lottery(compiled.pricing())
-    if truth is not None and truth.figures is not None and compiled.is_rounded:
+    if truth is not None and compiled.is_rounded:
         kept = true_lottery(compiled, rows, pool, rows.weights(prices), truth.figures)
         policy, failure = kept or (policy, failure)
         value = truth.value(policy) if kept else np.inf
@@ -232,12 +211,11 @@ def _proved_optimum(
     named = dict.fromkeys(compiled.names, 0.0) | by_name(compiled, rows, prices)
     if compiled.budget is None:
         del named[FAILURE_ROW]
+    paid = float(prices @ np.abs(rows.bounds))
     return RowsOptimum(
         compiled=compiled,
         value=value,
-        bound=compiled.sense.settled_bound(
-            value, least_of(bound, value), float(prices @ np.abs(rows.bounds))
-        ),
+        bound=compiled.sense.settled_bound(value, least_of(bound, value), paid),
         policy=policy,
         failure=failure,
         price=named.get(FAILURE_ROW),
@@ -270,8 +248,6 @@ def _remarks(
 
 _MOST = 8  # policies of the search that are evaluated
 _STEEPER = (0.01, 0.1, 1.0, 100.0)  # shares of the prices that are added for further ones
-_TRUE_RATIOS = 30  # steps of Dinkelbach's iteration
-_TRUE_SETTLED = 1e-13  # relative change of a ratio that is rounding
 _RATIOS = 40  # steps of Dinkelbach's iteration
 _SETTLED = 1e-14  # relative change of a ratio that is rounding
 _STEEP = 1e3  # factor of a ratio at which nothing reached the goal
@@ -283,7 +259,7 @@ class Truth:
     """What a policy is worth by itself, where the process truncates or rounds it."""
 
     value: Callable[[MixedPolicy], float]  # of a lottery, in what is minimised
-    figures: Callable[[Policy], FloatArray] | None = None  # cost, failure and rows of one policy
+    figures: Callable[[Policy], FloatArray]  # cost, failure and rows of one policy
 
 
 def best_lottery(
@@ -339,25 +315,30 @@ def true_lottery(
     """
     policies = _candidates(compiled, rows, pool, weights)
     true = np.stack([figures(policy) for policy in policies], axis=1)
-    taken, limits = true[rows.index], (rows.bounds, rows.scales)
-    cost, failure = true[0], true[1]
-    nearest = solve_master(cost, taken, *limits, elastic=True)
-    if (taken @ nearest.weights > rows.bounds * (1.0 + 1e-12) + 1e-15).any():
+    taken, limits, (cost, failure) = true[rows.index], (rows.bounds, rows.scales), true[:2]
+
+    def given_success(weights: FloatArray) -> float:
+        """The cost given success of a lottery."""
+        goal = float((1.0 - failure) @ weights)
+        return float(cost @ weights) / goal if goal > 0.0 else np.inf
+
+    chosen = solve_master(cost, taken, *limits, elastic=True).weights
+    if (taken @ chosen > rows.bounds * (1.0 + 1e-12) + 1e-15).any():
         return None
-    chosen = nearest.weights
     if not compiled.ratio:
         chosen = solve_master(cost, taken, *limits, elastic=False).weights
-        return _lottery_of(policies, chosen), float(failure @ chosen)
-    ratio = _cost_given_success(cost, failure, chosen)
+    ratio = given_success(chosen)
     if not np.isfinite(ratio):
         ratio = float((cost / np.maximum(1.0 - failure, 1e-300)).max()) + 1.0
-    for _ in range(_TRUE_RATIOS):
-        optimum = solve_master(cost + ratio * failure, taken, *limits, elastic=False)
-        attained = _cost_given_success(cost, failure, optimum.weights)
-        if not attained < ratio * (1.0 - _TRUE_SETTLED):
+    for _ in range(_RATIOS if compiled.ratio else 0):
+        optimal = solve_master(cost + ratio * failure, taken, *limits, elastic=False).weights
+        attained = given_success(optimal)
+        if not attained < ratio * (1.0 - _SETTLED):
             break
-        chosen, ratio = optimum.weights, attained
-    return _lottery_of(policies, chosen), float(failure @ chosen)
+        chosen, ratio = optimal, attained
+    used = np.flatnonzero(chosen > 0.0)
+    lottery = MixedPolicy(tuple(policies[k] for k in used.tolist()), chosen[used])
+    return lottery, float(failure @ chosen)
 
 
 def _candidates(
@@ -382,18 +363,6 @@ def _candidates(
     return [pricing.policy(point) for point in points]
 
 
-def _lottery_of(policies: list[Policy], weights: FloatArray) -> MixedPolicy:
-    """The lottery of the policies that have a weight."""
-    used = np.flatnonzero(weights > 0.0)
-    return MixedPolicy(tuple(policies[k] for k in used.tolist()), weights[used])
-
-
-def _cost_given_success(cost: FloatArray, failure: FloatArray, weights: FloatArray) -> float:
-    """The cost given success of a lottery."""
-    goal = float((1.0 - failure) @ weights)
-    return float(cost @ weights) / goal if goal > 0.0 else float("inf")
-
-
 def truth_of(problem: Problem, stated: CompiledExplicit) -> Truth | None:
     """What the policies of a lottery are worth on the model itself, where tables truncate them."""
     if stated.charge is None:
@@ -403,17 +372,16 @@ def truth_of(problem: Problem, stated: CompiledExplicit) -> Truth | None:
     unlimited = Restated(plain.model, *asked, discount=plain.discount)
 
     def value(policy: MixedPolicy) -> float:
-        """What a lottery is worth, in what is minimised."""
-        attained = evaluate(policy, unlimited).objective
-        return attained if stated.sense.constant is None else stated.sense.constant - attained
+        """What a lottery is worth, in what is minimised: a difference, taken twice, leads back."""
+        return stated.sense.worth(evaluate(policy, unlimited).objective)
 
     def figures(policy: Policy) -> FloatArray:
         """Cost, failure and rows of one policy."""
         evaluation = evaluate(policy, problem)
-        failure = evaluation.discounted_failure
-        failure = evaluation.failure_probability if failure is None else failure
-        cost = evaluation.objective * (1.0 - failure) if failure < 1.0 else 0.0
-        if not stated.ratio:
+        failure = evaluation.limited_failure
+        if stated.ratio:
+            cost = evaluation.objective * (1.0 - failure) if failure < 1.0 else 0.0
+        else:
             cost = value(MixedPolicy((policy,), np.ones(1)))
         return np.array([cost, failure, *row_activities(stated, evaluation)])
 
@@ -464,8 +432,7 @@ def phase_one(
             "no policy within all limits was found, and it was not proved that there is none: "
             "rounding ended the search"
         )
-    conflict = _irreducible_conflict(pool, rows, first, options)
-    raise _infeasible(compiled, stated, conflict, rows)
+    raise _infeasible(compiled, stated, _irreducible_conflict(pool, rows, first, options), rows)
 
 
 def _positive_ratio(pool: Pool, ended: Generated) -> float:
@@ -479,38 +446,7 @@ def _positive_ratio(pool: Pool, ended: Generated) -> float:
     return float(known.max()) if known.size else 1.0
 
 
-def _infeasible(
-    compiled: CompiledExplicit, stated: CompiledExplicit, conflict: _Conflict, rows: Rows
-) -> InfeasibleError:
-    """The conflict as an error, with the least failure of all policies."""
-    at_least, budget = compiled.budget is None, stated.budget
-    places = [int(rows.index[k]) - 1 for k in conflict.rows]
-    named = [compiled.names[k] for k in places]
-    every = "every policy of least failure" if at_least else "every policy"
-    told = conflict.told(
-        [compiled.told[k] for k in places], rows.bounds[list(conflict.rows)], every
-    )
-    if at_least and budget is not None:
-        told = f"no policy keeps to {FAILURE_ROW!r} <= {budget:.12g} and the limits: {told}"
-        named = [FAILURE_ROW, *named]
-    discount = compiled.discount
-    return InfeasibleError(
-        told,
-        failure_budget=budget,
-        least_failure=_least_failure(compiled, None),
-        least_discounted_failure=None if discount is None else _least_failure(compiled, discount),
-        conflicting_rows=tuple(named),
-    )
-
-
-def _least_failure(compiled: CompiledExplicit, discount: float | None) -> float:
-    """The least failure of all policies, for phase 1."""
-    reach = greatest_goal_reach(compiled.model, survival_of(discount), compiled.start).goal
-    return max(1.0 - float(compiled.start @ reach), 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class _Conflict:
+class _Conflict(NamedTuple):
     """Rows that no lottery keeps to together, with the proof."""
 
     rows: tuple[int, ...]  # positions
@@ -518,28 +454,47 @@ class _Conflict:
     least: float  # certified: the sum is at least this under every policy
     allowed: float  # the sum that the bounds allow
 
-    def told(self, names: list[str], bounds: FloatArray, every: str) -> str:
-        """The proof of phase 1's conflict in words.
 
-        Args:
-            names: of the rows of the conflict.
-            bounds: of the same, [rows].
-            every: which policies there are, such as "every policy".
-        """
-        digits = next(
-            (d for d in (6, 9, 12) if f"{self.least:.{d}g}" != f"{self.allowed:.{d}g}"), 17
-        )
-        least, allowed = f"{self.least:.{digits}g}", f"{self.allowed:.{digits}g}"
-        if len(names) == 1:
-            return f"{names[0]!r} is at least {least} under {every}, {allowed} allowed"
+def _infeasible(
+    compiled: CompiledExplicit, stated: CompiledExplicit, conflict: _Conflict, rows: Rows
+) -> InfeasibleError:
+    """The conflict in words, as an error, with the least failure of all policies."""
+    at_least, budget = compiled.budget is None, stated.budget
+    places = (rows.index[list(conflict.rows)] - 1).tolist()
+    named, names = [compiled.names[k] for k in places], [compiled.told[k] for k in places]
+    every = "every policy of least failure" if at_least else "every policy"
+    both = conflict.least, conflict.allowed
+    digits = next((d for d in (6, 9, 12) if f"{both[0]:.{d}g}" != f"{both[1]:.{d}g}"), 17)
+    least, allowed = (f"{number:.{digits}g}" for number in both)
+    if len(names) == 1:
+        told = f"{names[0]!r} is at least {least} under {every}, {allowed} allowed"
+    else:
+        bounds = rows.bounds[list(conflict.rows)]
         asked = [f"{name!r} <= {bound:.12g}" for name, bound in zip(names, bounds, strict=True)]
         together = f"{', '.join(asked[:-1])} and {asked[-1]}"
-        terms = zip(self.shares, names, strict=True)
+        terms = zip(conflict.shares, names, strict=True)
         total = " + ".join(f"{share:.{digits}g} {name}" for share, name in terms)
-        return (
+        told = (
             f"no policy keeps to {together} together: {total} is at least {least} under {every}, "
             f"{allowed} allowed"
         )
+    if at_least and budget is not None:
+        told = f"no policy keeps to {FAILURE_ROW!r} <= {budget:.12g} and the limits: {told}"
+        named = [FAILURE_ROW, *named]
+
+    def least_failure(discount: float | None) -> float:
+        """The least failure of all policies."""
+        reach = greatest_goal_reach(compiled.model, survival_of(discount), compiled.start).goal
+        return max(1.0 - float(compiled.start @ reach), 0.0)
+
+    discount = compiled.discount
+    return InfeasibleError(
+        told,
+        failure_budget=budget,
+        least_failure=least_failure(None),
+        least_discounted_failure=None if discount is None else least_failure(discount),
+        conflicting_rows=tuple(named),
+    )
 
 
 def _proved_conflict(pool: Pool, rows: Rows, generated: Generated) -> _Conflict | None:
@@ -566,18 +521,6 @@ def _proved_conflict(pool: Pool, rows: Rows, generated: Generated) -> _Conflict 
     return _Conflict(kept, shares[list(kept)], least, allowed)
 
 
-def _conflict_among(
-    pool: Pool, rows: Rows, some: tuple[int, ...], options: SolveOptions
-) -> _Conflict | None:
-    """A conflict among some rows, by position among all; None where they can be kept together."""
-    part = rows.among(some)
-    ended = generate(violation_in_master(pool, part), options)
-    found = None if _kept_to(ended, part) else _proved_conflict(pool, part, ended)
-    if found is None:
-        return None
-    return _Conflict(tuple(some[k] for k in found.rows), found.shares, found.least, found.allowed)
-
-
 def _irreducible_conflict(
     pool: Pool, rows: Rows, first: _Conflict, options: SolveOptions
 ) -> _Conflict:
@@ -592,8 +535,13 @@ def _irreducible_conflict(
     conflict = first
     for row in first.rows:
         rest = tuple(k for k in conflict.rows if k != row)
-        if rest and row in conflict.rows:
-            conflict = _conflict_among(pool, rows, rest, options) or conflict
+        if not rest or len(rest) == len(conflict.rows):
+            continue
+        part = rows.among(rest)
+        ended = generate(violation_in_master(pool, part), options)
+        smaller = None if _kept_to(ended, part) else _proved_conflict(pool, part, ended)
+        if smaller is not None:
+            conflict = smaller._replace(rows=tuple(rest[k] for k in smaller.rows))
     return conflict
 
 
@@ -805,7 +753,17 @@ def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved
     raised = np.where(limited, np.clip(spent, bounds, bounds + room), 0.0)
     claims = evaluation.objective, solution.lower_bound
     known = None if solution.method == Game.name else values  # a game's are of its own layers
-    lower = _bound_by_row_values(compiled, prices * limited, raised, known, claims)
+    pricing = compiled.pricing()
+
+    def prove(weights: FloatArray) -> Proof:
+        """What the values prove at weights of the rewards; without them, worked out afresh."""
+        if known is None:
+            return pricing.prove(weights, pricing.minimise(weights))
+        return pricing.check(weights, known)
+
+    ratios = [claim for claim in claims if claim > 0.0] if compiled.ratio else [0.0]
+    bounded = [rows_bound(compiled, prices * limited, raised, r, prove)[0] for r in ratios]
+    lower = max([0.0, *bounded])
     budget = float(raised[0]) if limited[0] else budget
     attained = evaluation.objective - compiled.sense.worth(0.0)
     lower = compiled.sense.settled_bound(
@@ -814,26 +772,3 @@ def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved
         float(prices[limited] @ np.abs(bounds[limited])),
     )
     return Proved(evaluation.objective, compiled.sense.worth(lower), budget)
-
-
-def _bound_by_row_values(
-    compiled: CompiledExplicit,
-    prices: FloatArray,
-    bounds: FloatArray,
-    values: FloatArray | None,
-    claims: tuple[float, ...],
-) -> float:
-    """The lower bound that prices and values prove; in case S of ratios that are claimed.
-
-    Where the values are None, they are worked out afresh.
-    """
-    pricing = compiled.pricing()
-
-    def prove(weights: FloatArray) -> Proof:
-        """What the values prove at weights of the rewards."""
-        if values is None:
-            return pricing.prove(weights, pricing.minimise(weights))
-        return pricing.check(weights, values)
-
-    ratios = [claim for claim in claims if claim > 0.0] if compiled.ratio else [0.0]
-    return max([0.0, *(rows_bound(compiled, prices, bounds, r, prove)[0] for r in ratios)])
