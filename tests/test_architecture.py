@@ -24,7 +24,7 @@ ORDER = [
     ("methods", "game"),
     ("solve", "formulation", "verification", "io"),
 ]
-WITH_SOLVERS = {"deterministic.py", "restricted_master.py", "convex_program.py"}
+WITH_SOLVERS = {"deterministic.py", "convex_program.py"}
 
 RANK = {name: rank for rank, names in enumerate(ORDER) for name in names}
 

@@ -1,4 +1,4 @@
-"""The master program of column generation with several rows: a tiny program over known policies.
+"""The restricted master of column generation with several rows: a tiny program over known policies.
 
     minimise    sum_j w_j cost_j  (+ sum_k e_k)
     subject to  sum_j w_j (activity_kj - bound_k) (- scale_k e_k) <= 0
@@ -6,9 +6,14 @@
 
 As the weights sum to one, bounds are subtracted from the activities: what tells policies near a
 bound apart is not lost in the size of the bound. With ``elastic`` the e_k measure by how much rows
-are violated, in units of their scales, and costs are left out (phase 1). HiGHS's simplex method
-finds an optimal basis; weights and prices are then recomputed from it by dense solves, and a few
-simplex steps repair what HiGHS's tolerances let pass.
+are violated, in units of their scales, and costs are left out (phase 1).
+
+The simplex method begins at one policy. The cheapest with the slacks of all rows is a basis whose
+prices are 0 and at which nothing is worth entering: dual steps follow until no weight is negative.
+Elastic, the least violating policy with the excesses of the rows that it breaks is a basis without
+negative values: primal steps follow. Whatever rounding spoils, steps of the other kind repair. A
+basis has one variable more than there are rows, so that each step inverts it afresh, and tells a 0
+from its rounding.
 """
 
 from __future__ import annotations
@@ -16,30 +21,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
 
-from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
+from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray
 from ssp_lp.errors import SolverError
-from ssp_lp.linear_programming.linear_program import LinearProgram
 
-_OPTIONS: dict[str, bool | int | float | str] = {
-    "presolve": "off",
-    "solver": "simplex",
-    "primal_feasibility_tolerance": 1e-10,
-    "dual_feasibility_tolerance": 1e-10,
-}
 _NEGATIVE = 1e-14
-"""A basic weight this far below 0 is the rounding of a 0."""
+"""A basic weight this far below 0, over the policy's greatest entry, is the rounding of a 0."""
 
 _BROKEN = 4.0 * MACHINE_EPSILON
 """A row that is violated by so much of its scale is met but for rounding."""
 
 _TIED = 1e-14  # of the numbers that a reduced cost is made of: then it is 0
 _PIVOT = 1e-13  # of the numbers that an entry is made of: then it is 0
-_PIVOTS = 50
-_LARGEST = (
-    1e9  # entry that HiGHS is given, to which larger ones are cut: their weight is as good as 0
-)
+_PIVOTS = 50  # for each variable of a basis: some three are needed, more are going in circles
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,17 +70,38 @@ def solve_master(
         elastic: minimise the violation instead of the cost.
 
     Raises:
-        SolverError: HiGHS finds no optimum, as where no lottery keeps to the bounds.
+        SolverError: numbers so far apart that a basis is singular.
     """
     n_rows, n_columns = activity.shape
-    top = 0.0 if elastic else float(np.abs(cost).max(initial=0.0))
-    unit = top if top > 0.0 else 1.0
-    units = scales if elastic else _master_spreads(activity, bounds, scales)
-    program = _scaled_master(cost / unit, activity, bounds, scales, units, elastic=elastic)
-    x, dual = _from_basis(program, _first_master_basis(program, activity, bounds, scales))
-    x, weights = np.maximum(x, 0.0), np.maximum(x[:n_columns], 0.0)
-    weights = np.where(weights > _NEGATIVE, weights, 0.0)
-    weights = weights / weights.sum()
+    cost = np.zeros(n_columns) if elastic else cost
+    unit = float(np.abs(cost).max(initial=0.0)) or 1.0
+    beyond, units = activity - bounds[:, None], scales
+    if not elastic:  # how far from its bound the policies take each row at most
+        spread = np.abs(beyond).max(axis=1, initial=0.0)
+        units = np.where(spread > MACHINE_EPSILON * scales, spread, scales)
+    beyond = beyond / units[:, None]
+    n_excess, broken = n_rows * elastic, _BROKEN * scales / units
+    none = _NEGATIVE / np.maximum(np.abs(beyond).max(axis=0, initial=0.0), 1.0)
+    identity, once = np.eye(n_rows), np.ones((1, n_columns))
+    program = _Standard(
+        cost=np.concatenate([cost / unit, np.ones(n_excess), np.zeros(n_rows)]),
+        matrix=np.block(
+            [
+                [beyond, -identity[:, :n_excess], identity],
+                [once, np.zeros((1, n_excess + n_rows))],
+            ]
+        ),
+        right=np.append(np.zeros(n_rows), 1.0),
+        rounding=np.concatenate([none, broken[:n_excess], broken]),
+        noise=np.append(broken, 0.0),
+    )
+    best = int(np.argmin(np.maximum(beyond, 0.0).sum(axis=0) if elastic else cost))
+    basis = np.append(np.arange(n_rows) + (program.cost.size - n_rows), best)
+    if elastic:
+        basis[:-1] -= n_rows * (beyond[:, best] > 0.0)  # the excess in place of the slack
+    x, dual = _by_simplex(program, basis)
+    weights = np.where(x[:n_columns] > _NEGATIVE, x[:n_columns], 0.0)
+    weights /= weights.sum()
     excess = x[n_columns : n_columns + n_rows] if elastic else np.zeros(n_rows)
     return MasterOptimum(
         value=float(excess.sum()) if elastic else float(cost @ weights),
@@ -96,170 +111,53 @@ def solve_master(
     )
 
 
-def _master_spreads(activity: FloatArray, bounds: FloatArray, scales: FloatArray) -> FloatArray:
-    """How far from its bound the policies take each row at most, [rows]."""
-    spread = np.abs(activity - bounds[:, None]).max(axis=1, initial=0.0)
-    return np.where(spread > MACHINE_EPSILON * scales, spread, scales)
-
-
-def _scaled_master(
-    cost: FloatArray,
-    activity: FloatArray,
-    bounds: FloatArray,
-    scales: FloatArray,
-    units: FloatArray,
-    *,
-    elastic: bool,
-) -> _Standard:
-    """The master in standard form, its rows divided by their units; elastic: their scales."""
-    n_rows, n_columns = activity.shape
-    n_excess = n_rows if elastic else 0
-    priced = np.zeros(n_columns) if elastic else cost
-    beyond = (activity - bounds[:, None]) / units[:, None]
-    broken = _BROKEN * scales / units
-    return _Standard(
-        cost=np.concatenate([priced, np.ones(n_excess), np.zeros(n_rows)]),
-        matrix=np.block(
-            [
-                [beyond, -np.eye(n_rows, n_excess), np.eye(n_rows)],
-                [np.ones((1, n_columns)), np.zeros((1, n_excess + n_rows))],
-            ]
-        ),
-        right=np.append(np.zeros(n_rows), 1.0),
-        rounding=np.concatenate([np.full(n_columns, _NEGATIVE), broken[:n_excess], broken]),
-        noise=np.append(broken, 0.0),
-    )
-
-
-def _first_master_basis(
-    program: _Standard, activity: FloatArray, bounds: FloatArray, scales: FloatArray
-) -> IntArray:
-    """A basis to begin with: HiGHS's, or, where it finds the rows contradictory, of phase 1.
-
-    Policies whose totals differ by no more than HiGHS's tolerances may keep to rows that it takes
-    to be violated; the basis of least violation is feasible up to rounding if any is.
-    """
-    basis = _master_basis(program)
-    if basis is not None:
-        return basis
-    n_rows, n_columns = activity.shape
-    elastic = _scaled_master(np.zeros(n_columns), activity, bounds, scales, scales, elastic=True)
-    found = _master_basis(elastic)
-    if found is None:
-        raise SolverError("the master program: HiGHS finds no basis, nor one of least violation")
-    kept = [int(v) for v in found if v < n_columns]
-    kept += [int(v) - n_rows for v in found if v >= n_columns + n_rows]
-    return np.array(_completed_basis(program, kept), dtype=np.int64)
-
-
-def _master_basis(program: _Standard) -> IntArray | None:
-    """Variables of an optimal basis, found by HiGHS, [rows + 1].
-
-    None where HiGHS finds none. No master is unbounded: where numbers far apart make HiGHS say so,
-    its last basis is feasible.
-    """
-    import highspy  # only where there are rows
-
-    from ssp_lp.linear_programming.highs import highs_lp, highs_solver, run_highs
-
-    n_rows, n_variables = program.matrix.shape
-    matrix, right = sp.csc_array(np.clip(program.matrix, -_LARGEST, _LARGEST)), program.right
-    solver = highs_solver(highs_lp(LinearProgram(program.cost, matrix, right, right, {})), _OPTIONS)
-    run_highs(solver)
-    status = solver.getModelStatus()
-    if status not in (highspy.HighsModelStatus.kOptimal, highspy.HighsModelStatus.kUnbounded):
-        return None
-    basic = highspy.HighsBasisStatus.kBasic
-    basis = solver.getBasis()
-    found = [i for i, state in enumerate(basis.col_status) if state == basic]
-    first_slack = n_variables - (n_rows - 1)
-    found += [first_slack + k for k, s in enumerate(basis.row_status[:-1]) if s == basic]
-    return np.array(_completed_basis(program, found), dtype=np.int64)
-
-
-def _completed_basis(program: _Standard, found: list[int]) -> list[int]:
-    """A basis; a policy stands for the last row's own variable where HiGHS keeps that basic."""
-    n_rows, n_variables = program.matrix.shape
-    chosen = list(found)
-    for variable in range(n_variables - 1, -1, -1):
-        if len(chosen) == n_rows:
-            break
-        if variable in chosen:
-            continue
-        wider = program.matrix[:, [*chosen, variable]]
-        if np.linalg.matrix_rank(wider) == len(chosen) + 1:
-            chosen.append(variable)
-    return chosen
-
-
-def _from_basis(program: _Standard, basis: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Values of the master's variables and duals of its rows, by dense solves with the basis.
-
-    HiGHS's tolerances are relative to the dearest policy: where a value or a reduced cost is
-    negative beyond rounding, steps of the dual or of the primal simplex method repair it.
-    """
-    basis = basis.copy()
-    for _ in range(_PIVOTS):
-        square = program.matrix[:, basis]
-        values, dual = (
-            _refined_solution(square, program.right),
-            _refined_solution(square.T, program.cost[basis]),
-        )
-        reduced = program.cost - dual @ program.matrix
+def _by_simplex(program: _Standard, basis: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Optimal values of the variables, [variables], and duals of the rows, [rows + 1]."""
+    matrix, cost = program.matrix, program.cost
+    n_rows = len(matrix)
+    for _ in range(_PIVOTS * n_rows):
+        square = matrix[:, basis]
+        try:
+            inverse = np.asarray(np.linalg.inv(square), dtype=np.float64)
+        except np.linalg.LinAlgError as error:
+            raise SolverError("the master program's basis is singular") from error
+        values = _refined(inverse, square, program.right)
+        dual = _refined(inverse.T, square.T, cost[basis])
+        reduced = cost - dual @ matrix
         reduced[basis] = 0.0
-        size = np.abs(program.cost) + np.abs(dual) @ np.abs(program.matrix)
-        reduced = np.where(np.abs(reduced) < _TIED * size, 0.0, reduced)
-        broken = values + program.rounding[basis]
-        step = _dual_step if broken.min() < 0.0 else _primal_step
-        moved = step(program, basis, values, reduced)
-        if moved is None:
+        tied = np.abs(reduced) < _TIED * (np.abs(cost) + np.abs(dual) @ np.abs(matrix))
+        reduced = np.where(tied, 0.0, reduced)
+        short = values + program.rounding[basis]
+        if short.min() < 0.0:  # a dual step
+            leaving = int(np.argmin(short))
+            among = _refined(inverse.T, square.T, np.eye(n_rows)[leaving])
+            row = among @ matrix
+            row[basis] = 0.0
+            able = row < -np.abs(among) @ (_PIVOT * np.abs(matrix) + program.noise[:, None])
+            entering = _least_ratio(reduced, -row, able)
+        else:  # a primal step, if any
+            entering = int(np.argmin(reduced))
+            if reduced[entering] >= 0.0:
+                break
+            entry = matrix[:, entering]
+            column = _refined(inverse, square, entry)
+            able = column > np.abs(inverse) @ (_PIVOT * np.abs(entry) + program.noise)
+            leaving = _least_ratio(values, column, able)
+        if not able.any():
             break
-        basis[moved[0]] = moved[1]
-    result = np.zeros(program.cost.size)
-    result[basis] = values
+        basis[leaving] = entering
+    result = np.zeros(cost.size)
+    result[basis] = np.maximum(values, 0.0)
     return result, dual
 
 
-def _dual_step(
-    program: _Standard, basis: IntArray, values: FloatArray, reduced: FloatArray
-) -> tuple[int, int] | None:
-    """The place of the variable that leaves and the variable that enters; None: there is none."""
-    leaving = int(np.argmin(values + program.rounding[basis]))
-    unit = np.zeros(len(basis))
-    unit[leaving] = 1.0
-    among = _refined_solution(program.matrix[:, basis].T, unit)
-    row, sizes = among @ program.matrix, _PIVOT * np.abs(program.matrix) + program.noise[:, None]
-    row[basis] = 0.0
-    able = row < -np.abs(among) @ sizes
-    if not able.any():
-        return None
-    ratio = np.where(able, np.maximum(reduced, 0.0), np.inf) / np.where(able, -row, 1.0)
-    return leaving, int(np.argmin(ratio))
+def _least_ratio(over: FloatArray, under: FloatArray, able: BoolArray) -> int:
+    """Where a ratio is least of those that are able to be, of equal ones the largest divisor."""
+    ratio = np.where(able, np.maximum(over, 0.0), np.inf) / np.where(able, under, 1.0)
+    return int(np.lexsort((-under, ratio))[0])
 
 
-def _primal_step(
-    program: _Standard, basis: IntArray, values: FloatArray, reduced: FloatArray
-) -> tuple[int, int] | None:
-    """The master's simplex step where all values are feasible and a reduced cost is negative."""
-    entering = int(np.argmin(reduced))
-    if reduced[entering] >= 0.0:
-        return None
-    square, entry = program.matrix[:, basis], program.matrix[:, entering]
-    column, inverse = (
-        _refined_solution(square, entry),
-        _refined_solution(square, np.eye(len(basis))),
-    )
-    able = column > np.abs(inverse) @ (_PIVOT * np.abs(entry) + program.noise)
-    if not able.any():
-        return None
-    ratio = np.where(able, np.maximum(values, 0.0), np.inf) / np.where(able, column, 1.0)
-    return int(np.argmin(ratio)), entering
-
-
-def _refined_solution(square: FloatArray, right: FloatArray) -> FloatArray:
+def _refined(inverse: FloatArray, square: FloatArray, right: FloatArray) -> FloatArray:
     """A dense solve with one step of refinement."""
-    try:
-        x = np.linalg.solve(square, right)
-        return x + np.linalg.solve(square, right - square @ x)
-    except np.linalg.LinAlgError as error:
-        raise SolverError("the master program's basis is singular") from error
+    x = inverse @ right
+    return np.asarray(x + inverse @ (right - square @ x))
