@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -79,83 +79,72 @@ class LeastFailure:
     objective_bound: float  # certified lower bound of the objective of every such policy
 
 
-class CompiledProblem(Protocol):
-    """What a method asks of a problem; a user's own formulation may bring its own."""
+class CompiledProblem(ABC):
+    """What a method asks of a problem: a process, a charge, rows, a ratio, and how to refine them.
 
-    @property
-    def model(self) -> SSP:
-        """The model."""
-        ...
+    What is said here holds of a process that is written out and truncates nothing (case M).
+    """
 
-    @property
-    def start(self) -> FloatArray:
-        """The distribution in which an episode begins, [states]."""
-        ...
-
-    @property
-    def discount(self) -> float | None:
-        """The discount; None: exact."""
-        ...
-
-    @property
-    def ratio(self) -> bool:
-        """Whether the objective is cost / (1 - failure) (case S) rather than cost (case M)."""
-        ...
+    model: SSP
+    start: FloatArray  # [states] the distribution in which an episode begins
+    discount: float | None  # None: exact
+    ratio: bool  # whether the objective is cost / (1 - failure) (case S) rather than cost (case M)
+    charge: Charge | None  # of arriving, for the total cost; None: no total is counted (case M)
 
     @property
     def lowest(self) -> float:
         """No objective is less."""
-        ...
+        return 0.0
 
     @property
     def is_trial(self) -> bool:
         """Whether this is only to learn the price, from which its size will follow."""
-        ...
+        return False
 
     @property
     def is_long_shot(self) -> bool:
         """Whether no policy at hand tells of a first size: case M tells of it."""
-        ...
-
-    @property
-    def charge(self) -> Charge | None:
-        """What arriving is charged for the total cost; None: no total is counted (case M)."""
-        ...
-
-    @property
-    def layers(self) -> int:
-        """How many totals are told apart; 1 where none is counted."""
-        ...
+        return False
 
     @property
     def cost_horizon(self) -> float:
         """Total from which a stationary policy is known to be optimal; 0: none is."""
-        ...
+        return 0.0
 
     @property
+    @abstractmethod
+    def layers(self) -> int:
+        """How many totals are told apart; 1 where none is counted."""
+
+    @property
+    @abstractmethod
     def n_columns(self) -> int:
         """Columns of the linear program of the process as it stands."""
-        ...
+
+    @property
+    def survival(self) -> float:
+        """The discount, 1 in the exact setting."""
+        return survival_of(self.discount)
 
     def capped_at(self, cost: float) -> Self:
-        """The same with totals told apart up to about this one, where they are."""
-        ...
+        """The same with totals told apart up to about this one, where a cap is a guess."""
+        return self
 
+    @abstractmethod
     def least_failure(self) -> LeastFailure:
         """The first column: feasibility is decided by it, never by the status of an LP."""
-        ...
 
+    @abstractmethod
     def pricing(self) -> PricingProblem:
         """The pricing problem of the process as it stands."""
-        ...
 
     def for_program(self) -> Self:
         """The one whose written-out process has the optimum of the problem, up to its size."""
-        ...
+        return self
 
+    @abstractmethod
     def explicit(self) -> ExplicitProcess:
         """The process written out, for the linear program."""
-        ...
 
     def explicit_choice(self, column: Column) -> IntArray:
         """The pair of ``explicit()`` that a column takes in each state, [states].
@@ -163,16 +152,17 @@ class CompiledProblem(Protocol):
         Raises:
             ModelError: the pricing did not make the column.
         """
-        ...
+        return required(column.choice)
 
+    @abstractmethod
     def refined(self, price: float) -> Self | None:
         """A larger one with a smaller truncation error, or None where there is none.
 
         Args:
             price: price of failure at the optimum of this one.
         """
-        ...
 
+    @abstractmethod
     def matching(self, values: FloatArray, levels: FloatArray | None = None) -> Self:
         """The one whose value functions have the shape of this one.
 
@@ -183,7 +173,6 @@ class CompiledProblem(Protocol):
         Raises:
             ModelError: none has such value functions.
         """
-        ...
 
     def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
         """How much of a bound at this price is lost to truncation; 0 where nothing is.
@@ -193,7 +182,7 @@ class CompiledProblem(Protocol):
             slack: whether success is counted rather than failure.
             proof: what was proved at this price, which may save the work.
         """
-        ...
+        return 0.0
 
 
 def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> LeastFailure:
@@ -257,21 +246,20 @@ def check_compiled_table(layers: int, base: AccumulatedCost, remedy: str) -> Non
         )
 
 
-class CompiledLayered(ABC):
+class CompiledLayered(CompiledProblem):
     """A compiled problem whose process is layered."""
 
-    model: SSP
-    discount: float | None
+    charge: Charge
+
+    @property
+    @abstractmethod
+    def base(self) -> AccumulatedCost:
+        """One layer of the process."""
 
     @property
     @abstractmethod
     def process(self) -> LayeredProcess:
         """The process cut at the cap."""
-
-    @property
-    def survival(self) -> float:
-        """The discount, 1 in the exact setting."""
-        return survival_of(self.discount)
 
     @cached_property
     def greatest(self) -> GoalReach:
@@ -295,6 +283,20 @@ class CompiledLayered(ABC):
         vars(other).update((name, vars(self)[name]) for name in names if name in vars(self))
         return other
 
+    def _tails_of(
+        self,
+        first: ReachPolicy | MomentReach,
+        last: ReachPolicy | MomentReach,
+        greatest: FloatArray,
+        least: FloatArray,
+        **more: Any,
+    ) -> LayeredTails:
+        """Tails: one that goes for the goal, one that fails; and bounds of the goal, [states]."""
+        decisions = np.stack([first.decision, last.decision]).astype(np.int32)
+        at = self.base.quotient.least_over_members
+        values = TailValues.stacked([first.values, last.values], at)
+        return LayeredTails(decisions, values, -at(-greatest), at(least), **more)
+
     @property
     def layers(self) -> int:
         """Layers below the cap."""
@@ -303,7 +305,7 @@ class CompiledLayered(ABC):
     @property
     def n_columns(self) -> int:
         """Pairs of all layers."""
-        return self.process.cap * len(self.process.base.quotient.pair_at)
+        return self.process.cap * len(self.base.quotient.pair_at)
 
     def pricing(self) -> LayeredPricing:
         """One backward sweep over the layers."""
@@ -360,9 +362,8 @@ class CompiledAccumulatedCost(CompiledLayered):
     exact_tails: bool = False  # beyond the cap: the least failure, or any way to the goal
     is_for_bounds: bool = False  # nothing is followed: no way to the goal is looked for
 
-    ratio: ClassVar[bool] = True
-    charge: ClassVar[Charge] = TOTAL_COST
-    cost_horizon: ClassVar[float] = 0.0
+    ratio = True
+    charge = TOTAL_COST
 
     @cached_property
     def lowest(self) -> float:
@@ -454,7 +455,16 @@ class CompiledAccumulatedCost(CompiledLayered):
     @cached_property
     def process(self) -> LayeredProcess:
         """The process cut at the cap."""
-        return LayeredProcess(self.base, self.base.totals(self._cap_layers()), self._tails)
+        base, layers = self.base, self.cap
+        if layers is None and self.fixed_cap is not None:
+            layers = max(int(np.ceil(self.fixed_cap / base.unit)), 1)
+        elif layers is None:
+            tails = self._tails
+            cost, goal = tails.guess or (base.start @ tails.first.cost, base.start @ tails.goal[0])
+            typical = float(cost) / max(float(goal) + base.start_goal, 1e-300) / base.unit
+            layers = int(np.ceil(_FIRST_LAYERS * typical)) + base.width
+        check_compiled_table(layers, base, "cost_cap")
+        return LayeredProcess(base, base.totals(layers), self._tails)
 
     def refined(self, price: float) -> CompiledAccumulatedCost | None:
         """The same problem with more layers or better tails, unless nothing is left to improve."""
@@ -506,39 +516,13 @@ class CompiledAccumulatedCost(CompiledLayered):
     @cached_property
     def _tails(self) -> LayeredTails:
         """The tails that are followed beyond the cap on accumulated cost."""
-        at = self.base.quotient.least_over_members
         least, riskiest = self.riskiest
-        exact = self._has_exact_tails
-        if exact:
-            first = self.safest_policy
-            greatest = -at(-self.greatest.bound)
-        else:
-            first = riskiest if self.is_for_bounds or self._guess else self._directed
-            greatest = np.full(self.base.n_nodes, self.survival)
-        both = (first, riskiest)
-        return LayeredTails(
-            decisions=np.stack([p.decision for p in both]).astype(np.int32),
-            values=TailValues.stacked([p.values for p in both], at),
-            greatest_goal=greatest,
-            least_goal=at(least.bound),
-            exact=exact,
-            guess=None if exact or self.is_for_bounds else self._guess,
-        )
-
-    def _cap_layers(self) -> int:
-        """Layers of accumulated cost below the cap."""
-        base = self.base
-        if self.cap is not None:
-            layers = self.cap
-        elif self.fixed_cap is not None:
-            layers = max(int(np.ceil(self.fixed_cap / base.unit)), 1)
-        else:
-            tails = self._tails
-            cost, goal = tails.guess or (base.start @ tails.first.cost, base.start @ tails.goal[0])
-            typical = float(cost) / max(float(goal) + base.start_goal, 1e-300) / base.unit
-            layers = int(np.ceil(_FIRST_LAYERS * typical)) + base.width
-        check_compiled_table(layers, base, "cost_cap")
-        return layers
+        if self._has_exact_tails:
+            return self._tails_of(self.safest_policy, riskiest, self.greatest.bound, least.bound)
+        first = riskiest if self.is_for_bounds or self._guess else self._directed
+        greatest = np.full(self.model.n_states, self.survival)
+        guess = None if self.is_for_bounds else self._guess
+        return self._tails_of(first, riskiest, greatest, least.bound, exact=False, guess=guess)
 
 
 _FIRST_TOTALS = 64  # of a first attempt where nothing says how many are needed
@@ -571,8 +555,6 @@ class CompiledArrivalCost(CompiledLayered):
     cap: float | None = None  # total at which the table ends, in units; None: as the charge asks
     by_sums: bool = False  # totals are the sums of steps that can occur, and a unit is 1
     discount: None = None
-
-    is_long_shot: ClassVar[bool] = False
 
     def capped_at(self, cost: float) -> CompiledArrivalCost:
         """The same with a table that ends at this cost."""
@@ -672,21 +654,20 @@ class CompiledArrivalCost(CompiledLayered):
         """The tail policies that are followed, and charged, beyond the cap."""
         at, moments = self.base.quotient.least_over_members, self._moments
         first: ReachPolicy | MomentReach = self.safest_policy if moments is None else moments
-        last, least_goal, least_cost = first, np.zeros(self.base.n_nodes), None
+        last, least, least_cost = first, np.zeros(self.model.n_states), None
         if self.safest_only:
-            least_goal = at(self.greatest.goal) * (1.0 - _LEAST)
+            least = self.greatest.goal * (1.0 - _LEAST)
             least_cost = at(self.safest_policy.cost_bound)
         elif self.ratio:  # else an arrival is never worse than failing
-            least, last = self.riskiest
-            least_goal = at(least.bound)
-        both = (first, last)
-        return LayeredTails(
-            decisions=np.stack([p.decision for p in both]).astype(np.int32),
-            values=TailValues.stacked([p.values for p in both], at),
-            greatest_goal=-at(-self.greatest.bound),
-            least_goal=least_goal,
+            least, last = self.riskiest[0].bound, self.riskiest[1]
+        greatest_moment = None if moments is None else -at(-moments.bound)
+        return self._tails_of(
+            first,
+            last,
+            self.greatest.bound,
+            least,
             least_cost=least_cost,
-            greatest_moment=None if moments is None else -at(-moments.bound),
+            greatest_moment=greatest_moment,
         )
 
     @property
@@ -754,10 +735,6 @@ class CompiledArrivalCost(CompiledLayered):
         """The same among the policies of least failure."""
         return self._handing_on(replace(self, safest_only=True, cap=None))
 
-    def for_program(self) -> CompiledArrivalCost:
-        """Itself: its tails are optimal beyond the cap."""
-        return self
-
     def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledArrivalCost:
         """The same problem with as many layers as the value function, [layers, nodes].
 
@@ -805,7 +782,7 @@ _OWN = {"augmented", "explicit_pricing", "_layer_pricing", "totals", "layers"}
 
 
 @dataclass(frozen=True, eq=False)
-class CompiledExplicit:
+class CompiledExplicit(CompiledProblem):
     """Minimise a cost, failure and other quantities limited; a budget of None: at least failure.
 
     Without a charge this is case M (paper, section 3.1.2), nothing truncated. With one, arriving is
@@ -825,11 +802,6 @@ class CompiledExplicit:
     fixed_cap: float | None = None  # the user's cap on accumulated cost
     objective: UpperRow | None = None  # minimised in place of the cost; no charge then
     resolution: Resolution | None = None  # totals that are no multiples of a unit
-
-    is_trial: ClassVar[bool] = False
-    is_long_shot: ClassVar[bool] = False
-    lowest: ClassVar[float] = 0.0
-    cost_horizon: ClassVar[float] = 0.0
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -894,8 +866,7 @@ class CompiledExplicit:
         Raises:
             InfeasibleError: it cannot.
         """
-        sure, _, _ = surely_reaching(self.model)
-        unsure = np.flatnonzero(~sure & (self.start > 0.0))
+        unsure = np.flatnonzero(~surely_reaching(self.model)[0] & (self.start > 0.0))
         if not unsure.size:
             return
         raise InfeasibleError(
@@ -906,7 +877,7 @@ class CompiledExplicit:
         )
 
     def _least_failure_alone(self) -> float:
-        """The least failure probability, whatever it costs."""
+        """The least failure probability, worked out when the error is asked for it."""
         with limited(READING, "the least failure probability was worked out"):
             return max(1.0 - greatest_from(self.model, self.start), 0.0)
 
@@ -939,7 +910,7 @@ class CompiledExplicit:
     @cached_property
     def greatest(self) -> GoalReach:
         """The greatest goal probability from the start, and the pairs that attain it."""
-        return greatest_goal_reach(self.model, survival_of(self.discount), self.start)
+        return greatest_goal_reach(self.model, self.survival, self.start)
 
     @cached_property
     def least_goal(self) -> float:
@@ -952,7 +923,7 @@ class CompiledExplicit:
         """A goal probability that every policy that counts attains, [states]."""
         if self.budget is None:
             return self.greatest.goal * (1.0 - ATTAINABLE)
-        return least_goal_reach(self.model, survival_of(self.discount)).bound
+        return least_goal_reach(self.model, self.survival).bound
 
     @cached_property
     def _usable(self) -> BoolArray | None:
@@ -1016,11 +987,10 @@ class CompiledExplicit:
     @cached_property
     def explicit_pricing(self) -> ExplicitPricing:
         """Policy iteration on the process with a price for each row."""
-        counted = None
-        if self.objective is not None:
-            (counted,) = self.row_coefficients((self.objective,))
-        rows = tuple(self.row_coefficients(self.side))
-        return ExplicitPricing(self.augmented, self.precise, rows, counted)
+        own = () if self.objective is None else (self.objective,)
+        rows = self.row_coefficients((*own, *self.side))
+        counted = rows.pop(0) if own else None
+        return ExplicitPricing(self.augmented, self.precise, tuple(rows), counted)
 
     def row_coefficients(self, rows: Sequence[UpperRow]) -> list[FloatArray]:
         """What rows take of each pair of the process, [process pairs] each."""
@@ -1029,9 +999,7 @@ class CompiledExplicit:
             counting = augmented.counting()
             return [augmented.everywhere(*row.at(counting)) for row in rows]
         counting = counting_of(augmented, self.start, self.semantics, self.discount)
-        n_pairs = augmented.process.n_pairs
-        found = [row.at(counting) for row in rows]
-        return [np.append(row, source)[:n_pairs] for row, source in found]
+        return [np.append(*row.at(counting))[: augmented.process.n_pairs] for row in rows]
 
     @cached_property
     def base(self) -> AccumulatedCost:
@@ -1049,8 +1017,7 @@ class CompiledExplicit:
     @cached_property
     def typical_cost(self) -> float:
         """The cost given success of the policy that fails least."""
-        survival = survival_of(self.discount)
-        safest = cheapest_reach(self.model, self.greatest, survival)
+        safest = cheapest_reach(self.model, self.greatest, self.survival)
         return float(self.start @ safest.cost) / max(float(self.start @ safest.goal), 1e-300)
 
     @cached_property
@@ -1087,28 +1054,20 @@ class CompiledExplicit:
         cut = truncates(self.charge, end)
         if self.resolution is not None and self.totals is not None:
             enough = self.charge.lossless(price) if cut else None
-            resolution = self.resolution.finer(self.totals, enough, self._room)
-            return (
-                None
-                if resolution is None
-                else self._handing_on(replace(self, resolution=resolution))
-            )
+            finer = self.resolution.finer(self.totals, enough, self._room)
+            return None if finer is None else self._handing_on(replace(self, resolution=finer))
         here = self.layers
         lossless = int(np.ceil(_MARGIN * self.charge.lossless(price) / self.base.unit)) + 1
         wanted = min(lossless, _MOST_GROWTH * here) if lossless > here else 2 * here
         if not cut or (wanted + 1) * len(self.base.gain) > self._most_pairs:
             return None
-        return self.with_layers(wanted)
+        return self._handing_on(replace(self, cap=wanted))
 
     def up_to(self, price: float) -> CompiledExplicit:
         """The same with totals up to where failing is best, at a price that is about right."""
         if self.resolution is None or self.charge is None:
             return self
         return replace(self, resolution=self.resolution.up_to(self.charge.lossless(price)))
-
-    def with_layers(self, cap: int) -> CompiledExplicit:
-        """The same with another cap."""
-        return self._handing_on(replace(self, cap=cap))
 
     def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledExplicit:
         """The same with as many layers as a value function has, [process states]; or ModelError."""
@@ -1118,7 +1077,7 @@ class CompiledExplicit:
         layers, odd = divmod(values.size - 1, nodes) if nodes else (2, values.size - 1)
         if values.ndim != 1 or odd or layers < 2:
             raise ModelError("a value function of [(layers + 1) x nodes + 1] is needed")
-        return self.with_layers(layers - 1)
+        return self._handing_on(replace(self, cap=layers - 1))
 
     def charging(self, charge: Charge) -> CompiledExplicit:
         """The same with another charge, if its arrivals lie on the lattice of costs."""
@@ -1135,22 +1094,6 @@ class CompiledExplicit:
         """Pairs of the process."""
         return self.augmented.process.n_pairs
 
-    def capped_at(self, cost: float) -> CompiledExplicit:
-        """Itself: how many totals are told apart follows from the charge."""
-        return self
-
-    def for_program(self) -> CompiledExplicit:
-        """Itself: it is written out already."""
-        return self
-
     def explicit(self) -> ExplicitProcess:
         """The process."""
         return self.augmented.process
-
-    def explicit_choice(self, column: Column) -> IntArray:
-        """The column's own choice."""
-        return required(column.choice)
-
-    def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
-        """What is lost beyond a cap is seen by policies' own values: 0."""
-        return 0.0
