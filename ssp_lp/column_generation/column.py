@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -78,7 +79,7 @@ def required(part: _Array | None) -> _Array:
     return part
 
 
-class PricingProblem(Protocol):
+class PricingProblem(ABC):
     """Minimises ``cost + failure_price * failure`` and measures what it found.
 
     Nothing here assumes that the states of the process fit into one array: an implementation may
@@ -86,18 +87,19 @@ class PricingProblem(Protocol):
     """
 
     @property
+    @abstractmethod
     def value_shape(self) -> tuple[int, ...]:
         """The shape of the value functions that ``check`` takes."""
-        ...
 
     def incumbent(self, reached: Any) -> Column | None:
         """What a stopped ``minimise`` had come to, as its Stop says; None: that is no policy."""
-        ...
+        return None
 
+    @abstractmethod
     def first(self) -> Column:
         """A policy from which the goal is reached if it can be; cheap to find."""
-        ...
 
+    @abstractmethod
     def minimise(self, failure_price: float, *warm: Column | None) -> Column:
         """A policy of least priced cost, measured exactly.
 
@@ -108,12 +110,12 @@ class PricingProblem(Protocol):
         Raises:
             Stop: the time ended, with a policy that may do where one was known.
         """
-        ...
 
     def aligned(self, column: Column, price: float) -> Column:
         """The column with its tails, where it has any, chosen by this price; measured again."""
-        ...
+        return column
 
+    @abstractmethod
     def prove(self, price: float, best: Column, *, slack: bool = False) -> Proof:
         """Prove a lower bound of the value of every policy.
 
@@ -122,15 +124,27 @@ class PricingProblem(Protocol):
             best: a policy of least value at this price.
             slack: count failing as 0 and success as minus the price.
         """
-        ...
 
+    @abstractmethod
     def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
-        """Lower any values as far as is needed to make them a checked sub-solution."""
-        ...
+        """Lower any values as far as is needed to make them a checked sub-solution.
+
+        Raises:
+            ModelError: values of another shape.
+        """
 
     def policy(self, column: Column) -> Policy:
         """The column's policy on the original states."""
-        ...
+        return self.pulled_back(column) if column.policy is None else column.policy
+
+    @abstractmethod
+    def pulled_back(self, column: Column) -> Policy:
+        """The choice of a column that this pricing made, on the original states."""
+
+    def check_shape(self, values: FloatArray) -> None:
+        """Raise :class:`ModelError` unless values have the shape of a value function."""
+        if values.shape != self.value_shape:
+            raise ModelError(f"a value function of shape {self.value_shape} is needed")
 
 
 _ROUNDED = 4.0 * MACHINE_EPSILON  # of a bound and of what the budget is worth at its price

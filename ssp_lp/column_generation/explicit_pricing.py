@@ -25,7 +25,7 @@ import numpy as np
 
 from ssp_lp.accumulated_cost.written_out import LastLayer, OpenEnded
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, expected, weighted
-from ssp_lp.column_generation.column import Column, Proof, required
+from ssp_lp.column_generation.column import Column, PricingProblem, Proof, required
 from ssp_lp.compiled.deadline import Stop, is_limited
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.dynamic_programming.dual_bound import DualBound
@@ -50,7 +50,7 @@ _NONE = Work()
 
 
 @dataclass(frozen=True, eq=False)
-class ExplicitPricing:
+class ExplicitPricing(PricingProblem):
     """Minimises a process's cost at a price of failure, or at a weight of each thing counted.
 
     A price is the one number of ``PricingProblem``, or, where there are rows beside the failure
@@ -193,10 +193,6 @@ class ExplicitPricing:
             work=work, rows=tuple(rows),
         )  # fmt: skip
 
-    def aligned(self, column: Column, price: float) -> Column:
-        """The column itself: it has no tails."""
-        return column
-
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
         """Prove a lower bound from the values of a policy of least priced cost."""
         column = best if best.totals is not None else self.minimise(price, best)
@@ -267,10 +263,8 @@ class ExplicitPricing:
         values = less_paid(np.where(np.abs(values) <= LARGEST, values, 0.0), paid)
         return bound_of(process, self.contracted(counted), left, values, -paid)
 
-    def policy(self, column: Column) -> Policy:
-        """The column's policy on the original states, of equal pairs the first."""
-        if column.policy is not None:
-            return column.policy
+    def pulled_back(self, column: Column) -> Policy:
+        """A choice as a policy, of equal pairs the first."""
         choice, process = required(column.choice), self.process
         if column.totals is not None and column.runs is not None:
             known = column.totals, column.runs, process.start

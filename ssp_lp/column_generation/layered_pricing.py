@@ -11,9 +11,8 @@ import numpy as np
 from ssp_lp.accumulated_cost.process import LayeredProcess
 from ssp_lp.accumulated_cost.sweep import PartOfSweep, Sweep
 from ssp_lp.arrays import FloatArray, IntArray
-from ssp_lp.column_generation.column import Column, Proof, required
+from ssp_lp.column_generation.column import Column, PricingProblem, Proof, required
 from ssp_lp.dynamic_programming.bellman import Work
-from ssp_lp.errors import ModelError
 from ssp_lp.policies.policy import DeterministicPolicy, Policy
 
 _SAME = 1e-14
@@ -21,7 +20,7 @@ _SAME = 1e-14
 
 
 @dataclass(frozen=True, eq=False)
-class LayeredPricing:
+class LayeredPricing(PricingProblem):
     """Column generation's pricing problem for case S; the process is never written out.
 
     A choice is the position of a pair among those of its node, [cap, nodes], in the smallest
@@ -125,8 +124,7 @@ class LayeredPricing:
             ModelError: values of another shape.
         """
         choice, beyond = None, self.process.beyond_bound(price, 0.0 if slack else price)
-        if values.shape != self.value_shape:
-            raise ModelError(f"a value function of shape {self.value_shape} is needed")
+        self.check_shape(values)
         if self.sweep.can_follow and self.sweep.one_pass is None:
             asked = all(bool(np.isposinf(layer).all()) for layer in values)
             choice = self.sweep.room_for_choice() if asked else None
@@ -179,10 +177,8 @@ class LayeredPricing:
         """Values that ask for the best that can be proved, [cap, nodes]."""
         return np.broadcast_to(np.inf, self.value_shape)
 
-    def policy(self, column: Column) -> Policy:
-        """The column's policy on the original states."""
-        if column.policy is not None:
-            return column.policy
+    def pulled_back(self, column: Column) -> Policy:
+        """The cost-aware policy of a choice and its tails."""
         return self.process.policy(required(column.choice), column.tail_price)
 
     @cached_property

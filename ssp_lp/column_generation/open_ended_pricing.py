@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from ssp_lp.accumulated_cost.sweep import KEPT_VALUES
 from ssp_lp.accumulated_cost.totals import Window
 from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import MACHINE_EPSILON, TIED, FloatArray, IntArray, least_integer_type, weighted
-from ssp_lp.column_generation.column import Column, Proof, required
+from ssp_lp.column_generation.column import Column, PricingProblem, Proof, required
 from ssp_lp.column_generation.explicit_pricing import (
     LOST,
     ExplicitPricing,
@@ -38,12 +37,11 @@ from ssp_lp.dynamic_programming.bellman import (
     safe_minima,
 )
 from ssp_lp.dynamic_programming.dual_bound import DualBound
-from ssp_lp.errors import ModelError
 from ssp_lp.policies.policy import Policy
 
 
 @dataclass(frozen=True, eq=False)
-class OpenEndedPricing:
+class OpenEndedPricing(PricingProblem):
     """Minimises weighted totals of cost, failure and rows; see :class:`ExplicitPricing`.
 
     Nothing in a layer is free, and totals are multiples of a unit.
@@ -84,10 +82,6 @@ class OpenEndedPricing:
     def _cost_from(self, layer: int) -> FloatArray:
         """Charges of arriving from a layer with the shift, [pairs]."""
         return self.augmented.own_cost_from(layer) + self.augmented.shift_of_ends[0]
-
-    def incumbent(self, reached: Any) -> Column | None:
-        """None: half a sweep is no policy."""
-        return None
 
     @cached_property
     def _first(self) -> Column:
@@ -160,10 +154,6 @@ class OpenEndedPricing:
         reached = self.augmented.base.width - 1  # layers, counted from the next one
         return Window(np.broadcast_to(last, (reached, *last.shape)))
 
-    def aligned(self, column: Column, price: float) -> Column:
-        """The column itself: it has no tails."""
-        return column
-
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
         """Prove the best lower bound that a sweep gives."""
         return self.check(price, np.broadcast_to(np.inf, self.value_shape))
@@ -218,8 +208,7 @@ class OpenEndedPricing:
 
     def _asked_beyond(self, values: FloatArray, weights: FloatArray) -> FloatArray:
         """The values beyond the cap; where they ask for the best, those of the best policy."""
-        if values.shape != self.value_shape:
-            raise ModelError(f"a value function of shape {self.value_shape} is needed")
+        self.check_shape(values)
         asked = values[self.augmented.cap * self.augmented.n_nodes : -1]
         if np.isfinite(asked).all():
             return asked
@@ -271,9 +260,7 @@ class OpenEndedPricing:
             kept[-1] = bound
         return bound, kept
 
-    def policy(self, column: Column) -> Policy:
-        """The column's policy on the original states."""
-        if column.policy is not None:
-            return column.policy
+    def pulled_back(self, column: Column) -> Policy:
+        """The cost-aware policy of a choice."""
         chosen = self.augmented.base.pair_offsets[:-1] + required(column.choice)
         return self.augmented.policy(chosen.ravel())

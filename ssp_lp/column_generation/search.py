@@ -35,7 +35,6 @@ themselves. Phase 1 is the same search with the violation of the rows in place o
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import ClassVar
@@ -128,11 +127,11 @@ def generate(rule: Secant | StabilisedMaster, options: SolveOptions) -> Generate
         for _ in range(rule.most_rounds):
             if rule.calls > begun and is_late():
                 break
-            found = rule.seek(options.tolerance)
-            told = None if found is None else rule.told()
-            finished = found is None or rule.learn(found, options.tolerance)
-            if options.progress is not None and told is not None:
-                options.progress(rule.calls, *told)
+            column = rule.seek(options.tolerance)
+            report = None if column is None else rule.report()
+            finished = column is None or rule.learn(column, options.tolerance)
+            if options.progress is not None and report is not None:
+                options.progress(rule.calls, *report)
             if finished:
                 break
     return rule.concluded(options.tolerance, finished=finished)
@@ -192,7 +191,7 @@ class Secant:
             (1.0 - w) * self.inside.goal + w * self.outside.goal,
         )
 
-    def told(self) -> tuple[float, float]:
+    def report(self) -> tuple[float, float]:
         """The price of failure, and the objective so far."""
         return self.slope, self.objective
 
@@ -274,9 +273,9 @@ class Secant:
         if not is_limited() or now - began < _LONG or self._spent > _SHARE * (now - self._since):
             return
         with WithIncumbent():
-            found, bound = self.pricing.prove(price, best), self.row.lower_bound
-            if self.proof is None or bound(found) > bound(self.proof):
-                self.proof = found
+            proof, bound = self.pricing.prove(price, best), self.row.lower_bound
+            if self.proof is None or bound(proof) > bound(self.proof):
+                self.proof = proof
         self._spent += time.perf_counter() - now
 
     def _proved(self, price: float, best: Column, *, slack: bool) -> Proof:
@@ -344,8 +343,6 @@ def columns_by_pricing(
         None where no column that keeps to the budget was found.
     """
     pricing, last, price = _first_price(compiled, row, guess)
-    if price is None:
-        return None
     steps = _STEPS if guess is None else tuple(guess.spread * step for step in _HINTED_STEPS)
     one_sided = price == 0.0 or (guess is not None and guess.slack)
     inside: Column | None = None
@@ -380,17 +377,21 @@ def columns_by_pricing(
 
 def _first_price(
     compiled: CompiledProblem, row: FailureRow, guess: DualGuess | None
-) -> tuple[PricingProblem, Column | None, float | None]:
-    """The pricing problem, and a column and a price to begin with; a Stop says what was under way.
+) -> tuple[PricingProblem, Column | None, float]:
+    """The pricing problem, a column to begin with, if any, and the first price.
 
     Raises:
-        Stop: the time ended before they were known.
+        Stop: the time ended before they were known; it says what was under way.
     """
     doing = "the process was still being built"
     with WithIncumbent() as search:
         pricing = compiled.pricing()
+        if guess is not None:
+            return pricing, None, guess.price
         doing = "the totals of a first policy were being worked out"
-        return pricing, *_initial_policy(pricing, row, guess)
+        first = pricing.first()
+        typical = first.cost if first.goal <= 0.0 else row.objective(first.cost, first.goal)
+        return pricing, first, _STEEP * typical if typical > 0.0 else 1.0
     raise Stop(told=doing) from search.stop
 
 
@@ -408,26 +409,23 @@ def _initial_column_within(
     Raises:
         Stop: none of them keeps to the budget.
     """
-    columns = _measured_columns(known)
+
+    def is_answer(column: Column) -> bool:
+        """Whether a column is a policy, no guess at one, that has a worth within the budget."""
+        is_policy = column.choice is not None or column.policy is not None
+        has_worth = row.objective(column.cost, column.goal) < np.inf
+        return is_policy and has_worth and not row.breaks(column)
+
+    columns = [column for column in known if column is not None]
     with WithIncumbent(), closing():
-        if not _columns_within(row, columns):
+        if not any(map(is_answer, columns)):
             reached = pricing.incumbent(stop.choice) if isinstance(stop, Stop) else None
-            columns += _measured_columns([pricing.first() if reached is None else reached])
-    kept = _columns_within(row, columns)
-    if not kept:
+            columns.append(pricing.first() if reached is None else reached)
+    answers = list(filter(is_answer, columns))
+    if not answers:
         least = min((column.failure for column in columns), default=1.0)
         raise Stop(told=f"the safest policy known by then fails with {least:.6g}") from stop
-    return min(kept, key=lambda column: row.objective(column.cost, column.goal))
-
-
-def _measured_columns(known: Iterable[Column | None]) -> list[Column]:
-    """Columns that stand for a policy, not for a guess at one."""
-    return [c for c in known if c and (c.choice is not None or c.policy is not None)]
-
-
-def _columns_within(row: FailureRow, columns: list[Column]) -> list[Column]:
-    """The columns that keep to the budget and have a worth."""
-    return [c for c in columns if not row.breaks(c) and row.objective(c.cost, c.goal) < np.inf]
+    return min(answers, key=lambda column: row.objective(column.cost, column.goal))
 
 
 def _initial_price(
@@ -446,17 +444,6 @@ def _initial_price(
     if failure <= budget:
         return price * float(np.clip(factor, 1.0 / most, 1.0 / least))
     return price * float(np.clip(factor, least, most))
-
-
-def _initial_policy(
-    pricing: PricingProblem, row: FailureRow, guess: DualGuess | None
-) -> tuple[Column | None, float | None]:
-    """A policy to start from and the first price; None where the goal seems out of reach."""
-    if guess is not None:
-        return None, guess.price
-    first = pricing.first()
-    typical = first.cost if first.goal <= 0.0 else row.objective(first.cost, first.goal)
-    return first, _STEEP * typical if typical > 0.0 else 1.0
 
 
 _IN_BETWEEN = 0.5  # share of the best known prices in those that are tried
@@ -506,7 +493,7 @@ class StabilisedMaster:
         weights = self.rows.weights(self.tried, 0.0 if self.elastic else 1.0)
         return self.pool.priced(weights)
 
-    def told(self) -> tuple[float, float]:
+    def report(self) -> tuple[float, float]:
         """The price of failure, and the objective so far."""
         failure = float(self.tried[self.rows.index == 1].sum())
         return failure, np.inf if self.elastic else self.master.value
@@ -529,11 +516,9 @@ class StabilisedMaster:
         """The master's lottery, and the bound at the best prices."""
         master = self.master if finished else self._solved()
         used = np.flatnonzero(master.weights > 0.0)
-        columns = tuple(self.pool.columns[k] for k in used.tolist())
-        bound, weights = self.bound, master.weights[used]
-        return Generated(
-            columns, weights, self.prices, master.value, bound, finished, excess=master.excess
-        )
+        lottery = tuple(self.pool.columns[k] for k in used.tolist()), master.weights[used]
+        prices, value = self.prices, master.value
+        return Generated(*lottery, prices, value, self.bound, finished, excess=master.excess)
 
     def _near(self, tolerance: float) -> float:
         """A gap that is small enough to go on without stabilisation, or to end."""
@@ -616,9 +601,8 @@ class Rows:
 
     def among(self, some: tuple[int, ...]) -> Rows:
         """Some of the pool's rows, by position."""
-        kept = list(some)
-        limited = self.index[kept], self.bounds[kept], self.scales[kept]
-        return Rows(*limited, self.n_rewards, self.ratio)
+        k = list(some)
+        return replace(self, index=self.index[k], bounds=self.bounds[k], scales=self.scales[k])
 
     def relaxed(self, excess: FloatArray) -> Rows:
         """The rows with their bounds raised by an excess in units of the scales, [rows]."""
