@@ -37,6 +37,13 @@ class Column:
     work: Work = field(default_factory=Work)  # what finding it took
     rows: tuple[float, ...] = ()  # what it takes of each row beside the failure row
 
+    @classmethod
+    def of_figures(cls, figures: FloatArray, choice: IntArray, **more: Any) -> Column:
+        """A column from what it is priced by, [rewards], verified: beyond 0 and 1 lies rounding."""
+        cost, failure, *rows = figures.tolist()
+        failure = min(max(failure, 0.0), 1.0)
+        return cls(cost, failure, 1.0 - failure, choice, rows=tuple(rows), **more)
+
     @cached_property
     def figures(self) -> FloatArray:
         """All that it is priced by, [rewards]: cost, failure, and what it takes of the rows."""

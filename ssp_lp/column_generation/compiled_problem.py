@@ -46,8 +46,7 @@ from ssp_lp.accumulated_cost.written_out import (
 from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON, BoolArray, FloatArray, IntArray, read_only
 from ssp_lp.column_generation.column import Column, PricingProblem, Proof, relative_gap, required
 from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
-from ssp_lp.column_generation.layered_pricing import LayeredPricing
-from ssp_lp.column_generation.open_ended_pricing import OpenEndedPricing
+from ssp_lp.column_generation.layered_pricing import LayeredPricing, OpenEndedPricing
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import READING, check_time, limited
 from ssp_lp.errors import Argument, InfeasibleError, ModelError

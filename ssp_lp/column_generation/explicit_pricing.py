@@ -186,12 +186,8 @@ class ExplicitPricing(PricingProblem):
         found_at: float | None,
     ) -> Column:
         """A column of explicit pricing from its choice, its totals and its run lengths."""
-        cost, failure, *rows = expected(self.process.start, totals).tolist()
-        failure = min(max(failure, 0.0), 1.0)  # verified: beyond it lies rounding
-        return Column(
-            cost, failure, 1.0 - failure, choice, totals=totals, runs=runs, found_at=found_at,
-            work=work, rows=tuple(rows),
-        )  # fmt: skip
+        kept = {"totals": totals, "runs": runs, "work": work, "found_at": found_at}
+        return Column.of_figures(expected(self.process.start, totals), choice, **kept)
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
         """Prove a lower bound from the values of a policy of least priced cost."""

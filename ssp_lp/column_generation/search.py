@@ -52,7 +52,7 @@ from ssp_lp.column_generation.column import (
 )
 from ssp_lp.column_generation.compiled_problem import CompiledProblem, LeastFailure
 from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
-from ssp_lp.column_generation.open_ended_pricing import OpenEndedPricing
+from ssp_lp.column_generation.layered_pricing import OpenEndedPricing
 from ssp_lp.column_generation.restricted_master import MasterOptimum, solve_master
 from ssp_lp.compiled.deadline import (
     Stop,

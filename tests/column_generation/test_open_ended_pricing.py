@@ -8,7 +8,7 @@ from formulations import GUBS, S3P, CostBoundedReach, CostQuantile, CVaR
 from ssp_lp import SSP, InfeasibleError, certify, goal_probability, secondary_cost, solve, visits
 from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import weighted
-from ssp_lp.column_generation.open_ended_pricing import OpenEndedPricing
+from ssp_lp.column_generation.layered_pricing import OpenEndedPricing
 from ssp_lp.problem import compiled_constrained
 
 _NEVER = 10**9  # entries of a layer
