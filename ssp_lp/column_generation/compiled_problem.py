@@ -594,14 +594,13 @@ class CompiledArrivalCost(CompiledLayered):
         """The process cut at the cap."""
         cap = self._first_guess() if self.cap is None else self.cap
         if self.by_sums:
-            totals = self._totals(cap)
-            while totals is None:  # as far as there is room: the gap will tell
+            while (totals := self._totals(cap)) is None:  # as far as there is room: the gap tells
                 check_time()
                 cap *= _LOWER
-                totals = self._totals(cap)
-            return LayeredProcess(self.base, totals, self._tails, self.charge)
-        check_compiled_table(int(cap), self.base, "bound on them")
-        return LayeredProcess(self.base, self.base.totals(int(cap)), self._tails, self.charge)
+        else:
+            check_compiled_table(int(cap), self.base, "bound on them")
+            totals = self.base.totals(int(cap))
+        return LayeredProcess(self.base, totals, self._tails, self.charge)
 
     def _totals(self, cap: float) -> Totals | None:
         """The sums of steps below a cap; None: there are too many."""
@@ -678,8 +677,7 @@ class CompiledArrivalCost(CompiledLayered):
         """The least charged of the policies that fail least, which may remember the cost."""
         pricing = self.safest().pricing()
         best = pricing.minimise(0.0)
-        policy = pricing.policy(best)
-        bound = pricing.prove(0.0, best).bound
+        policy, bound = pricing.policy(best), pricing.prove(0.0, best).bound
         greatest = min(float(self.start @ self.greatest.bound), 1.0)
         if self.ratio:
             bound = bound / greatest if greatest > 0.0 else 0.0
@@ -708,15 +706,12 @@ class CompiledArrivalCost(CompiledLayered):
             lossless = self.lossless_units(price)
             near = self.is_trial or here < lossless
             wanted = lossless if near and lossless <= 4 * here else wanted
-        if self.by_sums:
-            fits = self._totals(wanted) is not None
-            if not fits and not self.is_trial:
-                return None
-            return self.charging(charge, wanted if fits else here)  # a trial's table, for good
-        too_large = (wanted + self.base.width) * self.base.n_nodes > MOST_ENTRIES
-        if too_large or wanted <= here:
-            return None
-        return self.charging(charge, wanted)
+        if not self.by_sums:
+            entries = (wanted + self.base.width) * self.base.n_nodes
+            fits = here < wanted and entries <= MOST_ENTRIES
+        elif not (fits := self._totals(wanted) is not None) and self.is_trial:
+            return self.charging(charge, here)  # the trial's table, for good
+        return self.charging(charge, wanted) if fits else None
 
     def charging(self, charge: Charge, cap: float | None = None) -> CompiledArrivalCost:
         """The same process with another charge and cap; what charges share is worked out once.

@@ -92,11 +92,10 @@ def first_accepted(
             raise Stop(told=f"no backend's answer passed its check by then: {tried[-1]}")
         if is_late():
             break
-    if accepted:
-        _, answer, worst = min(accepted, key=lambda found: found[0])
-        return answer, worst
-    failures = "; ".join(tried)
-    raise SolverError(f"no LP backend's answer passes its check ({failures}); {_REMEDY}")
+    if not accepted:
+        failures = "; ".join(tried)
+        raise SolverError(f"no LP backend's answer passes its check ({failures}); {_REMEDY}")
+    return min(accepted, key=lambda each: each[0])[1:]
 
 
 def answers_in_turn(
@@ -116,11 +115,9 @@ def answers_in_turn(
         SolverError: as of a backend.
     """
     deadline = time.perf_counter() + time_limit
-    attempts: list[tuple[str, BoolArray | None]]
-    attempts = [(name, None) for name in backends_for(program, backend)]
-    if basis is not None and backend in _SIMPLEX and basis.size == sum(program.matrix.shape):
-        attempts.insert(0, ("highs-simplex", basis))
-    for name, begun in attempts:
+    fits = basis is not None and basis.size == sum(program.matrix.shape) and backend in _SIMPLEX
+    attempts = [("highs-simplex", basis)] if fits else []
+    for name, begun in [*attempts, *((name, None) for name in backends_for(program, backend))]:
         try:
             with until(deadline):
                 check_time()
@@ -219,10 +216,7 @@ def solve_with_clarabel(program: LinearProgram, time_limit: float) -> LPAnswer:
     rows = program.matrix.tocsr()
     system = sp.csc_matrix(sp.vstack([rows[equal], rows[below], -sp.eye_array(n_columns)]))
     right = np.concatenate([program.upper[equal], program.upper[below], np.zeros(n_columns)])
-    cones = [
-        clarabel.ZeroConeT(equal.size),
-        clarabel.NonnegativeConeT(below.size + n_columns),
-    ]
+    cones = [clarabel.ZeroConeT(equal.size), clarabel.NonnegativeConeT(below.size + n_columns)]
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-9
@@ -232,13 +226,8 @@ def solve_with_clarabel(program: LinearProgram, time_limit: float) -> LPAnswer:
     result = clarabel.DefaultSolver(nothing, program.cost, system, right, cones, settings).solve()
     dual = np.zeros(len(right) - n_columns)
     dual[np.concatenate([equal, below])] = -np.asarray(result.z)[: dual.size]
-    return LPAnswer(
-        backend="clarabel",
-        x=np.asarray(result.x),
-        dual=dual,
-        status=str(result.status),
-        seconds=time.perf_counter() - began,
-    )
+    took = time.perf_counter() - began
+    return LPAnswer("clarabel", np.asarray(result.x), dual, str(result.status), took)
 
 
 def solve_with_cvxpy(program: LinearProgram, time_limit: float) -> LPAnswer:
@@ -271,6 +260,6 @@ def solve_with_cvxpy(program: LinearProgram, time_limit: float) -> LPAnswer:
     for name, constraint in constraints.items():
         if constraint.dual_value is not None:
             dual[program.rows[name]] = -np.asarray(constraint.dual_value)
-    found = np.full(program.matrix.shape[1], np.nan) if visits.value is None else visits.value
-    return LPAnswer("cvxpy", np.asarray(found), dual, str(problem.status),
-                    time.perf_counter() - began)  # fmt: skip
+    x = np.full(program.matrix.shape[1], np.nan) if visits.value is None else visits.value
+    took = time.perf_counter() - began
+    return LPAnswer("cvxpy", np.asarray(x), dual, str(problem.status), took)

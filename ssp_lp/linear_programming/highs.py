@@ -54,7 +54,7 @@ def solve_with_highs(
         SolverError: HiGHS refuses an option or the model.
     """
     began = time.perf_counter()
-    solver = _solved_by_highs(program, _highs_options(backend, time_limit), basis)
+    solver = _solved_by_highs(program, backend, time_limit, basis)
     solution, last = solver.getSolution(), solver.getBasis()
     statuses = [*last.col_status, *last.row_status] if last.valid else []
     return LPAnswer(
@@ -76,26 +76,39 @@ def bound_ranges(program: LinearProgram, rows: Iterable[str]) -> dict[str, tuple
     Raises:
         SolverError: HiGHS finds no optimum, or no ranges.
     """
-    solver = _solved_by_highs(program, _highs_options("highs-simplex", np.inf))
+    solver = _solved_by_highs(program, "highs-simplex")
     status, ranging = solver.getRanging()
     if status != highspy.HighsStatus.kOk or not ranging.valid:
         told = solver.modelStatusToString(solver.getModelStatus())
         raise SolverError(f"HiGHS has no ranges of bounds: the program is {told.lower()}")
     basis, activity = solver.getBasis().row_status, solver.getSolution().row_value
-    found = {}
-    for name in rows:
-        row = program.rows[name].start
-        if basis[row] == _BASIC:  # not met with equality
-            found[name] = activity[row], np.inf
-        else:
-            found[name] = ranging.row_bound_dn.value_[row], ranging.row_bound_up.value_[row]
-    return found
+    low, high = ranging.row_bound_dn.value_, ranging.row_bound_up.value_
+    places = {name: program.rows[name].start for name in rows}
+    return {  # a row that is not met with equality may have any greater bound
+        name: (activity[k], np.inf) if basis[k] == _BASIC else (low[k], high[k])
+        for name, k in places.items()
+    }
 
 
 def _solved_by_highs(
-    program: LinearProgram, options: HighsOptions, basis: BoolArray | None = None
+    program: LinearProgram,
+    backend: str,
+    time_limit: float = np.inf,
+    basis: BoolArray | None = None,
 ) -> highspy.Highs:
-    """HiGHS, having solved a program; from a basis, of which steps may exchange half."""
+    """HiGHS, having solved a program; from a basis, of which steps may exchange half.
+
+    An answer that is worth a second attempt is asked for again without presolve: with it HiGHS 1.15
+    calls sound programs infeasible.
+    """
+    options: HighsOptions = {
+        "solver": _SOLVERS[backend],
+        "primal_feasibility_tolerance": 1e-10,
+        "dual_feasibility_tolerance": 1e-10,
+        "small_matrix_value": 1e-12,  # smaller entries are dropped; this is the least it takes
+    }
+    if np.isfinite(time_limit):
+        options["time_limit"] = max(time_limit, 1e-3)
     solver = highs_solver(highs_lp(program), options)
     if basis is not None:
         solver.setOptionValue("simplex_iteration_limit", max(len(program.lower) // 2, 1_000))
@@ -106,32 +119,13 @@ def _solved_by_highs(
         begun.valid, begun.alien = True, False
         solver.setBasis(begun)  # one that it refuses is none
     run_highs(solver)
-    if basis is None and _is_doubtful(solver):  # HiGHS 1.15 with presolve says so of sound programs
+    status, broken = solver.getModelStatus(), solver.getInfo().max_primal_infeasibility
+    is_optimal = status == highspy.HighsModelStatus.kOptimal
+    if basis is None and (broken > _BROKEN if is_optimal else status in _DOUBTED):
         solver.setOptionValue("presolve", "off")
         solver.clearSolver()
         solver.run()
     return solver
-
-
-def _is_doubtful(solver: highspy.Highs) -> bool:
-    """Whether an answer of HiGHS is worth a second attempt without presolve."""
-    status = solver.getModelStatus()
-    if status == highspy.HighsModelStatus.kOptimal:
-        return bool(solver.getInfo().max_primal_infeasibility > _BROKEN)
-    return status in _DOUBTED
-
-
-def _highs_options(backend: str, time_limit: float) -> HighsOptions:
-    """The options of HiGHS for a linear program."""
-    options: HighsOptions = {
-        "solver": _SOLVERS[backend],
-        "primal_feasibility_tolerance": 1e-10,
-        "dual_feasibility_tolerance": 1e-10,
-        "small_matrix_value": 1e-12,  # smaller entries are dropped; this is the least it takes
-    }
-    if np.isfinite(time_limit):
-        options["time_limit"] = max(time_limit, 1e-3)
-    return options
 
 
 def highs_solver(lp: highspy.HighsLp, options: HighsOptions) -> highspy.Highs:

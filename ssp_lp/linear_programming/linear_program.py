@@ -78,10 +78,8 @@ def program_residuals(program: LinearProgram, answer: LPAnswer) -> tuple[float, 
         The largest violation of a row or of x >= 0, the largest negative reduced cost, and the gap
         between the primal and the dual objective; nan counts as infinite.
     """
-    activity = program.matrix @ answer.x
-    violation = np.maximum(program.lower - activity, activity - program.upper)
+    violation, reduced = _violation_and_reduced_cost(program, answer)
     primal = max(float(violation.max(initial=0.0)), float((-answer.x).max(initial=0.0)))
-    reduced = program.cost - program.matrix.T @ answer.dual
     bounds = np.where(np.isfinite(program.upper), program.upper, program.lower)
     value, dual_value = float(program.cost @ answer.x), float(bounds @ answer.dual)
     primal /= 1.0 + float(np.abs(answer.x).max(initial=0.0))
@@ -91,15 +89,22 @@ def program_residuals(program: LinearProgram, answer: LPAnswer) -> tuple[float, 
     return first, second, third
 
 
+def _violation_and_reduced_cost(
+    program: LinearProgram, answer: LPAnswer
+) -> tuple[FloatArray, FloatArray]:
+    """By how much each row is violated, < 0 where it is not, [rows]; reduced costs, [columns]."""
+    activity = program.matrix @ answer.x
+    violation = np.maximum(program.lower - activity, activity - program.upper)
+    return violation, program.cost - program.matrix.T @ answer.dual
+
+
 def objective_doubt(program: LinearProgram, answer: LPAnswer) -> float:
     """How much a residual may be worth in the objective, relative to that.
 
     Where a process is left with probability 1e-6 a step, what a row misses by counts a million
     times: violations are priced at the duals, negative reduced costs at the visits.
     """
-    activity = program.matrix @ answer.x
-    violation = np.maximum(program.lower - activity, activity - program.upper)
-    reduced = program.cost - program.matrix.T @ answer.dual
+    violation, reduced = _violation_and_reduced_cost(program, answer)
     priced = np.maximum(violation, 0.0) * np.abs(answer.dual)
     gained = np.maximum(-reduced, 0.0) * np.maximum(answer.x, 0.0)
     worth = max(float(priced.max(initial=0.0)), float(gained.max(initial=0.0)))
