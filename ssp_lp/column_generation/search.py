@@ -536,13 +536,8 @@ class StabilisedMaster:
     def _solved(self) -> MasterOptimum:
         """The best lottery over the policies of the pool."""
         figures, rows = self.pool.figures, self.rows
-        kept = undominated(np.vstack([rows.objective(figures)[None, :], figures[rows.index]]))
-        some = figures[:, kept]
-        cost, taken = rows.objective(some), some[rows.index]
-        best = solve_master(cost, taken, rows.bounds, rows.scales, elastic=self.elastic)
-        weights = np.zeros(figures.shape[1])
-        weights[kept] = best.weights
-        return replace(best, weights=weights)
+        cost, taken = rows.objective(figures), figures[rows.index]
+        return solve_master(cost, taken, rows.bounds, rows.scales, elastic=self.elastic)
 
     def _value(self, column: Column, prices: FloatArray) -> float:
         """Lagrangian value of a policy; what it takes of a row is counted from the bound."""
@@ -557,18 +552,6 @@ class StabilisedMaster:
 def violation_in_master(pool: Pool, rows: Rows) -> StabilisedMaster:
     """Phase 1: the lottery that violates the rows least is sought."""
     return StabilisedMaster(pool, rows, np.zeros(len(rows.index)), elastic=True)
-
-
-def undominated(figures: FloatArray) -> IntArray:
-    """Columns of a master such that no other is at most as large in every row.
-
-    Args:
-        figures: [rows, columns].
-    """
-    at_most = (figures[:, :, None] <= figures[:, None, :]).all(axis=0)  # [which, than which]
-    equal = at_most & at_most.T
-    earlier = np.triu(equal, 1)
-    return np.flatnonzero(~((at_most & ~equal) | earlier).any(axis=0))
 
 
 def without_trifles(

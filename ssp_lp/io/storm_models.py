@@ -224,9 +224,8 @@ def _model_of_storm(
         if not name.startswith("(")
     }
     if formula is not None:
-        told = _ask_storm(
-            source, _storm().model_checking, model, formula, only_initial_states=False
-        )
+        checking, every = _storm().model_checking, {"only_initial_states": False}
+        told = _ask_storm(source, checking, model, formula, **every)
         if not told.is_qualitative():
             raise ModelError(
                 f"{source}: the goal must say of each state whether it is one, not {goal!r}"
@@ -261,10 +260,9 @@ def _check_kind(kind: str, source: object) -> None:
 
 def _check_sparse(model: Any, source: str) -> None:
     """Raise :class:`ModelError` unless this is a sparse model of floats and of a kind we know."""
-    kind = getattr(getattr(model, "model_type", None), "name", None)
-    if kind is None:
+    if not hasattr(model, "model_type"):
         raise ModelError(f"{source} must be a model of stormpy, not {type(model).__name__}")
-    _check_kind(kind, source)
+    _check_kind(model.model_type.name, source)
     if not model.is_sparse_model:
         raise ModelError(f"{source} is symbolic: build it with the sparse engine")
     if model.supports_parameters or model.supports_uncertainty or model.is_exact:
@@ -341,11 +339,8 @@ def _state_names_of_storm(model: Any) -> Sequence[Hashable] | None:
     if not model.has_state_valuations():
         return None
     valuations = model.state_valuations
-    columns = [
-        _values_of_variable(valuations, variable)
-        for variable in valuations.get_all_variables()
-        if variable.name != _BEYOND
-    ]
+    told = [each for each in valuations.get_all_variables() if each.name != _BEYOND]
+    columns = [_values_of_variable(valuations, variable) for variable in told]
     names: list[Hashable] = list(zip(*columns, strict=True))
     for state in _states_beyond(model).tolist():
         names[state] = _BEYOND, state  # what its variables show is another's

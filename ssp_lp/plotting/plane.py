@@ -425,11 +425,7 @@ def plot_episodes(
     fails = (f"fail: {name}" for name in (*model.state_labels, "dead-end"))
     words = ["reach the goal", *fails]
     ends = [words[m] if (m := marks[int(p[-1])]) >= 0 else "give up or go on" for p in played]
-    paths = [_placed_path(points[path], shift) for path, shift in zip(played, aside, strict=True)]
+    placed = np.asarray(~np.isnan(points).any(axis=1))  # what lies nowhere is left out
+    paths = [points[p[placed[p]]] + shift for p, shift in zip(played, aside, strict=True)]
     draw_ground(ax, problem, points, walls)
     return plot_paths(paths, ends, order=words, ax=ax)
-
-
-def _placed_path(path: FloatArray, shift: FloatArray) -> FloatArray:
-    """A path without what lies nowhere, aside of the middles of the cells, [points, 2]."""
-    return path[~np.isnan(path).any(axis=1)] + shift

@@ -30,9 +30,20 @@ from ssp_lp.io.model_files.raw_model import (
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 
-_KINDS = ("MDP", "DTMC")
-_NUMBERS = ("double", "rational")
-_ONE_LINE = ("@parameters", "@reward_models", "@nr_states", "@nr_choices")
+_NUMBER = r"[0-9]{1,18}", "{name} is followed by {value!r}, which is no number"
+_SECTIONS = {
+    "@type": ("(?i:MDP|DTMC)", "models of type {value!r} are not read, only MDP and DTMC"),
+    "@value_type": (
+        "double|rational", "values of type {value!r} are not read, only double and rational"
+    ),
+    "@parameters": ("", "a model with parameters has no numbers; instantiate it first"),
+    "@reward_models": (".*", ""),
+    "@nr_states": _NUMBER,
+    "@nr_choices": _NUMBER,
+}  # fmt: skip
+"""What a section of the header must be, and what is said of another; the last four have a line of
+their own below their names."""
+
 _ENTRY = re.compile(r"(state|action)\s+([^\s\[]+)\s*(?:\[([^\]]*)\])?\s*(.*)")
 _LABEL = re.compile(r'"([^"]*)"|(\S+)')
 _NO_NAME = "__NOLABEL__"
@@ -82,20 +93,13 @@ def _drn_header(file: TextFile, lines: Iterator[str]) -> dict[str, str]:
         name, _, value = line.partition(":")
         if name in sections:
             raise file.fault(f"{name} is there twice")
-        if name in _ONE_LINE:
-            value = next(lines, "")
-        elif name not in ("@type", "@value_type"):
+        if name not in _SECTIONS:
             raise file.fault(f"{name[:60]!r} is no section that can be read")
+        pattern, complaint = _SECTIONS[name]
+        value = value if name in ("@type", "@value_type") else next(lines, "")
         sections[name] = value = value.strip()
-        shown = repr(value[:60])
-        if name == "@type" and value.upper() not in _KINDS:
-            raise file.fault(f"models of type {shown} are not read, only {' and '.join(_KINDS)}")
-        if name == "@value_type" and value not in _NUMBERS:
-            raise file.fault(f"values of type {shown} are not read, only double and rational")
-        if name == "@parameters" and value:
-            raise file.fault("a model with parameters has no numbers; instantiate it first")
-        if name.startswith("@nr") and not re.fullmatch(r"\d{1,18}", value, re.ASCII):
-            raise file.fault(f"{name} is followed by {shown}, which is no number")
+        if not re.fullmatch(pattern, value):
+            raise file.fault(complaint.format(name=name, value=value[:60]))
     raise file.fault("the file ends before @model")
 
 
