@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from functools import cached_property
 
 import numpy as np
@@ -268,45 +267,6 @@ class LayerMoves:
         return source, outcome, self.classes[outcome] if self.classes.size else 0 * outcome
 
 
-def marks_of(
-    pairs: IntArray,
-    staying: Staying | None,
-    met: IntArray,
-    ended: IntArray,
-    forbidden: BoolArray,
-    *,
-    forbids_failing: bool,
-    paying: BoolArray | None,
-) -> IntArray:
-    """The marks of k states of a layer, of what its moves may meet.
-
-    Args:
-        pairs: [k].
-        staying: moves within the layer; None: there are none.
-        met: marks that may be met in later layers, [k].
-        ended: marks of goals and dead-ends, 0 elsewhere, [k].
-        forbidden: where the policy may not give up, [k].
-        forbids_failing: whether failing is forbidden.
-        paying: states whose decision may cost something, where loops that are never left cost
-            without end, [k]; None: nothing is paid in them.
-    """
-    quits, missing = pairs == GIVE_UP_CODE, pairs == UNDECIDED
-    marks = met | ended
-    marks[quits] |= OPEN | (FAILS if forbids_failing else 0)
-    marks[missing | (quits & forbidden)] |= WRONG
-    acting = ended == 0
-    for bit in (HOPEFUL, OPEN):
-        spread_in_layer(marks, bit, staying)
-    if forbids_failing:
-        marks[acting & ((marks & HOPEFUL) == 0)] |= FAILS
-    if paying is not None and staying is not None:
-        never = acting & ((marks & OPEN) == 0)
-        marks[closed_states(staying.share, staying.onward, never) & paying] |= ENDLESS
-    for bit in (WRONG, ENDLESS, FAILS):
-        spread_in_layer(marks, bit, staying)
-    return marks
-
-
 def spread_in_layer(marks: IntArray, bit: int, staying: Staying | None) -> None:
     """Mark, in place, all states from which a marked one can be reached within the layer."""
     begins = np.flatnonzero(marks & bit)
@@ -374,12 +334,11 @@ class LayerSweep:
             _LOG.debug("layer %d of %d", layer, moves.layers.count, extra={"share": over})
             here = np.flatnonzero(np.unpackbits(met[layer]))
             pairs, ring = moves.pairs(layer, here), moves.ring(layer)
-            sums, found = moves.expect(pairs, ring, worth, marks, *self._priced)
-            staying = moves.staying(here, pairs, ring)
-            found = self._settled(here, pairs, staying, sums, found)
-            worth[layer % room, here], marks[layer % room, here] = sums, found
+            totals, own_marks = moves.expect(pairs, ring, worth, marks, *self._priced)
+            self._settle(here, pairs, moves.staying(here, pairs, ring), totals, own_marks)
+            worth[layer % room, here], marks[layer % room, here] = totals, own_marks
         at = np.searchsorted(here, begins)
-        return sums[at], found[at]
+        return totals[at], own_marks[at]
 
     def _met(self, begins: IntArray) -> tuple[list[npt.NDArray[np.uint8]], FloatArray, IntArray]:
         """Where the policy may be in each layer, as bits, and what follows beyond the last one.
@@ -398,31 +357,23 @@ class LayerSweep:
             if (ring < 0).any():
                 here = moves.within(moves.pairs(layer, everywhere), ring, here)
             moves.send(np.ones(len(here)), moves.pairs(layer, here), ring, arriving)
-            is_met = np.zeros(n, dtype=np.bool_)
-            is_met[here] = True
-            met.append(np.packbits(is_met))
+            met.append(np.packbits(np.isin(everywhere, here, assume_unique=True)))
         worth, marks = np.empty((room, n, len(self.columns))), np.empty((room, n), dtype=np.uint8)
-        count = moves.layers.count
+        count, stays = moves.layers.count, np.full(len(moves.layers.costs), -1)
         chosen = {row % room: moves.layers.tail_at(row) for row in range(count, count + room)}
-        for number in range(len(moves.layers.tails)):
+        for number in range(len(moves.layers.tails)):  # a layer, all of whose moves stay
             lands = [(arriving[row] > 0.0) & (tail == number) for row, tail in chosen.items()]
             landed = np.flatnonzero(np.logical_or.reduce(lands))
-            if landed.size:
-                here, totals, found = self._tail(number, landed)
-                for row, tail in chosen.items():
-                    own = tail[here] == number
-                    worth[row, here[own]], marks[row, here[own]] = totals[own], found[own]
+            if not landed.size:
+                continue
+            here = moves.within(moves.tail(number, everywhere), stays, landed)
+            pairs, totals = moves.tail(number, here), np.zeros((len(here), len(self.columns)))
+            tail_marks = np.zeros(len(here), dtype=np.uint8)
+            self._settle(here, pairs, moves.staying(here, pairs, stays), totals, tail_marks)
+            for row, tail in chosen.items():
+                own = tail[here] == number
+                worth[row, here[own]], marks[row, here[own]] = totals[own], tail_marks[own]
         return met, worth, marks
-
-    def _tail(self, number: int, begins: IntArray) -> tuple[IntArray, FloatArray, IntArray]:
-        """Where a tail may come to from some states on, all of whose moves stay: totals, marks."""
-        moves = self.moves
-        ring, n = np.full(len(moves.layers.costs), -1), moves.model.n_states
-        here = moves.within(moves.tail(number, np.arange(n)), ring, begins)
-        pairs, sums = moves.tail(number, here), np.zeros((len(here), len(self.columns)))
-        staying = moves.staying(here, pairs, ring)
-        none = np.zeros(len(here), dtype=np.uint8)
-        return here, sums, self._settled(here, pairs, staying, sums, none)
 
     @cached_property
     def _priced(self) -> tuple[IntArray, FloatArray]:
@@ -433,92 +384,11 @@ class LayerSweep:
         Returns:
             [k, 2], and the costs of each class of steps, [k, classes].
         """
-        found = [(c.prices, k) for k, c in enumerate(self.columns) if c.prices is not None]
-        factors = [1.0 / self.columns[k].survival for _, k in found]
-        return np.array(found, dtype=np.int64), np.outer(factors, self.moves.layers.costs)
+        priced = [(c.prices, k) for k, c in enumerate(self.columns) if c.prices is not None]
+        factors = [1.0 / self.columns[k].survival for _, k in priced]
+        return np.array(priced, dtype=np.int64), np.outer(factors, self.moves.layers.costs)
 
     @cached_property
-    def _ended(self) -> IntArray:
-        """Marks of goals and dead-ends, [states]."""
-        failed = OPEN | (FAILS if self.forbids_failing else 0)
-        ended = np.where(self.moves.model.goal_mask, HOPEFUL | OPEN, failed)
-        return np.where(self.moves.acting, 0, ended).astype(np.uint8)
-
-    def _settled(
-        self,
-        here: IntArray,
-        pairs: IntArray,
-        staying: Staying | None,
-        sums: FloatArray,
-        met: IntArray,
-    ) -> IntArray:
-        """The totals from a layer on, in place of those of its moves to later ones; the marks, [k].
-
-        Args:
-            here: states, increasing, [k].
-            pairs: [k].
-            staying: moves within the layer; None: there are none.
-            sums: expected totals after moves to later layers, overwritten, [k, columns].
-            met: marks that may be met there, [k].
-        """
-        acting = self.moves.acting[here]
-        paying, goes_on = None, [c.goes_on for c in self.columns]
-        if any(goes_on) and staying is not None:
-            paying = np.asarray(staying.paid.sum(axis=1)).ravel() > 0.0
-        marks = marks_of(
-            pairs, staying, met, self._ended[here], self.forbidden[here],
-            forbids_failing=self.forbids_failing, paying=paying,
-        )  # fmt: skip
-        hopeful, is_open = (marks & HOPEFUL) > 0, (marks & OPEN) > 0
-        finite = (marks & ENDLESS) == 0
-        if any(goes_on) and staying is not None:
-            finite &= ~closed_states(staying.share, staying.onward, acting & ~is_open)
-        self._add_rewards(here, pairs, sums)
-        inside = [
-            acting & self._inside(column, hopeful, is_open, finite) for column in self.columns
-        ]
-        self._close(here, sums, inside)
-        if staying is not None:
-            chains: dict[tuple[float, bytes], tuple[IntArray, sp.csr_array, System]] = {}
-            for columns in self._groups():
-                survival, within = self.columns[columns[0]].survival, inside[columns[0]]
-                key = survival, within.tobytes()
-                if key not in chains:
-                    chains[key] = _chain_in_sweep(pairs, staying, within, survival)
-                self._solve(columns, *chains[key], staying, sums)
-        return marks
-
-    def _inside(
-        self, column: TotalledReward, hopeful: BoolArray, is_open: BoolArray, finite: BoolArray
-    ) -> BoolArray:
-        """Where a total is still open, if anything happens there, [k]."""
-        inside = hopeful if column.until_lost else is_open
-        if column.goes_on:
-            inside = inside | finite if column.survival == 1.0 else np.ones_like(inside)
-        return inside
-
-    def _add_rewards(self, here: IntArray, pairs: IntArray, sums: FloatArray) -> None:
-        """Discount what follows and add what each decision earns, in place."""
-        if any(column.survival < 1.0 for column in self.columns):
-            sums *= np.array([column.survival for column in self.columns])
-            sums += np.array([column.each for column in self.columns])
-        moving, quits = np.maximum(pairs, 0), np.flatnonzero(pairs == GIVE_UP_CODE)
-        for k, column in enumerate(self.columns):
-            if column.reward is not None:
-                sums[:, k] += np.where(pairs >= 0, column.reward[moving], 0.0)
-            if quits.size:
-                gain = column.gives_up
-                sums[quits, k] += gain[here[quits]] if isinstance(gain, np.ndarray) else gain
-
-    def _close(self, here: IntArray, sums: FloatArray, inside: list[BoolArray]) -> None:
-        """The totals where nothing is open, in place."""
-        acting = self.moves.acting[here]
-        for k, column in enumerate(self.columns):
-            out = np.flatnonzero(~inside[k])
-            lost = 0.0 if column.goes_on else column.lost
-            lost = lost[here[out]] if isinstance(lost, np.ndarray) else lost
-            sums[out, k] = np.where(acting[out], lost, column.ends[here[out]])
-
     def _groups(self) -> list[list[int]]:
         """Columns that are totalled over the same states at once, those that need others last."""
         groups: dict[tuple[bool, bool, float, bool], list[int]] = {}
@@ -527,47 +397,99 @@ class LayerSweep:
             groups.setdefault(key, []).append(k)
         return [columns for _, columns in sorted(groups.items())]
 
-    def _solve(
+    @cached_property
+    def _ended(self) -> IntArray:
+        """Marks of goals and dead-ends, [states]."""
+        failed = OPEN | (FAILS if self.forbids_failing else 0)
+        ended = np.where(self.moves.model.goal_mask, HOPEFUL | OPEN, failed)
+        return np.where(self.moves.acting, 0, ended).astype(np.uint8)
+
+    def _settle(
         self,
-        columns: list[int],
-        nodes: IntArray,
-        rows: sp.csr_array,
-        system: System,
-        staying: Staying,
-        worth: FloatArray,
+        here: IntArray,
+        pairs: IntArray,
+        staying: Staying | None,
+        totals: FloatArray,
+        marks: IntArray,
     ) -> None:
-        """The totals with the moves within a layer, verified, in place.
+        """Turn what is met after moves to later layers into a layer's own, in place.
 
         Args:
-            columns: that are open at the same states, with the same discount.
-            nodes: those states.
-            rows: their moves within the layer, [nodes, k].
-            system: the equations among them.
-            staying: all moves within the layer.
-            worth: the totals, those at the nodes without these moves, [k, columns].
+            here: states, increasing, [k].
+            pairs: [k].
+            staying: moves within the layer; None: there are none.
+            totals: expected ones, [k, columns].
+            marks: those that may be met, [k].
         """
-        if not nodes.size:
-            return
-        rewards, beyond = worth[nodes][:, columns], worth[:, columns]
-        beyond[nodes] = 0.0
-        rewards += self.columns[columns[0]].survival * (rows @ beyond)
-        for j, k in enumerate(columns):
-            prices = self.columns[k].prices
-            if prices is not None:
-                rewards[:, j] += staying.paid[nodes] @ worth[:, prices]
-        worth[nodes[:, None], columns] = evaluate_chain(system, rewards).values
+        self._mark(here, pairs, staying, marks)
+        acting, quits = self.moves.acting[here], pairs == GIVE_UP_CODE
+        hopeful, is_open = (marks & HOPEFUL) > 0, (marks & OPEN) > 0
+        goes_on = (marks & ENDLESS) == 0
+        if staying is not None and any(column.goes_on for column in self.columns):
+            goes_on &= ~closed_states(staying.share, staying.onward, acting & ~is_open)
+        systems: dict[tuple[float, bytes], System] = {}
+        for group in self._groups:
+            kind = self.columns[group[0]]
+            inside = hopeful if kind.until_lost else is_open
+            if kind.goes_on:
+                inside = inside | goes_on | (kind.survival < 1.0)
+            inside = acting & inside
+            for k in group:
+                self._add_reward(self.columns[k], here, pairs, inside, totals[:, k])
+            nodes = np.flatnonzero(inside)
+            if staying is None or not nodes.size:
+                continue
+            rows, key = staying.share[nodes], (kind.survival, inside.tobytes())
+            if key not in systems:
+                left = rows @ (~inside).astype(np.float64) + staying.onward[nodes] + quits[nodes]
+                leak = (1.0 - kind.survival) + kind.survival * left
+                systems[key] = System(sp.csr_array(rows[:, nodes] * kind.survival), leak)
+            rewards, beyond = totals[nodes][:, group], totals[:, group]
+            beyond[nodes] = 0.0
+            rewards += kind.survival * (rows @ beyond)
+            if kind.prices is not None:
+                for j, k in enumerate(group):
+                    rewards[:, j] += staying.paid[nodes] @ totals[:, self.columns[k].prices]
+            totals[nodes[:, None], group] = evaluate_chain(systems[key], rewards).values
 
+    def _add_reward(
+        self,
+        column: TotalledReward,
+        here: IntArray,
+        pairs: IntArray,
+        inside: BoolArray,
+        total: FloatArray,
+    ) -> None:
+        """Discount what follows and add what decisions earn; elsewhere what ends earn, in place."""
+        if column.survival < 1.0:
+            total *= column.survival
+            total += column.each
+        if column.reward is not None:
+            total += np.where(pairs >= 0, column.reward[np.maximum(pairs, 0)], 0.0)
+        quits, out = np.flatnonzero(pairs == GIVE_UP_CODE), np.flatnonzero(~inside)
+        total[quits] += np.broadcast_to(column.gives_up, column.ends.shape)[here[quits]]
+        lost = np.broadcast_to(0.0 if column.goes_on else column.lost, column.ends.shape)
+        total[out] = np.where(self.moves.acting, lost, column.ends)[here[out]]
 
-def _chain_in_sweep(
-    pairs: IntArray, staying: Staying, inside: BoolArray, survival: float
-) -> tuple[IntArray, sp.csr_array, System]:
-    """The nodes at which totals are open, their moves in the layer, and their equations."""
-    nodes = np.flatnonzero(inside)
-    rows = staying.share[nodes]
-    own = sp.csr_array(rows[:, nodes] * survival)
-    quits = (pairs[nodes] == GIVE_UP_CODE).astype(np.float64)
-    left = rows @ (~inside).astype(np.float64) + staying.onward[nodes] + quits
-    return nodes, rows, System(own, (1.0 - survival) + survival * left)
+    def _mark(
+        self, here: IntArray, pairs: IntArray, staying: Staying | None, marks: IntArray
+    ) -> None:
+        """Add to the marks of what a layer's moves may meet those of the layer itself, in place."""
+        quits, missing = pairs == GIVE_UP_CODE, pairs == UNDECIDED
+        acting = self.moves.acting[here]
+        marks |= self._ended[here]
+        marks[quits] |= OPEN | (FAILS if self.forbids_failing else 0)
+        marks[missing | (quits & self.forbidden[here])] |= WRONG
+        for bit in (HOPEFUL, OPEN):
+            spread_in_layer(marks, bit, staying)
+        if self.forbids_failing:
+            marks[acting & ((marks & HOPEFUL) == 0)] |= FAILS
+        if staying is not None and any(column.goes_on for column in self.columns):
+            paying = np.asarray(staying.paid.sum(axis=1)).ravel() > 0.0
+            never = acting & ((marks & OPEN) == 0)  # such loops cost without end
+            marks[closed_states(staying.share, staying.onward, never) & paying] |= ENDLESS
+        for bit in (WRONG, ENDLESS, FAILS):
+            spread_in_layer(marks, bit, staying)
 
 
 _AT_ONCE = 1_000_000  # decisions between two looks at the time
@@ -643,10 +565,8 @@ def chain_of_law(
         or not _is_exact_law(model, layers)
     ):
         return policy_chain(model, policy, start)
-    found = _law_forwards(LayerMoves(model, layers), start)
-    return (
-        policy_chain(model, policy, start) if found is None else _spine_of_law(model, layers, found)
-    )
+    law = _law_forwards(LayerMoves(model, layers), start)
+    return policy_chain(model, policy, start) if law is None else _spine_of_law(model, layers, *law)
 
 
 def chains_of_law(
@@ -683,126 +603,98 @@ def _is_exact_law(model: SSP, layers: CostLayers) -> bool:
     """Whether every cost is a whole number of layers, and not only as a float, or made one."""
     if layers.unit is None or layers.rounds_up:
         return layers.rounds_up
-    unit, steps = _exact_cost_of_law(model, layers.unit), layers.leads(0).tolist()
-    costs = layers.costs.tolist()
-    return all(_exact_cost_of_law(model, c) == k * unit for c, k in zip(costs, steps, strict=True))
+    unit, *costs = (
+        model.exact_costs.get(cost, exact_cost(cost))
+        for cost in (layers.unit, *layers.costs.tolist())
+    )
+    return all(c == k * unit for c, k in zip(costs, layers.leads(0).tolist(), strict=True))
 
 
-def _exact_cost_of_law(model: SSP, cost: float) -> Fraction:
-    """A cost of the law's chain as the fraction that it is."""
-    return model.exact_costs.get(cost, exact_cost(cost))
+def _law_forwards(moves: LayerMoves, start: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Follow the law's mass layer by layer; None where a decision is missing.
 
-
-@dataclass(frozen=True, eq=False)
-class _Arrived:
-    """What one sweep forwards finds."""
-
-    goal: FloatArray  # [layers] mass that arrives at the goal, the layers beyond the cap included
-    landed: FloatArray  # [layers beyond the cap, states] mass that goes on there
-
-
-def _law_forwards(moves: LayerMoves, start: FloatArray) -> _Arrived | None:
-    """Follow the law's mass layer by layer; None where a decision is missing."""
-    layers, room = moves.layers, moves.layers.width
-    goals = np.flatnonzero(moves.model.goal_mask)
+    Returns:
+        What arrives at the goal, [layers], those beyond the cap included; and what goes on there,
+        [layers beyond the cap, states].
+    """
+    layers, room, everywhere = moves.layers, moves.layers.width, np.arange(len(start))
     waiting, goal = np.zeros((room, len(start))), np.zeros(layers.count + room)
-    waiting[0], everywhere = start, np.arange(len(start))
+    waiting[0] = start
     for layer in range(layers.count + room):
         mass = waiting[layer % room]
-        if layer < layers.count:
-            pairs, leads = moves.pairs(layer, everywhere), layers.leads(layer)
-            if (mass[pairs == UNDECIDED] > 0.0).any():
-                return None
-            staying = moves.staying(everywhere, pairs, np.where(leads > 0, 0, -1))
-            if staying is not None:
-                mass = _visits_within_law(staying, pairs, mass)
-            moves.send(mass, pairs, np.where(leads > 0, (layer + leads) % room, -1), waiting)
-            goal[layer] = mass[goals].sum()
-            waiting[layer % room] = 0.0
-        else:
-            goal[layer] = mass[goals].sum()
-            waiting[layer % room, ~moves.acting] = 0.0
-    order = (layers.count + np.arange(room)) % room
-    return _Arrived(goal, waiting[order])
+        if layer >= layers.count:
+            goal[layer] = mass[moves.model.goal_mask].sum()
+            mass[~moves.acting] = 0.0
+            continue
+        pairs, leads = moves.pairs(layer, everywhere), layers.leads(layer)
+        if (mass[pairs == UNDECIDED] > 0.0).any():
+            return None
+        staying = moves.staying(everywhere, pairs, np.where(leads > 0, 0, -1))
+        if staying is not None:
+            mass = _visits_within_law(staying, pairs, mass)
+        moves.send(mass, pairs, np.where(leads > 0, (layer + leads) % room, -1), waiting)
+        goal[layer] = mass[moves.model.goal_mask].sum()
+        waiting[layer % room] = 0.0
+    return goal, waiting[(layers.count + np.arange(room)) % room]
 
 
-def _spine_of_law(model: SSP, layers: CostLayers, found: _Arrived) -> Chain:
-    """One node of the law's chain per block of layers below the cap, then the tails.
+def _spine_of_law(model: SSP, layers: CostLayers, reached: FloatArray, landed: FloatArray) -> Chain:
+    """One node of the law's chain per block of layers below the cap, then the goal and the tails.
 
     A node goes on to the next block, or to the goal at the cost of each layer of its own; the last
     one to where the mass lands beyond the cap. Mass that fails below the cap never starts.
     """
-    block = len(found.landed)  # as many layers as a step may pass: no move is much longer
-    count, last = -(-layers.count // block), (layers.count - 1) // block
+    block = len(landed)  # as many layers as a step may pass: no move is much longer
+    count, last, unit = -(-layers.count // block), (layers.count - 1) // block, layers.unit or 0.0
     tail_at = np.stack([layers.tail_at(layers.count + k) for k in range(block)])
-    parts, first = list[tuple[int, Chain]](), count + 1
+    first, tails = count + 1, list[Chain]()
+    ends = list[tuple[IntArray, IntArray]]()  # of the moves of each tail: source, target
     moves = list[tuple[IntArray, IntArray, FloatArray, IntArray]]()  # from, to, mass, layer
     for number, tail in enumerate(layers.tails):
-        entering = np.where(tail_at == number, found.landed, 0.0)
+        entering = np.where(tail_at == number, landed, 0.0)
         total = entering.sum(axis=0)
         if not (total > 0.0).any():
             continue
         chain = policy_chain(model, DeterministicPolicy(model, tail), total)
-        if layers.rounds_up and layers.unit is not None:
-            chain = replace(chain, cost=_rounded_up(chain.cost, layers.unit))
+        if layers.rounds_up:
+            passed = np.ceil(chain.cost / unit * (1.0 - SAME_TOTAL)).astype(np.int64)
+            chain = replace(chain, cost=totals_of(passed, exact_cost(unit)))
         place = np.full(model.n_states, -1, dtype=np.int64)
         place[chain.state] = np.arange(first, first + chain.n_nodes)
         ahead, state = np.nonzero(entering)
         source = np.full(len(ahead), last)
         moves.append((source, place[state], entering[ahead, state], layers.count + ahead))
-        parts.append((first, chain))
+        ends.append((chain.source + first, chain.target + first))
+        tails.append(chain)
         first += chain.n_nodes
-    arriving = np.flatnonzero(found.goal[1:] > 0.0) + 1
+    arriving = np.flatnonzero(reached[1:] > 0.0) + 1
     source = np.minimum(arriving // block, last)
-    moves.append((source, np.full(len(arriving), count), found.goal[arriving], arriving))
+    moves.append((source, np.full(len(arriving), count), reached[arriving], arriving))
     taken = np.zeros(count)
     for source, _, mass, _ in moves:
         np.add.at(taken, source, mass)
     left = np.cumsum(taken[::-1])[::-1]  # from each block on
     every = np.arange(count - 1)
     moves.append((every, every + 1, left[1:], (every + 1) * block))
-    mass = np.concatenate([part[2] for part in moves])
+    source, target, mass, layer = (np.concatenate(part) for part in zip(*moves, strict=True))
     kept = np.flatnonzero(mass > 0.0)
-    source, target, there = (np.concatenate([part[i] for part in moves])[kept] for i in (0, 1, 3))
-    unit, ahead = float(layers.unit or 0.0), there - source * block
+    source, target, ahead = source[kept], target[kept], (layer - source * block)[kept]
     paid = totals_of(ahead, exact_cost(unit)) if layers.rounds_up else ahead * unit
-    own = source, target, np.asarray(mass[kept] / left[source]), np.asarray(paid)
-    return _joined_chain_of_law(model, own, parts, count, float(left[0]), float(found.goal[0]))
-
-
-def _rounded_up(costs: FloatArray, unit: float) -> FloatArray:
-    """Costs of the law as whole multiples of a unit, rounded once each, like ``costs``."""
-    layers = np.ceil(costs / unit * (1.0 - SAME_TOTAL)).astype(np.int64)
-    return totals_of(layers, exact_cost(unit))
-
-
-def _joined_chain_of_law(
-    model: SSP,
-    own: tuple[IntArray, IntArray, FloatArray, FloatArray],
-    parts: list[tuple[int, Chain]],
-    count: int,
-    begins: float,
-    arrived: float,
-) -> Chain:
-    """The spine's nodes, the goal, and the tails' chains, as one chain."""
-    acting = int(np.argmin(model.goal_mask))
-    goal = int(np.argmax(model.goal_mask))
-    state = np.concatenate([np.full(count, acting), [goal], *(c.state for _, c in parts)])
-    start = np.zeros(len(state))
-    start[0], start[count] = begins, arrived
-    nothing, chains = np.zeros(count + 1), [chain for _, chain in parts]
-    source, target, probability, cost = own
+    state = np.concatenate([np.full(count, np.argmin(model.goal_mask)),
+                            [np.argmax(model.goal_mask)], *(c.state for c in tails)])  # fmt: skip
+    start, own = np.zeros(len(state)), np.zeros(count + 1)
+    start[0], start[count] = left[0], reached[0]
     return Chain(
         model=model,
         state=read_only(state),
         memory=read_only(np.zeros(len(state), dtype=np.int64)),
         start=read_only(start),
-        give_up=read_only(np.concatenate([nothing, *(c.give_up for c in chains)])),
-        dead=read_only(np.concatenate([nothing, *(c.dead for c in chains)])),
-        source=np.concatenate([source, *(c.source + first for first, c in parts)]),
-        target=np.concatenate([target, *(c.target + first for first, c in parts)]),
-        probability=np.concatenate([probability, *(c.probability for c in chains)]),
-        cost=np.concatenate([cost, *(c.cost for c in chains)]),
+        give_up=read_only(np.concatenate([own, *(c.give_up for c in tails)])),
+        dead=read_only(np.concatenate([own, *(c.dead for c in tails)])),
+        source=np.concatenate([source, *(begin for begin, _ in ends)]),
+        target=np.concatenate([target, *(end for _, end in ends)]),
+        probability=np.concatenate([mass[kept] / left[source], *(c.probability for c in tails)]),
+        cost=np.concatenate([paid, *(c.cost for c in tails)]),
         outcome=_NOTHING,
         branch_node=_NOTHING,
         branch_pair=_NOTHING,
