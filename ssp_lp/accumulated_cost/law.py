@@ -193,17 +193,47 @@ class _LayerPower(NamedTuple):
 
 
 class LayerPowers:
-    """Powers of two of one layer's transition, squared when they are first needed. Mutable."""
+    """Powers of two of one layer's transition, squared when they are first needed. Mutable.
 
-    def __init__(self, onward: FloatArray, lands: FloatArray, leaves: FloatArray) -> None:
-        """Begin with one layer.
+    Mass waits at places: at a node, some layers ahead. Those of a node follow each other.
+    """
+
+    def __init__(
+        self, onward: sp.csr_array, lost: FloatArray, free: FreeChainMoves | None = None
+    ) -> None:
+        """Find the places to which moves lead; each node has one without delay.
 
         Args:
-            onward: probabilities of waiting at a place after the layer, [places, places].
-            lands: probability of arriving at the goal in the layer, [places].
-            leaves: probability of losing it in the layer, [places].
+            onward: moves to (layers passed, node), the goal last, [nodes before the goal, columns].
+            lost: probability of losing the goal with the next move, likewise, [nodes before it].
+            free: moves within a layer; None: there are none.
         """
-        self._levels = [_LayerPower(onward, lands, leaves).scaled()]
+        self._onward, self._lost, self._free = onward, lost, free
+        dearest = np.ones(len(lost) + 1, dtype=np.int64)  # layers that a move to a node passes
+        columns = onward.indices.astype(np.int64)
+        np.maximum.at(dearest, columns % len(dearest), columns // len(dearest))
+        self.node = np.repeat(np.arange(len(dearest)), dearest)
+        self.delay = concatenated_ranges(np.zeros_like(dearest), dearest)
+        self._levels: list[_LayerPower] = []
+
+    @property
+    def size(self) -> int:
+        """Number of places."""
+        return len(self.node)
+
+    def _one_layer(self) -> _LayerPower:
+        """Mass without delay leaves, the rest comes one layer nearer."""
+        n_nodes = len(self._lost) + 1
+        columns = np.append((self.delay + 1) * n_nodes + self.node, n_nodes - 1)
+        leaving = np.hstack([self._onward[:, columns].toarray(), self._lost[:, None]])
+        leaving = leaving if self._free is None else self._free.gathered(leaving)
+        waits, first = np.flatnonzero(self.delay > 0), np.flatnonzero(self.delay == 0)
+        onward = np.zeros((self.size, self.size))
+        lands, leaves = np.zeros(self.size), np.zeros(self.size)
+        onward[waits, waits - 1], begin = 1.0, first[:-1]
+        onward[begin], lands[begin], leaves[begin] = leaving[:, :-2], leaving[:, -2], leaving[:, -1]
+        lands[first[-1]] = 1.0  # at the goal
+        return _LayerPower(onward, lands, leaves).scaled()
 
     def after(self, waiting: FloatArray, layers: int) -> tuple[float, FloatArray]:
         """What has arrived after some layers, and what waits then.
@@ -246,55 +276,8 @@ class LayerPowers:
     def _level(self, k: int) -> _LayerPower:
         """The transition of ``2^k`` layers."""
         while len(self._levels) <= k:
-            self._levels.append(self._levels[-1].doubled())
+            self._levels.append(self._levels[-1].doubled() if self._levels else self._one_layer())
         return self._levels[k]
-
-
-@dataclass(frozen=True, eq=False)
-class LayerPlaces:
-    """Where mass can wait: at a node, some layers ahead. Those of a node follow each other."""
-
-    node: IntArray  # [places] the goal is the last node
-    delay: IntArray  # [places] layers ahead
-    first: IntArray  # [nodes] the place of each node with no delay
-
-    @classmethod
-    def upto(cls, dearest: IntArray) -> LayerPlaces:
-        """The places that steps lead to, and one without delay at each node.
-
-        Args:
-            dearest: layers that a step into the node passes at most, [nodes].
-        """
-        count = np.maximum(dearest, 1)
-        node = np.repeat(np.arange(len(count)), count)
-        delay = concatenated_ranges(np.zeros_like(count), count)
-        return cls(node, delay, np.cumsum(count) - count)
-
-    @property
-    def size(self) -> int:
-        """Number of places in which mass waits within a layer's power."""
-        return len(self.node)
-
-    def columns(self, n_nodes: int) -> IntArray:
-        """Where steps that lead to each place stand among (layers passed, node), [places]."""
-        return np.asarray((self.delay + 1) * n_nodes + self.node)
-
-    def powers(self, leaving: FloatArray) -> LayerPowers:
-        """The transition of one layer: mass without delay leaves, the rest comes one layer nearer.
-
-        Args:
-            leaving: where it goes: to each place, to the goal within the layer, or lost,
-                [nodes before the goal, places + 2].
-        """
-        goal = self.first[-1]
-        onward = np.zeros((self.size, self.size))
-        lands, leaves = np.zeros(self.size), np.zeros(self.size)
-        waits = np.flatnonzero(self.delay > 0)
-        onward[waits, waits - 1] = 1.0
-        begin = self.first[:-1]
-        onward[begin], lands[begin], leaves[begin] = leaving[:, :-2], leaving[:, -2], leaving[:, -1]
-        lands[goal] = 1.0
-        return LayerPowers(onward, lands, leaves)
 
 
 _FIRST_LAYERS = 64
@@ -492,7 +475,7 @@ class Arrivals(ArrivalSweep):
 
         So it is after as much work of settling as the powers will take, and not before.
         """
-        size = self._places.size
+        size = self._powers.size
         few = size <= _MOST_PLACES and not self.exhausted
         return few and self._work >= _WORK_OF_POWERS * size**3
 
@@ -524,32 +507,20 @@ class Arrivals(ArrivalSweep):
             row, node = np.divmod(occupied, self._size)
             ahead, delay = self._waiting[occupied], (row - self.settled) % self._width
         else:
-            ahead, node, delay = self._ahead(layer)[1], self._places.node, self._places.delay
+            ahead, node, delay = self._ahead(layer)[1], self._powers.node, self._powers.delay
         goal = ahead * self._live.goal[node]
         cost = self.cost_of(delay) * goal + ahead * self._live.cost[node]
         return float(goal.sum()), float(cost.sum())
 
     @cached_property
-    def _places(self) -> LayerPlaces:
-        """Where mass that will arrive can wait: at each node, until its dearest step has passed."""
-        dearest = np.zeros(self._size, dtype=np.int64)
-        columns = self._onward.indices.astype(np.int64)
-        np.maximum.at(dearest, columns % self._size, columns // self._size)
-        return LayerPlaces.upto(dearest)
-
-    @cached_property
     def _powers(self) -> LayerPowers:
-        """The transition of one layer and its powers."""
-        lost = self._live.lost[:, None]
-        chosen = self._places.columns(self._size)
-        later = self._onward[:, np.append(chosen, self._size - 1)].toarray()
-        leaving = np.hstack([later, lost])
-        return self._places.powers(leaving if self._free is None else self._free.gathered(leaving))
+        """Of the transition of one layer, between the places where mass that will arrive waits."""
+        return LayerPowers(self._onward, self._live.lost, self._free)
 
     def _here(self) -> FloatArray:
         """What waits before the first layer that is not settled, [places]."""
-        rows = (self.settled + self._places.delay) % self._width
-        return np.asarray(self._waiting[rows * self._size + self._places.node])
+        rows = (self.settled + self._powers.delay) % self._width
+        return np.asarray(self._waiting[rows * self._size + self._powers.node])
 
     def _ahead(self, layer: int) -> tuple[float, FloatArray]:
         """What arrives from the settled layers to a later one, and what waits then, [places]."""
