@@ -81,6 +81,8 @@ class TailValues(NamedTuple):
 class Charge(ABC):
     """A non-decreasing function of the total cost, by default affine from some cost on."""
 
+    is_the_total: ClassVar[bool] = False  # whether it is the total cost itself
+
     @property
     def offset(self) -> float:
         """``offset + slope * cost`` is the charge from ``settled`` on."""
@@ -129,7 +131,7 @@ class Charge(ABC):
 class TotalCostCharge(Charge):
     """The total cost itself: case S."""
 
-    is_concave = True  # a line
+    is_the_total = is_concave = True
     slope = 1.0
 
     def at(self, totals: FloatArray) -> FloatArray:

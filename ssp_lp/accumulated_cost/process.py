@@ -16,11 +16,10 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.accumulated_cost.charges import TOTAL_COST, Charge, TailValues, TotalCostCharge
+from ssp_lp.accumulated_cost.charges import TOTAL_COST, Charge, TailValues
 from ssp_lp.accumulated_cost.totals import (
     StepClasses,
     Totals,
-    Window,
     last_steps,
     multiples_of_unit,
     step_costs,
@@ -209,6 +208,10 @@ def accumulate_cost(
         classes = arriving = multiples_of_unit(model, counted)
         last = None
     instant, later = _steps_by_cost(quotient, classes, survival)
+    to_goal = None
+    if arrivals:
+        at_goal, width = np.where(model.goal_mask, 0, -1).astype(np.int32), arriving.width
+        to_goal = RowChoice(model, at_goal, 1, quotient.pair_at, ahead=arriving.ahead, width=width)
     to_dead = quotient.at_pairs(successor_means(model, quotient.dead), 1.0)
     acting = quotient.pair_at >= 0
     base = AccumulatedCost(
@@ -224,7 +227,7 @@ def accumulate_cost(
         start_goal=float(start[model.goal_mask].sum()),
         start_failure=float(start[quotient.dead].sum()),
         departs=np.ones(len(quotient.pair_at)),
-        arrivals=_arrivals_by_cost(quotient, arriving) if arrivals else None,
+        arrivals=None if to_goal is None else live_rows(to_goal).matrix,
         last_steps=last,
     )
     return base if discount is not None or instant.nnz == 0 else _departing(base)
@@ -258,15 +261,6 @@ def _scaled_rows(matrix: sp.csr_array, factor: FloatArray) -> sp.csr_array:
     return sp.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
-def _arrivals_by_cost(quotient: Quotient, classes: StepClasses) -> sp.csr_array:
-    """Probability of stepping into the goal by the accumulated cost of the step, [pairs, width]."""
-    at_goal = np.where(quotient.model.goal_mask, 0, -1).astype(np.int32)
-    rows = RowChoice(
-        quotient.model, at_goal, 1, quotient.pair_at, ahead=classes.ahead, width=classes.width
-    )
-    return live_rows(rows).matrix
-
-
 def _steps_by_cost(
     quotient: Quotient, classes: StepClasses, survival: float
 ) -> tuple[sp.csr_array, SparseRows]:
@@ -288,33 +282,42 @@ _TABLE = 1_000_000
 """Charges, layers x pairs or x layers of a step, that are worked out together."""
 
 
-@dataclass(frozen=True, eq=False)
-class ArrivalCharges:
-    """A charge of the total cost at the pairs of an accumulated-cost process."""
+class ChargedLayers:
+    """Layers of an accumulated-cost process, and what arriving at the goal from them is charged."""
 
     base: AccumulatedCost
+    totals: Totals  # what the layers stand for, and which step leads where
     charge: Charge
-    totals: FloatArray  # [layers] what has been paid there
 
     @property
-    def grow_evenly(self) -> bool:
-        """Whether the charge is the total cost itself, so that a layer adds the same everywhere."""
-        return isinstance(self.charge, TotalCostCharge)
+    def cap(self) -> int:
+        """Number of layers below the last total."""
+        return self.totals.size
 
-    def from_layer(self, layer: int) -> PairCost:
+    @property
+    def grows_evenly(self) -> bool:
+        """Whether the charge is the total cost itself, so that a layer adds the same everywhere."""
+        return self.charge.is_the_total
+
+    def charged(self, layer: int) -> PairCost:
         """Expected charge of arriving at the goal by each pair from a layer, [pairs]."""
-        base = self.base
-        if self.grow_evenly or base.arrivals is None:
-            return PairCost(base.gain_cost, base.gain, float(self.totals[layer]))
+        base, totals = self.base, self.totals.values
+        if self.grows_evenly or base.arrivals is None:
+            return PairCost(base.gain_cost, base.gain, float(totals[layer]))
         size = max(_TABLE // max(len(base.gain), 1), 1)
         block, within = divmod(layer, size)
         if block not in self._blocks:
-            some = slice(block * size, min((block + 1) * size, len(self.totals)))
+            some = slice(block * size, min((block + 1) * size, len(totals)))
             charged = np.zeros((some.stop - some.start, len(base.gain)))
-            charged[:, self.arriving] = self.of_arriving(some)
+            charged[:, self.arriving] = self.charged_arriving(some)
             self._blocks.clear()
             self._blocks[block] = charged
         return PairCost(self._blocks[block][within])
+
+    @cached_property
+    def _blocks(self) -> dict[int, FloatArray]:
+        """Charges of a block of layers, kept: [layers, pairs] by the number of the block."""
+        return {}
 
     @cached_property
     def arriving(self) -> IntArray:
@@ -322,16 +325,14 @@ class ArrivalCharges:
         arrivals = self.base.arrivals
         return (self.base.gain if arrivals is None else np.diff(arrivals.indptr)).nonzero()[0]
 
-    def of_arriving(self, some: slice) -> FloatArray:
+    def charged_arriving(self, some: slice) -> FloatArray:
         """Expected charge of arriving by the pairs that may, from some layers, [some, arriving]."""
-        base, arrivals = self.base, self.base.arrivals
+        base, arrivals, paid = self.base, self.base.arrivals, self.totals.values[some, None]
         if arrivals is None:
-            return (
-                base.gain_cost[self.arriving] + self.totals[some, None] * base.gain[self.arriving]
-            )
+            return base.gain_cost[self.arriving] + paid * base.gain[self.arriving]
         classes, column = np.unique(arrivals.indices, return_inverse=True)
         if base.last_steps is not None:
-            charged = self.charge.at(self.totals[some, None] + base.last_steps[classes])
+            charged = self.charge.at(paid + base.last_steps[classes])
         else:
             ahead = np.arange(some.start, some.stop)[:, None] + classes
             charged = self.charge.at(totals_of(ahead, base.exact_unit))
@@ -341,14 +342,9 @@ class ArrivalCharges:
         return np.ascontiguousarray((rows @ charged.T).T)
 
     @property
-    def at_start(self) -> float:
+    def start_charge(self) -> float:
         """Charge of the start mass that lies on goals."""
         return self.base.start_goal * float(self.charge.at(np.zeros(1))[0])
-
-    @cached_property
-    def _blocks(self) -> dict[int, FloatArray]:
-        """Charges of a block of layers, kept: [layers, pairs] by the number of the block."""
-        return {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -400,46 +396,18 @@ class LayeredTails:
 
 
 @dataclass(frozen=True, eq=False)
-class LayeredProcess:
+class LayeredProcess(ChargedLayers):
     """States (node, layer) for layers below ``cap``; beyond it a policy follows a tail for good."""
 
     base: AccumulatedCost
-    totals: Totals  # what the layers stand for, and which step leads where
+    totals: Totals
     tails: LayeredTails
     charge: Charge = TOTAL_COST
-
-    @property
-    def cap(self) -> int:
-        """Number of layers."""
-        return self.totals.size
 
     @property
     def end(self) -> float:
         """The total at which the table ends, in units."""
         return float(self.totals.values[-1]) if self.base.by_steps else self.cap
-
-    def window(self, beyond: FloatArray) -> Window:
-        """Values of the layers ahead, beginning with those beyond the cap, [layers, ...]."""
-        return Window(beyond, self.totals)
-
-    @cached_property
-    def charges(self) -> ArrivalCharges:
-        """What arriving is charged from each layer."""
-        return ArrivalCharges(self.base, self.charge, self.totals.values[: self.cap])
-
-    @property
-    def grows_evenly(self) -> bool:
-        """Whether the charge is the total cost itself, so that a layer adds the same everywhere."""
-        return self.charges.grow_evenly
-
-    def charged(self, layer: int) -> PairCost:
-        """Expected charge of arriving at the goal by each pair from a layer, [pairs]."""
-        return self.charges.from_layer(layer)
-
-    @property
-    def start_charge(self) -> float:
-        """Charge of the start mass that lies on goals."""
-        return self.charges.at_start
 
     @property
     def beyond_units(self) -> FloatArray:

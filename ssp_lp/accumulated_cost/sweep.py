@@ -17,12 +17,12 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import fsum
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
 from ssp_lp.accumulated_cost.process import AccumulatedCost, LayeredProcess
-from ssp_lp.accumulated_cost.totals import Totals
+from ssp_lp.accumulated_cost.totals import Totals, Window
 from ssp_lp.arrays import MACHINE_EPSILON, TIED, FloatArray, IntArray, least_integer_type, unsigned
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import STOPS, Stop, check_time, end_with_incumbent, pieces
@@ -39,7 +39,6 @@ from ssp_lp.dynamic_programming.dynamics import approach_leaving
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 
 _ONE, _NONE = np.ones(1), np.zeros(0)
-_Item = TypeVar("_Item")
 
 _BELOW_EVERY_VALUE = 1e-6
 """No value is below minus the price; a floor this much lower leaves room to count rounding."""
@@ -90,7 +89,7 @@ class Sweep:
         if self.one_pass is not None:
             owed, saved = self._owed(price, failing)
             blocks = self.one_pass.blocks(owed, saved, values, measures, choice)
-            return np.asarray(base.start @ _last(blocks)[2][0])
+            return np.asarray(base.start @ deque(blocks, maxlen=1)[0][2][0])
         cost, inner = self._pair_costs(price, failing), self._first_choice
 
         def best(
@@ -132,7 +131,7 @@ class Sweep:
         if self.one_pass is not None:
             given = _NONE, _NONE, beyond[:, :, 0], beyond, choice
             blocks = self.one_pass.blocks(*given, keeps=True)
-            return np.asarray(base.start @ _last(blocks)[2][0])
+            return np.asarray(base.start @ deque(blocks, maxlen=1)[0][2][0])
         if self.can_follow:
             return self.follow(choice, tail_price)
 
@@ -140,7 +139,8 @@ class Sweep:
             """The measures of a layer's choice."""
             return (self._measures(layer, base.pair_offsets[:-1] + choice[layer], ahead),)
 
-        return np.asarray(base.start @ _last(self._backward(measured, beyond))[1][0])
+        swept = self._backward(measured, beyond)
+        return np.asarray(base.start @ deque(swept, maxlen=1)[0][1][0])
 
     def bound(
         self,
@@ -164,44 +164,11 @@ class Sweep:
             The bound if an episode began in each layer, [cap]; and the values, [cap, nodes],
             infinite where they are too many to be kept.
         """
-        process, base = self.process, self.process.base
+        process, base, inner = self.process, self.process.base, self._first_choice
         floor = -(price - failing - process.charge.lowest) * (1.0 + _BELOW_EVERY_VALUE)
-        is_kept = given.size <= KEPT_VALUES
-        kept = np.empty(given.shape) if is_kept else np.broadcast_to(np.inf, given.shape)
-        begun, sizes = np.zeros((2, process.cap))
-        entries = np.flatnonzero(base.start)
-        shares = base.start[entries]
-        for some, lowest in self._lowest(price, failing, given, floor, beyond, choice):
-            begun[some] = lowest[:, entries] @ shares
-            sizes[some] = np.abs(lowest[:, entries]) @ shares
-            if is_kept:
-                kept[some] = lowest
-        ended = [failing * base.start_failure, -(price - failing) * base.start_goal]
-        ended.append(process.start_charge)
-        terms = max(len(entries) + int(np.count_nonzero(ended)) - 1, 0)
-        loss = terms * MACHINE_EPSILON * (sizes + float(np.abs(ended).sum()))
-        return begun + sum(ended) - loss, kept
-
-    def _lowest(
-        self,
-        price: float,
-        failing: float,
-        given: FloatArray,
-        floor: float,
-        beyond: FloatArray,
-        choice: IntArray | None,
-    ) -> Iterator[tuple[slice, FloatArray]]:
-        """Some layers, the last first, and lower bounds there, [layers, nodes]; see ``bound``."""
-        base, inner = self.process.base, self._first_choice
-        if self.one_pass is not None:
-            owed, saved = self._owed(price, failing)
-            limits = given, floor
-            for some, lowest, _ in self.one_pass.blocks(owed, saved, beyond, limits=limits):
-                yield some, lowest
-            return
         cost = self._pair_costs(price, failing, sizes=True)
 
-        def lowest_of(layer: int, ahead: FloatArray) -> tuple[FloatArray]:
+        def lower(layer: int, ahead: FloatArray) -> tuple[FloatArray]:
             """Lower bounds of a layer; within one with free steps its best choice is kept."""
             nonlocal inner
             most, asked = given[layer], bool(np.isposinf(given[layer]).all())
@@ -221,8 +188,29 @@ class Sweep:
             inner, most = settled.choice, np.minimum(settled.values, most)
             return (sub_solution(base.instant_dynamics, onward, most, floor),)
 
-        for layer, (lowest,) in self._backward(lowest_of, beyond):
-            yield slice(layer, layer + 1), lowest[None]
+        blocks: Iterable[tuple[slice, FloatArray]]
+        if self.one_pass is None:
+            layers = self._backward(lower, beyond)
+            blocks = ((slice(layer, layer + 1), lowest[None]) for layer, (lowest,) in layers)
+        else:
+            owed = self._owed(price, failing)
+            swept = self.one_pass.blocks(*owed, beyond, limits=(given, floor))
+            blocks = ((some, lowest) for some, lowest, _ in swept)
+        is_kept = given.size <= KEPT_VALUES
+        kept = np.empty(given.shape) if is_kept else np.broadcast_to(np.inf, given.shape)
+        begun, sizes = np.zeros((2, process.cap))
+        entries = np.flatnonzero(base.start)
+        shares = base.start[entries]
+        for some, lowest in blocks:
+            begun[some] = lowest[:, entries] @ shares
+            sizes[some] = np.abs(lowest[:, entries]) @ shares
+            if is_kept:
+                kept[some] = lowest
+        ended = [failing * base.start_failure, -(price - failing) * base.start_goal]
+        ended.append(process.start_charge)
+        terms = max(len(entries) + int(np.count_nonzero(ended)) - 1, 0)
+        loss = terms * MACHINE_EPSILON * (sizes + float(np.abs(ended).sum()))
+        return begun + sum(ended) - loss, kept
 
     def lost_beyond(self, price: float, failing: float) -> FloatArray:
         """What the tails are worth above the lower bound beyond the cap, [layers, nodes]."""
@@ -281,7 +269,7 @@ class Sweep:
         Yields:
             The layer, and its numbers, [nodes, ...] each.
         """
-        windows = [self.process.window(numbers) for numbers in beyond]
+        windows = [Window(numbers, self.process.totals) for numbers in beyond]
         for layer in reversed(range(self.process.cap)):
             check_time()
             found = step(layer, *(window.flat for window in windows))
@@ -321,8 +309,42 @@ class Sweep:
 
     @cached_property
     def one_pass(self) -> OnePass | None:
-        """The compiled pass over all layers, where there is one."""
-        return one_pass(self.process)
+        """The compiled pass; None where layers are long, or free steps go round for long."""
+        process, base, cap = self.process, self.process.base, self.process.cap
+        cells = base.n_nodes * process.totals.span
+        if cells > _MOST_CELLS or (base.instant.nnz == 0 and base.later.nnz > _MOST_ENTRIES):
+            return None
+        if base.n_nodes == 0 or not accelerated(base.later.nnz * cap):
+            return None
+        arriving = process.arriving
+        if not process.grows_evenly and (len(arriving) + 1) * cap > _MOST_CHARGES:
+            return None
+        order: IntArray = np.arange(base.n_nodes, dtype=np.uint32)
+        within, instant = None, base.instant
+        if instant.nnz:
+            from ssp_lp.compiled.graphs import order_components
+
+            owner = np.repeat(base.quotient.pair_node, np.diff(instant.indptr))
+            first = unsigned(instant.indptr)[base.pair_offsets]
+            _, order, found = order_components(first[:-1], first[1:], instant.indices, instant.data)
+            order = unsigned(order)
+            if found < base.n_nodes or (instant.indices == owner).any():  # free steps go round
+                within = base.steps_within
+                if within is None or within.max() > _MOST_WITHIN:
+                    return None
+        used, classes = np.unique(base.steps_by_class[1], return_inverse=True)
+        classes = classes.astype(np.uint8 if len(used) <= 256 else np.uint32)
+        ahead, column = process.totals.ahead, np.arange(len(base.gain), dtype=np.uint32)
+        leads = used[None, :] if ahead is None else process.totals.reached[:, used]
+        whole = process, order, within, classes, leads.astype(np.int64)
+        if process.grows_evenly:
+            even = process.charged(0)
+            return OnePass(*whole, even.fixed[None, :], column, even.parts[1])
+        charge = np.zeros((cap, len(arriving) + 1))
+        charge[:, :-1] = process.charged_arriving(slice(0, cap))
+        column[:] = len(arriving)
+        column[arriving] = np.arange(len(arriving))
+        return OnePass(*whole, charge, column, _NONE)
 
     @cached_property
     def _first_choice(self) -> IntArray:
@@ -337,11 +359,6 @@ class Sweep:
 def _at_least(values: FloatArray, floor: float) -> FloatArray:
     """Values that are not below a floor, which stands for what is no number as well."""
     return np.maximum(np.nan_to_num(values, nan=floor, posinf=np.inf), floor)
-
-
-def _last(items: Iterable[_Item]) -> _Item:
-    """The last one of all, which alone is kept."""
-    return deque(items, maxlen=1)[0]
 
 
 _MOST_CELLS = 8_000_000
@@ -432,45 +449,6 @@ class OnePass:
             run(layers, owed, saved, *own, _NONE if self.within is None else self.within, given)
             yield some, parts[0][:many], parts[1][:many]
             ahead = [part[: totals.span] for part in parts]
-
-
-def one_pass(process: LayeredProcess) -> OnePass | None:
-    """The pass over a process; None where its layers are long, or free steps go round for long."""
-    base, cap = process.base, process.cap
-    cells = base.n_nodes * process.totals.span
-    if cells > _MOST_CELLS or (base.instant.nnz == 0 and base.later.nnz > _MOST_ENTRIES):
-        return None
-    if base.n_nodes == 0 or not accelerated(base.later.nnz * cap):
-        return None
-    arriving = process.charges.arriving
-    if not process.grows_evenly and (len(arriving) + 1) * cap > _MOST_CHARGES:
-        return None
-    order: IntArray = np.arange(base.n_nodes, dtype=np.uint32)
-    within, instant = None, base.instant
-    if instant.nnz:
-        from ssp_lp.compiled.graphs import order_components
-
-        owner = np.repeat(base.quotient.pair_node, np.diff(instant.indptr))
-        first = unsigned(instant.indptr)[base.pair_offsets]
-        _, order, found = order_components(first[:-1], first[1:], instant.indices, instant.data)
-        order = unsigned(order)
-        if found < base.n_nodes or (instant.indices == owner).any():  # free steps go round
-            within = base.steps_within
-            if within is None or within.max() > _MOST_WITHIN:
-                return None
-    used, classes = np.unique(base.steps_by_class[1], return_inverse=True)
-    classes = classes.astype(np.uint8 if len(used) <= 256 else np.uint32)
-    ahead, column = process.totals.ahead, np.arange(len(base.gain), dtype=np.uint32)
-    leads = used[None, :] if ahead is None else process.totals.reached[:, used]
-    whole = process, order, within, classes, leads.astype(np.int64)
-    if process.grows_evenly:
-        even = process.charged(0)
-        return OnePass(*whole, even.fixed[None, :], column, even.parts[1])
-    charge = np.zeros((cap, len(arriving) + 1))
-    charge[:, :-1] = process.charges.of_arriving(slice(0, cap))
-    column[:] = len(arriving)
-    column[arriving] = np.arange(len(arriving))
-    return OnePass(*whole, charge, column, _NONE)
 
 
 _ON_ITS_WAY = 0.01

@@ -386,6 +386,16 @@ class Totals:
         """The totals below the cap, and those that steps make from there on."""
         return np.append(self.values[:-1], self.beyond)
 
+    @property
+    def reached(self) -> IntArray:
+        """The number of the total that each step makes, those beyond the cap included.
+
+        [totals below the cap, steps].
+        """
+        if self.unit is not None:
+            return np.arange(self.size)[:, None] + np.arange(len(self.steps))
+        return np.searchsorted(self.with_beyond, self.values[:-1, None] + self.steps - self._room)
+
     @cached_property
     def ahead(self) -> IntArray | None:
         """The total that a step leads to, less the next one, [totals below the cap, steps - 1].
@@ -394,20 +404,7 @@ class Totals:
         """
         if self.unit is not None:
             return None
-        reached = self.values[:-1, None] + self.steps[1:]
-        place = np.searchsorted(self.with_beyond, reached - self._room)
-        return read_only(place - np.arange(1, self.size + 1)[:, None])
-
-    @property
-    def reached(self) -> IntArray:
-        """The number of the total that each step makes, those beyond the cap included.
-
-        [totals below the cap, steps].
-        """
-        here = np.arange(self.size)[:, None]
-        if self.ahead is None:
-            return here + np.arange(len(self.steps))
-        return np.concatenate([here, here + 1 + self.ahead], axis=1)
+        return read_only(self.reached[:, 1:] - np.arange(1, self.size + 1)[:, None])
 
     @property
     def span(self) -> int:

@@ -19,9 +19,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.accumulated_cost.charges import Charge, TailValues
-from ssp_lp.accumulated_cost.process import AccumulatedCost, ArrivalCharges, LayeredProcess
+from ssp_lp.accumulated_cost.process import AccumulatedCost, ChargedLayers, LayeredProcess
 from ssp_lp.accumulated_cost.totals import Totals, layers_within
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import FloatArray, IntArray, offsets_of
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.processes.explicit import ExplicitProcess
@@ -38,32 +38,59 @@ def materialise(process: LayeredProcess) -> ExplicitProcess:
     Args:
         process: the layered process.
     """
-    base, n, cap = process.base, process.base.n_nodes, process.cap
-    n_beyond = len(process.totals.beyond) * n
-    n_states = cap * n + n_beyond + 1
-    tails_cost, tails_failure, tails_goal = _tail_pairs(process)
-    steps = _written_steps(base, process.totals.reached, None, n_states)
-    entry = sp.csr_array(
-        (base.start, (np.zeros(n, dtype=np.int64), np.arange(n))), shape=(1, n_states)
+    base, cap, beyond = process.base, process.cap, process.totals.beyond
+    each = TailValues(*(values.T for values in process.tails.values))  # [nodes, tails]
+    tails_cost = process.charge.beyond(beyond[:, None, None], each)
+    tails_failure, tails_goal = (
+        np.broadcast_to(values, tails_cost.shape) for values in (each.failure, each.goal)
     )
-    cost = np.stack([process.charged(layer).total for layer in range(cap)])
-    own_pairs = np.tile(np.diff(base.pair_offsets), cap)
-    counts = np.concatenate([own_pairs, np.full(n_beyond, tails_cost.shape[1]), [1]])
-    start = np.zeros(n_states)
-    start[-1] = 1.0
+    n_beyond, n_tails = len(beyond) * base.n_nodes, len(each.goal.T)
+    n_states = cap * base.n_nodes + n_beyond + 1
+    steps = _written_steps(base, process.totals.reached, None, n_states)
+    own_pairs, failure, goal = (
+        np.tile(per_pair, cap)
+        for per_pair in (np.diff(base.pair_offsets), base.failure, base.survival * base.gain)
+    )
+    charged = [process.charged(layer).total for layer in range(cap)]
+    return _entered_process(
+        base,
+        sp.vstack([steps, sp.csr_array((tails_cost.size, n_states))]),
+        np.append(own_pairs, np.full(n_beyond, n_tails)),
+        cost=np.concatenate([*charged, tails_cost.ravel(), [process.start_charge]]),
+        failure=np.concatenate([failure, tails_failure.ravel(), [base.start_failure]]),
+        goal=np.concatenate([goal, tails_goal.ravel(), [base.start_goal]]),
+    )
+
+
+def _entered_process(
+    base: AccumulatedCost,
+    steps: sp.csr_array,
+    n_pairs: IntArray,
+    *,
+    cost: FloatArray,
+    failure: FloatArray,
+    goal: FloatArray,
+) -> ExplicitProcess:
+    """A process written out, with a source as its last state: nothing is paid where it leads.
+
+    Args:
+        base: one layer.
+        steps: of all pairs but the source's, [pairs, states].
+        n_pairs: of each state but the source, [states - 1].
+        cost: [pairs + 1].
+        failure: likewise.
+        goal: likewise.
+    """
+    source = np.zeros(len(n_pairs) + 1)
+    source[-1] = 1.0
+    entry = sp.csr_array(np.append(base.start, np.zeros(len(source) - base.n_nodes))[None, :])
     return ExplicitProcess(
-        pair_offsets=np.concatenate([[0], np.cumsum(counts)]),
-        transitions=sp.csr_array(
-            sp.vstack([steps, sp.csr_array((tails_cost.size, n_states)), entry])
-        ),
-        start=start,
-        cost=np.concatenate([cost.ravel(), tails_cost.ravel(), [process.start_charge]]),
-        failure=np.concatenate(
-            [np.tile(base.failure, cap), tails_failure.ravel(), [base.start_failure]]
-        ),
-        goal=np.concatenate(
-            [np.tile(base.survival * base.gain, cap), tails_goal.ravel(), [base.start_goal]]
-        ),
+        pair_offsets=offsets_of(np.append(n_pairs, 1)),
+        transitions=sp.csr_array(sp.vstack([steps, entry])),
+        start=source,
+        cost=cost,
+        failure=failure,
+        goal=goal,
     )
 
 
@@ -112,19 +139,6 @@ def _written_steps(
     return sp.csr_array(below + above)
 
 
-def _tail_pairs(process: LayeredProcess) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Charge, failure and goal mass of the tails beyond the layered process's cap.
-
-    Returns:
-        3 x [layers * nodes, tails].
-    """
-    each = TailValues(*(values.T for values in process.tails.values))
-    cost = process.charge.beyond(process.totals.beyond[:, None, None], each)
-    all_three = (cost, *(np.broadcast_to(v[None], cost.shape) for v in (each.failure, each.goal)))
-    failed, reached = (v.reshape(-1, cost.shape[-1]) for v in all_three[1:])
-    return cost.reshape(-1, cost.shape[-1]), failed, reached
-
-
 _FIRST_LAYERS = 64  # of accumulated cost, where nothing says how many are needed
 _MOST_AT_FIRST = 1_000  # layers of a first attempt: a policy of higher cost may be a long shot
 _TYPICAL = 2.5  # layers of a first attempt, in costs given success of the safest policy
@@ -136,7 +150,7 @@ MOST_WRITTEN: Final = 20_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class OpenEnded:
+class OpenEnded(ChargedLayers):
     """States (node, layer) below the cap, then the nodes beyond it, then the source."""
 
     base: AccumulatedCost
@@ -147,11 +161,6 @@ class OpenEnded:
     least_goal: FloatArray | None = None  # [states] of every policy that counts; None: unknown
 
     @property
-    def cap(self) -> int:
-        """Layers told apart, at least 1."""
-        return self.totals.size
-
-    @property
     def n_nodes(self) -> int:
         """States of one layer."""
         return self.base.n_nodes
@@ -160,16 +169,14 @@ class OpenEnded:
     def process(self) -> ExplicitProcess:
         """All layers written out; ModelError: there is no room for it."""
         check_room(self.base, self.cap, MOST_WRITTEN)
-        base, n, copies = self.base, self.n_nodes, self.cap + 1
-        counts = np.append(np.tile(np.diff(base.pair_offsets), copies), 1)
-        start = np.zeros(copies * n + 1)
-        start[-1] = 1.0
-        entry = sp.csr_array(np.append(base.start, np.zeros(len(start) - n))[None, :])
-        return ExplicitProcess(
-            pair_offsets=np.concatenate([[0], np.cumsum(counts)]),
-            transitions=sp.csr_array(sp.vstack([self._steps(len(start)), entry])),
-            start=start,
-            cost=self._cost(),
+        base, copies = self.base, self.cap + 1
+        steps = _written_steps(base, *self.leads, copies * self.n_nodes + 1)
+        steps.sum_duplicates()
+        return _entered_process(
+            base,
+            steps,
+            np.tile(np.diff(base.pair_offsets), copies),
+            cost=self.own_cost + self.everywhere(*self.shift_of_ends),
             failure=self.everywhere(base.failure, base.start_failure),
             goal=self.everywhere(base.survival * base.gain, base.start_goal),
         )
@@ -214,16 +221,11 @@ class OpenEnded:
     def own_cost(self) -> FloatArray:
         """Charges of arriving, [process pairs]."""
         each = [self.own_cost_from(layer) for layer in range(self.cap + 1)]
-        return np.append(np.concatenate(each), self.charges.at_start)
-
-    @cached_property
-    def charges(self) -> ArrivalCharges:
-        """What arriving is charged from each layer."""
-        return ArrivalCharges(self.base, self.charge, self.totals.values)
+        return np.append(np.concatenate(each), self.start_charge)
 
     def own_cost_from(self, layer: int) -> FloatArray:
         """Charges of arriving from a layer, [pairs]."""
-        charged = self.charges.from_layer(layer).total
+        charged = self.charged(layer).total
         if layer < self.cap or self.charge.slope == 0.0:
             return charged
         counts = self.totals.values[-1] >= (self.charge.settled or 0.0)
@@ -248,10 +250,6 @@ class OpenEnded:
         ends = base.survival * base.gain + base.failure
         return self.shift * ends, self.shift * (base.start_goal + base.start_failure)
 
-    def _cost(self) -> FloatArray:
-        """Charges of arriving, with the shift, [process pairs]."""
-        return self.own_cost + self.everywhere(*self.shift_of_ends)
-
     @cached_property
     def beyond(self) -> LastLayer:
         """The place of all costs beyond the cap by itself."""
@@ -269,12 +267,6 @@ class OpenEnded:
             goal=base.survival * base.gain,
         )
         return LastLayer(process, self)
-
-    def _steps(self, n_states: int) -> sp.csr_array:
-        """Transitions of the pairs of all layers; whatever passes the cap stays beyond it."""
-        steps = _written_steps(self.base, *self.leads, n_states)
-        steps.sum_duplicates()
-        return steps
 
     @cached_property
     def leads(self) -> tuple[IntArray, FloatArray]:

@@ -249,7 +249,7 @@ class OpenEndedPricing(PricingProblem):
     def _at_source(self) -> FloatArray:
         """What an episode is charged and counted before its first step, [rewards]."""
         layered = self.augmented
-        cost = layered.charges.at_start + layered.shift_of_ends[1]
+        cost = layered.start_charge + layered.shift_of_ends[1]
         return np.array([cost, layered.base.start_failure, *(at for _, at in self.rows)])
 
     def _cost_from(self, layer: int) -> FloatArray:

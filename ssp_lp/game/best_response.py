@@ -152,9 +152,11 @@ def iterate_values(
     choice: IntArray | None = None
     while True:
         if choice is None:
-            values, choice = _swept_to_response(process, pair_cost, values, block)
-            sweeps += block
-        choice, totals, steps = improved_response(process, weights, choice)
+            for _ in range(block):  # of values that are nowhere above their backup
+                backup = best_pairs(dynamics.pair_offsets, dynamics.transitions, pair_cost, values)
+                values = np.maximum(values, backup.minima)
+            choice, sweeps = backup.choice, sweeps + block
+        choice, totals, steps = _improved_response(process, weights, choice)
         attained, sweeps = totals @ weights, sweeps + steps
         lifted = sub_solution(dynamics, pair_cost, attained)
         values = np.maximum(lifted, sub_solution(dynamics, pair_cost, values))
@@ -165,18 +167,7 @@ def iterate_values(
         best, block, choice = below, max(sweeps, _FIRST_SWEEPS), None
 
 
-def _swept_to_response(
-    process: Discounted, pair_cost: FloatArray, values: FloatArray, times: int
-) -> tuple[FloatArray, IntArray]:
-    """So many backups of values that are nowhere above their backup, and the greedy pairs."""
-    dynamics = process.dynamics
-    for _ in range(times):
-        backup = best_pairs(dynamics.pair_offsets, dynamics.transitions, pair_cost, values)
-        values = np.maximum(values, backup.minima)
-    return values, backup.choice
-
-
-def improved_response(
+def _improved_response(
     process: Discounted, weights: FloatArray, choice: IntArray
 ) -> tuple[IntArray, FloatArray, int]:
     """A policy after improvement by its own values, its exact costs, and the backups that took."""

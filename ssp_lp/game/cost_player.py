@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -36,6 +36,7 @@ _STALLED = 1e-8
 """Relative distance below which one that more layers leave as it was is rounding."""
 
 _ACCURACY = 1e-13  # relative, of the tails' values
+_SETTLED = 1e-10  # accuracy at which it is settled how many layers a value function has
 _DEAREST = 1e100  # a price of J_cond at which nothing else counts
 
 _FIRST_HORIZON = 32
@@ -149,6 +150,20 @@ class CostPlayer:
         """
         best: LayeredStrategy = self.response(1.0, price, accuracy).strategy
         return float(lower_bounds(Sweep(best.process), price, 0.0)[0][0])
+
+    def value_function(self, price: float) -> FloatArray:
+        """Infinite values, which ask ``certify`` for the best that so many layers can prove.
+
+        Returns:
+            [layers, nodes]; [1] where costs have no common unit.
+        """
+        if self.base.by_steps:
+            return np.array([np.inf])
+        return np.broadcast_to(np.inf, self.value_shape([self.response(1.0, price, _SETTLED)]))
+
+    def value_shape(self, responses: Sequence[BestResponse]) -> tuple[int, ...]:
+        """The shape of a value function of as many layers as responses had, [layers, nodes]."""
+        return max(response.strategy.choice.shape for response in responses)
 
     def policy(self, response: BestResponse) -> CostAwarePolicy:
         """The response's policy on the model's states, with the cost paid as its memory."""

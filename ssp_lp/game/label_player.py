@@ -9,6 +9,7 @@ giving up free of charge, so that a pair of that kind is added where the model a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -39,6 +40,7 @@ _MOST_STEPS = 100_000
 _MOST_ENTRIES = 100_000_000
 """Largest table of decisions, nodes x time."""
 
+_TIGHT = 1e-12  # accuracy of value functions
 _GAIN = 1e-12  # relative improvement below which a pair is kept
 _ACCURACY = 1e-13
 _ROUGH = 1e-6
@@ -55,7 +57,6 @@ class LabelModels:
     paid: FloatArray  # [pairs] E[G_o] of the step itself
     charged: FloatArray  # [pairs] E[G_o] of the step after it, where that enters a dead-end
     lost: FloatArray  # [pairs] probability of entering a dead-end
-    hit: FloatArray  # [pairs] probability of reaching the goal
     start: FloatArray  # [nodes]
     start_objective: float  # J_obj of start mass on dead-ends
     start_condition: float  # J_cond of it
@@ -128,7 +129,6 @@ def label_models(
         paid=quotient.at_pairs(cost_means(model), charge),
         charged=quotient.at_pairs(successor_means(model, entering)),
         lost=quotient.at_pairs(successor_means(model, quotient.dead)),
-        hit=quotient.at_pairs(successor_means(model, model.goal_mask)),
         start=quotient.gather(start),
         start_objective=float(start @ entering),
         start_condition=float(start[quotient.dead].sum()),
@@ -163,15 +163,19 @@ class LabelPlayer:
         bound = float(models.start @ found.values + fixed @ weights)
         return BestResponse(objective, condition, bound, found, found.sweeps)
 
-    def values(self, response: BestResponse) -> FloatArray:
-        """A checked lower bound of ``J_obj + price * J_cond``, from a response to (1, price).
+    def value_function(self, price: float) -> FloatArray:
+        """Checked lower bounds of ``J_obj + price * J_cond``.
 
         Returns:
             [nodes], and at the end that of the start, where it is not live with certainty.
         """
-        found: Iterated = response.strategy
-        settled = self.models.start_settled > 0.0
-        return np.append(found.values, response.bound) if settled else found.values
+        response = self.response(1.0, price, _TIGHT)
+        values: FloatArray = response.strategy.values
+        return np.append(values, response.bound) if self.models.start_settled > 0.0 else values
+
+    def value_shape(self, responses: Sequence[BestResponse]) -> tuple[int, ...]:
+        """The shape of a value function, whatever the responses."""
+        return (self.models.n_nodes + int(self.models.start_settled > 0.0),)
 
     def policy(self, response: BestResponse) -> DeterministicPolicy:
         """The response's policy on the model's states."""

@@ -42,9 +42,6 @@ _MARGINS = (0.25, 4.0, 64.0, 1024.0)
 _ROUNDED_SUCCESS = 1e-12
 """Success up to which it is rounding, where it is what J_cond leaves over."""
 
-_TIGHT, _LESS_TIGHT = 1e-12, 1e-10
-"""Accuracy of value functions; that of case S only settles how many layers there are."""
-
 
 def checked_setting(problem: Problem) -> tuple[float, float]:
     """The failure budget and the discount.
@@ -74,13 +71,16 @@ def checked_setting(problem: Problem) -> tuple[float, float]:
     return budget, discount
 
 
-def infeasible(problem: Problem, budget: float, discounted: float) -> InfeasibleError:
-    """The game's setting is infeasible: no policy's discounted failure keeps to the budget."""
+def check_budget(problem: Problem, budget: float, safest: BestResponse) -> None:
+    """Raise :class:`InfeasibleError` where no policy's discounted failure keeps to the budget."""
+    discounted = safest.bound + safest.origin
+    if discounted <= budget + LEAST_BUDGET:
+        return
     problem = unrolled(problem)
     start = start_distribution(problem.model, problem.start)
     real = max(1.0 - float(start @ max_goal_probability(problem.model)), 0.0)
     nearer = "; a discount nearer to 1 is feasible" if real < budget else ""
-    return InfeasibleError(
+    raise InfeasibleError(
         f"the discounted failure of every policy is at least {discounted:.12g}, above the budget "
         f"{budget:g}; the least real failure probability is {real:.12g}{nearer}",
         failure_budget=budget,
@@ -162,9 +162,7 @@ def find_optimum(
     """
     budget = float(problem.failure_budget or 0.0)
     known = extremes(player, 0.1 * tolerance)
-    least = known[0].bound + known[0].origin
-    if least > budget + LEAST_BUDGET:
-        raise infeasible(problem, budget, least)
+    check_budget(problem, budget, known[0])
     if problem.ratio:
         return _ratio_optimum(problem, cast(RatioPlayer, player), known, tolerance, progress)
     found = find_threshold(player, budget, 1.0, known, tolerance=tolerance, progress=progress)
@@ -320,34 +318,17 @@ def stationary_game(
 def value_function(solution: GameSolution) -> FloatArray:
     """A checked value function of the stationary game: lower bounds of ``J_obj + price * J_cond``.
 
-    Case M: [states of the process]. Case S: infinite, [layers, nodes], which asks ``certify`` for
-    the best that it can prove with so many layers; [1] where costs have no common unit.
-
-    Where no time is left the values are infinite throughout.
+    Infinite throughout where no time is left.
 
     Raises:
         ModelError: not a solution of ``stationary_game``.
     """
-    player, price = solution.player, solution.price
-    with WithIncumbent() as search, closing():
-        if isinstance(player, LabelPlayer):
-            return player.values(player.response(1.0, price, _TIGHT))
-        if isinstance(player, CostPlayer) and player.base.by_steps:
-            return np.array([np.inf])
-        if isinstance(player, CostPlayer):
-            best = player.response(1.0, price, _LESS_TIGHT)
-            return np.broadcast_to(np.inf, best.strategy.choice.shape)
-    if search.stop:
-        return np.broadcast_to(np.inf, _stationary_shape(player, solution.threshold))
-    raise ModelError("only the stationary game has a value function of the state")
-
-
-def _stationary_shape(player: Player, found: Threshold) -> tuple[int, ...]:
-    """The shape of a value function: [nodes and perhaps the start], or [layers, nodes]."""
-    if isinstance(player, LabelPlayer):
-        models = player.models
-        return (models.discounted_dynamics.n_states + int(models.start_settled > 0.0),)
-    return max(r.strategy.choice.shape for r in found.members)
+    player, members = solution.player, solution.threshold.members
+    if not isinstance(player, LabelPlayer | CostPlayer):
+        raise ModelError("only the stationary game has a value function of the state")
+    with WithIncumbent(), closing():
+        return player.value_function(solution.price)
+    return np.broadcast_to(np.inf, player.value_shape(members))
 
 
 def thresholds(
@@ -373,9 +354,7 @@ def thresholds(
         if not 0.0 < budget <= 1.0 or (problem.ratio and budget == 1.0):
             raise ModelError(f"c* of epsilon' = {budget!r} is not defined: it must be above 0, in "
                              "case S below 1")  # fmt: skip
-        least = known[0].bound + known[0].origin
-        if least > budget + LEAST_BUDGET:
-            raise infeasible(problem, budget, least)
+        check_budget(problem, budget, known[0])
         share = 1.0 - budget if problem.ratio else 1.0
         found.append(find_threshold(player, budget, share, known, tolerance=tolerance))
         known = found[-1].responses

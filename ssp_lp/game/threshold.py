@@ -104,17 +104,23 @@ def find_threshold(
     width = np.inf  # of the bracket after the last game at its upper end
     while True:
         at = high if games % 2 == 0 else 0.5 * (low + high)
-        found = _played_at_threshold(player, Game(share * at, budget, room), responses, accuracy)
-        responses = list(found.responses)
+        game = Game(share * at, budget, room)
+        found: Equilibrium | None = None
+        with WithIncumbent():
+            found = play(player, game, responses, accuracy=accuracy)
+        played = found or unplayed_game(game, responses)
+        responses = list(played.responses)
         games += 1
-        low = max(low, _implied_threshold(found) / share)
+        low = max(low, _implied_threshold(played) / share)
         members, weights, cost = cheapest_mixture(responses, room)
         high = cost / share
         answer = Threshold(
-            budget, min(low, high), high, found, members, weights, games, tuple(responses),
+            budget, min(low, high), high, played, members, weights, games, tuple(responses),
             not is_late(),
         )  # fmt: skip
-        _tell_threshold(progress, answer)
+        with WithIncumbent():  # a stop that is asked for by who is told ends the search
+            if progress is not None:
+                progress(len(responses), answer.failure_price, high)
         late = is_late() or games >= _MOST_GAMES
         if late or (high - low <= tolerance * high and at == high):
             return answer
@@ -122,22 +128,6 @@ def find_threshold(
             if high - low > _STALLED * width:
                 return answer
             width = high - low
-
-
-def _tell_threshold(progress: Progress | None, found: Threshold) -> None:
-    """Report what is known; a stop that is asked for there ends the search."""
-    with WithIncumbent():
-        if progress is not None:
-            progress(len(found.responses), found.failure_price, found.high)
-
-
-def _played_at_threshold(
-    player: Player, game: Game, responses: Sequence[BestResponse], accuracy: float
-) -> Equilibrium:
-    """The game at a threshold, or what is known of it where the time runs out."""
-    with WithIncumbent():
-        return play(player, game, responses, accuracy=accuracy)
-    return unplayed_game(game, responses)
 
 
 def extremes(player: Player, accuracy: float) -> tuple[BestResponse, ...]:
