@@ -123,9 +123,9 @@ class CostLaw:
                     goal, cost = arrivals.remaining(last + 1)
                     return (cost_of(arrivals, last + 1) - threshold) * goal + cost
             layers, masses = arrivals.atoms()
-            known = float(masses @ np.maximum(arrivals.cost_of(layers) - threshold, 0.0))
+            settled_excess = np.maximum(arrivals.cost_of(layers) - threshold, 0.0)
             goal, cost = arrivals.remaining()
-            return known + (arrivals.frontier - threshold) * goal + cost
+            return float(masses @ settled_excess) + (arrivals.frontier - threshold) * goal + cost
 
         return self._answer(beyond)
 
@@ -209,11 +209,11 @@ class CostLaw:
             """The expected gain, followed until the rest cannot matter."""
             for _ in arrivals.followed():
                 layers, masses = arrivals.atoms()
-                known = float(masses @ gain(arrivals.cost_of(layers)))
+                settled_gain = float(masses @ gain(arrivals.cost_of(layers)))
                 there = abs(float(gain(np.array([arrivals.frontier]))[0]))
-                if arrivals.remaining()[0] * there <= _UTILITY_LEFT * abs(known):
+                if arrivals.remaining()[0] * there <= _UTILITY_LEFT * abs(settled_gain):
                     break
-            return known
+            return settled_gain
 
         return at_infinity * self.goal + self._answer(gained)
 

@@ -481,8 +481,8 @@ class Arrivals(ArrivalSweep):
 
     def arrived(self, layer: int) -> float:
         """Pr(goal, C lies below the layer); the layer is settled, or :attr:`leaps`."""
-        known = super().arrived(layer)
-        return known + self._ahead(layer)[0] if layer > self.settled and self.leaps else known
+        arrived = super().arrived(layer)
+        return arrived + self._ahead(layer)[0] if layer > self.settled and self.leaps else arrived
 
     def first_reaching(self, mass: float) -> int:
         """The layer in which the arrivals reach a mass that the settled ones do not; where leaps.
@@ -630,8 +630,8 @@ class FollowedSums(ArrivalSweep):
         """Begin at total cost 0, nothing settled, to follow at most so many sums."""
         distinct, step = np.unique(live.paid, return_inverse=True)
         unit = common_unit(distinct, exact_costs)
-        exact = [exact_costs.get(c, exact_cost(c)) for c in distinct.tolist()]
-        self._followed, self._most, self._steps = 0, most, [int(c / unit) for c in exact]
+        self._followed, self._most = 0, most
+        self._steps = [int(exact_cost(c, exact_costs) / unit) for c in distinct.tolist()]
         self._first = max(_FIRST_STEPS * max(self._steps, default=1), 1)
         super().__init__(live, unit, np.array(self._steps, dtype=object)[step], step)
         nodes = np.flatnonzero(live.start)
@@ -647,8 +647,8 @@ class FollowedSums(ArrivalSweep):
     def cost_of(self, layers: IntArray) -> FloatArray:
         """Total cost of a followed sum, rounded once, like ``layers``."""
         up, down = self.unit.numerator, self.unit.denominator
-        found = [int(layer) * up / down for layer in np.ravel(layers).tolist()]
-        return np.array(found, dtype=np.float64).reshape(np.shape(layers))
+        totals = [int(layer) * up / down for layer in np.ravel(layers).tolist()]
+        return np.array(totals, dtype=np.float64).reshape(np.shape(layers))
 
     def last_layer(self, bound: float | Fraction) -> int:
         """The last sum of at most a bound, which may itself be a sum rounded otherwise."""
@@ -698,13 +698,10 @@ class FollowedSums(ArrivalSweep):
         if arrived > 0.0:
             self._layers.append(layer)
             self._masses.append(arrived)
-        found = np.bincount(nodes, weights=masses, minlength=self._size)[:-1]
-        visits = found.astype(np.float64)
+        visits = np.bincount(nodes, weights=masses, minlength=self._size)[:-1].astype(np.float64)
         if self._free is not None:
             visits = self._free.spread(visits)
         active = np.flatnonzero(visits)
-        if active.size == 0:
-            return
         moves = self._onward[active]
         share = moves.data * np.repeat(visits[active], np.diff(moves.indptr))
         step, target = np.divmod(moves.indices.astype(np.int64), self._size)

@@ -22,7 +22,6 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
-from scipy.sparse import csgraph
 
 from ssp_lp.accumulated_cost.totals import exact_cost, totals_of
 from ssp_lp.arrays import (
@@ -68,6 +67,16 @@ class Staying:
     share: sp.csr_array  # [k, k] probabilities
     paid: sp.csr_array  # [k, k] the same times the cost
     onward: FloatArray  # [k] probability of moving to a later layer
+
+    def closed(self, among: BoolArray) -> BoolArray:
+        """States of classes that no move ever leaves, [k].
+
+        Args:
+            among: states outside of which every move leaves, [k].
+        """
+        closed = np.zeros(len(among), dtype=np.bool_)
+        closed[System(self.share, np.where(among, self.onward, 1.0)).closed] = True
+        return closed
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,25 +148,26 @@ class LayerMoves:
             costs: of each class, [.., classes].
         """
         check_time()
-        sums, found = np.zeros((len(pairs), worth.shape[2])), np.zeros(len(pairs), dtype=np.uint8)
+        totals = np.zeros((len(pairs), worth.shape[2]))
+        met = np.zeros(len(pairs), dtype=np.uint8)
         if accelerated(self.model.n_outcomes):
             from ssp_lp.compiled.layers import stream_totals
 
             stream_totals(self.model.n_outcomes)(
-                pairs, *self._outcomes, ring, costs, worth, marks, priced, sums, found
+                pairs, *self._outcomes, ring, costs, worth, marks, priced, totals, met
             )
-            return sums, found
+            return totals, met
         source, outcome, step = self._taken(pairs, ring >= 0)
         place = ring[step] * marks.shape[1] + self.model.successors[outcome]
         flat, shape = worth.reshape(-1, worth.shape[2]), (len(pairs), marks.size)
         share = self.model.probabilities[outcome]
-        sums += sp.csr_array((share, (source, place)), shape=shape) @ flat
+        totals += sp.csr_array((share, (source, place)), shape=shape) @ flat
         for (begin, end), cost in zip(priced.tolist(), costs, strict=True):
-            sums[:, end] += (
+            totals[:, end] += (
                 sp.csr_array((share * cost[step], (source, place)), shape=shape) @ flat[:, begin]
             )
-        np.bitwise_or.at(found, source, marks.reshape(-1)[place])
-        return sums, found
+        np.bitwise_or.at(met, source, marks.reshape(-1)[place])
+        return totals, met
 
     @cached_property
     def free_order(self) -> IntArray:
@@ -165,8 +175,7 @@ class LayerMoves:
         model = self.model
         staying = (self.layers.leads(0) <= 0)[self.classes if self.classes.size else [0]]
         begins = model.outcome_offsets[model.pair_offsets]
-        found = strong_components(begins, model.successors, model.probabilities * staying)
-        return found.order
+        return strong_components(begins, model.successors, model.probabilities * staying).order
 
     def meet(self, begin: int, end: int, hopeful: BoolArray) -> None:
         """Mark where decisions of layers may lead to what is marked in them or later, in place.
@@ -274,21 +283,6 @@ def spread_in_layer(marks: IntArray, bit: int, staying: Staying | None) -> None:
         return
     backward = staying.share.tocsc()
     marks[reached_along(backward.indices, backward.indptr, begins)] |= bit
-
-
-def closed_states(share: sp.csr_array, onward: FloatArray, among: BoolArray) -> BoolArray:
-    """States of classes that no move of the layer ever leaves, [k].
-
-    Args:
-        share: moves, [k, k].
-        onward: probability of leaving otherwise, [k].
-        among: states outside of which every move leaves, [k].
-    """
-    _, label = csgraph.connected_components(share, connection="strong")
-    entry = share.tocoo()
-    leaves = ~among | (onward > 0.0)
-    leaves[entry.row[label[entry.row] != label[entry.col]]] = True
-    return np.asarray(~np.isin(label, np.unique(label[leaves])))
 
 
 _LOG = logging.getLogger("ssp_lp.evaluation")
@@ -426,7 +420,7 @@ class LayerSweep:
         hopeful, is_open = (marks & HOPEFUL) > 0, (marks & OPEN) > 0
         goes_on = (marks & ENDLESS) == 0
         if staying is not None and any(column.goes_on for column in self.columns):
-            goes_on &= ~closed_states(staying.share, staying.onward, acting & ~is_open)
+            goes_on &= ~staying.closed(acting & ~is_open)
         systems: dict[tuple[float, bytes], System] = {}
         for group in self._groups:
             kind = self.columns[group[0]]
@@ -487,7 +481,7 @@ class LayerSweep:
         if staying is not None and any(column.goes_on for column in self.columns):
             paying = np.asarray(staying.paid.sum(axis=1)).ravel() > 0.0
             never = acting & ((marks & OPEN) == 0)  # such loops cost without end
-            marks[closed_states(staying.share, staying.onward, never) & paying] |= ENDLESS
+            marks[staying.closed(never) & paying] |= ENDLESS
         for bit in (WRONG, ENDLESS, FAILS):
             spread_in_layer(marks, bit, staying)
 
@@ -510,11 +504,7 @@ def _stopping(policy: Policy) -> Policy:
     if not isinstance(policy, CostAwarePolicy) or layers is None:
         return policy
     model, moves, count = policy.model, LayerMoves(policy.model, layers), layers.count
-    tails, decision, everywhere = (
-        layers.tails.copy(),
-        layers.decision.copy(),
-        np.arange(model.n_states),
-    )
+    tails, decision = layers.tails.copy(), layers.decision.copy()
     beyond = np.empty(tails.shape, dtype=np.bool_)  # where a tail has not lost the goal
     for number, tail in enumerate(layers.tails):
         followed = np.zeros(model.n_pairs, dtype=np.bool_)
@@ -524,7 +514,7 @@ def _stopping(policy: Policy) -> Policy:
     hopeful = np.empty((count + moves.room, model.n_states), dtype=np.bool_)
     hopeful[:count] = model.goal_mask
     for layer in range(count, len(hopeful)):
-        hopeful[layer] = beyond[layers.tail_at(layer), everywhere]
+        hopeful[layer] = beyond[layers.tail_at(layer), np.arange(model.n_states)]
     several = 1 if layers.unit is None else max(_AT_ONCE // max(model.n_states, 1), 1)
     for end in range(count, 0, -several):
         moves.meet(max(end - several, 0), end, hopeful)
@@ -559,14 +549,11 @@ def chain_of_law(
         ModelError: the policy has no decision in a state that it reaches.
     """
     layers = policy.layers()
-    if (
-        layers is None
-        or layers.count * model.n_states < least_nodes
-        or not _is_exact_law(model, layers)
-    ):
-        return policy_chain(model, policy, start)
-    law = _law_forwards(LayerMoves(model, layers), start)
-    return policy_chain(model, policy, start) if law is None else _spine_of_law(model, layers, *law)
+    if layers is not None and layers.count * model.n_states >= least_nodes:
+        law = _law_forwards(LayerMoves(model, layers), start)
+        if law is not None:
+            return _spine_of_law(model, layers, *law)
+    return policy_chain(model, policy, start)
 
 
 def chains_of_law(
@@ -599,25 +586,24 @@ def chains_of_law(
     return counted if many and len(paid.start) > _FEW_NODES else paid, counted
 
 
-def _is_exact_law(model: SSP, layers: CostLayers) -> bool:
-    """Whether every cost is a whole number of layers, and not only as a float, or made one."""
-    if layers.unit is None or layers.rounds_up:
-        return layers.rounds_up
-    unit, *costs = (
-        model.exact_costs.get(cost, exact_cost(cost))
-        for cost in (layers.unit, *layers.costs.tolist())
-    )
-    return all(c == k * unit for c, k in zip(costs, layers.leads(0).tolist(), strict=True))
-
-
 def _law_forwards(moves: LayerMoves, start: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Follow the law's mass layer by layer; None where a decision is missing.
+    """Follow the law's mass layer by layer.
+
+    None where a decision is missing, or a cost is no whole number of layers but as a float, and is
+    not rounded up to one.
 
     Returns:
         What arrives at the goal, [layers], those beyond the cap included; and what goes on there,
         [layers beyond the cap, states].
     """
     layers, room, everywhere = moves.layers, moves.layers.width, np.arange(len(start))
+    exact = moves.model.exact_costs
+    if layers.unit is None:
+        return None
+    if not layers.rounds_up:
+        unit, *costs = (exact_cost(cost, exact) for cost in (layers.unit, *layers.costs.tolist()))
+        if any(c != k * unit for c, k in zip(costs, layers.leads(0).tolist(), strict=True)):
+            return None
     waiting, goal = np.zeros((room, len(start))), np.zeros(layers.count + room)
     waiting[0] = start
     for layer in range(layers.count + room):
@@ -704,7 +690,7 @@ def _spine_of_law(model: SSP, layers: CostLayers, reached: FloatArray, landed: F
 
 def _visits_within_law(staying: Staying, pairs: IntArray, mass: FloatArray) -> FloatArray:
     """Expected visits within a layer, given what enters it, [states]."""
-    inside = (pairs >= 0) & ~closed_states(staying.share, staying.onward, pairs >= 0)
+    inside = (pairs >= 0) & ~staying.closed(pairs >= 0)
     nodes, others = np.flatnonzero(inside), np.flatnonzero(~inside)
     rows = staying.share[nodes]
     exits = staying.onward[nodes] + rows @ (~inside).astype(np.float64)

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import fsum
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias, cast
 
 import numpy as np
 
@@ -38,6 +38,9 @@ from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import approach_leaving
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 
+if TYPE_CHECKING:
+    from ssp_lp.compiled.layers import Layers
+
 _ONE, _NONE = np.ones(1), np.zeros(0)
 
 _BELOW_EVERY_VALUE = 1e-6
@@ -49,6 +52,26 @@ shape is: infinite values ask for the best that can be proved, which one more sw
 
 _SAME = 1e-14
 """Relative difference of values below which there is only rounding."""
+
+
+_MOST_CELLS = 8_000_000
+"""Nodes times layers that steps lead to, four numbers each; more of them are swept one by one."""
+
+_MOST_ENTRIES = 30_000
+"""Entries of a layer without free steps from which calling a loop for each is next to nothing."""
+
+_MOST_WITHIN = 20.0
+"""Steps within a layer, of any policy: with more of them its equations are solved instead."""
+
+_TURNS_A_STEP = 40.0  # that a policy takes within a layer: e^-40 of what was missing is left
+
+_MOST_CHARGES = 20_000_000
+"""Charges, pairs that arrive times layers, where they do not grow evenly."""
+
+
+CompiledPass: TypeAlias = "tuple[Layers, FloatArray]"
+"""Its layers, all of them, and at least one more than after the free steps of any pair, [nodes];
+empty where free steps do not go round."""
 
 
 class PartOfSweep(NamedTuple):
@@ -88,7 +111,7 @@ class Sweep:
         values, measures = process.beyond_value(price, failing), process.measures_beyond(price)
         if self.one_pass is not None:
             owed, saved = self._owed(price, failing)
-            blocks = self.one_pass.blocks(owed, saved, values, measures, choice)
+            blocks = self._blocks(self.one_pass, owed, saved, values, measures, choice)
             return np.asarray(base.start @ deque(blocks, maxlen=1)[0][2][0])
         cost, inner = self._pair_costs(price, failing), self._first_choice
 
@@ -130,7 +153,7 @@ class Sweep:
         base, beyond = self.process.base, self.process.measures_beyond(tail_price)
         if self.one_pass is not None:
             given = _NONE, _NONE, beyond[:, :, 0], beyond, choice
-            blocks = self.one_pass.blocks(*given, keeps=True)
+            blocks = self._blocks(self.one_pass, *given, keeps=True)
             return np.asarray(base.start @ deque(blocks, maxlen=1)[0][2][0])
         if self.can_follow:
             return self.follow(choice, tail_price)
@@ -194,7 +217,7 @@ class Sweep:
             blocks = ((slice(layer, layer + 1), lowest[None]) for layer, (lowest,) in layers)
         else:
             owed = self._owed(price, failing)
-            swept = self.one_pass.blocks(*owed, beyond, limits=(given, floor))
+            swept = self._blocks(self.one_pass, *owed, beyond, limits=(given, floor))
             blocks = ((some, lowest) for some, lowest, _ in swept)
         is_kept = given.size <= KEPT_VALUES
         kept = np.empty(given.shape) if is_kept else np.broadcast_to(np.inf, given.shape)
@@ -233,6 +256,64 @@ class Sweep:
         for chosen in choice:
             mass.follow(chosen, PairCost(base.gain_cost))
         return mass.left
+
+    def _blocks(
+        self,
+        compiled: CompiledPass,
+        owed: FloatArray,
+        saved: FloatArray,
+        values: FloatArray,
+        measures: FloatArray | None = None,
+        choice: IntArray | None = None,
+        *,
+        keeps: bool = False,
+        limits: tuple[FloatArray, float] | None = None,
+    ) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
+        """Sweep block after block of layers in the compiled pass, the last first.
+
+        Args:
+            compiled: the pass.
+            owed: what pairs cost beside the charge, non-negative, [pairs].
+            saved: what they earn, non-negative, [pairs].
+            values: beyond the cap, [layers beyond, nodes].
+            measures: charge, failure and goal there, [layers beyond, nodes, 3]; None: not asked.
+            choice: written, or given where ``keeps``, [cap, nodes].
+            keeps: whether the choice is given; then values do not matter.
+            limits: values not to be exceeded, [cap, nodes], and one that no value lies below:
+                lower bounds are asked for, rounding counted; None: the least values.
+
+        Yields:
+            The layers of the block, their values, [layers, nodes], and measures, [layers, nodes,
+            3]. The memory is the next block's as well.
+        """
+        from ssp_lp.compiled.layers import sweep_layers
+
+        (whole, within), run = compiled, cast(Callable[..., None], sweep_layers)
+        cap, span = self.process.cap, self.process.totals.span
+        ahead = [values, np.zeros((len(values), 0, 3)) if measures is None else measures]
+        position = np.zeros((0, 0), dtype=np.int8) if choice is None else choice
+        rooms = list[FloatArray]()
+        for turn in pieces(cap, int(cap * len(whole.classes) * within.max(initial=1.0))):
+            some = slice(cap - turn.stop, cap - turn.start)
+            many = some.stop - some.start
+            layers = whole._replace(
+                leads=whole.leads if len(whole.leads) == 1 else whole.leads[some] - some.start,
+                paid=whole.paid[some],
+                charge=whole.charge if len(whole.charge) == 1 else whole.charge[some],
+            )
+            if not rooms:  # one after the other in the same memory; blocks differ by one layer
+                size = many + 1 + max(span, len(values))
+                rooms = [np.zeros((size, *a.shape[1:])) for a in ahead]
+            parts = [room[: many + len(a)] for room, a in zip(rooms, ahead, strict=True)]
+            for part, later in zip(parts, ahead, strict=True):
+                part[many:] = later
+            given = np.zeros((0, 0))
+            if limits is not None:
+                given = _at_least(limits[0][some], limits[1])
+            own = parts[0].ravel(), parts[1].reshape(-1, 3), position[some], keeps
+            run(layers, owed, saved, *own, within, given)
+            yield some, parts[0][:many], parts[1][:many]
+            ahead = [part[:span] for part in parts]
 
     def _owed(self, price: float, failing: float) -> tuple[FloatArray, FloatArray]:
         """What pairs owe beside the charge, and what they save, non-negative, [pairs] each."""
@@ -308,8 +389,11 @@ class Sweep:
         return self.is_acyclic and accelerated(self.process.base.later.nnz)
 
     @cached_property
-    def one_pass(self) -> OnePass | None:
-        """The compiled pass; None where layers are long, or free steps go round for long."""
+    def one_pass(self) -> CompiledPass | None:
+        """What the compiled pass over all layers reads, whatever is asked for.
+
+        None where layers are long, or free steps go round for long.
+        """
         process, base, cap = self.process, self.process.base, self.process.cap
         cells = base.n_nodes * process.totals.span
         if cells > _MOST_CELLS or (base.instant.nnz == 0 and base.later.nnz > _MOST_ENTRIES):
@@ -319,32 +403,43 @@ class Sweep:
         arriving = process.arriving
         if not process.grows_evenly and (len(arriving) + 1) * cap > _MOST_CHARGES:
             return None
+        from ssp_lp.compiled.layers import Layers
+
         order: IntArray = np.arange(base.n_nodes, dtype=np.uint32)
-        within, instant = None, base.instant
+        within, turns, instant = _NONE, 1, base.instant
         if instant.nnz:
             from ssp_lp.compiled.graphs import order_components
 
             owner = np.repeat(base.quotient.pair_node, np.diff(instant.indptr))
-            first = unsigned(instant.indptr)[base.pair_offsets]
-            _, order, found = order_components(first[:-1], first[1:], instant.indices, instant.data)
+            begins = unsigned(instant.indptr)[base.pair_offsets]
+            _, order, n_components = order_components(
+                begins[:-1], begins[1:], instant.indices, instant.data
+            )
             order = unsigned(order)
-            if found < base.n_nodes or (instant.indices == owner).any():  # free steps go round
-                within = base.steps_within
-                if within is None or within.max() > _MOST_WITHIN:
+            if n_components < base.n_nodes or (instant.indices == owner).any():  # they go round
+                if base.steps_within is None or base.steps_within.max() > _MOST_WITHIN:
                     return None
-        used, classes = np.unique(base.steps_by_class[1], return_inverse=True)
+                within = base.steps_within
+                turns = int(np.ceil(_TURNS_A_STEP * within.max()))
+        indptr, classes, nodes, data = base.steps_by_class
+        used, classes = np.unique(classes, return_inverse=True)
         classes = classes.astype(np.uint8 if len(used) <= 256 else np.uint32)
         ahead, column = process.totals.ahead, np.arange(len(base.gain), dtype=np.uint32)
         leads = used[None, :] if ahead is None else process.totals.reached[:, used]
-        whole = process, order, within, classes, leads.astype(np.int64)
         if process.grows_evenly:
             even = process.charged(0)
-            return OnePass(*whole, even.fixed[None, :], column, even.parts[1])
-        charge = np.zeros((cap, len(arriving) + 1))
-        charge[:, :-1] = process.charged_arriving(slice(0, cap))
-        column[:] = len(arriving)
-        column[arriving] = np.arange(len(arriving))
-        return OnePass(*whole, charge, column, _NONE)
+            charge, growth = even.fixed[None, :], even.parts[1]
+        else:
+            charge, growth = np.zeros((cap, len(arriving) + 1)), _NONE
+            charge[:, :-1] = process.charged_arriving(slice(0, cap))
+            column[:] = len(arriving)
+            column[arriving] = np.arange(len(arriving))
+        layers = Layers(
+            order, turns, unsigned(base.pair_offsets), indptr, classes, nodes, data,
+            leads.astype(np.int64), process.totals.values, charge, column, growth,
+            base.failure, base.survival * base.gain,
+        )  # fmt: skip
+        return layers, within
 
     @cached_property
     def _first_choice(self) -> IntArray:
@@ -359,96 +454,6 @@ class Sweep:
 def _at_least(values: FloatArray, floor: float) -> FloatArray:
     """Values that are not below a floor, which stands for what is no number as well."""
     return np.maximum(np.nan_to_num(values, nan=floor, posinf=np.inf), floor)
-
-
-_MOST_CELLS = 8_000_000
-"""Nodes times layers that steps lead to, four numbers each; more of them are swept one by one."""
-
-_MOST_ENTRIES = 30_000
-"""Entries of a layer without free steps from which calling a loop for each is next to nothing."""
-
-_MOST_WITHIN = 20.0
-"""Steps within a layer, of any policy: with more of them its equations are solved instead."""
-
-_TURNS_A_STEP = 40.0  # that a policy takes within a layer: e^-40 of what was missing is left
-
-_MOST_CHARGES = 20_000_000
-"""Charges, pairs that arrive times layers, where they do not grow evenly."""
-
-
-@dataclass(frozen=True, eq=False)
-class OnePass:
-    """What the compiled pass over all layers reads, whatever is asked for."""
-
-    process: LayeredProcess
-    order: IntArray  # [nodes] each after those that its free steps lead to, as far as may be
-    within: FloatArray | None  # [nodes] see ``steps_within``; None: free steps do not go round
-    classes: IntArray  # [entries] of steps, numbered as they are used
-    leads: IntArray  # [layers, classes] where they lead; or [1, classes] how many layers ahead
-    charge: FloatArray  # [layers or 1, columns]
-    column: IntArray  # [pairs]
-    growth: FloatArray  # [pairs] or empty
-
-    def blocks(
-        self,
-        owed: FloatArray,
-        saved: FloatArray,
-        values: FloatArray,
-        measures: FloatArray | None = None,
-        choice: IntArray | None = None,
-        *,
-        keeps: bool = False,
-        limits: tuple[FloatArray, float] | None = None,
-    ) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
-        """Sweep block after block of layers, the last first.
-
-        Args:
-            owed: what pairs cost beside the charge, non-negative, [pairs].
-            saved: what they earn, non-negative, [pairs].
-            values: beyond the cap, [layers beyond, nodes].
-            measures: charge, failure and goal there, [layers beyond, nodes, 3]; None: not asked.
-            choice: written, or given where ``keeps``, [cap, nodes].
-            keeps: whether the choice is given; then values do not matter.
-            limits: values not to be exceeded, [cap, nodes], and one that no value lies below:
-                lower bounds are asked for, rounding counted; None: the least values.
-
-        Yields:
-            The layers of the block, their values, [layers, nodes], and measures, [layers, nodes,
-            3]. The memory is the next block's as well.
-        """
-        from ssp_lp.compiled.layers import Layers, sweep_layers
-
-        run: Callable[..., None] = sweep_layers
-        base, cap, totals = self.process.base, self.process.cap, self.process.totals
-        ahead = [values, np.zeros((len(values), 0, 3)) if measures is None else measures]
-        position = np.zeros((0, 0), dtype=np.int8) if choice is None else choice
-        offsets, goal = unsigned(base.pair_offsets), base.survival * base.gain
-        indptr, _, nodes, data = base.steps_by_class
-        within = 1.0 if self.within is None else float(self.within.max())
-        turns = 1 if self.within is None else int(np.ceil(_TURNS_A_STEP * within))
-        rooms = list[FloatArray]()
-        for turn in pieces(cap, int(cap * len(self.classes) * within)):
-            some = slice(cap - turn.stop, cap - turn.start)
-            many = some.stop - some.start
-            layers = Layers(
-                self.order, turns, offsets, indptr, self.classes, nodes, data,
-                self.leads if len(self.leads) == 1 else self.leads[some] - some.start,
-                totals.values[some], self.charge if len(self.charge) == 1 else self.charge[some],
-                self.column, self.growth, base.failure, goal,
-            )  # fmt: skip
-            if not rooms:  # one after the other in the same memory; blocks differ by one layer
-                size = many + 1 + max(totals.span, len(values))
-                rooms = [np.zeros((size, *a.shape[1:])) for a in ahead]
-            parts = [room[: many + len(a)] for room, a in zip(rooms, ahead, strict=True)]
-            for part, known in zip(parts, ahead, strict=True):
-                part[many:] = known
-            given = np.zeros((0, 0))
-            if limits is not None:
-                given = _at_least(limits[0][some], limits[1])
-            own = parts[0].ravel(), parts[1].reshape(-1, 3), position[some], keeps
-            run(layers, owed, saved, *own, _NONE if self.within is None else self.within, given)
-            yield some, parts[0][:many], parts[1][:many]
-            ahead = [part[: totals.span] for part in parts]
 
 
 _ON_ITS_WAY = 0.01

@@ -18,6 +18,7 @@ from fractions import Fraction
 from functools import cached_property
 from math import gcd, lcm
 from numbers import Rational
+from types import MappingProxyType
 
 import numpy as np
 
@@ -30,15 +31,22 @@ from ssp_lp.processes.rows import uniform_cost
 _MOST_LAYERS_PER_STEP = 1_000_000
 _SHORT = 9  # digits of a decimal that a person would write down
 _MEANT = 1e-12  # relative distance at which a cost is such a decimal
+_NO_COSTS: Mapping[float, Fraction] = MappingProxyType({})
 
 
-def exact_cost(cost: float | Fraction) -> Fraction:
+def exact_cost(cost: float | Fraction, exact: Mapping[float, Fraction] = _NO_COSTS) -> Fraction:
     """The number that a cost on a lattice stands for: a float means its shortest decimal.
 
     Sums of decimals that were rounded on the way are what they were meant to be: 0.1 * 3 is 0.3.
+
+    Args:
+        cost: the cost.
+        exact: float cost -> the fraction that it means instead.
     """
     if isinstance(cost, Rational):
         return Fraction(cost)
+    if cost in exact:
+        return exact[cost]
     short = f"{cost:.{_SHORT}g}"
     is_short = abs(float(short) - cost) <= _MEANT * abs(cost)
     return Fraction(short if is_short else repr(float(cost)))
@@ -80,7 +88,7 @@ def common_unit(costs: FloatArray, exact: Mapping[float, Fraction]) -> Fraction:
     Returns:
         The unit; 1 where every cost is zero.
     """
-    fractions = [exact.get(c, exact_cost(c)) for c in np.unique(costs).tolist() if c > 0]
+    fractions = [exact_cost(c, exact) for c in np.unique(costs).tolist() if c > 0]
     if not fractions:
         return Fraction(1)
     denominator = lcm(*(f.denominator for f in fractions))
@@ -94,7 +102,7 @@ def layers_of(costs: FloatArray, unit: Fraction, exact: Mapping[float, Fraction]
         ModelError: a single step passes too many layers for a table over accumulated cost.
     """
     distinct, back = np.unique(costs, return_inverse=True)
-    counts = [int(exact.get(c, exact_cost(c)) / unit) if c > 0 else 0 for c in distinct.tolist()]
+    counts = [int(exact_cost(c, exact) / unit) if c > 0 else 0 for c in distinct.tolist()]
     if max(counts, default=0) > _MOST_LAYERS_PER_STEP:
         raise ModelError(
             f"the costs have the common unit {float(unit):g}, so the step of cost "
@@ -145,9 +153,13 @@ def _is_counted(model: SSP, counted: BoolArray, some: slice) -> BoolArray:
 
 def _costs_into(model: SSP, counted: BoolArray) -> FloatArray:
     """The distinct costs of the steps into some states, [states], increasing."""
-    costs = [np.zeros(0)]
+    same, costs = uniform_cost(model), [np.zeros(0)]
     for some in chunks(model.n_outcomes):
-        costs.append(np.unique(model.costs[some][_is_counted(model, counted, some)]))
+        is_counted = _is_counted(model, counted, some)
+        if same is None:
+            costs.append(np.unique(model.costs[some][is_counted]))
+        elif is_counted.any():
+            return np.array([same])
     return np.unique(np.concatenate(costs))
 
 
@@ -161,8 +173,7 @@ def multiples_of_unit(model: SSP, counted: BoolArray) -> StepClasses:
     Raises:
         ModelError: the costs have no common unit that gives a sane number of layers.
     """
-    same = uniform_cost(model)
-    costs = _costs_into(model, counted) if same is None else np.array([same])
+    costs = _costs_into(model, counted)
     unit = common_unit(costs, model.exact_costs)
     layers = layers_of(costs, unit, model.exact_costs)
     return StepClasses.of(model, counted, unit, costs, layers)
@@ -198,12 +209,7 @@ def last_steps(model: SSP) -> tuple[StepClasses, FloatArray]:
 
 def _numbered_costs(model: SSP, counted: BoolArray) -> tuple[StepClasses, FloatArray]:
     """The distinct costs of the steps into some states, [states], numbered from 0 for none."""
-    same, chunk = uniform_cost(model), chunks(model.n_outcomes)
-    if same is None:
-        costs = _costs_into(model, counted)
-    else:
-        is_met = any(counted[model.successors[some]].any() for some in chunk)
-        costs = np.array([same] if is_met else [])
+    costs = _costs_into(model, counted)
     steps = np.union1d(0.0, costs)
     number = np.searchsorted(steps, costs)
     return StepClasses.of(model, counted, Fraction(1), costs, number), read_only(steps)
@@ -222,12 +228,12 @@ def room_of(steps: FloatArray, cap: float) -> float:
 
 def sums_of(steps: FloatArray, cap: float, most: int) -> FloatArray | None:
     """The sums of steps below a cap, increasing; None: there are more than so many."""
-    moves, found, room = steps[1:], np.zeros(1), room_of(steps, cap)
+    moves, sums, room = steps[1:], np.zeros(1), room_of(steps, cap)
     if moves.size and cap > (most + 1) * float(moves[0]):
         return None  # the multiples of the cheapest are too many
-    fresh, chunk = found, max(_PRODUCTS * (most + 1) // max(moves.size, 1), 1)
+    fresh, chunk = sums, max(_PRODUCTS * (most + 1) // max(moves.size, 1), 1)
     while fresh.size:
-        together = found
+        together = sums
         for begin in range(0, fresh.size, chunk):
             reached = (fresh[begin : begin + chunk, None] + moves).ravel()
             reached = reached[reached < cap - room]
@@ -235,10 +241,9 @@ def sums_of(steps: FloatArray, cap: float, most: int) -> FloatArray | None:
             together = together[np.diff(together, prepend=-np.inf) > room]
             if together.size > most:
                 return None
-        near = np.searchsorted(found, together - room)
-        known = np.append(found, np.inf)[np.minimum(near, found.size)] - together <= room
-        fresh, found = together[~known], together
-    return found
+        nearest = np.append(sums, np.inf)[np.searchsorted(sums, together - room)]
+        fresh, sums = together[nearest - together > room], together
+    return sums
 
 
 def sums_in(model: SSP, cap: float, most: int) -> FloatArray | None:
@@ -247,8 +252,8 @@ def sums_in(model: SSP, cap: float, most: int) -> FloatArray | None:
     All sums of steps, if these are few, else those that some walk through the model makes.
     """
     steps = step_costs(model)[1]
-    found = sums_of(steps, cap, most)
-    return _walked_sums(model, steps, cap, most) if found is None else found
+    sums = sums_of(steps, cap, most)
+    return _walked_sums(model, steps, cap, most) if sums is None else sums
 
 
 def _walked_sums(model: SSP, steps: FloatArray, cap: float, most: int) -> FloatArray | None:
@@ -286,10 +291,10 @@ def _walked_sums(model: SSP, steps: FloatArray, cap: float, most: int) -> FloatA
         if len(sums) > most or len(sums) * max(n, kinds) > _MOST_MARKS:
             return None
         leads = np.append(leads, np.full(len(fresh) * kinds, _UNKNOWN))
-        known = np.append(seen, np.zeros(len(fresh) * n, dtype=np.bool_))
-        seen, inside = known.copy(), leads[taken] != _BEYOND
+        before = np.append(seen, np.zeros(len(fresh) * n, dtype=np.bool_))
+        seen, inside = before.copy(), leads[taken] != _BEYOND
         seen[leads[taken[inside]] * n + target[edge[inside]]] = True
-        number, state = np.divmod(np.flatnonzero(seen & ~known), n)
+        number, state = np.divmod(np.flatnonzero(seen & ~before), n)
         if not state.size:
             return np.sort(sums)
         if np.count_nonzero(seen) > _MOST_PLACES:
@@ -496,8 +501,8 @@ class Resolution:
         steps = step_costs(model)[1]
         if self.fixed is not None:
             sums = sums_in(model, self.fixed[-1], len(self.fixed))
-            known = np.array(self.fixed[:-1])
-            complete = sums is not None and len(sums) == len(known) and np.allclose(sums, known)
+            below = np.array(self.fixed[:-1])
+            complete = sums is not None and len(sums) == len(below) and np.allclose(sums, below)
             return Totals(read_only(np.array(self.fixed)), steps, complete)
         cap = first if self.cap is None else self.cap
         least = _LEAST_STEPS * float(steps[-1]) if grows else _SHARE * float(steps[1:2].sum())
