@@ -14,7 +14,6 @@ import numpy as np
 from ssp_lp.accumulated_cost.charges import Utility, utilities
 from ssp_lp.accumulated_cost.law import (
     Arrivals,
-    ArrivalSweep,
     ChainProspect,
     FollowedSums,
     LiveChain,
@@ -92,7 +91,7 @@ class CostLaw:
             return self.goal
         _check_cost_number(bound, "bound")
 
-        def arrived(arrivals: ArrivalSweep) -> float:
+        def arrived(arrivals: Arrivals) -> float:
             """What arrives up to the bound."""
             last = arrivals.last_layer(bound)
             for settled in arrivals.followed(last + 1):
@@ -111,7 +110,7 @@ class CostLaw:
         if threshold == inf:
             return 0.0
 
-        def beyond(arrivals: ArrivalSweep) -> float:
+        def beyond(arrivals: Arrivals) -> float:
             """What arrivals beyond the threshold pay beyond it."""
             last = arrivals.last_layer(float(threshold))
             for settled in arrivals.followed(last + 1):
@@ -145,7 +144,7 @@ class CostLaw:
             return nan
         needed = level * self.goal * (1.0 - QUANTILE)
 
-        def reached(arrivals: ArrivalSweep) -> float:
+        def reached(arrivals: Arrivals) -> float:
             """The first total by which the level is reached."""
             for _ in arrivals.followed():
                 layers, masses = arrivals.atoms()
@@ -205,7 +204,7 @@ class CostLaw:
             """The utility above what it falls to."""
             return utilities(utility, costs) - at_infinity
 
-        def gained(arrivals: ArrivalSweep) -> float:
+        def gained(arrivals: Arrivals) -> float:
             """The expected gain, followed until the rest cannot matter."""
             for _ in arrivals.followed():
                 layers, masses = arrivals.atoms()
@@ -224,7 +223,7 @@ class CostLaw:
             raise ModelError("give a finite bound, or all_but(mass)")
         _check_cost_number(bound, "bound")
 
-        def atoms(arrivals: ArrivalSweep) -> Atoms:
+        def atoms(arrivals: Arrivals) -> Atoms:
             """The atoms up to the bound."""
             last = arrivals.last_layer(bound)
             for settled in arrivals.followed(last + 1):
@@ -246,7 +245,7 @@ class CostLaw:
         if not float(mass) > 0.0:
             raise wrong_argument("mass", "be above 0", mass, ": the support may be infinite")
 
-        def atoms(arrivals: ArrivalSweep) -> Atoms:
+        def atoms(arrivals: Arrivals) -> Atoms:
             """The atoms but the last ones, which are unlikely enough."""
             for _ in arrivals.followed():
                 if arrivals.remaining()[0] <= mass:
@@ -263,7 +262,7 @@ class CostLaw:
         numbers = zip(self._prospects, self._weights, strict=True)
         return sum((float(w) * of(p) for p, w in numbers), start=0.0)
 
-    def _answer(self, question: Callable[[ArrivalSweep], _Answer]) -> _Answer:
+    def _answer(self, question: Callable[[Arrivals], _Answer]) -> _Answer:
         """The answer to a question: exact, or of rounded costs where it needs too many sums.
 
         The sweeps over the chain's total cost are begun when a question needs them.
@@ -281,7 +280,7 @@ class CostLaw:
         return LiveChain.of(self._prospects, self._weights)
 
     @cached_property
-    def _sweep(self) -> ArrivalSweep:
+    def _sweep(self) -> Arrivals:
         """The sums that costs make as they are, or layers of a common unit."""
         exact = self._prospects[0].chain.model.exact_costs
         try:

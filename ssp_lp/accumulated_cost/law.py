@@ -14,7 +14,6 @@ not raised to the power of the layers.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -292,113 +291,13 @@ _MOST_PLACES = 800  # of a dense matrix of one layer, of which some sixty powers
 _WORK_OF_POWERS = 0.125  # moves that could be followed while powers are taken, per places cubed
 
 
-class ArrivalSweep(ABC):
-    """A sweep over the total cost of a chain in whole multiples of a unit. Mutable: it grows.
+class Arrivals:
+    """A sweep over the total cost of a chain in layers of a unit, one after the other. Mutable.
 
     Mass waits for its total. A layer is settled by spreading its mass over the moves that cost
     nothing and sending it on along the others; what is then at the goal is that layer's atom. All
     that is not settled is known exactly from the linear solves of each node's prospects, so the
     tail is never a difference of large numbers.
-    """
-
-    _number: npt.DTypeLike = np.int64
-    _first: int = _FIRST_LAYERS  # layers that are settled at least, once any are
-
-    def __init__(self, live: LiveChain, unit: Fraction, steps: IntArray, block: IntArray) -> None:
-        """Begin at total cost 0, nothing settled.
-
-        Args:
-            live: the chain.
-            unit: of which every cost is a multiple.
-            steps: how many each move costs, [moves].
-            block: of columns to which each move leads, [moves].
-        """
-        self.settled, self.unit = 0, unit  # layers 0 .. settled - 1 are
-        self._live, self._size = live, len(live.start)
-        goal = self._size - 1
-        free = np.asarray(steps == 0, dtype=np.bool_) & (live.target != goal)
-        self._free = FreeChainMoves(live, free) if free.any() else None
-        onward = live.source[~free], (block * self._size + live.target)[~free]
-        shape = goal, (int(block.max(initial=0)) + 1) * self._size
-        self._onward = sp.csr_array((live.probability[~free], onward), shape=shape)
-        self._layers: list[int] = []
-        self._masses: list[float] = []
-
-    @property
-    @abstractmethod
-    def exhausted(self) -> bool:
-        """Whether no arrival is waited for any more: every atom is known."""
-
-    @abstractmethod
-    def settle(self, layers: int) -> None:
-        """Settle all layers below the given number.
-
-        Raises:
-            ModelError: this would take too long.
-            Stop: the time ended.
-        """
-
-    @abstractmethod
-    def remaining(self, layer: int | None = None) -> tuple[float, float]:
-        """Of the runs that arrive at a layer or later: Pr(goal), and E[C - that layer; goal].
-
-        Args:
-            layer: the first that is not settled if left out; a later one where :attr:`leaps`.
-        """
-
-    @abstractmethod
-    def last_layer(self, bound: float | Fraction) -> int:
-        """The last layer of a total cost of at most a finite bound, decided in whole numbers."""
-
-    def cost_of(self, layers: IntArray) -> FloatArray:
-        """Total cost of whole layers, rounded once, like ``layers``."""
-        return totals_of(layers, self.unit)
-
-    @property
-    def frontier(self) -> float:
-        """The total cost from which on nothing is settled."""
-        return float(self.settled * self.unit)
-
-    @property
-    def leaps(self) -> bool:
-        """Whether layers that are not settled can be asked for."""
-        return False
-
-    def atoms(self) -> tuple[IntArray, FloatArray]:
-        """Settled layers at which mass arrives, increasing, and how much: [atoms] each."""
-        return np.array(self._layers, dtype=self._number), np.array(self._masses, dtype=np.float64)
-
-    def followed(self, enough: int | None = None) -> Iterator[int]:
-        """Settle twice as many layers each time, up to ``enough`` or to the end of the support.
-
-        Yields:
-            How many layers are settled; at least once.
-
-        Raises:
-            ModelError: this would take too long.
-        """
-        yield self.settled
-        while not self.exhausted:
-            ahead = max(2 * self.settled, self._first)
-            self.settle(ahead if enough is None else min(ahead, enough))
-            yield self.settled
-
-    def arrived(self, layer: int) -> float:
-        """Pr(goal, C lies below the layer); the layer is settled, or :attr:`leaps`."""
-        layers, masses = self.atoms()
-        return float(masses[np.asarray(layers < layer, dtype=np.bool_)].sum())
-
-    def first_reaching(self, mass: float) -> int:
-        """The layer in which the arrivals reach a mass that the settled ones do not; where leaps.
-
-        Raises:
-            ModelError: there are more layers before it than can be counted.
-        """
-        raise ModelError(f"no leap to a mass of {mass:g}: sums are followed one by one")
-
-
-class Arrivals(ArrivalSweep):
-    """A sweep in layers of the costs' common unit, one after the other.
 
     Mass waits at (layer, node) in a ring as wide as the costliest step. Where the nodes are few,
     what lies far beyond the settled layers is had from powers of the transition of one layer
@@ -407,6 +306,9 @@ class Arrivals(ArrivalSweep):
     Raises:
         ModelError: the costs have no common unit that gives a sane number of layers.
     """
+
+    _number: npt.DTypeLike = np.int64
+    _first: int = _FIRST_LAYERS  # layers that are settled at least, once any are
 
     def __init__(
         self, live: LiveChain, exact_costs: Mapping[float, Fraction], unit: Fraction | None = None
@@ -431,11 +333,59 @@ class Arrivals(ArrivalSweep):
             self.settled, self.unit, self._size = 0, unit, len(live.start)
             raise ModelError(self._too_large("one step passes too many layers"))
         step = self._steps[np.searchsorted(distinct, paid)]
-        super().__init__(live, unit, step, step)
+        self._begin(live, unit, step, step)
         self._waiting = np.zeros(self._width * self._size)
         self._waiting[: self._size] = live.start
         self._occupied = np.arange(self._width) == 0
         self._lists: tuple[Any, ...] = ()  # of what waits, and of moves, once loops are compiled
+
+    def _begin(self, live: LiveChain, unit: Fraction, steps: IntArray, block: IntArray) -> None:
+        """Begin at total cost 0, nothing settled.
+
+        Args:
+            live: the chain.
+            unit: of which every cost is a multiple.
+            steps: how many each move costs, [moves].
+            block: of columns to which each move leads, [moves].
+        """
+        self.settled, self.unit = 0, unit  # layers 0 .. settled - 1 are
+        self._live, self._size = live, len(live.start)
+        goal = self._size - 1
+        free = np.asarray(steps == 0, dtype=np.bool_) & (live.target != goal)
+        self._free = FreeChainMoves(live, free) if free.any() else None
+        onward = live.source[~free], (block * self._size + live.target)[~free]
+        shape = goal, (int(block.max(initial=0)) + 1) * self._size
+        self._onward = sp.csr_array((live.probability[~free], onward), shape=shape)
+        self._layers: list[int] = []
+        self._masses: list[float] = []
+
+    def cost_of(self, layers: IntArray) -> FloatArray:
+        """Total cost of whole layers, rounded once, like ``layers``."""
+        return totals_of(layers, self.unit)
+
+    @property
+    def frontier(self) -> float:
+        """The total cost from which on nothing is settled."""
+        return float(self.settled * self.unit)
+
+    def atoms(self) -> tuple[IntArray, FloatArray]:
+        """Settled layers at which mass arrives, increasing, and how much: [atoms] each."""
+        return np.array(self._layers, dtype=self._number), np.array(self._masses, dtype=np.float64)
+
+    def followed(self, enough: int | None = None) -> Iterator[int]:
+        """Settle twice as many layers each time, up to ``enough`` or to the end of the support.
+
+        Yields:
+            How many layers are settled; at least once.
+
+        Raises:
+            ModelError: this would take too long.
+        """
+        yield self.settled
+        while not self.exhausted:
+            ahead = max(2 * self.settled, self._first)
+            self.settle(ahead if enough is None else min(ahead, enough))
+            yield self.settled
 
     @property
     def exhausted(self) -> bool:
@@ -481,7 +431,8 @@ class Arrivals(ArrivalSweep):
 
     def arrived(self, layer: int) -> float:
         """Pr(goal, C lies below the layer); the layer is settled, or :attr:`leaps`."""
-        arrived = super().arrived(layer)
+        layers, masses = self.atoms()
+        arrived = float(masses[np.asarray(layers < layer, dtype=np.bool_)].sum())
         return arrived + self._ahead(layer)[0] if layer > self.settled and self.leaps else arrived
 
     def first_reaching(self, mass: float) -> int:
@@ -621,23 +572,24 @@ class TooManySumsError(ModelError):
     """A question needs more sums than are followed one by one."""
 
 
-class FollowedSums(ArrivalSweep):
-    """A sweep over the sums of a chain's costs: whole numbers of a tiny unit, one by one."""
+class FollowedSums(Arrivals):
+    """The same in layers of a tiny unit, of which only those at which mass waits are looked at."""
 
     _number = object
+    leaps = False
 
     def __init__(self, live: LiveChain, exact_costs: Mapping[float, Fraction], most: int) -> None:
         """Begin at total cost 0, nothing settled, to follow at most so many sums."""
         distinct, step = np.unique(live.paid, return_inverse=True)
         unit = common_unit(distinct, exact_costs)
         self._followed, self._most = 0, most
-        self._steps = [int(exact_cost(c, exact_costs) / unit) for c in distinct.tolist()]
-        self._first = max(_FIRST_STEPS * max(self._steps, default=1), 1)
-        super().__init__(live, unit, np.array(self._steps, dtype=object)[step], step)
+        self._units = [int(exact_cost(c, exact_costs) / unit) for c in distinct.tolist()]
+        self._first = max(_FIRST_STEPS * max(self._units, default=1), 1)
+        self._begin(live, unit, np.array(self._units, dtype=object)[step], step)
         nodes = np.flatnonzero(live.start)
         self._pending: dict[int, list[tuple[IntArray, FloatArray]]] = {}
         self._next: list[int] = []
-        self._send(0, nodes, live.start[nodes])
+        self._let_wait(0, nodes, live.start[nodes])
 
     @property
     def exhausted(self) -> bool:
@@ -666,14 +618,14 @@ class FollowedSums(ArrivalSweep):
             self._followed += 1
             if not self._are_few:
                 raise TooManySumsError(f"more than {self._followed:,} sums of costs can occur")
-            self._settle_one(heappop(self._next))
+            self._settle_sum(heappop(self._next))
         self.settled = max(self.settled, layers)
 
     @property
     def _are_few(self) -> bool:
         """Whether there is hope that the sums come to an end of what is asked."""
         if self._followed <= _EARLY:
-            return self._followed <= self._most and len(self._steps) <= _MOST_STEPS
+            return self._followed <= self._most and len(self._units) <= _MOST_STEPS
         arrived = float(np.sum(self._masses)) + float(self._live.start[-1])
         goal = float(self._live.start @ self._live.goal)
         return self._followed <= self._most and arrived >= _SOME * goal
@@ -689,7 +641,7 @@ class FollowedSums(ArrivalSweep):
                 cost += delay * reached + float(masses @ self._live.cost[nodes])
         return goal, cost
 
-    def _settle_one(self, layer: int) -> None:
+    def _settle_sum(self, layer: int) -> None:
         """Settle the least sum that is still followed."""
         parts = self._pending.pop(layer)
         nodes = np.concatenate([part[0] for part in parts])
@@ -706,10 +658,10 @@ class FollowedSums(ArrivalSweep):
         share = moves.data * np.repeat(visits[active], np.diff(moves.indptr))
         step, target = np.divmod(moves.indices.astype(np.int64), self._size)
         for one in np.unique(step).tolist():
-            chosen, ahead = step == one, layer + self._steps[one]
-            self._send(ahead, target[chosen], share[chosen])
+            chosen, ahead = step == one, layer + self._units[one]
+            self._let_wait(ahead, target[chosen], share[chosen])
 
-    def _send(self, layer: int, nodes: IntArray, masses: FloatArray) -> None:
+    def _let_wait(self, layer: int, nodes: IntArray, masses: FloatArray) -> None:
         """Let mass wait for the sums that steps make of its own."""
         if layer not in self._pending:
             self._pending[layer] = []
@@ -717,6 +669,6 @@ class FollowedSums(ArrivalSweep):
         self._pending[layer].append((nodes, masses))
 
 
-def cost_of(sweep: ArrivalSweep, layer: int) -> float:
+def cost_of(sweep: Arrivals, layer: int) -> float:
     """Total cost of a layer or of a followed sum."""
     return float(sweep.cost_of(np.array(layer)))

@@ -194,15 +194,15 @@ class Sweep:
         def lower(layer: int, ahead: FloatArray) -> tuple[FloatArray]:
             """Lower bounds of a layer; within one with free steps its best choice is kept."""
             nonlocal inner
-            most, asked = given[layer], bool(np.isposinf(given[layer]).all())
-            if not asked:
+            most, is_free = given[layer], bool(np.isposinf(given[layer]).all())
+            if not is_free:
                 most = _at_least(most, floor)
             pair_cost, size, alone = cost(layer)
             if self.is_acyclic:
                 position = None if choice is None else choice[layer]
                 sums = pair_cost, size, alone, ahead, position
                 lowest = safe_minima(base.pair_offsets, base.later, *sums)
-                return (lowest if asked else np.minimum(lowest, most),)
+                return (lowest if is_free else np.minimum(lowest, most),)
             growth = 0.0 if pair_cost.slope is None else pair_cost.factor * pair_cost.slope
             size = (size + growth) + base.later @ np.abs(ahead)
             onward = (pair_cost.fixed + growth) + base.later @ ahead
@@ -353,10 +353,10 @@ class Sweep:
         windows = [Window(numbers, self.process.totals) for numbers in beyond]
         for layer in reversed(range(self.process.cap)):
             check_time()
-            found = step(layer, *(window.flat for window in windows))
-            for window, numbers in zip(windows, found, strict=True):
+            swept = step(layer, *(window.flat for window in windows))
+            for window, numbers in zip(windows, swept, strict=True):
                 window.push(numbers)
-            yield layer, found
+            yield layer, swept
 
     def _measures(self, layer: int, chosen: IntArray, ahead: FloatArray) -> FloatArray:
         """(charge, failure, goal) of a layer's choice, [nodes, 3].
@@ -478,12 +478,12 @@ def follow_rule(
     Returns:
         None where nothing is seen to arrive, or much is still on its way by then.
     """
-    mass, found = LayerMass(base, base.totals(0)), np.zeros(3)
+    mass, sums = LayerMass(base, base.totals(0)), np.zeros(3)
     for layer in range(most_layers):
         mass.here[mass.here < _DROPPED] = 0.0
-        found += mass.follow(rule, PairCost(base.gain_cost, base.gain, layer * base.unit))
-        if layer % _LAYERS_BETWEEN == 0 and mass.left.sum() <= _ON_ITS_WAY * found[2]:
-            return (float(found[0]), float(found[2])) if found[2] > 0.0 else None
+        sums += mass.follow(rule, PairCost(base.gain_cost, base.gain, layer * base.unit))
+        if layer % _LAYERS_BETWEEN == 0 and mass.left.sum() <= _ON_ITS_WAY * sums[2]:
+            return (float(sums[0]), float(sums[2])) if sums[2] > 0.0 else None
     return None
 
 

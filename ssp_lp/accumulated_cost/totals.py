@@ -540,7 +540,7 @@ class Resolution:
 
 
 def resolution_for(
-    model: SSP, asked: int | None, cap: float | None, *, of_law: bool
+    model: SSP, most: int | None, cap: float | None, *, of_law: bool
 ) -> Resolution | None:
     """How finely totals are told apart; None where multiples of a unit serve.
 
@@ -549,12 +549,12 @@ def resolution_for(
 
     Args:
         model: the model.
-        asked: totals at most, as a user says; None: nothing is said.
+        most: totals at most, as a user says; None: nothing is said.
         cap: the last total, likewise.
         of_law: whether steps into the goal have to be told apart as well.
     """
-    if asked is not None:
-        return Resolution(cap, grid=min(int(asked), FIRST_TOTALS), most=int(asked))
+    if most is not None:
+        return Resolution(cap, grid=min(int(most), FIRST_TOTALS), most=int(most))
     wanted = resolution_of_law(model) if of_law else resolution_of_costs(model)
     return wanted if wanted is None or cap is None else replace(wanted, cap=cap)
 

@@ -52,13 +52,14 @@ def materialise(process: LayeredProcess) -> ExplicitProcess:
         for per_pair in (np.diff(base.pair_offsets), base.failure, base.survival * base.gain)
     )
     charged = [process.charged(layer).total for layer in range(cap)]
+    rewards = (
+        np.concatenate([*charged, tails_cost.ravel(), [process.start_charge]]),
+        np.concatenate([failure, tails_failure.ravel(), [base.start_failure]]),
+        np.concatenate([goal, tails_goal.ravel(), [base.start_goal]]),
+    )
+    every_step = sp.vstack([steps, sp.csr_array((tails_cost.size, n_states))])
     return _entered_process(
-        base,
-        sp.vstack([steps, sp.csr_array((tails_cost.size, n_states))]),
-        np.append(own_pairs, np.full(n_beyond, n_tails)),
-        cost=np.concatenate([*charged, tails_cost.ravel(), [process.start_charge]]),
-        failure=np.concatenate([failure, tails_failure.ravel(), [base.start_failure]]),
-        goal=np.concatenate([goal, tails_goal.ravel(), [base.start_goal]]),
+        base, every_step, np.append(own_pairs, np.full(n_beyond, n_tails)), rewards
     )
 
 
@@ -66,10 +67,7 @@ def _entered_process(
     base: AccumulatedCost,
     steps: sp.csr_array,
     n_pairs: IntArray,
-    *,
-    cost: FloatArray,
-    failure: FloatArray,
-    goal: FloatArray,
+    rewards: tuple[FloatArray, FloatArray, FloatArray],
 ) -> ExplicitProcess:
     """A process written out, with a source as its last state: nothing is paid where it leads.
 
@@ -77,21 +75,13 @@ def _entered_process(
         base: one layer.
         steps: of all pairs but the source's, [pairs, states].
         n_pairs: of each state but the source, [states - 1].
-        cost: [pairs + 1].
-        failure: likewise.
-        goal: likewise.
+        rewards: cost, failure and goal, [pairs + 1] each.
     """
     source = np.zeros(len(n_pairs) + 1)
     source[-1] = 1.0
     entry = sp.csr_array(np.append(base.start, np.zeros(len(source) - base.n_nodes))[None, :])
-    return ExplicitProcess(
-        pair_offsets=offsets_of(np.append(n_pairs, 1)),
-        transitions=sp.csr_array(sp.vstack([steps, entry])),
-        start=source,
-        cost=cost,
-        failure=failure,
-        goal=goal,
-    )
+    transitions = sp.csr_array(sp.vstack([steps, entry]))
+    return ExplicitProcess(offsets_of(np.append(n_pairs, 1)), transitions, source, *rewards)
 
 
 def chosen_pairs(process: LayeredProcess, choice: IntArray, tail_price: float) -> IntArray:
@@ -172,14 +162,11 @@ class OpenEnded(ChargedLayers):
         base, copies = self.base, self.cap + 1
         steps = _written_steps(base, *self.leads, copies * self.n_nodes + 1)
         steps.sum_duplicates()
-        return _entered_process(
-            base,
-            steps,
-            np.tile(np.diff(base.pair_offsets), copies),
-            cost=self.own_cost + self.everywhere(*self.shift_of_ends),
-            failure=self.everywhere(base.failure, base.start_failure),
-            goal=self.everywhere(base.survival * base.gain, base.start_goal),
-        )
+        cost = self.own_cost + self.everywhere(*self.shift_of_ends)
+        failure = self.everywhere(base.failure, base.start_failure)
+        goal = self.everywhere(base.survival * base.gain, base.start_goal)
+        n_pairs = np.tile(np.diff(base.pair_offsets), copies)
+        return _entered_process(base, steps, n_pairs, (cost, failure, goal))
 
     def everywhere(self, per_pair: FloatArray, at_source: float) -> FloatArray:
         """What does not depend on the accumulated cost, at all pairs of the process.

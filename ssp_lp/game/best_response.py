@@ -23,6 +23,9 @@ _MOST_SWEEPS = 1 << 14
 """Policies are improved by their own values, so that sweeps beyond this only fight rounding."""
 
 _MOST_IMPROVEMENTS = 100
+_ROUNDED_SUCCESS = 1e-12
+"""Success up to which it is rounding, where it is what J_cond leaves over."""
+
 _ROUNDED = 64.0 * MACHINE_EPSILON
 """Relative rounding of one backup; over a run it adds up to this share of 1 / (1 - gamma)."""
 
@@ -57,6 +60,16 @@ class BestResponse:
     def success(self) -> float:
         """1 - J_cond: in case S E[gamma^T; goal]."""
         return (1.0 - self.origin) - self.failing
+
+    @property
+    def is_hopeful(self) -> bool:
+        """Whether the policy's cost given success can be told."""
+        return self.success > (0.0 if self.origin else _ROUNDED_SUCCESS)
+
+    @property
+    def ratio(self) -> float:
+        """The policy's cost given success."""
+        return self.objective / self.success
 
     def payoff(self, objective_weight: float, condition_weight: float) -> float:
         """What the policy pays at other weights, J_cond counted from its origin."""

@@ -189,15 +189,15 @@ def play(
             plus = response
 
 
-def unplayed_game(game: Game, known: Sequence[BestResponse]) -> Equilibrium:
+def unplayed_game(game: Game, responses: Sequence[BestResponse]) -> Equilibrium:
     """What policies met before say of a game that there is no time to play: nothing from below."""
-    minus, plus = _closest_to_equilibrium(game, known)
+    minus, plus = _closest_to_equilibrium(game, responses)
     if minus is None or plus is None:
-        only = known[0] if minus is None and plus is None else minus or plus
-        minus = plus = known[0] if only is None else only
+        only = responses[0] if minus is None and plus is None else minus or plus
+        minus = plus = responses[0] if only is None else only
     alpha = crossing(game, minus, plus) if minus is not plus else 1.0
     upper = min(game.payoff(alpha, minus), game.payoff(alpha, plus))
-    return Equilibrium(game, alpha, -np.inf, upper, minus, plus, tuple(known))
+    return Equilibrium(game, alpha, -np.inf, upper, minus, plus, tuple(responses))
 
 
 def _pure_equilibrium(

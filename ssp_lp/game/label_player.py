@@ -157,11 +157,11 @@ class LabelPlayer:
     ) -> BestResponse:
         """A stationary policy of least weighted cost."""
         models, weights = self.models, np.array([objective_weight, condition_weight])
-        found = iterate_values(self.process, weights, models.start, accuracy=accuracy)
+        iterated = iterate_values(self.process, weights, models.start, accuracy=accuracy)
         fixed = np.array([models.start_objective, models.start_condition])
-        objective, condition = (models.start @ found.totals + fixed).tolist()
-        bound = float(models.start @ found.values + fixed @ weights)
-        return BestResponse(objective, condition, bound, found, found.sweeps)
+        objective, condition = (models.start @ iterated.totals + fixed).tolist()
+        bound = float(models.start @ iterated.values + fixed @ weights)
+        return BestResponse(objective, condition, bound, iterated, iterated.sweeps)
 
     def value_function(self, price: float) -> FloatArray:
         """Checked lower bounds of ``J_obj + price * J_cond``.
@@ -179,9 +179,9 @@ class LabelPlayer:
 
     def policy(self, response: BestResponse) -> DeterministicPolicy:
         """The response's policy on the model's states."""
-        found: Iterated = response.strategy
+        iterated: Iterated = response.strategy
         quotient = self.models.quotient
-        return DeterministicPolicy(quotient.model, quotient.pull_back(found.choice))
+        return DeterministicPolicy(quotient.model, quotient.pull_back(iterated.choice))
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,8 +291,8 @@ class BayesLabelPlayer:
             weights: with that of J_cond as it has faded by then.
         """
         everywhere = np.full(self.models.n_nodes, 1.0 / max(self.models.n_nodes, 1))
-        found = iterate_values(self.stationary.process, weights, everywhere, accuracy=_ROUGH)
-        return np.asarray(np.maximum(found.values, weights[0] * self.cheapest.least_objective))
+        iterated = iterate_values(self.stationary.process, weights, everywhere, accuracy=_ROUGH)
+        return np.asarray(np.maximum(iterated.values, weights[0] * self.cheapest.least_objective))
 
     def _response(
         self, objective_weight: float, condition_weight: float, horizon: int

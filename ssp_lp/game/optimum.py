@@ -39,9 +39,6 @@ _MOST_STEPS = 100
 _MARGINS = (0.25, 4.0, 64.0, 1024.0)
 """Multiples of the tolerance by which a bound of the least ratio is put below it."""
 
-_ROUNDED_SUCCESS = 1e-12
-"""Success up to which it is rounding, where it is what J_cond leaves over."""
-
 
 def checked_setting(problem: Problem) -> tuple[float, float]:
     """The failure budget and the discount.
@@ -89,23 +86,6 @@ def check_budget(problem: Problem, budget: float, safest: BestResponse) -> None:
     )
 
 
-def check_reachable(problem: Problem) -> None:
-    """Check that a cost given success exists.
-
-    Raises:
-        InfeasibleError: the goal cannot be reached from the start.
-    """
-    start = start_distribution(problem.model, problem.start)
-    if (start[~dead_ends(problem.model)] > 0.0).any():
-        return
-    raise InfeasibleError(
-        "the goal cannot be reached from the start: no cost given success exists",
-        failure_budget=problem.failure_budget,
-        least_failure=1.0,
-        least_discounted_failure=1.0,
-    )
-
-
 def construct(problem: Problem) -> LabelModels | AccumulatedCost:
     """Build the setting's M_o and M_{d,gamma} of section 3.1: in case M labelled.
 
@@ -117,7 +97,13 @@ def construct(problem: Problem) -> LabelModels | AccumulatedCost:
     start = start_distribution(problem.model, problem.start)
     if not problem.ratio:
         return label_models(problem.model, start, problem.semantics, discount)
-    check_reachable(problem)
+    if not (start[~dead_ends(problem.model)] > 0.0).any():
+        raise InfeasibleError(
+            "the goal cannot be reached from the start: no cost given success exists",
+            failure_budget=problem.failure_budget,
+            least_failure=1.0,
+            least_discounted_failure=1.0,
+        )
     by_steps = resolution_of_costs(problem.model) is not None
     return accumulate_cost(problem.model, start, discount, by_steps=by_steps)
 
@@ -148,8 +134,9 @@ def find_optimum(
     """Find c* of a problem by its player's best responses.
 
     Case M: the least c whose game value is at most c. Case S: the least such value over all
-    epsilon' in (0, epsilon] (Theorem 3-1). Where failing is worth more than c at epsilon itself,
-    that is where it lies; otherwise it lies where failing is worth exactly c.
+    epsilon' in (0, epsilon] (Theorem 3-1): c* = F(e) / (1 - e), with F the convex least J_obj at
+    J_cond = e, falls while ``-F'(e) > c*`` and rises after. Either it still falls at the budget, or
+    its minimum is where failing is worth exactly c*, at a single policy.
 
     Args:
         problem: says the case and the budget.
@@ -160,54 +147,28 @@ def find_optimum(
     Raises:
         InfeasibleError: the discounted failure of every policy exceeds the budget.
     """
-    budget = float(problem.failure_budget or 0.0)
-    known = extremes(player, 0.1 * tolerance)
-    check_budget(problem, budget, known[0])
+    budget, share, best, is_least = float(problem.failure_budget or 0.0), 1.0, None, True
+    spent, room = budget, None
+    responses = extremes(player, 0.1 * tolerance)
+    check_budget(problem, budget, responses[0])
     if problem.ratio:
-        return _ratio_optimum(problem, cast(RatioPlayer, player), known, tolerance, progress)
-    found = find_threshold(player, budget, 1.0, known, tolerance=tolerance, progress=progress)
-    return _optimum_at_budget(problem, player, found, found.low)
-
-
-def _optimum_at_budget(
-    problem: Problem, player: Player, found: Threshold, lower: float
-) -> GameSolution:
-    """The optimum of the game at a budget."""
-    alpha, price = found.game.alpha, found.failure_price
-    return GameSolution(problem, player, found, found.budget, found.high, lower, alpha, price)
-
-
-def _ratio_optimum(
-    problem: Problem,
-    player: RatioPlayer,
-    known: tuple[BestResponse, ...],
-    tolerance: float,
-    progress: Progress | None,
-) -> GameSolution:
-    """Theorem 3-1: the least c* over epsilon' in (0, epsilon].
-
-    c* = F(e) / (1 - e), with F the convex least J_obj at J_cond = e, falls while ``-F'(e) > c*``
-    and rises after: either it still falls at the budget, or its minimum is where failing is worth
-    exactly c*, at a single policy.
-    """
-    budget = float(problem.failure_budget or 0.0)
-    best, responses, is_least = _least_ratio(player, known, tolerance)
-    at_goal = best.condition == 0.0  # from the start on: c* of every epsilon' is 0
-    origin = best.origin
-    room = 0.5 * budget if at_goal else min(best.failing, budget - origin)
-    share, spent = (1.0 - origin) - room, origin + room
-    found = find_threshold(
+        best, responses, is_least = _least_ratio(player, responses, tolerance)
+        at_goal = best.condition == 0.0  # from the start on: c* of every epsilon' is 0
+        room = 0.5 * budget if at_goal else min(best.failing, budget - best.origin)
+        share, spent = (1.0 - best.origin) - room, best.origin + room
+    threshold = find_threshold(
         player, spent, share, responses, room=room, tolerance=tolerance, progress=progress
     )
-    if best.failing > budget - origin:
-        falls = is_least or _ratio_at_optimum(best) < found.low
-        lower = (
-            found.low if falls else _slack_bound_of_optimum(player, found.high, budget, tolerance)
-        )
-        return _optimum_at_budget(problem, player, found, lower)
-    c = found.high
-    lower = _slack_bound_of_optimum(player, c, budget, tolerance)
-    return GameSolution(problem, player, found, spent, c, lower, share, c)
+    c, lower = threshold.high, threshold.low
+    is_slack = best is not None and best.failing <= budget - best.origin
+    if is_slack or not (best is None or is_least or best.ratio < lower):
+        lower = _slack_bound_of_optimum(cast(RatioPlayer, player), c, budget, tolerance)
+    if is_slack:
+        return GameSolution(problem, player, threshold, spent, c, lower, alpha=share, price=c)
+    return GameSolution(
+        problem, player, threshold, threshold.budget, c, lower,
+        alpha=threshold.game.alpha, price=threshold.failure_price,
+    )  # fmt: skip
 
 
 def _slack_bound_of_optimum(
@@ -235,7 +196,7 @@ def _slack_bound_of_optimum(
 
 
 def _least_ratio(
-    player: RatioPlayer, known: tuple[BestResponse, ...], tolerance: float
+    player: Player, responses: tuple[BestResponse, ...], tolerance: float
 ) -> tuple[BestResponse, tuple[BestResponse, ...], bool]:
     """A policy of least J_obj / (1 - J_cond), whatever it fails, and all responses so far.
 
@@ -248,37 +209,27 @@ def _least_ratio(
     Raises:
         SolverError: every policy fails but for rounding.
     """
-    responses = list(known)
-    hopeful = [r for r in responses if _is_hopeful_response(r)]
+    tried = list(responses)
+    hopeful = [r for r in tried if r.is_hopeful]
     if not hopeful:
         raise SolverError(
             "the game cannot tell costs given success: the goal is reached with a (discounted) "
-            f"probability of at most {known[0].success:.1e}"
+            f"probability of at most {responses[0].success:.1e}"
         )
-    best = min(hopeful, key=_ratio_at_optimum)
+    best = min(hopeful, key=lambda r: r.ratio)
     for _ in range(_MOST_STEPS):
-        c = _ratio_at_optimum(best)
+        c = best.ratio
         if is_late():
             break
         with WithIncumbent() as search:
             response = player.response(1.0, c, 0.1 * tolerance)
         if search.stop:
             break
-        if not _is_hopeful_response(response) or _ratio_at_optimum(response) >= c * (1.0 - 1e-15):
-            return best, tuple(responses), True
-        responses.append(response)
+        if not response.is_hopeful or response.ratio >= c * (1.0 - 1e-15):
+            return best, tuple(tried), True
+        tried.append(response)
         best = response
-    return best, tuple(responses), False
-
-
-def _is_hopeful_response(response: BestResponse) -> bool:
-    """Whether a policy's cost given success can be told."""
-    return response.success > (0.0 if response.origin else _ROUNDED_SUCCESS)
-
-
-def _ratio_at_optimum(response: BestResponse) -> float:
-    """The cost given success of a response."""
-    return response.objective / response.success
+    return best, tuple(tried), False
 
 
 def stationary_player(problem: Problem) -> LabelPlayer | CostPlayer:
@@ -348,17 +299,17 @@ def thresholds(
     """
     check_between_0_and_1("tolerance", tolerance)
     player = stationary_player(problem)
-    known: tuple[BestResponse, ...] = extremes(player, 0.1 * tolerance)
-    found: list[Threshold] = []
+    responses: tuple[BestResponse, ...] = extremes(player, 0.1 * tolerance)
+    curve: list[Threshold] = []
     for budget in budgets:
         if not 0.0 < budget <= 1.0 or (problem.ratio and budget == 1.0):
             raise ModelError(f"c* of epsilon' = {budget!r} is not defined: it must be above 0, in "
                              "case S below 1")  # fmt: skip
-        check_budget(problem, budget, known[0])
+        check_budget(problem, budget, responses[0])
         share = 1.0 - budget if problem.ratio else 1.0
-        found.append(find_threshold(player, budget, share, known, tolerance=tolerance))
-        known = found[-1].responses
-    return found
+        curve.append(find_threshold(player, budget, share, responses, tolerance=tolerance))
+        responses = curve[-1].responses
+    return curve
 
 
 def bayes_player(problem: Problem) -> BayesLabelPlayer | BayesCostPlayer:

@@ -72,7 +72,7 @@ def find_threshold(
     player: Player,
     budget: float,
     share: float,
-    known: Sequence[BestResponse],
+    previous: Sequence[BestResponse],
     *,
     room: float | None = None,
     tolerance: float,
@@ -89,14 +89,14 @@ def find_threshold(
         player: finds best responses.
         budget: epsilon.
         share: 1 in case M, 1 - epsilon in case S.
-        known: responses met before, ``extremes`` at least. A budget that none of them keeps to is
-            the least failure but for their accuracy, and counts as equal to it.
+        previous: responses met before, ``extremes`` at least. A budget that none of them keeps to
+            is the least failure but for their accuracy, and counts as equal to it.
         room: the budget counted from the responses' origin, where that has more digits.
         tolerance: relative width of the bracket to reach.
         progress: told after each game of (responses, price of failure, upper end).
     """
     accuracy = 0.1 * tolerance
-    responses = [*known, *_near_least(player, budget, known, accuracy)]
+    responses = [*previous, *_near_least(player, budget, previous, accuracy)]
     room = _attainable_threshold(responses, budget - responses[0].origin if room is None else room)
     budget = responses[0].origin + room
     low, high = 0.0, cheapest_mixture(responses, room)[2] / share
@@ -105,10 +105,10 @@ def find_threshold(
     while True:
         at = high if games % 2 == 0 else 0.5 * (low + high)
         game = Game(share * at, budget, room)
-        found: Equilibrium | None = None
+        equilibrium: Equilibrium | None = None
         with WithIncumbent():
-            found = play(player, game, responses, accuracy=accuracy)
-        played = found or unplayed_game(game, responses)
+            equilibrium = play(player, game, responses, accuracy=accuracy)
+        played = equilibrium or unplayed_game(game, responses)
         responses = list(played.responses)
         games += 1
         low = max(low, _implied_threshold(played) / share)
@@ -146,13 +146,13 @@ def _attainable_threshold(responses: Sequence[BestResponse], room: float) -> flo
 
 
 def _near_least(
-    player: Player, budget: float, known: Sequence[BestResponse], accuracy: float
+    player: Player, budget: float, previous: Sequence[BestResponse], accuracy: float
 ) -> Iterator[BestResponse]:
     """At a threshold, cheap policies among those that fail least, if the budget leaves no room.
 
     The least failure alone does not ask what its policy costs.
     """
-    safest = min(known, key=lambda r: r.failing)
+    safest = min(previous, key=lambda r: r.failing)
     if budget > safest.condition * _ROOM + LEAST_BUDGET:
         return
     worth = safest.objective / max(safest.success, 0.0 if safest.origin else _LEAST_SUCCESS)
@@ -166,13 +166,13 @@ def _near_least(
             return
 
 
-def _implied_threshold(found: Equilibrium) -> float:
+def _implied_threshold(played: Equilibrium) -> float:
     """What the value of a game at alpha* says about the cost of policies within the budget."""
-    if found.alpha == 0.0:
+    if played.alpha == 0.0:
         return 0.0
-    owed = found.game.owed(found.alpha, found.origin)
-    rounding = _CANCELLED * (abs(found.least) + abs(owed))
-    return (found.least - owed - rounding) / found.alpha
+    owed = played.game.owed(played.alpha, played.origin)
+    rounding = _CANCELLED * (abs(played.least) + abs(owed))
+    return (played.least - owed - rounding) / played.alpha
 
 
 def cheapest_mixture(
