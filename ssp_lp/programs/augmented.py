@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.accumulated_cost.process import spread_layer
+from ssp_lp.accumulated_cost.process import AccumulatedCost, spread_layer
 from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.model import SSP
@@ -75,18 +75,23 @@ class Augmented(ABC):
 
     @property
     @abstractmethod
+    def live(self) -> FailureLabelled | AccumulatedCost:
+        """What stands in the process once for each cost that is told apart."""
+
+    @property
+    def copies(self) -> int:
+        """How often it stands there."""
+        return 1
+
+    @property
     def quotient(self) -> Quotient:
         """The live part of the model."""
+        return self.live.quotient
 
     @property
-    @abstractmethod
-    def copies(self) -> int:
-        """How often it stands in the process: once for each cost that is told apart."""
-
-    @property
-    @abstractmethod
     def departs(self) -> FloatArray:
         """What rows of a copy were divided by, see ``live_rows``, [quotient pairs]."""
+        return self.live.departs
 
     @abstractmethod
     def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
@@ -104,9 +109,9 @@ class Augmented(ABC):
     def counted(self, term: Term) -> FloatArray:
         """How much of what a quantity counts each pair takes, [process pairs]."""
 
-    @abstractmethod
     def paid(self, copy: int) -> float | None:
         """The cost paid before, in one of the copies; None: it is not counted."""
+        return None
 
     @property
     def model(self) -> SSP:
@@ -154,7 +159,6 @@ class Augmented(ABC):
         """
         return self.inner.policy(choice)
 
-    @abstractmethod
     def randomised_policy(self, visits: FloatArray, choice: IntArray) -> StochasticPolicy:
         """The policy that draws each pair with its share of its state's visits.
 
@@ -162,6 +166,14 @@ class Augmented(ABC):
             visits: expected visits, [process pairs].
             choice: pairs for the states that are never visited, [process states].
         """
+        carrier, n_states, drawn = self.policy(choice), self.model.n_states, []
+        for copy, flow in enumerate(self.flows(visits)):
+            otherwise = carrier.branches(np.arange(n_states), np.full(n_states, copy)).pair
+            state, pair, share = decisions(self.quotient, flow, otherwise)
+            drawn.append((copy * n_states + state, pair, share))
+        keys, pairs, shares = map(np.concatenate, zip(*drawn, strict=True))
+        remembering = None if self.copies == 1 else carrier
+        return StochasticPolicy.from_flows(self.model, keys, pairs, shares, remembering)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,20 +184,11 @@ class LabelledModel(Augmented):
     start: FloatArray  # [states]
     semantics: FailureSemantics
     discount: float | None
-    copies = 1
 
     @property
-    def quotient(self) -> Quotient:
-        """The live part."""
-        return self.inner.quotient
-
-    def paid(self, copy: int) -> None:
-        """Costs are not counted."""
-
-    @property
-    def departs(self) -> FloatArray:
-        """As the rows of the label were divided."""
-        return self.inner.departs
+    def live(self) -> FailureLabelled:
+        """The labelled states, costs not counted."""
+        return self.inner
 
     def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
         """One flow."""
@@ -229,12 +232,6 @@ class LabelledModel(Augmented):
         counting = counting_of(self.inner, self.start, self.semantics, self.discount)
         return np.append(*term.at(counting))[: self.process.n_pairs]
 
-    def randomised_policy(self, visits: FloatArray, choice: IntArray) -> StochasticPolicy:
-        """A stationary policy on the model's states."""
-        (flow,) = self.flows(visits)
-        otherwise = self.policy(choice).decision.astype(np.int64)
-        return StochasticPolicy.from_flows(self.model, *decisions(self.quotient, flow, otherwise))
-
 
 @dataclass(frozen=True, eq=False)
 class LayeredModel(Augmented):
@@ -244,14 +241,9 @@ class LayeredModel(Augmented):
     start: FloatArray  # [states]
 
     @property
-    def quotient(self) -> Quotient:
-        """The live part of a layer."""
-        return self.inner.base.quotient
-
-    @property
-    def departs(self) -> FloatArray:
-        """As the rows of a layer were divided."""
-        return self.inner.base.departs
+    def live(self) -> AccumulatedCost:
+        """A layer."""
+        return self.inner.base
 
     def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
         """One flow for each layer, the open end included; what enters a layer left another."""
@@ -287,13 +279,3 @@ class LayeredModel(Augmented):
     def paid(self, copy: int) -> float:
         """The layer's total; the last stands for more."""
         return float(self.inner.totals.values[copy])
-
-    def randomised_policy(self, visits: FloatArray, choice: IntArray) -> StochasticPolicy:
-        """A policy on states and accumulated cost."""
-        carrier, n_states, found = self.policy(choice), self.model.n_states, []
-        for layer, flow in enumerate(self.flows(visits)):  # the carrier's where none is visited
-            otherwise = carrier.branches(np.arange(n_states), np.full(n_states, layer)).pair
-            state, pair, share = decisions(self.quotient, flow, otherwise)
-            found.append((layer * n_states + state, pair, share))
-        keys, pairs, shares = (np.concatenate(parts) for parts in zip(*found, strict=True))
-        return StochasticPolicy.from_flows(self.model, keys, pairs, shares, carrier)

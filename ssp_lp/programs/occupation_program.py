@@ -144,10 +144,10 @@ class OccupationProgram:
 
     def with_rows(self, changed: Callable[[ProgramRow], ProgramRow | None]) -> OccupationProgram:
         """The program with each row changed, or without those of which nothing is made."""
-        rows, reduced = tuple(filter(None, map(changed, self.rows))), self.reduced
-        if reduced is not None:
-            reduced = replace(reduced, program=reduced.program.with_rows(changed))
-        return replace(self, rows=rows, reduced=reduced)
+        inner = self.reduced and replace(
+            self.reduced, program=self.reduced.program.with_rows(changed)
+        )
+        return replace(self, rows=tuple(filter(None, map(changed, self.rows))), reduced=inner)
 
     def started(self, start: Hashable | Mapping[Hashable, float]) -> OccupationProgram:
         """The problem's program from another start: a state, or a distribution.
@@ -165,12 +165,9 @@ class OccupationProgram:
         if isinstance(augmented, LabelledModel) and not unrolled:
             begun = start_distribution(model, start)
             if augmented.may_start(begun):
-                if reduced is not None:
-                    reduced = replace(reduced, program=reduced.program.started(start))
-                make = None if make is None else partial(make, start=start)
-                return replace(
-                    self, augmented=augmented.started(begun), reduced=reduced, remade=make
-                )
+                inner = reduced and replace(reduced, program=reduced.program.started(start))
+                make, there = make and partial(make, start=start), augmented.started(begun)
+                return replace(self, augmented=there, reduced=inner, remade=make)
         if make is None:
             raise ModelError(
                 "the program is made for its start, and its rows were changed: make another from "
