@@ -744,22 +744,22 @@ class CompiledArrivalCost(CompiledLayered):
             raise ModelError(f"a value function of {least} or more layers is needed")
         if not self.by_sums:
             return self.charging(self.charge, values.shape[0])
-        cap, n_layers, found = least, values.shape[0], None
+        cap, n_layers, end = least, values.shape[0], None
         if levels is not None and levels[-1] >= least:
-            known = self.charging(self.charge, float(levels[-1]))
-            if known.process.cap == n_layers:
-                return known
+            capped = self.charging(self.charge, float(levels[-1]))
+            if capped.process.cap == n_layers:
+                return capped
         for _ in range(_DOUBLINGS):
             if (totals := self._totals(cap)) is None:
                 break
             if totals.size >= n_layers:  # the greatest cap below which there are so many sums
-                found = float(totals.values[n_layers])
+                end = float(totals.values[n_layers])
             if totals.size > n_layers:
                 break
             cap *= 2.0
-        if found is None:
+        if end is None:
             raise ModelError("a value function of fewer layers is needed")
-        return self.charging(self.charge, found)
+        return self.charging(self.charge, end)
 
 
 ATTAINABLE = 1e-10
@@ -839,8 +839,7 @@ class CompiledExplicit(CompiledProblem):
     def least_failure(self) -> LeastFailure:
         """Greatest goal probability first, then the least cost among its actions."""
         how = self.model, self.start, self.semantics, self.discount
-        if self.semantics.forbids_failing:
-            self.check_sure()
+        self.check_sure()
         stage = label_failure(*how, self.greatest.usable)
         begun_from = stage.placed(self.greatest.decision)
         second = ExplicitPricing(stage, self.precise, begun_from=begun_from)
@@ -860,6 +859,8 @@ class CompiledExplicit(CompiledProblem):
         Raises:
             InfeasibleError: it cannot.
         """
+        if not self.semantics.forbids_failing:
+            return
         unsure = np.flatnonzero(~surely_reaching(self.model)[0] & (self.start > 0.0))
         if not unsure.size:
             return
@@ -882,8 +883,7 @@ class CompiledExplicit(CompiledProblem):
             InfeasibleError: the budget is below the least failure by more than rounding; case S,
                 and the goal cannot be reached; or failing is forbidden and cannot be avoided.
         """
-        if self.semantics.forbids_failing:
-            self.check_sure()
+        self.check_sure()
         if self.ratio and self.greatest_goal <= 0.0:
             raise InfeasibleError(
                 "the goal cannot be reached from the start: no cost given success exists",
@@ -928,8 +928,7 @@ class CompiledExplicit(CompiledProblem):
     def augmented(self) -> FailureLabelled | OpenEnded:
         """The process, in which only what is free in everything counted is collapsed."""
         if self.charge is None:
-            if self.semantics.forbids_failing:
-                self.check_sure()
+            self.check_sure()
             setting = self.start, self.semantics, self.discount, self._usable
             return label_failure(self.model, *setting, self.side, self.objective)
         layers = self.layers  # checks that there is room

@@ -137,18 +137,18 @@ class ExplicitPricing(PricingProblem):
         self, weights: FloatArray, warm: Sequence[Column | None]
     ) -> tuple[IntArray, FloatArray | None]:
         """A policy to start from, [states], and about its totals, [states, rewards]."""
-        known = [c for c in warm if c is not None and c.choice is not None]
-        if not known:
+        columns = [c for c in warm if c is not None and c.choice is not None]
+        if not columns:
             return self._leaving, None
         dynamics = self.process.dynamics
         is_quick = dynamics.n_states <= DIRECT_STATES or dynamics.is_solved_backwards
-        if is_quick or any(c.totals is None for c in known):
-            return required(known[0].choice), known[0].totals
-        known.append(self._first)
-        totals = [required(column.totals) for column in known]
+        if is_quick or any(c.totals is None for c in columns):
+            return required(columns[0].choice), columns[0].totals
+        columns.append(self._first)
+        totals = [required(column.totals) for column in columns]
         choice, follows = switched(
             dynamics,
-            [required(column.choice) for column in known],
+            [required(column.choice) for column in columns],
             [weighted(total, weights) for total in totals],
         )
         if not follows.any():
@@ -214,9 +214,9 @@ class ExplicitPricing(PricingProblem):
         self, price: float | FloatArray, values: FloatArray, choice: IntArray | None
     ) -> Proof:
         """The proof that checked values of explicit pricing make."""
-        found = self.lowered(pricing_weights(price), values, choice)
+        bound = self.lowered(pricing_weights(price), values, choice)
         failing = float(pricing_weights(price)[1])
-        return Proof(failing, failing, found.at(self.process.start), found.values)
+        return Proof(failing, failing, bound.at(self.process.start), bound.values)
 
     def lowered(
         self, weights: FloatArray, values: FloatArray, choice: IntArray | None = None
@@ -263,8 +263,8 @@ class ExplicitPricing(PricingProblem):
         """A choice as a policy, of equal pairs the first."""
         choice, process = required(column.choice), self.process
         if column.totals is not None and column.runs is not None:
-            known = column.totals, column.runs, process.start
-            choice = first_of_equals(process.dynamics, self.rewards, choice, *known)
+            measured = column.totals, column.runs, process.start
+            choice = first_of_equals(process.dynamics, self.rewards, choice, *measured)
         return self.augmented.policy(choice)
 
 

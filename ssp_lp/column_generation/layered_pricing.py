@@ -79,12 +79,12 @@ class LayeredPricing(PricingProblem):
         within, choice = replace(self, process=begun), reached.choice[reached.layer :]
         price = reached.price - paid
         if reached.measures is None:
-            found = within.sweep.follow(choice, price)
+            measures = within.sweep.follow(choice, price)
         else:
-            found = base.start @ reached.measures
-            found[0] -= paid * found[2]
+            measures = base.start @ reached.measures
+            measures[0] -= paid * measures[2]
         policy = begun.policy(choice, price)
-        return replace(within._column(found, choice, price, 0), choice=None, policy=policy)
+        return replace(within._column(measures, choice, price, 0), choice=None, policy=policy)
 
     def first(self) -> Column:
         """The first tail, which goes for the goal, followed from the start; or a guess at that."""
@@ -102,8 +102,8 @@ class LayeredPricing(PricingProblem):
         """A policy of least ``E[charge; goal] + failure_price * failure``, measured exactly."""
         choice = self.sweep.room_for_choice()
         failing = failure_price if self._likely else 0.0
-        found = self.sweep.minimise(failure_price, failing, choice)
-        return self._column(found, choice, failure_price, self.process.cap)
+        measures = self.sweep.minimise(failure_price, failing, choice)
+        return self._column(measures, choice, failure_price, self.process.cap)
 
     def measure(self, choice: IntArray, tail_price: float) -> Column:
         """Exact E[cost; goal] and failure of a choice.
@@ -150,8 +150,8 @@ class LayeredPricing(PricingProblem):
         choice, beyond = None, self.process.beyond_bound(price, 0.0 if slack else price)
         self.check_shape(values)
         if self.sweep.can_follow and self.sweep.one_pass is None:
-            asked = all(bool(np.isposinf(layer).all()) for layer in values)
-            choice = self.sweep.room_for_choice() if asked else None
+            wants_best = all(bool(np.isposinf(layer).all()) for layer in values)
+            choice = self.sweep.room_for_choice() if wants_best else None
         return self._proof(price, values, beyond, choice, slack=slack)
 
     def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
@@ -259,9 +259,9 @@ class OpenEndedPricing(PricingProblem):
     @cached_property
     def _first(self) -> Column:
         """The column of the policy that leaves the open end, whatever has been paid."""
-        first = self._beyond.first()
-        last = required(first.choice) - self.augmented.base.pair_offsets[:-1]
-        return self._swept(first, lambda charged, ahead: last)
+        beyond = self._beyond.first()
+        last = required(beyond.choice) - self.augmented.base.pair_offsets[:-1]
+        return self._swept(beyond, lambda charged, ahead: last)
 
     def first(self) -> Column:
         """A policy that comes nearer to the goal with every step it takes, where it can."""
@@ -373,16 +373,16 @@ class OpenEndedPricing(PricingProblem):
             own = self.augmented.own_cost_from(layer)
             return rest_of(own, own + owed, earned)
 
-        asked = self._asked_beyond(values, counted)
-        last = self._beyond.lowered_less(weights, ratio, paid, asked)
+        values_beyond = self._asked_beyond(values, counted)
+        last = self._beyond.lowered_less(weights, ratio, paid, values_beyond)
         return self._lowered(last, left, less_paid(values, paid), at_source, -paid)[0]
 
     def _asked_beyond(self, values: FloatArray, weights: FloatArray) -> FloatArray:
         """The values beyond the cap; where they ask for the best, those of the best policy."""
         self.check_shape(values)
-        asked = values[self.augmented.cap * self.augmented.n_nodes : -1]
-        if np.isfinite(asked).all():
-            return asked
+        beyond = values[self.augmented.cap * self.augmented.n_nodes : -1]
+        if np.isfinite(beyond).all():
+            return beyond
         return weighted(required(self._beyond.minimise(weights).totals), weights)
 
     def _lowered(
@@ -416,8 +416,8 @@ class OpenEndedPricing(PricingProblem):
             lowest = safe_minima(
                 base.pair_offsets, base.later, PairCost(cost), size, size, window.flat
             )
-            asked = np.nan_to_num(given[layer], nan=floor, posinf=np.inf)
-            lowest = np.minimum(lowest, np.maximum(asked, floor))
+            ceiling = np.nan_to_num(given[layer], nan=floor, posinf=np.inf)
+            lowest = np.minimum(lowest, np.maximum(ceiling, floor))
             window.push(lowest)
             if is_kept:
                 kept[layer * n : (layer + 1) * n] = lowest

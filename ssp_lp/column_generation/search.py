@@ -199,8 +199,8 @@ class Secant:
         """The best column at the slope, unless the last one is known to be that."""
         price, last = self.slope, self.inside if self.last is None else self.last
         if last.found_at != price:
-            known = last, self.inside, self.outside
-            began, last = time.perf_counter(), self.pricing.minimise(price, *known)
+            warm = last, self.inside, self.outside
+            began, last = time.perf_counter(), self.pricing.minimise(price, *warm)
             self.took = max(self.took, time.perf_counter() - began)
             self.calls, self.work = self.calls + 1, self.work + last.work
             self._prove_on_the_way(price, last, began)
@@ -234,12 +234,12 @@ class Secant:
 
     def _has(self, column: Column) -> bool:
         """Whether a column is the one beyond the budget again, up to rounding."""
-        known = self.outside
-        if known is None:
+        outside = self.outside
+        if outside is None:
             return False
-        same = min(_SAME_FAILURE, _SAME_SMALL * min(known.failure, known.goal))
-        is_near = abs(excess_failure(column, known)) <= same
-        return is_near and column.cost >= known.cost - _SAME_COST * abs(known.cost)
+        same = min(_SAME_FAILURE, _SAME_SMALL * min(outside.failure, outside.goal))
+        is_near = abs(excess_failure(column, outside)) <= same
+        return is_near and column.cost >= outside.cost - _SAME_COST * abs(outside.cost)
 
     def concluded(self, tolerance: float, *, finished: bool) -> Generated:
         """The lottery of both ends, and a certified bound at the slope."""
@@ -396,7 +396,7 @@ def _first_price(
 
 
 def _initial_column_within(
-    pricing: PricingProblem, row: FailureRow, stop: BaseException, *known: Column | None
+    pricing: PricingProblem, row: FailureRow, stop: BaseException, *candidates: Column | None
 ) -> Column:
     """The best policy within the budget that is known when the time ends.
 
@@ -404,7 +404,7 @@ def _initial_column_within(
         pricing: was stopped.
         row: the budget.
         stop: what stopped it.
-        known: columns so far.
+        candidates: columns so far.
 
     Raises:
         Stop: none of them keeps to the budget.
@@ -416,7 +416,7 @@ def _initial_column_within(
         has_worth = row.objective(column.cost, column.goal) < np.inf
         return is_policy and has_worth and not row.breaks(column)
 
-    columns = [column for column in known if column is not None]
+    columns = [column for column in candidates if column is not None]
     with WithIncumbent(), closing():
         if not any(map(is_answer, columns)):
             reached = pricing.incumbent(stop.choice) if isinstance(stop, Stop) else None

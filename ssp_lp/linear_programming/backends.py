@@ -149,44 +149,44 @@ def run_backend(
     """
     if program.matrix.nnz < _LARGE or not sys.executable:
         return _backend_answer(program, backend, time_limit, basis)
-    told: bytes | None = None
-    with TemporaryFile() as asked:
+    reply: bytes | None = None
+    with TemporaryFile() as question:
         for part in (sys.path, (program, backend, time_limit, basis)):
-            pickle.dump(part, asked)
-        asked.seek(0)
+            pickle.dump(part, question)
+        question.seek(0)
         with subprocess.Popen(  # noqa: S603 (this very interpreter)
             [sys.executable, "-c", _SERVED],
-            stdin=asked,
+            stdin=question,
             stdout=subprocess.PIPE,
             start_new_session=True,
         ) as beside:
             try:
-                while told is None:
+                while reply is None:
                     check_time()
                     with suppress(subprocess.TimeoutExpired):
-                        told = beside.communicate(timeout=_LOOK)[0]
+                        reply = beside.communicate(timeout=_LOOK)[0]
             finally:
                 beside.kill()
-    if not told:
+    if not reply:
         raise SolverError(f"{backend} ended with code {beside.returncode}; {_REMEDY}")
-    answer: LPAnswer | Exception = pickle.loads(told)  # noqa: S301 (of the process begun here)
+    answer: LPAnswer | Exception = pickle.loads(reply)  # noqa: S301 (of the process begun here)
     if isinstance(answer, Exception):
         raise answer
     return answer
 
 
-def serve_backend(asked: BinaryIO, told: BinaryIO) -> None:
+def serve_backend(question: BinaryIO, reply: BinaryIO) -> None:
     """Solve one program in a process of its own.
 
     Args:
-        asked: the arguments of :func:`run_backend`, pickled.
-        told: where the answer is written, or what was raised.
+        question: the arguments of :func:`run_backend`, pickled.
+        reply: where the answer is written, or what was raised.
     """
     try:
-        answer: LPAnswer | Exception = _backend_answer(*pickle.load(asked))  # noqa: S301
+        answer: LPAnswer | Exception = _backend_answer(*pickle.load(question))  # noqa: S301
     except Exception as error:  # it is raised where the answer is asked for
         answer = error
-    pickle.dump(answer, told)
+    pickle.dump(answer, reply)
 
 
 def _backend_answer(

@@ -105,8 +105,8 @@ def affine_parts(expression: Any, x: Any, scale: Any) -> FloatArray | None:
     Returns:
         [entries + 2]; None where it is not affine, or counts other variables.
     """
-    known = {id(x), id(scale)}
-    if not expression.is_affine() or not known.issuperset(map(id, expression.variables())):
+    own = {id(x), id(scale)}
+    if not expression.is_affine() or not own.issuperset(map(id, expression.variables())):
         return None
     variables = {id(variable): variable for variable in expression.variables()}
     values = {key: variable.value for key, variable in variables.items()}
@@ -151,15 +151,15 @@ def measured_rows(
         parts = np.broadcast_arrays(spent.value, bound.value, worth)
         for k, (each, limit, price) in enumerate(zip(*map(np.ravel, parts), strict=True)):
             label = name if parts[0].size == 1 else f"{name}[{k}]"
-            known = (None, None) if np.isnan(price) else (float(price), float(price * unit))
-            yield MeasuredRow(label, float(each / unit), float(limit / unit), relation, *known)
+            duals = (None, None) if np.isnan(price) else (float(price), float(price * unit))
+            yield MeasuredRow(label, float(each / unit), float(limit / unit), relation, *duals)
 
 
 def broken_rows(rows: Mapping[str, Any]) -> dict[str, float]:
     """By how much the variables' values break each row, relative to its sides; 0 where little."""
-    found = dict[str, float]()
+    broken = dict[str, float]()
     for name, row in rows.items():
         off = max(float(np.max(row.violation(), initial=0.0)) - _EXCUSED, 0.0)
         largest = (float(np.abs(side.value).max(initial=0.0)) for side in row.args)
-        found[name] = off / max(*largest, off, _EXCUSED)
-    return found
+        broken[name] = off / max(*largest, off, _EXCUSED)
+    return broken

@@ -81,7 +81,7 @@ def solve_stated(
         attempts.append(("SCIPY", {}))  # HiGHS, which every version of cvxpy has
     elif name in _PLAIN:
         attempts.append((solver, {**_PLAIN[name], **options}))
-    told = ""
+    failure = ""
     for one, attempt in attempts:
         try:
             with warnings.catch_warnings():
@@ -89,19 +89,19 @@ def solve_stated(
                     warnings.simplefilter("ignore")
                 problem.solve(solver=one, **attempt)
         except cp.SolverError as error:
-            told = told or str(error)
+            failure = failure or str(error)
             continue
         except (TypeError, ValueError, AttributeError) as error:
             raise ModelError(f"cvxpy: {error}; what is no bound of a row by its name is an option "
                              "of the solver") from error  # fmt: skip
-        told = f"the problem is {problem.status}"
+        failure = f"the problem is {problem.status}"
         if problem.status in _SOLVED:
             return True
         if problem.status in _INFEASIBLE and (one is None or name not in _PLAIN):
             return False
     if str(problem.status) in _INFEASIBLE:
         return False
-    raise SolverError(f"cvxpy: {told}")
+    raise SolverError(f"cvxpy: {failure}")
 
 
 class Conflict(dict[str, str]):

@@ -79,8 +79,8 @@ def bound_ranges(program: LinearProgram, rows: Iterable[str]) -> dict[str, tuple
     solver = _solved_by_highs(program, "highs-simplex")
     status, ranging = solver.getRanging()
     if status != highspy.HighsStatus.kOk or not ranging.valid:
-        told = solver.modelStatusToString(solver.getModelStatus())
-        raise SolverError(f"HiGHS has no ranges of bounds: the program is {told.lower()}")
+        words = solver.modelStatusToString(solver.getModelStatus())
+        raise SolverError(f"HiGHS has no ranges of bounds: the program is {words.lower()}")
     basis, activity = solver.getBasis().row_status, solver.getSolution().row_value
     low, high = ranging.row_bound_dn.value_, ranging.row_bound_up.value_
     places = {name: program.rows[name].start for name in rows}
@@ -219,7 +219,7 @@ def read_columns(path: Path, n_columns: int) -> FloatArray:
     Raises:
         ModelError: the file cannot be read, or names no column.
     """
-    x, known = np.zeros(n_columns), set[int]()
+    x, named_columns = np.zeros(n_columns), set[int]()
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -228,20 +228,20 @@ def read_columns(path: Path, n_columns: int) -> FloatArray:
         for name, word in pairwise(line.split()):
             named = re.fullmatch(rf"{_NUMBERED}(\d+)\..*", name)
             place = n_columns if named is None else int(named[1])
-            if place < n_columns and place not in known:
+            if place < n_columns and place not in named_columns:
                 with suppress(ValueError):  # no number
                     x[place] = float(word)
-                    known.add(place)  # duals that follow under the same names are left
-    if not known:
+                    named_columns.add(place)  # duals that follow under the same names are left
+    if not named_columns:
         raise ModelError(f"{str(path)!r} names no column of the program: is it another's?")
     return x
 
 
 def _allowed_in_highs(names: Iterable[str]) -> list[str]:
     """Names that HiGHS may write: letters, digits, dots and underscores; a million a second."""
-    known = {ord(letter): letter for letter in f"{ascii_letters}{digits}._\n"}
+    allowed = {ord(letter): letter for letter in f"{ascii_letters}{digits}._\n"}
     plain = "\n".join(name.replace("\n", "_") for name in names)
-    plain = plain.translate(defaultdict(lambda: "_", known))
+    plain = plain.translate(defaultdict(lambda: "_", allowed))
     while "__" in plain:
         plain = plain.replace("__", "_")
     return [name.strip("_") or "_" for name in plain.split("\n")]

@@ -54,8 +54,8 @@ def as_latex(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]
     for taken, name, (relation, bound) in zip(
         program.matrix.toarray(), rows, _sides(program), strict=True
     ):
-        told = f"{_sum_of(taken, symbols)} {_RELATIONS[relation]} {bound:g}"
-        lines.append(rf"& {told} && \text{{{_latex_text(name)}}}")
+        row = f"{_sum_of(taken, symbols)} {_RELATIONS[relation]} {bound:g}"
+        lines.append(rf"& {row} && \text{{{_latex_text(name)}}}")
     return _aligned(lines)
 
 
@@ -74,8 +74,8 @@ def words_as_latex(verb: str, aim: str, rows: Iterable[tuple[str, str]]) -> str:
 
 def _products(words: str) -> str:
     """Words of a row in LaTeX."""
-    told = re.sub(r"<(.*?), x>", r"\\langle \\text{\1}, x \\rangle", _latex_text(words))
-    return told.replace(" <= ", r" \le ").replace("= start", r"= \text{start}")
+    text = re.sub(r"<(.*?), x>", r"\\langle \\text{\1}, x \\rangle", _latex_text(words))
+    return text.replace(" <= ", r" \le ").replace("= start", r"= \text{start}")
 
 
 def _aligned(lines: list[str]) -> str:
@@ -99,8 +99,8 @@ def _sides(program: LinearProgram) -> Iterator[tuple[str, float]]:
 
 def _sum_of(taken: FloatArray, columns: Sequence[str]) -> str:
     """A sum over columns, in LaTeX."""
-    told = ""
+    text = ""
     for k in np.flatnonzero(taken).tolist():
         sign, size = ("-" if taken[k] < 0.0 else "+"), abs(float(taken[k]))
-        told += f" {sign} " + ("" if size == 1.0 else rf"{size:.6g}\,") + columns[k]
-    return told.removeprefix(" + ").strip() or "0"
+        text += f" {sign} " + ("" if size == 1.0 else rf"{size:.6g}\,") + columns[k]
+    return text.removeprefix(" + ").strip() or "0"

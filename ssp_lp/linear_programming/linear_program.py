@@ -58,10 +58,10 @@ class MeasuredRow(NamedTuple):
 
     def __str__(self) -> str:
         """The row with its numbers for its words."""
-        told = "" if self.price is None else f"   price {self.price:.6g}"
+        worth = "" if self.price is None else f"   price {self.price:.6g}"
         if self.dual is not None and self.dual != self.price:
-            told += f" of the ratio: {self.dual:.6g} for another unit of the bound"
-        return f"{self.name}: {self.spent:.9g} {self.relation} {self.bound:g}{told}"
+            worth += f" of the ratio: {self.dual:.6g} for another unit of the bound"
+        return f"{self.name}: {self.spent:.9g} {self.relation} {self.bound:g}{worth}"
 
 
 def check_bounds(bounds: Mapping[str, object]) -> None:

@@ -143,10 +143,10 @@ class ConvexProgram:
         """
         began, as_stated = time.perf_counter(), self._is_as_stated
         opened = {"failure"} if self.program.at_least and as_stated else set[str]()
-        asked = {n: options.pop(n) for n in self.bounds.keys() | opened if n in options}
-        check_bounds(asked)
+        bounds = {n: options.pop(n) for n in self.bounds.keys() | opened if n in options}
+        check_bounds(bounds)
         start = self._begun if start is None else start
-        program = self.program.bounded_by(self._now | asked) if as_stated else self.program
+        program = self.program.bounded_by(self._now | bounds) if as_stated else self.program
         program = program if start is None else program.started(start)
         if program.process.transitions is not self.program.process.transitions:  # made anew
             if not as_stated:
@@ -157,7 +157,7 @@ class ConvexProgram:
         self.start.value = program.process.start
         if objective is not None:
             self.cost.value, self._constant.value = self.program.expression(objective)
-        for name, bound in asked.items():
+        for name, bound in bounds.items():
             self.bounds[name].value = bound
         for tight in (False, True):
             if not solve_stated(self.problem, solver, options, tight=tight):
@@ -166,13 +166,13 @@ class ConvexProgram:
             if max(broken.values(), default=0.0) <= _ACCEPTED:
                 return measure
         name = max(broken, key=lambda row: broken[row])
-        told = f"by {broken[name]:.1e}, relative to its bound"
+        excess = f"by {broken[name]:.1e}, relative to its bound"
         if name in solvers:
-            raise SolverError(f"cvxpy: the answer breaks {name!r} {told}; another solver, or its "
+            raise SolverError(f"cvxpy: the answer breaks {name!r} {excess}; another solver, or its "
                               "options, may keep it")  # fmt: skip
         kept = _OBJECTIVE if name == _OBJECTIVE else f"constraint {name!r}"
         raise SolverError(f"{kept} is kept only by visits that go round for ever and that no "
-                          f"policy comes to: those of the policy break it {told}")  # fmt: skip
+                          f"policy comes to: those of the policy break it {excess}")  # fmt: skip
 
     def _answer(self, began: float) -> tuple[OccupationMeasure, dict[str, float], set[str]]:
         """The variables' values as a policy's, by how much rows are broken, and which before.
@@ -183,8 +183,8 @@ class ConvexProgram:
         program, scale = given.program, self._scale
         solver, status = f"cvxpy, {problem.solver_stats.solver_name}", str(problem.status)
         prices = {row.name: self._price(row.name) for row in program.rows}
-        told = solver, status, time.perf_counter() - began
-        given = OccupationMeasure(program, given.visits, prices, None, *told)
+        origin = solver, status, time.perf_counter() - began
+        given = OccupationMeasure(program, given.visits, prices, None, *origin)
         as_stated = self._is_as_stated
         for noise in NOISES[: 1 if as_stated else None]:
             if as_stated:
@@ -201,8 +201,8 @@ class ConvexProgram:
                 break
         if not as_stated:
             added = tuple(measured_rows(self._added, self.x, self.scale, scale))
-            proved, known = self._least_proved(), None if self._minimises_cost else value
-            measure = replace(measure, own=added, minimised=known, optimal_value_from_dual=proved)
+            proved, minimum = self._least_proved(), None if self._minimises_cost else value
+            measure = replace(measure, own=added, minimised=minimum, optimal_value_from_dual=proved)
         by_solver = {"balance", *stated, *(name for name, off in solvers.items() if off > 0.0)}
         return measure, broken, by_solver
 

@@ -259,10 +259,10 @@ class OccupationMeasure:
             paid = sum(row.price * row.bound for row in self.rows if row.price is not None)
             made, optimum = f"({begun:.9g} - {paid:.9g})", f"{self.optimal_value_from_dual:.9g}"
             stated = self.program.aim[1].replace(f"<{self.program.objective}, x>", made)
-            told = f"c* {optimum} = {stated}"
+            sentence = f"c* {optimum} = {stated}"
             if self.program.ratio:
-                told = f"c* {optimum}, taken off for success, leaves {made} = 0"
-            lines.append(f"  {told}: v(start) less price x bound of each row")
+                sentence = f"c* {optimum}, taken off for success, leaves {made} = 0"
+            lines.append(f"  {sentence}: v(start) less price x bound of each row")
         lines += [f"  {row}" for row in self.rows[:_LISTED]]
         if len(self.rows) > _LISTED:
             lines.append(f"  and {len(self.rows) - _LISTED:,} rows more")
@@ -312,8 +312,8 @@ class StateValues:
         if len(rows) != 1:
             like = map(program.label, columns[:1])
             such = "".join(f", such as that of {label.state!r}{label.paid}" for label in like)
-            told = f"state {state!r} has {len(rows):,} rows of balance at this cost"
-            raise ModelError(f"{told}: one is asked for{such}")
+            complaint = f"state {state!r} has {len(rows):,} rows of balance at this cost"
+            raise ModelError(f"{complaint}: one is asked for{such}")
         return float(self.states[rows[0]])
 
     def advantage(self, state: Hashable, action: Hashable, cost: float | None = None) -> float:

@@ -75,14 +75,14 @@ class Reduction:
         """Visits of the pairs here, [pairs], of those that are stated, [stated pairs]."""
         return self._by_copy(visits, len(self.spread.place), self.spread.departures)
 
-    def lifted(self, stated: OccupationProgram, found: OccupationMeasure) -> OccupationMeasure:
+    def lifted(self, stated: OccupationProgram, measure: OccupationMeasure) -> OccupationMeasure:
         """A measure of the stated program, of one of this; moves within components included."""
         augmented = self.program.augmented
-        own = map(self.spread.visits, augmented.flows(found.visits))
-        beyond = found.visits[augmented.copies * len(augmented.quotient.pair_at) :]
+        own = map(self.spread.visits, augmented.flows(measure.visits))
+        beyond = measure.visits[augmented.copies * len(augmented.quotient.pair_at) :]
         visits = np.concatenate([*own, beyond])
-        values = None if found.values is None else self.values(stated, found.values)
-        return replace(found, program=stated, visits=visits, values=values, reduced=found)
+        values = None if measure.values is None else self.values(stated, measure.values)
+        return replace(measure, program=stated, visits=visits, values=values, reduced=measure)
 
     def values(self, stated: OccupationProgram, found: StateValues) -> StateValues:
         """Values of the states of the stated program, of those of this."""
@@ -134,13 +134,13 @@ class OccupationProgram:
         check_bounds(bounds)
         now = {row.name: row.bound for row in self.rows}
         make = self.remade if anew and (self.at_least or self.augmented.copies > 1) else None
-        opened = {"failure"} if self.at_least and make is not None else set[str]()
-        known = now | {n if n in opened else self.row(n).name: b for n, b in bounds.items()}
-        if known == now:
+        unstated = {"failure"} if self.at_least and make is not None else set[str]()
+        then = now | {n if n in unstated else self.row(n).name: b for n, b in bounds.items()}
+        if then == now:
             return self
         if make is not None:
-            return make(known)
-        return self.with_rows(lambda row: replace(row, bound=known[row.name]))
+            return make(then)
+        return self.with_rows(lambda row: replace(row, bound=then[row.name]))
 
     def with_rows(self, changed: Callable[[ProgramRow], ProgramRow | None]) -> OccupationProgram:
         """The program with each row changed, or without those of which nothing is made."""
@@ -249,9 +249,9 @@ class OccupationProgram:
         Raises:
             ModelError: unknown states, actions or ends, or costs of the wrong shape.
         """
-        found = objective_of(self.augmented.model, self.augmented.start, quantity, signed=True)
-        terms = (weight * self.augmented.counted(term) for weight, term in found.terms)
-        return sum(terms, np.zeros(self.process.n_pairs)), found.constant
+        objective = objective_of(self.augmented.model, self.augmented.start, quantity, signed=True)
+        terms = (weight * self.augmented.counted(term) for weight, term in objective.terms)
+        return sum(terms, np.zeros(self.process.n_pairs)), objective.constant
 
     def column(self, state: Hashable, action: Hashable, cost: float | None = None) -> int:
         """Index in x of an action in a state, in case S at an accumulated cost.
@@ -259,17 +259,17 @@ class OccupationProgram:
         Raises:
             ModelError: no such column, or several.
         """
-        found = self.columns(state, action)
+        columns = self.columns(state, action)
         if cost is not None:
-            found = tuple(k for k in found if self.label(k).cost == cost)
-        if len(found) == 1:
-            return found[0]
+            columns = tuple(k for k in columns if self.label(k).cost == cost)
+        if len(columns) == 1:
+            return columns[0]
         at = "" if cost is None else f" at cost {cost:g}"
-        if not found:
+        if not columns:
             raise ModelError(f"action {action!r} of state {state!r}{at} is no column: the program "
                              "needs no such visits")  # fmt: skip
         raise ModelError(
-            f"action {action!r} of state {state!r} has {len(found):,} columns, one for each "
+            f"action {action!r} of state {state!r} has {len(columns):,} columns, one for each "
             "accumulated cost: say cost=..., or take columns(...)"
         )
 
@@ -282,8 +282,8 @@ class OccupationProgram:
         for row in self.rows:
             if row.name == name:
                 return row
-        known = ", ".join(repr(row.name) for row in self.rows) or "none"
-        raise ModelError(f"no row is named {name!r}; there are {known}")
+        names = ", ".join(repr(row.name) for row in self.rows) or "none"
+        raise ModelError(f"no row is named {name!r}; there are {names}")
 
     @explained
     def solve(
@@ -308,12 +308,12 @@ class OccupationProgram:
         """
         if self.reduced is not None:
             inner = self.reduced.program
-            found = inner.solve(backend, time_limit=time_limit, warm_start=warm_start)
-            return self.reduced.lifted(self, found)
+            optimum = inner.solve(backend, time_limit=time_limit, warm_start=warm_start)
+            return self.reduced.lifted(self, optimum)
         tried, infeasible = list[str](), False
         basis = None if warm_start is None else warm_start.basis
         for answer in answers_in_turn(self.linear, backend, time_limit, basis):
-            told = f"{answer.backend}: {answer.status}"
+            report = f"{answer.backend}: {answer.status}"
             refused = "infeasible" in answer.status.lower()
             infeasible = infeasible or refused
             has_scale = not self.ratio or answer.x[-1] > 0.0  # to divide visits by
@@ -321,12 +321,12 @@ class OccupationProgram:
                 try:
                     measure = self._answered(answer)
                 except SolverError as error:
-                    told += f", {error}"
+                    report += f", {error}"
                 else:
                     if measure.gap <= _ACCEPTED and measure.residual <= _ACCEPTED:
                         return measure
-                    told += f", gap {measure.gap:.1e}, residual {measure.residual:.1e}"
-            tried.append(told)
+                    report += f", gap {measure.gap:.1e}, residual {measure.residual:.1e}"
+            tried.append(report)
         if infeasible:
             raise self.infeasible()
         raise SolverError(f"no backend's answer passes its check ({'; '.join(tried)})")
@@ -388,27 +388,27 @@ class OccupationProgram:
         prices = {row.name: max(-float(dual[program.rows[row.name]][0]), 0.0) for row in self.rows}
         ratio = float(dual[program.rows["normaliser"]][0]) if self.ratio else 0.0
         visits = answer.x[: self.process.n_pairs] / scale
-        told = answer.backend, answer.status, answer.seconds
-        found = OccupationMeasure(self, visits, prices, None, *told, basis=answer.basis)
-        return self.optimal(found, ratio)
+        origin = answer.backend, answer.status, answer.seconds
+        measure = OccupationMeasure(self, visits, prices, None, *origin, basis=answer.basis)
+        return self.optimal(measure, ratio)
 
-    def optimal(self, found: OccupationMeasure, ratio: float) -> OccupationMeasure:
+    def optimal(self, measure: OccupationMeasure, ratio: float) -> OccupationMeasure:
         """A solver's optimum of the program as it is stated, with what its duals prove.
 
         Args:
-            found: what the solver said, its visits not balanced yet.
+            measure: what the solver said, its visits not balanced yet.
             ratio: of case S: the normaliser's dual.
         """
         if self.reduced is not None:
-            departures, inner = self.reduced.departures(found.visits), self.reduced.program
-            reduced = inner.optimal(replace(found, program=inner, visits=departures), ratio)
+            departures, inner = self.reduced.departures(measure.visits), self.reduced.program
+            reduced = inner.optimal(replace(measure, program=inner, visits=departures), ratio)
             return self.reduced.lifted(self, reduced)
-        proved, value = self.proved(found.prices, ratio)
-        visits = proved.without_noise(found.visits)
+        proved, value = self.proved(measure.prices, ratio)
+        visits = proved.without_noise(measure.visits)
         gives_up = None if self.wants_ends else self.augmented.gives_up  # as it ends all the same
         visits = balanced_visits(self.process, visits, proved.choice, gives_up)
         values = StateValues(self, proved.values, proved.excess)
-        return replace(found, visits=visits, optimal_value_from_dual=value, values=values)
+        return replace(measure, visits=visits, optimal_value_from_dual=value, values=values)
 
     def values_at(self, prices: Mapping[str, float], ratio: float = 0.0) -> StateValues:
         """The least that can follow in each state, at any prices of the rows.
@@ -424,8 +424,8 @@ class OccupationProgram:
             if not (is_number(price) and np.isfinite(float(price))):
                 raise wrong_argument(name, "be a finite number", price)
         if self.reduced is not None:
-            found = self.reduced.program.values_at(prices, ratio)
-            return self.reduced.values(self, found)
+            inner = self.reduced.program.values_at(prices, ratio)
+            return self.reduced.values(self, inner)
         cost, _ = self._lagrangian(prices)
         priced = priced_minimum(self.process, cost - self.ratio * ratio * self.process.goal)
         return StateValues(self, priced.values, priced.excess)
@@ -446,8 +446,8 @@ class OccupationProgram:
         least_worth = _TRIFLE * float(np.abs(self.process.cost).max(initial=0.0))
         worth = {row.name: prices.get(row.name, 0.0) * row.scale for row in self.rows}
         counting = {name: prices[name] for name, each in worth.items() if each > least_worth}
-        found, value = self.least_of_visits(*self._lagrangian(counting), ratio)
-        return found, self.sense.worth(value)
+        minimum, value = self.least_of_visits(*self._lagrangian(counting), ratio)
+        return minimum, self.sense.worth(value)
 
     def least_of_visits(
         self, cost: FloatArray, constant: float, ratio: float = 0.0
@@ -466,11 +466,11 @@ class OccupationProgram:
         Returns:
             A policy that is best, and a proved bound of the least.
         """
-        found, value = priced_minimum(self.process, cost - ratio * self.process.goal), -np.inf
+        minimum, value = priced_minimum(self.process, cost - ratio * self.process.goal), -np.inf
         if not self.ratio:
-            return found, found.bound + constant
+            return minimum, minimum.bound + constant
         for _ in range(_RATIOS):
-            left = found.bound + constant
+            left = minimum.bound + constant
             least = 1.0 if left >= 0.0 else self._least_goal
             if least <= 0.0:  # then failing is free: strictly best where success earns less
                 ratio *= BELOW_RATIO
@@ -478,11 +478,11 @@ class OccupationProgram:
                 if ratio + left / least <= value:
                     break
                 value = ratio + left / least
-                if found.goal <= 0.0 or left == 0.0:
+                if minimum.goal <= 0.0 or left == 0.0:
                     break
-                ratio += left / found.goal
-            found = priced_minimum(self.process, cost - ratio * self.process.goal)
-        return found, value
+                ratio += left / minimum.goal
+            minimum = priced_minimum(self.process, cost - ratio * self.process.goal)
+        return minimum, value
 
     def _lagrangian(self, prices: Mapping[str, float]) -> tuple[FloatArray, float]:
         """The costs with what each row takes at its price, [pairs]; less price times bound."""
@@ -497,9 +497,9 @@ class OccupationProgram:
         """What every measure within the rows reaches the goal with at least."""
         budgets = [1.0 - row.bound for row in self.rows if row.name == "failure"]
         priced = self.process.goal
-        known = max([priced_minimum(self.process, priced).bound, *budgets])
-        if known > 0.0:
-            return known
+        least = max([priced_minimum(self.process, priced).bound, *budgets])
+        if least > 0.0:
+            return least
         limits = {row.name: (row.coefficients, row.bound) for row in self.rows}
         reach = rows_program(replace(self.process, cost=priced), limits, ratio=False)
         name = backends_for(reach, None)[0]
@@ -603,11 +603,11 @@ class OccupationProgram:
         """The program as the page of a paper would have it."""
         process, verb_and_aim = self.process, "    ".join(self.aim)
         width = max((len(row.name) for row in self.rows), default=0) + 1
-        told = [f"balance: outflow(x) - inflow(x) = start   ({process.n_states:,} rows)"]
+        page = [f"balance: outflow(x) - inflow(x) = start   ({process.n_states:,} rows)"]
         for row in self.rows:
-            told.append(f"{f'{row.name}:':<{width}} <{row.words}, x> <= {row.bound:g}")
-        told += [f"x >= 0   ({process.n_pairs:,} columns, {self.linear.matrix.nnz:,} entries)"]
+            page.append(f"{f'{row.name}:':<{width}} <{row.words}, x> <= {row.bound:g}")
+        page += [f"x >= 0   ({process.n_pairs:,} columns, {self.linear.matrix.nnz:,} entries)"]
         if self.ratio:
-            told.append("x, start and bounds times a scale t >= 0; normaliser: <goal, x> = 1")
-        rows = f"\n{'':14}".join(told)
+            page.append("x, start and bounds times a scale t >= 0; normaliser: <goal, x> = 1")
+        rows = f"\n{'':14}".join(page)
         return f"{self.title}\n  {verb_and_aim}\n  subject to  {rows}"
