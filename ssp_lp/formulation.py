@@ -66,6 +66,7 @@ from ssp_lp.processes.failure_semantics import (
     parse_give_up,
     start_distribution,
 )
+from ssp_lp.processes.past_failing import labelled_past_failing
 from ssp_lp.processes.quantities import (
     Constraint as Constraint,
     CostLimit as CostLimit,
@@ -203,18 +204,31 @@ class Formulation(_Inherited):
 
     @cached_property
     def unrolled(self) -> Self:
-        """The problem that is solved: itself, or with a horizon that on (state, steps taken).
+        """The problem that is solved: itself, or that on (state, steps taken), or with a label.
 
-        Its model is that of :func:`~ssp_lp.model.product.within_steps`, made when it is first
-        asked for; a goal that is too far away is out of reach in it.
+        With a horizon its model is that of :func:`~ssp_lp.model.product.within_steps`; a goal that
+        is too far away is out of reach in it. Where something counts that may come after failing,
+        it is that of ``label_failing``. Both are made when they are first asked for.
         """
-        if self.horizon is None:
+        if self.horizon is not None:
+            start, begin = self._begun, np.flatnonzero(self._begun)
+            model = unroll_steps(self.model, self.horizon, begin.tolist())
+            model = replace(model, is_hidden=True)
+            places = {model.states[k]: float(p) for k, p in enumerate(start[begin])}
+            return self._on(model, places).unrolled
+        if self.model.failure_label is not None:
             return self
-        start, begin = self._begun, np.flatnonzero(self._begun)
-        model = unroll_steps(self.model, self.horizon, begin.tolist())
-        model = replace(model, is_hidden=True)
-        places = {model.states[k]: float(p) for k, p in enumerate(start[begin])}
-        on_it: dict[str, Any] = {"model": model, "start": places, "horizon": None}
+        objective = self.objective_condition
+        asked = self.conditions + (() if objective is None else (objective,))
+        label = labelled_past_failing(self.model, asked, self.semantics, ratio=self.ratio)
+        if label is None:
+            return self
+        begin = np.flatnonzero(self._begun)
+        return self._on(label, {label.states[k]: float(self._begun[k]) for k in begin.tolist()})
+
+    def _on(self, model: SSP, start: Mapping[Hashable, float]) -> Self:
+        """The problem restated on another model, within no horizon."""
+        on_it: dict[str, Any] = {"model": model, "start": start, "horizon": None}
         return replace(self, **on_it, **as_stated(self))
 
     @property

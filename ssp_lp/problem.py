@@ -22,8 +22,8 @@ from ssp_lp.compiled.deadline import READING, is_within_call, limited
 from ssp_lp.errors import ModelError, in_short, is_number, wrong_argument
 from ssp_lp.model import SSP
 from ssp_lp.model.product import ProductSSP, check_product
-from ssp_lp.policies.policy import Branches, MixedPolicy, Policy, as_lottery
-from ssp_lp.policies.remembering import RememberingPolicy, on_original
+from ssp_lp.policies.policy import GIVE_UP_CODE, Branches, MixedPolicy, Policy, as_lottery
+from ssp_lp.policies.remembering import LabelledPolicy, RememberingPolicy, on_original
 from ssp_lp.processes.conditions import Condition
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, start_distribution
 from ssp_lp.processes.goal_reach import greatest_from
@@ -319,7 +319,9 @@ def on_one_model(
 
 def pulled_back(policy: MixedPolicy, problem: Problem) -> MixedPolicy:
     """A policy of the problem that is solved, acting on the states of the problem as stated."""
-    return policy if policy.model is problem.model else on_original(policy)
+    while policy.model is not problem.model:
+        policy = on_original(policy)
+    return policy
 
 
 def as_float(value: Any) -> Any:
@@ -354,8 +356,11 @@ class _InProduct(Policy):
         """The inner policy's decisions, as pairs of the product."""
         product, here = self.model, self.model.original_state[states]
         found = self.inner.branches(here, memory)
-        shift = product.pair_offsets[states] - product.original.pair_offsets[here]
-        pair = np.where(found.pair >= 0, found.pair + shift[found.situation], found.pair)
+        pair, there = found.pair, states[found.situation]
+        pair = np.where(pair >= 0, product.placed(there, np.maximum(pair, 0)), pair)
+        if (label := product.failure_label) is not None:  # it may have nothing to say there
+            beyond = label.is_open[label.original_state] & (label.after | label.lost)
+            pair = np.where(beyond[there] & (pair < 0), GIVE_UP_CODE, pair)
         return Branches(found.situation, pair, found.probability)
 
     def remember(
@@ -375,9 +380,11 @@ def on_product(policy: Policy | MixedPolicy, product: ProductSSP) -> MixedPolicy
         product: of the model that the policy acts on.
     """
     lottery = as_lottery(policy)
+    if product.original is not lottery.model and isinstance(product.original, ProductSSP):
+        lottery = on_product(lottery, product.original)
     members = tuple(
         member.inner
-        if isinstance(member, RememberingPolicy) and member.product is product
+        if isinstance(member, RememberingPolicy | LabelledPolicy) and member.product is product
         else _InProduct(member, product)
         for member in lottery.policies
     )

@@ -29,10 +29,15 @@ from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray, csr_
 from ssp_lp.dynamic_programming.bellman import PairCost, SparseRows, written_out
 from ssp_lp.dynamic_programming.dynamics import Dynamics, without_self_loops
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import attention_states
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.processes.conditions import UpperRow
-from ssp_lp.processes.failure_semantics import Aim, free_pairs, survival_of
+from ssp_lp.processes.failure_semantics import (
+    Aim,
+    GiveUp,
+    free_pairs,
+    giving_up_states,
+    survival_of,
+)
 from ssp_lp.processes.quotient import Quotient, Spread, build_quotient
 from ssp_lp.processes.rows import (
     RowChoice,
@@ -198,7 +203,7 @@ def accumulate_cost(
     """
     survival = survival_of(discount)
     free = free_pairs(model, Aim.LEAST_COST, side) if discount is None else None
-    exits = attention_states(model) if usable is None else None
+    exits = giving_up_states(model, GiveUp.ATTENTION) if usable is None else None
     quotient = build_quotient(model, usable=usable, free=free, exits=exits)
     going_on = quotient.node_of >= 0
     counted = going_on | model.goal_mask if arrivals else going_on

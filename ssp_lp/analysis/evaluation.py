@@ -30,7 +30,7 @@ from ssp_lp.analysis.quantity_values import (
 from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray
 from ssp_lp.compiled.deadline import limited
 from ssp_lp.errors import ModelError
-from ssp_lp.model.graph import dead_ends, end_marks
+from ssp_lp.model.graph import dead_ends, end_marks, stop_marks
 from ssp_lp.model.naming import ByName
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.policies import StochasticPolicy
@@ -254,7 +254,7 @@ def _evaluated_ends(chain: Chain) -> dict[str, float]:
     marks = end_marks(chain.model)
     at_end = np.stack([final & (marks[chain.state] == i) for i in range(len(names))], axis=1)
     hits = chain.matrix @ at_end.astype(np.float64)
-    hits[:, -1] += chain.give_up
+    hits[np.arange(chain.n_nodes), stop_marks(chain.model)[chain.state]] += chain.give_up
     totals = chain.accumulate(np.where(settling[:, None], hits, 0.0), settling)
     shares = chain.start @ (totals + at_end)
     ends = {name: float(share) for name, share in zip(names, shares, strict=True)}
@@ -338,12 +338,12 @@ def pair_visits(policy: Policy | MixedPolicy, problem: Problem) -> tuple[FloatAr
         flow, acts = visits[chain.branch_node] * chain.branch_probability, chain.branch_pair >= 0
         np.add.at(pairs, chain.branch_pair[acts], flow[acts])
         np.add.at(gave_up, chain.state, visits * chain.give_up)
-    if asked is problem or not isinstance(model, ProductSSP):
-        return pairs, gave_up
-    there = np.zeros(problem.model.n_pairs), np.zeros(problem.model.n_states)
-    np.add.at(there[0], model.original_pair, pairs)
-    np.add.at(there[1], model.original_state, gave_up)
-    return there
+    while model is not problem.model and isinstance(model, ProductSSP):
+        there = np.zeros(model.original.n_pairs), np.zeros(model.original.n_states)
+        np.add.at(there[0], model.original_pair, pairs)
+        np.add.at(there[1], model.original_state, gave_up)
+        model, (pairs, gave_up) = model.original, there
+    return pairs, gave_up
 
 
 def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> StochasticPolicy:

@@ -138,14 +138,18 @@ def quantity_values(chain: Chain, counted: BoolArray, problem: Problem) -> dict[
 
 def _quantity_value(chain: Chain, counted: BoolArray, problem: Problem, term: Term) -> float:
     """One term of a quantity: a cost on the same chain, visits as a cost, or a way to end."""
-    survival = survival_of(problem.discount)
+    survival, semantics = survival_of(problem.discount), problem.semantics
+    if term.through and chain.model.failure_label is not None:  # to the true end of the run
+        semantics = replace(semantics, give_up=GiveUp.DEAD_ENDS)
+        over = (chain.goal > 0) | (chain.dead > 0) | (chain.give_up > 0)
+        counted = reaching_in_chain(chain, over)
     if isinstance(term, StepTerm):
         other = replace(chain, model=term.model, cost=term.model.costs[chain.outcome])
-        return value_until_failure(other, counted, problem.semantics, survival)
+        return value_until_failure(other, counted, semantics, survival)
     there = term.states[chain.state].astype(np.float64)
     if not term.final:
         entering = replace(chain, cost=survival * there[chain.target])
-        plain = FailureSemantics(problem.semantics.give_up)
+        plain = FailureSemantics(semantics.give_up)
         at_once = chain.start @ (there * ((chain.goal > 0) | (chain.dead > 0)))
         free = term.free
         return value_until_failure(entering, counted, plain, survival, free) + float(at_once)

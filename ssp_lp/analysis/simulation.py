@@ -30,9 +30,10 @@ from ssp_lp.errors import ModelError, check_between_0_and_1, check_whole
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.continuous_model import WorldSimulator
-from ssp_lp.model.graph import dead_ends, end_marks
+from ssp_lp.model.failure_product import FailureSSP
+from ssp_lp.model.graph import dead_ends, end_marks, stop_marks
 from ssp_lp.model.naming import ByName
-from ssp_lp.model.product import HorizonSSP
+from ssp_lp.model.product import HorizonSSP, ProductSSP
 from ssp_lp.options import progress_shown
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import GIVE_UP_CODE, MOST_EPISODES, Randomness, as_lottery, generator_of
@@ -208,6 +209,42 @@ class _CountingSimulator:
         return moved, horizon.stepped(horizon.pair_state[pair], state), cost
 
 
+@dataclass(frozen=True, eq=False)
+class _LabellingSimulator:
+    """A world of the original's states as one of (state, label of failing).
+
+    After failing nothing is paid; the step that fails costs what failing does.
+    """
+
+    inner: Simulator
+    product: FailureSSP
+
+    def reset(self, episodes: int, rng: np.random.Generator) -> tuple[World, IntArray]:
+        """Begin episodes, none of which has failed."""
+        return self.inner.reset(episodes, rng)
+
+    def step(
+        self, world: World, pair: IntArray, rng: np.random.Generator
+    ) -> tuple[World, IntArray, FloatArray]:
+        """Take one step in the world, and move the label."""
+        product = self.product
+        moved, state, cost = self.inner.step(world, product.original_pair[pair], rng)
+        _check_simulated_states(product.original, state)
+        there = product.moved(pair, state)
+        charge = product.costs[product.outcome_offsets[pair]]
+        return moved, there, np.where(product.after[there], charge, cost)
+
+
+def _on_products(simulator: Simulator, model: SSP, stated: SSP) -> Simulator:
+    """A world of the stated model's states as one of the model that is solved on."""
+    if model is stated or not isinstance(model, ProductSSP):
+        return simulator
+    inner = _on_products(simulator, model.original, stated)
+    if (label := model.failure_label) is not None:
+        return _LabellingSimulator(inner, label)
+    return _CountingSimulator(inner, model) if isinstance(model, HorizonSSP) else inner
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class SimulationReport(ReadOnlyCopies):
     """What happened in the episodes."""
@@ -291,8 +328,7 @@ def simulate(
     elif simulator is None:
         start = start_distribution(problem.model, problem.start)
         simulator = ModelSimulator(problem.model, start)
-    if isinstance(asked.model, HorizonSSP) and asked is not problem:
-        simulator = _CountingSimulator(simulator, asked.model)
+    simulator = _on_products(simulator, asked.model, problem.model)
     source, limits = generator_of(rng), (max_steps, record)
     with progress_shown(verbose):
         played = _simulate_episodes(played_by, asked, simulator, episodes, source, *limits)
@@ -311,14 +347,11 @@ def _check_simulation(episodes: int, max_steps: int, record: int, confidence: fl
 
 @dataclass(frozen=True, eq=False)
 class _Played:
-    mark: IntArray  # [episodes] end mark of ends.end_marks, or GAVE_UP, UNFINISHED
+    mark: IntArray  # [episodes] as of graph.end_marks, -1 for unfinished
     cost: FloatArray  # [episodes] total of stage costs
     charge: FloatArray  # [episodes] what failing cost in the end
     steps: IntArray  # [episodes]
     paths: tuple[World, ...]
-
-
-_GAVE_UP, _UNFINISHED = -2, -1
 
 
 def _simulate_episodes(
@@ -357,7 +390,7 @@ def _simulate_episodes(
         players.remember(alive[going], pair[going], successor[going], paid[going])
         if record:
             trace.append(world[:record].copy())
-    mark = np.where(gave_up, _GAVE_UP, np.where(marks[state] < 0, _UNFINISHED, marks[state]))
+    mark = np.where(gave_up, stop_marks(model)[state], marks[state])  # < 0: unfinished
     history = np.stack(trace)
     paths = tuple(history[: int(steps[i]) + 1, i] for i in range(min(record, episodes)))
     return _Played(mark, cost, _simulated_charges(problem, state, gave_up), steps, paths)
@@ -394,10 +427,9 @@ def _simulation_report(
     problem: Problem, played: _Played, confidence: float, max_steps: int
 ) -> SimulationReport:
     """The report of the episodes that a simulation played."""
-    names = ["goal", *problem.model.state_labels, "dead_end"]
+    names = ["goal", *problem.model.state_labels, "dead_end", "gave_up"]
     ends = {name: int((played.mark == i).sum()) for i, name in enumerate(names)}
-    ends["gave_up"] = int((played.mark == _GAVE_UP).sum())
-    ends["unfinished"] = int((played.mark == _UNFINISHED).sum())
+    ends["unfinished"] = int((played.mark < 0).sum())
     reached, most = played.mark == 0, greatest_total(problem.model, max_steps)
     charged = most + float(problem.model.costs.max(initial=0.0))  # failing costs a step at most
     return SimulationReport(

@@ -147,9 +147,18 @@ def kept(find: Callable[[SSP], Fact]) -> Callable[[SSP], Fact]:
 
 
 @kept
-def dead_ends(model: SSP) -> BoolArray:
+def hopeless_states(model: SSP) -> BoolArray:
     """States from which no policy reaches the goal, X_{d,all} of section 2.3, [states]."""
     return ~reaching_states(model, model.goal_mask)
+
+
+def dead_ends(model: SSP) -> BoolArray:
+    """States in which a run is over without the goal: the hopeless ones, [states].
+
+    Where what comes after failing counts, these are only the ones in which it ends.
+    """
+    label = model.failure_label
+    return hopeless_states(model) if label is None else label.ended
 
 
 def reaching_states(model: SSP, ends: BoolArray) -> BoolArray:
@@ -377,14 +386,26 @@ def end_marks(model: SSP) -> IntArray:
     """Number of the way in which an episode ends in each state, -1 where it goes on, [states].
 
     0 is the goal, 1 .. k the model's labels in their order (at dead-ends that bear them; the
-    first label counts), k + 1 a dead-end without a label.
+    first label counts), k + 1 a dead-end without a label; k + 2 having given up before.
     """
+    if model.failure_label is not None:
+        return model.failure_label.end_marks
     dead = dead_ends(model)
     mark = np.where(dead, len(model.state_labels) + 1, -1)
     for number, members in reversed(list(enumerate(model.state_labels.values(), start=1))):
         mark[members[dead[members]]] = number
     mark[model.goal_mask] = 0
     return mark
+
+
+def stop_marks(model: SSP) -> IntArray:
+    """Number of the way in which a run ends that goes no further in each state, [states].
+
+    As of :func:`end_marks`; k + 2 is having given up.
+    """
+    if model.failure_label is not None:
+        return model.failure_label.stop_marks
+    return np.full(model.n_states, len(model.state_labels) + 2)
 
 
 def dead_end_labels(model: SSP) -> frozenset[Hashable]:

@@ -134,6 +134,16 @@ class ProductSSP(SSP):
         offsets = np.searchsorted(possible, self.original.outcome_offsets)
         return np.asarray(possible[entries_of(offsets, self.original_pair)[0]])
 
+    def placed(self, states: IntArray, pairs: IntArray) -> IntArray:
+        """The pairs of some states that are pairs of the original, [entries].
+
+        Args:
+            states: of the product, [entries].
+            pairs: of the original, in the original's state of each, [entries].
+        """
+        shift = self.pair_offsets[states] - self.original.pair_offsets[self.original_state[states]]
+        return np.asarray(pairs + shift)
+
     def places_of(self, state: Hashable) -> IntArray:
         """The state with this label, or all states of the product for a state of the original.
 

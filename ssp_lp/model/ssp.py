@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +32,9 @@ from ssp_lp.errors import ModelError, check_whole, did_you_mean, in_short
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import Graph
 from ssp_lp.model.naming import html_table
+
+if TYPE_CHECKING:
+    from ssp_lp.model.failure_product import FailureSSP
 
 Outcomes = Iterable[tuple[float, Hashable, float]]
 
@@ -315,6 +318,11 @@ class SSP(Graph, ReadOnlyCopies):
         """Name an outcome for a person, by its pair."""
         pair = int(np.searchsorted(self.outcome_offsets, outcome, side="right")) - 1
         return self.describe_pair(pair)
+
+    @property
+    def failure_label(self) -> FailureSSP | None:
+        """The model itself, where its states bear the label of failing; else None."""
+        return None
 
     @property
     def _sizes(self) -> dict[str, int]:

@@ -192,6 +192,15 @@ class Policy(Playable):
         """Memory after taking these pairs to these successors at these costs, [episodes]."""
         return memory
 
+    @property
+    def ended(self) -> BoolArray:
+        """States in which an episode is over whatever came before: goals, dead-ends, [states]."""
+        return np.asarray(self.model.goal_mask | dead_ends(self.model))
+
+    def after_giving_up(self, states: IntArray, memory: IntArray) -> IntArray:
+        """Memory with which episodes that give up go on in these states, -1: over, [episodes]."""
+        return np.full(len(states), -1)
+
     def sample(
         self, states: IntArray, memory: IntArray, rng: np.random.Generator | None
     ) -> IntArray:
@@ -243,7 +252,8 @@ class EpisodeBatch:
 
     A person's own loop calls ``actions`` and ``observe`` with the states of all episodes;
     ``begin``, ``decide`` and ``remember`` take indices of episodes, states and pairs. An episode
-    is over from a goal, a dead-end or giving up on, whatever is said of it afterwards.
+    is over from a goal, a dead-end or giving up on, whatever is said of it afterwards; but where
+    the policy knows what to do after failing, it goes on with that, and ``failed`` says so.
     """
 
     def __init__(
@@ -271,12 +281,14 @@ class EpisodeBatch:
         self._state: IntArray | None = None  # [episodes] where they stand, once begun
         self._is_observed = True  # what the last actions led to
         self.over = np.zeros(len(drawn), dtype=np.bool_)  # [episodes]
+        self.failed = np.zeros(len(drawn), dtype=np.bool_)  # [episodes] the goal is given up, lost
 
     def actions(self, states: Sequence[Hashable]) -> list[Hashable]:
         """The action of each episode in its state, [episodes].
 
         It is :data:`GIVE_UP` from where an episode gives up, and None where one is over, in a goal
-        or in a dead-end; what state is said of it then does not matter.
+        or in a dead-end; what state is said of it then does not matter. One that gives up and goes
+        on has an action, and ``failed`` from then on.
 
         Args:
             states: [episodes].
@@ -295,9 +307,11 @@ class EpisodeBatch:
                 f"observed, not in {states[k]!r}; {_OTHER_WORLD}"
             )
         self.over |= self._ends[here]
+        self.failed |= ~self.over & dead_ends(self.model)[here]
         playing = np.flatnonzero(~self.over)
         self._pairs[playing] = self.decide(playing, here[playing])
         self.over |= self._pairs == GIVE_UP_CODE
+        self.failed |= self.over & ~self.model.goal_mask[here]
         self._state, self._is_observed = here, False
         told = {GIVE_UP_CODE: GIVE_UP, UNDECIDED: None}
         shown = np.where(self.over & (self._pairs >= 0), UNDECIDED, self._pairs)
@@ -347,10 +361,19 @@ class EpisodeBatch:
             self._memory[begun[mine]] = member.start_memory(states[begun[mine]])
 
     def decide(self, episodes: IntArray, states: IntArray) -> IntArray:
-        """A pair or GIVE_UP_CODE for each of the given episodes, in these states."""
+        """A pair or GIVE_UP_CODE for each of the given episodes, in these states.
+
+        Those that give up where the policy knows what to do afterwards begin with that.
+        """
         pairs = np.empty(len(episodes), dtype=np.int64)
         for member, mine in self._shares(episodes):
             pairs[mine] = member.sample(states[mine], self._memory[episodes[mine]], self._rng)
+            quits = mine[pairs[mine] == GIVE_UP_CODE]
+            memory = member.after_giving_up(states[quits], self._memory[episodes[quits]])
+            going, memory = quits[memory >= 0], memory[memory >= 0]
+            if going.size:
+                self._memory[episodes[going]], self.failed[episodes[going]] = memory, True
+                pairs[going] = member.sample(states[going], memory, self._rng)
         return pairs
 
     def remember(
@@ -371,7 +394,7 @@ class EpisodeBatch:
     @cached_property
     def _ends(self) -> BoolArray:
         """The states in which episodes are over, [states]."""
-        return np.asarray(self.model.goal_mask | dead_ends(self.model))
+        return np.all([member.ended for member in self._members], axis=0)
 
     def _indices(self, states: Sequence[Hashable]) -> IntArray:
         """The positions of the episodes' states."""
@@ -394,7 +417,9 @@ class Episode:
     def action(self, state: Hashable) -> Hashable:
         """The action in this state; :data:`GIVE_UP` or None from where the episode is over.
 
-        It is over from giving up on, or from a goal or a dead-end.
+        It is over from giving up on, or from a goal or a dead-end, unless the policy knows what to
+        do then: it does where its problem counts what happens after failing. ``failed`` says from
+        when on the goal is given up.
 
         Raises:
             ModelError: unknown state or another than the one observed, or one in which the policy
@@ -426,6 +451,11 @@ class Episode:
         if self._alone.over.any():
             raise ModelError("the episode is over: there is no step to observe")
         self._alone.observe([successor], [cost])
+
+    @property
+    def failed(self) -> bool:
+        """Whether the goal has been lost or given up, as far as the last action tells."""
+        return bool(self._alone.failed[0])
 
     def continue_after_give_up(self) -> None:
         """From now on play the policy that stays in the attention states (it avoids the goal)."""

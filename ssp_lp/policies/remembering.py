@@ -5,15 +5,17 @@ Such a policy acts on a product of model and memory, and is carried back to the 
 
 from __future__ import annotations
 
+import enum
 from dataclasses import dataclass
 from math import prod
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained_class
+from ssp_lp.model.failure_product import FailureSSP, check_label
 from ssp_lp.model.graph import dead_ends
 from ssp_lp.model.product import HorizonSSP, ProductSSP, check_product
 from ssp_lp.policies.cost_aware import CostAwarePolicy
@@ -226,6 +228,19 @@ class RememberingPolicy(Policy):
         inner = self.inner.start_memory(self._at(states, np.full(len(states), first)))
         return np.asarray(inner * len(product.memories) + first)
 
+    @property
+    def ended(self) -> BoolArray:
+        """Goals, and dead-ends in which the inner policy acts with no memory, [states]."""
+        over = super().ended.copy()
+        over[self.product.original_state[~self.inner.ended]] = False
+        return over
+
+    def after_giving_up(self, states: IntArray, memory: IntArray) -> IntArray:
+        """As the inner policy goes on, [episodes]."""
+        inner, number = np.divmod(memory, len(self.product.memories))
+        moved = self.inner.after_giving_up(self._at(states, number), inner)
+        return np.where(moved < 0, -1, moved * len(self.product.memories) + number)
+
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """The inner policy's decisions, as pairs of the original; giving up where all is lost."""
         product = self.product
@@ -290,6 +305,100 @@ class RememberingPolicy(Policy):
         return f"RememberingPolicy({len(self.product.memories):,} memories, {self.inner!r})"
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class LabelledPolicy(Policy):
+    """A policy of (state, label of failing) that acts on states, also after failing.
+
+    It gives up as others do, and goes on with :meth:`after_giving_up`; in a dead-end from which its
+    problem counts what happens it acts on. Its memory is ``inner * 3 + label``.
+    """
+
+    inner: Policy  # on the product with the label
+
+    @property
+    def product(self) -> FailureSSP:
+        """The product with the label that the inner policy lives on."""
+        return check_label(self.inner.model)
+
+    @property
+    def model(self) -> SSP:  # type: ignore[override]
+        """The original model."""
+        return self.product.original
+
+    @property
+    def step_limit(self) -> int | None:
+        """The inner policy's."""
+        return self.inner.step_limit
+
+    @property
+    def ended(self) -> BoolArray:
+        """Goals, and dead-ends from which nothing counts, [states]."""
+        return super().ended & ~self.product.is_open
+
+    def start_memory(self, states: IntArray) -> IntArray:
+        """The inner policy's, before failing, [episodes]."""
+        return np.asarray(self.inner.start_memory(states) * len(_Label) + _Label.BEFORE)
+
+    def after_giving_up(self, states: IntArray, memory: IntArray) -> IntArray:
+        """Memory of giving up now, -1 where nothing counts from there on, [episodes]."""
+        inner, label = np.divmod(memory, len(_Label))
+        goes_on = (label == _Label.BEFORE) & self.product.is_open[states] & ~super().ended[states]
+        quits = np.zeros(len(states), dtype=np.bool_)
+        found = self.inner.branches(states[goes_on], inner[goes_on])
+        taking = (found.pair >= 0) & self.product.fails[found.pair]
+        quits[np.flatnonzero(goes_on)[found.situation[taking]]] = True
+        return np.where(quits, inner * len(_Label) + _Label.GIVING_UP, -1)
+
+    def branches(self, states: IntArray, memory: IntArray) -> Branches:
+        """The inner policy's decisions as pairs of the original, those with giving up as such."""
+        product, (inner, label) = self.product, np.divmod(memory, len(_Label))
+        here = states + product.n_original * (label == _Label.AFTER)
+        situation, pair, chance = self.inner.branches(here, inner)
+        over = super().ended[states][situation] | (label[situation] == _Label.AFTER)
+        pair = np.where(over & (pair == UNDECIDED), GIVE_UP_CODE, pair)
+        taking = (pair >= 0) & product.fails[pair] & ~over
+        kept = taking | (label[situation] != _Label.GIVING_UP)
+        situation, pair, chance, taking = (each[kept] for each in (situation, pair, chance, taking))
+        total = np.bincount(situation, weights=chance, minlength=len(states))
+        acting = np.where(pair >= 0, product.original_pair[pair], pair)
+        quits = taking & (label[situation] == _Label.BEFORE)
+        return Branches(situation, np.where(quits, GIVE_UP_CODE, acting), chance / total[situation])
+
+    def remember(
+        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
+    ) -> IntArray:
+        """Move the inner policy's memory, and the label, [episodes].
+
+        What is paid after failing is none of the inner policy's costs.
+        """
+        product, (inner, label) = self.product, np.divmod(memory, len(_Label))
+        here = self.model.pair_state[pairs] + product.n_original * (label == _Label.AFTER)
+        taking = label == _Label.GIVING_UP
+        taken = np.where(taking, product.giving_up_by(pairs), product.placed(here, pairs))
+        if (taken < 0).any():
+            told = self.model.describe_pair(int(pairs[int(np.argmax(taken < 0))]))
+            raise ModelError(f"{told} may lead to the goal: it is not taken after failing")
+        moved = product.moved(taken, successors)
+        failed = product.after[moved]
+        charge = product.costs[product.outcome_offsets[taken]]
+        paid = np.where(failed, charge, costs)
+        inner = self.inner.remember(inner, taken, moved, paid)
+        return np.asarray(inner * len(_Label) + np.where(failed, _Label.AFTER, _Label.BEFORE))
+
+    def __repr__(self) -> str:
+        """One line: where it acts after failing, and the inner policy."""
+        count = int(self.product.is_open.sum())
+        return f"LabelledPolicy(goes on after failing in {count:,} states, {self.inner!r})"
+
+
+class _Label(enum.IntEnum):
+    """What a policy remembers of failing."""
+
+    BEFORE = 0
+    GIVING_UP = 1  # with the action that comes next
+    AFTER = 2
+
+
 def on_original(policy: Policy | MixedPolicy) -> MixedPolicy:
     """A policy of a product as one remembering its memory on the original model.
 
@@ -300,5 +409,6 @@ def on_original(policy: Policy | MixedPolicy) -> MixedPolicy:
         ModelError: it lives on no product.
     """
     lottery = as_lottery(policy)
-    members = tuple(RememberingPolicy(member) for member in lottery.policies)
+    kind = RememberingPolicy if lottery.model.failure_label is None else LabelledPolicy
+    members = tuple(kind(member) for member in lottery.policies)
     return MixedPolicy(members, lottery.weights)

@@ -42,6 +42,7 @@ class StepTerm:
     """A cost of steps, as the own cost of a copy of the model."""
 
     model: SSP
+    through: bool = False  # also what is paid after failing
 
     @property
     def free(self) -> BoolArray:
@@ -61,6 +62,7 @@ class ArrivalTerm:
     states: BoolArray  # [states]
     final: bool = False  # episodes end in all of them
     others: bool = False
+    through: bool = False  # also arrivals after failing; ends always are the true ones
 
     @property
     def free(self) -> BoolArray:

@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import attention_states, goal_pairs, pairs_into, surely_reaching
+from ssp_lp.model.graph import goal_pairs, pairs_into, surely_reaching
 from ssp_lp.policies.policy import DeterministicPolicy
 from ssp_lp.processes.conditions import UpperRow
 from ssp_lp.processes.explicit import ExplicitProcess
@@ -23,8 +23,8 @@ from ssp_lp.processes.failure_semantics import (
     Aim,
     Counting,
     FailureSemantics,
-    GiveUp,
     free_pairs,
+    giving_up_states,
     stage_costs,
     survival_of,
 )
@@ -112,12 +112,11 @@ def label_failure(
         objective: what is minimised in place of what the aim counts.
     """
     free = None if discount is not None else free_pairs(model, semantics.aim, side, objective)
-    attention, unsure = attention_states(model), None
+    exits, unsure = giving_up_states(model, semantics.give_up), None
     if semantics.forbids_failing:
         sure, keeping, _ = surely_reaching(model)
         usable, unsure = keeping if usable is None else usable & keeping, ~sure
-    exits = ~model.goal_mask & (attention | (semantics.give_up is GiveUp.ANYWHERE))
-    if semantics.give_up is GiveUp.DEAD_ENDS or usable is not None:
+    if usable is not None:
         exits = np.zeros(model.n_states, dtype=np.bool_)
     quotient = build_quotient(
         model, usable=usable, free=free, exits=exits, free_exits=usable is None, ended=unsure

@@ -185,7 +185,14 @@ def give_up_charges(
         costs: expected stage costs, [pairs]; None: worked out here.
     """
     charge = np.full(model.n_states, np.inf)
-    if semantics.give_up is not GiveUp.DEAD_ENDS:
+    if (label := model.failure_label) is not None:  # who may give up is declared
+        allowed = label.stops | label.after | np.append(label.is_open, label.is_open)
+        charge[allowed] = 0.0
+        if semantics.charge_failing_step:
+            costs = cost_means(model) if costs is None else costs
+            least = segment_minima(np.where(label.priced, costs, np.inf), model.pair_offsets)
+            charge = np.where(allowed & np.isfinite(least), least, charge)
+    elif semantics.give_up is not GiveUp.DEAD_ENDS:
         anywhere = semantics.give_up is GiveUp.ANYWHERE
         allowed = ~model.goal_mask & (anywhere | attention)
         charge[allowed] = 0.0
@@ -196,6 +203,15 @@ def give_up_charges(
             charge[allowed] = segment_minima(costs, model.pair_offsets)[allowed]
     charge[wandering] = 0.0
     return charge
+
+
+def giving_up_states(model: SSP, give_up: GiveUp) -> BoolArray:
+    """States in which a policy may give up, dead-ends included where it may at all, [states]."""
+    if model.failure_label is not None:
+        return model.failure_label.stops
+    if give_up is GiveUp.DEAD_ENDS:
+        return np.zeros(model.n_states, dtype=np.bool_)
+    return ~model.goal_mask if give_up is GiveUp.ANYWHERE else attention_states(model)
 
 
 def start_distribution(model: SSP, start: Hashable | Mapping[Hashable, float]) -> FloatArray:

@@ -24,6 +24,7 @@ from ssp_lp.model.graph import (
     attention_states,
     dead_ends,
     goal_approach,
+    hopeless_states,
     reaching_states,
     surely_reaching,
 )
@@ -89,23 +90,23 @@ def greatest_goal_reach(
         start: where it is asked for, positive there, [states]; None: in every state.
         last_digits: whether all that attains it is asked for; else one policy and a bound.
     """
-    exact = survival == 1.0
+    exact, hopeless = survival == 1.0, hopeless_states(model)
+    lost = (hopeless & ~dead_ends(model))[model.pair_state]  # after failing all pairs are as good
     if not exact:
-        quotient = build_quotient(model, ended=model.goal_mask)
-        inside = np.zeros(model.n_pairs, dtype=np.bool_)
+        quotient = build_quotient(model, ended=model.goal_mask | hopeless)
         setting = survival, start, last_digits
-        return _extreme_reach(quotient, model.goal_mask, inside, *setting, greatest=True)
+        return _extreme_reach(quotient, model.goal_mask, lost, *setting, greatest=True)
     sure, keeping, nearer = surely_reaching(model)
     inside = sure & ~model.goal_mask
-    surely, asked = keeping & inside[model.pair_state], ~dead_ends(model)
+    surely, asked = lost | (keeping & inside[model.pair_state]), ~hopeless
     if start is not None:
         asked &= start > 0.0
     if not (asked & ~sure).any():  # the graph decides it all
-        reached, bound = sure.astype(np.float64), (~dead_ends(model)).astype(np.float64)
+        reached, bound = sure.astype(np.float64), (~hopeless).astype(np.float64)
         return GoalReach(reached, bound, np.where(nearer < 0, UNDECIDED, nearer), surely)
     everything = np.ones(model.n_pairs, dtype=np.bool_)
     # moving about in a component risks nothing
-    quotient = build_quotient(model, free=everything, ended=sure)
+    quotient = build_quotient(model, free=everything, ended=sure | hopeless)
     setting = survival, start, last_digits
     found = _extreme_reach(quotient, sure, surely, *setting, greatest=True)
     return replace(found, decision=np.where(inside, nearer, found.decision))
@@ -208,7 +209,8 @@ def cheapest_reach(model: SSP, reach: GoalReach, survival: float = 1.0) -> Reach
     exits = reach.decision == GIVE_UP_CODE
     free = costless_pairs(model, weight) & ~exits[model.pair_state] if survival == 1.0 else None
     usable = reach.usable & ~exits[model.pair_state]
-    quotient = build_quotient(model, usable=usable, free=free, exits=exits)
+    hopeless = hopeless_states(model)
+    quotient = build_quotient(model, usable=usable, free=free, exits=exits, ended=hopeless)
     dynamics, departs = quotient.dynamics(survival, departing=survival == 1.0)
     gain = quotient.at_pairs(successor_means(model, model.goal_mask)) / departs
     pair_cost = quotient.at_pairs(cost_means(model, weight)) / departs

@@ -21,11 +21,12 @@ import numpy.typing as npt
 
 from ssp_lp.accumulated_cost.charges import ExpectedArrivalCost
 from ssp_lp.arrays import BoolArray, FloatArray, read_only
-from ssp_lp.errors import ModelError, did_you_mean, in_short, is_number
+from ssp_lp.errors import ModelError, check_flag, did_you_mean, in_short, is_number
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import end_marks
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.processes.conditions import OBJECTIVE, RESERVED, ArrivalTerm, Condition, StepTerm, Term
+from ssp_lp.processes.past_failing import past_failing_term
 
 NestedCosts = Mapping[Hashable, Mapping[Hashable, float]]
 
@@ -35,6 +36,7 @@ class StageCosts:
     """A cost of steps: None: the model's own; else by pair, by outcome, or nested dicts."""
 
     cost: NestedCosts | npt.ArrayLike | None = None
+    through_failure: bool = False
 
     def __repr__(self) -> str:
         """What was called, without the costs."""
@@ -46,6 +48,7 @@ class Visits:
     """How often some states are entered or started in; names are states or labels of states."""
 
     of: tuple[Hashable, ...]
+    through_failure: bool = False
 
     def __repr__(self) -> str:
         """What was called."""
@@ -178,33 +181,43 @@ def expected_cost() -> Quantity:
     return Quantity(((1.0, StageCosts()),))
 
 
-def secondary_cost(cost: NestedCosts | npt.ArrayLike) -> Quantity:
-    """The expected total of another cost, counted as the model's own is.
+def secondary_cost(cost: NestedCosts | npt.ArrayLike, *, through_failure: bool = False) -> Quantity:
+    """The expected total of another cost, counted as the model's own is: until failing.
 
     Args:
         cost: ``{state: {action: cost}}``, pairs that are not listed costing nothing; or an array,
             [pairs], or [outcomes]; finite and >= 0.
+        through_failure: count it to the true end of the run (mathematics, section 2): each step
+            that is taken after failing, and no charge in its place.
     """
-    return Quantity(((1.0, StageCosts(cost)),))
+    check_flag("through_failure", through_failure)
+    return Quantity(((1.0, StageCosts(cost, through_failure)),))
 
 
-def visits(*states: Hashable) -> Quantity:
+def visits(*states: Hashable, through_failure: bool = False) -> Quantity:
     """How often some states are entered or started in, in expectation; staying counts each time.
 
     Counted until the goal is reached or failure declared; a dead-end is entered once at most.
 
     Args:
         states: states, or labels of states.
+        through_failure: count after failing too, to the true end of the run (mathematics, section
+            2).
 
     Raises:
         ModelError: none is given, or a list in place of a state.
     """
     _check_quantity_names("visits", states)
-    return Quantity(((1.0, Visits(states)),))
+    check_flag("through_failure", through_failure)
+    return Quantity(((1.0, Visits(states, through_failure)),))
 
 
 def end_probability(*ways: Hashable) -> Quantity:
     """The probability that an episode ends in one of some ways.
+
+    Failing ends the cost, not the run: from a dead-end that has actions, and from where a policy
+    gave up, it goes on to its true end (mathematics, section 2). That is the goal, the first
+    dead-end that bears one of the names a problem asks for, else where it can go no further.
 
     Args:
         ways: "goal", a label of dead-ends, "dead_end" (one without a label), as in the ``ends`` of
@@ -505,19 +518,21 @@ def _looked_up_terms(model: SSP, start: FloatArray, name: str, constraint: Const
 
 def _looked_up_term(model: SSP, name: str, counted: Counted) -> Term:
     """What one counted thing is in the model, looked up."""
+    if (label := model.failure_label) is not None:
+        return past_failing_term(label, _looked_up_term(label.original, name, counted))
     match counted:
-        case StageCosts(cost):
+        case StageCosts(cost, through):
             if cost is None:
                 return StepTerm(model)
             costs = outcome_costs(model, name, cost)
-            return StepTerm(replace(model, costs=costs, exact_costs={}))
+            return StepTerm(replace(model, costs=costs, exact_costs={}), through)
         case ArrivalCosts():
             raise ModelError(
                 f"limit {name!r}: an arrival cost depends on the total of a whole run; it is "
                 "minimised given success (ratio = True), not limited"
             )
-        case Visits(of):
-            return ArrivalTerm(model, _looked_up_states(model, name, of))
+        case Visits(of, through):
+            return ArrivalTerm(model, _looked_up_states(model, name, of), through=through)
         case Ends(ways, others):
             ends = _looked_up_states(model, name, ways, final=True)
             return ArrivalTerm(model, ends, final=True, others=others)

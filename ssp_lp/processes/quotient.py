@@ -35,7 +35,7 @@ from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import dead_ends, end_components, nearer_pairs, pairs_into
+from ssp_lp.model.graph import dead_ends, end_components, hopeless_states, nearer_pairs, pairs_into
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED
 from ssp_lp.processes.rows import LiveRows, RowChoice, live_rows
 
@@ -242,7 +242,8 @@ def build_quotient(
         free: usable pairs that cost nothing; their end components are collapsed. None: no
             collapsing (discounted processes leak mass everywhere and need none).
         exits: states in which giving up is allowed, [states].
-        free_exits: also allow giving up in collapsed components, that is staying for ever.
+        free_exits: also allow giving up in collapsed components, that is staying for ever; where
+            the goal is out of reach anyone may.
         ended: further states at which the process ends, [states].
     """
     dead = dead_ends(model)
@@ -258,8 +259,7 @@ def build_quotient(
         component, inside = end_components(model, free & usable)
     merged = component >= 0
     leaving = np.zeros(model.n_states, dtype=np.bool_) if exits is None else exits & live
-    if free_exits:
-        leaving = leaving | merged
+    leaving = leaving | (merged if free_exits else merged & hopeless_states(model))
     check_time()
     node_of = _numbered_nodes(live, component)
     return _quotient_with_pairs(model, dead, node_of, inside, merged, usable & ~inside, leaving)

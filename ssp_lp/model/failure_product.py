@@ -1,0 +1,273 @@
+"""The product of a model with the label of failing: what a run does after the goal is lost.
+
+In the paper's augmented MDP (section 3.1.2) the states are (x, s) and (x, f), and the label f ends
+no run: it goes on, without cost, to its true end. So does this product where a problem counts what
+may come then: a state may be (x, "before failing") or (x, "after failing"), and failing is part of
+a step. In a dead-end every step takes the label; in an attention state the policy chooses between
+its actions and the same actions with giving up, as far as these avoid the goal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, entries_of, offsets_of, read_only
+from ssp_lp.errors import ModelError
+from ssp_lp.model.graph import dead_ends, end_marks
+from ssp_lp.model.product import Label, Memory, ProductSSP
+from ssp_lp.model.ssp import SSP
+
+BEFORE: Final = "before failing"
+"""The memory of a run that has not failed: the paper's label s."""
+
+AFTER: Final = "after failing"
+"""The memory of a run that has failed, and goes on: the paper's label f."""
+
+GIVING_UP: Final = "give up"
+"""First part of the name of an action that is taken with giving up: ("give up", action)."""
+
+
+@dataclass(frozen=True)
+class _LabelledStates(Sequence[Label]):
+    """The states (x, BEFORE) in the order of the model, then (x, AFTER)."""
+
+    names: Sequence[Hashable]
+
+    def __len__(self) -> int:
+        return 2 * len(self.names)
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, slice):
+            return [self[k] for k in range(*index.indices(len(self)))]
+        place = range(len(self))[index]
+        after, state = divmod(place, len(self.names))
+        return self.names[state], AFTER if after else BEFORE
+
+    def __iter__(self) -> Iterator[Label]:
+        yield from ((name, BEFORE) for name in self.names)
+        yield from ((name, AFTER) for name in self.names)
+
+
+@dataclass(frozen=True, eq=False)
+class _LabelMoves:
+    """How the label moves with a step."""
+
+    model: SSP
+    fails: BoolArray  # [states] where every step takes the label
+
+    def after(self, label: str, state: Any, action: Any, successor: Any, cost: float) -> str:
+        """AFTER once it is, where the step gives up, and from a dead-end on."""
+        gives_up = isinstance(action, tuple) and action[:1] == (GIVING_UP,)
+        failed = label == AFTER or gives_up or self.fails[self.model.index_of(state)]
+        return AFTER if failed else BEFORE
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FailureSSP(ProductSSP):
+    """A model whose states are (state, label of failing); see :func:`label_failing`.
+
+    State k of the model is state k here before failing, and ``n + k`` after it.
+    """
+
+    open_pairs: BoolArray = field(kw_only=True)  # [original pairs] that may be taken after failing
+    stops: BoolArray = field(kw_only=True)  # [states] where giving up ends the run
+    charged: BoolArray = field(kw_only=True)  # [original pairs] the least of which failing costs
+    charges: bool = field(kw_only=True, default=False)  # whether failing costs anything
+    original_pair: IntArray = field(kw_only=True)  # [pairs]
+    fails: BoolArray = field(kw_only=True)  # [pairs] by which the label is taken
+
+    @property
+    def failure_label(self) -> FailureSSP:
+        """Itself: where runs are over, and who may give up, is declared here."""
+        return self
+
+    @property
+    def n_original(self) -> int:
+        """Number of states of the original."""
+        return self.original.n_states
+
+    @cached_property
+    def original_state(self) -> IntArray:
+        """State of the original, [states]."""
+        return np.tile(np.arange(self.n_original), 2)
+
+    @cached_property
+    def original_outcome(self) -> IntArray:
+        """Outcome of the original, [outcomes]."""
+        return np.asarray(entries_of(self.original.outcome_offsets, self.original_pair)[0])
+
+    @cached_property
+    def memories(self) -> tuple[Hashable, ...]:
+        """Before and after failing."""
+        return BEFORE, AFTER
+
+    @cached_property
+    def table(self) -> IntArray:
+        """The product's state of each state and label, [states, 2]."""
+        return np.arange(2 * self.n_original).reshape(2, -1).T
+
+    @cached_property
+    def is_open(self) -> BoolArray:
+        """States of the original from which a run goes on after failing, [original states]."""
+        counts = np.bincount(self.original.pair_state[self.open_pairs], minlength=self.n_original)
+        return np.asarray(counts > 0)
+
+    @cached_property
+    def after(self) -> BoolArray:
+        """States after failing, [states]."""
+        return np.repeat([False, True], self.n_original)
+
+    @cached_property
+    def lost(self) -> BoolArray:
+        """Dead-ends of the original, before failing is declared there, [states]."""
+        dead = dead_ends(self.original)
+        return np.append(dead, np.zeros_like(dead))
+
+    @cached_property
+    def ended(self) -> BoolArray:
+        """States in which a run is over without the goal, [states]."""
+        return (self.lost | self.after) & ~np.tile(self.is_open, 2)
+
+    @cached_property
+    def stop_marks(self) -> IntArray:
+        """Number of the way in which a run ends that goes no further in a state, [states].
+
+        A dead-end's own, and else that of having given up (``graph.end_marks``).
+        """
+        marks, gave_up = end_marks(self.original), len(self.state_labels) + 2
+        return np.tile(np.where(dead_ends(self.original), marks, gave_up), 2)
+
+    @cached_property
+    def end_marks(self) -> IntArray:
+        """Number of the way in which a run ends in each state, -1 where it goes on, [states]."""
+        return np.where(self.goal_mask, 0, np.where(self.ended, self.stop_marks, -1))
+
+    @cached_property
+    def priced(self) -> BoolArray:
+        """Pairs the least of which giving up is charged, [pairs]."""
+        before = ~np.append(self.is_open, np.ones(self.n_original, dtype=np.bool_))
+        return self.fails | (before[self.pair_state] & self.charged[self.original_pair])
+
+    def find(self, state: Hashable) -> int | None:
+        """Index of the state with the label (state, BEFORE or AFTER), None if there is none."""
+        if not (isinstance(state, tuple) and len(state) == 2 and state[1] in (BEFORE, AFTER)):
+            return None
+        here = self.original.find(state[0])
+        return None if here is None else here + (self.n_original if state[1] == AFTER else 0)
+
+    def placed(self, states: IntArray, pairs: IntArray) -> IntArray:
+        """The pairs here that are pairs of the original, -1 where a state has no such, [entries].
+
+        Before failing a live state's own, without giving up.
+
+        Args:
+            states: of this model, [entries].
+            pairs: of the original, [entries].
+        """
+        taking = self.lost[states] & self.is_open[self.original_state[states]]
+        return np.asarray(self._places[self.after[states] + 2 * taking, pairs])
+
+    def giving_up_by(self, pairs: IntArray) -> IntArray:
+        """The pairs here that are pairs of the original taken with the label, -1: none."""
+        return np.asarray(self._places[2, pairs])
+
+    @cached_property
+    def _places(self) -> IntArray:
+        """The pair here of each one of the original: before, after, and with taking the label."""
+        places = np.full((3, self.original.n_pairs), -1, dtype=np.int64)
+        kind = np.where(self.fails, 2, self.after[self.pair_state].astype(np.int64))
+        places[kind, self.original_pair] = np.arange(self.n_pairs)
+        return places
+
+    def moved(self, pairs: IntArray, successors: IntArray) -> IntArray:
+        """Where steps by these pairs lead that end in some states of the original, [episodes]."""
+        failed = self.fails[pairs] | self.after[self.pair_state[pairs]]
+        return np.asarray(successors + self.n_original * failed)
+
+    def spread_costs(
+        self, costs: FloatArray, charge: FloatArray, *, through: bool = False
+    ) -> FloatArray:
+        """Costs of the original as counted here, [outcomes].
+
+        Args:
+            costs: [original outcomes].
+            charge: what failing costs in each state, where a run goes on, [original states].
+            through: count all costs as they are, also after failing, and no charge.
+        """
+        found = costs[self.original_outcome]
+        if through:
+            return found
+        counts = np.diff(self.outcome_offsets)
+        charged = np.where(self.fails, charge[self.original_state[self.pair_state]], 0.0)
+        free = self.fails | self.after[self.pair_state]
+        return np.where(np.repeat(free, counts), np.repeat(charged, counts), found)
+
+
+def label_failing(
+    model: SSP, open_pairs: BoolArray, stops: BoolArray, charged: BoolArray
+) -> FailureSSP:
+    """The model in which a run goes on after failing; its costs are the model's until set.
+
+    Args:
+        model: the model.
+        open_pairs: that may be taken after failing, of dead-ends and attention states, [pairs].
+        stops: where giving up ends the run, [states].
+        charged: pairs the least of which failing costs in a state, [pairs].
+    """
+    n, state = model.n_states, model.pair_state
+    is_open = np.bincount(state[open_pairs], minlength=n) > 0
+    taking = np.flatnonzero(open_pairs)  # with the label, first in their states: equals give up
+    plain = np.flatnonzero(~(dead_ends(model) & is_open)[state])
+    before = np.concatenate([taking, plain])
+    before_fails = np.arange(before.size) < taking.size
+    order = np.lexsort((before, ~before_fails, state[before]))
+    original_pair = np.concatenate([before[order], taking])
+    fails = np.append(before_fails[order], np.zeros(taking.size, dtype=np.bool_))
+    after = np.arange(original_pair.size) >= before.size
+    outcome, lengths = entries_of(model.outcome_offsets, original_pair)
+    failed = np.repeat(fails | after, lengths)
+    gives_up = fails & ~dead_ends(model)[state[original_pair]]
+    names = model.action_names
+    own = model.pair_action[original_pair].astype(np.int64)
+    return FailureSSP(
+        states=_LabelledStates(model.states),
+        action_names=(*names, *((GIVING_UP, name) for name in names)),
+        pair_action=read_only(own + len(names) * gives_up),
+        pair_offsets=read_only(
+            offsets_of(np.bincount(state[original_pair] + n * after, minlength=2 * n))
+        ),
+        outcome_offsets=read_only(offsets_of(lengths)),
+        successors=read_only(model.successors[outcome] + n * failed, np.int32),
+        probabilities=read_only(model.probabilities[outcome]),
+        costs=read_only(model.costs[outcome]),
+        goal_mask=read_only(np.append(model.goal_mask, np.zeros(n, dtype=np.bool_))),
+        state_labels={
+            name: read_only(np.append(members, members + n))
+            for name, members in model.state_labels.items()
+        },
+        exact_costs=model.exact_costs,
+        original=model,
+        memory=Memory(BEFORE, _LabelMoves(model, dead_ends(model) & is_open).after),
+        is_hidden=True,
+        open_pairs=read_only(open_pairs),
+        stops=read_only(np.append(stops, np.zeros(n, dtype=np.bool_))),
+        charged=read_only(charged),
+        original_pair=read_only(original_pair),
+        fails=read_only(fails),
+    )
+
+
+def check_label(model: SSP) -> FailureSSP:
+    """The model, if its states bear the label of failing.
+
+    Raises:
+        ModelError: they do not.
+    """
+    if model.failure_label is None:
+        raise ModelError("the policy does not go on after failing: its problem counts nothing then")
+    return model.failure_label

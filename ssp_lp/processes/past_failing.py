@@ -1,0 +1,111 @@
+"""What a problem counts after failing, and the product with the label in which it is counted.
+
+Failing ends the cost, not the run (mathematics, section 2). Where an end that is asked for, or what
+is to be counted through failure, can be reached from a dead-end or by giving up, the problem is
+restated on states with the label of failing; else it stays as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from ssp_lp.arrays import BoolArray, FloatArray, read_only, segment_minima
+from ssp_lp.model import SSP
+from ssp_lp.model.failure_product import FailureSSP, label_failing
+from ssp_lp.model.graph import (
+    attention_pairs,
+    attention_states,
+    dead_ends,
+    nearer_pairs,
+    pairs_into,
+)
+from ssp_lp.processes.conditions import ArrivalTerm, Condition, StepTerm, Term
+from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp
+from ssp_lp.processes.rows import cost_means
+
+
+def labelled_past_failing(
+    model: SSP, conditions: Iterable[Condition], semantics: FailureSemantics, *, ratio: bool
+) -> FailureSSP | None:
+    """The model with the label of failing; None where nothing is counted after failing.
+
+    Args:
+        model: the model.
+        conditions: what is limited or minimised.
+        semantics: who may give up, and what failing costs.
+        ratio: whether the cost is counted given success.
+    """
+    terms = [term for condition in conditions for _, term in condition.terms]
+    ends, targets = _asked_for(model, terms)
+    dear = [term for term in terms if isinstance(term, StepTerm) and term.through]
+    if semantics.forbids_failing or not (targets.any() or dear):
+        return None
+
+    # who may give up: with totals of the cost, as in case S, whoever can avoid the goal
+    dead, attention = dead_ends(model), attention_states(model)
+    give_up = GiveUp.ATTENTION if semantics.charge(ratio) is not None else semantics.give_up
+    staying = attention_pairs(model, attention)
+    usable = (dead & ~ends)[model.pair_state]
+    if give_up is not GiveUp.DEAD_ENDS:
+        usable |= staying & ~dead[model.pair_state]
+    leaving = pairs_into(model, targets)
+    for term in dear:
+        leaving |= ~term.free
+    leaving &= usable
+    if not leaving.any():
+        return None
+    is_open = nearer_pairs(model, leaving, usable) >= 0
+    everywhere = give_up is GiveUp.ANYWHERE
+    stops = ~model.goal_mask & (everywhere | attention) & ~is_open & ~dead
+    charged = dead[model.pair_state] | everywhere | staying
+    if give_up is GiveUp.DEAD_ENDS:
+        stops, charged = np.zeros_like(stops), dead[model.pair_state]
+    label = label_failing(model, usable & is_open[model.pair_state], stops, charged)
+    charges = semantics.charge_failing_step and semantics.charge(ratio) is None
+    return replace(label, charges=charges, costs=_costs_before(label, model.costs, charges))
+
+
+def _asked_for(model: SSP, terms: Iterable[Term]) -> tuple[BoolArray, BoolArray]:
+    """The dead-ends that are ends, and all states to arrive in which may count after failing."""
+    ends, targets = np.zeros((2, model.n_states), dtype=np.bool_)
+    for term in terms:
+        if isinstance(term, ArrivalTerm) and term.final:
+            ends |= term.states & ~model.goal_mask
+        elif isinstance(term, ArrivalTerm) and term.through:
+            targets |= term.states
+    return ends, targets | ends
+
+
+def _costs_before(label: FailureSSP, costs: FloatArray, charges: bool) -> FloatArray:
+    """A cost of the original, [outcomes], until failing and as failing is charged, [outcomes]."""
+    charge = np.zeros(label.n_original)
+    if charges:
+        means = cost_means(replace(label.original, costs=read_only(costs)))
+        least = np.where(label.charged, means, np.inf)
+        least = segment_minima(least, label.original.pair_offsets)
+        charge = np.where(np.isfinite(least), least, 0.0)
+    return read_only(label.spread_costs(costs, charge))
+
+
+def past_failing_term(label: FailureSSP, term: Term) -> Term:
+    """What a term counts on the model, counted on that with the label.
+
+    Ends are the true ones, after failing as before; costs and visits count until failing unless
+    they are asked for through it.
+    """
+    if isinstance(term, StepTerm):
+        costs = term.model.costs
+        if term.model is label.original:
+            return StepTerm(label)
+        if term.through:
+            nothing = np.zeros(label.n_original)
+            counted = read_only(label.spread_costs(costs, nothing, through=True))
+        else:
+            counted = _costs_before(label, costs, label.charges)
+        return StepTerm(replace(label, costs=counted, exact_costs={}), term.through)
+    later = term.states & ~label.original.goal_mask if term.final or term.through else False
+    states = np.append(term.states, np.broadcast_to(later, label.n_original))
+    return replace(term, model=label, states=states)
