@@ -218,9 +218,14 @@ class Formulation(_Inherited):
             return self._on(model, places).unrolled
         if self.model.failure_label is not None:
             return self
-        objective = self.objective_condition
-        asked = self.conditions + (() if objective is None else (objective,))
-        label = labelled_past_failing(self.model, asked, self.semantics, ratio=self.ratio)
+        label = labelled_past_failing(
+            self.model,
+            self.conditions,
+            self.objective_condition,
+            self.semantics,
+            ratio=self.ratio,
+            discount=self.discount,
+        )
         if label is None:
             return self
         begin = np.flatnonzero(self._begun)

@@ -19,7 +19,7 @@ from ssp_lp.column_generation.compiled_problem import (
     CompiledProblem,
 )
 from ssp_lp.compiled.deadline import READING, is_within_call, limited
-from ssp_lp.errors import ModelError, in_short, is_number, wrong_argument
+from ssp_lp.errors import InfeasibleError, ModelError, in_short, is_number, wrong_argument
 from ssp_lp.model import SSP
 from ssp_lp.model.product import ProductSSP, check_product
 from ssp_lp.policies.policy import GIVE_UP_CODE, Branches, MixedPolicy, Policy, as_lottery
@@ -169,10 +169,19 @@ def requirements(problem: Problem) -> Requirements:
 def compiled_constrained(problem: Problem) -> CompiledExplicit:
     """The process of a problem with constraints, and its rows."""
     logging.getLogger("ssp_lp.compiling").info("%r, with its rows", problem)
-    objective = objective_of(problem)
+    objective, model = objective_of(problem), problem.model
+    start = start_distribution(model, problem.start)
+    if (label := model.failure_label) is not None and start[~label.finite[0]].any():
+        raise InfeasibleError(
+            "what is counted after failing grows without end under every policy",
+            failure_budget=problem.failure_budget,
+            least_failure=lambda: max(
+                1.0 - greatest_from(label.original, start[: label.n_original]), 0.0
+            ),
+        )
     return CompiledExplicit(
-        model=problem.model,
-        start=start_distribution(problem.model, problem.start),
+        model=model,
+        start=start,
         semantics=problem.semantics,
         discount=problem.discount,
         side=tuple(row for condition in conditions_of(problem) for row in condition.rows),

@@ -18,7 +18,7 @@ import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, entries_of, offsets_of, read_only
 from ssp_lp.errors import ModelError
-from ssp_lp.model.graph import dead_ends, end_marks
+from ssp_lp.model.graph import dead_ends, end_components, end_marks, pairs_into, surely_ending
 from ssp_lp.model.product import Label, Memory, ProductSSP
 from ssp_lp.model.ssp import SSP
 
@@ -77,6 +77,7 @@ class FailureSSP(ProductSSP):
     open_pairs: BoolArray = field(kw_only=True)  # [original pairs] that may be taken after failing
     stops: BoolArray = field(kw_only=True)  # [states] where giving up ends the run
     charged: BoolArray = field(kw_only=True)  # [original pairs] the least of which failing costs
+    free: BoolArray = field(kw_only=True)  # [pairs] that add nothing to what must stay finite
     charges: bool = field(kw_only=True, default=False)  # whether failing costs anything
     original_pair: IntArray = field(kw_only=True)  # [pairs]
     fails: BoolArray = field(kw_only=True)  # [pairs] by which the label is taken
@@ -153,6 +154,20 @@ class FailureSSP(ProductSSP):
         before = ~np.append(self.is_open, np.ones(self.n_original, dtype=np.bool_))
         return self.fails | (before[self.pair_state] & self.charged[self.original_pair])
 
+    @cached_property
+    def finite(self) -> tuple[BoolArray, BoolArray]:
+        """States from which some policy counts only finitely much, and pairs that keep among them.
+
+        After failing there may be no end any more, though what is counted goes on being counted.
+
+        Returns:
+            [states] and [pairs].
+        """
+        going = ~self.ended & ~self.goal_mask
+        free = end_components(self, self.free & going[self.pair_state])[0] >= 0
+        over = ~going | self.stops | free
+        return surely_ending(self, over, pairs_into(self, over))[:2]
+
     def find(self, state: Hashable) -> int | None:
         """Index of the state with the label (state, BEFORE or AFTER), None if there is none."""
         if not (isinstance(state, tuple) and len(state) == 2 and state[1] in (BEFORE, AFTER)):
@@ -209,7 +224,11 @@ class FailureSSP(ProductSSP):
 
 
 def label_failing(
-    model: SSP, open_pairs: BoolArray, stops: BoolArray, charged: BoolArray
+    model: SSP,
+    open_pairs: BoolArray,
+    stops: BoolArray,
+    charged: BoolArray,
+    free: tuple[BoolArray, BoolArray],
 ) -> FailureSSP:
     """The model in which a run goes on after failing; its costs are the model's until set.
 
@@ -218,6 +237,7 @@ def label_failing(
         open_pairs: that may be taken after failing, of dead-ends and attention states, [pairs].
         stops: where giving up ends the run, [states].
         charged: pairs the least of which failing costs in a state, [pairs].
+        free: pairs that add nothing to what must stay finite, before and after failing, [pairs].
     """
     n, state = model.n_states, model.pair_state
     is_open = np.bincount(state[open_pairs], minlength=n) > 0
@@ -257,6 +277,7 @@ def label_failing(
         open_pairs=read_only(open_pairs),
         stops=read_only(np.append(stops, np.zeros(n, dtype=np.bool_))),
         charged=read_only(charged),
+        free=read_only(np.where(fails | after, free[1][original_pair], free[0][original_pair])),
         original_pair=read_only(original_pair),
         fails=read_only(fails),
     )

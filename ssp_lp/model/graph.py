@@ -201,19 +201,31 @@ def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray, IntArray]:
         The states, goals included, [states]; the pairs that stay among them, [pairs]; and for each
         of the states such a pair by which it comes nearer to the goal, -1 elsewhere, [states].
     """
-    open_pairs = np.ones(model.n_pairs, dtype=np.bool_)
+    return surely_ending(model, model.goal_mask, goal_pairs(model))
+
+
+def surely_ending(
+    model: Graph, ends: BoolArray, leading: BoolArray
+) -> tuple[BoolArray, BoolArray, IntArray]:
+    """As :func:`surely_reaching`, for any ends.
+
+    Args:
+        model: the graph.
+        ends: [states].
+        leading: pairs that may lead to one of them, [pairs].
+    """
+    open_pairs = np.ones(len(model.pair_state), dtype=np.bool_)
     open_counts = np.diff(model.pair_offsets)
-    into_goal = goal_pairs(model)
     kept = np.ones(model.n_states, dtype=np.bool_)
     while True:
-        nearer = nearer_pairs(model, into_goal & open_pairs, open_pairs)
-        lost = kept & ~model.goal_mask & (nearer < 0)
+        nearer = nearer_pairs(model, leading & open_pairs, open_pairs)
+        lost = kept & ~ends & (nearer < 0)
         if not lost.any():
             return kept, open_pairs, nearer
         open_pairs &= ~lost[model.pair_state]
         open_counts[lost] = 0
         drain(model, open_pairs, open_counts, lost.nonzero()[0])
-        kept = model.goal_mask | (open_counts > 0)
+        kept = ends | (open_counts > 0)
 
 
 @kept

@@ -394,7 +394,7 @@ class EpisodeBatch:
     @cached_property
     def _ends(self) -> BoolArray:
         """The states in which episodes are over, [states]."""
-        return np.all([member.ended for member in self._members], axis=0)
+        return np.asarray(np.all([member.ended for member in self._members], axis=0))
 
     def _indices(self, states: Sequence[Hashable]) -> IntArray:
         """The positions of the episodes' states."""

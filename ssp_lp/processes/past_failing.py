@@ -7,7 +7,7 @@ restated on states with the label of failing; else it stays as it is.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,22 +23,31 @@ from ssp_lp.model.graph import (
     pairs_into,
 )
 from ssp_lp.processes.conditions import ArrivalTerm, Condition, StepTerm, Term
-from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp
+from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, GiveUp, free_pairs
 from ssp_lp.processes.rows import cost_means
 
 
 def labelled_past_failing(
-    model: SSP, conditions: Iterable[Condition], semantics: FailureSemantics, *, ratio: bool
+    model: SSP,
+    limits: Sequence[Condition],
+    objective: Condition | None,
+    semantics: FailureSemantics,
+    *,
+    ratio: bool,
+    discount: float | None,
 ) -> FailureSSP | None:
     """The model with the label of failing; None where nothing is counted after failing.
 
     Args:
         model: the model.
-        conditions: what is limited or minimised.
+        limits: what is limited.
+        objective: what is minimised in place of the cost.
         semantics: who may give up, and what failing costs.
         ratio: whether the cost is counted given success.
+        discount: with one everything that is counted stays finite.
     """
-    terms = [term for condition in conditions for _, term in condition.terms]
+    asked = (*limits, *(() if objective is None else (objective,)))
+    terms = [term for condition in asked for _, term in condition.terms]
     ends, targets = _asked_for(model, terms)
     dear = [term for term in terms if isinstance(term, StepTerm) and term.through]
     if semantics.forbids_failing or not (targets.any() or dear):
@@ -51,10 +60,11 @@ def labelled_past_failing(
     usable = (dead & ~ends)[model.pair_state]
     if give_up is not GiveUp.DEAD_ENDS:
         usable |= staying & ~dead[model.pair_state]
-    leaving = pairs_into(model, targets)
-    for term in dear:
-        leaving |= ~term.free
-    leaving &= usable
+    counts = np.zeros(model.n_pairs, dtype=np.bool_)  # each time, after failing
+    for term in terms:
+        if term.through:
+            counts |= ~term.free
+    leaving = usable & (counts | pairs_into(model, targets))
     if not leaving.any():
         return None
     is_open = nearer_pairs(model, leaving, usable) >= 0
@@ -63,8 +73,16 @@ def labelled_past_failing(
     charged = dead[model.pair_state] | everywhere | staying
     if give_up is GiveUp.DEAD_ENDS:
         stops, charged = np.zeros_like(stops), dead[model.pair_state]
-    label = label_failing(model, usable & is_open[model.pair_state], stops, charged)
-    charges = semantics.charge_failing_step and semantics.charge(ratio) is None
+    totals = semantics.charge(ratio) is not None
+    free = np.ones((2, model.n_pairs), dtype=np.bool_)
+    if counts.any() and discount is None:
+        aim = Aim.LEAST_COST if totals else semantics.aim
+        rows = [row for condition in limits for row in condition.rows]
+        before = free_pairs(model, aim, rows, None if objective is None else objective.minimised())
+        free = np.stack([before, ~counts])
+    open_pairs = usable & is_open[model.pair_state]
+    label = label_failing(model, open_pairs, stops, charged, (free[0], free[1]))
+    charges = semantics.charge_failing_step and not totals
     return replace(label, charges=charges, costs=_costs_before(label, model.costs, charges))
 
 

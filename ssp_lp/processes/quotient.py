@@ -249,6 +249,9 @@ def build_quotient(
     dead = dead_ends(model)
     live = ~dead & ~model.goal_mask
     live = live if ended is None else live & ~ended
+    if model.failure_label is not None:  # what never ends after failing is for nobody
+        finite, keeping = model.failure_label.finite
+        live, usable = live & finite, keeping if usable is None else keeping & usable
     if usable is not None:  # where nothing may be done an episode is over
         acting = np.bincount(model.pair_state[usable], minlength=model.n_states) > 0
         live &= acting if exits is None else acting | exits
