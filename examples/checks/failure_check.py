@@ -37,7 +37,7 @@ from ssp_lp.formulation import Formulation
 CRITERIA = ("mcmp", "least failure", "discounted", "horizon", "s3p", "maxprob", "quantity")
 AGREES = 1e-6  # absolute and relative
 ROOM = 1e-9  # by which a limit may be broken
-LEAST = 1e-8  # of failure that the second program of least failure is given
+LEAST = 1e-9  # of failure that the second program of least failure is given
 GOAL = "home"
 FAILED, OPEN = "failed", "open"  # how a state of the program is labelled
 Outcomes = list[tuple[float, Any, float]]
@@ -98,7 +98,7 @@ def drawn(seed: int, criterion: str) -> Drawn:
     labels["zone"] = [x for x in moves if rng.random() < 0.3]
     fuel = {x: {u: float(rng.integers(0, 3)) for u in us} for x, us in moves.items()}
     give_up = ("attention", "anywhere", "dead_ends")[int(rng.integers(3))]
-    limits = []
+    asked: list[tuple[str, tuple[Any, ...], str]] = []
     for _ in range(int(rng.integers(1, 3))):
         kind = ("end", "end", "end", "visits", "visits through", "fuel", "fuel through")[
             int(rng.integers(7))
@@ -110,20 +110,17 @@ def drawn(seed: int, criterion: str) -> Drawn:
         elif kind.startswith("visits"):
             of = (("crash", "zone", "fire")[int(rng.integers(3))],)
         sense = ">=" if kind == "end" and rng.random() < 0.3 else "<="
-        bound = float(np.round(rng.random() * (0.3 if kind == "end" else 1.5), 3))
-        limits.append((kind, of, sense, bound))
+        asked.append((kind, of, sense))
     found = Drawn(
         moves=moves,
         labels=labels,
         criterion=criterion,
         give_up=give_up if criterion not in ("s3p", "maxprob") else "attention",
         charged=bool(rng.random() < 0.5) and criterion not in ("s3p", "maxprob"),
-        budget=None if criterion == "least failure" else float(np.round(rng.random(), 2)),
-        limits=limits,
+        budget=None if criterion == "least failure" else 1.0,
+        limits=[],
         fuel=fuel,
     )
-    if criterion == "maxprob":
-        found.budget = 1.0
     if criterion == "discounted":
         found.discount = 0.9
     if criterion == "horizon":
@@ -131,6 +128,20 @@ def drawn(seed: int, criterion: str) -> Drawn:
     if criterion == "quantity":
         kinds = (("end", ("crash",)), ("visits through", ("zone",)), ("fuel through", ()))
         found.asked = kinds[int(rng.integers(3))]
+    safest = attained(found, ("goal", (), ">="))
+    if criterion not in ("maxprob", "least failure") and safest is not None:
+        found.budget = 1.0 + safest[0] * float(rng.choice([1.0, 0.9, 0.6, 0.3]))
+    for kind, of, sense in asked:  # between the least that is attainable and what comes anyhow
+        found.limits.append((kind, of, sense, 0.0 if sense == ">=" else np.inf))
+        limited, free = attained(found, (kind, of, sense)), attained(found)
+        bound = 0.1
+        share = float(rng.choice([0.0, 0.3, 0.7, 1.2, -0.1], p=(0.1, 0.35, 0.35, 0.15, 0.05)))
+        share = 0.1 if share == 0.0 and criterion == "least failure" else share
+        if limited is not None and free is not None:
+            bound = limited[-1] + share * (free[-1] - limited[-1])
+        if criterion == "least failure":  # which the programs meet within their tolerance only
+            bound += 1e-4 if sense == "<=" else -1e-4
+        found.limits[-1] = (kind, of, sense, bound)
     return found
 
 
@@ -369,6 +380,19 @@ def _reached(ahead: Mapping[Any, set[Any]], x: Any) -> set[Any]:
 
 def reference(drawn: Drawn) -> float | None:
     """The optimal value by the definitions, None where no policy keeps to the limits."""
+    found = attained(drawn)
+    return None if found is None else found[0]
+
+
+def attained(
+    drawn: Drawn, instead: tuple[str, tuple[Any, ...], str] | None = None
+) -> list[float] | None:
+    """The optimal value and what each limit's quantity is there, None if nothing is feasible.
+
+    Args:
+        drawn: the problem.
+        instead: a quantity that is made small ("<=") or large in place of the objective.
+    """
     columns, start, _ = program(drawn)
     aim = {"s3p": "paid", "maxprob": "goal"}.get(drawn.criterion, "cost")
     if drawn.asked is not None:
@@ -398,8 +422,9 @@ def reference(drawn: Drawn) -> float | None:
     upper, bounds = [], []
     for name, sense, bound in rows:
         sign = 1.0 if sense == "<=" else -1.0
-        upper.append(sign * row(name))
-        bounds.append(sign * bound)
+        if np.isfinite(bound):
+            upper.append(sign * row(name))
+            bounds.append(sign * bound)
 
     def least(objective: np.ndarray, goal: float | None, limited: bool = True) -> Any:
         extra = [] if goal is None else [-row("goal")]
@@ -407,27 +432,36 @@ def reference(drawn: Drawn) -> float | None:
         right = np.array([*(bounds if limited else []), *([] if goal is None else [-goal])])
         return linprog(objective, left, right, balance, begin, method="highs")
 
-    if drawn.criterion == "maxprob":
+    def answered(value: float, answer: Any) -> list[float]:
+        return [value, *(float(row(name) @ answer.x) for name, _, _ in rows)]
+
+    if drawn.criterion == "maxprob" and instead is None:
         answer = least(-row("goal"), None)
-        return None if answer.status == 2 else -float(answer.fun)
+        return None if answer.status == 2 else answered(-float(answer.fun), answer)
     if drawn.budget is None:
-        safest = -float(least(-row("goal"), None, limited=False).fun)
-        goal = safest - LEAST
+        safest = least(-row("goal"), None, limited=False)
+        if safest.status == 2:  # what is counted grows without end
+            return None
+        goal = -float(safest.fun) - LEAST
     else:
         goal = 1.0 - drawn.budget
+    if instead is not None:
+        aim = _counted(*instead[:2])
+        answer = least(row(aim) * (1.0 if instead[2] == "<=" else -1.0), goal)
+        return None if answer.status else answered(float(answer.fun), answer)
     if aim != "paid":
         answer = least(row(aim), goal)
-        return None if answer.status == 2 else float(answer.fun)
+        return None if answer.status == 2 else answered(float(answer.fun), answer)
     ratio = 1e6
     for _ in range(60):  # Dinkelbach's iteration
         answer = least(row("paid") - ratio * row("goal"), goal)
         if answer.status == 2 or row("goal") @ answer.x <= 1e-12:
             return None
-        attained = float(row("paid") @ answer.x / (row("goal") @ answer.x))
-        if attained >= ratio - 1e-12:
+        better = float(row("paid") @ answer.x / (row("goal") @ answer.x))
+        if better >= ratio - 1e-12:
             break
-        ratio = attained
-    return ratio
+        ratio = better
+    return answered(ratio, answer)
 
 
 def _counted(kind: str, of: tuple[Any, ...]) -> str:
@@ -463,7 +497,12 @@ def played(policy: MixedPolicy, drawn: Drawn, asked: set[str]) -> dict[str, floa
                 hits[source, names.index(to)] += p
             else:
                 chain[source, index[to]] -= p
-        settled = np.linalg.lstsq(chain, hits, rcond=None)[0]  # the least: wanderers end nowhere
+        back: dict[Any, set[Any]] = defaultdict(set)
+        for source, _, to in moves:
+            back["over" if isinstance(to, str) else index[to]].add(source)
+        settling = sorted(_reached(back, "over") - {"over"})  # the others wander for ever
+        settled = np.zeros_like(hits)
+        settled[settling] = np.linalg.solve(chain[np.ix_(settling, settling)], hits[settling])
         for name, share in zip(names, settled[0], strict=True):
             ends[name] += float(weight) * float(share)
     told: dict[str, float] = defaultdict(float)

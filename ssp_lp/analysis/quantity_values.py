@@ -116,8 +116,13 @@ def counted_nodes(chain: Chain, hopeful: BoolArray, problem: Problem) -> BoolArr
     """Nodes at which failure has not been declared, [nodes].
 
     That is where the goal can still be reached; but where a constraint asks for another end, a
-    policy on its way there has not failed until it arrives or gives up.
+    policy on its way there has not failed until it arrives or gives up. What is counted after
+    failing is declared with the step that loses the goal for sure; so is one that stops later where
+    it could not avoid the goal.
     """
+    if problem.model.failure_label is not None:
+        quits = (chain.give_up > 0) & ~attention_states(problem.model)[chain.state]
+        return reaching_in_chain(chain, (chain.goal > 0) | quits)
     objective = objective_of(problem)
     asked = conditions_of(problem) + (() if objective is None else (objective,))
     if problem.semantics.forbids_failing or not any(c.wants_ends for c in asked):

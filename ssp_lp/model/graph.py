@@ -215,7 +215,7 @@ def surely_ending(
         leading: pairs that may lead to one of them, [pairs].
     """
     open_pairs = np.ones(len(model.pair_state), dtype=np.bool_)
-    open_counts = np.diff(model.pair_offsets)
+    open_counts = np.diff(model.pair_offsets) + ends  # what ends is never closed
     kept = np.ones(model.n_states, dtype=np.bool_)
     while True:
         nearer = nearer_pairs(model, leading & open_pairs, open_pairs)
@@ -225,7 +225,7 @@ def surely_ending(
         open_pairs &= ~lost[model.pair_state]
         open_counts[lost] = 0
         drain(model, open_pairs, open_counts, lost.nonzero()[0])
-        kept = ends | (open_counts > 0)
+        kept = open_counts > 0
 
 
 @kept

@@ -132,8 +132,8 @@ def policy_chain(
         ModelError: the policy has no decision in a state that it reaches, its memory grows without
             end, or its nodes are more than there may be.
     """
-    dead = dead_ends(model)
-    ended = dead | model.goal_mask
+    ended = policy.ended
+    dead = dead_ends(model) & ended
     first = np.flatnonzero(start > 0)
     memory = np.where(ended[first], 0, policy.start_memory(first))
     start_key = memory * model.n_states + first
@@ -208,19 +208,20 @@ def _expand_chain(model: SSP, policy: Policy, keys: IntArray, ended: BoolArray) 
     memory, state = np.divmod(keys, model.n_states)
     acting = ~ended[state]
     keys, memory, state = keys[acting], memory[acting], state[acting]
-    branch = policy.branches(state, memory)
+    branch, kept = policy.played(state, memory)
     if (branch.pair == UNDECIDED).any():
         where = int(branch.situation[int(np.argmax(branch.pair == UNDECIDED))])
         raise ModelError(f"the policy has no decision in state {model.states[int(state[where])]!r}")
     moves = branch.pair != GIVE_UP_CODE
-    pair, situation = branch.pair[moves], branch.situation[moves]
+    pair, situation, kept = branch.pair[moves], branch.situation[moves], kept[moves]
     outcome, count = entries_of(model.outcome_offsets, pair)
     chance = np.repeat(branch.probability[moves], count) * model.probabilities[outcome]
     situation, outcome = np.repeat(situation, count)[chance > 0], outcome[chance > 0]
+    kept = np.repeat(kept, count)[chance > 0]
     taken = np.repeat(pair, count)[chance > 0]
     successor = model.successors[outcome].astype(np.int64)
     cost = model.costs[outcome]
-    after = policy.remember(memory[situation], taken, successor, cost)
+    after = policy.remember(kept, taken, successor, cost)
     after = np.where(ended[successor], 0, after)
     target = after * model.n_states + successor
     return (keys[situation], target, chance[chance > 0], cost, outcome,

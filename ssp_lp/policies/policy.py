@@ -201,6 +201,29 @@ class Policy(Playable):
         """Memory with which episodes that give up go on in these states, -1: over, [episodes]."""
         return np.full(len(states), -1)
 
+    def played(self, states: IntArray, memory: IntArray) -> tuple[Branches, IntArray]:
+        """The decisions as they are played, and the memory with which each is, [branches].
+
+        Who gives up and goes on begins with what comes then, in the same state.
+        """
+        found = self.branches(states, memory)
+        kept = np.asarray(memory)[found.situation]
+        quits = np.flatnonzero(found.pair == GIVE_UP_CODE)
+        moved = self.after_giving_up(states[found.situation[quits]], kept[quits])
+        quits, moved = quits[moved >= 0], moved[moved >= 0]
+        if not quits.size:
+            return found, kept
+        stays = np.ones(len(found.pair), dtype=np.bool_)
+        stays[quits] = False
+        later = self.branches(states[found.situation[quits]], moved)
+        share = found.probability[quits][later.situation] * later.probability
+        situation = np.append(found.situation[stays], found.situation[quits][later.situation])
+        order = np.argsort(situation, kind="stable")
+        pair = np.append(found.pair[stays], later.pair)
+        chance = np.append(found.probability[stays], share)
+        kept = np.append(kept[stays], moved[later.situation])
+        return Branches(situation[order], pair[order], chance[order]), kept[order]
+
     def sample(
         self, states: IntArray, memory: IntArray, rng: np.random.Generator | None
     ) -> IntArray:

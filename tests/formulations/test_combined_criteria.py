@@ -319,7 +319,7 @@ CRITERIA = {
             **k,
         ),
         lambda t, p, n: least_of(t, p, fuel=1.0, visits_s1=0.5, end_wall=-n.penalty / 4.0),
-        minimised=("fuel", "visits s1"),
+        minimised=("fuel", "visits s1", "end wall"),
         charges=True,
     ),
     "LeastFuel": Criterion(

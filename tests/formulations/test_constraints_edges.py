@@ -59,22 +59,22 @@ HUT = model_of(
     },
     labels={"wall": ["wall"]},
 )
-"""The wall lies behind a hut: whoever is on the way there does not reach the goal any more."""
+"""The wall lies behind a hut: whoever is on the way there has given the goal up."""
 
 
-def test_an_end_that_is_asked_for_is_reached_and_paid_for() -> None:
-    """4/5 go for 2, 1/5 walk to the wall for 5; the program's measures say the same."""
+def test_an_end_that_is_asked_for_is_reached_after_failing() -> None:
+    """4/5 go for 2; 1/5 or more give up, charged one step of 2, and walk to the wall for nothing."""
     problem = MCMP(HUT, "a", 1.0, constraints={"w": end_probability("wall") >= 0.2})
     solution = solve(problem)
-    assert solution.objective == pytest.approx(2.6, rel=1e-12)
+    assert solution.objective == pytest.approx(2.0, rel=1e-12)
     assert certify(solution).gap < 1e-9
     program = problem.program()
     for measure in (program.solve(), program.to_cvxpy().solve(solver="CLARABEL")):
-        assert measure.objective == pytest.approx(2.6, rel=1e-6)
+        assert measure.objective == pytest.approx(2.0, rel=1e-6)
         for policy in (measure.mixed_policy(), measure.randomised_policy()):
             found = evaluate(policy, problem)
-            assert found.objective == pytest.approx(2.6, rel=1e-6)
-            assert found.secondary_costs["w"] == pytest.approx(0.2, abs=1e-6)
+            assert found.objective == pytest.approx(2.0, rel=1e-6)
+            assert found.secondary_costs["w"] >= 0.2 - 1e-6
 
 
 def test_where_failing_is_forbidden_no_end_is_bought() -> None:

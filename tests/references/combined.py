@@ -2,8 +2,9 @@
 
 States are (state, cost paid), the cost counted one by one up to a horizon of costs; a policy moves,
 gives up where that is allowed, or stays for ever among steps that add nothing to what is minimised
-and limited. Everything is plain dictionaries and one call of scipy: nothing is shared
-with the library.
+and limited. After failing, in a dead-end or by giving up, it moves on at no cost, where it cannot
+reach the goal, to an end that is asked for or has no steps. Everything is plain dictionaries and one
+call of scipy: nothing is shared with the library.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -20,7 +21,8 @@ Number = int | Fraction
 Choices = Mapping[str, Mapping[str, list[tuple[float, str, Number]]]]
 """State -> action -> [(probability, successor, exact cost)]; states without actions are ends."""
 
-STOP, SOURCE = "stop", "source"
+STOP, SOURCE, FAILED = "stop", "source", "failed"
+OVER = "over"  # what ends after failing, a part that no limit has
 LEAST_ROOM = 1e-11  # beyond the least failure, where that is asked for
 
 
@@ -109,8 +111,13 @@ class Program(NamedTuple):
     labels: list[tuple[str, str]]  # per column: the state and the action
 
 
-def places(task: Task, horizon: float, live: list[str]) -> dict[tuple[str, Number], int]:
-    """The pairs of a state and a cost paid that can occur, numbered after the source."""
+def places(
+    task: Task, horizon: float, live: list[str], going: set[str]
+) -> dict[tuple[str, Number | str], int]:
+    """The pairs of a state and a cost paid that can occur, numbered after the source.
+
+    Then the states in which one may be after failing, which have no cost.
+    """
     found = {(SOURCE, 0): 0} | {(state, 0): 0 for state in task.start if state in live}
     ahead = list(found)[1:]
     while ahead:
@@ -121,7 +128,8 @@ def places(task: Task, horizon: float, live: list[str]) -> dict[tuple[str, Numbe
                 if p > 0 and successor in live and there not in found:
                     found[there] = 0
                     ahead.append(there)
-    return {where: number for number, where in enumerate(found)}
+    every = [*found, *((state, FAILED) for state in task.choices if state in going)]
+    return {where: number for number, where in enumerate(every)}
 
 
 def least_paid(task: Task, state: str, actions: Iterable[str]) -> dict[str, float]:
@@ -155,16 +163,18 @@ def program(
         horizon: of costs.
         give_up: "anywhere", "attention" or "dead_ends".
         charged: whether the step that fails is paid.
-        minimised: parts that the objective counts besides ends.
+        minimised: parts that the objective counts.
         discount: of each step.
     """
     dead, avoids = dead_ends(task), avoiding(task)
     live = [s for s in task.choices if s not in dead and s not in task.goals]
-    place = places(task, horizon, live)
+    asked = {part for limit in task.limits for part in limit.weights} | set(minimised)
+    ends = {s for s in dead if not task.choices[s] or f"end {named(s)}" in asked}
+    place = places(task, horizon, live, (avoids | dead) - ends)
     names_of_rows = [named(state) for state, _ in place]
     names = sorted({named(state) for state in task.choices})
     every = ["goal", "failure", "cost", "fuel"]
-    every += [f"{part} {name}" for part in ("visits", "end") for name in names]
+    every += [f"{part} {name}" for part in ("visits", "end") for name in names] + [OVER]
     rows, columns, entries = [], [], []
     taken_by_column: list[dict[str, float]] = []
     arrivals: list[list[tuple[float, Number]]] = []
@@ -184,6 +194,19 @@ def program(
         arrivals.append(here)
 
     for (state, paid), row in place.items():
+        if paid == FAILED:
+            for action, outs in task.choices[state].items():
+                if state in dead or all(t in avoids | dead for p, t, _ in outs if p > 0):
+                    taken, steps = dict.fromkeys(every, 0.0), {}
+                    for p, successor, _ in outs:
+                        if successor in ends:
+                            taken[f"end {named(successor)}"] += discount * p
+                            taken[OVER] += p
+                        elif p > 0:
+                            there = place[successor, FAILED]
+                            steps[there] = steps.get(there, 0.0) + discount * p
+                    add(row, taken, steps, [], action)
+            continue
         begins = [(share, s, 0) for s, share in task.start.items()]
         actions = {"begin": begins} if state == SOURCE else task.choices[state]
         for action, outs in actions.items():
@@ -197,7 +220,7 @@ def program(
                 total = min(paid + cost, horizon)
                 taken["cost"] += p * float(cost)
                 taken[f"visits {named(successor)}"] += survival * p
-                if successor in task.goals or successor in dead:
+                if successor in task.goals or successor in ends:
                     taken[f"end {named(successor)}"] += survival * p
                 for part, charge in entering.get(successor, {}).items():
                     taken[part] += survival * p * charge
@@ -206,6 +229,9 @@ def program(
                     here.append((p, total))
                 elif successor in dead:
                     taken["failure"] += survival * p
+                    if successor not in ends and p > 0:
+                        there = place[successor, FAILED]
+                        steps[there] = steps.get(there, 0.0) + survival * p
                 elif p > 0:
                     there = place[successor, total]
                     steps[there] = steps.get(there, 0.0) + survival * p
@@ -218,12 +244,14 @@ def program(
                 if give_up == "anywhere" or all(t in avoids | dead for p, t, _ in outs if p > 0)
             ]
             paid_once = least_paid(task, state, staying) if charged else {}
-            add(row, dict.fromkeys(every, 0.0) | {"failure": 1.0} | paid_once, {}, [])
+            onward = {place[state, FAILED]: 1.0} if state in avoids else {}
+            add(row, dict.fromkeys(every, 0.0) | {"failure": 1.0} | paid_once, onward, [])
     counted = {part for limit in task.limits for part in limit.weights} | set(minimised)
     counted -= {part for part in every if part.startswith("end") or part in ("goal", "failure")}
     inside = list(place.values())[1:]  # nobody wanders before the start
     for row in wandering(inside, rows, columns, taken_by_column, counted):
-        add(row, dict.fromkeys(every, 0.0) | {"failure": 1.0}, {}, [])
+        fails = 0.0 if list(place)[row][1] == FAILED else 1.0
+        add(row, dict.fromkeys(every, 0.0) | {"failure": fails}, {}, [])
     parts = {name: np.array([taken[name] for taken in taken_by_column]) for name in every}
     start = np.zeros(len(place))
     start[0] = 1.0
@@ -253,7 +281,7 @@ def wandering(
         column
         for column in reached
         if reached[column] <= inside
-        and not any(taken[column][part] for part in (*counted, "goal", "failure"))
+        and not any(taken[column][part] for part in (*counted, "goal", "failure", OVER))
     ]
     while True:
         steps = [(home[column], row) for column in free for row in reached[column]]
