@@ -14,7 +14,7 @@ import argparse
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -36,6 +36,7 @@ from ssp_lp.formulation import Formulation
 
 CRITERIA = ("mcmp", "least failure", "discounted", "horizon", "s3p", "maxprob", "quantity")
 AGREES = 1e-6  # absolute and relative
+ATTEMPTS = 12  # draws until one is limited by its limits
 ROOM = 1e-9  # by which a limit may be broken
 LEAST = 1e-9  # of failure that the second program of least failure is given
 GOAL = "home"
@@ -72,8 +73,28 @@ class Drawn:
 
 
 def drawn(seed: int, criterion: str) -> Drawn:
+    """A problem whose limits change something, if one of several draws is such."""
+    for attempt in range(ATTEMPTS):
+        found = _drawn_once(np.random.default_rng([seed, attempt]), criterion)
+        free = attained(
+            replace(found, limits=[(*limit[:3], _slack(limit)) for limit in found.limits])
+        )
+        limited = attained(found)
+        if limited is None or free is None:
+            if attempt % 4 == 0 and limited is None and free is not None:
+                break
+        elif abs(limited[0] - free[0]) > AGREES:
+            break
+    return found
+
+
+def _slack(limit: tuple[str, tuple[Any, ...], str, float]) -> float:
+    """A bound that limits nothing."""
+    return 0.0 if limit[2] == ">=" else np.inf
+
+
+def _drawn_once(rng: np.random.Generator, criterion: str) -> Drawn:
     """A problem: states 0 .. live - 1, then ends, some of which go on."""
-    rng = np.random.default_rng(seed)
     live, ends = int(rng.integers(2, 5)), int(rng.integers(2, 6))
     acyclic = criterion == "s3p"
     moves: Transitions = {}
@@ -132,7 +153,7 @@ def drawn(seed: int, criterion: str) -> Drawn:
     if criterion not in ("maxprob", "least failure") and safest is not None:
         found.budget = 1.0 + safest[0] * float(rng.choice([1.0, 0.9, 0.6, 0.3]))
     for kind, of, sense in asked:  # between the least that is attainable and what comes anyhow
-        found.limits.append((kind, of, sense, 0.0 if sense == ">=" else np.inf))
+        found.limits.append((kind, of, sense, _slack((kind, of, sense, 0.0))))
         limited, free = attained(found, (kind, of, sense)), attained(found)
         bound = 0.1
         share = float(rng.choice([0.0, 0.3, 0.7, 1.2, -0.1], p=(0.1, 0.35, 0.35, 0.15, 0.05)))

@@ -63,7 +63,7 @@ HUT = model_of(
 
 
 def test_an_end_that_is_asked_for_is_reached_after_failing() -> None:
-    """4/5 go for 2; 1/5 or more give up, charged one step of 2, and walk to the wall for nothing."""
+    """4/5 go for 2; 1/5 or more give up, charged a step of 2, and walk to the wall for nothing."""
     problem = MCMP(HUT, "a", 1.0, constraints={"w": end_probability("wall") >= 0.2})
     solution = solve(problem)
     assert solution.objective == pytest.approx(2.0, rel=1e-12)

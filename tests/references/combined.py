@@ -3,8 +3,8 @@
 States are (state, cost paid), the cost counted one by one up to a horizon of costs; a policy moves,
 gives up where that is allowed, or stays for ever among steps that add nothing to what is minimised
 and limited. After failing, in a dead-end or by giving up, it moves on at no cost, where it cannot
-reach the goal, to an end that is asked for or has no steps. Everything is plain dictionaries and one
-call of scipy: nothing is shared with the library.
+reach the goal, to an end that is asked for or has no steps. Everything is plain dictionaries and
+one call of scipy: nothing is shared with the library.
 """
 
 from collections.abc import Callable, Iterable, Mapping
