@@ -255,7 +255,7 @@ def test_a_law_that_takes_too_long_leaves_a_policy_with_a_bound(
     def never(*asked: Any) -> Any:
         raise Stop
 
-    monkeypatch.setattr("ssp_lp.analysis.evaluation.law_of_chains", never)
+    monkeypatch.setattr("ssp_lp.analysis.evaluation.measured_law", never)
     monkeypatch.setattr(sys.modules["ssp_lp.solve"], "approach_to", never)
     found = solve(problem, time_limit=5.0)
     assert found.lower_bound <= exact.objective <= found.objective
