@@ -280,7 +280,7 @@ class Solution(ReadOnlyCopies):
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class Answer:
     """What a method found, in what it minimises."""
 
     policy: MixedPolicy | Policy
@@ -294,7 +294,7 @@ class Found:
 
 
 def assembled(
-    problem: Problem, found: Found, run: Run, sense: ObjectiveSense = AS_ASKED
+    problem: Problem, found: Answer, run: Run, sense: ObjectiveSense = AS_ASKED
 ) -> Solution:
     """The solution, assembled in the problem's own terms.
 

@@ -12,10 +12,8 @@ from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP
 from ssp_lp.compiled.deadline import Deadline, Stop, WithIncumbent, closing, until
 from ssp_lp.errors import OutOfTimeError, SolverError
 from ssp_lp.methods.approaches import Case, approach_to, refusal
-from ssp_lp.methods.columns import solve_by_game
 from ssp_lp.methods.incumbent import Incumbent
 from ssp_lp.options import (
-    DeterministicPolicies,
     Game,
     Method,
     Progress,
@@ -97,13 +95,13 @@ def _solved_with_proof(
 ) -> tuple[Solution, Status]:
     """The answer to the problem that is solved, checked, and why the search ended."""
     solution: Solution | None = None
-    incumbent = Incumbent(problem, deterministic=isinstance(method, DeterministicPolicies))
+    incumbent = Incumbent(problem, options.deterministic)
     with until(options.deadline, prepare=incumbent.find) as deadline:
         with WithIncumbent() as search:
             inner, left = unrolled(problem), options.deadline - time.perf_counter()
-            case = Case(inner, left, options.program is not None)
-            by = solve_by_game if isinstance(method, Game) else approach_to(case).solve
-            solution = by(inner, options)
+            by_program, by_game = options.program is not None, isinstance(method, Game)
+            case = Case(inner, left, by_program, by_game=by_game)
+            solution = approach_to(case).solve(inner, options)
         if solution is None:
             with closing():
                 incumbent.find()
@@ -116,8 +114,8 @@ def _solved_with_proof(
     if deadline.was_met:
         solution = incumbent.improving(solution)
     _check_solution(solution)
-    found = solution.run.method, solution.run.pricing_calls, solution.objective
-    _SEARCH.info("%s: %d pricing calls, objective %.9g", *found)
+    figures = solution.run.method, solution.run.pricing_calls, solution.objective
+    _SEARCH.info("%s: %d pricing calls, objective %.9g", *figures)
     bound = solution.lower_bound if solution.upper_bound is None else solution.upper_bound
     _PROOF.info("bound %.9g, relative gap %.1e", bound, solution.gap)
     return solution, deadline.status(solution.gap, options.tolerance)
@@ -125,14 +123,14 @@ def _solved_with_proof(
 
 def _unsolved(problem: Problem, deadline: Deadline, stop: BaseException | None) -> BaseException:
     """What to raise where the time ended before there was an answer."""
-    told = stop.told if isinstance(stop, Stop) else ""
+    progress = stop.told if isinstance(stop, Stop) else ""
     if deadline.is_interrupted:
-        return KeyboardInterrupt(told)
-    known, model = told or "nothing but the model was known by then", problem.model
+        return KeyboardInterrupt(progress)
+    progress, model = progress or "nothing but the model was known by then", problem.model
     size = f"the model has {model.n_states:,} states and {model.n_outcomes:,} outcomes"
     return OutOfTimeError(
         f"the time limit of {max(deadline.at - deadline.began, 0.0):.3g} s ended before a policy "
-        f"that keeps to all limits was found ({known}; {size}): allow more time"
+        f"that keeps to all limits was found ({progress}; {size}): allow more time"
     )
 
 
@@ -145,14 +143,16 @@ def _check_solution(solution: Solution) -> None:
     """
     budget, used = solution.problem.failure_budget, solution.budget_used
     weights = solution.policy.weights.tolist()
-    told = []
+    faults = []
     if not isfinite(solution.objective):
-        told.append(f"its value is {solution.objective!r}")
+        faults.append(f"its value is {solution.objective!r}")
     if not 0.0 <= used <= 1.0 + _ROUNDING:
-        told.append(f"it fails with {used!r}")
+        faults.append(f"it fails with {used!r}")
     if budget is not None and used > budget + LEAST_BUDGET:
-        told.append(f"it fails with {used!r}, {budget!r} allowed")
+        faults.append(f"it fails with {used!r}, {budget!r} allowed")
     if not (min(weights) >= 0.0 and abs(sum(weights) - 1.0) <= _ROUNDING):
-        told.append("its weights are no lottery")
-    if told:
-        raise SolverError(f"the answer fails its check: {', '.join(told)}; please report the model")
+        faults.append("its weights are no lottery")
+    if faults:
+        raise SolverError(
+            f"the answer fails its check: {', '.join(faults)}; please report the model"
+        )

@@ -23,6 +23,7 @@ from ssp_lp.methods.columns import (
     prove_goal,
     prove_least_failure,
     prove_within_budget,
+    solve_by_game,
 )
 from ssp_lp.methods.refinement import Proved
 from ssp_lp.methods.risk import least_risk, prove_risk
@@ -55,6 +56,7 @@ class Case:
     seconds: float = np.inf  # that are left
     by_program: bool = False  # written out, for the full linear program
     on_levels: bool = False  # the policy tells levels of a grid apart
+    by_game: bool = False  # by the paper's own construction
 
     @staticmethod
     def of_solution(solution: Solution) -> Case:
@@ -98,6 +100,7 @@ def _is_split(case: Case) -> bool:
 
 
 APPROACHES = (
+    Approach(lambda case: case.by_game, solve_by_game, prove_within_budget),
     Approach(_is_on_rounded_costs, solve_on_rounded_costs, prove_by_units, afresh=True),
     Approach(_is_split, solve_on_split_costs, prove_by_units, afresh=True),
     Approach(lambda case: case.asks.is_risk, least_risk, prove_risk, afresh=True),
@@ -118,16 +121,16 @@ def refusal(problem: Problem, method: Method) -> ModelError | None:
     """Why a method does not answer a problem; None: it does."""
     if isinstance(method, ColumnGeneration | LinearProgramming):
         return None  # a budget of a share is not worked out for it
-    asks, asked = requirements(problem), Argument("method", method.name)
+    asks, named = requirements(problem), Argument("method", method.name)
     name = f"{type(problem).__name__}{' with limits' if conditions_of(problem) else ''}"
     if isinstance(method, DeterministicPolicies) and (
         asks.several_rows or asks.totals is TotalScale.SUMS or asks.measure is not None
     ):
-        return ModelError(asked, f" is not available for {name}")
+        return ModelError(named, f" is not available for {name}")
     if not isinstance(method, Game):
         return None
     if asks.rows:
-        return ModelError(asked, f" knows one row only, not {name}: take 'columns' or 'lp'")
+        return ModelError(named, f" knows one row only, not {name}: take 'columns' or 'lp'")
     if asks.ratio and getattr(problem, "cost_cap", None) is not None:
         return ModelError("the game chooses its own cap M: leave ", Argument("cost_cap"), " out")
     try:

@@ -41,7 +41,7 @@ from ssp_lp.processes.failure_semantics import (
     start_distribution,
 )
 from ssp_lp.processes.goal_reach import extreme_goal_reach
-from ssp_lp.solution import Found, Run, Solution, assembled, remarks
+from ssp_lp.solution import Answer, Run, Solution, assembled, remarks
 
 _REASONS = {
     "columns": "column generation, as asked",
@@ -64,7 +64,7 @@ def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
         reason, program = "the full linear program agrees with policy iteration", optimum.report
     policy = DeterministicPolicy(problem.model, reach.decision)
     sign = -1.0 if greatest else 1.0
-    answer = Found(policy, sign * objective, sign * bound, max(1.0 - objective, 0.0))
+    answer = Answer(policy, sign * objective, sign * bound, max(1.0 - objective, 0.0))
     run = Run(options.method, reason, 1, 0.0, program=program)
     return assembled(problem, answer, run, ObjectiveSense(0.0 if greatest else None))
 
@@ -80,7 +80,7 @@ def cheapest_at_least_failure(problem: Problem, _: SolveOptions) -> Solution:
     objective = row.objective(least.column.cost, least.column.goal)
     then = "greatest worth" if problem.semantics.maximises else "least cost"
     reason = f"two stages: greatest goal probability, then {then}"
-    answer = Found(least.policy, objective, least.objective_bound, least.column.failure)
+    answer = Answer(least.policy, objective, least.objective_bound, least.column.failure)
     return assembled(problem, answer, Run("columns", reason, 2, 0.0), problem.semantics.sense)
 
 
@@ -102,14 +102,14 @@ def best_within_budget(problem: Problem, options: SolveOptions) -> Solution:
     budget, sense = problem.failure_budget, problem.semantics.sense
     budget = 1.0 if budget is None else budget
     outcome = refined_optimum(problem.compile(), budget, options)
-    generated = outcome.found
+    generated = outcome.generated
     worth, bound = sense.worth(generated.objective), sense.worth(generated.lower_bound)
     gained, is_met = -generated.objective, relative_gap(bound, worth) <= options.tolerance
     if sense.constant and 0.0 < abs(worth) < gained and not is_met:  # a difference of larger worths
         finer = max(options.tolerance * abs(worth) / gained, _LEAST_TOLERANCE)
         exactly = replace(options, tolerance=finer)
         outcome = outcome.followed_by(refined_optimum(outcome.compiled, budget, exactly))
-        generated = outcome.found
+        generated = outcome.generated
     beyond = generated.objective if outcome.row.ratio else 0.0
     price = max(generated.price - beyond, 0.0)
     compiled, unlimited = outcome.compiled, not problem.ratio and outcome.row.budget >= 1.0
@@ -122,7 +122,7 @@ def best_within_budget(problem: Problem, options: SolveOptions) -> Solution:
     notes = [remarks(problem, outcome.row.budget, generated.finished)]
     if compiled.charge is not None and compiled.charge.settled is None:
         notes += [_UNSETTLED] * (outcome.gap > options.tolerance)
-    answer = Found(
+    answer = Answer(
         outcome.lottery,
         generated.objective,
         generated.lower_bound,
@@ -226,9 +226,10 @@ def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: fl
         # it may be less beyond the cap with better policies there
         bound, tail = _bound_by_values(exact, row, kappa, price == 0.0, solution)
     if least is not None and row.leaves_only(least.column) and least.column.failure < 1.0:
-        kept = evaluation.limited_failure <= budget  # to the last digit, which tells it from others
+        # to the last digit, which tells it from others
+        is_kept = evaluation.limited_failure <= budget
         value = sense.worth(evaluation.objective)
-        if not (kept and relative_gap(least.objective_bound, value) > CONTRADICTION):
+        if not (is_kept and relative_gap(least.objective_bound, value) > CONTRADICTION):
             bound = max(bound, least.objective_bound)
     return _proved_as_asked(sense, evaluation, bound, row.budget, tail)
 
@@ -258,7 +259,7 @@ def solve_by_game(problem: Problem, options: SolveOptions) -> Solution:
     price = (
         max(equilibrium.price - equilibrium.objective, 0.0) if problem.ratio else equilibrium.price
     )
-    answer = Found(
+    answer = Answer(
         policy=equilibrium.policy,
         value=equilibrium.objective,
         bound=equilibrium.lower_bound,
@@ -286,7 +287,7 @@ _SPREAD = 1e-6  # relative uncertainty of a price that a search or a program end
 class RefinedOutcome:
     """The last search, the compiled problem that it ran on, and the work done in all."""
 
-    found: Generated
+    generated: Generated
     compiled: CompiledProblem
     row: FailureRow
     least: LeastFailure | None = None  # where it had to be worked out
@@ -297,12 +298,12 @@ class RefinedOutcome:
     @property
     def gap(self) -> float:
         """Relative gap of what refinement has come to."""
-        return relative_gap(self.found.objective, self.found.lower_bound)
+        return relative_gap(self.generated.objective, self.generated.lower_bound)
 
     @property
     def lottery(self) -> MixedPolicy:
         """The lottery on the model that the search ended with."""
-        return self.found.lottery(self.compiled.pricing())
+        return self.generated.lottery(self.compiled.pricing())
 
     def followed_by(self, other: RefinedOutcome) -> RefinedOutcome:
         """The other, with the work of both."""
@@ -337,7 +338,7 @@ def refined_optimum(
     best = refine(_finer_outcomes(outcome, options), options.tolerance)
     if not is_late():
         return best
-    return replace(best, found=replace(best.found, finished=best.gap <= options.tolerance))
+    return replace(best, generated=replace(best.generated, finished=best.gap <= options.tolerance))
 
 
 def _finer_outcomes(outcome: RefinedOutcome, options: SolveOptions) -> Iterator[RefinedOutcome]:
@@ -346,7 +347,7 @@ def _finer_outcomes(outcome: RefinedOutcome, options: SolveOptions) -> Iterator[
     while True:
         yield outcome
         gaps.append(outcome.gap)
-        generated, compiled, row = outcome.found, outcome.compiled, outcome.row
+        generated, compiled, row = outcome.generated, outcome.compiled, outcome.row
         later = options.after(outcome.calls)
         if outcome.least is None and generated.columns[0].failure >= row.budget - _NEAR:
             least = checked_least_failure(compiled, row.budget)
@@ -381,11 +382,11 @@ def _capped_by_case_m(
         model, start, discount = compiled.model, compiled.start, compiled.discount
         label = CompiledExplicit(model, start, semantics, discount)
         outcome = refined_optimum(label, budget, SolveOptions(_TRIAL_TOLERANCE))
-    price = max(outcome.found.price, outcome.found.ratio)
+    price = max(outcome.generated.price, outcome.generated.ratio)
     if not np.isfinite(price):
         return compiled, None
     return compiled.capped_at(_LABEL_MARGIN * price), DualGuess(
-        price, _LABEL_SPREAD, slack=len(outcome.found.columns) == 1
+        price, _LABEL_SPREAD, slack=len(outcome.generated.columns) == 1
     )
 
 
@@ -404,8 +405,8 @@ def _safest_outcome(
         rule = columns_at(compiled.pricing(), least, row)
         generated = generate(rule, SolveOptions(_TRIAL_TOLERANCE))
         return RefinedOutcome(replace(generated, finished=False), compiled, rule.row, least)
-    told = stop.told if isinstance(stop, Stop) else ""
-    raise Stop(told=told or "no policy was measured by then") from stop
+    words = stop.told if isinstance(stop, Stop) else ""
+    raise Stop(told=words or "no policy was measured by then") from stop
 
 
 def _attempt(

@@ -39,7 +39,7 @@ from typing import cast
 import highspy
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse import csgraph, linalg
+from scipy.sparse import csgraph
 
 from ssp_lp.accumulated_cost.process import LayeredProcess
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
@@ -60,7 +60,7 @@ from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled
 from ssp_lp.processes.quotient import Quotient
 from ssp_lp.programs.program_rows import rows_program
-from ssp_lp.solution import Found, Solution
+from ssp_lp.solution import Answer, Solution
 
 _OPEN = 1e-6  # relative gap from which determinism is said to cost at most so much
 _DUAL = 1e-9  # relative error that is allowed to HiGHS's bound
@@ -90,12 +90,12 @@ def best_deterministic(
     Raises:
         ModelError: the process is too large.
     """
-    generated, row = outcome.found, outcome.row
+    generated, row = outcome.generated, outcome.row
     most = row.budget + min(_ROUNDING, _SMALL * row.budget)
     inside = [column for column in generated.columns if column.failure <= most]
     column = min(inside, key=lambda c: row.objective(c.cost, c.goal))
     value, policy = row.objective(column.cost, column.goal), outcome.compiled.pricing().policy
-    incumbent = Found(policy(column), value, generated.lower_bound, column.failure)
+    incumbent = Answer(policy(column), value, generated.lower_bound, column.failure)
     search = _PolicySearch(outcome, most, incumbent, tolerance, deadline)
     finished = len(generated.columns) == 1 and generated.finished
     if len(generated.columns) > 1 and not is_late():
@@ -129,20 +129,19 @@ class _PolicySearch:
 
     outcome: RefinedOutcome  # of the search for the best lottery
     most: float  # failure of a policy that keeps to the budget: rounding is allowed for
-    best: Found  # its bound holds of every policy
+    best: Answer  # its bound holds of every policy
     tolerance: float  # relative
     deadline: float
     refused: int = 0
-    choice: IntArray | None = None  # [states] of the best policy, where it was found here
 
     @cached_property
     def relaxation(self) -> DeterministicRelaxation:
         """The process written out."""
-        return deterministic_relaxation(self.outcome.compiled, self.outcome.found.price)
+        return deterministic_relaxation(self.outcome.compiled, self.outcome.generated.price)
 
     def run(self) -> bool:
         """Walk between two policies, then solve the programs; whether the search was finished."""
-        relaxation, bound = self.relaxation, self.outcome.found.lower_bound
+        relaxation, bound = self.relaxation, self.outcome.generated.lower_bound
         self._walk_between_members()
         if relative_gap(self.best.value, bound) <= self.tolerance:
             return True
@@ -161,11 +160,9 @@ class _PolicySearch:
             if column.failure > self.most:
                 continue
             kept, value = True, row.objective(column.cost, column.goal)
-            if value <= self.best.value:
-                self.choice = whole
             if value < self.best.value:
                 policy = relaxation.compiled.pricing().policy(column)
-                self.best = Found(policy, value, self.best.bound, column.failure)
+                self.best = Answer(policy, value, self.best.bound, column.failure)
         return kept
 
     def _walk_between_members(self) -> None:
@@ -175,7 +172,7 @@ class _PolicySearch:
         every policy that follows the one in some states and the other elsewhere: of these, the one
         that fails most within the budget is cheapest. Farther prices differ in more states.
         """
-        compiled, price = self.relaxation.compiled, self.outcome.found.price
+        compiled, price = self.relaxation.compiled, self.outcome.generated.price
         for spread in _SPREADS:
             if is_late():
                 return
@@ -231,8 +228,6 @@ class _PolicySearch:
             return 0.0, True  # nothing is to be decided: the lottery's bound is all there is
         bound = 0.0
         for _ in range(_RATIOS):
-            if self.choice is not None:
-                program.start_at(self.choice)
             answer = self._solved_without_refused(program, process.cost - ratio * process.goal)
             least = answer.bound - (_DUAL * (1.0 + abs(answer.bound)))
             if np.isfinite(answer.bound) and row.ratio:
@@ -497,16 +492,6 @@ class IntegerProgram:
         columns = (self.process.n_pairs + position).astype(np.int32)
         most = float(position.size) - 1.0
         self._solver.addRow(-highspy.kHighsInf, most, position.size, columns, np.ones(columns.size))
-
-    def start_at(self, choice: IntArray) -> None:
-        """Tell HiGHS of a policy with which to begin, [states]."""
-        process, given = self.process, highspy.HighsSolution()
-        chain = sp.csc_array(process.transitions[choice].T)
-        stay = sp.csc_array(sp.eye_array(len(choice)) - chain)
-        x = np.zeros(process.n_pairs)
-        x[choice] = linalg.spsolve(stay, process.start)
-        given.col_value = np.append(x, np.isin(self.pairs, choice)).tolist()
-        self._solver.setSolution(given)
 
     def solve(self, cost: FloatArray, deadline: float) -> IntegerAnswer:
         """Minimise a cost of the pairs, [pairs], until the deadline of ``time.perf_counter``."""

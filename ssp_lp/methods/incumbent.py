@@ -36,7 +36,7 @@ from ssp_lp.policies.policy import as_lottery
 from ssp_lp.problem import Problem, Restated, conditions_of, requirements, unrolled
 from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense, start_distribution
 from ssp_lp.processes.goal_reach import greatest_goal_reach
-from ssp_lp.solution import CUT_SHORT, Found, Run, Solution, assembled
+from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 
 _ROUGH = SolveOptions(1e-3)  # how exactly case M is solved: its policy is not the best one anyway
 _NOTHING = 1e-290  # a bound below it is 0
@@ -86,10 +86,9 @@ class Incumbent:
         """
         if not requirements(self.stated).counts_totals:
             return other
-        best, bound, above = self.solution or other, worth_bound(unrolled(self.stated)), 1.0
-        if other.upper_bound is not None:
-            above = -1.0
-        if above * other.objective <= above * best.objective:
+        best, bound = self.solution or other, worth_bound(unrolled(self.stated))
+        sign = 1.0 if other.upper_bound is None else -1.0
+        if sign * other.objective <= sign * best.objective:
             best = other
         price = other.failure_price
         if price is not None and best.problem.ratio:  # with the ratio it stays the same
@@ -139,8 +138,7 @@ def _judged(
         judge: evaluates it, exactly or for the worse.
     """
     evaluation, budget = judge(policy, problem), problem.failure_budget
-    failure = evaluation.discounted_failure
-    failure = evaluation.failure_probability if failure is None else failure
+    failure = evaluation.limited_failure
     allowed = 1.0 if budget is None else max(budget * (1.0 + ATTAINABLE), budget + room)
     if not np.isfinite(evaluation.objective) or failure > allowed:
         return None
@@ -151,7 +149,7 @@ def _judged(
         sense, sign = ObjectiveSense(0.0), -1.0
     reason = "a policy of case M, as the search had none so good by then"
     note = CUT_SHORT if judge is evaluate else f"{CUT_SHORT}; {_MOMENTS}"
-    answer = Found(policy, sign * evaluation.objective, sign * bound, failure, note=note)
+    answer = Answer(policy, sign * evaluation.objective, sign * bound, failure, note=note)
     return assembled(problem, answer, Run("columns", reason, 0, 0.0), sense)
 
 

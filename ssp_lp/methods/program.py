@@ -59,8 +59,10 @@ def program_of(
         )
     problem = problem if start is None else replace(cast("Any", problem), start=start)
     inner, horizon = unrolled(problem), getattr(problem, "horizon", None)
-    stated = _bounded(compiled_constrained(inner), bounds or {})
-    compiled = stated.settled()
+    stated, bounds = compiled_constrained(inner), bounds or {}
+    side = tuple(replace(row, bound=bounds.get(row.name, row.bound)) for row in stated.side)
+    budget = min(bounds[FAILURE_ROW], 1.0) if FAILURE_ROW in bounds else stated.budget
+    compiled = replace(stated, budget=budget, side=side).settled()
     augmented: Augmented | None = None
     total = compiled.ratio and isinstance(compiled.charge, TotalCostCharge)
     if total and compiled.budget is None and not has_rows(inner) and compiled.fixed_cap is None:
@@ -83,9 +85,11 @@ def program_of(
         for name, bound, told, each in bounded:
             if np.isfinite(bound):
                 rows.append(ProgramRow(name, np.ascontiguousarray(each), float(bound), told))
+    asked = "least failure" if budget is None else f"failure budget {budget:g}"
+    discount = "" if inner.discount is None else f", discount {inner.discount:g}"
     within = "" if horizon is None else f", within {horizon:,} steps"
     return OccupationProgram(
-        title=_title(inner, stated.budget) + within,
+        title=f"{type(inner).__name__}, {asked}{discount}{within}",
         objective=_objective_word(inner, compiled),
         augmented=augmented,
         rows=tuple(rows),
@@ -97,20 +101,13 @@ def program_of(
     ).spread_out()
 
 
-def _bounded(compiled: CompiledExplicit, bounds: Mapping[str, float]) -> CompiledExplicit:
-    """The compiled problem with other bounds, by name of the row."""
-    budget = min(bounds[FAILURE_ROW], 1.0) if FAILURE_ROW in bounds else compiled.budget
-    side = tuple(replace(row, bound=bounds.get(row.name, row.bound)) for row in compiled.side)
-    return replace(compiled, budget=budget, side=side)
-
-
 def _augmented(compiled: CompiledExplicit) -> Augmented:
     """The process of the compiled problem, with what is minimised as its cost."""
-    found = compiled.augmented
-    if isinstance(found, OpenEnded):
-        return LayeredModel(found, compiled.start)
+    augmented = compiled.augmented
+    if isinstance(augmented, OpenEnded):
+        return LayeredModel(augmented, compiled.start)
     cost = np.ascontiguousarray(compiled.explicit_pricing.rewards[:, 0])
-    labelled = replace(found, process=replace(found.process, cost=cost))
+    labelled = replace(augmented, process=replace(augmented.process, cost=cost))
     return LabelledModel(labelled, compiled.start, compiled.semantics, compiled.discount)
 
 
@@ -141,10 +138,3 @@ def _objective_word(problem: Problem, compiled: CompiledExplicit) -> str:
     if 0.0 < semantics.penalty < np.inf:
         return f"cost + {semantics.penalty:g} failure"
     return "cost"
-
-
-def _title(problem: Problem, budget: float | None) -> str:
-    """The program's title: the formulation, and what is asked about failing."""
-    asked = "least failure" if budget is None else f"failure budget {budget:g}"
-    discount = "" if problem.discount is None else f", discount {problem.discount:g}"
-    return f"{type(problem).__name__}, {asked}{discount}"

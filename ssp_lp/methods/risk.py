@@ -76,7 +76,7 @@ from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem, compiled_constrained, compiled_totals, requirements
 from ssp_lp.processes.conditions import FAILURE_ROW
-from ssp_lp.solution import CUT_SHORT, Found, Run, Solution, assembled
+from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 
 
 def least_risk(
@@ -288,8 +288,8 @@ class WithinBudget(Question):
             return Trial(value, min(self.share(pricing.prove(0.0)), value), policy, 0.0, 2)
         guess = DualGuess(kappa, _NEARBY) if kappa > 0.0 else None
         outcome = refined_optimum(compiled, self.budget, options, guess)
-        value, bound = outcome.found.objective, outcome.found.lower_bound
-        return Trial(value, bound, outcome.lottery, outcome.found.price, outcome.calls)
+        value, bound = outcome.generated.objective, outcome.generated.lower_bound
+        return Trial(value, bound, outcome.lottery, outcome.generated.price, outcome.calls)
 
     def refuted_below(
         self, charge: Charge, kappa: float, prices: Mapping[str, float], *, slack: bool = False
@@ -462,7 +462,7 @@ def question_of_compiled(compiled: CompiledArrivalCost, budget: float | None) ->
 
 def question_remarks(question: Question, *, in_time: bool) -> str:
     """The note, and whether time ran out."""
-    return "; ".join(told for told in (question.note, "" if in_time else CUT_SHORT) if told)
+    return "; ".join(note for note in (question.note, "" if in_time else CUT_SHORT) if note)
 
 
 _ROUGH = 1e-2  # how exactly a share is worked out that need only lie on one side of another
@@ -490,38 +490,40 @@ def least_quantile(
         ModelError: the quantile lies beyond the largest table of costs.
         Stop: the time ended before some policy kept to a bound.
     """
-    places, kept, calls, kappa = question.thresholds, None, 0, 0.0 if near is None else near.kappa
+    places, kappa = question.thresholds, 0.0 if near is None else near.kappa
+    incumbent, calls = None, 0
     low, refuted, high, tried = -1, -1, 0, 0  # too low, proved so; kept to; and bounds tried
     number = places.number(question.typical if near is None else near.total)
     rough = replace(options, tolerance=max(options.tolerance, _ROUGH))
     with WithIncumbent():
-        while kept is None or (high - low > 1 and not is_late()):
+        while incumbent is None or (high - low > 1 and not is_late()):
             trial = question.attempt(LateCharge(places.total(number)), rough, kappa)
             calls, kappa, tried = calls + trial.calls, trial.kappa, tried + 1
             if trial.lower_bound <= _late_share(level) < trial.value and not is_late():
                 trial = question.attempt(LateCharge(places.total(number)), options, kappa)
                 calls, kappa = calls + trial.calls, trial.kappa
             if trial.value <= _late_share(level):
-                kept, high = trial, number
+                incumbent, high = trial, number
             else:
                 low = number
-            if kept is None and is_late():
+            if incumbent is None and is_late():
                 break
-            last = high if kept else 2 * number + 1
+            last = high if incumbent else 2 * number + 1
             refuted = max(refuted, _last_refuted(question, trial, level, refuted, last))
             low, number = max(low, refuted), max(low, refuted) + 1
             if tried > _NEWTON:
-                number = (low + high) // 2 if kept is not None else last
-        if kept is not None and not is_late():  # of all that keep to the bound: most often
+                number = (low + high) // 2 if incumbent is not None else last
+        if incumbent is not None and not is_late():  # of all that keep to the bound: most often
             best = question.attempt(LateCharge(places.total(high)), options, kappa)
-            calls, kept = calls + best.calls, min(kept, best, key=lambda trial: trial.value)
-    if kept is None:
+            calls += best.calls
+            incumbent = min(incumbent, best, key=lambda trial: trial.value)
+    if incumbent is None:
         below = _beyond_refuted(question, refuted)
         raise Stop(told=f"no policy's quantile lies below {below:g}")
-    law = success_costs(kept.policy, problem)
+    law = success_costs(incumbent.policy, problem)
     objective = law.quantile(level)
-    answer = Found(
-        policy=kept.policy,
+    answer = Answer(
+        policy=incumbent.policy,
         value=objective,
         bound=min(_beyond_refuted(question, refuted), objective),
         failure=1.0 - law.goal,
@@ -593,13 +595,13 @@ def exactly_refuted(question: WithinBudget, model: SSP, level: float, quantile: 
         proof = compiled.pricing().prove(price)
         search = ExactTotals(model, compiled.start, compiled.process, proof, bound, usable)
         enough = share * (1.0 - question.allowed) + price * question.allowed
-        found = search.raised(enough, places)
-        if question.share(replace(proof, bound=found.bound)) > share:
+        exact = search.raised(enough, places)
+        if question.share(replace(proof, bound=exact.bound)) > share:
             return quantile * (1.0 - 2.0 * _BELOW)
-        if not found.finished or budget is None or (price == lowest and found.failure <= budget):
+        if not exact.finished or budget is None or (price == lowest and exact.failure <= budget):
             break
-        line = found.failure, found.bound - price * found.failure
-        within, beyond = (line, beyond) if found.failure <= budget else (within, line)
+        line = exact.failure, exact.bound - price * exact.failure
+        within, beyond = (line, beyond) if exact.failure <= budget else (within, line)
         if beyond is None:
             price = max(price / _STEEPER, lowest)
         elif within is None:
@@ -634,14 +636,14 @@ class _TailMeanSearch:
     question: Question
     level: float
     options: SolveOptions
-    best: Found | None = None
+    best: Answer | None = None
     quantile: int = 0  # number of the best policy's own quantile
     tried: dict[int, Trial] = field(default_factory=dict)  # by the number of the threshold
     kappas: dict[int, float] = field(default_factory=dict)  # what failing is worth there
     calls: int = 0
     sweeps: int = 0
 
-    def attempt(self, threshold: int) -> Found:
+    def attempt(self, threshold: int) -> Answer:
         """The better of the best so far and the best policy at a threshold."""
         charge = ExcessCharge(self.question.thresholds.total(threshold), 1.0 - self.level)
         trial = self.question.attempt(charge, self.options, self._kappa(threshold))
@@ -655,7 +657,7 @@ class _TailMeanSearch:
             beyond = trial.kappa - value  # what failing costs beyond the value
             price = beyond if beyond > _TIED * value else 0.0
             failure = 1.0 - law.goal
-            best = Found(trial.policy, value, 0.0, failure, price, None, trial.prices)
+            best = Answer(trial.policy, value, 0.0, failure, price, None, trial.prices)
             self.best, self.quantile = best, quantile
         return best
 
@@ -701,7 +703,7 @@ class _TailMeanSearch:
         kappas = [self.kappas[number] for number in numbers]
         return float(np.interp(threshold, numbers, kappas)) if numbers else 0.0
 
-    def run(self, near: Near | None = None) -> tuple[Found, float]:
+    def run(self, near: Near | None = None) -> tuple[Answer, float]:
         """The best policy, and a lower bound of every policy's tail mean.
 
         Args:

@@ -70,7 +70,7 @@ from ssp_lp.problem import (
     requirements,
 )
 from ssp_lp.processes.failure_semantics import start_distribution
-from ssp_lp.solution import CUT_SHORT, Found, Run, Solution, assembled
+from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 
 _ROUGH = 1e-4  # how exactly the first model of split costs is solved
 _ROUGH_FIRST = 1e-3  # and one that only says where a price lies, with steps far below a unit
@@ -120,11 +120,11 @@ def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solutio
     incumbent, best, bound, calls, work = Incumbent(problem), None, 0.0, 0, Work()
     incumbent.find()
     has_answer(by_itself=incumbent.solution is not None)
-    if (found := incumbent.solution) is not None:
-        best = Found(found.policy, found.objective, 0.0, found.budget_used)
-        bound = found.lower_bound
-        yield replace(found, note="")
-    asked, cheapest = _levels_asked(problem), float(step_costs(problem.model)[1][1])
+    if (solution := incumbent.solution) is not None:
+        best = Answer(solution.policy, solution.objective, 0.0, solution.budget_used)
+        bound = solution.lower_bound
+        yield replace(solution, note="")
+    most, cheapest = _levels_asked(problem), float(step_costs(problem.model)[1][1])
     units, guess, reach = list(_split_units(problem)), None, _REACH * _span_of_steps(problem)
     for unit in units:
         is_first = best is not None and unit != units[-1] and float(unit) > 2.0 * cheapest
@@ -133,8 +133,8 @@ def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solutio
             value, gap = best.value, relative_gap(best.value, bound)
         rough = min(_SHARE * gap, max(_ROUGH, _ENOUGH * options.tolerance))
         finer = replace(options.after(calls), tolerance=_ROUGH_FIRST if is_first else rough)
-        outcome = split_optimum(problem, unit, finer, guess, asked, reach)
-        generated, layers = outcome.found, outcome.compiled.layers
+        outcome = split_optimum(problem, unit, finer, guess, most, reach)
+        generated, layers = outcome.generated, outcome.compiled.layers
         bound, calls = max(bound, generated.lower_bound), calls + outcome.calls
         work, reach = work + outcome.work, generated.price
         guess = DualGuess(reach, _SPREAD)
@@ -147,7 +147,7 @@ def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solutio
         if best is None:
             continue
         levels = f"{layers:,} levels up to {layers * float(_unit_of(outcome)):.6g}"
-        more = "more of them leave a smaller gap" if asked else "no room for more of them"
+        more = "more of them leave a smaller gap" if most else "no room for more of them"
         note = f"totals are rounded to {levels}: {more}" if generated.finished else CUT_SHORT
         reason = f"costs split between {layers:,} layers, {calls} pricing calls"
         answer = replace(best, bound=bound, price=max(reach - best.value, 0.0), note=note)
@@ -182,15 +182,15 @@ def _split_proofs(
     guess, bound, allowed, before = None, 0.0, problem.failure_budget or 0.0, -np.inf
     for unit in _split_units(problem, finest=True):
         outcome = split_optimum(problem, unit, rough, guess)
-        guess = DualGuess(outcome.found.price, _SPREAD)
-        bound, allowed = max(bound, outcome.found.lower_bound), max(allowed, outcome.row.budget)
+        guess = DualGuess(outcome.generated.price, _SPREAD)
+        bound, allowed = max(bound, outcome.generated.lower_bound), max(allowed, outcome.row.budget)
         yield Proved(attained, bound, allowed)
         if bound - before < _SHARE * ((1.0 - enough) * attained - bound):
             return
         before = bound
 
 
-def _true_lottery(problem: Problem, outcome: RefinedOutcome) -> Found:
+def _true_lottery(problem: Problem, outcome: RefinedOutcome) -> Answer:
     """The best lottery over one unit's policies, evaluated on the true model."""
     row, least, columns, members = outcome.row, outcome.least, list[Column](), None
     if least is None or row.budget > least.column.failure:
@@ -203,7 +203,7 @@ def _true_lottery(problem: Problem, outcome: RefinedOutcome) -> Found:
     weights = np.array([weight for _, weight in members])
     cost, failure, goal = weights @ [(c.cost, c.failure, c.goal) for c, _ in members]
     lottery = MixedPolicy(tuple(c.policy for c, _ in members if c.policy), weights)
-    return Found(lottery, row.objective(float(cost), float(goal)), 0.0, float(failure))
+    return Answer(lottery, row.objective(float(cost), float(goal)), 0.0, float(failure))
 
 
 def _true_columns(problem: Problem, outcome: RefinedOutcome) -> list[Column]:
@@ -215,7 +215,7 @@ def _true_columns(problem: Problem, outcome: RefinedOutcome) -> list[Column]:
     Raises:
         Stop: the time ended before one within the budget was measured.
     """
-    generated, pricing, row = outcome.found, outcome.compiled.pricing(), outcome.row
+    generated, pricing, row = outcome.generated, outcome.compiled.pricing(), outcome.row
     columns, last, one_sided = list[Column](), generated.columns[0], len(generated.columns) == 1
     with WithIncumbent() as search:
         for column in generated.columns:
@@ -238,8 +238,8 @@ def _true_column(problem: Problem, outcome: RefinedOutcome, policy: Policy) -> C
     Where a step is less than a unit its levels are parts of one: else it would round to nothing.
     """
     if isinstance(policy, CostAwarePolicy):
-        unit, asked = _unit_of(outcome), _levels_asked(problem)
-        room = _CELLS // max(problem.model.n_states, 1) if asked is None else asked
+        unit, most = _unit_of(outcome), _levels_asked(problem)
+        room = _CELLS // max(problem.model.n_states, 1) if most is None else most
         # parts of which the cheapest step takes one at least
         parts = int(np.ceil(float(unit) / float(step_costs(problem.model)[1][1])))
         parts = max(min(parts, room // policy.cap), 1)

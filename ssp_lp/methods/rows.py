@@ -53,7 +53,7 @@ from ssp_lp.problem import Problem, Restated, compiled_constrained, unrolled
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, survival_of
 from ssp_lp.processes.goal_reach import greatest_goal_reach
-from ssp_lp.solution import CUT_SHORT, Found, Run, Solution, assembled
+from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 
 _PATIENCE = 6  # refinements that need not even halve the gap
 _COARSE_TOTALS = 64  # of the grid that a search on totals begins with
@@ -63,7 +63,7 @@ _FINER = 1e-3  # of the tolerance, where a complement is minimised, which may be
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class RowsOptimum(Found):
+class RowsOptimum(Answer):
     """The best lottery that was found, with its proof, and what it took."""
 
     policy: MixedPolicy
@@ -203,9 +203,9 @@ def _rows_attempt(
     bound, values = bound_in_time(compiled, rows, prices, ratio, pool)
     policy = generated.lottery(compiled.pricing())
     if truth is not None and compiled.is_rounded:
-        kept = true_lottery(compiled, rows, pool, rows.weights(prices), truth.figures)
-        policy, failure = kept or (policy, failure)
-        value = truth.value(policy) if kept else np.inf
+        repaired = true_lottery(compiled, rows, pool, rows.weights(prices), truth.figures)
+        policy, failure = repaired or (policy, failure)
+        value = truth.value(policy) if repaired else np.inf
     elif truth is not None:
         value = truth.value(policy)
     named = dict.fromkeys(compiled.names, 0.0) | by_name(compiled, rows, prices)
@@ -441,9 +441,9 @@ def _positive_ratio(pool: Pool, ended: Generated) -> float:
     if np.isfinite(attained) and attained > 0.0:
         return attained
     with np.errstate(divide="ignore", invalid="ignore"):
-        known = pool.figures[0] / (1.0 - pool.figures[1])
-    known = known[np.isfinite(known) & (known > 0.0)]
-    return float(known.max()) if known.size else 1.0
+        ratios = pool.figures[0] / (1.0 - pool.figures[1])
+    ratios = ratios[np.isfinite(ratios) & (ratios > 0.0)]
+    return float(ratios.max()) if ratios.size else 1.0
 
 
 class _Conflict(NamedTuple):
@@ -467,19 +467,19 @@ def _infeasible(
     digits = next((d for d in (6, 9, 12) if f"{both[0]:.{d}g}" != f"{both[1]:.{d}g}"), 17)
     least, allowed = (f"{number:.{digits}g}" for number in both)
     if len(names) == 1:
-        told = f"{names[0]!r} is at least {least} under {every}, {allowed} allowed"
+        words = f"{names[0]!r} is at least {least} under {every}, {allowed} allowed"
     else:
         bounds = rows.bounds[list(conflict.rows)]
-        asked = [f"{name!r} <= {bound:.12g}" for name, bound in zip(names, bounds, strict=True)]
-        together = f"{', '.join(asked[:-1])} and {asked[-1]}"
+        limits = [f"{name!r} <= {bound:.12g}" for name, bound in zip(names, bounds, strict=True)]
+        together = f"{', '.join(limits[:-1])} and {limits[-1]}"
         terms = zip(conflict.shares, names, strict=True)
         total = " + ".join(f"{share:.{digits}g} {name}" for share, name in terms)
-        told = (
+        words = (
             f"no policy keeps to {together} together: {total} is at least {least} under {every}, "
             f"{allowed} allowed"
         )
     if at_least and budget is not None:
-        told = f"no policy keeps to {FAILURE_ROW!r} <= {budget:.12g} and the limits: {told}"
+        words = f"no policy keeps to {FAILURE_ROW!r} <= {budget:.12g} and the limits: {words}"
         named = [FAILURE_ROW, *named]
 
     def least_failure(discount: float | None) -> float:
@@ -489,7 +489,7 @@ def _infeasible(
 
     discount = compiled.discount
     return InfeasibleError(
-        told,
+        words,
         failure_budget=budget,
         least_failure=least_failure(None),
         least_discounted_failure=None if discount is None else least_failure(discount),
@@ -517,8 +517,8 @@ def _proved_conflict(pool: Pool, rows: Rows, generated: Generated) -> _Conflict 
     room = (ATTAINABLE + 4.0 * len(shares) * MACHINE_EPSILON) * max(allowed, 0.0)
     if least <= allowed + room:
         return None
-    kept = tuple(np.flatnonzero(shares).tolist())
-    return _Conflict(kept, shares[list(kept)], least, allowed)
+    members = tuple(np.flatnonzero(shares).tolist())
+    return _Conflict(members, shares[list(members)], least, allowed)
 
 
 def _irreducible_conflict(
@@ -551,7 +551,7 @@ def _kept_to(ended: Generated, rows: Rows) -> bool:
 
 
 def begun_at_guess(
-    compiled: CompiledExplicit, opened: StabilisedMaster, guess: Found
+    compiled: CompiledExplicit, opened: StabilisedMaster, guess: Answer
 ) -> StabilisedMaster:
     """The same search, begun at the ratio and the prices of another one."""
     ratio = guess.value if compiled.ratio else 0.0
@@ -649,15 +649,15 @@ def rows_bound(
         proof = prove(np.append(1.0, prices))
         proved = _beyond_paid(compiled, prices, bounds, 0.0, proof) + compiled.sense.shift
         return max(proved, 0.0), proof  # what is minimised is a sum of terms of at least 0
-    found = []
+    proofs = []
     for priced in (ratio, ratio * BELOW_RATIO):
         proof = prove(np.concatenate([[1.0, prices[0] + priced], prices[1:]]))
-        found.append((priced, _beyond_paid(compiled, prices, bounds, priced, proof), proof))
+        proofs.append((priced, _beyond_paid(compiled, prices, bounds, priced, proof), proof))
 
     def best(goal: float) -> tuple[float, Proof]:
         """The best bound, where every lottery has a goal probability."""
         goal = max(goal, compiled.least_goal, 1.0 / LARGEST)
-        proved = [(max(r + min(beyond, 0.0) / goal, 0.0), proof) for r, beyond, proof in found]
+        proved = [(max(r + min(beyond, 0.0) / goal, 0.0), proof) for r, beyond, proof in proofs]
         return max(proved, key=lambda pair: pair[0])
 
     bound = best(least_goal or 0.0)
@@ -716,10 +716,10 @@ def bound_at(
     """
     pool = Pool(compiled.pricing(), [compiled.pricing().first()])
     limited = np.isfinite(compiled.bounds)
-    known = np.array([prices.get(name, 0.0) for name in compiled.names]) * limited
+    multipliers = np.array([prices.get(name, 0.0) for name in compiled.names]) * limited
     bounds = np.where(limited, compiled.bounds, 0.0)
-    pool.add(pool.priced(np.concatenate([[1.0, known[0] + ratio], known[1:]])))
-    return rows_bound(compiled, known, bounds, ratio, pool.proved, least_goal)[0]
+    pool.add(pool.priced(np.concatenate([[1.0, multipliers[0] + ratio], multipliers[1:]])))
+    return rows_bound(compiled, multipliers, bounds, ratio, pool.proved, least_goal)[0]
 
 
 def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
@@ -752,14 +752,14 @@ def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved
     room = ATTAINABLE * np.maximum(np.abs(bounds), 0.0)
     raised = np.where(limited, np.clip(spent, bounds, bounds + room), 0.0)
     claims = evaluation.objective, solution.lower_bound
-    known = None if solution.method == Game.name else values  # a game's are of its own layers
+    own_values = None if solution.method == Game.name else values  # a game's are of its own layers
     pricing = compiled.pricing()
 
     def prove(weights: FloatArray) -> Proof:
         """What the values prove at weights of the rewards; without them, worked out afresh."""
-        if known is None:
+        if own_values is None:
             return pricing.prove(weights, pricing.minimise(weights))
-        return pricing.check(weights, known)
+        return pricing.check(weights, own_values)
 
     ratios = [claim for claim in claims if claim > 0.0] if compiled.ratio else [0.0]
     bounded = [rows_bound(compiled, prices * limited, raised, r, prove)[0] for r in ratios]

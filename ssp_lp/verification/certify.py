@@ -53,21 +53,21 @@ def certify(
     solution, began = as_solved(solution, "certify"), perf_counter()
     with progress_shown(verbose):
         with limited(time_limit, "the policy was evaluated"):
-            found, members = _evaluated(solution)
-        _LOG.info("%r", found)
+            evaluation, members = _evaluated(solution)
+        _LOG.info("%r", evaluation)
         try:
             left = None if time_limit is None else max(began + time_limit - perf_counter(), 0.0)
             with limited(left, "a bound was proved"):
-                proved = _proved(solution, found, members)
+                proved = _proved(solution, evaluation, members)
         except OutOfTimeError:
             if not Case.of_solution(solution).has_cheapest_way:
                 raise
-            proved = prove_by_cheapest_way(solution.problem, found)
-        reason = proved.reason or broken_limit(solution.problem, found)
-        above = solution.problem.semantics.sense.constant is not None
-        above = above and objective_of(solution.problem) is None
+            proved = prove_by_cheapest_way(solution.problem, evaluation)
+        reason = proved.reason or broken_limit(solution.problem, evaluation)
+        is_maximised = solution.problem.semantics.sense.constant is not None
+        above = is_maximised and objective_of(solution.problem) is None
         certificate = certificate_of(
-            found, proved.bound, proved.allowed, reason, tail=proved.tail, above=above
+            evaluation, proved.bound, proved.allowed, reason, tail=proved.tail, above=above
         )
         _LOG.info("%r", certificate)
     return certificate

@@ -252,13 +252,13 @@ def cross_check(
     check_problem(problem, "cross_check")
     check_between_0_and_1("tolerance", tolerance)
     check_between_0_and_1("weight_tolerance", weight_tolerance)
-    asked = requirements(problem)
-    if asked.measure is not None:
+    asks = requirements(problem)
+    if asks.measure is not None:
         raise ModelError(
             f"the game knows costs only, not {type(problem).__name__}: method='lp' compares the "
             "linear program with column generation"
         )
-    if asked.several_rows:
+    if asks.several_rows:
         raise ModelError(
             f"the comparison knows one row only, not {type(problem).__name__}: method='lp' "
             "compares the linear program with column generation"
@@ -267,16 +267,16 @@ def cross_check(
     with progress_shown(verbose):
         for number, name in enumerate(METHODS, start=1):
             methods.append(result_by(name, problem, lp_backend, time_limit))
-            told = methods[-1].note or f"c* {methods[-1].objective:.9g}"
-            _LOG.info("%d of %d: %s, %s", number, len(METHODS), name, told)
+            answer = methods[-1].note or f"c* {methods[-1].objective:.9g}"
+            _LOG.info("%d of %d: %s, %s", number, len(METHODS), name, answer)
         for method in methods:
             if method.infeasible is not None and not any(r.answered for r in methods):
                 raise method.infeasible
-        found = compare_methods(
+        comparison = compare_methods(
             methods, problem, tolerance=tolerance, weight_tolerance=weight_tolerance
         )
-        _LOG.info("%r", found)
-    return found
+        _LOG.info("%r", comparison)
+    return comparison
 
 
 def compare_methods(
@@ -320,8 +320,8 @@ def compare_methods(
     if _spread(sound) > weight_tolerance:
         for method in sound:
             if not is_proved(method):
-                told = f"the bound misses c* by {method.gap:.1e}"
-                findings[method.name] = f"its price is not proved: {told}"
+                reason = f"the bound misses c* by {method.gap:.1e}"
+                findings[method.name] = f"its price is not proved: {reason}"
     if answered:
         findings |= _refusing(methods, budget)
     findings |= _outvoted(sound, lambda r, s: distance(r.objective, s.objective) <= tolerance)
@@ -378,5 +378,5 @@ def _outvoted(
     if len(majority) < 2:
         return {method.name: "no other method has its c*" for method in methods}
     others = ", ".join(sorted(majority))
-    told = f"its c* is not that of {others}"
-    return {method.name: told for method in methods if method.name not in majority}
+    reason = f"its c* is not that of {others}"
+    return {method.name: reason for method in methods if method.name not in majority}

@@ -69,7 +69,7 @@ def test_levels_grids_and_the_lattice(block: int) -> None:
         budget = float(rng.choice([0.05, 0.1, 0.2, 0.3, 0.5, 1.0]))
         try:
             lattice = CompiledAccumulatedCost(model, start_distribution(model, "s0"))
-            known = refined_optimum(lattice, budget, CERTIFYING).found.objective
+            known = refined_optimum(lattice, budget, CERTIFYING).generated.objective
         except InfeasibleError:
             with pytest.raises(InfeasibleError):
                 solve(S3P(model, "s0", budget, cost_levels=3000))
