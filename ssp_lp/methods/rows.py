@@ -188,7 +188,7 @@ def _rows_attempt(
     compiled, program = stated.settled(), None
     rule = phase_one(compiled, stated, options)
     if guess is not None:
-        rule = begun_at_guess(compiled, rule, guess)
+        rule = begun_at(compiled, rule, guess.value, guess.prices)
     if options.program is not None:
         if compiled.ratio:  # whether any lottery within the rows succeeds is no solver's to say
             best_lottery(compiled, rule, replace(options, tolerance=_COARSE))
@@ -208,7 +208,8 @@ def _rows_attempt(
         value = truth.value(policy) if repaired else np.inf
     elif truth is not None:
         value = truth.value(policy)
-    named = dict.fromkeys(compiled.names, 0.0) | by_name(compiled, rows, prices)
+    named = dict.fromkeys(compiled.names, 0.0)
+    named |= zip(names_of(compiled, rows), prices.tolist(), strict=True)
     if compiled.budget is None:
         del named[FAILURE_ROW]
     paid = float(prices @ np.abs(rows.bounds))
@@ -550,42 +551,35 @@ def _kept_to(ended: Generated, rows: Rows) -> bool:
     return bool((ended.excess * rows.scales <= ATTAINABLE * rows.bounds).all())
 
 
-def begun_at_guess(
-    compiled: CompiledExplicit, opened: StabilisedMaster, guess: Answer
+def names_of(compiled: CompiledExplicit, rows: Rows) -> list[str]:
+    """The names of the rows that are limited."""
+    return [compiled.names[index - 1] for index in rows.index.tolist()]
+
+
+def begun_at(
+    compiled: CompiledExplicit, rule: StabilisedMaster, ratio: float, prices: Mapping[str, float]
 ) -> StabilisedMaster:
-    """The same search, begun at the ratio and the prices of another one."""
-    ratio = guess.value if compiled.ratio else 0.0
-    rows = replace(opened.rows, ratio=ratio or opened.rows.ratio)
-    named = by_name(compiled, rows, np.zeros(len(rows.index)))
-    prices = np.array([guess.prices.get(name, 0.0) for name in named])
-    return replace(opened, rows=rows, prices=prices, bound=0.0)
+    """The same search, begun at a ratio, in case S, and at prices by name."""
+    rows = replace(rule.rows, ratio=ratio or rule.rows.ratio) if compiled.ratio else rule.rows
+    begun = np.array([prices.get(name, 0.0) for name in names_of(compiled, rows)])
+    return replace(rule, rows=rows, prices=begun, bound=0.0)
 
 
 def begun_at_duals(
-    compiled: CompiledExplicit, opened: StabilisedMaster, options: SolveOptions
+    compiled: CompiledExplicit, rule: StabilisedMaster, options: SolveOptions
 ) -> tuple[ProgramOptimum, StabilisedMaster]:
     """The optimum of the full linear program, and the search begun at its duals."""
-    pricing, rows = compiled.explicit_pricing, opened.rows
-    limits = {
-        compiled.names[index - 1]: (pricing.rewards[:, index], float(bound))
-        for index, bound in zip(rows.index.tolist(), rows.bounds, strict=True)
-    }
+    pricing, rows = compiled.explicit_pricing, rule.rows
+    limited = zip(names_of(compiled, rows), rows.index, rows.bounds.tolist(), strict=True)
+    limits = {name: (pricing.rewards[:, index], bound) for name, index, bound in limited}
     process = replace(pricing.process, cost=np.ascontiguousarray(pricing.rewards[:, 0]))
     program = solve_program(process, limits, options, ratio=compiled.ratio)
-    prices = np.array([program.prices[name] for name in limits])
-    if compiled.ratio:
-        rows = replace(rows, ratio=program.objective or rows.ratio)
-    weights = rows.weights(prices)
-    column = opened.pool.priced(weights)
-    opened.pool.add(column)
-    bound = float(column.figures @ weights) - float(prices @ rows.bounds)
-    return program, replace(opened, rows=rows, prices=prices, bound=bound)
-
-
-def by_name(compiled: CompiledExplicit, rows: Rows, values: FloatArray) -> dict[str, float]:
-    """A value of phase 1 for each limited row, by its name."""
-    names = [compiled.names[index - 1] for index in rows.index.tolist()]
-    return dict(zip(names, values.tolist(), strict=True))
+    rule = begun_at(compiled, rule, program.objective, program.prices)
+    weights = rule.rows.weights(rule.prices)
+    column = rule.pool.priced(weights)
+    rule.pool.add(column)
+    bound = float(column.figures @ weights) - float(rule.prices @ rows.bounds)
+    return program, replace(rule, bound=bound)
 
 
 def lagrange_bound(least: float, prices: FloatArray, bounds: FloatArray) -> float:
