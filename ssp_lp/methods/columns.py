@@ -377,8 +377,9 @@ def _capped_by_case_m(
     if not compiled.is_long_shot:
         return compiled, None
     has_answer()
-    outcome, semantics = prepared(), FailureSemantics(charge_failing_step=False)
-    if not isinstance(outcome, RefinedOutcome):
+    incumbent, semantics = prepared(), FailureSemantics(charge_failing_step=False)
+    outcome = None if incumbent is None else incumbent.outcome
+    if outcome is None:
         model, start, discount = compiled.model, compiled.start, compiled.discount
         label = CompiledExplicit(model, start, semantics, discount)
         outcome = refined_optimum(label, budget, SolveOptions(_TRIAL_TOLERANCE))

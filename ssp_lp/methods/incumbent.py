@@ -55,14 +55,16 @@ class Incumbent:
     outcome: RefinedOutcome | None = field(default=None, init=False)  # of case M
     solution: Solution | None = field(default=None, init=False)
 
-    def find(self) -> RefinedOutcome | Solution | None:
+    def find(self) -> Incumbent | None:
         """Find it, where it is of use and there is none yet, as far as the time allows.
 
         Returns:
-            Case M's outcome where it was solved for its policy, else what is in hand.
+            Itself; None: there is none.
         """
-        if self.solution is not None or not requirements(self.stated).counts_totals:
-            return self.solution
+        if self.solution is not None:
+            return self
+        if not requirements(self.stated).counts_totals:
+            return None
         problem = unrolled(self.stated)
         for at_least_failure in (False, True):  # the cheapest policy may be one that only fails
             with WithIncumbent(), suppress(SSPError):  # what the search itself will find, and name
@@ -76,8 +78,8 @@ class Incumbent:
                         self.solution = _judged(problem, policy, room, by_moments)
                     self.solution = _judged(problem, policy, room)
             if self.solution is not None:
-                break
-        return self.solution and (self.outcome or self.solution)
+                return self
+        return None
 
     def improving(self, other: Solution) -> Solution:
         """A search's solution that was cut short, with this one's policy or bound where better.

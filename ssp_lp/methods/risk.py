@@ -490,10 +490,9 @@ def least_quantile(
         ModelError: the quantile lies beyond the largest table of costs.
         Stop: the time ended before some policy kept to a bound.
     """
-    places, kappa = question.thresholds, 0.0 if near is None else near.kappa
-    incumbent, calls = None, 0
+    places, near = question.thresholds, near or Near(question.typical, 0.0)
+    incumbent, calls, kappa, number = None, 0, near.kappa, places.number(near.total)
     low, refuted, high, tried = -1, -1, 0, 0  # too low, proved so; kept to; and bounds tried
-    number = places.number(question.typical if near is None else near.total)
     rough = replace(options, tolerance=max(options.tolerance, _ROUGH))
     with WithIncumbent():
         while incumbent is None or (high - low > 1 and not is_late()):

@@ -118,8 +118,7 @@ def _while_room(attempts: Iterator[_Attempt]) -> Iterator[_Attempt]:
 def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solution]:
     """The best lottery of the true model and the best bound that are known after each unit."""
     incumbent, best, bound, calls, work = Incumbent(problem), None, 0.0, 0, Work()
-    incumbent.find()
-    has_answer(by_itself=incumbent.solution is not None)
+    has_answer(by_itself=incumbent.find() is not None)
     if (solution := incumbent.solution) is not None:
         best = Answer(solution.policy, solution.objective, 0.0, solution.budget_used)
         bound = solution.lower_bound
@@ -127,18 +126,18 @@ def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solutio
     most, cheapest = _levels_asked(problem), float(step_costs(problem.model)[1][1])
     units, guess, reach = list(_split_units(problem)), None, _REACH * _span_of_steps(problem)
     for unit in units:
-        is_first = best is not None and unit != units[-1] and float(unit) > 2.0 * cheapest
+        for_price = best is not None and unit != units[-1] and float(unit) > 2.0 * cheapest
         value, gap = np.inf, np.inf
         if best is not None:
             value, gap = best.value, relative_gap(best.value, bound)
         rough = min(_SHARE * gap, max(_ROUGH, _ENOUGH * options.tolerance))
-        finer = replace(options.after(calls), tolerance=_ROUGH_FIRST if is_first else rough)
+        finer = replace(options.after(calls), tolerance=_ROUGH_FIRST if for_price else rough)
         outcome = split_optimum(problem, unit, finer, guess, most, reach)
         generated, layers = outcome.generated, outcome.compiled.layers
         bound, calls = max(bound, generated.lower_bound), calls + outcome.calls
         work, reach = work + outcome.work, generated.price
         guess = DualGuess(reach, _SPREAD)
-        if not is_first:
+        if not for_price:  # a coarse unit only says where the price lies
             with WithIncumbent() as measuring, closing():
                 lottery = _true_lottery(problem, outcome)
                 best = lottery if lottery.value < value else best
