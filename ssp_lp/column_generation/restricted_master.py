@@ -46,17 +46,6 @@ class MasterOptimum:
     excess: FloatArray  # [rows] violation in units of the scales; 0 unless elastic
 
 
-@dataclass(frozen=True, eq=False)
-class _Standard:
-    """``minimise cost @ x, matrix @ x == right, x >= 0``: policies, excesses, slacks; scaled."""
-
-    cost: FloatArray  # [variables]
-    matrix: FloatArray  # [rows + 1, variables]; the last row says that weights sum to one
-    right: FloatArray  # [rows + 1]
-    rounding: FloatArray  # [variables] a value so far below 0 is a 0
-    noise: FloatArray  # [rows + 1] of an entry, from what it is the difference of
-
-
 def solve_master(
     cost: FloatArray, activity: FloatArray, bounds: FloatArray, scales: FloatArray, *, elastic: bool
 ) -> MasterOptimum:
@@ -82,24 +71,16 @@ def solve_master(
     beyond = beyond / units[:, None]
     n_excess, broken = n_rows * elastic, _BROKEN * scales / units
     none = _NEGATIVE / np.maximum(np.abs(beyond).max(axis=0, initial=0.0), 1.0)
-    identity, once = np.eye(n_rows), np.ones((1, n_columns))
-    program = _Standard(
-        cost=np.concatenate([cost / unit, np.ones(n_excess), np.zeros(n_rows)]),
-        matrix=np.block(
-            [
-                [beyond, -identity[:, :n_excess], identity],
-                [once, np.zeros((1, n_excess + n_rows))],
-            ]
-        ),
-        right=np.append(np.zeros(n_rows), 1.0),
-        rounding=np.concatenate([none, broken[:n_excess], broken]),
-        noise=np.append(broken, 0.0),
-    )
+    # policies, excesses and slacks, all scaled; the last row says that weights sum to one
+    priced = np.concatenate([cost / unit, np.ones(n_excess), np.zeros(n_rows)])
+    rounding = np.concatenate([none, broken[:n_excess], broken])
+    rows = np.hstack([beyond, -np.eye(n_rows, n_excess), np.eye(n_rows)])
+    matrix = np.vstack([rows, np.append(np.ones(n_columns), np.zeros(n_excess + n_rows))])
     best = int(np.argmin(np.maximum(beyond, 0.0).sum(axis=0) if elastic else cost))
-    basis = np.append(np.arange(n_rows) + (program.cost.size - n_rows), best)
+    basis = np.append(np.arange(n_rows) + (priced.size - n_rows), best)
     if elastic:
         basis[:-1] -= n_rows * (beyond[:, best] > 0.0)  # the excess in place of the slack
-    x, dual = _by_simplex(program, basis)
+    x, dual = _by_simplex(priced, matrix, basis, rounding, np.append(broken, 0.0))
     weights = np.where(x[:n_columns] > _NEGATIVE, x[:n_columns], 0.0)
     weights /= weights.sum()
     excess = x[n_columns : n_columns + n_rows] if elastic else np.zeros(n_rows)
@@ -111,29 +92,46 @@ def solve_master(
     )
 
 
-def _by_simplex(program: _Standard, basis: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Optimal values of the variables, [variables], and duals of the rows, [rows + 1]."""
-    matrix, cost = program.matrix, program.cost
+def _by_simplex(
+    cost: FloatArray,
+    matrix: FloatArray,
+    basis: IntArray,
+    rounding: FloatArray,
+    noise: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Minimise ``cost @ x`` with ``matrix @ x == (0, ..., 0, 1)`` and ``x >= 0``.
+
+    Args:
+        cost: [variables].
+        matrix: [rows, variables].
+        basis: variables to begin with, [rows]; moved on.
+        rounding: a value so far below 0 is a 0, [variables].
+        noise: of an entry, from what it is the difference of, [rows].
+
+    Returns:
+        The optimal values, [variables], and the rows' duals, [rows].
+    """
     n_rows = len(matrix)
+    right = np.eye(n_rows)[-1]
     for _ in range(_PIVOTS * n_rows):
         square = matrix[:, basis]
         try:
             inverse = np.asarray(np.linalg.inv(square), dtype=np.float64)
         except np.linalg.LinAlgError as error:
             raise SolverError("the master program's basis is singular") from error
-        values = _refined(inverse, square, program.right)
+        values = _refined(inverse, square, right)
         dual = _refined(inverse.T, square.T, cost[basis])
         reduced = cost - dual @ matrix
         reduced[basis] = 0.0
         tied = np.abs(reduced) < _TIED * (np.abs(cost) + np.abs(dual) @ np.abs(matrix))
         reduced = np.where(tied, 0.0, reduced)
-        short = values + program.rounding[basis]
+        short = values + rounding[basis]
         if short.min() < 0.0:  # a dual step
             leaving = int(np.argmin(short))
             among = _refined(inverse.T, square.T, np.eye(n_rows)[leaving])
             row = among @ matrix
             row[basis] = 0.0
-            able = row < -np.abs(among) @ (_PIVOT * np.abs(matrix) + program.noise[:, None])
+            able = row < -np.abs(among) @ (_PIVOT * np.abs(matrix) + noise[:, None])
             entering = _least_ratio(reduced, -row, able)
         else:  # a primal step, if any
             entering = int(np.argmin(reduced))
@@ -141,7 +139,7 @@ def _by_simplex(program: _Standard, basis: IntArray) -> tuple[FloatArray, FloatA
                 break
             entry = matrix[:, entering]
             column = _refined(inverse, square, entry)
-            able = column > np.abs(inverse) @ (_PIVOT * np.abs(entry) + program.noise)
+            able = column > np.abs(inverse) @ (_PIVOT * np.abs(entry) + noise)
             leaving = _least_ratio(values, column, able)
         if not able.any():
             break
