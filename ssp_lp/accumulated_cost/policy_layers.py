@@ -351,7 +351,9 @@ class LayerSweep:
             if (ring < 0).any():
                 here = moves.within(moves.pairs(layer, everywhere), ring, here)
             moves.send(np.ones(len(here)), moves.pairs(layer, here), ring, arriving)
-            met.append(np.packbits(np.isin(everywhere, here, assume_unique=True)))
+            is_met = np.zeros(n, dtype=np.bool_)
+            is_met[here] = True
+            met.append(np.packbits(is_met))
         worth, marks = np.empty((room, n, len(self.columns))), np.empty((room, n), dtype=np.uint8)
         count, stays = moves.layers.count, np.full(len(moves.layers.costs), -1)
         chosen = {row % room: moves.layers.tail_at(row) for row in range(count, count + room)}
@@ -392,6 +394,15 @@ class LayerSweep:
         return [columns for _, columns in sorted(groups.items())]
 
     @cached_property
+    def _closed(self) -> list[FloatArray]:
+        """What each column is worth where nothing is open, [states] each."""
+        lost = [0.0 if column.goes_on else column.lost for column in self.columns]
+        return [
+            np.where(self.moves.acting, worth, column.ends)
+            for worth, column in zip(lost, self.columns, strict=True)
+        ]
+
+    @cached_property
     def _ended(self) -> IntArray:
         """Marks of goals and dead-ends, [states]."""
         failed = OPEN | (FAILS if self.forbids_failing else 0)
@@ -416,54 +427,50 @@ class LayerSweep:
             marks: those that may be met, [k].
         """
         self._mark(here, pairs, staying, marks)
-        acting, quits = self.moves.acting[here], pairs == GIVE_UP_CODE
+        acting, moving = self.moves.acting[here], np.maximum(pairs, 0)
+        quits = np.flatnonzero(pairs == GIVE_UP_CODE)
         hopeful, is_open = (marks & HOPEFUL) > 0, (marks & OPEN) > 0
         goes_on = (marks & ENDLESS) == 0
         if staying is not None and any(column.goes_on for column in self.columns):
             goes_on &= ~staying.closed(acting & ~is_open)
-        systems: dict[tuple[float, bytes], System] = {}
+        systems: dict[tuple[float, bytes], tuple[sp.csr_array, System]] = {}
         for group in self._groups:
             kind = self.columns[group[0]]
             inside = hopeful if kind.until_lost else is_open
             if kind.goes_on:
                 inside = inside | goes_on | (kind.survival < 1.0)
             inside = acting & inside
+            out = np.flatnonzero(~inside)
             for k in group:
-                self._add_reward(self.columns[k], here, pairs, inside, totals[:, k])
+                column, total = self.columns[k], totals[:, k]
+                if column.survival < 1.0:
+                    total *= column.survival
+                    total += column.each
+                if column.reward is not None:
+                    total += np.where(pairs >= 0, column.reward[moving], 0.0)
+                if quits.size:
+                    gain = np.broadcast_to(column.gives_up, column.ends.shape)
+                    total[quits] += gain[here[quits]]
+                total[out] = self._closed[k][here[out]]
             nodes = np.flatnonzero(inside)
             if staying is None or not nodes.size:
                 continue
-            rows, key = staying.share[nodes], (kind.survival, inside.tobytes())
+            key = kind.survival, inside.tobytes()
             if key not in systems:
-                left = rows @ (~inside).astype(np.float64) + staying.onward[nodes] + quits[nodes]
+                rows = staying.share[nodes]
+                left = rows @ (~inside).astype(np.float64) + staying.onward[nodes]
+                left += (pairs[nodes] == GIVE_UP_CODE).astype(np.float64)
                 leak = (1.0 - kind.survival) + kind.survival * left
-                systems[key] = System(sp.csr_array(rows[:, nodes] * kind.survival), leak)
+                own = sp.csr_array(rows[:, nodes] * kind.survival)
+                systems[key] = rows, System(own, leak)
+            rows, system = systems[key]
             rewards, beyond = totals[nodes][:, group], totals[:, group]
             beyond[nodes] = 0.0
             rewards += kind.survival * (rows @ beyond)
             if kind.prices is not None:
                 for j, k in enumerate(group):
                     rewards[:, j] += staying.paid[nodes] @ totals[:, self.columns[k].prices]
-            totals[nodes[:, None], group] = evaluate_chain(systems[key], rewards).values
-
-    def _add_reward(
-        self,
-        column: TotalledReward,
-        here: IntArray,
-        pairs: IntArray,
-        inside: BoolArray,
-        total: FloatArray,
-    ) -> None:
-        """Discount what follows and add what decisions earn; elsewhere what ends earn, in place."""
-        if column.survival < 1.0:
-            total *= column.survival
-            total += column.each
-        if column.reward is not None:
-            total += np.where(pairs >= 0, column.reward[np.maximum(pairs, 0)], 0.0)
-        quits, out = np.flatnonzero(pairs == GIVE_UP_CODE), np.flatnonzero(~inside)
-        total[quits] += np.broadcast_to(column.gives_up, column.ends.shape)[here[quits]]
-        lost = np.broadcast_to(0.0 if column.goes_on else column.lost, column.ends.shape)
-        total[out] = np.where(self.moves.acting, lost, column.ends)[here[out]]
+            totals[nodes[:, None], group] = evaluate_chain(system, rewards).values
 
     def _mark(
         self, here: IntArray, pairs: IntArray, staying: Staying | None, marks: IntArray
