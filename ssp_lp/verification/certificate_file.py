@@ -48,6 +48,8 @@ _ROUNDS = 60
 _IMPROVEMENTS = 500  # of a policy, until which iteration has always ended
 _UNITS = 4.0  # of 1/ONE: what equations may lack in the end
 _WORSE = ONE // 10**45  # values that differ by less may differ by rounding alone
+_PRICE_MOVES = 1e-6  # of a price, by which it may be corrected
+_RAISES = 60  # of a price that is not known
 _SHIFT = Fraction(1, 10**9)  # of a lottery, which may be moved to another one
 
 
@@ -82,9 +84,10 @@ def write_certificate(solution: Solution, path: str | Path) -> Checked:
     digest = sha256(b"\n".join(lines)).hexdigest()
     lines += _proof(model, solved, digest)
     content = b"\n".join(lines)
-    found = checker.checked(lines)
-    if not found.accepted:
-        raise SolverError(f"the answer is not proved: {found.reason}")
+    try:
+        found = checker.check_lines(lines)
+    except checker.RefusedError as error:
+        raise SolverError(f"the answer is not proved: {error}") from error
     with open(path, "wb") as raw, gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as file:
         file.write(content)
     return found
@@ -249,33 +252,20 @@ def _text_of(value: Any) -> str:
 
 def _proof(model: checker.Model, solution: Solution, digest: str) -> Iterator[bytes]:
     """The lines of a proof: its head, and a line for each state."""
-    prices = [Fraction(_decimal_of(max(solution.prices.get(row.name, 0.0), 0.0)))
-              for row in model.rows]  # fmt: skip
-    if model.keeps:
-        prices[0] = Fraction(0)  # only what keeps the goal sure counts
-    weights = solution.policy.weights
+    ssp, weights = solution.problem.model, solution.policy.weights
     drawn = zip(solution.policy.policies, weights.tolist(), strict=True)
     members = [_decisions(model, policy) for policy, weight in drawn if weight > 0.0]
     w = [0] * len(model.names)
     if model.share is not None:  # a member of weight 0 shows how likely the goal can be
-        failure, always = model.rows[0].quantity, [True] * len(model.pairs)
-        free = model.staying(model.live, always)[0]
-        w, likely = _Priced(model, solution.problem.model, failure, free, False).sub_solution(
-            members
-        )
+        failure, free = model.rows[0], model.staying(model.live, model.every)[0]
+        w, likely = _Priced(model, ssp, failure, free).sub_solution(members)
         members.append(_reached(model, likely))
     vectors = [_member_vectors(model, decided) for decided in members]
     totals = [model.above(entries, f"member {m}") for m, entries in enumerate(vectors)]
     if model.share is not None:
-        model.rows[0].bound = 1 - model.share * (
-            1 - model.below(w, model.rows[0].quantity, free, sure=False)
-        )
-        model.rows[0].loose = 1 - model.share * (1 - min(total[1] for total in totals))
+        model.set_share(w, totals)
     chosen = _weights(model, weights[weights > 0.0], totals)
-    c = model.priced(prices)
-    v, _ = _Priced(model, solution.problem.model, c, model.free, bool(model.keeps)).sub_solution(
-        members
-    )
+    prices, v = _priced_values(model, solution, members, totals)
     yield _line({
         "sha256": digest,
         "prices": [str(price) for price in prices],
@@ -284,6 +274,44 @@ def _proof(model: checker.Model, solution: Solution, digest: str) -> Iterator[by
     for x in range(len(model.names)):
         line = {"v": _decimal(v[x]), "members": [entries.get(x) for entries in vectors]}
         yield _line(line if model.share is None else {**line, "w": _decimal(w[x])})
+
+
+def _priced_values(
+    model: checker.Model,
+    solution: Solution,
+    members: Sequence[Mapping[int, int]],
+    totals: Sequence[Sequence[Fraction]],
+) -> tuple[list[Fraction], list[int]]:
+    """Prices of the rows, and values that bound all policies at these, in units."""
+    given = [max(solution.prices.get(row.name, 0.0), 0.0) for row in model.rows]
+    prices, at = [Fraction(_decimal_of(price)) for price in given], None
+    weighed = totals[: int((solution.policy.weights > 0.0).sum())]
+    some = [j for j, price in enumerate(given) if price > 0.0 and (j > 0 or model.may_fail)]
+    if not model.may_fail:
+        prices[0] = Fraction(0)  # only what keeps the goal sure counts
+    elif model.rows and model.rows[0].name == "failure" and solution.failure_price is None:
+        at = 0  # the budget was met by failing as little as possible, which has no price
+    if len(weighed) > 1 and some and at is None:
+        # the members are alike at the right prices: take away by what they differ still
+        worth = [t[0] + sum(prices[j] * t[1 + j] for j in some) for t in weighed]
+        table = [[float(t[1 + j] - weighed[0][1 + j]) for j in some] for t in weighed[1:]]
+        step = np.linalg.lstsq(table, [float(worth[0] - each) for each in worth[1:]])[0]
+        if all(abs(d) <= _PRICE_MOVES * given[j] for d, j in zip(step, some, strict=True)):
+            for d, j in zip(step.tolist(), some, strict=True):
+                prices[j] += Fraction(d)
+    best: tuple[Fraction, list[Fraction], list[int]] | None = None
+    for _ in range(_RAISES if at is not None else 1):
+        c = model.priced(prices)
+        v, _ = _Priced(model, solution.problem.model, c, model.free).sub_solution(members)
+        bound = c.constant + sum(p * (c.arrival[x] + Fraction(v[x], ONE)) for p, x in model.start)
+        if best is not None and bound <= best[0]:
+            break
+        best = bound, list(prices), v
+        if at is not None:
+            prices[at] = max(8 * prices[at], abs(totals[0][0]), Fraction(1, 1000))
+    if best is None:
+        raise SolverError("no price was tried")
+    return best[1], best[2]
 
 
 def _decimal(value: int) -> str:
@@ -379,7 +407,7 @@ def _member_vectors(model: checker.Model, decided: Mapping[int, int]) -> dict[in
         total, outcomes, paid = model.pairs[k][1:] if k >= 0 else (1, [], [])
         rows.append((total, [(a, place[y]) for a, y in outcomes if y in place], 0))
         for mine, q, arrival in zip(own, model.each, arrivals, strict=True):
-            stop = q.at_stop(model, x, model.free) if k < 0 else checker.mean(q.costs, paid)
+            stop = q.at_stop(model, x, model.free) if k < 0 else checker.dot(q.costs, paid)
             if stop is None:
                 raise ModelError(f"the policy gives up in state {model.names[x]!r}: it may not")
             mine.append(-down(-stop) + sum(a * arrival[y] for a, y in outcomes))
@@ -405,18 +433,18 @@ class _Priced:
     """The process at prices; what may be gone about in for nothing is one node."""
 
     def __init__(
-        self, model: checker.Model, ssp: SSP, c: checker.Quantity, free: set[int], sure: bool
+        self, model: checker.Model, ssp: SSP, c: checker.Quantity, free: set[int]
     ) -> None:
         """Lay out the rows of all nodes, sorted by node."""
         self.model, self.ssp = model, ssp
-        self.moving = sorted(model.sure if sure else model.live)
+        self.moving = sorted(model.moving)
         arrival, inside = [down(a) for a in c.arrival], set(self.moving)
         own = {
-            k: down(checker.mean(c.costs, model.pairs[k][3]))
+            k: down(checker.dot(c.costs, model.pairs[k][3]))
             + sum(a * arrival[y] for a, y in model.pairs[k][2])
             for x in self.moving
             for k in model.of(x)
-            if not sure or model.keeps[k]
+            if model.keeps[k]
         }
         costless = np.zeros(ssp.n_pairs, dtype=np.bool_)
         for k, paid in own.items():
@@ -433,7 +461,7 @@ class _Priced:
                 if k in own and not self.within[k]:
                     outcomes = [(a, self.node[y]) for a, y in model.pairs[k][2] if y in inside]
                     found.append((self.node[x], k, (model.pairs[k][1], outcomes, own[k])))
-            if not sure and (stop := c.at_stop(model, x, free)) is not None:
+            if model.may_fail and (stop := c.at_stop(model, x, free)) is not None:
                 found.append((self.node[x], GIVE_UP_CODE, (1, [], down(stop))))
         found.sort(key=lambda row: row[0])
         self.n_nodes, self.rows = len(number), [row for _, _, row in found]
