@@ -421,12 +421,24 @@ def _member_vectors(model: checker.Model, decided: Mapping[int, int]) -> dict[in
             vectors.append(mine)
             continue
         values = chain.solve(mine)
+        short = _shortened(values)
+        if all(
+            paid + sum(a * short[j] for a, j in some) <= short[i] * total
+            for i, ((total, some, _), paid) in enumerate(zip(rows, mine, strict=True))
+        ):
+            vectors.append(short)
+            continue
         share = max(map(abs, values)) // (_LOST * (max(rounded) // ONE + 1)) + 8
         grid = 10 ** (len(str(share // 4)) - 1)
         vectors.append([-(-(u * ONE + share * t) // (ONE * grid)) * grid
                         for u, t in zip(values, rounded, strict=True)])  # fmt: skip
     told = {x: "stop" if k < 0 else k - model.first[x] for x, k in decided.items()}
     return {x: [told[x], *(_decimal(vector[i]) for vector in vectors)] for x, i in place.items()}
+
+
+def _shortened(values: Sequence[int]) -> list[int]:
+    """Values without their last digits, which are rounding; decimals are exact then."""
+    return [(value + _WORSE // 2) // _WORSE * _WORSE for value in values]
 
 
 class _Priced:
@@ -496,6 +508,14 @@ class _Priced:
                 break
             for r in sorted(better, key=slack.__getitem__, reverse=True):
                 choice[self.row_node[r]] = r
+        short = _shortened(v)
+        if all(
+            short[node] * total <= own + sum(a * short[j] for a, j in outcomes)
+            for node, (total, outcomes, own) in zip(self.row_node.tolist(), rows, strict=True)
+        ):
+            for x in self.moving:
+                values[x] = short[self.node[x]]
+            return values, self._on_states([self.row_pair[r] for r in choice.tolist()])
         # lower by a share of the longest way that there is among rows as good as the best
         lost = max(max(map(abs, v)) // _LOST, 4 * _WORSE)
         tied = np.array([room <= lost for room in slack]).nonzero()[0]
