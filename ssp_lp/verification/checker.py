@@ -271,6 +271,7 @@ class Model:
     def above(self, member: Mapping[int, Sequence[Any]], words: str) -> list[Fraction]:
         """What a member takes at most of the objective and of each row."""
         u = {x: [-down(-number(text)) for text in entry[1:]] for x, entry in member.items()}
+        need({len(q) for q in u.values()} <= {1 + len(self.each)}, words, "tells of each row, fails")
         arrival = [[ZERO] * len(self.names), *(q.arrival for q in self.each)]  # steps, quantities
         after = [[-down(-a) + (u[x][j] if x in u else 0) for x, a in enumerate(values)]
                  for j, values in enumerate(arrival)]  # fmt: skip
@@ -357,11 +358,15 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
     n = whole(question["states"], len(lines))
     need(len(lines) == 2 * n + 2, len(lines), "lines where there should be", 2 * n + 2)
     digest, head = hashlib.sha256(b"\n".join(lines[: n + 1])).hexdigest(), json.loads(lines[n + 1])
+    need(head.keys() == {"sha256", "prices", "weights"}, "the proof has no head in line", n + 2)
     need(digest == head["sha256"], "the SHA-256 is not that of the question and the model")
     model, proof = Model(question, lines[1 : n + 1]), [json.loads(line) for line in lines[n + 2 :]]
     weights, prices = [[number(text) for text in head[name]] for name in ("weights", "prices")]
     need(min(weights) >= 0 and sum(weights) == 1, "weights are >= 0 and sum to 1, fails")
     need(min([ZERO, *prices]) >= 0, "prices are >= 0, fails")
+    need(len(prices) == len(model.rows), len(prices), "prices of", len(model.rows), "rows")
+    told = {len(line.get("members", ())) for line in proof}
+    need(told == {len(weights)}, "a line of proof for each state tells of each member, fails")
     members = list[list[Fraction]]()
     for m in range(len(weights)):
         decided = {x: line["members"][m] for x, line in enumerate(proof) if line["members"][m]}

@@ -1,0 +1,320 @@
+"""Certificates of random problems, checked; and the same files with changes, which must not lie.
+
+    python examples/checks/certificate_check.py --count 1000 --seed 0 --changes 4
+
+Problems are those of `program_check.py`: models of 2 to 30 states with loops, dead-ends and several
+starts, every `give_up`, horizons, memories, up to four limits. Of each answer a certificate is
+written and checked. Its interval must hold the optimum of a linear program that is written from
+the words of the question in the file (`tests/references/stated.py`), that of `program_check.py`'s
+own, and what `solve` said, and be narrower than 1e-9.
+
+Then the file is changed: a probability, a cost, a successor, a bound, a weight of the objective,
+the start, a set of states, where one may give up; or of the proof a decision, a weight, a price, a
+value, a vector, two members or two lines exchanged, a line left out. What is left of it must be
+refused by the name of an inequality, or still be true: the interval then holds the optimum of the
+question that the changed file states. Unless the SHA-256 is made anew, a changed question is
+refused.
+"""
+
+import argparse
+import gzip
+import json
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from fractions import Fraction
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from examples.checks.program_check import CRITERIA, Draw, drawn
+from ssp_lp import InfeasibleError, ModelError, Solution, SSPError, solve
+from ssp_lp.verification.certificate_file import write_certificate
+from ssp_lp.verification.checker import Checked, check_certificate
+from tests.references.stated import optimum
+
+EXACT = list(CRITERIA)[:10]
+"""Criteria in which no total cost is told apart."""
+
+WIDTH, AGREED = 1e-9, 1e-7  # of an interval; of solvers in floating point; both of 1 + |value|
+Lines = list[bytes]
+
+
+def certified(seed: int) -> tuple[Draw, Solution | None]:
+    """A draw of a criterion that certificates cover, and its answer; None: there is none."""
+    draw = drawn(seed // len(EXACT) * len(CRITERIA) + seed % len(EXACT))
+    try:
+        return draw, solve(draw.problem)
+    except InfeasibleError:
+        return draw, None
+
+
+def lines_of(path: Path) -> Lines:
+    """The lines of a file."""
+    return gzip.decompress(path.read_bytes()).splitlines()
+
+
+def signed(lines: Lines) -> Lines:
+    """The same with the SHA-256 made anew."""
+    n = json.loads(lines[0])["states"]
+    head = json.loads(lines[n + 1])
+    head["sha256"] = sha256(b"\n".join(lines[: n + 1])).hexdigest()
+    return [*lines[: n + 1], json.dumps(head).encode(), *lines[n + 2 :]]
+
+
+def holds(checked: Checked, known: float | None) -> bool:
+    """Whether an interval holds an optimum, but for the rounding of the latter."""
+    if known is None:
+        return bool(checked.exceeded)
+    room = AGREED * (1.0 + abs(known))
+    return float(checked.lower) - room <= known <= float(checked.upper) + room
+
+
+def moved(text: str, rng: np.random.Generator) -> str:
+    """Another number, near or far."""
+    value = Fraction(text)
+    kind = int(rng.integers(4))
+    if kind == 0:
+        return str(Fraction(int(rng.integers(0, 12)), int(rng.integers(1, 6))))
+    size = Fraction(1, 10 ** int(rng.choice([1, 3, 6, 9, 12, 16, 22])))
+    part = int(rng.integers(1, 10)) * size * int(rng.choice([-1, 1]))
+    return str(value * (1 + part) if kind < 3 and value else value + part)
+
+
+def _place(rng: np.random.Generator, some: Sequence[Any]) -> Any:
+    return some[int(rng.integers(len(some)))] if len(some) else None
+
+
+def change_question(content: dict[str, Any], rng: np.random.Generator) -> bool:
+    """Change what is asked; whether something was changed."""
+    kind = int(rng.integers(8))
+    if kind == 0:
+        content["give_up"] = _place(rng, ["anywhere", "attention", "dead_ends"])
+    elif kind == 1:
+        content["charge_failing_step"] = not content["charge_failing_step"]
+    elif kind == 2:
+        budget = content["failure"]
+        asked = [None, "least", "0", moved("0.3", rng)]
+        content["failure"] = (
+            moved(budget, rng)
+            if isinstance(budget, str) and budget != "least"
+            else _place(rng, asked)
+        )
+    elif kind == 3 and content["rows"]:
+        row = _place(rng, content["rows"])
+        side = "at_most" if "at_most" in row else "at_least"
+        row[side] = moved(row[side], rng)
+    elif kind == 4 and content["rows"]:
+        content["rows"].pop(int(rng.integers(len(content["rows"]))))
+    elif kind == 5:
+        quantity = _place(
+            rng, [content["objective"], *(row["quantity"] for row in content["rows"])]
+        )
+        if quantity["terms"]:
+            term = _place(rng, quantity["terms"])
+            term[0] = moved(term[0], rng)
+    elif kind == 6:
+        begin = _place(rng, content["start"])
+        begin[1] = int(rng.integers(content["states"]))
+    else:
+        content["greatest"] = not content["greatest"]
+    return True
+
+
+def change_state(
+    content: dict[str, Any], rng: np.random.Generator, n: int, sets: list[str]
+) -> bool:
+    """Change a state of the model; whether something was changed."""
+    kind, action = int(rng.integers(6)), _place(rng, content["actions"])
+    if kind == 0 and sets:  # a label is lost, or gained
+        name = _place(rng, sets)
+        content["sets"] = [s for s in content["sets"] if s != name] + (
+            [] if name in content["sets"] else [name]
+        )
+        return True
+    if action is None:
+        return False
+    outcome = _place(rng, action[1])
+    if kind == 1:
+        outcome[1] = int(rng.integers(n))
+    elif kind == 2:
+        outcome[0] = moved(outcome[0], rng)
+    elif kind == 3:
+        k = int(rng.integers(len(action[2])))
+        cost = action[2][k]
+        if isinstance(cost, list):
+            j = int(rng.integers(len(cost)))
+            cost[j] = moved(cost[j], rng)
+        else:
+            action[2][k] = moved(cost, rng)
+    elif kind == 4:
+        content["actions"].remove(action)
+    else:
+        content["actions"].append(["new", [[moved("0.5", rng), int(rng.integers(n))] for _ in range(2)],
+                                   [moved("1", rng) for _ in action[2]]])  # fmt: skip
+    return True
+
+
+def change_head(content: dict[str, Any], rng: np.random.Generator) -> bool:
+    """Change weights or prices; whether something was changed."""
+    name = _place(rng, ["weights", "prices", "sha256"])
+    if name == "sha256":
+        content[name] = content[name][::-1]
+        return True
+    numbers = content[name]
+    if not numbers:
+        return False
+    i, j = int(rng.integers(len(numbers))), int(rng.integers(len(numbers)))
+    if rng.random() < 0.5 and i != j:
+        numbers[i], numbers[j] = numbers[j], numbers[i]
+        return True
+    old, numbers[i] = numbers[i], moved(numbers[i], rng)
+    if name == "weights" and i != j:  # and keep the sum
+        numbers[j] = str(Fraction(numbers[j]) + Fraction(old) - Fraction(numbers[i]))
+    return True
+
+
+def change_proof(content: dict[str, Any], rng: np.random.Generator) -> bool:
+    """Change values, decisions or vectors of a state; whether something was changed."""
+    kind, entries = int(rng.integers(5)), content["members"]
+    m = int(rng.integers(len(entries)))
+    if kind == 0:
+        name = _place(rng, [key for key in ("v", "w") if key in content])
+        content[name] = moved(content[name], rng)
+    elif kind == 1:
+        entries[m], entries[-1] = entries[-1], entries[m]
+    elif entries[m] is None:
+        return False
+    elif kind == 2:
+        entries[m][0] = _place(rng, ["stop", 0, 1, 2])
+    elif kind == 3:
+        j = int(rng.integers(1, len(entries[m])))
+        entries[m][j] = moved(entries[m][j], rng)
+    else:
+        entries[m] = None
+    return True
+
+
+def changed(lines: Lines, rng: np.random.Generator) -> tuple[str, Lines]:
+    """A file with one change, and of what kind it is."""
+    found, n = list(lines), json.loads(lines[0])["states"]
+    sets = ["goal", *json.loads(lines[0])["sets"]]
+    kind = _place(rng, ["question", "state", "state", "head", "proof", "proof", "proof", "lines"])
+    at = {
+        "question": 0,
+        "state": 1 + int(rng.integers(n)),
+        "head": n + 1,
+        "proof": n + 2 + int(rng.integers(n)),
+    }.get(kind, int(rng.integers(1, len(lines))))
+    if kind == "lines":
+        other = int(rng.integers(1, len(lines)))
+        if rng.random() < 0.3:
+            del found[at]
+        else:
+            found[at], found[other] = found[other], found[at]
+        return kind, found
+    content = json.loads(found[at])
+    change: Callable[[dict[str, Any]], bool] = {
+        "question": lambda c: change_question(c, rng),
+        "state": lambda c: change_state(c, rng, n, sets),
+        "head": lambda c: change_head(c, rng),
+        "proof": lambda c: change_proof(c, rng),
+    }[kind]
+    if not change(content):
+        return changed(lines, rng)
+    found[at] = json.dumps(content, separators=(",", ":")).encode()
+    return kind, found
+
+
+def check_changed(
+    lines: Lines, folder: Path, rng: np.random.Generator, tally: Counter[str]
+) -> Iterator[str]:
+    """Change a file once, check what is left, and yield what is not as it should be."""
+    kind, found = changed(lines, rng)
+    n = json.loads(lines[0])["states"]
+    stated, again = found[: n + 1] != lines[: n + 1], bool(rng.random() < 0.9)
+    if stated and again and len(found) == len(lines) and kind != "lines":
+        found = signed(found)
+    path = folder / "changed.cert"
+    path.write_bytes(gzip.compress(b"\n".join(found)))
+    checked = check_certificate(path)
+    if not checked.accepted:
+        reason = checked.reason.split(":")[0]
+        tally[f"changed {kind}, refused"] += 1
+        if reason == "the file is damaged":
+            tally["refused as damaged"] += 1
+            yield f"refused without a name: {checked.reason}"
+        return
+    if stated and not again:
+        yield f"a {kind} was changed, and the file accepted as it was signed"
+    tally[f"changed {kind}, accepted"] += 1
+    known = optimum(found[: n + 1])
+    if not holds(checked, known):
+        path.rename(folder.parent / f"lie-{sha256(b''.join(found)).hexdigest()[:8]}.cert")
+        yield f"{kind}: accepted within {float(checked.lower)!r} and {float(checked.upper)!r}, the optimum is {known!r}"
+
+
+def check(seed: int, changes: int, tally: Counter[str]) -> Iterator[str]:
+    """One problem: its certificate, and changed ones; yield what is not as it should be."""
+    draw, solution = certified(seed)
+    if solution is None:
+        tally["infeasible"] += 1
+        return
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "one.cert"
+        try:
+            written = write_certificate(solution, path)
+        except ModelError as error:
+            tally[f"not covered: {str(error)[:70]}"] += 1
+            return
+        except SSPError as error:
+            tally["not proved"] += 1
+            yield f"{draw.name}: {error}"
+            return
+        tally["certificates"] += 1
+        tally["widths of 0"] += written.lower == written.upper
+        tally["rows exceeded by rounding"] += bool(written.exceeded)
+        if (checked := check_certificate(path)) != written:
+            yield f"{draw.name}: written as {written}, read as {checked}"
+        width = float(written.upper - written.lower) / (1.0 + abs(float(written.upper)))
+        if not -AGREED < width < WIDTH:
+            yield f"{draw.name}: an interval of width {width:.1e}"
+        lines = lines_of(path)
+        n = json.loads(lines[0])["states"]
+        for told, known in (
+            ("the question's program", optimum(lines[: n + 1])),
+            ("the program of the draw", draw.optimum(draw.task)),
+            ("solve", solution.objective),
+        ):
+            if not holds(written, known):
+                yield f"{draw.name}: {told} has {known!r}, the certificate {float(written.lower)!r} .. {float(written.upper)!r}"
+        rng = np.random.default_rng([seed, 28])
+        for _ in range(changes):
+            yield from (
+                f"{draw.name}: {said}" for said in check_changed(lines, Path(name), rng, tally)
+            )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Check draws from the command line; 1 if anything was found."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=200, help="of problems")
+    parser.add_argument("--seed", type=int, default=0, help="of the first one")
+    parser.add_argument("--changes", type=int, default=4, help="of each file")
+    options = parser.parse_args(arguments)
+    tally, found = Counter[str](), 0
+    for seed in range(options.seed, options.seed + options.count):
+        for said in check(seed, options.changes, tally):
+            print(f"seed {seed}: {said}", flush=True)
+            found += 1
+    for name, count in sorted(tally.items()):
+        print(f"{name:<60} {count:,}")
+    print("nothing else was found" if not found else f"{found} findings")
+    return int(found > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

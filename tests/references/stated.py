@@ -1,0 +1,164 @@
+"""The optimum of a question as a certificate's file states it: one linear program, by scipy.
+
+Written from the words that head `ssp_lp/verification/checker.py`, in floats and plain loops, signed
+weights as they stand: nothing is shared with the library nor with the checker.
+"""
+
+import json
+from collections.abc import Sequence
+from fractions import Fraction
+
+import numpy as np
+from scipy.optimize import linprog
+
+LEAST_ROOM = 1e-11  # beyond the least failure, where that is asked for
+
+
+def optimum(lines: Sequence[bytes]) -> float | None:
+    """The optimum of the question in the first line, on the states of the others; None: none."""
+    question, *states = [json.loads(line) for line in lines]
+    n = len(states)
+    members = {name: set() for name in ["goal", *question["sets"]]}
+    for x, state in enumerate(states):
+        for name in state["sets"]:
+            members[name].add(x)
+    actions = [[_action(stated) for stated in state["actions"]] for state in states]
+    goal = members["goal"]
+    hopeful = set(goal)
+    while more := {x for x in range(n) if x not in hopeful
+                   and any(p > 0 and y in hopeful for outs, _ in actions[x] for p, y in outs)}:  # fmt: skip
+        hopeful |= more
+    dead, live = set(range(n)) - hopeful, sorted(hopeful - goal)
+    avoiding = set(range(n)) - goal
+    while lost := {x for x in avoiding if actions[x]
+                   and not any(_within(outs, avoiding) for outs, _ in actions[x])}:  # fmt: skip
+        avoiding -= lost
+
+    def charge(some: list) -> np.ndarray:
+        """The least of each cost among some actions."""
+        charged = some and question["charge_failing_step"]
+        return (
+            np.min([paid for _, paid in some], axis=0) if charged else np.zeros(question["costs"])
+        )
+
+    entering = {x: charge(actions[x]) for x in dead}
+    everything = [question["objective"], *(row["quantity"] for row in question["rows"])]
+    counted = [term for quantity in everything for term in quantity["terms"] if Fraction(term[0])]
+    costs = {what for _, kind, what in counted if kind == "cost"}
+    seen = {x for _, kind, what in counted if kind == "visits" for x in members[what]}
+    free = set(live)  # where one can go on for ever without adding to what is counted
+    while lost := {
+        x for x in free
+        if not any(_within(outs, free - seen) and not any(paid[k] for k in costs)
+                   for outs, paid in actions[x])
+    }:  # fmt: skip
+        free -= lost
+
+    # a column: where it is taken, where it leads, its mean costs, whether an episode fails there
+    columns = [(x, outs, paid, False) for x in live for outs, paid in actions[x]]
+    for x in live:
+        staying = [a for a in actions[x] if _within(a[0], avoiding)]
+        where = {"anywhere": actions[x], "attention": staying, "dead_ends": []}[question["give_up"]]
+        if question["give_up"] != "attention" or x in avoiding:
+            columns += [(x, [], charge(where), True)] if where else []
+        columns += [(x, [], np.zeros(question["costs"]), True)] if x in free else []
+    start = [(float(Fraction(p)), x) for p, x in question["start"]]
+    total = sum(p for p, _ in start)
+    start = [(p / total, x) for p, x in start]
+
+    def arriving(outs: list, terms: list) -> float:
+        """What a quantity takes of arriving."""
+        found = 0.0
+        for weight, kind, what in terms:
+            for p, y in outs:
+                if kind == "cost":
+                    found += float(Fraction(weight)) * p * (entering[y][what] if y in dead else 0.0)
+                else:
+                    found += float(Fraction(weight)) * p * (y in members[what])
+        return found
+
+    def row(quantity: dict) -> tuple[np.ndarray, float]:
+        """What a quantity takes of each column, and at the start."""
+        weights = np.zeros(question["costs"])
+        for weight, kind, what in quantity["terms"]:
+            if kind == "cost":
+                weights[what] += float(Fraction(weight))
+        takes = [weights @ paid + arriving(outs, quantity["terms"]) for _, outs, paid, _ in columns]
+        return np.array(takes), float(Fraction(quantity["constant"])) + arriving(
+            start, quantity["terms"]
+        )
+
+    balance, begins = np.zeros((len(live), len(columns))), np.zeros(len(live))
+    place = {x: i for i, x in enumerate(live)}
+    for j, (x, outs, _, _) in enumerate(columns):
+        balance[place[x], j] += 1.0
+        for p, y in outs:
+            if y in place:
+                balance[place[y], j] -= p
+    for p, x in start:
+        if x in place:
+            begins[place[x]] += p
+    fails = np.array(
+        [stops + sum(p for p, y in outs if y in dead) for _, outs, _, stops in columns]
+    )
+    failed = sum(p for p, x in start if x in dead)
+
+    def least(objective: np.ndarray, rows: list[tuple[np.ndarray, float]]) -> float | None:
+        """The least of an objective within rows."""
+        if not columns:
+            return 0.0 if all(bound >= -1e-9 for _, bound in rows) else None
+        upper = np.array([r for r, _ in rows]) if rows else None
+        bounds = np.array([b for _, b in rows]) if rows else None
+        for presolve in (True, False):
+            answer = linprog(
+                objective, upper, bounds, balance, begins, method="highs-ds",
+                options={"primal_feasibility_tolerance": 1e-10,
+                         "dual_feasibility_tolerance": 1e-10, "presolve": presolve},
+            )  # fmt: skip
+            if answer.status == 0:
+                return float(answer.fun)
+            if answer.status == 2:
+                return None
+        raise AssertionError(answer.message)
+
+    rows, budget = [], question["failure"]
+    if budget is not None:
+        allowed = float(Fraction(budget)) if isinstance(budget, str) and budget != "least" else 0.0
+        if budget == "least":
+            allowed = (least(fails, []) or 0.0) + failed + LEAST_ROOM
+        if isinstance(budget, dict):
+            allowed = 1.0 - float(Fraction(budget["share"])) * (
+                1.0 - failed - (least(fails, []) or 0.0)
+            )
+        rows.append((fails, allowed - failed))
+    for stated in question["rows"]:
+        takes, at_start = row(stated["quantity"])
+        if "at_most" in stated:
+            rows.append((takes, float(Fraction(stated["at_most"])) - at_start))
+        else:
+            rows.append((-takes, at_start - float(Fraction(stated["at_least"]))))
+    sign = -1.0 if question["greatest"] else 1.0
+    takes, at_start = row(question["objective"])
+    found = least(sign * takes, rows)
+    return None if found is None else sign * found + at_start
+
+
+def _action(stated: list) -> tuple[list[tuple[float, int]], np.ndarray]:
+    """Outcomes whose probabilities sum to one, and the mean of each cost."""
+    _, told, costs = stated
+    chances = np.array([float(Fraction(p)) for p, _ in told])
+    chances = chances / chances.sum()
+    paid = [
+        chances
+        @ np.array(
+            [float(Fraction(c)) for c in (cost if isinstance(cost, list) else [cost] * len(told))]
+        )
+        for cost in costs
+    ]
+    outs = [(float(p), y) for p, (_, y) in zip(chances, told, strict=True) if p > 0]
+    return outs, np.array(paid)
+
+
+def _within(outs: list[tuple[float, int]], states: set[int]) -> bool:
+    """Whether all outcomes lie in some states."""
+    return all(y in states for _, y in outs)
