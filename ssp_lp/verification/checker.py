@@ -13,7 +13,7 @@ all actions ("anywhere") or of those after which the goal can still surely be av
 Sought is the best lottery over policies within the rows.
 
 Proof: rows become q <= b where costs, visits and ends have weights >= 0, ends of negative weight by
-their complement. Let c = objective + prices * rows, prices >= 0. Below: v(x) <= c(x, u) + sum p v(y)
+their complement. Let c = objective + prices * rows, prices >= 0. Below: v(x) <= c(x, u) + sum p v
 for each action, v(x) <= what giving up takes. A policy within the rows goes on for ever by actions
 that are free in the objective and all rows, else it pays infinitely much; so it comes to where they
 can go on for ever, and there v(x) <= what wandering takes. So no lottery within the rows attains
@@ -39,7 +39,6 @@ ONE = 10**60  # a proof's numbers are compared in units of 1/ONE, rounded agains
 EXCESS = Fraction(1, 10**9)  # of a bound: so much a lottery may exceed it, which is told
 KEYS = "asked charge_failing_step costs failure format give_up greatest objective rows sets start"
 FAILURE = {"constant": "1", "terms": [["-1", "end", "goal"]]}
-Vector = Sequence[Fraction]
 
 
 class RefusedError(Exception):
@@ -54,8 +53,7 @@ def need(holds: bool, *words: object) -> None:
 
 def at_most(left: int, right: int, *words: object) -> None:
     """Refuse unless an inequality of numbers in units holds."""
-    if left > right:
-        need(False, *words, f"fails: {left / ONE:.17g} > {right / ONE:.17g}")
+    need(left <= right, *words, "fails:", f"{left / ONE:.17g} > {right / ONE:.17g}")
 
 
 @cache
@@ -84,12 +82,11 @@ def dot(weights: Iterable[Fraction], values: Iterable[Fraction]) -> Fraction:
 
 
 class Quantity:
-    """What is counted, with weights >= 0, and a constant; a row is at most its bound."""
+    """What is counted, with weights >= 0, and a constant; as a row it has a bound."""
 
     def __init__(self, model: "Model", stated: Mapping[str, Any], sign: int, name: str) -> None:
-        """Read ``sign`` times what is stated."""
         n, self.name, self.stop = len(model.names), name, ZERO
-        self.bound = self.loose = ZERO  # a lottery keeps to the first; within the row is <= loose
+        self.bound = self.loose = ZERO  # what a lottery keeps to; what none within the row exceeds
         self.constant = sign * number(stated["constant"])
         self.costs, self.visits, ends = [ZERO] * model.n_costs, [ZERO] * n, [ZERO] * n
         for text, kind, what in stated["terms"]:
@@ -121,20 +118,19 @@ class Model:
     """The question and the model of a file, and what follows from its graph."""
 
     def __init__(self, question: dict[str, Any], lines: Sequence[bytes]) -> None:
-        """Read a question and the lines of its states."""
         need(question.get("format") == FORMAT, "this is no certificate of this format")
         need(sorted(question) == sorted([*KEYS.split(), "states"]), "the question is not known")
         self.question, self.n_costs, n = question, whole(question["costs"], 1000), len(lines)
         self.sets: dict[str, set[int]] = {name: set() for name in ["goal", *question["sets"]]}
-        self.names, self.first, self.home = list[str](), [0], list[int]()
+        self.names, self.of, self.home = list[str](), list[range](), list[int]()
         self.pairs: list[tuple[str, int, list[tuple[int, int]], list[Fraction]]] = []
         for x, state in enumerate(map(json.loads, lines)):
             self.names.append(str(state["name"]))
             for name in state["sets"]:
                 self.sets[name].add(x)
             self.pairs += [self._pair(action, n) for action in state["actions"]]
-            self.home += [x] * (len(self.pairs) - self.first[-1])
-            self.first.append(len(self.pairs))  # the pairs of x: first[x] .. first[x + 1]
+            self.of.append(range(len(self.home), len(self.pairs)))  # the pairs of a state
+            self.home += [x] * len(self.of[x])
         goal, states, self.every = self.sets["goal"], set(range(n)), [True] * len(self.pairs)
         need(not goal & set(self.home), "a goal has actions")
         self.before: list[list[int]] = [[] for _ in lines]  # pairs that may lead to a state
@@ -148,55 +144,49 @@ class Model:
         need(total > 0 and min(start)[0] >= 0, "the start is no distribution")
         self.start = [(p / total, x) for p, x in start if p > 0]
         attention, stays = self.staying(states - goal, self.every)
-        where, charged = question["give_up"], question["charge_failing_step"]
-        places = {
-            "anywhere": self.live,
-            "attention": self.live & attention,
-            "dead_ends": set[int](),
-        }
-        self.giving_up, self.failing = places[where], dict[int, Vector]()  # what failing charges
-        for x in self.dead | self.giving_up:
-            means = [[paid / self.pairs[k][1] for paid in self.pairs[k][3]]
-                     for k in self.of(x) if charged and (where == "anywhere" or stays[k])]  # fmt: skip
-            self.failing[x] = list(map(min, zip(*means, strict=True))) or [ZERO] * self.n_costs
-        need(type(charged) is bool and type(question["greatest"]) is bool, "a truth value is none")
-        sign, budget, self.rows = (
-            -1 if question["greatest"] else 1,
-            question["failure"],
-            list[Quantity](),
+        where, charged, greatest = (
+            question[key] for key in ("give_up", "charge_failing_step", "greatest")
         )
-        self.objective = Quantity(self, question["objective"], sign, "objective")
+        need(where in ("anywhere", "attention", "dead_ends"), "give_up is", where)
+        need(type(charged) is bool and type(greatest) is bool, "a truth value is none")
+        places = {"anywhere": self.live, "attention": self.live & attention}
+        self.giving_up, self.failing = places.get(where, set()), dict[int, list[Fraction]]()
+        for x in self.dead | self.giving_up:  # what failing charges of each cost
+            paid = [k for k in self.of[x] if charged and (stays[k] or where == "anywhere")]
+            means = [[c / self.pairs[k][1] for c in self.pairs[k][3]] for k in paid]
+            self.failing[x] = list(map(min, zip(*means, strict=True))) or [ZERO] * self.n_costs
+        self.sign, budget = -1 if greatest else 1, question["failure"]
+        self.objective = Quantity(self, question["objective"], self.sign, "objective")
         self.share = number(budget["share"]) if isinstance(budget, dict) else None
         need(self.share is None or 0 <= self.share <= 1, "a share is no probability")
-        if budget is not None:
-            self.rows.append(Quantity(self, FAILURE, 1, "failure"))
+        self.rows = [] if budget is None else [Quantity(self, FAILURE, 1, "failure")]
         if budget not in (None, "least") and self.share is None:
             self.rows[0].bound = self.rows[0].loose = number(budget)
         for row in question["rows"]:
-            need(("at_most" in row) != ("at_least" in row), "a row has one bound")
-            sign, text = (1, row["at_most"]) if "at_most" in row else (-1, row["at_least"])
-            q = Quantity(self, row["quantity"], sign, str(row["name"]))
-            q.bound, q.constant = sign * number(text) - q.constant, ZERO
-            q.loose = q.bound
-            self.rows.append(q)
+            sign, side = (1, "at_most") if "at_most" in row else (-1, "at_least")
+            need(row.keys() == {"name", "quantity", side}, "a row has a name and one bound")
+            self.rows.append(q := Quantity(self, row["quantity"], sign, str(row["name"])))
+            q.bound = q.loose = sign * number(row[side]) - q.constant
+            q.constant = ZERO
         self.each = [self.objective, *self.rows]
         paying = [k for k in range(self.n_costs) if any(q.costs[k] for q in self.each)]
         seen = {x for x in states if any(q.visits[x] for q in self.each)}
         costless = [not any(p[3][k] for k in paying) and all(y not in seen for _, y in p[2])
                     for p in self.pairs]  # fmt: skip
         self.free = self.staying(self.live, costless)[0]
-        # where the bound below holds, and by which actions; no failure: those that keep the goal sure
-        self.moving, self.keeps, self.may_fail = self.live, self.every, True
-        if budget is not None and self.share is None and self.rows[0].bound == 0:
-            self.may_fail, self.moving, last = False, self.live, set(states)
-            while self.moving != last:
-                last = self.moving
-                self.keeps = [x in last and all(y in last or y in goal for _, y in p[2])
-                              for x, p in zip(self.home, self.pairs, strict=True)]  # fmt: skip
-                self.moving = self.reaching(self.keeps) & last
-            need(
-                {x for _, x in self.start} <= last | goal, "failure 0: the goal can be sure, fails"
-            )
+        self.may_fail = budget is None or self.share is not None or self.rows[0].bound != 0
+        self.moving, self.keeps, last = (
+            self.live,
+            self.every,
+            self.live if self.may_fail else states,
+        )
+        while self.moving != last:  # no failure: what keeps the goal sure is all that counts
+            last = self.moving
+            self.keeps = [x in last and all(y in last or y in goal for _, y in p[2])
+                          for x, p in zip(self.home, self.pairs, strict=True)]  # fmt: skip
+            self.moving = self.reaching(self.keeps) & last
+        sure = self.may_fail or {x for _, x in self.start} <= self.moving | goal
+        need(sure, "failure 0: the goal can be reached surely, fails")
 
     def _pair(self, stated: Any, n: int) -> tuple[str, int, list[tuple[int, int]], list[Fraction]]:
         """Name, total T, outcomes (a, y) of probability a / T, and each mean cost times T."""
@@ -213,10 +203,6 @@ class Model:
         outcomes = [(a, whole(y, n)) for a, (_, y) in zip(parts, told, strict=True) if a]
         return str(name), sum(parts), outcomes, paid
 
-    def of(self, x: int) -> range:
-        """The pairs of a state."""
-        return range(self.first[x], self.first[x + 1])
-
     def reaching(self, allowed: Sequence[bool]) -> set[int]:
         """States from which allowed pairs may lead to the goal."""
         found, ahead = set(self.sets["goal"]), list(self.sets["goal"])
@@ -227,13 +213,10 @@ class Model:
         return found
 
     def staying(self, states: set[int], allowed: Sequence[bool]) -> tuple[set[int], list[bool]]:
-        """The largest part of some states where each has an allowed pair that surely stays in it.
-
-        States without any pairs stay. Also which pairs stay.
-        """
+        """The largest part of some states where each has no pairs, or an allowed one that stays."""
         inside, stays = set(states), [allowed[k] and x in states for k, x in enumerate(self.home)]
-        left = [sum(stays[k] for k in self.of(x)) for x in range(len(self.names))]
-        lost = [x for x in range(len(left)) if x not in states or (self.of(x) and not left[x])]
+        left = [sum(stays[k] for k in self.of[x]) for x in range(len(self.names))]
+        lost = [x for x in range(len(left)) if x not in states or (self.of[x] and not left[x])]
         while lost:
             inside.discard(y := lost.pop())
             for k in self.before[y]:
@@ -245,7 +228,7 @@ class Model:
 
     def priced(self, prices: Sequence[Fraction]) -> Quantity:
         """The objective and, at prices, by how much the bounds of rows are exceeded."""
-        c = Quantity(self, self.question["objective"], -1 if self.question["greatest"] else 1, "c")
+        c = Quantity(self, self.question["objective"], self.sign, "priced")
         for price, row in zip(prices, self.rows, strict=True):
             c.constant += price * (row.constant - row.loose)
             c.stop += price * row.stop
@@ -261,7 +244,7 @@ class Model:
             stop = c.at_stop(self, x, free) if self.may_fail else None
             if stop is not None:
                 at_most(v[x], down(stop), "v <= giving up or wandering in", self.names[x])
-            for k in self.of(x):
+            for k in self.of[x]:
                 name, total, outcomes, paid = self.pairs[k]
                 most = sum(a * after[y] for a, y in outcomes) + down(dot(c.costs, paid))
                 if self.keeps[k] and v[x] * total > most:
@@ -271,7 +254,7 @@ class Model:
     def above(self, member: Mapping[int, Sequence[Any]], words: str) -> list[Fraction]:
         """What a member takes at most of the objective and of each row."""
         u = {x: [-down(-number(text)) for text in entry[1:]] for x, entry in member.items()}
-        need({len(q) for q in u.values()} <= {1 + len(self.each)}, words, "tells of each row, fails")
+        need({len(q) for q in u.values()} <= {1 + len(self.each)}, words, "a number a row, fails")
         arrival = [[ZERO] * len(self.names), *(q.arrival for q in self.each)]  # steps, quantities
         after = [[-down(-a) + (u[x][j] if x in u else 0) for x, a in enumerate(values)]
                  for j, values in enumerate(arrival)]  # fmt: skip
@@ -285,12 +268,10 @@ class Model:
                 own += [stop for stop in stops if stop is not None]
                 need(None not in stops, words, "stops where it may, fails in", self.names[x])
             else:
-                k = self.first[x] + whole(decision, len(self.of(x)))
+                k = self.of[x].start + whole(decision, len(self.of[x]))
                 _, total, outcomes, paid = self.pairs[k]
                 own = [Fraction(total), *(dot(q.costs, paid) for q in self.each)]
-            need(
-                decided >= {y for _, y in outcomes}, words, "decides after", self.names[x], "fails"
-            )
+            need(decided >= {y for _, y in outcomes}, words, "decides after", self.names[x])
             for j, (mine, value) in enumerate(zip(own, u[x], strict=True)):
                 least = -down(-mine) + sum(a * after[j][y] for a, y in outcomes)
                 if value * total < least:
@@ -308,12 +289,12 @@ class Model:
 
 @dataclass(frozen=True)
 class Checked:
-    """What a certificate proves."""
+    """What a certificate proves: an interval that holds the optimum, or why it is refused."""
 
     accepted: bool
-    reason: str = ""  # which inequality fails where, if it is refused
-    lower: Fraction = ZERO  # the optimum of the question is at least this
-    upper: Fraction = ZERO  # and at most this
+    reason: str = ""  # the inequality that fails, and where
+    lower: Fraction = ZERO
+    upper: Fraction = ZERO  # what the lottery attains
     exceeded: Mapping[str, Fraction] = field(default_factory=dict)  # rows, and by how much
     asked: str = ""  # the question in the writer's words, from which nothing is concluded
     digest: str = ""  # SHA-256 of the question and the model
@@ -321,26 +302,19 @@ class Checked:
     def __str__(self) -> str:
         """The verdict in a few lines."""
         lines = [f"accepted: {self.asked}", f"  SHA-256   {self.digest}"]
-        for name, bound in (("at least ", self.lower), ("at most  ", self.upper)):
+        for name, bound in (("at least", self.lower), ("at most", self.upper)):
             exact, digits = str(bound), f"{abs(round(bound * 10**25)):026d}"
             exact = exact if len(exact) < 60 else f"{exact[:24]}...{exact[-24:]}"
             sign = "-" if bound < 0 else ""
-            lines.append(f"  {name} {sign}{digits[:-25]}.{digits[-25:]} = {exact}")
+            lines.append(f"  {name:<9} {sign}{digits[:-25]}.{digits[-25:]} = {exact}")
         lines.append(f"  width     {float(self.upper - self.lower):.1e}")
-        lines += [f"  the lottery exceeds row {name} by {float(excess):.1e}"
-                  for name, excess in self.exceeded.items()] or ["  all rows are kept exactly"]  # fmt: skip
+        for name, excess in self.exceeded.items():
+            lines.append(f"  the lottery exceeds row {name} by {float(excess):.1e}")
         return "\n".join(lines) if self.accepted else f"refused: {self.reason}"
 
 
 def check_certificate(path: Any) -> Checked:
-    """Check the certificate in a file.
-
-    Args:
-        path: of the file.
-
-    Returns:
-        An interval that holds the optimum; where it is not ``accepted``, which inequality fails.
-    """
+    """Check the certificate in the file of this name."""
     with open(path, "rb") as file:
         packed = file.read()
     try:
