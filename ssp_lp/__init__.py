@@ -76,6 +76,11 @@ if TYPE_CHECKING:
         discretise as discretise,
     )
     from ssp_lp.programs.occupation_program import OccupationProgram as OccupationProgram
+    from ssp_lp.verification.certificate_file import write_certificate as write_certificate
+    from ssp_lp.verification.checker import (
+        Checked as Checked,
+        check_certificate as check_certificate,
+    )
     from ssp_lp.verification.cross_check import CrossCheck as CrossCheck, cross_check as cross_check
 
 __version__ = "0.1.0"
@@ -87,6 +92,8 @@ _MODULES = {
     "model.continuous_model": "Axis ContinuousModel Distribution Grid WorldSimulator",
     "model.discretise": "Quadrature Samples discretise",
     "programs.occupation_program": "OccupationProgram",
+    "verification.certificate_file": "write_certificate",
+    "verification.checker": "Checked check_certificate",
     "verification.cross_check": "CrossCheck cross_check",
 }
 _ON_DEMAND = {name: f"{__name__}.{of}" for of, names in _MODULES.items() for name in names.split()}

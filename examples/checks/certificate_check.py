@@ -73,6 +73,11 @@ def holds(checked: Checked, known: float | None) -> bool:
     return float(checked.lower) - room <= known <= float(checked.upper) + room
 
 
+def interval(checked: Checked) -> str:
+    """What is proved, to be told of."""
+    return f"[{float(checked.lower)!r}, {float(checked.upper)!r}]"
+
+
 def moved(text: str, rng: np.random.Generator) -> str:
     """Another number, near or far."""
     value = Fraction(text)
@@ -98,11 +103,8 @@ def change_question(content: dict[str, Any], rng: np.random.Generator) -> bool:
     elif kind == 2:
         budget = content["failure"]
         asked = [None, "least", "0", moved("0.3", rng)]
-        content["failure"] = (
-            moved(budget, rng)
-            if isinstance(budget, str) and budget != "least"
-            else _place(rng, asked)
-        )
+        stated = isinstance(budget, str) and budget != "least"
+        content["failure"] = moved(budget, rng) if stated else _place(rng, asked)
     elif kind == 3 and content["rows"]:
         row = _place(rng, content["rows"])
         side = "at_most" if "at_most" in row else "at_least"
@@ -153,8 +155,8 @@ def change_state(
     elif kind == 4:
         content["actions"].remove(action)
     else:
-        content["actions"].append(["new", [[moved("0.5", rng), int(rng.integers(n))] for _ in range(2)],
-                                   [moved("1", rng) for _ in action[2]]])  # fmt: skip
+        leads = [[moved("0.5", rng), int(rng.integers(n))] for _ in range(2)]
+        content["actions"].append(["new", leads, [moved("1", rng) for _ in action[2]]])
     return True
 
 
@@ -254,7 +256,7 @@ def check_changed(
     known = optimum(found[: n + 1])
     if not holds(checked, known):
         path.rename(folder.parent / f"lie-{sha256(b''.join(found)).hexdigest()[:8]}.cert")
-        yield f"{kind}: accepted within {float(checked.lower)!r} and {float(checked.upper)!r}, the optimum is {known!r}"
+        yield f"{kind}: {interval(checked)} is accepted, the optimum is {known!r}"
 
 
 def check(seed: int, changes: int, tally: Counter[str]) -> Iterator[str]:
@@ -290,7 +292,7 @@ def check(seed: int, changes: int, tally: Counter[str]) -> Iterator[str]:
             ("solve", solution.objective),
         ):
             if not holds(written, known):
-                yield f"{draw.name}: {told} has {known!r}, the certificate {float(written.lower)!r} .. {float(written.upper)!r}"
+                yield f"{draw.name}: {told} has {known!r}, not in {interval(written)}"
         rng = np.random.default_rng([seed, 28])
         for _ in range(changes):
             yield from (

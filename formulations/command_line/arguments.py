@@ -133,6 +133,9 @@ EXAMPLES = {
     "program": """\
   ssp-lp program roads.json --goal home --start depot --failure-budget 0.05
   ssp-lp program roads.json --goal home --start depot --failure-budget 0.05 --out roads.mps""",
+    "check": """\
+  ssp-lp solve roads.json --goal home --start depot --certificate-out roads.cert
+  ssp-lp check roads.cert""",
 }
 """Commands that run as they stand, given the file roads.json of the page on the command line."""
 
@@ -177,7 +180,20 @@ def argument_parser() -> ArgumentParser:
             add(one)
         if name in ("solve", "info", "simulate", "compare"):
             one.add_argument("--json", action="store_true", help=_JSON)
+    _add_check(commands)
     return whole
+
+
+def _add_check(commands: Any) -> None:
+    """Add the command ``check``, which takes no model: a certificate has its own."""
+    told = "check a certificate by exact inequalities"
+    one = commands.add_parser(
+        "check", help=told, formatter_class=RawDescriptionHelpFormatter,
+        description=f"{told[0].upper()}{told[1:]}: what the optimum lies between, as fractions.",
+        epilog=f"examples:\n{EXAMPLES['check']}",
+    )  # fmt: skip
+    one.add_argument("certificate", metavar="FILE", help="of solve --certificate-out")
+    one.set_defaults(verbose=False)
 
 
 def _add_model(one: ArgumentParser) -> None:
@@ -234,6 +250,9 @@ def _add_solve(one: ArgumentParser) -> None:
         help="write the policy: .npz to load again, .storm.json for Storm, .json for a "
         "controller, .dot, .csv",
     )  # fmt: skip
+    answer.add_argument(
+        "--certificate-out", metavar="FILE", help="write a proof of the answer, for ssp-lp check"
+    )
     answer.add_argument("--plot", metavar="FILE", help="draw the law of the total cost")
 
 

@@ -25,7 +25,7 @@ from formulations.maxprob import MaxProb
 from formulations.mcmp import MCMP
 from ssp_lp import SSP, ModelError, Solution, io
 from ssp_lp.analysis.simulation import Estimate
-from ssp_lp.errors import Argument, check_whole, optional_module
+from ssp_lp.errors import Argument, SolverError, check_whole, optional_module
 from ssp_lp.formulation import Problem, attention_labels, dead_end_labels
 from ssp_lp.io.model_files.json_model import model_in_json, parse_json
 from ssp_lp.methods.program import program_of
@@ -310,11 +310,25 @@ def _solve_command(asked: Namespace) -> Iterable[str]:
     solution = ssp_lp.solve(problem, asked.method, time_limit=asked.time_limit, **tolerance)
     if write is not None:
         write(solution, found, asked.policy_out)
+    if asked.certificate_out is not None:
+        ssp_lp.write_certificate(solution, asked.certificate_out)
     if figure is not None:
         level = {"level": asked.level} if "level" in asked else {}
         plot_cost_law(ssp_lp.success_costs(solution.policy, problem), ax=figure.subplots(), **level)
         figure.savefig(asked.plot)
     return json_answer(_told_by_command(solution)) if asked.json else [solution.summary()]
+
+
+def _check_command(asked: Namespace) -> Iterable[str]:
+    """The command ``check``.
+
+    Raises:
+        SolverError: the certificate is refused.
+    """
+    checked = ssp_lp.check_certificate(asked.certificate)
+    if not checked.accepted:
+        raise SolverError(f"{asked.certificate} is refused: {checked.reason}")
+    return [str(checked)]
 
 
 def _told_by_command(solution: Solution) -> dict[str, Any]:
@@ -473,5 +487,6 @@ COMMANDS: dict[str, Callable[[Namespace], Iterable[str]]] = {
     "convert": _convert_command,
     "compare": _compare_command,
     "program": _program_command,
+    "check": _check_command,
 }
 """What a command prints, by its name."""

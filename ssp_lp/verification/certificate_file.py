@@ -45,8 +45,8 @@ def write_certificate(solution: Solution, path: str | Path) -> Checked:
     Covered are criteria of case M in the exact setting: expected costs and quantities with a
     failure budget, a share of the greatest goal probability, a penalty or failing forbidden, the
     greatest and the least goal probability, each with any limits and any start, within a horizon
-    too. At least failure is covered where the goal can be reached surely: elsewhere two policies
-    would have to be shown to fail exactly alike, which no inequality between rounded numbers does.
+    too. At least failure the policy may be shown to fail more than the least by the last digits of
+    the proof, unless these are decimals or the goal is sure: that is told as a row exceeded.
 
     Args:
         solution: of ``solve``; its policy and its prices are what is proved to be best.
@@ -66,7 +66,7 @@ def write_certificate(solution: Solution, path: str | Path) -> Checked:
     try:
         model = checker.Model(question, lines[1:])
     except checker.RefusedError as error:
-        raise ModelError(f"no certificate: {error}") from error
+        raise ModelError(f"no certificate of {type(solved.problem).__name__}: {error}") from error
     digest = sha256(b"\n".join(lines)).hexdigest()
     lines += _proof(model, solved, digest)
     content = b"\n".join(lines)

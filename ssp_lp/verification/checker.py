@@ -18,8 +18,10 @@ for each action, v(x) <= what giving up takes. A policy within the rows goes on 
 that are free in the objective and all rows, else it pays infinitely much; so it comes to where they
 can go on for ever, and there v(x) <= what wandering takes. So no lottery within the rows attains
 less than v at the start less prices * b. Where no failure is allowed, only actions count that keep
-the goal sure. Above: on the states that a member of the lottery comes to, t >= 1 + sum p t, so that
-it ends, and u >= own + sum p u for the objective and each row, so that it takes at most u.
+the goal sure. A share of the greatest goal probability, or all of it ("least"), is bounded from two
+sides: failure by w as the objective is by v, and by what a member fails. Above: on the states that
+a member of the lottery comes to, t >= 1 + sum p t, so that it ends, and u >= own + sum p u for the
+objective and each row, so that it takes at most u.
 """
 
 import gzip
@@ -174,19 +176,18 @@ class Model:
         costless = [not any(p[3][k] for k in paying) and all(y not in seen for _, y in p[2])
                     for p in self.pairs]  # fmt: skip
         self.free = self.staying(self.live, costless)[0]
+        sure, last, keeps = self.live, states, self.every
+        while sure != last:  # the states and the pairs that can keep the goal sure
+            last = sure
+            keeps = [x in last and all(y in last or y in goal for _, y in p[2])
+                     for x, p in zip(self.home, self.pairs, strict=True)]  # fmt: skip
+            sure = self.reaching(keeps) & last
+        is_sure = {x for _, x in self.start} <= sure | goal
+        if budget == "least" and not is_sure:
+            self.share = Fraction(1)  # all of the greatest goal probability
         self.may_fail = budget is None or self.share is not None or self.rows[0].bound != 0
-        self.moving, self.keeps, last = (
-            self.live,
-            self.every,
-            self.live if self.may_fail else states,
-        )
-        while self.moving != last:  # no failure: what keeps the goal sure is all that counts
-            last = self.moving
-            self.keeps = [x in last and all(y in last or y in goal for _, y in p[2])
-                          for x, p in zip(self.home, self.pairs, strict=True)]  # fmt: skip
-            self.moving = self.reaching(self.keeps) & last
-        sure = self.may_fail or {x for _, x in self.start} <= self.moving | goal
-        need(sure, "failure 0: the goal can be reached surely, fails")
+        need(self.may_fail or is_sure, "failure 0: the goal can be reached surely, fails")
+        self.moving, self.keeps = (self.live, self.every) if self.may_fail else (sure, keeps)
 
     def _pair(self, stated: Any, n: int) -> tuple[str, int, list[tuple[int, int]], list[Fraction]]:
         """Name, total T, outcomes (a, y) of probability a / T, and each mean cost times T."""

@@ -21,7 +21,7 @@ from ssp_lp.model.graph import end_components, nearer_pairs
 from ssp_lp.policies.policy import GIVE_UP_CODE
 from ssp_lp.verification.checker import ONE, Model, Quantity, dot, down
 
-_LOST = 10**24
+_LOST = 10**28
 """Values are lowered by at most one part in so many of the largest."""
 
 _REFINEMENTS = 60  # of a system, each of which gains the digits that its condition leaves of 16

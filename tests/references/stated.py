@@ -25,8 +25,8 @@ def optimum(lines: Sequence[bytes]) -> float | None:
     actions = [[_action(stated) for stated in state["actions"]] for state in states]
     goal = members["goal"]
     hopeful = set(goal)
-    while more := {x for x in range(n) if x not in hopeful
-                   and any(p > 0 and y in hopeful for outs, _ in actions[x] for p, y in outs)}:  # fmt: skip
+    while more := {x for x in set(range(n)) - hopeful
+                   if any(y in hopeful for outs, _ in actions[x] for _, y in outs)}:  # fmt: skip
         hopeful |= more
     dead, live = set(range(n)) - hopeful, sorted(hopeful - goal)
     avoiding = set(range(n)) - goal
