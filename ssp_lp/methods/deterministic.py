@@ -216,10 +216,10 @@ class _PolicySearch:
             free: states that may randomise, so that answers are no policies, [states].
         """
         row, incumbent = self.outcome.row, self.best.value
-        ratio, share = (incumbent, 1.0 - row.budget) if row.ratio else (0.0, 1.0)
-        visits = most_visits(
-            process, row.budget, 0.0 if row.ratio else incumbent, ratio, self.deadline
-        )
+        share, ratio, most = 1.0 - row.budget, 0.0, incumbent
+        if row.ratio:
+            ratio, most = incumbent, 0.0
+        visits = most_visits(process, row.budget, most, ratio, self.deadline)
         if visits is None:
             return 0.0, False
         gap = 0.0 if row.ratio else self.tolerance
@@ -229,10 +229,12 @@ class _PolicySearch:
         bound = 0.0
         for _ in range(_RATIOS):
             answer = self._solved_without_refused(program, process.cost - ratio * process.goal)
-            least = answer.bound - (_DUAL * (1.0 + abs(answer.bound)))
-            if np.isfinite(answer.bound) and row.ratio:
-                beyond = least / share if share > 0.0 else -np.inf
-                least = ratio if least >= 0.0 else max(ratio + beyond, 0.0)
+            least = answer.bound
+            if np.isfinite(least):
+                least -= _DUAL * (1.0 + abs(least))
+                if row.ratio:
+                    beyond = least / share if share > 0.0 else -np.inf
+                    least = ratio if least >= 0.0 else max(ratio + beyond, 0.0)
             bound = max(bound, min(least, incumbent))
             if not answer.finished:
                 return bound, False
@@ -419,9 +421,11 @@ _OVER = {highspy.HighsModelStatus.kInfeasible, highspy.HighsModelStatus.kUnbound
 def _has_time(solver: highspy.Highs, cost: FloatArray, deadline: float) -> bool:
     """Give HiGHS a cost of its first columns, and the time that is left, if there is any."""
     left = deadline - time.perf_counter()
+    if left <= 0.0:
+        return False
     solver.setOptionValue("time_limit", solver.getRunTime() + min(left, 1e9))
     solver.changeColsCost(cost.size, np.arange(cost.size, dtype=np.int32), cost)
-    return left > 0.0
+    return True
 
 
 @dataclass(frozen=True, eq=False)
