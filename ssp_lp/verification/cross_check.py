@@ -304,16 +304,20 @@ def compare_methods(
         spent = method.spent
         return 0.0 if spent is None or spent <= budget + LEAST_BUDGET else spent - budget
 
+    def agree(one: float | None, other: float | None) -> bool:
+        """Whether two costs are one."""
+        return distance(one, other) <= tolerance
+
     def is_proved(method: MethodResult) -> bool:
         """Whether the bound at the method's own price meets its c*: the price is then optimal."""
-        return distance(method.objective, method.lower_bound) <= tolerance
+        return agree(method.objective, method.lower_bound)
 
     answered = [method for method in methods if method.answered]
     findings = {}  # what is held against a method, by its name
     for method in answered:  # wrong by itself, whatever others say
         if overrun(method) > 0.0:
             findings[method.name] = f"its policy breaks the budget by {overrun(method):.1e}"
-        elif distance(method.objective, method.evaluated) > tolerance:
+        elif not agree(method.objective, method.evaluated):
             stated, attained = f"{method.objective:.12g}", f"{method.evaluated:.12g}"
             findings[method.name] = f"it states c* = {stated}, but its policy attains {attained}"
     sound = [method for method in answered if method.name not in findings]
@@ -324,15 +328,7 @@ def compare_methods(
                 findings[method.name] = f"its price is not proved: {reason}"
     if answered:
         findings |= _refusing(methods, budget)
-    findings |= _outvoted(sound, lambda r, s: distance(r.objective, s.objective) <= tolerance)
-    for method, other in permutations(sound, 2):
-        low, value = method.lower_bound, other.evaluated
-        exceeds = low is not None and value is not None and low > value
-        if exceeds and distance(low, value) > tolerance:
-            findings[method.name] = (
-                f"its lower bound {low:.12g} exceeds the {value:.12g} that the policy of "
-                f"{other.name} attains: one of the two is wrong"
-            )
+    findings |= _outvoted(sound, agree) | _refuted(sound, agree)
     named = tuple(method.name for method in methods if method.name in findings)
     remarks = [f"{name}: {findings[name]}" for name in named]
     if _spread([method for method in sound if is_proved(method)]) > weight_tolerance:
@@ -367,11 +363,26 @@ def _refusing(methods: Sequence[MethodResult], budget: float) -> dict[str, str]:
     return findings
 
 
-def _outvoted(
-    methods: Sequence[MethodResult], agree: Callable[[MethodResult, MethodResult], bool]
-) -> dict[str, str]:
+_Agree = Callable[[float | None, float | None], bool]
+"""Whether two costs are one."""
+
+
+def _refuted(methods: Sequence[MethodResult], agree: _Agree) -> dict[str, str]:
+    """What is held against methods whose bound exceeds what a policy within the budget attains."""
+    findings = {}
+    for method, other in permutations(methods, 2):
+        low, value = method.lower_bound, other.evaluated
+        if low is not None and value is not None and low > value and not agree(low, value):
+            findings[method.name] = (
+                f"its lower bound {low:.12g} exceeds the {value:.12g} that the policy of "
+                f"{other.name} attains: one of the two is wrong"
+            )
+    return findings
+
+
+def _outvoted(methods: Sequence[MethodResult], agree: _Agree) -> dict[str, str]:
     """What is held against methods outside the majority; all of them where no two agree."""
-    near = [[other.name for other in methods if agree(method, other)] for method in methods]
+    near = [[s.name for s in methods if agree(r.objective, s.objective)] for r in methods]
     majority = max(near, key=len, default=[])
     if len(majority) == len(methods):
         return {}
