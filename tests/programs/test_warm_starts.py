@@ -22,9 +22,7 @@ SHARES = (0.5, 0.05, 0.9, 0.2, 0.21)
 def steps_of(program: OccupationProgram, basis: np.ndarray | None) -> int:
     """Iterations of HiGHS's simplex, to the optimum."""
     solved = program if program.reduced is None else program.reduced.program
-    solver = highs._solved_by_highs(
-        solved.linear, highs._highs_options("highs-simplex", np.inf), basis
-    )
+    solver = highs._solved_by_highs(solved.linear, "highs-simplex", np.inf, basis)
     assert solver.modelStatusToString(solver.getModelStatus()) == "Optimal"
     return int(solver.getInfo().simplex_iteration_count)
 
