@@ -13,7 +13,8 @@ prices are 0 and at which nothing is worth entering: dual steps follow until no 
 Elastic, the least violating policy with the excesses of the rows that it breaks is a basis without
 negative values: primal steps follow. Whatever rounding spoils, steps of the other kind repair. A
 basis has one variable more than there are rows, so that each step inverts it afresh, and tells a 0
-from its rounding.
+from its rounding. Where steps lead in a circle others enter first; should rounding alone lead on,
+the basis that lacks least is taken.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ _BROKEN = 4.0 * MACHINE_EPSILON
 
 _TIED = 1e-14  # of the numbers that a reduced cost is made of: then it is 0
 _PIVOT = 1e-13  # of the numbers that an entry is made of: then it is 0
-_PIVOTS = 50  # for each variable of a basis: some three are needed, more are going in circles
+_CIRCLES = 10  # of bases, in each of which others enter first, after which rounding alone leads on
+_GOLDEN = 0.618  # whose multiples are spread evenly: what enters first in a circle
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,19 +115,26 @@ def _by_simplex(
     """
     n_rows = len(matrix)
     right = np.eye(n_rows)[-1]
-    for _ in range(_PIVOTS * n_rows):
+    visited, circles, least = set[bytes](), 0, np.inf
+    while circles < _CIRCLES:
+        if (key := np.sort(basis).tobytes()) in visited:
+            visited, circles = set(), circles + 1
+        visited.add(key)
         square = matrix[:, basis]
         try:
             inverse = np.asarray(np.linalg.inv(square), dtype=np.float64)
         except np.linalg.LinAlgError as error:
             raise SolverError("the master program's basis is singular") from error
-        values = _refined(inverse, square, right)
+        values, x = _refined(inverse, square, right), np.zeros(cost.size)
+        x[basis] = np.maximum(values, 0.0)
         dual = _refined(inverse.T, square.T, cost[basis])
         reduced = cost - dual @ matrix
         reduced[basis] = 0.0
         tied = np.abs(reduced) < _TIED * (np.abs(cost) + np.abs(dual) @ np.abs(matrix))
         reduced = np.where(tied, 0.0, reduced)
         short = values + rounding[basis]
+        if not (lack := -min(short.min(), reduced.min())) >= least:
+            least, optimum = lack, (x, dual)
         if short.min() < 0.0:  # a dual step
             leaving = int(np.argmin(short))
             among = _refined(inverse.T, square.T, np.eye(n_rows)[leaving])
@@ -134,7 +143,8 @@ def _by_simplex(
             able = row < -np.abs(among) @ (_PIVOT * np.abs(matrix) + noise[:, None])
             entering = _least_ratio(reduced, -row, able)
         else:  # a primal step, if any
-            entering = int(np.argmin(reduced))
+            preference = 1.0 + np.modf(_GOLDEN * circles * np.arange(cost.size))[0]
+            entering = int(np.argmin(reduced * preference))
             if reduced[entering] >= 0.0:
                 break
             entry = matrix[:, entering]
@@ -144,9 +154,7 @@ def _by_simplex(
         if not able.any():
             break
         basis[leaving] = entering
-    result = np.zeros(cost.size)
-    result[basis] = np.maximum(values, 0.0)
-    return result, dual
+    return optimum
 
 
 def _least_ratio(over: FloatArray, under: FloatArray, able: BoolArray) -> int:
