@@ -189,7 +189,6 @@ class Sweep:
         """
         process, base, inner = self.process, self.process.base, self._first_choice
         floor = -(price - failing - process.charge.lowest) * (1.0 + _BELOW_EVERY_VALUE)
-        cost = self._pair_costs(price, failing, sizes=True)
 
         def lower(layer: int, ahead: FloatArray) -> tuple[FloatArray]:
             """Lower bounds of a layer; within one with free steps its best choice is kept."""
@@ -213,6 +212,7 @@ class Sweep:
 
         blocks: Iterable[tuple[slice, FloatArray]]
         if self.one_pass is None:
+            cost = self._pair_costs(price, failing, sizes=True)
             layers = self._backward(lower, beyond)
             blocks = ((slice(layer, layer + 1), lowest[None]) for layer, (lowest,) in layers)
         else:
