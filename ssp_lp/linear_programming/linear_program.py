@@ -65,9 +65,9 @@ class MeasuredRow(NamedTuple):
 
 
 def check_bounds(bounds: Mapping[str, object]) -> None:
-    """Raise :class:`ModelError`, naming the row, unless each of the bounds is a number."""
+    """Raise :class:`ModelError`, naming the row, unless each bound is a number, or infinite."""
     for name, bound in bounds.items():
-        if not is_number(bound) or np.isnan(float(bound)):
+        if not (is_number(bound) and float(bound) > -np.inf):
             raise wrong_argument(name, "be a number, the bound of its row", bound)
 
 

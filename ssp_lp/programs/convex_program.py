@@ -157,8 +157,8 @@ class ConvexProgram:
         self.start.value = program.process.start
         if objective is not None:
             self.cost.value, self._constant.value = self.program.expression(objective)
-        for name, bound in bounds.items():
-            self.bounds[name].value = bound
+        for name in bounds.keys() & self.bounds.keys():  # one that is infinite may have no row
+            self.bounds[name].value = bounds[name]
         for tight in (False, True):
             if not solve_stated(self.problem, solver, options, tight=tight):
                 raise self._bounded.infeasible()

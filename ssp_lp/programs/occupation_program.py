@@ -488,8 +488,8 @@ class OccupationProgram:
         """The costs with what each row takes at its price, [pairs]; less price times bound."""
         cost, constant = self.process.cost, 0.0
         for row in self.rows:
-            price = prices.get(row.name, 0.0)
-            cost, constant = cost + price * row.coefficients, constant - price * row.bound
+            if price := prices.get(row.name, 0.0):  # a bound that limits nothing may be infinite
+                cost, constant = cost + price * row.coefficients, constant - price * row.bound
         return cost, constant
 
     @cached_property

@@ -125,11 +125,26 @@ def test_bounds_that_no_policy_keeps_are_named() -> None:
     with pytest.raises(InfeasibleError, match=r"at least 0\.1") as refused:
         MCMP(forced, "s", 0.2).program().bounded_by({"failure": 0.05}).solve()
     assert refused.value.least_failure == pytest.approx(0.1)
-    for bound in (np.nan, "half"):
+    for bound in (np.nan, "half", -np.inf):
         with pytest.raises(ModelError, match="cost must be a number, the bound of its row"):
             cheap.bounded_by({"cost": bound})
         with pytest.raises(ModelError, match="cost must be a number, the bound of its row"):
             cheap.to_cvxpy().solve(cp.CLARABEL, cost=bound)
+
+
+@pytest.mark.parametrize("criterion", [MCMP, S3P])
+@pytest.mark.parametrize("name", ["failure", "seen"])
+def test_an_infinite_bound_limits_nothing(criterion: type, name: str) -> None:
+    problem = criterion(SLIP, "s", 0.05, constraints={"seen": visits("s") <= 1.7})
+    program = problem.program()
+    free = program.bounded_by({name: 1e6 if name == "seen" else 1.0}).solve()
+    measure = program.bounded_by({name: np.inf}).solve(warm_start=free)
+    assert measure.objective == pytest.approx(free.objective, rel=1e-9)
+    assert measure.gap <= 1e-9
+    assert free.objective < program.solve().objective - 0.1 * (name == "seen") + 1e-9
+    if criterion is MCMP:
+        convex = program.to_cvxpy().solve(cp.CLARABEL, **{name: np.inf})
+        assert convex.objective == pytest.approx(free.objective, rel=1e-6)
 
 
 def test_the_open_end_lets_every_action_go_on() -> None:
