@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from math import hypot, sqrt
 
 import numpy as np
 import scipy.sparse as sp
@@ -182,14 +183,14 @@ def by_moments(policy: MixedPolicy, problem: Problem) -> Evaluation:
     goal, mean = evaluation.goal_probability, evaluation.conditional_cost
     if measure is None or goal == 0.0:
         return replace(evaluation, objective=np.nan)
-    spread = np.sqrt(max(squares / goal - mean**2, 0.0) + (_VARIANCE * mean) ** 2)
+    spread = sqrt(max(squares / goal - mean**2, 0.0) + (_VARIANCE * mean) ** 2)
     match measure:
         case CostQuantileOf(level) | TailMeanOf(level):
-            return replace(evaluation, objective=mean + spread * np.sqrt(level / (1.0 - level)))
+            return replace(evaluation, objective=mean + spread * sqrt(level / (1.0 - level)))
     charge = measure.charge
     if charge.slope > 0.0:  # at most what the line's beginning costs, and what lies beyond it
         line = charge.settled or 0.0
-        beyond = 0.5 * (np.hypot(spread, line - mean) - (line - mean))
+        beyond = 0.5 * (hypot(spread, line - mean) - (line - mean))
         first = float(charge.at(np.array([line]))[0])
         return replace(evaluation, objective=first + charge.slope * beyond)
     away = spread * np.append(0.0, np.geomspace(1e-2, 1e4, 601))

@@ -242,6 +242,7 @@ def test_mean_and_variance_bound_what_the_law_says(seed: int) -> None:
         (-1.0, EGUBS(model, 0, -0.1, 1.0)),
     ):
         bound, exact = by_moments(policy, problem), evaluate(policy, problem)
+        assert type(bound.objective) is float
         assert worse * bound.objective >= worse * exact.objective
         assert bound.failure_probability == exact.failure_probability
 
