@@ -340,8 +340,9 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
     need(min(weights) >= 0 and sum(weights) == 1, "weights are >= 0 and sum to 1, fails")
     need(min([ZERO, *prices]) >= 0, "prices are >= 0, fails")
     need(len(prices) == len(model.rows), len(prices), "prices of", len(model.rows), "rows")
-    told = {len(line.get("members", ())) for line in proof}
-    need(told == {len(weights)}, "a line of proof for each state tells of each member, fails")
+    keys = {"v", "members"} | ({"w"} if model.share is not None else set())
+    told = {line.keys() == keys and len(line["members"]) for line in proof}
+    need(told == {len(weights)}, "a line of proof has values, and each member, fails")
     members = list[list[Fraction]]()
     for m in range(len(weights)):
         decided = {x: line["members"][m] for x, line in enumerate(proof) if line["members"][m]}

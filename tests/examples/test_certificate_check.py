@@ -1,0 +1,13 @@
+"""The check of certificates of random problems, on its first draws."""
+
+from collections import Counter
+
+from examples.checks.certificate_check import EXACT, check
+
+
+def test_certificates_and_changed_ones() -> None:
+    tally = Counter[str]()
+    for seed in range(12 * len(EXACT)):
+        assert list(check(seed, 1, tally)) == [], seed
+    assert tally["certificates"] > 60
+    assert sum(count for name, count in tally.items() if name.startswith("changed")) > 60

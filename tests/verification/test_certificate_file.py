@@ -1,0 +1,410 @@
+"""Certificates in files: exact intervals, and files that were tampered with."""
+
+from __future__ import annotations
+
+import ast
+import gzip
+import json
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cases import ROBOT_VALUES, published
+from formulations import (
+    MCMP,
+    S3P,
+    AlphaMCMP,
+    ConstrainedCost,
+    CostBudgetedMaxProb,
+    CostLimit,
+    CVaR,
+    FinitePenalty,
+    LeastQuantity,
+    MaxProb,
+    MinCost,
+    MinProb,
+)
+from formulations.command_line import main
+from references.stated import optimum
+from small_models import FIRST, FREE_LOOP, FREE_PAIR, PAYING_LOOP, TRIES, TWO_MOVES, model_of
+from ssp_lp import (
+    Checked,
+    DeterministicPolicy,
+    MixedPolicy,
+    ModelError,
+    SolverError,
+    check_certificate,
+    end_probability,
+    expected_cost,
+    failure_probability,
+    goal_probability,
+    secondary_cost,
+    solve,
+    visits,
+    write_certificate,
+)
+from ssp_lp.problem import Problem
+from ssp_lp.verification import checker
+
+ROAD = model_of(
+    {
+        "road": {
+            "fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)],
+            "safe": [(1.0, "home", 3.0)],
+        },
+        "ditch": {},
+    },
+    "home",
+)
+THIRDS = model_of(
+    {"x": {"go": [(1 / 3, "g", Fraction(1, 3)), (1 / 3, "x", 0.1), (1 / 3, "d", 0.7)]}, "d": {}}
+)
+STAYS = model_of({"x": {"stay": [(1.0, "x", 4.0)], "go": [(0.5, "g", 1.0), (0.5, "x", 1.0)]}})
+PITS = model_of(
+    {
+        "x": {"fast": [(0.5, "g", 1.0), (0.5, "pit", 1.0)], "slow": [(1.0, "g", 5.0)]},
+        "pit": {"a": [(0.5, "pit", 6.0), (0.5, "hole", 2.0)], "b": [(1.0, "hole", 9.0)]},
+        "hole": {},
+    },
+    labels={"hurt": ["pit"]},
+)
+RARE = model_of({"x": {"go": [(1e-6, "g", 1.0), (0.999999, "x", 1.0)]}})
+LATE = model_of({"x": {"go": [(0.5, "g", 1.0), (0.5, "x", 1.0)]}})
+FUEL = {"road": {"fast": 4.0, "safe": 1.0}}
+
+KNOWN: list[tuple[Problem, Fraction]] = [
+    (MCMP(ROAD, "road", 0.05), Fraction(2)),
+    (MCMP(ROAD, "road"), Fraction(3)),
+    (MCMP(FIRST, "depot", 0.05), Fraction(20, 3)),
+    (MCMP(FIRST, "depot"), Fraction(224, 25)),
+    (AlphaMCMP(ROAD, "road", 0.95), Fraction(2)),
+    (AlphaMCMP(FIRST, "depot", 1.0), Fraction(224, 25)),
+    (MaxProb(FIRST, "depot"), Fraction(99, 100)),
+    (MinProb(ROAD, "road"), Fraction(9, 10)),
+    (MinCost(ROAD, "road"), Fraction(3)),
+    (MinCost(RARE, "x"), Fraction(10**6)),
+    (MinCost(TRIES, "door"), Fraction(2)),
+    (FinitePenalty(ROAD, "road", 10.0), Fraction(2)),
+    (FinitePenalty(model_of(FREE_LOOP), "x", 10.0, give_up="dead_ends"), Fraction(5)),
+    (FinitePenalty(model_of(FREE_LOOP), "x", 3.0, give_up="dead_ends"), Fraction(3)),
+    (FinitePenalty(model_of(PAYING_LOOP), "x", 3.0, give_up="dead_ends"), Fraction(5)),
+    (FinitePenalty(model_of(PAYING_LOOP), "x", 3.0), Fraction(3)),
+    (FinitePenalty(model_of(PAYING_LOOP), "x", 2.5, None, "attention", True), Fraction(9, 2)),
+    (MCMP(model_of(FREE_PAIR), "x", 0.25), Fraction(7, 2)),
+    (MCMP(STAYS, "x", 0.5), Fraction(2)),
+    (MCMP(STAYS, "x", 0.5, charge_failing_step=False), Fraction(1)),
+    (MCMP(PITS, "x", 0.25), Fraction(4)),
+    (MCMP(PITS, "x", 0.25, charge_failing_step=False), Fraction(3)),
+    (MCMP(model_of(TWO_MOVES), {"x": 0.5, "g": 0.25, "d": 0.25}, 0.26), Fraction(4, 5)),
+    (MCMP(ROAD, "road", 0.05, horizon=1), Fraction(2)),
+    (MaxProb(LATE, "x", horizon=3), Fraction(7, 8)),
+    (MCMP(ROAD, "road", 1.0, constraints={"pit": end_probability("ditch") <= 0.05}), Fraction(2)),
+    (MinCost(ROAD, "road", constraints={"fuel": secondary_cost(FUEL) <= 2.0}), Fraction(3)),
+    (MCMP(PITS, "x", constraints={"n": visits("pit") <= 0.0}), Fraction(5)),
+    (CostBudgetedMaxProb(ROAD, "road", 2.0), Fraction(19, 20)),
+    (ConstrainedCost(ROAD, "road", {"fuel": CostLimit(FUEL, 2.5)}, 1.0), Fraction(2)),
+    (
+        LeastQuantity(ROAD, "road", expected_cost() - 4.0 * end_probability("ditch") + 1.0, 0.05),
+        Fraction(14, 5),
+    ),
+    (
+        LeastQuantity(
+            ROAD, "road", failure_probability(), constraints={"c": expected_cost() <= 2.5}
+        ),
+        Fraction(1, 40),
+    ),
+    (
+        MCMP(ROAD, "road", 1.0, constraints={"ditch": end_probability("ditch") == 0.02}),
+        Fraction(13, 5),
+    ),
+    (
+        MCMP(ROAD, "road", 1.0, constraints={"home": goal_probability() >= 0.96}),
+        Fraction(11, 5),
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("number", range(len(KNOWN)))
+def test_the_interval_holds_what_is_known(number: int, tmp_path: Path) -> None:
+    problem, known = KNOWN[number]
+    written = write_certificate(solve(problem), tmp_path / "one")
+    assert written.accepted
+    room = Fraction(1, 10**20) if written.exceeded else Fraction(0)
+    assert written.lower <= known <= written.upper + room
+    assert -room <= written.upper - written.lower < 1e-9
+    assert check_certificate(tmp_path / "one") == written
+    lines = lines_of(tmp_path / "one")
+    assert optimum(lines[: len(lines) // 2]) == pytest.approx(float(known), rel=1e-8)
+
+
+def test_fractions_are_what_they_are(tmp_path: Path) -> None:
+    """A third of a cost is a third; probabilities are divided by their exact sum."""
+    written = write_certificate(
+        solve(MCMP(THIRDS, "x", 1.0, give_up="dead_ends")), tmp_path / "one"
+    )
+    known = (Fraction(1, 3) + Fraction(1, 10) + Fraction(7, 10)) / 2
+    assert written.lower <= known <= written.upper
+    assert written.upper - written.lower < Fraction(1, 10**20)
+
+
+@pytest.mark.parametrize(("give_up", "charged", "known"), ROBOT_VALUES)
+def test_published_values_of_giving_up(
+    give_up: str, charged: bool, known: Fraction, tmp_path: Path
+) -> None:
+    model, start = published("prism_robot_goal1", "time")
+    problem = MCMP(model, start, 0.75, give_up=give_up, charge_failing_step=charged)
+    written = write_certificate(solve(problem), tmp_path / "one")
+    assert abs(written.lower - known) < 1e-9
+    assert abs(written.upper - known) < 1e-9
+
+
+def test_a_start_that_is_an_end(tmp_path: Path) -> None:
+    written = write_certificate(solve(MCMP(ROAD, "home", 0.1)), tmp_path / "one")
+    assert written.lower == written.upper == 0
+    written = write_certificate(solve(MaxProb(ROAD, "ditch")), tmp_path / "one")
+    assert written.lower == written.upper == 0
+
+
+def test_the_members_of_another_policy(tmp_path: Path) -> None:
+    """What is proved is the lottery that is handed over, however far from the best."""
+    solution = solve(MCMP(ROAD, "road", 0.05))
+    safe = DeterministicPolicy.from_actions(ROAD, {"road": "safe"})
+    written = write_certificate(
+        replace(solution, policy=MixedPolicy((safe,), np.ones(1))), tmp_path / "one"
+    )
+    assert (written.lower, written.upper) == (2, 3)
+    fast = DeterministicPolicy.from_actions(ROAD, {"road": "fast"})
+    with pytest.raises(SolverError, match="bound of row failure fails"):
+        write_certificate(
+            replace(solution, policy=MixedPolicy((fast,), np.ones(1))), tmp_path / "x"
+        )
+    assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.parametrize("price", [0.0, 5.0, 20.0, 1000.0])
+def test_any_price_proves_something_true(price: float, tmp_path: Path) -> None:
+    solution = replace(solve(MCMP(ROAD, "road", 0.05)), prices={"failure": price})
+    solution = replace(solution, failure_price=price)
+    written = write_certificate(solution, tmp_path / "one")
+    assert written.lower <= 2 <= written.upper
+
+
+@pytest.mark.parametrize(
+    ("problem", "words"),
+    [
+        (MCMP(ROAD, "road", 0.2, discount=0.9), "MCMP with a "),
+        (S3P(ROAD, "road", 0.05), "S3P: its cost counts by the total"),
+        (CVaR(ROAD, "road", 0.9, 0.05), "CVaR: its cost counts by the total"),
+    ],
+)
+def test_what_is_not_covered_is_named(problem: Problem, words: str, tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match=f"no certificate of {words}"):
+        write_certificate(solve(problem), tmp_path / "one")
+
+
+def test_the_checker_stands_alone(tmp_path: Path) -> None:
+    """It imports the standard library alone, and runs where it was copied to."""
+    source = Path(checker.__file__)
+    imported = {
+        name.split(".")[0]
+        for node in ast.walk(ast.parse(source.read_text(encoding="utf-8")))
+        for name in (
+            [alias.name for alias in node.names] if isinstance(node, ast.Import)
+            else [str(node.module)] if isinstance(node, ast.ImportFrom) else []
+        )
+    }  # fmt: skip
+    assert imported <= sys.stdlib_module_names
+    write_certificate(solve(MCMP(ROAD, "road", 0.05)), tmp_path / "road.cert")
+    shutil.copy(source, tmp_path / "copied.py")
+    run = [sys.executable, "-I", "copied.py", "road.cert"]
+    done = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True)  # noqa: S603
+    assert done.returncode == 0
+    assert "at least  2.0" in done.stdout
+    (tmp_path / "road.cert").write_bytes(b"none")
+    done = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True)  # noqa: S603
+    assert done.returncode == 1
+    assert done.stdout.startswith("refused: the file is damaged")
+
+
+def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "road.cert"
+    write_certificate(solve(MCMP(ROAD, "road", 0.05)), path)
+    assert main(["check", str(path)]) == 0
+    assert "accepted: MCMP" in capsys.readouterr().out
+    path.write_bytes(gzip.compress(b"\n".join(lines_of(path)[:-1])))
+    assert main(["check", str(path)]) == 1
+    assert "is refused: 7 lines where there should be 8" in capsys.readouterr().err
+    assert main(["check", str(tmp_path / "none")]) == 2
+
+
+def lines_of(path: Path) -> list[bytes]:
+    """The lines of a file."""
+    return gzip.decompress(path.read_bytes()).splitlines()
+
+
+MAZE = model_of(
+    {
+        "start": {
+            "cliff": [(0.8, "goal", 2.0), (0.2, "pit", 1.0)],
+            "road": [(0.95, "town", 3.0), (0.05, "pit", 1.0)],
+            "detour": [(1.0, "town", 6.0)],
+            "loop": [(1.0, "start", 1.0)],
+        },
+        "town": {
+            "bus": [(0.5, "goal", 1.0), (0.49, "town", 1.0), (0.01, "pit", 1.0)],
+            "walk": [(1.0, "goal", 5.0)],
+            "rest": [(1.0, "town", 0.0)],
+        },
+        "pit": {"stay": [(1.0, "pit", 1.0)]},
+    },
+    "goal",
+    {"hurt": ["pit"]},
+)
+TAMPERED: dict[str, Problem] = {
+    "budget": MCMP(MAZE, "start", 0.07),
+    "limit": MCMP(MAZE, "start", 0.1, constraints={"hurt": end_probability("hurt") <= 0.06}),
+    "share": AlphaMCMP(MAZE, "start", 0.93),
+    "worth": LeastQuantity(
+        MAZE, {"start": 0.5, "town": 0.5}, visits("town") + 2.0 * goal_probability()
+    ),
+    "sure": MinCost(MAZE, "start"),
+}  # fmt: skip
+
+QUESTION, FIRST_STATE, HEAD, PROOF = 0, 1, -5, -4
+"""Lines of a file with four states."""
+
+Edit = Callable[[Any], None]
+
+
+def _set(*where: Any, to: Any) -> Edit:
+    """Put something in a place."""
+
+    def edit(content: Any) -> None:
+        for key in where[:-1]:
+            content = content[key]
+        content[where[-1]] = to
+
+    return edit
+
+
+CHANGES: list[tuple[str, str, int, Edit, str]] = [
+    ("a bound", "budget", QUESTION, _set("failure", to="0.06"), "bound of row failure"),
+    ("a bound", "limit", QUESTION, _set("rows", 0, "at_most", to="0.01"), "bound of row hurt"),
+    ("a share", "share", QUESTION, _set("failure", "share", to="0.99"), "bound of row failure"),
+    ("a start", "budget", QUESTION, _set("start", to=[["1", 2]]), "row failure"),
+    ("a probability", "budget", FIRST_STATE, _set("actions", 0, 1, 1, 0, to="0.3"), "sum p u <= u"),
+    ("a successor", "sure", FIRST_STATE, _set("actions", 2, 1, 0, 1, to=2), "failure 0: the goal"),
+    ("a cost", "budget", FIRST_STATE, _set("actions", 0, 2, 0, to="5"), "objective [+]"),
+    ("a label", "limit", 3, _set("sets", to=[]), "v <= c"),
+    ("a weight", "budget", HEAD, _set("weights", 0, to="0.9"), "weights are >= 0 and sum to 1"),
+    ("two weights", "budget", HEAD, lambda c: c["weights"].reverse(), "bound of row failure"),
+    ("a price", "budget", HEAD, _set("prices", 0, to="-1"), "prices are >= 0"),
+    ("a greater price", "budget", HEAD, _set("prices", 0, to="1000"), ""),
+    ("a smaller price", "budget", HEAD, _set("prices", 0, to="1"), "v <= "),
+    ("the SHA-256", "budget", HEAD, _set("sha256", to="0" * 64), "SHA-256"),
+    ("a value", "budget", PROOF, _set("v", to="100"), "v <= "),
+    ("a lower value", "budget", PROOF, _set("v", to="1"), ""),
+    ("a share's value", "share", PROOF, _set("w", to="0.2"), "v <= "),
+    ("a decision", "sure", PROOF, _set("members", 0, 0, to=3), "sum p u <= u at start 3 fails"),
+    ("giving up", "sure", PROOF, _set("members", 0, 0, to="stop"), "stops where it may"),
+    ("a vector", "budget", PROOF, _set("members", 0, 2, to="0"), "objective [+] sum p u <= u"),
+    ("the steps", "worth", PROOF, _set("members", 0, 1, to="0"), "1 [+] sum p u <= u"),
+    ("a member's line", "sure", PROOF + 1, _set("members", 0, to=None), "decides after start"),
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    where = tmp_path_factory.mktemp("certificates")
+    for name, problem in TAMPERED.items():
+        assert write_certificate(solve(problem), where / name).accepted
+    return where
+
+
+def read(lines: list[bytes], path: Path) -> Checked:
+    """What is said of a file of these lines."""
+    path.write_bytes(gzip.compress(b"\n".join(lines)))
+    return check_certificate(path)
+
+
+def signed(lines: list[bytes]) -> list[bytes]:
+    """The same lines with the SHA-256 made anew."""
+    head = json.loads(lines[HEAD]) | {"sha256": sha256(b"\n".join(lines[:HEAD])).hexdigest()}
+    return [*lines[:HEAD], json.dumps(head).encode(), *lines[PROOF:]]
+
+
+@pytest.mark.parametrize(
+    ("what", "name", "line", "edit", "words"), CHANGES, ids=[c[0] for c in CHANGES]
+)
+def test_a_change_is_refused_by_name_or_still_true(
+    folder: Path, tmp_path: Path, what: str, name: str, line: int, edit: Edit, words: str
+) -> None:
+    lines = lines_of(folder / name)
+    content = json.loads(lines[line])
+    edit(content)
+    lines[line] = json.dumps(content).encode()
+    stated = line in (QUESTION, FIRST_STATE, 3)
+    if stated:
+        assert "SHA-256" in read(lines, tmp_path / "unsigned").reason
+        lines = signed(lines)
+    checked = read(lines, tmp_path / "changed")
+    if words:
+        assert not checked.accepted
+        assert re.search(words, checked.reason), checked.reason
+    else:
+        known = optimum(lines[:HEAD])
+        assert checked.accepted
+        assert known is not None
+        assert float(checked.lower) - 1e-9 <= known <= float(checked.upper) + 1e-9
+
+
+@pytest.mark.parametrize("name", TAMPERED)
+def test_lines_that_are_dropped_or_exchanged(folder: Path, tmp_path: Path, name: str) -> None:
+    lines = lines_of(folder / name)
+    for k in range(1, len(lines)):
+        assert (
+            "lines where there should be" in read(lines[:k] + lines[k + 1 :], tmp_path / "x").reason
+        )
+    swapped = [*lines]
+    swapped[PROOF], swapped[PROOF + 1] = lines[PROOF + 1], lines[PROOF]
+    checked, known = read(swapped, tmp_path / "x"), optimum(lines[:HEAD])
+    assert known is not None
+    if checked.accepted:  # of states that are alike, say
+        assert float(checked.lower) - 1e-9 <= known <= float(checked.upper) + 1e-9
+    else:
+        assert "fails" in checked.reason or "decides" in checked.reason
+
+
+def test_two_members_exchanged_in_one_state(folder: Path, tmp_path: Path) -> None:
+    lines = lines_of(folder / "budget")
+    content = json.loads(lines[PROOF])
+    assert len(content["members"]) == 2
+    content["members"].reverse()
+    lines[PROOF] = json.dumps(content).encode()
+    checked = read(lines, tmp_path / "x")
+    known = optimum(lines[:HEAD])
+    assert known is not None
+    if checked.accepted:
+        assert float(checked.lower) - 1e-9 <= known <= float(checked.upper) + 1e-9
+    else:
+        assert "member" in checked.reason or "row failure" in checked.reason
+
+
+@pytest.mark.parametrize(
+    "question",
+    [{"discount": "0.9"}, {"give_up": "never"}, {"greatest": 1}, {"failure": {"share": "2"}}],
+)
+def test_questions_that_are_not_known(folder: Path, tmp_path: Path, question: dict) -> None:
+    lines = lines_of(folder / "budget")
+    lines[0] = json.dumps(json.loads(lines[0]) | question).encode()
+    assert not read(signed(lines), tmp_path / "x").accepted
