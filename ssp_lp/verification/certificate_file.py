@@ -34,7 +34,7 @@ from ssp_lp.verification import checker
 from ssp_lp.verification.checker import ONE, Checked, dot, down
 from ssp_lp.verification.exact_values import decimal_text, member_vectors, values_below
 
-_PRICE_MOVES = 1e-6  # of a price, by which it may be corrected
+_MOVED = Fraction(1, 10**6)  # of a price, by which it may be corrected
 _RAISES = 60  # of a price that is not known
 _SHIFT = Fraction(1, 10**9)  # of a lottery, which may be moved to another one
 
@@ -277,14 +277,17 @@ def _priced_values(
         prices[0] = Fraction(0)  # only what keeps the goal sure counts
     elif model.rows and model.rows[0].name == "failure" and solution.failure_price is None:
         at = 0  # the budget was met by failing as little as possible, which has no price
-    if len(weighed) > 1 and some and at is None:
-        # the members are alike at the right prices: take away by what they differ still
-        worth = [t[0] + sum(prices[j] * t[1 + j] for j in some) for t in weighed]
-        table = [[float(t[1 + j] - weighed[0][1 + j]) for j in some] for t in weighed[1:]]
-        step = np.linalg.lstsq(table, [float(worth[0] - each) for each in worth[1:]])[0]
-        if all(abs(d) <= _PRICE_MOVES * given[j] for d, j in zip(step, some, strict=True)):
-            for d, j in zip(step.tolist(), some, strict=True):
-                prices[j] += Fraction(d)
+    if at is None:  # at the right prices all members are worth the same
+        first, *others = weighed
+        exact = _exact_solution(
+            [[t[1 + j] - first[1 + j] for j in some] for t in others],
+            [first[0] - t[0] for t in others],
+        )
+        if exact and all(
+            abs(e - prices[j]) <= _MOVED * prices[j] for e, j in zip(exact, some, strict=True)
+        ):
+            for e, j in zip(exact, some, strict=True):
+                prices[j] = Fraction(down(e), ONE)
     best: tuple[Fraction, list[Fraction], list[int]] | None = None
     for _ in range(_RAISES if at is not None else 1):
         c = model.priced(prices)
@@ -298,6 +301,25 @@ def _priced_values(
     if best is None:
         raise SolverError("no price was tried")
     return best[1], best[2]
+
+
+def _exact_solution(
+    table: Sequence[Sequence[Fraction]], right: Sequence[Fraction]
+) -> list[Fraction]:
+    """The solution of a small square system by elimination; empty where there is none."""
+    rows, n = [[*row, r] for row, r in zip(table, right, strict=True)], len(right)
+    if any(len(row) != n + 1 for row in rows):
+        return []
+    for i in range(n):
+        pivot = max(range(i, n), key=lambda k: abs(rows[k][i]))
+        if rows[pivot][i] == 0:
+            return []
+        rows[i], rows[pivot] = rows[pivot], rows[i]
+        rows[i] = [a / rows[i][i] for a in rows[i]]
+        for k in range(n):
+            if k != i and rows[k][i]:
+                rows[k] = [a - rows[k][i] * b for a, b in zip(rows[k], rows[i], strict=True)]
+    return [row[n] for row in rows]
 
 
 def _decisions(model: checker.Model, policy: Policy) -> dict[int, int]:
@@ -347,6 +369,19 @@ def _weights(
     weights[largest] += 1 - sum(weights)
     beyond = [[total[j] - row.bound for total in totals] for j, row in enumerate(model.rows, 1)]
     excess = [dot(weights, each) for each in beyond]
+    # the weights at which rows that are nearly met are met exactly
+    met = [e for e, x, row in zip(beyond, excess, model.rows, strict=True)
+           if abs(x) <= checker.EXCESS * abs(row.bound)]  # fmt: skip
+    size = len(drawn)
+    exact = _exact_solution(
+        [*(each[:size] for each in met), [Fraction(1)] * size],
+        [Fraction(0)] * len(met) + [Fraction(1)],
+    ) + [Fraction(0)] * (len(totals) - size)
+    if len(exact) == len(totals) and min(exact) >= 0:
+        kept = max((dot(exact, each) for each in beyond), default=Fraction(0)) <= 0
+        moved = max(abs(a - b) for a, b in zip(exact, weights, strict=True))
+        if kept and moved <= _SHIFT:
+            return exact
     if max(excess, default=Fraction(0)) <= 0:
         return weights
     # the lottery that leaves most room in every row, of which as much is mixed in as is needed
