@@ -7,6 +7,7 @@ import enum
 import importlib
 import inspect
 import multiprocessing
+import os
 import pickle
 import re
 from collections.abc import Callable, Iterator
@@ -107,6 +108,7 @@ def of_solving() -> Iterator[Any]:
     yield convex
     first = criteria.MCMP(MODEL, START, failure_budget=0.2, discount=0.99)
     yield ssp_lp.cross_check(first)
+    yield ssp_lp.write_certificate(solve(criteria.MCMP(MODEL, START, 0.2)), os.devnull)
     yield ssp_lp.trace_frontier(criteria.S3P(MODEL, START, failure_budget=0.3))
     comparison = criteria.compare_criteria(MODEL, START)
     yield from (comparison, comparison.rows[0])
