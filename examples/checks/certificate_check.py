@@ -3,17 +3,17 @@
     python examples/checks/certificate_check.py --count 1000 --seed 0 --changes 4
 
 Problems are those of `program_check.py`: models of 2 to 30 states with loops, dead-ends and several
-starts, every `give_up`, horizons, memories, up to four limits. Of each answer a certificate is
-written and checked. Its interval must hold the optimum of a linear program that is written from
-the words of the question in the file (`tests/references/stated.py`), that of `program_check.py`'s
-own, and what `solve` said, and be narrower than 1e-9.
+starts, every `give_up`, discounts, horizons, memories, up to four limits. Of each answer a
+certificate is written and checked. Its interval must hold the optimum of a linear program that is
+written from the words of the question in the file (`tests/references/stated.py`), that of
+`program_check.py`'s own, and what `solve` said, and be narrower than 1e-9.
 
 Then the file is changed: a probability, a cost, a successor, a bound, a weight of the objective,
-the start, a set of states, where one may give up; or of the proof a decision, a weight, a price, a
-value, a vector, two members or two lines exchanged, a line left out. What is left of it must be
-refused by the name of an inequality, or still be true: the interval then holds the optimum of the
-question that the changed file states. Unless the SHA-256 is made anew, a changed question is
-refused.
+the discount, the start, a set of states, where one may give up; or of the proof a decision, a
+weight, a price, a value, a vector, two members or two lines exchanged, a line left out. What is
+left of it must be refused by the name of an inequality, or still be true: the interval then holds
+the optimum of the question that the changed file states. Unless the SHA-256 is made anew, a changed
+question is refused.
 """
 
 import argparse
@@ -95,8 +95,10 @@ def _place(rng: np.random.Generator, some: Sequence[Any]) -> Any:
 
 def change_question(content: dict[str, Any], rng: np.random.Generator) -> bool:
     """Change what is asked; whether something was changed."""
-    kind = int(rng.integers(8))
-    if kind == 0:
+    kind = int(rng.integers(9))
+    if kind == 8:
+        content["discount"] = _place(rng, [None, "0.9", "99/100"])
+    elif kind == 0:
         content["give_up"] = _place(rng, ["anywhere", "attention", "dead_ends"])
     elif kind == 1:
         content["charge_failing_step"] = not content["charge_failing_step"]

@@ -42,7 +42,7 @@ _SHIFT = Fraction(1, 10**9)  # of a lottery, which may be moved to another one
 def write_certificate(solution: Solution, path: str | Path) -> Checked:
     """Write a proof of a solution's optimum that others can check without this library.
 
-    Covered are criteria of case M in the exact setting: expected costs and quantities with a
+    Covered are the criteria of case M: expected costs and quantities, also with a discount, with a
     failure budget, a share of the greatest goal probability, a penalty or failing forbidden, the
     greatest and the least goal probability, each with any limits and any start, within a horizon
     too. At least failure the policy may be shown to fail more than the least by the last digits of
@@ -97,9 +97,9 @@ def _check_covered(problem: Problem) -> None:
         ModelError: the criterion, and what of it is not covered.
     """
     asks, name = requirements(problem), type(problem).__name__
-    if problem.discount is not None:
-        told = Argument("discount"), ": certificates are of exact probabilities"
-        raise ModelError(f"no certificate of {name} with a ", *told)
+    if problem.discount is not None and getattr(problem, "reach_fraction", None) is not None:
+        shares = Argument("reach_fraction"), " and ", Argument("discount")
+        raise ModelError(f"no certificate of {name} with ", *shares)
     if asks.ratio or asks.measure is not None or asks.counts_totals:
         raise ModelError(f"no certificate of {name}: its cost counts by the total of a run that "
                          "succeeds, which certificates do not tell apart yet")  # fmt: skip
@@ -174,6 +174,7 @@ class _Statement:
             "greatest": objective is None and semantics.aim is Aim.GREATEST_GOAL,
             "objective": least,
             "failure": self._failure(),
+            "discount": None if problem.discount is None else _decimal_of(problem.discount),
             "rows": rows,
         }
 
@@ -257,7 +258,7 @@ def _proof(model: checker.Model, solution: Solution, digest: str) -> Iterator[by
         "prices": [str(price) for price in prices],
         "weights": [str(weight) for weight in chosen],
     })  # fmt: skip
-    for x in range(len(model.names)):
+    for x in range(model.question["states"]):
         line = {"v": decimal_text(v[x]), "members": [entries.get(x) for entries in vectors]}
         yield _line(line if model.share is None else {**line, "w": decimal_text(w[x])})
 

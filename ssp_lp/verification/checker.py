@@ -3,7 +3,8 @@
 It needs Python's standard library alone, solves nothing, and trusts nothing but the question and
 the model in the file. The file is gzip, a JSON text a line: the question, a line a state, the head
 of the proof with the SHA-256 of all lines before, a line of proof a state. Numbers are texts;
-probabilities of an action, and of the start, are divided by their exact sum.
+probabilities of an action, and of the start, are divided by their exact sum. With a discount gamma
+each step goes on, or ends, with probability gamma times its own; its costs are paid in full.
 
 Question: a policy moves until it comes to the goal, comes to a dead-end (no way leads from there
 to the goal), gives up where it may, or wanders for ever. Quantities are sums of expected costs,
@@ -39,7 +40,8 @@ from typing import Any
 FORMAT, ZERO = "ssp-lp certificate 1", Fraction(0)
 ONE = 10**60  # a proof's numbers are compared in units of 1/ONE, rounded against the proof
 EXCESS = Fraction(1, 10**9)  # of a bound: so much a lottery may exceed it, which is told
-KEYS = "asked charge_failing_step costs failure format give_up greatest objective rows sets start"
+KEYS = "asked charge_failing_step costs discount failure format give_up greatest objective rows"
+Pair = tuple[str, int, list[tuple[int, int]], list[Fraction]]
 FAILURE = {"constant": "1", "terms": [["-1", "end", "goal"]]}
 
 
@@ -121,21 +123,28 @@ class Model:
 
     def __init__(self, question: dict[str, Any], lines: Sequence[bytes]) -> None:
         need(question.get("format") == FORMAT, "this is no certificate of this format")
-        need(sorted(question) == sorted([*KEYS.split(), "states"]), "the question is not known")
+        need(
+            sorted(question) == sorted([*KEYS.split(), "sets", "start", "states"]),
+            "the question is not known",
+        )
         self.question, self.n_costs, n = question, whole(question["costs"], 1000), len(lines)
         self.sets: dict[str, set[int]] = {name: set() for name in ["goal", *question["sets"]]}
+        gamma = number("1" if question["discount"] is None else question["discount"])
+        need(0 < gamma <= 1, "a discount lies in (0, 1)")
         self.names, self.of, self.home = list[str](), list[range](), list[int]()
-        self.pairs: list[tuple[str, int, list[tuple[int, int]], list[Fraction]]] = []
+        self.pairs = list[Pair]()
         for x, state in enumerate(map(json.loads, lines)):
             self.names.append(str(state["name"]))
             for name in state["sets"]:
                 self.sets[name].add(x)
-            self.pairs += [self._pair(action, n) for action in state["actions"]]
+            self.pairs += [self._pair(action, n, gamma) for action in state["actions"]]
             self.of.append(range(len(self.home), len(self.pairs)))  # the pairs of a state
             self.home += [x] * len(self.of[x])
-        goal, states, self.every = self.sets["goal"], set(range(n)), [True] * len(self.pairs)
+        self.names.append("what a discount takes")  # state n: a dead-end without actions
+        self.of.append(range(0))
+        goal, states, self.every = self.sets["goal"], set(range(n + 1)), [True] * len(self.pairs)
         need(not goal & set(self.home), "a goal has actions")
-        self.before: list[list[int]] = [[] for _ in lines]  # pairs that may lead to a state
+        self.before: list[list[int]] = [[] for _ in self.names]  # pairs that may lead to a state
         for k, pair in enumerate(self.pairs):
             for _, y in pair[2]:
                 self.before[y].append(k)
@@ -161,6 +170,8 @@ class Model:
         self.objective = Quantity(self, question["objective"], self.sign, "objective")
         self.share = number(budget["share"]) if isinstance(budget, dict) else None
         need(self.share is None or 0 <= self.share <= 1, "a share is no probability")
+        exact = gamma == 1 or not (isinstance(budget, dict) or budget == "least")
+        need(exact, "a share, or least failure, is of the real probability: without discount")
         self.rows = [] if budget is None else [Quantity(self, FAILURE, 1, "failure")]
         if budget not in (None, "least") and self.share is None:
             self.rows[0].bound = self.rows[0].loose = number(budget)
@@ -189,8 +200,11 @@ class Model:
         need(self.may_fail or is_sure, "failure 0: the goal can be reached surely, fails")
         self.moving, self.keeps = (self.live, self.every) if self.may_fail else (sure, keeps)
 
-    def _pair(self, stated: Any, n: int) -> tuple[str, int, list[tuple[int, int]], list[Fraction]]:
-        """Name, total T, outcomes (a, y) of probability a / T, and each mean cost times T."""
+    def _pair(self, stated: Any, n: int, gamma: Fraction) -> Pair:
+        """Name, total T, outcomes (a, y) of probability a / T, and each mean cost times T.
+
+        With a discount 1 - gamma of every step comes to state n, whose failing costs nothing.
+        """
         name, told, costs = stated
         chances, where = [number(p) for p, _ in told], f"{self.names[-1]}, {name}:"
         scale = lcm(*(p.denominator for p in chances))
@@ -201,8 +215,10 @@ class Model:
         each = [[number(text) for text in cost] for cost in costs]
         need(min(map(min, each)) >= 0, where, "costs >= 0")
         paid = [sum((a * c for a, c in zip(parts, cost, strict=True)), ZERO) for cost in each]
-        outcomes = [(a, whole(y, n)) for a, (_, y) in zip(parts, told, strict=True) if a]
-        return str(name), sum(parts), outcomes, paid
+        goes, of, total = gamma.numerator, gamma.denominator, sum(parts)
+        outcomes = [(a * goes, whole(y, n)) for a, (_, y) in zip(parts, told, strict=True) if a]
+        outcomes += [(total * (of - goes), n)] if goes < of else []
+        return str(name), total * of, outcomes, [of * cost for cost in paid]
 
     def reaching(self, allowed: Sequence[bool]) -> set[int]:
         """States from which allowed pairs may lead to the goal."""

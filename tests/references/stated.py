@@ -54,14 +54,17 @@ def optimum(lines: Sequence[bytes]) -> float | None:
     }:  # fmt: skip
         free -= lost
 
-    # a column: where it is taken, where it leads, its mean costs, whether an episode fails there
-    columns = [(x, outs, paid, False) for x in live for outs, paid in actions[x]]
+    gamma = float(Fraction(question["discount"] or "1"))
+    free = free if question["discount"] is None else set()
+    # a column: where it is taken, where it leads, its mean costs, what fails at once
+    columns = [(x, [(gamma * p, y) for p, y in outs], paid, 1.0 - gamma)
+               for x in live for outs, paid in actions[x]]  # fmt: skip
     for x in live:
         staying = [a for a in actions[x] if _within(a[0], avoiding)]
         where = {"anywhere": actions[x], "attention": staying, "dead_ends": []}[question["give_up"]]
         if question["give_up"] != "attention" or x in avoiding:
-            columns += [(x, [], charge(where), True)] if where else []
-        columns += [(x, [], np.zeros(question["costs"]), True)] if x in free else []
+            columns += [(x, [], charge(where), 1.0)] if where else []
+        columns += [(x, [], np.zeros(question["costs"]), 1.0)] if x in free else []
     start = [(float(Fraction(p)), x) for p, x in question["start"]]
     total = sum(p for p, _ in start)
     start = [(p / total, x) for p, x in start]

@@ -106,6 +106,9 @@ KNOWN: list[tuple[Problem, Fraction]] = [
     (MCMP(PITS, "x", 0.25), Fraction(4)),
     (MCMP(PITS, "x", 0.25, charge_failing_step=False), Fraction(3)),
     (MCMP(model_of(TWO_MOVES), {"x": 0.5, "g": 0.25, "d": 0.25}, 0.26), Fraction(4, 5)),
+    (MCMP(ROAD, "road", 0.145, discount=0.9), Fraction(2)),
+    (MCMP(PITS, "x", 0.325, discount=0.9), Fraction(39, 10)),
+    (FinitePenalty(PITS, "x", 10.0, 0.9, charge_failing_step=True), Fraction(6)),
     (MCMP(ROAD, "road", 0.05, horizon=1), Fraction(2)),
     (MaxProb(LATE, "x", horizon=3), Fraction(7, 8)),
     (MCMP(ROAD, "road", 1.0, constraints={"pit": end_probability("ditch") <= 0.05}), Fraction(2)),
@@ -202,7 +205,7 @@ def test_any_price_proves_something_true(price: float, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("problem", "words"),
     [
-        (MCMP(ROAD, "road", 0.2, discount=0.9), "MCMP with a "),
+        (MCMP(ROAD, "road", reach_fraction=0.9, discount=0.99), "MCMP with reach_fraction"),
         (S3P(ROAD, "road", 0.05), "S3P: its cost counts by the total"),
         (CVaR(ROAD, "road", 0.9, 0.05), "CVaR: its cost counts by the total"),
     ],
@@ -402,7 +405,13 @@ def test_two_members_exchanged_in_one_state(folder: Path, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize(
     "question",
-    [{"discount": "0.9"}, {"give_up": "never"}, {"greatest": 1}, {"failure": {"share": "2"}}],
+    [
+        {"discount": "1.5"},
+        {"horizon": 3},
+        {"give_up": "never"},
+        {"greatest": 1},
+        {"failure": {"share": "2"}},
+    ],
 )
 def test_questions_that_are_not_known(folder: Path, tmp_path: Path, question: dict) -> None:
     lines = lines_of(folder / "budget")
