@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any, Protocol, cast
 
@@ -318,12 +318,13 @@ def on_one_model(
     theirs = policy.model
     asked = unrolled(problem)
     if theirs is asked.model:
-        return as_lottery(policy), asked
+        return until_failing(as_lottery(policy)), asked
     if theirs is not problem.model:
         of_product = getattr(theirs, "original", None) is problem.model
         told = "; on_original(policy) acts on the original model" if of_product else ""
         raise ModelError(f"the policy was made for another model object{told}")
-    return on_product(policy, check_product(asked.model)), asked
+    lottery = on_product(policy, check_product(asked.model))
+    return lottery if asked.model.failure_label is not None else until_failing(lottery), asked
 
 
 def pulled_back(policy: MixedPolicy, problem: Problem) -> MixedPolicy:
@@ -361,13 +362,32 @@ class _InProduct(Policy):
         """The inner policy's, [episodes]."""
         return self.inner.start_memory(self.model.original_state[states])
 
+    @property
+    def goes_on(self) -> bool:
+        """Whether the inner policy does, the product having no label of its own."""
+        return self.inner.goes_on and self.model.failure_label is None
+
+    def after_giving_up(self, states: IntArray, memory: IntArray) -> IntArray:
+        """As the inner policy goes on, [episodes]."""
+        if not self.goes_on:
+            return super().after_giving_up(states, memory)
+        return self.inner.after_giving_up(self.model.original_state[states], memory)
+
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """The inner policy's decisions, as pairs of the product."""
         product, here = self.model, self.model.original_state[states]
-        found = self.inner.branches(here, memory)
-        pair, there = found.pair, states[found.situation]
-        pair = np.where(pair >= 0, product.placed(there, np.maximum(pair, 0)), pair)
-        if (label := product.failure_label) is not None:  # it may have nothing to say there
+        label = product.failure_label
+        if label is None:
+            found = self.inner.branches(here, memory)
+        else:  # what another problem's policy does after giving up, it does here
+            found, kept = self.inner.played(here, memory)
+        pair, there = np.maximum(found.pair, 0), states[found.situation]
+        taken = product.placed(there, pair)
+        if label is not None:
+            quits = (kept != memory[found.situation]) & ~label.after[there]
+            taken = np.where(quits, label.giving_up_by(pair), taken)
+        pair = np.where(found.pair >= 0, taken, found.pair)
+        if label is not None:  # it may have nothing to say there
             beyond = label.is_open[label.original_state] & (label.after | label.lost)
             pair = np.where(beyond[there] & (pair < 0), GIVE_UP_CODE, pair)
         return Branches(found.situation, pair, found.probability)
@@ -377,8 +397,45 @@ class _InProduct(Policy):
     ) -> IntArray:
         """The inner policy's, [episodes]."""
         product = self.model
+        here = product.original_state[product.pair_state[pairs]]
+        if (label := product.failure_label) is not None:
+            moved = self.inner.after_giving_up(here, memory)
+            memory = np.where(label.fails[pairs] & (moved >= 0), moved, memory)
         there = product.original_state[successors]
         return self.inner.remember(memory, product.original_pair[pairs], there, costs)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _UntilFailing(Policy):
+    """A policy that goes on after failing, where a problem counts nothing then."""
+
+    inner: Policy
+
+    @property
+    def model(self) -> SSP:  # type: ignore[override]
+        """The model that the inner policy acts on."""
+        return self.inner.model
+
+    def start_memory(self, states: IntArray) -> IntArray:
+        """The inner policy's, [episodes]."""
+        return self.inner.start_memory(states)
+
+    def branches(self, states: IntArray, memory: IntArray) -> Branches:
+        """The inner policy's decisions."""
+        return self.inner.branches(states, memory)
+
+    def remember(
+        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
+    ) -> IntArray:
+        """The inner policy's, [episodes]."""
+        return self.inner.remember(memory, pairs, successors, costs)
+
+
+def until_failing(lottery: MixedPolicy) -> MixedPolicy:
+    """The same policies, none of which goes on after failing."""
+    if not any(member.goes_on for member in lottery.policies):
+        return lottery
+    return replace(lottery, policies=tuple(map(_UntilFailing, lottery.policies)))
 
 
 def on_product(policy: Policy | MixedPolicy, product: ProductSSP) -> MixedPolicy:

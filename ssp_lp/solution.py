@@ -22,9 +22,8 @@ from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model.naming import ByName, html_table
 from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
-from ssp_lp.policies.policy import Policy
-from ssp_lp.policies.remembering import on_original
-from ssp_lp.problem import Problem, has_rows, on_one_model
+from ssp_lp.policies.policy import Policy, as_lottery
+from ssp_lp.problem import Problem, has_rows, on_one_model, pulled_back
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_semantics import AS_ASKED, Aim, ObjectiveSense
 from ssp_lp.programs.occupation_measure import StateValues
@@ -205,7 +204,9 @@ class Solution(ReadOnlyCopies):
         its cost differs from the lottery's by rounding. With a horizon it carries the time besides.
         """
         found = equivalent_randomised_policy(self.policy, self.problem)
-        return found if found.model is self.problem.model else on_original(found)
+        if found.model is self.problem.model:
+            return found
+        return pulled_back(as_lottery(found), self.problem)
 
     def __repr__(self) -> str:
         """One line: what was asked, the objective with its gap, the failure, and the method."""

@@ -563,7 +563,7 @@ def _played_moves(member: Any, model: SSP, node: tuple[int, int]) -> Iterator[tu
 # ----- the check ---------------------------------------------------------------------------------
 
 
-def wrong(drawn: Drawn, counts: Counter[str]) -> list[str]:
+def wrong(drawn: Drawn, counts: Counter[str], *, by_program: bool = False) -> list[str]:
     """What is wrong with the library's answer; nothing if it is right."""
     problem, expected = stated(drawn), reference(drawn)
     try:
@@ -588,6 +588,18 @@ def wrong(drawn: Drawn, counts: Counter[str]) -> list[str]:
             told.append(f"limit {k} {sense} {bound} is broken: {value!r}")
     if drawn.budget is not None and evaluation.limited_failure > drawn.budget + ROOM:
         told.append(f"fails with {evaluation.limited_failure!r}, {drawn.budget} allowed")
+    afresh = evaluate(solution.policy, replace(problem))  # on another product with the label
+    for name, value in {**evaluation.ends, **evaluation.secondary_costs}.items():
+        other = afresh.ends.get(name, afresh.secondary_costs.get(name))
+        if other is None or abs(other - value) > AGREES:
+            told.append(f"{name} is {value!r}, evaluated afresh {other!r}")
+    if abs(afresh.objective - evaluation.objective) > AGREES * max(1.0, abs(expected)):
+        told.append(f"{evaluation.objective!r}, evaluated afresh {afresh.objective!r}")
+    if by_program:
+        other = solve(problem, "lp").objective
+        counts["by the full program"] += 1
+        if abs(other - expected) > AGREES * max(1.0, abs(expected)):
+            told.append(f"by the full program {other!r}, by the definitions {expected!r}")
     asked = {n for kind, of, _, _ in drawn.limits if kind == "end" for n in of}
     ends = played(solution.policy, drawn, asked)
     for name in ("goal", *asked):
@@ -609,7 +621,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         problem = drawn(seed, criterion)
         counts["problems"] += 1
         counts["past failing"] += stated(problem).unrolled.model.failure_label is not None
-        for told in wrong(problem, counts):
+        for told in wrong(problem, counts, by_program=seed % 3 == 0):
             counts["wrong"] += 1
             print(f"{criterion} {seed}: {told}", flush=True)
     print(", ".join(f"{count} {what}" for what, count in counts.items()))

@@ -29,13 +29,14 @@ from ssp_lp.io.controller import controller_label
 from ssp_lp.io.model_files.raw_model import FilePath
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
+from ssp_lp.model.failure_product import label_failing
 from ssp_lp.model.graph import kept
 from ssp_lp.model.product import HorizonSSP, ProductSSP, unroll_steps
 from ssp_lp.model.ssp import check_model, check_offsets
 from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy
-from ssp_lp.policies.remembering import JointMemory, RememberingPolicy
+from ssp_lp.policies.remembering import JointMemory, LabelledPolicy, RememberingPolicy
 from ssp_lp.problem import Problem, conditions_of, unrolled
 from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.solution import Run, Solution, as_solved
@@ -277,6 +278,12 @@ def load_policy(path: FilePath, model: SSP, *, check: bool = True) -> AnyPolicy:
             begin = arrays[horizon["begin"]]
             if begin.max(initial=0) < model.n_states:  # else it is another model: its pairs differ
                 model = unroll_steps(model, horizon["steps"], begin.tolist())
+        label = header.get("label")
+        if label is not None and len(arrays[label["open_pairs"]]) == model.n_pairs:
+            names = ("open_pairs", "stops", "charged", "free_pairs")
+            model = label_failing(model, *(arrays[label[name]] for name in names))
+            costs = read_only(arrays[label["costs"]])
+            model = replace(model, costs=costs, charges=label["charges"])
         return _policy_in(header, arrays, model, check=check)
 
 
@@ -327,6 +334,7 @@ _CLASSES: dict[str, type[Any]] = {
     "timed": policies.TimedPolicy,
     "mixed": MixedPolicy,
     "remembering": RememberingPolicy,
+    "labelled": LabelledPolicy,
     "joint memory": JointMemory,
 }
 """The classes of policies that a file can hold: all of ``ssp_lp/policies``."""
@@ -352,12 +360,20 @@ class _PolicyRecords:
         self._add(policy)
         if len(self._models) != 1:
             raise ModelError("the parts of the policy live on several models: save each by itself")
-        (model,), horizon = self._models.values(), None
-        if isinstance(model, HorizonSSP):
-            begin = np.flatnonzero(model.positions[:, 0] >= 0)
-            horizon = {"steps": model.steps, "begin": self.add_array(begin)}
+        (model,), horizon, label = self._models.values(), None, None
+        stated = model
+        if (labelled := model.failure_label) is not None:
+            stated, n = labelled.original, labelled.n_original
+            names = ("open_pairs", "charged", "costs", "free_pairs")
+            masks = {name: self.add_array(getattr(labelled, name)) for name in names}
+            masks["stops"] = self.add_array(labelled.stops[:n])
+            label = {**masks, "charges": labelled.charges}
+        if isinstance(stated, HorizonSSP):
+            begin = np.flatnonzero(stated.positions[:, 0] >= 0)
+            horizon = {"steps": stated.steps, "begin": self.add_array(begin)}
         prints = {"model": fingerprint(model), "pairs": pair_print(model)}
-        return prints | {"sizes": repr(model), "policies": self._records, "horizon": horizon}
+        told = {"sizes": repr(model), "policies": self._records}
+        return prints | told | {"horizon": horizon, "label": label}
 
     def add_array(self, array: Array) -> str:
         """The name under which an array is found again; equal ones are kept once."""

@@ -77,7 +77,7 @@ class FailureSSP(ProductSSP):
     open_pairs: BoolArray = field(kw_only=True)  # [original pairs] that may be taken after failing
     stops: BoolArray = field(kw_only=True)  # [states] where giving up ends the run
     charged: BoolArray = field(kw_only=True)  # [original pairs] the least of which failing costs
-    free: BoolArray = field(kw_only=True)  # [pairs] that add nothing to what must stay finite
+    free_pairs: BoolArray = field(kw_only=True)  # [2, original pairs] before and after failing
     charges: bool = field(kw_only=True, default=False)  # whether failing costs anything
     original_pair: IntArray = field(kw_only=True)  # [pairs]
     fails: BoolArray = field(kw_only=True)  # [pairs] by which the label is taken
@@ -164,7 +164,9 @@ class FailureSSP(ProductSSP):
             [states] and [pairs].
         """
         going = ~self.ended & ~self.goal_mask
-        free = end_components(self, self.free & going[self.pair_state])[0] >= 0
+        failed = self.fails | self.after[self.pair_state]
+        free = self.free_pairs[failed.astype(np.int64), self.original_pair]
+        free = end_components(self, free & going[self.pair_state])[0] >= 0
         over = ~going | self.stops | free
         return surely_ending(self, over, pairs_into(self, over))[:2]
 
@@ -228,7 +230,7 @@ def label_failing(
     open_pairs: BoolArray,
     stops: BoolArray,
     charged: BoolArray,
-    free: tuple[BoolArray, BoolArray],
+    free_pairs: BoolArray,
 ) -> FailureSSP:
     """The model in which a run goes on after failing; its costs are the model's until set.
 
@@ -237,7 +239,7 @@ def label_failing(
         open_pairs: that may be taken after failing, of dead-ends and attention states, [pairs].
         stops: where giving up ends the run, [states].
         charged: pairs the least of which failing costs in a state, [pairs].
-        free: pairs that add nothing to what must stay finite, before and after failing, [pairs].
+        free_pairs: that add nothing to what must stay finite, before and after failing, [2, pairs].
     """
     n, state = model.n_states, model.pair_state
     is_open = np.bincount(state[open_pairs], minlength=n) > 0
@@ -277,7 +279,7 @@ def label_failing(
         open_pairs=read_only(open_pairs),
         stops=read_only(np.append(stops, np.zeros(n, dtype=np.bool_))),
         charged=read_only(charged),
-        free=read_only(np.where(fails | after, free[1][original_pair], free[0][original_pair])),
+        free_pairs=read_only(free_pairs),
         original_pair=read_only(original_pair),
         fails=read_only(fails),
     )

@@ -163,6 +163,11 @@ class Policy(Playable):
     model: SSP
     is_stationary: ClassVar[bool] = False  # whether there is no memory at all
 
+    @property
+    def goes_on(self) -> bool:
+        """Whether it knows what to do after failing."""
+        return False
+
     def draw(
         self, episodes: int, rng: np.random.Generator | None
     ) -> tuple[tuple[Policy, ...], IntArray]:

@@ -229,6 +229,11 @@ class RememberingPolicy(Policy):
         return np.asarray(inner * len(product.memories) + first)
 
     @property
+    def goes_on(self) -> bool:
+        """Whether the inner policy does."""
+        return self.inner.goes_on
+
+    @property
     def ended(self) -> BoolArray:
         """Goals, and dead-ends in which the inner policy acts with no memory, [states]."""
         over = super().ended.copy()
@@ -329,6 +334,11 @@ class LabelledPolicy(Policy):
     def step_limit(self) -> int | None:
         """The inner policy's."""
         return self.inner.step_limit
+
+    @property
+    def goes_on(self) -> bool:
+        """Yes."""
+        return True
 
     @property
     def ended(self) -> BoolArray:

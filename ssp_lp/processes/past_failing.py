@@ -81,7 +81,7 @@ def labelled_past_failing(
         before = free_pairs(model, aim, rows, None if objective is None else objective.minimised())
         free = np.stack([before, ~counts])
     open_pairs = usable & is_open[model.pair_state]
-    label = label_failing(model, open_pairs, stops, charged, (free[0], free[1]))
+    label = label_failing(model, open_pairs, stops, charged, free)
     charges = semantics.charge_failing_step and not totals
     return replace(label, charges=charges, costs=_costs_before(label, model.costs, charges))
 
