@@ -112,6 +112,10 @@ def _drawn_once(rng: np.random.Generator, criterion: str) -> Drawn:
         if rng.random() < 0.6:
             for action in range(int(rng.integers(1, 3))):
                 moves[x][f"u{action}"] = _outcomes(rng, list(range(live, live + ends)), False)
+    if criterion == "least failure":  # else hardly two actions fail alike
+        lost = list(range(live, live + ends))
+        for us in moves.values():
+            us |= {f"{u} too": _elsewhere(rng, outcomes, lost) for u, outcomes in us.items()}
     labels: dict[str, list[Any]] = {"crash": [], "fire": []}
     for x in range(live, live + ends):
         if (which := rng.random()) < 0.7:
@@ -173,6 +177,14 @@ def _outcomes(rng: np.random.Generator, among: Sequence[Any], whole: bool) -> Ou
     shares = rng.multinomial(10, rng.dirichlet(np.ones(count))) / 10.0
     return [
         (float(p), y, float(rng.integers(0, 3))) for p, y in zip(shares, to, strict=True) if p > 0.0
+    ]
+
+
+def _elsewhere(rng: np.random.Generator, outcomes: Outcomes, lost: Sequence[int]) -> Outcomes:
+    """The same chances, but to other dead-ends and at other costs."""
+    return [
+        (p, int(rng.choice(lost)) if y in lost else y, float(rng.integers(0, 3)))
+        for p, y, _ in outcomes
     ]
 
 

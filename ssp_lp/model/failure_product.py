@@ -177,6 +177,13 @@ class FailureSSP(ProductSSP):
         here = self.original.find(state[0])
         return None if here is None else here + (self.n_original if state[1] == AFTER else 0)
 
+    def having(self, states: IntArray, action: Hashable) -> IntArray:
+        """Those of some states that have an action; all of them where none has it."""
+        number = [name == action for name in self.action_names]
+        pairs = np.asarray(number, dtype=np.bool_)[self.pair_action].nonzero()[0]
+        found = states[np.isin(states, self.pair_state[pairs])]
+        return found if found.size else states
+
     def placed(self, states: IntArray, pairs: IntArray) -> IntArray:
         """The pairs here that are pairs of the original, -1 where a state has no such, [entries].
 

@@ -146,6 +146,8 @@ class Augmented(ABC):
         elif action is not None:
             acts = np.diff(self.model.pair_offsets)[states] > 0  # none has a copy out of time
             acting = states[acts] if isinstance(self.model, ProductSSP) else states
+            if (label := self.model.failure_label) is not None:  # some are not there after failing
+                acting = label.having(acting, action)
             taken = [find_pair(self.model, state, action) for state in acting]
             inner &= np.isin(quotient.pair_at, taken)
         firsts = np.arange(self.copies)[:, None] * len(quotient.pair_at)

@@ -1,0 +1,287 @@
+"""Failing ends the cost, not the run: what is counted then, and what policies do."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from formulations import MCMP, S3P, CostQuantile, CVaR, LeastQuantity, MaxProb, MinCost
+from ssp_lp import (
+    GIVE_UP,
+    SSP,
+    DeterministicPolicy,
+    InfeasibleError,
+    ModelError,
+    certify,
+    end_probability,
+    evaluate,
+    expected_cost,
+    goal_probability,
+    secondary_cost,
+    simulate,
+    solve,
+    visits,
+)
+from ssp_lp.io import load_policy, load_solution, save_policy, save_solution, write_controller
+
+CONFIDENCE = 0.9999
+
+
+def model_of(moves, **labels) -> SSP:
+    """Moves by state and action to "home"; states without any are dead-ends."""
+    return SSP.from_transitions(
+        moves, {"home"}, state_labels=labels, treat_actionless_as_dead_ends=True
+    )
+
+
+def skidding(slide=((0.5, "wreck", 0.0), (0.5, "ash", 0.0)), **others) -> SSP:
+    """A fast road that may end in a skid, a slow one that does not."""
+    moves = {
+        "a": {"fast": [(0.9, "home", 1.0), (0.1, "skid", 1.0)], "slow": [(1.0, "home", 10.0)]},
+        "skid": {"slide": list(slide), **others.pop("beside", {})},
+        **others,
+        "wreck": {},
+        "ash": {},
+    }
+    return model_of(moves, crash=["wreck"], fire=["ash"])
+
+
+SKID = skidding()
+
+FEW = {"crash": end_probability("crash") <= 0.01}
+
+EDGE = model_of(
+    {
+        "a": {"over": [(0.9, "home", 1.0), (0.1, "edge", 1.0)], "round": [(1.0, "home", 10.0)]},
+        "edge": {"slide": [(1.0, "wreck", 1.0)], "climb": [(1.0, "home", 100.0)]},
+        "wreck": {},
+    },
+    crash=["wreck"],
+)
+"""Who gives up on the edge falls: nothing else avoids the goal there."""
+
+
+def mcmp(model: SSP, budget=0.1, **more) -> MCMP:
+    return MCMP(model, "a", budget, **{"charge_failing_step": False, **more})
+
+
+def checked(problem) -> float:
+    """The value of a problem, proved, kept to, and the same whichever way it is found."""
+    solution = solve(problem)
+    assert certify(solution).accepted
+    found = evaluate(solution.policy, problem)
+    assert found.objective == pytest.approx(solution.objective, rel=1e-9, abs=1e-12)
+    assert solve(problem, "lp").objective == pytest.approx(solution.objective, rel=1e-7, abs=1e-9)
+    played = simulate(solution.policy, problem, episodes=20_000, rng=1, confidence=CONFIDENCE)
+    for name, share in found.ends.items():
+        if name != "wandering":
+            spread = 4.0 * np.sqrt(share * (1.0 - share) / 20_000) + 1e-9
+            assert played.ends[name] / 20_000 == pytest.approx(share, abs=spread), name
+    assert played.expected_cost.low <= found.expected_cost <= played.expected_cost.high
+    return solution.objective
+
+
+def test_a_limit_counts_the_true_end() -> None:
+    """A fifth goes fast: of these a tenth skids, and half of that is wrecked."""
+    assert checked(mcmp(SKID, constraints=FEW)) == pytest.approx(8.2, rel=1e-12)
+    solution = solve(mcmp(SKID, constraints=FEW))
+    ends = solution.evaluation.ends
+    assert (ends["crash"], ends["fire"]) == pytest.approx((0.01, 0.01), rel=1e-12)
+    assert solution.failure_probability == pytest.approx(0.02, rel=1e-12)
+    assert solution.prices["crash"] == pytest.approx(180.0)  # another 0.01 saves 0.2 * 9
+    without = solve(replace(solution.problem, constraints={}))
+    assert without.objective == pytest.approx(1.0)
+    assert not certify(replace(solution, policy=without.policy)).accepted
+
+
+def test_the_failing_step_is_charged_where_failing_begins() -> None:
+    """Sliding costs 4, which who skids is charged once: 0.2 * 1.4 + 0.8 * 10."""
+    model = skidding([(0.5, "wreck", 4.0), (0.5, "ash", 4.0)])
+    charged = mcmp(model, constraints=FEW, charge_failing_step=True)
+    assert checked(charged) == pytest.approx(8.28, rel=1e-12)
+    assert checked(mcmp(model, constraints=FEW)) == pytest.approx(8.2, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("give_up", "expected"),
+    [("attention", 8.2), ("dead_ends", 8.22), ("anywhere", 7.4)],
+)
+def test_giving_up_before_a_crash_does_not_avoid_it(give_up: str, expected: float) -> None:
+    """A fifth goes over; to slide is paid unless given up; anywhere 0.08 stop at once for free."""
+    few = {"crash": end_probability("crash") <= 0.02}
+    problem = mcmp(EDGE, constraints=few, give_up=give_up)
+    assert checked(problem) == pytest.approx(expected, rel=1e-12)
+
+
+def test_policies_choose_after_failing() -> None:
+    """Braking burns the car, steering wrecks it; both can be asked for."""
+    ways = {"brake": [(1.0, "ash", 7.0)], "steer": [(1.0, "wreck", 7.0)]}
+    model = skidding(beside=ways)
+    crash = end_probability("crash")
+    cheap = {"cost": expected_cost() <= 1.0}
+    assert checked(LeastQuantity(model, "a", crash, constraints=cheap)) == pytest.approx(0.0)
+    plain = LeastQuantity(SKID, "a", crash, constraints={"cost": expected_cost() <= 8.2})
+    often = plain.constraints | {"goal": goal_probability() >= 0.9}
+    assert checked(replace(plain, constraints=often)) == pytest.approx(0.01)
+    assert checked(mcmp(model, constraints={"crash": crash >= 0.08})) == pytest.approx(1.0)
+    with pytest.raises(InfeasibleError):
+        solve(mcmp(SKID, constraints={"crash": crash >= 0.08}))
+    safest = MaxProb(model, "a", constraints={"crash": crash >= 0.05})
+    assert checked(safest) == pytest.approx(0.95)  # half go slow, half fast and steer
+
+
+def test_criteria_of_costs_given_success() -> None:
+    """A fifth goes fast: 0.18 succeed at 1 and 0.8 at 10."""
+    assert checked(S3P(SKID, "a", 0.1, constraints=FEW)) == pytest.approx(8.18 / 0.98, rel=1e-9)
+    mean = solve(CVaR(SKID, "a", 0.1, 0.1, constraints=FEW))
+    share = 0.18 / 0.98
+    assert mean.objective == pytest.approx((share - 0.1 + (1.0 - share) * 10.0) / 0.9, rel=1e-6)
+    for level, expected in ((0.15, 1.0), (0.3, 10.0)):
+        quantile = CostQuantile(SKID, "a", level, 0.1, constraints=FEW)
+        assert solve(quantile).objective == pytest.approx(expected)
+        assert solve(replace(quantile, constraints={})).objective == pytest.approx(1.0)
+
+
+def test_a_horizon_ends_the_run() -> None:
+    """The wreck is three steps away: within two it is not reached, there is only no time left."""
+    model = skidding(
+        [(1.0, "verge", 1.0)], verge={"roll": [(0.5, "wreck", 0.0), (0.5, "ash", 0.0)]}
+    )
+    late = mcmp(model, constraints=FEW, horizon=3)
+    assert checked(late) == pytest.approx(8.2, rel=1e-12)
+    assert checked(replace(late, horizon=2)) == pytest.approx(1.0, rel=1e-12)
+
+
+def test_a_discount_weighs_true_ends() -> None:
+    """Skidding at time 1 and wrecked at time 2: 0.05 gamma^2 of each fast start."""
+    gamma = 0.9
+    problem = mcmp(SKID, 1.0, constraints=FEW, discount=gamma, give_up="dead_ends")
+    found = evaluate(
+        DeterministicPolicy.from_actions(SKID, {"a": "fast", "skid": "slide"}), problem
+    )
+    assert found.secondary_costs["crash"] == pytest.approx(0.05 * gamma**2, rel=1e-12)
+    share = 0.01 / (0.05 * gamma**2)
+    assert solve(problem).objective == pytest.approx(share + (1.0 - share) * 10.0, rel=1e-9)
+
+
+def test_visits_and_secondary_costs_through_failure() -> None:
+    """Both count until failing unless they are asked for through it."""
+    model = skidding([(1.0, "verge", 1.0)], verge={"roll": [(1.0, "wreck", 3.0)]})
+    fuel = {"a": {"fast": 1.0, "slow": 1.0}, "verge": {"roll": 5.0}}
+    for until, through, bound in (
+        (visits("verge"), visits("verge", through_failure=True), 0.02),
+        (secondary_cost(fuel), secondary_cost(fuel, through_failure=True), 1.1),
+    ):
+        assert checked(mcmp(model, constraints={"c": until <= bound})) == pytest.approx(1.0)
+        assert checked(mcmp(model, constraints={"c": through <= bound})) == pytest.approx(8.2)
+    with pytest.raises(ModelError, match="through_failure"):
+        visits("verge", through_failure="yes")
+
+
+def test_what_never_ends_after_failing_is_kept_out_of() -> None:
+    """Spinning burns fuel for ever; the slow road never does."""
+    model = skidding([(1.0, "skid", 0.0)])
+    fuel = {"skid": {"slide": 1.0}}
+    limits = {"fuel": secondary_cost(fuel, through_failure=True) <= 100.0}
+    assert checked(mcmp(model, constraints=limits)) == pytest.approx(10.0)
+    fast = DeterministicPolicy.from_actions(model, {"a": "fast", "skid": "slide"})
+    assert evaluate(fast, mcmp(model, constraints=limits)).secondary_costs["fuel"] == np.inf
+    only = model_of({"a": {"go": [(0.5, "home", 1.0), (0.5, "b", 1.0)]},
+                     "b": {"spin": [(1.0, "b", 0.0)]}})  # fmt: skip
+    burning = {"fuel": secondary_cost({"b": {"spin": 1.0}}, through_failure=True) <= 100.0}
+    with pytest.raises(InfeasibleError, match="without end") as refused:
+        solve(mcmp(only, 1.0, constraints=burning, give_up="dead_ends"))
+    assert refused.value.least_failure == pytest.approx(0.5)
+
+
+def test_wandering_after_failing_is_free() -> None:
+    """Who can spin for ever in the skid is never wrecked."""
+    model = skidding(beside={"spin": [(1.0, "skid", 5.0)]})
+    assert checked(mcmp(model, constraints=FEW)) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        mcmp(SKID),
+        mcmp(SKID, constraints={"goal": goal_probability() >= 0.9}),
+        mcmp(SKID, constraints={"seen": visits("wreck") <= 0.1}),
+        mcmp(SKID, constraints={"cost": secondary_cost({"skid": {"slide": 1.0}}) <= 1.0}),
+        mcmp(SKID, constraints={"skid": end_probability("skid") <= 0.05}),
+        mcmp(EDGE, constraints=FEW, give_up="dead_ends"),
+        MinCost(SKID, "a", constraints=FEW),
+        MaxProb(SKID, "a"),
+    ],
+)
+def test_nothing_is_built_where_nothing_counts_after_failing(problem) -> None:
+    assert problem.unrolled is problem
+
+
+def test_the_first_end_that_is_asked_for_ends_the_run() -> None:
+    """Who asks for the skid itself does not ask what comes after it."""
+    both = {"skid": end_probability("skid") <= 0.05} | FEW
+    assert solve(mcmp(SKID, constraints=both)).objective == pytest.approx(5.5)
+
+
+def test_an_episode_goes_on_after_giving_up() -> None:
+    """The one who drives sees actions, and ``failed`` from the step on that gives the goal up."""
+    problem = mcmp(EDGE, 0.1, constraints={"crash": end_probability("crash") <= 0.1})
+    policy = solve(problem).policy
+    episode = policy.start(0)
+    assert episode.action("a") == "over"
+    assert not episode.failed
+    episode.observe("edge", 1.0)
+    assert episode.action("edge") == "slide"
+    assert episode.failed
+    episode.observe("wreck", 1.0)
+    assert episode.action("wreck") is None
+    with pytest.raises(ModelError, match="over"):
+        episode.observe("wreck", 0.0)
+
+
+def test_policies_that_say_nothing_of_afterwards_end_where_they_fail() -> None:
+    problem = mcmp(EDGE, constraints={"crash": end_probability("crash") <= 1.0})
+    quits = DeterministicPolicy.from_actions(EDGE, {"a": "over", "edge": GIVE_UP})
+    ends = evaluate(quits, problem).ends
+    assert (ends["gave_up"], ends["crash"]) == pytest.approx((0.1, 0.0))
+    slides = DeterministicPolicy.from_actions(EDGE, {"a": "over", "edge": "slide"})
+    found = evaluate(slides, problem)
+    assert found.ends["crash"] == pytest.approx(0.1)
+    assert found.expected_cost == pytest.approx(1.0)  # the goal is lost on the edge
+    silent = DeterministicPolicy.from_actions(SKID, {"a": "fast"})
+    assert evaluate(silent, mcmp(SKID, constraints=FEW)).ends["dead_end"] == pytest.approx(0.1)
+    told = DeterministicPolicy.from_actions(SKID, {"a": "fast", "skid": "slide"})
+    assert evaluate(told, mcmp(SKID, constraints=FEW)).ends["crash"] == pytest.approx(0.05)
+    assert evaluate(told, mcmp(SKID)).ends["dead_end"] == pytest.approx(0.1)
+
+
+def test_a_program_has_columns_before_and_after_failing() -> None:
+    problem = mcmp(EDGE, constraints={"crash": end_probability("crash") <= 0.02})
+    program = problem.program()
+    labels = {program.label(k)[:2] for k in range(program.process.n_pairs)}
+    assert (("edge", "before failing"), ("give up", "slide")) in labels
+    assert (("edge", "before failing"), "climb") in labels
+    measure = program.solve()
+    assert measure.objective == pytest.approx(8.2, rel=1e-9)
+    assert measure.duals["crash"] == pytest.approx(90.0)
+    for policy in (measure.mixed_policy(), measure.randomised_policy()):
+        found = evaluate(policy, problem)
+        assert found.objective == pytest.approx(8.2, rel=1e-9)
+    assert program.columns("edge", "climb")
+    assert len(program.columns("edge")) == 4
+
+
+@pytest.mark.parametrize("horizon", [None, 4])
+def test_files_hold_what_is_done_after_failing(horizon, tmp_path) -> None:
+    problem = mcmp(SKID, constraints=FEW, horizon=horizon)
+    solution = solve(problem)
+    save_policy(solution.policy, tmp_path / "policy.npz")
+    found = load_policy(tmp_path / "policy.npz", SKID)
+    assert evaluate(found, problem).ends["crash"] == pytest.approx(0.01)
+    save_solution(solution, tmp_path / "solution.npz")
+    assert certify(load_solution(tmp_path / "solution.npz", problem)).accepted
+    with pytest.raises(ModelError, match="LabelledPolicy"):
+        write_controller(solution.policy, tmp_path / "controller.json")
+    randomised = solution.randomised_policy
+    assert randomised.model is SKID
+    assert evaluate(randomised, problem).objective == pytest.approx(8.2, rel=1e-9)
