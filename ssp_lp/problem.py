@@ -367,6 +367,11 @@ class _InProduct(Policy):
         """Whether the inner policy does, the product having no label of its own."""
         return self.inner.goes_on and self.model.failure_label is None
 
+    @property
+    def declares_failing(self) -> bool:
+        """Whether the inner policy does: one that goes on after failing."""
+        return self.inner.goes_on
+
     def after_giving_up(self, states: IntArray, memory: IntArray) -> IntArray:
         """As the inner policy goes on, [episodes]."""
         if not self.goes_on:

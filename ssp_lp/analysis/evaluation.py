@@ -140,7 +140,7 @@ def evaluate_each(
         found, chain = layered_measures(member, problem, start), None
         if found is None:
             chain = policy_chain(problem.model, member, start)
-            found = _evaluated_measures(chain, problem)
+            found = _evaluated_measures(chain, problem, declared=member.declares_failing)
         members.append(found)
         if measure is not None and weight > 0.0:  # the law needs it as well
             chains.append(chains_of_law(problem.model, member, start, chain, soon=True))
@@ -181,12 +181,12 @@ def _evaluation_of(sums: Measures, problem: Problem) -> Evaluation:
     )
 
 
-def _evaluated_measures(chain: Chain, problem: Problem) -> Measures:
+def _evaluated_measures(chain: Chain, problem: Problem, *, declared: bool = False) -> Measures:
     """The measures that an evaluation needs, on a policy's chain."""
     gamma = survival_of(problem.discount)
     hopeful = reaching_in_chain(chain, chain.goal > 0)
     alive = hopeful & (chain.goal == 0)
-    counted = counted_nodes(chain, hopeful, problem)
+    counted = counted_nodes(chain, hopeful, problem, declared=declared)
     goal, success = _evaluated_success(chain, alive, 1.0)
     early, early_cost = (goal, success) if gamma == 1.0 else _evaluated_success(chain, alive, gamma)
     reached, failed = _evaluated_two_ways(chain, goal, alive, 1.0)

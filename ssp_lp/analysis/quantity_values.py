@@ -112,17 +112,29 @@ def state_give_up_charges(
     return give_up_charges(model, attention_states(model), wandering, semantics)
 
 
-def counted_nodes(chain: Chain, hopeful: BoolArray, problem: Problem) -> BoolArray:
+def counted_nodes(
+    chain: Chain, hopeful: BoolArray, problem: Problem, *, declared: bool = False
+) -> BoolArray:
     """Nodes at which failure has not been declared, [nodes].
 
     That is where the goal can still be reached; but where a constraint asks for another end, a
-    policy on its way there has not failed until it arrives or gives up. What is counted after
-    failing is declared with the step that loses the goal for sure; so is one that stops later where
-    it could not avoid the goal.
+    policy on its way there has not failed until it arrives or gives up.
+
+    On states with the label of failing a policy may declare itself that it fails; of another one
+    that is said as soon as it has lost the goal, by steps that avoid it surely.
+
+    Args:
+        chain: the policy's.
+        hopeful: nodes from which the goal is reached with positive probability, [nodes].
+        problem: with what is asked.
+        declared: whether the policy declares itself that it fails.
     """
     if problem.model.failure_label is not None:
-        quits = (chain.give_up > 0) & ~attention_states(problem.model)[chain.state]
-        return reaching_in_chain(chain, (chain.goal > 0) | quits)
+        quits = chain.give_up > 0
+        if not declared:
+            quits &= ~attention_states(problem.model)[chain.state]
+        over = (chain.goal > 0) | quits
+        return reaching_in_chain(chain, over | (chain.dead > 0) if declared else over)
     objective = objective_of(problem)
     asked = conditions_of(problem) + (() if objective is None else (objective,))
     if problem.semantics.forbids_failing or not any(c.wants_ends for c in asked):

@@ -168,6 +168,11 @@ class Policy(Playable):
         """Whether it knows what to do after failing."""
         return False
 
+    @property
+    def declares_failing(self) -> bool:
+        """Whether it acts on states with the label of failing, which it sets itself."""
+        return self.model.failure_label is not None
+
     def draw(
         self, episodes: int, rng: np.random.Generator | None
     ) -> tuple[tuple[Policy, ...], IntArray]:
