@@ -203,7 +203,7 @@ def accumulate_cost(
     """
     survival = survival_of(discount)
     free = free_pairs(model, Aim.LEAST_COST, side) if discount is None else None
-    exits = giving_up_states(model, GiveUp.ATTENTION) if usable is None else None
+    exits = giving_up_states(model, GiveUp.ATTENTION, usable)
     quotient = build_quotient(model, usable=usable, free=free, exits=exits)
     going_on = quotient.node_of >= 0
     counted = going_on | model.goal_mask if arrivals else going_on

@@ -112,12 +112,11 @@ def label_failure(
         objective: what is minimised in place of what the aim counts.
     """
     free = None if discount is not None else free_pairs(model, semantics.aim, side, objective)
-    exits, unsure = giving_up_states(model, semantics.give_up), None
+    unsure = None
     if semantics.forbids_failing:
         sure, keeping, _ = surely_reaching(model)
         usable, unsure = keeping if usable is None else usable & keeping, ~sure
-    if usable is not None:
-        exits = np.zeros(model.n_states, dtype=np.bool_)
+    exits = giving_up_states(model, semantics.give_up, usable)
     quotient = build_quotient(
         model, usable=usable, free=free, exits=exits, free_exits=usable is None, ended=unsure
     )

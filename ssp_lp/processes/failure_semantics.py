@@ -205,11 +205,20 @@ def give_up_charges(
     return charge
 
 
-def giving_up_states(model: SSP, give_up: GiveUp) -> BoolArray:
-    """States in which a policy may give up, dead-ends included where it may at all, [states]."""
-    if model.failure_label is not None:
-        return model.failure_label.stops
-    if give_up is GiveUp.DEAD_ENDS:
+def giving_up_states(model: SSP, give_up: GiveUp, usable: BoolArray | None = None) -> BoolArray:
+    """States in which a policy may give up, dead-ends included where it may at all, [states].
+
+    Args:
+        model: the model.
+        give_up: where a policy may.
+        usable: pairs that attain the least failure, where only they may be used, [pairs]: nobody
+            gives up who can go on.
+    """
+    if (label := model.failure_label) is not None:
+        usable = np.zeros(model.n_pairs, dtype=np.bool_) if usable is None else usable
+        acting = np.bincount(model.pair_state[usable & label.finite[1]], minlength=model.n_states)
+        return np.asarray(label.stops & (acting == 0))
+    if give_up is GiveUp.DEAD_ENDS or usable is not None:
         return np.zeros(model.n_states, dtype=np.bool_)
     return ~model.goal_mask if give_up is GiveUp.ANYWHERE else attention_states(model)
 
