@@ -361,8 +361,7 @@ class Totals:
             The total below, and the share that goes to the one above that, [totals, steps] each.
         """
         if self.unit is not None:
-            ahead = np.arange(self.size + 1)[:, None] + np.arange(len(self.steps))
-            return np.minimum(ahead, self.size), np.zeros(ahead.shape)
+            return self.leads_by(np.arange(len(self.steps)))
         last, reached = self.size, self.values[:, None] + self.steps
         nearly = self._room if self.complete else _ULPS * reached
         below = np.searchsorted(self.values, reached + nearly, side="right") - 1
@@ -371,6 +370,14 @@ class Totals:
         gap = np.diff(self.values, append=2.0 * self.values[-1] + 1.0)[below]
         share = np.where(below < last, np.clip((reached - self.values[below]) / gap, 0.0, 1.0), 0.0)
         return below, np.where(share * gap <= self._room, 0.0, share)  # down: never too dear
+
+    def leads_by(self, kinds: IntArray) -> tuple[IntArray, FloatArray]:
+        """The same for some kinds of steps, [totals, kinds] each: units may be few in many."""
+        if self.unit is None:
+            below, share = self.leads
+            return below[:, kinds], share[:, kinds]
+        ahead = np.arange(self.size + 1)[:, None] + kinds
+        return np.minimum(ahead, self.size), np.zeros(ahead.shape)
 
     @property
     def _room(self) -> float:
@@ -397,9 +404,14 @@ class Totals:
 
         [totals below the cap, steps].
         """
+        return self.reached_by(np.arange(len(self.steps)))
+
+    def reached_by(self, kinds: IntArray) -> IntArray:
+        """The same for some kinds of steps, [totals below the cap, kinds]."""
         if self.unit is not None:
-            return np.arange(self.size)[:, None] + np.arange(len(self.steps))
-        return np.searchsorted(self.with_beyond, self.values[:-1, None] + self.steps - self._room)
+            return np.arange(self.size)[:, None] + kinds
+        sums = self.values[:-1, None] + self.steps[kinds]
+        return np.searchsorted(self.with_beyond, sums - self._room)
 
     @cached_property
     def ahead(self) -> IntArray | None:

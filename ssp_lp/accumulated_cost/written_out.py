@@ -46,7 +46,8 @@ def materialise(process: LayeredProcess) -> ExplicitProcess:
     )
     n_beyond, n_tails = len(beyond) * base.n_nodes, len(each.goal.T)
     n_states = cap * base.n_nodes + n_beyond + 1
-    steps = _written_steps(base, process.totals.reached, None, n_states)
+    kinds, classes = _kinds_of_steps(base)
+    steps = _written_steps(base, classes, process.totals.reached_by(kinds), None, n_states)
     own_pairs, failure, goal = (
         np.tile(per_pair, cap)
         for per_pair in (np.diff(base.pair_offsets), base.failure, base.survival * base.gain)
@@ -100,20 +101,32 @@ def chosen_pairs(process: LayeredProcess, choice: IntArray, tail_price: float) -
     return np.concatenate([within.ravel(), beyond, [source]])
 
 
+def _kinds_of_steps(base: AccumulatedCost) -> tuple[IntArray, IntArray]:
+    """What steps of the process may cost, in classes, and which of these each entry costs."""
+    ahead = base.steps.indices.astype(np.int64) // max(base.n_nodes, 1)
+    kinds, classes = np.unique(ahead, return_inverse=True)
+    return kinds, classes
+
+
 def _written_steps(
-    base: AccumulatedCost, leads: IntArray, share: FloatArray | None, n_states: int
+    base: AccumulatedCost,
+    classes: IntArray,
+    leads: IntArray,
+    share: FloatArray | None,
+    n_states: int,
 ) -> sp.csr_array:
     """Transitions of the pairs of all layers, [layers * pairs, states].
 
     Args:
         base: one layer.
+        classes: of each entry of its steps.
         leads: layer to which each class of steps leads, [layers, classes].
         share: of it that goes to the layer after that one, likewise; None: nothing does.
         n_states: of the process.
     """
     steps, n, layers = base.steps, base.n_nodes, len(leads)
-    ahead, node = np.divmod(steps.indices.astype(np.int64), max(n, 1))
-    columns = (leads[:, ahead] * n + node).ravel()
+    node = steps.indices.astype(np.int64) % max(n, 1)
+    columns = (leads[:, classes] * n + node).ravel()
     row_ends = np.tile(steps.indptr[1:].astype(np.int64), layers)
     row_ends += np.repeat(np.arange(layers, dtype=np.int64) * steps.nnz, len(base.gain))
     index = np.int32 if max(n_states, columns.size) <= np.iinfo(np.int32).max else np.int64
@@ -121,7 +134,7 @@ def _written_steps(
     data: FloatArray = np.tile(steps.data, layers)
     if share is None or not share.any():
         return sp.csr_array((data, columns.astype(index), indptr), shape=shape)
-    upper = share[:, ahead].ravel()
+    upper = share[:, classes].ravel()
     following = np.where(upper > 0.0, columns + n, columns).astype(index)
     below: sp.csr_array
     below = sp.csr_array((data * (1.0 - upper), columns.astype(index), indptr), shape=shape)
@@ -160,7 +173,8 @@ class OpenEnded(ChargedLayers):
         """All layers written out; ModelError: there is no room for it."""
         check_room(self.base, self.cap, MOST_WRITTEN)
         base, copies = self.base, self.cap + 1
-        steps = _written_steps(base, *self.leads, copies * self.n_nodes + 1)
+        kinds, classes = _kinds_of_steps(base)
+        steps = _written_steps(base, classes, *self.leads(kinds), copies * self.n_nodes + 1)
         steps.sum_duplicates()
         cost = self.own_cost + self.everywhere(*self.shift_of_ends)
         failure = self.everywhere(base.failure, base.start_failure)
@@ -255,14 +269,13 @@ class OpenEnded(ChargedLayers):
         )
         return LastLayer(process, self)
 
-    @cached_property
-    def leads(self) -> tuple[IntArray, FloatArray]:
-        """The layer that each step leads to, and the share of the next one, [layers, steps].
+    def leads(self, kinds: IntArray) -> tuple[IntArray, FloatArray]:
+        """The layer that steps of a kind lead to, and the share of the next one, [layers, kinds].
 
         On a grid a step is rounded down, whence no charge is more; where interpolating the charge
         does not exceed it either, it leads to both neighbours of what it makes.
         """
-        below, share = self.totals.leads
+        below, share = self.totals.leads_by(kinds)
         return below, share if self.charge.is_concave else np.zeros_like(share)
 
 

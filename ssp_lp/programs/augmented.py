@@ -249,17 +249,19 @@ class LayeredModel(Augmented):
 
     def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
         """One flow for each layer, the open end included; what enters a layer left another."""
-        base, quotient, below = self.inner.base, self.quotient, self.inner.leads[0]
+        base, quotient = self.inner.base, self.quotient
         model, merged, n_pairs = quotient.model, bool(quotient.merged.any()), len(base.gain)
         entering = np.zeros((self.copies + base.width if merged else 0, model.n_states))
         entering[:1] = self.inner.start
+        kinds, kind = np.unique(base.step_classes.ahead, return_inverse=True)
+        below = self.inner.leads(kinds)[0] if merged else kinds
         for layer in range(self.copies):
             taken = visits[layer * n_pairs : (layer + 1) * n_pairs] / base.departs
             flow = model_flow(quotient, taken)
             if merged:
                 mass = np.repeat(flow.pairs, np.diff(model.outcome_offsets)) * model.probabilities
                 moved = np.flatnonzero(mass)
-                reached = below[layer, base.step_classes.ahead[moved]]
+                reached = below[layer, kind[moved]]
                 np.add.at(entering, (reached, model.successors[moved]), mass[moved])
                 flow = moving_within(quotient, flow, entering[layer])
             yield flow

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import cvxpy as cp
 import highspy
 import numpy as np
@@ -464,3 +466,23 @@ def test_an_interior_point_makes_a_lottery(field: tuple, criterion: type) -> Non
         found = evaluate(policy, problem)
         assert found.objective == pytest.approx(best, rel=1e-6)
         assert found.failure_probability == pytest.approx(0.2, abs=1e-6)
+
+
+def test_programs_of_many_units_take_room_for_the_steps_that_occur_alone() -> None:
+    """Three costs in 5,003 units: a table of layers by units would take 800 megabytes."""
+    table = {
+        "s": {
+            "fast": [(0.5, "g", 1.0), (0.3, "s", 7.0), (0.2, "d", 1.0)],
+            "slow": [(0.9, "g", 5003.0), (0.1, "s", 1.0)],
+        },
+        "d": {},
+    }
+    model = SSP.from_transitions(table, goal={"g"}, treat_actionless_as_dead_ends=True)
+    few = {"few": visits("s") <= 1.3}
+    tracemalloc.start()
+    try:
+        program = S3P(model, "s", 0.1, cost_cap=20_000.0, constraints=few).program()
+        assert program.linear.matrix.shape[1] > 40_000
+        assert tracemalloc.get_traced_memory()[1] < 100e6
+    finally:
+        tracemalloc.stop()
