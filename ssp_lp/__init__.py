@@ -104,6 +104,11 @@ __all__ = sorted([*_OWN, *_ON_DEMAND])
 def __getattr__(name: str) -> object:
     """Import what most processes never use when it is first asked for."""
     if name not in _ON_DEMAND:
+        if name[:1].isupper():  # ``from ssp_lp import`` would not tell what an AttributeError says
+            raise ImportError(
+                f"there is no {name} in {__name__}; criteria are in formulations: "
+                f"from formulations import {name}"
+            )
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     found = getattr(import_module(_ON_DEMAND[name]), name)
     globals()[name] = found

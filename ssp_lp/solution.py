@@ -25,7 +25,7 @@ from ssp_lp.policies import MixedPolicy, StochasticPolicy
 from ssp_lp.policies.policy import Policy, as_lottery
 from ssp_lp.problem import Problem, has_rows, on_one_model, pulled_back
 from ssp_lp.processes.conditions import FAILURE_ROW
-from ssp_lp.processes.failure_semantics import AS_ASKED, Aim, ObjectiveSense
+from ssp_lp.processes.failure_semantics import AS_ASKED, Aim, GiveUp, ObjectiveSense
 from ssp_lp.programs.occupation_measure import StateValues
 
 _LEAST_LIMIT = 1.0  # seconds that numbers have which are worked out after a short call
@@ -245,6 +245,7 @@ class Solution(ReadOnlyCopies):
             (f"{side} bound", f"{bound:.9g}   (relative gap {self.gap:.1e})"),
             ("failure probability", f"{self.failure_probability:.6g}"),
             *([("failing", failing)] if failing else []),
+            *([("giving up", _GIVING_UP)] if self._mostly_gives_up else []),
             ("cost given success", f"{self.conditional_cost:.6g}"),
             ("cost until failure", f"{self.expected_cost:.6g}"),
         ]
@@ -266,6 +267,13 @@ class Solution(ReadOnlyCopies):
         return rows
 
     @property
+    def _mostly_gives_up(self) -> bool:
+        """Whether giving up by choice, which the problem might not allow, is most of the budget."""
+        budget, gave_up = self.problem.failure_budget, self.evaluation.ends.get("gave_up", 0.0)
+        chosen = getattr(self.problem, "give_up", GiveUp.DEAD_ENDS) is not GiveUp.DEAD_ENDS
+        return chosen and budget is not None and gave_up > 0.5 * budget > 0.0
+
+    @property
     def _asked(self) -> str:
         """What is asked about failing, in words."""
         budget, semantics = self.problem.failure_budget, self.problem.semantics
@@ -278,6 +286,9 @@ class Solution(ReadOnlyCopies):
         if semantics.penalty > 0.0:
             return "no failure" if semantics.forbids_failing else f"penalty {semantics.penalty:g}"
         return limit
+
+
+_GIVING_UP = "most of the budget: give_up='dead_ends' fails where the goal is lost alone"
 
 
 @dataclass(frozen=True, eq=False)

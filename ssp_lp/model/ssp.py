@@ -83,8 +83,9 @@ class SSP(Graph, ReadOnlyCopies):
         """Build a model from nested dicts ``{state: {action: [(probability, successor, cost)]}}``.
 
         Args:
-            transitions: every state that is not a goal must be a key. Actions listed at a goal
-                state are left out: the episode ends there.
+            transitions: every state that is not a goal must be a key, unless states without
+                actions are accepted. Actions listed at a goal state are left out: the episode ends
+                there.
             goal: the labels of the goal states.
             state_labels: names for sets of states ("wall"), used in reports.
             treat_actionless_as_dead_ends: accept states without actions that are not goals.
@@ -109,10 +110,15 @@ class SSP(Graph, ReadOnlyCopies):
                 f"as {in_short(transitions)}"
             )
         goals = dict.fromkeys(no_lone_string(goal, "goal"))
-        flat = _FlatModel([*transitions, *(g for g in goals if g not in transitions)], closed=True)
-        for state in flat.states:
+        listed = [*transitions, *(g for g in goals if g not in transitions)]
+        flat = _FlatModel(listed, closed=not treat_actionless_as_dead_ends)
+        for state in flat.states:  # it grows where states without actions are not listed
             reached = state in goals
-            flat.add(state, {} if reached else transitions[state], goal=reached)
+            flat.add(state, {} if reached else transitions.get(state, {}), goal=reached)
+        led_to = {flat.states[place] for place in set(flat.arrays["successors"])}
+        for state in goals.keys() - led_to - transitions.keys():
+            if nearest := did_you_mean(state, (s for s in flat.states if s not in goals)):
+                raise ModelError(f"no action leads to the goal {state!r}{nearest}")
         return cls.from_arrays(
             **flat.arrays,
             state_labels=state_labels,

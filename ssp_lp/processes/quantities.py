@@ -547,7 +547,15 @@ def _looked_up_states(
     mask = np.zeros(model.n_states, dtype=np.bool_)
     for word in words:
         if final and word in named:
-            mask |= marks == named.index(word)
+            ends = marks == named.index(word)
+            if isinstance(word, str) and word in labels:  # a goal that bears it is an end, too
+                ends[labels[word]] |= model.goal_mask[labels[word]]
+                if labels[word].size and not ends.any():
+                    raise ModelError(
+                        f"limit {name!r}: no episode ends in a state labelled {word!r}: take "
+                        "visits(...)"
+                    )
+            mask |= ends
             continue
         if not final and isinstance(word, str) and word in labels:
             mask[labels[word]] = True

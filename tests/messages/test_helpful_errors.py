@@ -269,3 +269,53 @@ def test_values_by_name_have_a_nearest_name() -> None:
     with pytest.raises(KeyError, match=r"there are 'f(ailure|uel)'"):
         solution.prices["zzz"]
     assert solution.prices.get("zzz") is None
+
+
+def test_a_goal_that_no_action_leads_to_may_be_misspelt() -> None:
+    table = {"depot": {"road": [(1.0, "home", 1.0)]}}
+    with pytest.raises(ModelError, match="no action leads to the goal 'Home'; did you mean 'home'"):
+        SSP.from_transitions(table, goal={"Home"}, treat_actionless_as_dead_ends=True)
+    far = SSP.from_transitions({**table, "home": {"stay": [(1.0, "home", 1.0)]}}, goal={"moon"})
+    assert far.goal_mask.sum() == 1  # nothing reads like it: out of reach
+
+
+def test_successors_that_are_not_listed_are_dead_ends_where_these_need_no_actions() -> None:
+    table = {"depot": {"alley": [(0.9, "home", 4.0), (0.1, "wreck", 2.0)]}}
+    model = SSP.from_transitions(table, goal={"home"}, treat_actionless_as_dead_ends=True)
+    assert solve(MCMP(model, "depot", 0.1)).objective == pytest.approx(3.8, rel=1e-12)
+    with pytest.raises(ModelError, match="'wreck', which is neither a state of the model nor a"):
+        SSP.from_transitions(table, goal={"home"})
+
+
+def test_a_label_of_goals_is_a_way_to_end_and_one_of_places_on_the_way_is_none() -> None:
+    table = {
+        "depot": {
+            "alley": [(0.5, "home", 1.0), (0.4, "inn", 1.0), (0.1, "wreck", 1.0)],
+            "road": [(1.0, "home", 3.0)],
+        },
+        "wreck": {},
+    }
+    labels = {"cosy": ["inn"], "begun": ["depot"]}
+    model = SSP.from_transitions(
+        table, goal={"home", "inn"}, state_labels=labels, treat_actionless_as_dead_ends=True
+    )
+    few = {"few": end_probability("cosy") <= 0.1}
+    assert solve(MCMP(model, "depot", 1.0, constraints=few)).objective == pytest.approx(2.5)
+    with pytest.raises(
+        ModelError, match="no episode ends in a state labelled 'begun': take visits"
+    ):
+        solve(MCMP(model, "depot", 1.0, constraints={"few": end_probability("begun") <= 0.1}))
+
+
+def test_a_budget_that_is_spent_by_giving_up_is_told_of() -> None:
+    table = {"depot": {"road": [(1.0, "home", 3.0)], "wait": [(1.0, "depot", 1.0)]}}
+    model = SSP.from_transitions(table, goal={"home"})
+    assert "give_up='dead_ends' fails where" in solve(MCMP(model, "depot", 0.2)).summary()
+    assert "giving up" not in solve(MCMP(model, "depot", 0.2, give_up="dead_ends")).summary()
+
+
+def test_criteria_that_are_looked_for_here_are_pointed_to() -> None:
+    with pytest.raises(ImportError, match="from formulations import MCMP"):
+        exec("from ssp_lp import MCMP")
+    with pytest.raises(AttributeError, match="no attribute 'solved'"):
+        _ = __import__("ssp_lp").solved
