@@ -135,3 +135,25 @@ def test_stops_and_kinds_of_compiled_problems_are_known_in_few_places() -> None:
     ]
     assert sum(text.count("except STOPS") for text in texts) <= 8
     assert not any(re.search(r"isinstance\([^)]*Compiled", text) for text in texts)
+
+
+def test_no_module_imports_itself_by_way_of_others() -> None:
+    """Imports that only a type checker sees, and those of a package's own modules, apart."""
+    files = files_of("ssp_lp") + files_of("formulations")
+    names = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in files}
+    imported: dict[str, set[str]] = {}
+    for name, path in names.items():
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        for node in ast.walk(tree):
+            if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+                node.body = []
+        found = {
+            f"{node.module}.{alias.name}"
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+        } | {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+        imported[name] = {other for other in found if other in names and other != name}
+    while ends := {name for name, others in imported.items() if not others & imported.keys()}:
+        imported = {name: others for name, others in imported.items() if name not in ends}
+    assert not imported

@@ -231,9 +231,9 @@ class Frontier:
 
     def plot(self, budget: float | None = None, *, ax: Axes | None = None, **style: Any) -> Axes:
         """Draw the frontier: :func:`ssp_lp.plotting.plot_frontier`."""
-        from ssp_lp.plotting.curves import plot_frontier
-
-        return plot_frontier(self, budget, ax=ax, **style)
+        pictures = optional_module("ssp_lp.plotting.curves", "plot")  # which know frontiers
+        axes: Axes = pictures.plot_frontier(self, budget, ax=ax, **style)
+        return axes
 
     def to_frame(self) -> Any:
         """The turning points as a pandas ``DataFrame``, a row for each.

@@ -26,6 +26,7 @@ from ssp_lp.column_generation.search import (
 from ssp_lp.compiled.deadline import Stop, WithIncumbent, closing, has_answer, is_late, prepared
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError
+from ssp_lp.methods.deterministic import best_deterministic
 from ssp_lp.methods.full_program import check_agreement, solve_program
 from ssp_lp.methods.refinement import Proved, refine
 from ssp_lp.methods.rows import lagrange_bound
@@ -135,8 +136,6 @@ def best_within_budget(problem: Problem, options: SolveOptions) -> Solution:
     solution = assembled(problem, answer, run, sense)
     if not options.deterministic:
         return solution
-    from ssp_lp.methods.deterministic import best_deterministic
-
     reason += "; then one policy by mixed-integer programs"
     single = best_deterministic(solution, outcome, options.tolerance, options.deadline)
     return replace(single, run=replace(single.run, reason=reason))

@@ -34,7 +34,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import highspy
 import numpy as np
@@ -53,7 +53,6 @@ from ssp_lp.compiled.deadline import WithIncumbent, is_late
 from ssp_lp.errors import Argument, ModelError, SolverError
 from ssp_lp.linear_programming.highs import HighsOptions, highs_lp, highs_solver, run_highs
 from ssp_lp.linear_programming.linear_program import LinearProgram
-from ssp_lp.methods.columns import RefinedOutcome
 from ssp_lp.policies.policy import as_lottery
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.explicit import ExplicitProcess
@@ -61,6 +60,9 @@ from ssp_lp.processes.failure_label import FailureLabelled
 from ssp_lp.processes.quotient import Quotient
 from ssp_lp.programs.program_rows import rows_program
 from ssp_lp.solution import Answer, Solution
+
+if TYPE_CHECKING:
+    from ssp_lp.methods.columns import RefinedOutcome
 
 _OPEN = 1e-6  # relative gap from which determinism is said to cost at most so much
 _DUAL = 1e-9  # relative error that is allowed to HiGHS's bound
