@@ -163,12 +163,22 @@ class FailureSSP(ProductSSP):
         Returns:
             [states] and [pairs].
         """
+        over = self.ended | self.goal_mask | self.stops
+        over[self.pair_state[self._staying]] = True
+        return surely_ending(self, over, pairs_into(self, over))[:2]
+
+    @cached_property
+    def _staying(self) -> BoolArray:
+        """Pairs among which one may stay for ever, adding nothing to what must stay finite."""
         going = ~self.ended & ~self.goal_mask
         failed = self.fails | self.after[self.pair_state]
         free = self.free_pairs[failed.astype(np.int64), self.original_pair]
-        free = end_components(self, free & going[self.pair_state])[0] >= 0
-        over = ~going | self.stops | free
-        return surely_ending(self, over, pairs_into(self, over))[:2]
+        return end_components(self, free & going[self.pair_state])[1]
+
+    @property
+    def staying_after(self) -> IntArray:
+        """Pairs of the original among which one may stay for ever after failing, [pairs]."""
+        return self.original_pair[self._staying & self.after[self.pair_state]]
 
     def find(self, state: Hashable) -> int | None:
         """Index of the state with the label (state, BEFORE or AFTER), None if there is none."""

@@ -207,6 +207,14 @@ class Policy(Playable):
         """States in which an episode is over whatever came before: goals, dead-ends, [states]."""
         return np.asarray(self.model.goal_mask | dead_ends(self.model))
 
+    @property
+    def staying(self) -> IntArray:
+        """A pair that surely avoids the goal in each state that has one, else UNDECIDED, [states].
+
+        Where one may stay for ever without coming to what is limited, it does.
+        """
+        return staying_policy(self.model)
+
     def after_giving_up(self, states: IntArray, memory: IntArray) -> IntArray:
         """Memory with which episodes that give up go on in these states, -1: over, [episodes]."""
         return np.full(len(states), -1)
@@ -388,6 +396,10 @@ class EpisodeBatch:
         self.over[moved] = ~going
         self._is_observed = True
 
+    def staying(self) -> IntArray:
+        """Of the only episode: see ``Policy.staying``, [states]."""
+        return self._members[int(self._drawn[0])].staying
+
     def begin(self, states: IntArray, going: BoolArray) -> None:
         """Set the memories of the episodes that do not end where they start, [episodes]."""
         for member, mine in self._shares(begun := np.flatnonzero(going)):
@@ -492,7 +504,7 @@ class Episode:
 
     def continue_after_give_up(self) -> None:
         """From now on play the policy that stays in the attention states (it avoids the goal)."""
-        self._staying = staying_policy(self._alone.model)
+        self._staying = self._alone.staying()
 
 
 def staying_policy(model: SSP) -> IntArray:

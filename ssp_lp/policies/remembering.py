@@ -345,6 +345,13 @@ class LabelledPolicy(Policy):
         """Goals, and dead-ends from which nothing counts, [states]."""
         return super().ended & ~self.product.is_open
 
+    @property
+    def staying(self) -> IntArray:
+        """As of all policies, but for ever where that adds nothing to what counts, [states]."""
+        decision, pairs = super().staying, self.product.staying_after
+        decision[self.model.pair_state[pairs]] = pairs
+        return decision
+
     def start_memory(self, states: IntArray) -> IntArray:
         """The inner policy's, before failing, [episodes]."""
         return np.asarray(self.inner.start_memory(states) * len(_Label) + _Label.BEFORE)

@@ -239,6 +239,34 @@ def test_an_episode_goes_on_after_giving_up() -> None:
         episode.observe("wreck", 0.0)
 
 
+def test_who_stays_for_ever_is_told_how() -> None:
+    """On the edge the first action that avoids the goal slides; to wait is what was certified."""
+    moves = {
+        "a": {"over": [(0.9, "home", 1.0), (0.1, "edge", 1.0)], "round": [(1.0, "home", 10.0)]},
+        "edge": {
+            "slide": [(1.0, "wreck", 1.0)],
+            "wait": [(1.0, "edge", 1.0)],
+            "climb": [(1.0, "home", 100.0)],
+        },
+        "wreck": {},
+    }
+    model = model_of(moves, crash=["wreck"])
+    solution = solve(mcmp(model, constraints={"crash": end_probability("crash") <= 0.0}))
+    assert solution.objective == pytest.approx(1.0)
+    episode = solution.policy.start(0)
+    assert episode.action("a") == "over"
+    episode.observe("edge", 1.0)
+    action = episode.action("edge")
+    for _ in range(3):
+        if action is GIVE_UP:
+            episode.continue_after_give_up()
+            action = episode.action("edge")
+        assert action == "wait"
+        assert episode.failed
+        episode.observe("edge", 1.0)
+        action = episode.action("edge")
+
+
 def test_policies_that_say_nothing_of_afterwards_end_where_they_fail() -> None:
     problem = mcmp(EDGE, constraints={"crash": end_probability("crash") <= 1.0})
     quits = DeterministicPolicy.from_actions(EDGE, {"a": "over", "edge": GIVE_UP})
