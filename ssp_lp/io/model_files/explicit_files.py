@@ -149,11 +149,9 @@ def _drn_body(
         else:
             raise file.fault("it stands before any state that it belongs to")
     if n_states != len(pair_counts) or n_choices not in (-1, len(names)):
-        told = "" if n_choices < 0 else f" and {n_choices} choices"
-        raise file.fault(
-            f"the header says {n_states} states{told}, the file has {len(pair_counts)} and "
-            f"{len(names)}"
-        )
+        stated = f"{n_states} states" + f" and {n_choices} choices" * (n_choices >= 0)
+        there = f"{len(pair_counts)} and {len(names)}"
+        raise file.fault(f"the header says {stated}, the file has {there}")
     counts, sizes = np.array(pair_counts), np.array(outcome_counts)
     state = np.repeat(np.arange(n_states), counts)
     paid_by_pair = np.ones(len(names))
