@@ -41,7 +41,6 @@ from ssp_lp.dynamic_programming.equations import (
     DIRECT_STATES,
     EXACT,
     EXACTLY_SOLVED,
-    StrongComponents,
     System,
     chosen_components,
 )
@@ -65,7 +64,7 @@ _NEARER = 0.25  # of a step: by so much at least each pair that is taken comes n
 MOST_ROUNDS = 10_000
 """Rounds that only a defect could need: every round improves what the last one left."""
 
-_ROUGH, _FINE = 0.1, EXACT  # relative residuals of evaluations: the first one, the last one
+_ROUGH = 0.1  # relative residual of the first evaluation
 _LAST_GAINS = 1e-4  # gains, relative to the values, after which evaluations are exact
 _FORCING = 0.1  # share of the last gain, relative to the values, that an evaluation may miss by
 _NOISE = 0.01  # of a rough residual: changes for less may go back and forth
@@ -76,11 +75,9 @@ _SWEEPS = 20  # of Bellman backups between two evaluations
 _LEAST_SWEEPS = 6
 _DIRECT = 2  # passes over a chain that an evaluation takes which does not iterate
 _SETTLED = 0.1  # share of the first sweep's changes below which sweeping stops
+_FEW_CHANGES = 0.05  # share of the states from whose changes on sweeps do better than passes
+_MOST_PASSES = 40  # along a chain, there and back
 _RISEN = 10.0  # times the last size of the values, which no improvement makes of them
-
-_Found = tuple[IntArray, System, FloatArray, float, Work]
-
-_PASSES = 20  # there and back
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,8 +180,8 @@ def howard_rounds(
     latest: list[IntArray],
     totals: FloatArray | None,
     floor: float,
-) -> _Found:
-    """Policy iteration whose evaluations become exact as the gains shrink.
+) -> tuple[IntArray, System, FloatArray, float, Work]:
+    """Howard's policy iteration: evaluate the policy, improve it, until no pair is better.
 
     Args:
         dynamics: the process.
@@ -198,73 +195,38 @@ def howard_rounds(
         The policy, its equations and totals, the greatest gain that was left to be rounding, and
         the work.
     """
-    transitions, pair_cost = dynamics.transitions, weighted(rewards, weights)
-    # where a floor is promised, rough evaluations of long runs would undo what sweeps have settled
-    accuracy = _ROUGH if dynamics.n_states > DIRECT_STATES and floor == 0.0 else _FINE
-    choice, work, rounds, changed_before = latest[0], Work(), 0, np.inf
-    before: IntArray | None = None
-    scale_before = np.inf
-    values, is_single = np.zeros(0), False
-    above: FloatArray | None = None  # values of the last policy, where they were exact
+    evaluation = _Evaluation(dynamics, rewards, weights, totals, floor)
+    choice, before, work = latest[0], None, Work()
+    changed, n_rounds = np.inf, 0
     while True:
         check_time()
-        if dynamics.n_states <= DIRECT_STATES:  # what is wrong with small ones shows in the totals
-            system = dynamics.chain(choice)
-        else:
-            system, choice = leaving_chain(dynamics, choice, before)
+        system, choice = evaluation.leaving(choice, before)
         latest[0] = choice
-        exact = system.is_solved_exactly
-        if is_single and not exact:  # until the end only what is compared
-            values = system.solve(pair_cost[choice][:, None], values[:, None], accuracy)[:, 0]
-            up_to_date = False
-        else:
-            totals = system.solve(rewards[choice], totals, accuracy)
-            values, up_to_date = weighted(totals, weights), True
-        is_single = is_single or system.is_solved_reward_by_reward
-        spent, system.products = system.products, 0
-        work, rounds = work + Work(1, spent), rounds + 1
-        if accuracy <= _FINE and above is not None:
-            rounding = NEARLY * float(np.abs(above).max(initial=0.0))
-            if not (values <= above + rounding).all():
-                raise SolverError("a policy that was to improve the last one is worse")
-        backup = best_pairs(dynamics.pair_offsets, transitions, pair_cost, values, choice)
-        missed = 0.0 if exact and accuracy <= _FINE else accuracy
-        better, gain, scale = _gains_of_round(backup, values, missed, floor)
-        if accuracy > _FINE and scale > _RISEN * scale_before:
-            accuracy = _FINE  # improvement raises nothing: evaluations are too rough for such runs
-            if not exact:
-                scale_before = np.inf
-                continue
-        scale_before = scale
-        if not better.any() and accuracy > _FINE:
-            accuracy = _FINE  # only noise was thought greater
-            if not exact:
-                continue
-            better, gain, scale = _gains_of_round(backup, values, 0.0, floor)
-        above = values if accuracy <= _FINE else None
+        products = evaluation.evaluate(system, choice)
+        values, n_rounds, work = evaluation.values, n_rounds + 1, work + Work(1, products)
+        backup = best_pairs(
+            dynamics.pair_offsets, dynamics.transitions, evaluation.pair_cost, values, choice
+        )
+        better = evaluation.judge(backup)
+        if better is None:  # the evaluation was too rough: the same policy again
+            continue
         if not better.any():
-            if totals is None or not up_to_date:
-                totals = system.solve(rewards[choice], totals, accuracy)
-            return choice, system, totals, gain, work
-        if rounds > MOST_ROUNDS:
+            totals = evaluation.totals_of(system, choice)
+            return choice, system, totals, greatest_gain(backup), work
+        if n_rounds > MOST_ROUNDS:
             raise SolverError("policy iteration goes round in circles")
-        before, changed = choice, int(np.count_nonzero(better))
+        before, changed_before, changed = choice, changed, int(np.count_nonzero(better))
         choice = np.where(better, backup.choice, choice).astype(np.int32, copy=False)
-        if changed > _STEADY * changed_before and accelerated(transitions.nnz):
-            work = work + _swept_in_round(dynamics, pair_cost, choice, values, floor, system, spent)
-        changed_before, wanted = changed, _FORCING * gain / scale
-        accuracy = min(wanted if gain > _LAST_GAINS * scale else _FINE, accuracy)
-
-
-def _gains_of_round(
-    backup: Backup, values: FloatArray, missed: float, floor: float
-) -> tuple[BoolArray, float, float]:
-    """Which states gain more than noise, the greatest gain, and the size of the values."""
-    scale = max(float(np.abs(values).max(initial=0.0)), 1e-300)
-    noise = IMPROVEMENT * np.abs(backup.here) + floor
-    noise = noise + (_NOISE * missed if missed > _FINE else missed) * scale
-    better = np.asarray(backup.minima < backup.here - noise)
-    return better, greatest_gain(backup), scale
+        if changed > _STEADY * changed_before and accelerated(dynamics.transitions.nnz):
+            in_place, backups = (dynamics, evaluation.pair_cost, choice, values, floor), 0
+            if system.is_solved_exactly and changed <= _FEW_CHANGES * dynamics.n_states:
+                backups = improve_along_chain(*in_place)
+            if not backups:  # about as long as the last evaluation took, if that was an iteration
+                share = system.matrix.nnz / max(dynamics.transitions.nnz, 1)
+                as_long = max(int(products * share), _LEAST_SWEEPS)
+                sweeps = min(as_long, _SWEEPS) if products > _DIRECT else _SWEEPS
+                backups = _improve_by_sweeps(*in_place, sweeps, system.is_solved_exactly)
+            work = work + Work(backups, 0)
 
 
 def greatest_gain(backup: Backup) -> float:
@@ -272,51 +234,103 @@ def greatest_gain(backup: Backup) -> float:
     return float((backup.here - backup.minima).max(initial=0.0))
 
 
-def _swept_in_round(
-    dynamics: Dynamics,
-    pair_cost: FloatArray,
-    choice: IntArray,
-    values: FloatArray,
-    floor: float,
-    system: System,
-    spent: int,
-) -> Work:
-    """Improve in place by passes along the chain or, where components are large, by sweeps.
+class _Evaluation:
+    """Evaluations in Howard's rounds, which become exact as the gains shrink.
 
-    Args:
-        system: the equations of the last policy that was evaluated.
-        spent: products that its evaluation took.
+    Chains without a large component are solved exactly in any case. Others are iterated, not much
+    finer than the last gain; where each reward takes long, only the weighted one until the end.
     """
-    if system.is_solved_exactly:  # where components were large they hardly become small
-        backups = improve_along_chain(dynamics, pair_cost, choice, values, floor)
-        if backups is not None:
-            return Work(backups, 0)
-    sweeps = _SWEEPS  # at most about as long as the last evaluation took
-    if spent > _DIRECT:
-        share = system.matrix.nnz / max(dynamics.transitions.nnz, 1)
-        sweeps = min(max(int(spent * share), _LEAST_SWEEPS), _SWEEPS)
-    return Work(_sweep_in_round(dynamics, pair_cost, choice, values, floor, sweeps), 0)
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        rewards: FloatArray,
+        weights: FloatArray,
+        totals: FloatArray | None,
+        floor: float,
+    ) -> None:
+        self.dynamics, self.rewards, self.weights = dynamics, rewards, weights
+        self.totals, self.floor, self.pair_cost = totals, floor, weighted(rewards, weights)
+        self.values, self._is_single = np.zeros(0), False
+        # where a floor is promised, rough evaluations of long runs would undo what sweeps settled
+        rough = dynamics.n_states > DIRECT_STATES and floor == 0.0
+        self._accuracy, self._scale = _ROUGH if rough else EXACT, np.inf
+        self._above: FloatArray | None = None  # values of the last policy, where they were exact
+
+    def leaving(self, choice: IntArray, before: IntArray | None) -> tuple[System, IntArray]:
+        """The chain of an improved policy; in small ones mass that is held shows in the totals."""
+        if self.dynamics.n_states <= DIRECT_STATES:
+            return self.dynamics.chain(choice), choice
+        return leaving_chain(self.dynamics, choice, before)
+
+    def evaluate(self, system: System, choice: IntArray) -> int:
+        """Evaluate a policy; how many products that took.
+
+        Raises:
+            SolverError: it is worse than the last one.
+        """
+        self._is_exact = system.is_solved_exactly
+        self._is_evaluated = not self._is_single or self._is_exact
+        if self._is_evaluated:
+            self.totals = system.solve(self.rewards[choice], self.totals, self._accuracy)
+            self.values = weighted(self.totals, self.weights)
+        else:
+            self.values = system.solve(self.pair_cost[choice], self.values, self._accuracy)
+        self._is_single = self._is_single or system.is_solved_reward_by_reward
+        self._is_exact |= self._accuracy <= EXACT
+        if self._is_exact and self._above is not None:
+            rounding = NEARLY * float(np.abs(self._above).max(initial=0.0))
+            if not (self.values <= self._above + rounding).all():
+                raise SolverError("a policy that was to improve the last one is worse")
+        self._above = self.values if self._is_exact else None
+        products, system.products = system.products, 0
+        return products
+
+    def judge(self, backup: Backup) -> BoolArray | None:
+        """States that gain more than noise, [states]; None: evaluations are to be exact first."""
+        scale = max(float(np.abs(self.values).max(initial=0.0)), 1e-300)
+        grown, self._scale = scale > _RISEN * self._scale, scale
+        noise = IMPROVEMENT * np.abs(backup.here) + self.floor
+        if not self._is_exact:
+            noise = noise + _NOISE * self._accuracy * scale
+        better = np.asarray(backup.minima < backup.here - noise)
+        if not self._is_exact and (grown or not better.any()):
+            self._accuracy, self._scale = EXACT, np.inf
+            return None
+        gain = greatest_gain(backup)
+        wanted = _FORCING * gain / scale if gain > _LAST_GAINS * scale else EXACT
+        self._accuracy = min(wanted, self._accuracy)
+        return better
+
+    def totals_of(self, system: System, choice: IntArray) -> FloatArray:
+        """Exact totals of the last policy, [states, rewards]."""
+        if self._is_evaluated and self.totals is not None:
+            return self.totals
+        return system.solve(self.rewards[choice], self.totals)
 
 
-def _sweep_in_round(
+def _improve_by_sweeps(
     dynamics: Dynamics,
     pair_cost: FloatArray,
     choice: IntArray,
     values: FloatArray,
     floor: float,
     most_sweeps: int,
+    is_sorted_anew: bool,
 ) -> int:
-    """In one of Howard's rounds improve by sweeps, in place, while many states change.
+    """Improve a policy, in place, by sweeps in the order of the values while many states change.
 
-    States of small value come first, then last: so news travels both ways, from the ends on and
-    towards them.
+    Returns:
+        The number of backups of all states.
     """
     from ssp_lp.compiled.improvement import improve_states
 
-    order = np.argsort(values, kind="stable").astype(np.uint32)
-    backward, most = np.ascontiguousarray(order[::-1]), 0
+    order, most = np.arange(dynamics.n_states, dtype=np.uint32), 0
     for sweep in range(1, most_sweeps + 1):
-        direction, changed = order if sweep % 2 else backward, 0
+        if sweep == 1 or (is_sorted_anew and sweep % 2):
+            # small values first: so news travels on from the ends, then towards them
+            order = order[np.argsort(values[order], kind="stable")]
+        direction, changed = order if sweep % 2 else np.ascontiguousarray(order[::-1]), 0
         for some in pieces(order.size, dynamics.transitions.nnz):
             changed += improve_states(
                 dynamics.rows, direction[some], pair_cost, IMPROVEMENT, floor,
@@ -334,8 +348,8 @@ def improve_along_chain(
     choice: IntArray,
     values: FloatArray,
     floor: float = 0.0,
-) -> int | None:
-    """In Howard's rounds improve a policy, in place, until a pass there and back changes nothing.
+) -> int:
+    """Improve a policy, in place, along its chain, until a pass there and back changes nothing.
 
     Each pass takes the components anew: those of the chain of the policy as it has become.
 
@@ -347,51 +361,30 @@ def improve_along_chain(
         floor: gain of a step that is none.
 
     Returns:
-        The number of backups of all states; None where the components are too large.
+        The number of backups of all states; 0 where the components are too large.
     """
-    found = chosen_components(dynamics.transitions, choice)
-    if found.largest > EXACTLY_SOLVED:
-        return None
-    run, stale = 0, np.ones(dynamics.n_states, dtype=np.bool_)
-    for _ in range(_PASSES):
-        changed = 0
-        for is_forward in (True, False):
-            changed += _pass_of_round(
-                dynamics, found, pair_cost, choice, values, floor, stale, is_forward
-            )
-        run += 2
-        if not changed:
-            break
-        found = chosen_components(dynamics.transitions, choice)
-        if found.largest > EXACTLY_SOLVED:
-            break
-    return run
-
-
-def _pass_of_round(
-    dynamics: Dynamics,
-    found: StrongComponents,
-    pair_cost: FloatArray,
-    choice: IntArray,
-    values: FloatArray,
-    floor: float,
-    stale: BoolArray,
-    is_forward: bool,
-) -> int:
-    """One pass along the chain in Howard's rounds, in place; how often a pair was changed."""
     from ssp_lp.compiled.improvement import improve_blocks
 
-    before, count, changed = dynamics.graph.predecessors, found.n_components, 0
-    for some in pieces(count, dynamics.transitions.nnz):
-        begin, end = (
-            (some.start, some.stop) if is_forward else (count - some.stop, count - some.start)
-        )
-        changed += improve_blocks(
-            dynamics.rows, unsigned(found.order), found.offsets[begin : end + 1], is_forward,
-            found.largest, pair_cost, IMPROVEMENT, floor, unsigned(before.pairs), before.offsets,
-            unsigned(dynamics.pair_state), choice.view(np.uint32), values, stale,
-        )  # fmt: skip
-    return changed
+    before, stale = dynamics.graph.predecessors, np.ones(dynamics.n_states, dtype=np.bool_)
+    backups, changed = 0, 1
+    while changed and backups < _MOST_PASSES:
+        components, changed = chosen_components(dynamics.transitions, choice), 0
+        count = components.n_components
+        if components.largest > EXACTLY_SOLVED:
+            break
+        for is_forward in (True, False):
+            for some in pieces(count, dynamics.transitions.nnz):
+                begin, end = some.start, some.stop
+                if not is_forward:
+                    begin, end = count - end, count - begin
+                changed += improve_blocks(
+                    dynamics.rows, unsigned(components.order), components.offsets[begin : end + 1],
+                    is_forward, components.largest, pair_cost, IMPROVEMENT, floor,
+                    unsigned(before.pairs), before.offsets, unsigned(dynamics.pair_state),
+                    choice.view(np.uint32), values, stale,
+                )  # fmt: skip
+        backups += 2
+    return backups
 
 
 def least_backwards(
