@@ -57,7 +57,8 @@ def need(holds: bool, *words: object) -> None:
 
 def at_most(left: int, right: int, *words: object) -> None:
     """Refuse unless an inequality of numbers in units holds."""
-    need(left <= right, *words, "fails:", f"{left / ONE:.17g} > {right / ONE:.17g}")
+    if left > right:
+        need(False, *words, "fails:", f"{left / ONE:.17g} > {right / ONE:.17g}")
 
 
 @cache
@@ -331,7 +332,10 @@ class Checked:
 
 
 def check_certificate(path: Any) -> Checked:
-    """Check the certificate in the file of this name."""
+    """Check the certificate in a file of this name: an interval that holds the optimum.
+
+    Where the answer is not ``accepted``, it says which inequality fails where.
+    """
     with open(path, "rb") as file:
         packed = file.read()
     try:

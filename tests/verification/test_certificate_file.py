@@ -54,6 +54,7 @@ from ssp_lp import (
     write_certificate,
 )
 from ssp_lp.problem import Problem
+from ssp_lp.processes import failure_label, failure_semantics
 from ssp_lp.verification import checker
 
 ROAD = model_of(
@@ -192,6 +193,34 @@ def test_the_members_of_another_policy(tmp_path: Path) -> None:
             replace(solution, policy=MixedPolicy((fast,), np.ones(1))), tmp_path / "x"
         )
     assert not (tmp_path / "x").exists()
+
+
+def test_a_wrong_reading_of_the_model_is_seen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The solver's rooms broken on purpose: a file does not read what they read."""
+    with monkeypatch.context() as broken:  # whatever is no goal counts as avoiding it
+        broken.setattr(failure_label, "attention_states", lambda model: ~model.goal_mask)
+        broken.setattr(failure_semantics, "attention_states", lambda model: ~model.goal_mask)
+        solution = solve(MCMP(ROAD, "road", 1.0, charge_failing_step=False))
+    assert solution.objective == 0.0
+    with pytest.raises(ModelError, match="gives up in state 'road'"):
+        write_certificate(solution, tmp_path / "one")
+    with monkeypatch.context() as broken:  # loops that cost something count as free
+        every = lambda model, *_: np.ones(model.n_pairs, dtype=np.bool_)  # noqa: E731
+        broken.setattr(failure_label, "free_pairs", every)
+        loop = model_of(PAYING_LOOP)
+        solution = solve(FinitePenalty(loop, "x", 3.0, give_up="dead_ends"))
+    assert solution.objective == 3.0
+    with pytest.raises(ModelError, match="gives up in state 'x'"):
+        write_certificate(solution, tmp_path / "one")
+    with monkeypatch.context() as broken:  # dead-ends charge twice
+        charges = failure_semantics.dead_end_charges
+        broken.setattr(failure_semantics, "dead_end_charges", lambda *a: 2.0 * charges(*a))
+        solution = solve(MCMP(PITS, "x", 0.25, give_up="dead_ends"))
+    assert solution.objective == solution.lower_bound == 5.0
+    written = write_certificate(solution, tmp_path / "one")
+    assert (written.lower, written.upper) == (3, 5)  # at its price 0; the optimum is 4
 
 
 @pytest.mark.parametrize("price", [0.0, 5.0, 20.0, 1000.0])
