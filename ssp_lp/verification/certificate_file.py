@@ -68,14 +68,13 @@ def write_certificate(solution: Solution, path: str | Path) -> Checked:
     except checker.RefusedError as error:
         raise ModelError(f"no certificate of {type(solved.problem).__name__}: {error}") from error
     digest = sha256(b"\n".join(lines)).hexdigest()
-    lines += _proof(model, solved, digest)
-    content = b"\n".join(lines)
     try:
+        lines += _proof(model, solved, digest)
         found = checker.check_lines(lines)
     except checker.RefusedError as error:
         raise SolverError(f"the answer is not proved: {error}") from error
     with open(path, "wb") as raw, gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as file:
-        file.write(content)
+        file.write(b"\n".join(lines))
     return found
 
 
@@ -207,8 +206,8 @@ class _Statement:
 
     def _cost(self, model: SSP) -> int:
         """The position of a cost among those that are written."""
-        for number, (costs, _) in enumerate(self.costs):
-            if costs is model.costs or np.array_equal(costs, model.costs):
+        for number, (costs, exact) in enumerate(self.costs):
+            if exact == model.exact_costs and np.array_equal(costs, model.costs):
                 return number
         self.costs.append((model.costs, model.exact_costs))
         return len(self.costs) - 1
