@@ -102,6 +102,9 @@ def _check_covered(problem: Problem) -> None:
     if asks.ratio or asks.measure is not None or asks.counts_totals:
         raise ModelError(f"no certificate of {name}: its cost counts by the total of a run that "
                          "succeeds, which certificates do not tell apart yet")  # fmt: skip
+    if problem.model.failure_label is not None:
+        raise ModelError(f"no certificate of this {name}: it counts what happens after failing, "
+                         "and certificates end where the goal is lost")  # fmt: skip
 
 
 @dataclass

@@ -244,6 +244,23 @@ def test_what_is_not_covered_is_named(problem: Problem, words: str, tmp_path: Pa
         write_certificate(solve(problem), tmp_path / "one")
 
 
+def test_certificates_end_where_the_goal_is_lost(tmp_path: Path) -> None:
+    """A crash may come after the skid that loses the goal: what the file would ask is another."""
+    table = {
+        "a": {"fast": [(0.9, "g", 1.0), (0.1, "skid", 1.0)], "slow": [(1.0, "g", 10.0)]},
+        "skid": {"slide": [(0.5, "wreck", 0.0), (0.5, "ash", 0.0)]},
+        "wreck": {},
+        "ash": {},
+    }
+    model = model_of(table, labels={"crash": ["wreck"]})
+    few = {"few": end_probability("crash") <= 0.01}
+    with pytest.raises(ModelError, match="this MCMP: it counts what happens after failing"):
+        write_certificate(solve(MCMP(model, "a", 0.1, constraints=few)), tmp_path / "one")
+    none = {"few": end_probability("dead_end") <= 0.01}
+    written = write_certificate(solve(MCMP(model, "a", 0.1, constraints=none)), tmp_path / "one")
+    assert written.accepted
+
+
 def test_the_checker_stands_alone(tmp_path: Path) -> None:
     """It imports the standard library alone, and runs where it was copied to."""
     source = Path(checker.__file__)
