@@ -10,7 +10,7 @@ from math import isfinite
 from ssp_lp.accumulated_cost.policy_layers import stopping_where_lost
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP
 from ssp_lp.compiled.deadline import Deadline, Stop, WithIncumbent, closing, until
-from ssp_lp.errors import OutOfTimeError, SolverError
+from ssp_lp.errors import ModelError, OutOfTimeError, SolverError
 from ssp_lp.methods.approaches import Case, approach_to, refusal
 from ssp_lp.methods.incumbent import Incumbent
 from ssp_lp.options import (
@@ -95,17 +95,25 @@ def _solved_with_proof(
 ) -> tuple[Solution, Status]:
     """The answer to the problem that is solved, checked, and why the search ended."""
     solution: Solution | None = None
+    too_large: ModelError | None = None
     incumbent = Incumbent(problem, options.deterministic)
     with until(options.deadline, prepare=incumbent.find) as deadline:
         with WithIncumbent() as search:
             inner, left = unrolled(problem), options.deadline - time.perf_counter()
             by_program, by_game = options.program is not None, isinstance(method, Game)
             case = Case(inner, left, by_program, by_game=by_game)
-            solution = approach_to(case).solve(inner, options)
+            try:
+                solution = approach_to(case).solve(inner, options)
+            except ModelError as error:
+                if not case.asks.is_risk:
+                    raise
+                too_large = error  # a table of totals: what is in hand is the answer
         if solution is None:
             with closing():
                 incumbent.find()
             solution = incumbent.solution
+        if solution is None and too_large is not None:
+            raise too_large
         if solution is None:
             raise _unsolved(problem, deadline, search.stop) from None
         if not has_rows(problem) and problem.semantics.give_up is not GiveUp.DEAD_ENDS:

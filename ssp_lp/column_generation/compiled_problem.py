@@ -745,7 +745,10 @@ class CompiledArrivalCost(CompiledLayered):
         if not self.by_sums:
             return self.charging(self.charge, values.shape[0])
         cap, n_layers, end = least, values.shape[0], None
-        if levels is not None and levels[-1] >= least:
+        while self._totals(cap) is None:  # as far as there was room
+            check_time()
+            cap *= _LOWER
+        if levels is not None and levels[-1] >= cap:
             capped = self.charging(self.charge, float(levels[-1]))
             if capped.process.cap == n_layers:
                 return capped

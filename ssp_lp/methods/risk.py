@@ -68,6 +68,7 @@ from ssp_lp.compiled.deadline import Stop, WithIncumbent, has_answer, is_late
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.columns import refined_optimum
 from ssp_lp.methods.exact_totals import ExactTotals, rises_by_each_step
+from ssp_lp.methods.incumbent import worth_bound
 from ssp_lp.methods.refinement import Proved
 from ssp_lp.methods.rows import Truth, bound_at, least_goal_within, row_activities, rows_optimum
 from ssp_lp.model import SSP
@@ -114,12 +115,15 @@ def prove_risk(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
     """
     problem, value, bound = solution.problem, evaluation.objective, 0.0
     question, (is_quantile, level) = question_of(problem), _level_of(problem)
-    if not is_quantile:
-        bound = _TailMeanSearch(problem, question, level, CERTIFYING).run()[1]
-    elif (number := question.thresholds.number(value)) > 0:
-        trial = question.attempt(LateCharge(question.thresholds.total(number - 1)), CERTIFYING)
-        refuted = _last_refuted(question, trial, level, -1, number)
-        bound = _beyond_refuted(question, refuted)
+    try:
+        if not is_quantile:
+            bound = _TailMeanSearch(problem, question, level, CERTIFYING).run()[1]
+        elif (number := question.thresholds.number(value)) > 0:
+            trial = question.attempt(LateCharge(question.thresholds.total(number - 1)), CERTIFYING)
+            refuted = _last_refuted(question, trial, level, -1, number)
+            bound = _beyond_refuted(question, refuted)
+    except ModelError:  # a table of totals that would be too large
+        bound = worth_bound(problem)
     return Proved(value, bound, question.allowed)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from examples.solver_comparison.instances.families import corridor, layered
-from formulations import CostBoundedReach, CostQuantile
+from formulations import EGUBS, CostBoundedReach, CostQuantile, CVaR
 from ssp_lp import SSP, certify, evaluate, solve, success_costs
 from ssp_lp.accumulated_cost.charges import LateCharge
 from ssp_lp.methods import risk
@@ -122,3 +122,53 @@ def test_bounds_that_no_price_refutes_are_doubled(monkeypatch: pytest.MonkeyPatc
     found = risk.least_quantile(asked, question_of(asked), 0.9999, SolveOptions(), near)
     assert found.objective == least > 64
     assert int(found.run.reason.split()[0]) <= 7 + 2 * int(np.ceil(np.log2(least)))
+
+
+RARE = 9e-7
+SELDOM_LEFT = SSP.from_transitions(
+    {
+        "a": {
+            "wait": [(1.0 - RARE, "a", 5.0387), (RARE, "G", 5.0387)],
+            "go": [(1.0 - 8e-6, "G", 3.0326), (8e-6, "D", 0.9154)],
+        },
+        "b": {
+            "on": [(0.9, "G", 4.8632), (0.1, "b", 4.8632)],
+            "by": [(0.7, "D", 8.2917), (0.1, "G", 8.2917), (0.2, "b", 8.2917)],
+            "back": [(0.9, "G", 6.6159), (0.05, "D", 6.6159), (0.05, "a", 6.6159)],
+        },
+        "D": {},
+    },
+    goal={"G"},
+    treat_actionless_as_dead_ends=True,
+)
+"""Few sums lie below some steps, far too many below the cost of the only sure way."""
+
+
+@pytest.mark.parametrize("level", [0.5, 0.75])
+def test_totals_without_room_leave_an_answer(level: float) -> None:
+    """Waiting is the only sure way: its cost is geometric."""
+    rounds = np.ceil(np.log1p(-level) / np.log1p(-RARE))
+    for problem in (
+        CostQuantile(SELDOM_LEFT, "a", level, 0.0),
+        CostQuantile(SELDOM_LEFT, "a", level, None),
+        CVaR(SELDOM_LEFT, "a", level, None),
+    ):
+        solution = solve(problem)
+        certificate = certify(solution)
+        assert certificate.accepted
+        for bound in (solution.lower_bound, certificate.lower_bound):
+            assert 3.0326 * (1.0 - 1e-9) <= bound <= solution.objective
+        if isinstance(problem, CostQuantile):
+            assert solution.objective == pytest.approx(5.0387 * rounds, rel=1e-5)
+        else:
+            assert solution.objective >= 5.0387 * rounds
+
+
+def test_tables_cut_for_want_of_room_are_certified() -> None:
+    for problem in (
+        EGUBS(SELDOM_LEFT, "a", -1e-6, 1.0),
+        CostBoundedReach(SELDOM_LEFT, "a", 5e6, 0.0),
+    ):
+        certificate = certify(solve(problem))
+        assert certificate.accepted
+        assert certificate.objective <= certificate.upper_bound
