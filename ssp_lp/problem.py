@@ -70,7 +70,10 @@ NEEDED = cast("Problem", None)
 
 
 def unrolled(problem: Problem) -> Problem:
-    """The problem that is solved: itself, or with a horizon that on (state, steps taken)."""
+    """The problem that is solved: itself, or that on (state, steps taken) and (state, label).
+
+    The first with a horizon, the second where something is counted after failing.
+    """
     found: Problem = getattr(problem, "unrolled", problem)
     return found
 
@@ -301,8 +304,8 @@ def on_one_model(
     """Check that a policy and a problem are what they should be, on one model.
 
     Returns:
-        The policy as a lottery, and the problem that is solved; with a horizon both are on (state,
-        steps taken), wherever the policy acts.
+        The policy as a lottery, and the problem that is solved, both on its model: with a horizon
+        that of (state, steps taken), wherever the policy acts.
 
     Raises:
         ModelError: a solution, or something else, in place of the policy; no problem; two models.
