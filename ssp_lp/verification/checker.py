@@ -123,10 +123,7 @@ class Model:
 
     def __init__(self, question: dict[str, Any], lines: Sequence[bytes]) -> None:
         need(question.get("format") == FORMAT, "this is no certificate of this format")
-        need(
-            sorted(question) == sorted([*KEYS.split(), "sets", "start", "states"]),
-            "the question is not known",
-        )
+        need(set(question) == {*KEYS.split(), "sets", "start", "states"}, "an unknown question")
         self.question, self.n_costs, n = question, whole(question["costs"], 1000), len(lines)
         self.sets: dict[str, set[int]] = {name: set() for name in ["goal", *question["sets"]]}
         gamma = number("1" if question["discount"] is None else question["discount"])
@@ -154,23 +151,29 @@ class Model:
         total = sum(p for p, _ in start) or ZERO
         need(total > 0 and min(start)[0] >= 0, "the start is no distribution")
         self.start = [(p / total, x) for p, x in start if p > 0]
-        attention, stays = self.staying(states - goal, self.every)
-        where, charged, greatest = (
-            question[key] for key in ("give_up", "charge_failing_step", "greatest")
-        )
+        self._charge(*self.staying(states - goal, self.every))
+        self._ask(gamma == 1)
+        self._keep_sure()
+
+    def _charge(self, attention: set[int], stays: Sequence[bool]) -> None:
+        """Where one may give up, and what failing charges of each cost."""
+        where, charged = self.question["give_up"], self.question["charge_failing_step"]
         need(where in ("anywhere", "attention", "dead_ends"), "give_up is", where)
-        need(type(charged) is bool and type(greatest) is bool, "a truth value is none")
         places = {"anywhere": self.live, "attention": self.live & attention}
         self.giving_up, self.failing = places.get(where, set()), dict[int, list[Fraction]]()
-        for x in self.dead | self.giving_up:  # what failing charges of each cost
+        for x in self.dead | self.giving_up:
             paid = [k for k in self.of[x] if charged and (stays[k] or where == "anywhere")]
             means = [[c / self.pairs[k][1] for c in self.pairs[k][3]] for k in paid]
             self.failing[x] = list(map(min, zip(*means, strict=True))) or [ZERO] * self.n_costs
-        self.sign, budget = -1 if greatest else 1, question["failure"]
+
+    def _ask(self, exact: bool) -> None:
+        """The objective and the rows, and where wandering is free in all of them."""
+        question, budget = self.question, self.question["failure"]
+        self.sign = -1 if question["greatest"] else 1
         self.objective = Quantity(self, question["objective"], self.sign, "objective")
         self.share = number(budget["share"]) if isinstance(budget, dict) else None
         need(self.share is None or 0 <= self.share <= 1, "a share is no probability")
-        exact = gamma == 1 or not (isinstance(budget, dict) or budget == "least")
+        exact = exact or (self.share is None and budget != "least")
         need(exact, "a share, or least failure, is of the real probability: without discount")
         self.rows = [] if budget is None else [Quantity(self, FAILURE, 1, "failure")]
         if budget not in (None, "least") and self.share is None:
@@ -183,12 +186,16 @@ class Model:
             q.constant = ZERO
         self.each = [self.objective, *self.rows]
         paying = [k for k in range(self.n_costs) if any(q.costs[k] for q in self.each)]
-        seen = {x for x in states if any(q.visits[x] for q in self.each)}
+        seen = {x for x in self.live if any(q.visits[x] for q in self.each)}
         costless = [not any(p[3][k] for k in paying) and all(y not in seen for _, y in p[2])
                     for p in self.pairs]  # fmt: skip
         self.free = self.staying(self.live, costless)[0]
-        sure, last, keeps = self.live, states, self.every
-        while sure != last:  # the states and the pairs that can keep the goal sure
+
+    def _keep_sure(self) -> None:
+        """The states and pairs of the bound below: all, or those that can keep the goal sure."""
+        goal, budget = self.sets["goal"], self.question["failure"]
+        sure, last, keeps = self.live, {-1}, self.every
+        while sure != last:
             last = sure
             keeps = [x in last and all(y in last or y in goal for _, y in p[2])
                      for x, p in zip(self.home, self.pairs, strict=True)]  # fmt: skip
