@@ -269,15 +269,15 @@ class _Evaluation:
         Raises:
             SolverError: it is worse than the last one.
         """
-        self._is_exact = system.is_solved_exactly
-        self._is_evaluated = not self._is_single or self._is_exact
+        self._is_iterated = not system.is_solved_exactly
+        self._is_exact = not self._is_iterated or self._accuracy <= EXACT
+        self._is_evaluated = not self._is_single or not self._is_iterated
         if self._is_evaluated:
             self.totals = system.solve(self.rewards[choice], self.totals, self._accuracy)
             self.values = weighted(self.totals, self.weights)
         else:
             self.values = system.solve(self.pair_cost[choice], self.values, self._accuracy)
         self._is_single = self._is_single or system.is_solved_reward_by_reward
-        self._is_exact |= self._accuracy <= EXACT
         if self._is_exact and self._above is not None:
             rounding = NEARLY * float(np.abs(self._above).max(initial=0.0))
             if not (self.values <= self._above + rounding).all():
@@ -291,8 +291,8 @@ class _Evaluation:
         scale = max(float(np.abs(self.values).max(initial=0.0)), 1e-300)
         grown, self._scale = scale > _RISEN * self._scale, scale
         noise = IMPROVEMENT * np.abs(backup.here) + self.floor
-        if not self._is_exact:
-            noise = noise + _NOISE * self._accuracy * scale
+        if self._is_iterated:
+            noise = noise + max(_NOISE * self._accuracy, EXACT) * scale
         better = np.asarray(backup.minima < backup.here - noise)
         if not self._is_exact and (grown or not better.any()):
             self._accuracy, self._scale = EXACT, np.inf
