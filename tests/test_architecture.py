@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import ast
 import re
+import sys
 from pathlib import Path
+from types import FrameType
 
 import pytest
+
+from formulations import MCMP, S3P, CVaR
+from ssp_lp import SSP, solve, visits
+from ssp_lp.formulation import Formulation
 
 ROOT = Path(__file__).parent.parent
 
@@ -157,3 +163,67 @@ def test_no_module_imports_itself_by_way_of_others() -> None:
     while ends := {name for name, others in imported.items() if not others & imported.keys()}:
         imported = {name: others for name, others in imported.items() if name not in ends}
     assert not imported
+
+
+def test_no_small_module_serves_one_neighbour_alone() -> None:
+    """A module below 200 lines that one module of its own folder imports is a part of that one."""
+    files = files_of("ssp_lp") + files_of("formulations")
+    names = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in files}
+    importers: dict[str, set[str]] = {name: set() for name in names}
+    for name, path in names.items():
+        for other in imports_of(path):
+            if other in importers and other != name:
+                importers[other].add(name)
+    lone = {
+        name
+        for name, path in names.items()
+        if path.name != "__init__.py" and len(path.read_text(encoding="utf-8").splitlines()) < 200
+        for user in importers[name]
+        if len(importers[name]) == 1 and not user.endswith("__init__")
+        if user.rpartition(".")[0] == name.rpartition(".")[0]
+    }
+    assert not lone
+
+
+DEPOT = SSP.from_transitions(
+    {
+        "depot": {
+            "alley": [(0.90, "home", 4.0), (0.10, "wreck", 2.0)],
+            "road": [(0.99, "home", 9.0), (0.01, "wreck", 5.0)],
+        },
+        "wreck": {},
+    },
+    goal={"home"},
+    treat_actionless_as_dead_ends=True,
+)
+
+
+@pytest.mark.parametrize(
+    ("problem", "modules", "functions"),
+    [
+        (MCMP(DEPOT, "depot", 0.05), 34, 250),
+        (S3P(DEPOT, "depot", 0.05), 40, 350),
+        (CVaR(DEPOT, "depot", 0.9, 0.05), 50, 470),
+        (MCMP(DEPOT, "depot", 0.05, constraints={"few": visits("wreck") <= 0.04}), 41, 330),
+    ],
+    ids=["MCMP", "S3P", "CVaR", "limits"],
+)
+def test_a_small_solve_crosses_few_modules_and_functions(
+    problem: Formulation, modules: int, functions: int
+) -> None:
+    """Those of a warm solve of three states: they may fall, and are not to rise."""
+    solve(problem)
+    crossed: set[tuple[str, str]] = set()
+
+    def cross(frame: FrameType, event: str, _: object) -> None:
+        code = frame.f_code
+        if event == "call" and Path(code.co_filename).is_relative_to(ROOT / "ssp_lp"):
+            crossed.add((code.co_filename, code.co_qualname))
+
+    sys.setprofile(cross)
+    try:
+        solve(problem)
+    finally:
+        sys.setprofile(None)
+    assert len({file for file, _ in crossed}) <= modules
+    assert len(crossed) <= functions
