@@ -35,7 +35,6 @@ from ssp_lp.dynamic_programming.solvers import (
     factor_solver,
     factorised,
     reduce_states,
-    transposed_solve,
 )
 from ssp_lp.errors import SolverError
 
@@ -161,27 +160,20 @@ class System:
         Raises:
             SolverError: the chain holds mass for ever, or a component is too large for that.
         """
-        columns = rewards.reshape(self.size, -1)
-        x, found = np.zeros(columns.shape), self.components
-        if accelerated(max(len(self.matrix.indices), found.largest**2)):
-            for first, last in self._runs:
-                if last - first == 1 and found.sizes[first] > DIRECT_STATES:
-                    LargeComponent(self.matrix, self.exits, found.members(first)).reduce(columns, x)
-                else:
-                    self._solve_compiled(first, last, columns, x)
-            return x.reshape(rewards.shape)
-        for c in range(found.n_components):
-            states = found.members(c)
-            if states.size > DIRECT_STATES:
+        columns, components = rewards.reshape(self.size, -1), self.components
+        x, runs = np.zeros(columns.shape), [(c, c + 1) for c in range(components.n_components)]
+        is_compiled = accelerated(max(len(self.matrix.indices), components.largest**2))
+        for first, last in self._runs if is_compiled else runs:
+            states = components.members(first)
+            if last - first == 1 and states.size > DIRECT_STATES:
                 LargeComponent(self.matrix, self.exits, states).reduce(columns, x)
-                continue
-            rows = self.matrix[states]
-            inner = rows[:, states].toarray()
-            beyond = np.ones(self.size)
-            beyond[states] = 0.0
-            x[states] = 0.0
-            leaving = self.exits[states] + rows @ beyond
-            x[states] = reduce_states(inner, leaving, columns[states] + rows @ x)
+            elif is_compiled:
+                self._solve_compiled(first, last, columns, x)
+            else:
+                rows, beyond = self.matrix[states], np.ones(self.size)
+                beyond[states] = x[states] = 0.0
+                leaving, right = self.exits[states] + rows @ beyond, columns[states] + rows @ x
+                x[states] = reduce_states(rows[:, states].toarray(), leaving, right)
         return x.reshape(rewards.shape)
 
     def solve_transposed(self, inflow: FloatArray) -> FloatArray:
@@ -200,7 +192,7 @@ class System:
                 visits[order] = found[:, 0] / departs[order]
                 return visits
         order, factors = self._transposed_factors
-        visits[order] = transposed_solve(factors, inflow[order])
+        visits[order] = factors.solve(inflow[order], "T")  # type: ignore[call-overload]
         return visits
 
     @cached_property
@@ -347,7 +339,10 @@ def strong_components(
     if accelerated(len(indices)):
         return _compiled_components(indptr[:-1], indptr[1:], indices, data, by_height=by_height)
     graph = sp.csr_array((data, indices, indptr), shape=(n, n))
-    found = csgraph.connected_components(_possible_edges(graph), connection="strong")[1]
+    edges: sp.csr_array = graph.copy()  # each once and none of weight 0, as scipy needs them
+    edges.sum_duplicates()
+    edges.eliminate_zeros()
+    found = csgraph.connected_components(edges, connection="strong")[1]
     label = _topological_components(graph, found)
     order = np.argsort(label, kind="stable").astype(np.int32)
     return StrongComponents(label, order, offsets_of(np.bincount(label)))
@@ -373,14 +368,6 @@ def _compiled_components(
     label, order, count = order_components(begin, end, indices, data, by_height=by_height)
     sizes = np.bincount(label, minlength=count)
     return StrongComponents(label, order, offsets_of(sizes))
-
-
-def _possible_edges(graph: sp.csr_array) -> sp.csr_array:
-    """A graph for strong components: each edge once and none of weight 0, as scipy needs it."""
-    kept = graph.copy()
-    kept.sum_duplicates()
-    kept.eliminate_zeros()
-    return kept
 
 
 def _topological_components(graph: sp.csr_array, label: IntArray) -> IntArray:

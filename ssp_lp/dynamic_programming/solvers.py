@@ -500,11 +500,6 @@ def factorised(system: sp.csc_array, *, in_order: bool = False) -> linalg.SuperL
         raise SolverError(HOLDS_MASS) from error
 
 
-def transposed_solve(factors: linalg.SuperLU, inflow: FloatArray) -> FloatArray:
-    """Solve with the transposed matrix: visits from what flows in, [states]."""
-    return np.asarray(factors.solve(inflow, "T"))  # type: ignore[call-overload]
-
-
 def reduce_states(inner: FloatArray, leaving: FloatArray, rewards: FloatArray) -> FloatArray:
     """Expected total rewards of a chain, with every entry's relative accuracy where they are >= 0.
 
