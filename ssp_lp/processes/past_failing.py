@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray, read_only, segment_minima
+from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.failure_product import FailureSSP, label_failing
 from ssp_lp.model.graph import (
@@ -84,6 +85,37 @@ def labelled_past_failing(
     label = label_failing(model, open_pairs, stops, charged, free)
     charges = semantics.charge_failing_step and not totals
     return replace(label, charges=charges, costs=_costs_before(label, model.costs, charges))
+
+
+def check_counted_past_failing(
+    model: SSP, asked: Condition, semantics: FailureSemantics, *, ratio: bool
+) -> None:
+    """Check that a process tells apart what a quantity counts after failing.
+
+    Args:
+        model: of the process.
+        asked: the quantity, looked up in the model, or in the original of one with the label.
+        semantics: who may give up.
+        ratio: whether the cost is counted given success.
+
+    Raises:
+        ModelError: it does not.
+    """
+    # whether it stays finite does not matter here, as if it was discounted
+    needed = labelled_past_failing(asked.model, (), asked, semantics, ratio=ratio, discount=1.0)
+    if (label := model.failure_label) is None:
+        is_told = needed is None
+    else:
+        ends = _asked_for(asked.model, [term for _, term in asked.terms])[0]
+        is_told = bool(label.ended[: label.n_original][ends].all())
+        if needed is not None:
+            is_told &= not (needed.open_pairs & ~label.open_pairs).any()
+    if is_told:
+        return
+    raise ModelError(
+        "the quantity counts what happens after failing, which the program does not tell apart: "
+        "limit it in the problem's constraints too, if only by a bound that allows everything"
+    )
 
 
 def _asked_for(model: SSP, terms: Iterable[Term]) -> tuple[BoolArray, BoolArray]:

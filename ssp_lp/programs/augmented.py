@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -67,6 +67,7 @@ class Augmented(ABC):
 
     inner: FailureLabelled | OpenEnded  # what is written out
     start: FloatArray  # [states] distribution
+    semantics: FailureSemantics  # who may give up
 
     @property
     def process(self) -> ExplicitProcess:
@@ -241,6 +242,7 @@ class LayeredModel(Augmented):
 
     inner: OpenEnded
     start: FloatArray  # [states]
+    semantics: FailureSemantics = field(default_factory=FailureSemantics)  # who avoids the goal
 
     @property
     def live(self) -> AccumulatedCost:

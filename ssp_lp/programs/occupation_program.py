@@ -36,6 +36,7 @@ from ssp_lp.policies.policy import GIVE_UP
 from ssp_lp.processes.conditions import ArrivalTerm
 from ssp_lp.processes.explicit import ExplicitProcess, PricedMinimum, priced_minimum
 from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense, start_distribution
+from ssp_lp.processes.past_failing import check_counted_past_failing
 from ssp_lp.processes.quantities import Quantity, objective_of
 from ssp_lp.processes.quotient import Spread, spread_out
 from ssp_lp.programs.augmented import START, STAY, Augmented, ColumnLabel, LabelledModel
@@ -247,9 +248,15 @@ class OccupationProgram:
         """A quantity as ``<coefficients, x> + constant``: coefficients, [pairs], and constant.
 
         Raises:
-            ModelError: unknown states, actions or ends, or costs of the wrong shape.
+            ModelError: unknown states, actions or ends, costs of the wrong shape, or what happens
+                after failing, which the program does not tell apart.
         """
-        objective = objective_of(self.augmented.model, self.augmented.start, quantity, signed=True)
+        model, start = self.augmented.model, self.augmented.start
+        stated = objective = objective_of(model, start, quantity, signed=True)
+        if (label := model.failure_label) is not None:
+            begun = start[: label.n_original]
+            stated = objective_of(label.original, begun, quantity, signed=True)
+        check_counted_past_failing(model, stated, self.augmented.semantics, ratio=self.ratio)
         terms = (weight * self.augmented.counted(term) for weight, term in objective.terms)
         return sum(terms, np.zeros(self.process.n_pairs)), objective.constant
 

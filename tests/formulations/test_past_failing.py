@@ -299,6 +299,20 @@ def test_a_program_has_columns_before_and_after_failing() -> None:
     assert len(program.columns("edge")) == 4
 
 
+def test_a_program_names_what_it_does_not_tell_apart() -> None:
+    plain, limited = mcmp(SKID).program(), mcmp(SKID, constraints=FEW).program()
+    with pytest.raises(ModelError, match="after failing"):
+        plain.expression(end_probability("crash"))
+    for quantity in (end_probability("crash"), end_probability("fire", "goal"), visits("skid")):
+        coefficients, constant = limited.expression(quantity)
+        assert constant == 0.0
+        assert coefficients @ limited.solve().visits > 0.0
+    seen = plain.expression(visits("skid"))[0] @ plain.solve().visits
+    assert seen == pytest.approx(0.1)
+    with pytest.raises(ModelError, match="after failing"):
+        limited.expression(end_probability("skid"))
+
+
 @pytest.mark.parametrize("horizon", [None, 4])
 def test_files_hold_what_is_done_after_failing(horizon, tmp_path) -> None:
     problem = mcmp(SKID, constraints=FEW, horizon=horizon)
