@@ -7,7 +7,7 @@ from examples.checks.certificate_check import EXACT, check
 
 def test_certificates_and_changed_ones() -> None:
     tally = Counter[str]()
-    for seed in range(12 * len(EXACT)):
+    for seed in range(16 * len(EXACT)):
         assert list(check(seed, 1, tally)) == [], seed
     assert tally["certificates"] > 60
     assert sum(count for name, count in tally.items() if name.startswith("changed")) > 60

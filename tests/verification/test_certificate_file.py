@@ -200,7 +200,6 @@ def test_a_wrong_reading_of_the_model_is_seen(
 ) -> None:
     """The solver's rooms broken on purpose: a file does not read what they read."""
     with monkeypatch.context() as broken:  # whatever is no goal counts as avoiding it
-        broken.setattr(failure_label, "attention_states", lambda model: ~model.goal_mask)
         broken.setattr(failure_semantics, "attention_states", lambda model: ~model.goal_mask)
         solution = solve(MCMP(ROAD, "road", 1.0, charge_failing_step=False))
     assert solution.objective == 0.0
@@ -321,7 +320,13 @@ MAZE = model_of(
 )
 TAMPERED: dict[str, Problem] = {
     "budget": MCMP(MAZE, "start", 0.07),
-    "limit": MCMP(MAZE, "start", 0.1, constraints={"hurt": end_probability("hurt") <= 0.06}),
+    "limit": MCMP(
+        MAZE,
+        "start",
+        0.1,
+        give_up="dead_ends",
+        constraints={"hurt": end_probability("hurt") <= 0.06},
+    ),
     "share": AlphaMCMP(MAZE, "start", 0.93),
     "worth": LeastQuantity(
         MAZE, {"start": 0.5, "town": 0.5}, visits("town") + 2.0 * goal_probability()
