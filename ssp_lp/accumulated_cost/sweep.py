@@ -36,6 +36,7 @@ from ssp_lp.dynamic_programming.bellman import (
 )
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import approach_leaving
+from ssp_lp.dynamic_programming.evaluation import evaluate_chain
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 
 if TYPE_CHECKING:
@@ -375,7 +376,12 @@ class Sweep:
         measures[:, 2] = base.survival * base.gain[chosen]
         measures += chosen_product(base.later, chosen, ahead)
         if not self.is_acyclic:
-            measures = base.instant_dynamics.chain(chosen).solve(measures)
+            chain = base.instant_dynamics.chain(chosen)
+            solved = chain.solve(measures)
+            missing = np.abs(solved[:, 1:].sum(axis=1) - 1.0)  # whatever fails not reaches the goal
+            if missing.max(initial=0.0) <= _ALL_ENDS:
+                return solved
+            measures = evaluate_chain(chain, measures).values
         return measures
 
     @cached_property
@@ -455,6 +461,9 @@ def _at_least(values: FloatArray, floor: float) -> FloatArray:
     """Values that are not below a floor, which stands for what is no number as well."""
     return np.maximum(np.nan_to_num(values, nan=floor, posinf=np.inf), floor)
 
+
+_ALL_ENDS = 1e-9
+"""Mass by which failure and goal may miss 1 before runs within a layer are evaluated with care."""
 
 _ON_ITS_WAY = 0.01
 """Share of what has arrived that may be on its way still, where a rule is followed for a guess."""

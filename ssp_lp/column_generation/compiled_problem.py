@@ -535,6 +535,7 @@ _DOUBLINGS = 60  # of a cap, if all sums that there are lie below it
 _LOWER = 0.5  # cap, times the one whose sums are too many
 _BEYOND = 1e-9  # relative distance of a total that lies beyond another
 _LEAST = 1e-12  # relative room below the goal probability of policies that all attain it
+_LOST = 1e-6  # goal probability that a policy of least failure may lack, by rounding of long runs
 
 
 @dataclass(frozen=True, eq=False)
@@ -674,9 +675,18 @@ class CompiledArrivalCost(CompiledLayered):
         return self.charge.lowest
 
     def least_failure(self) -> LeastFailure:
-        """The least charged of the policies that fail least, which may remember the cost."""
+        """The least charged of the policies that fail least, which may remember the cost.
+
+        Raises:
+            ModelError: its runs take so many free steps that what each loses adds up.
+        """
         pricing = self.safest().pricing()
         best = pricing.minimise(0.0)
+        if best.goal < float(self.start @ self.greatest.goal) - _LOST:
+            raise ModelError(
+                "free steps take some policy so long that its failure cannot be told; costs of "
+                "fewer digits, or none of 0, make it shorter"
+            )
         policy, bound = pricing.policy(best), pricing.prove(0.0, best).bound
         greatest = min(float(self.start @ self.greatest.bound), 1.0)
         if self.ratio:

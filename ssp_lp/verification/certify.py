@@ -93,7 +93,16 @@ def _proved(solution: Solution, evaluation: Evaluation, members: list[Evaluation
     unsearched = solution.value_function is None and solution.status is not Status.OPTIMAL
     if unsearched and not approach.afresh and case.has_cheapest_way:
         return prove_by_cheapest_way(solution.problem, evaluation)
-    proved = approach.prove(solution, evaluation, min(member.limited_failure for member in members))
+    attained = min(member.limited_failure for member in members)
+    try:
+        proved = approach.prove(solution, evaluation, attained)
+    except ModelError:  # a table that cannot be made
+        if (
+            not (approach.afresh and case.has_cheapest_way)
+            or solution.problem.failure_budget is None
+        ):
+            raise
+        return prove_by_cheapest_way(solution.problem, evaluation)
     if proved.gap <= RELATIVE_GAP or proved.reason or not case.has_cheapest_way:
         return proved
     other = prove_by_cheapest_way(solution.problem, evaluation)

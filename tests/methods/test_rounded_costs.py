@@ -11,9 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from formulations import EGUBS, GUBS, CostBoundedReach, CostQuantile, CVaR
+from formulations import EGUBS, GUBS, S3P, CostBoundedReach, CostQuantile, CVaR
 from small_models import model_of
 from ssp_lp import SSP, MixedPolicy, ModelError, Solution, Status, certify, evaluate, solve
+from ssp_lp.accumulated_cost.sweep import Sweep
+from ssp_lp.column_generation.column import Column
+from ssp_lp.column_generation.layered_pricing import LayeredPricing
+from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.methods import rounding
 from ssp_lp.methods.risk import exactly_refuted, question_of_compiled
 
@@ -228,3 +232,42 @@ def test_a_stationary_optimum_needs_no_rounding(seed: int, levels: int | None) -
     assert solution.objective == pytest.approx(best, rel=1e-12)
     assert solution.gap <= 1e-12
     assert certify(solution).accepted
+
+
+def test_a_safest_policy_that_loses_the_goal_on_the_way_makes_no_budget_infeasible(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Free steps may take it so long that rounding fails it: that says nothing of any budget."""
+    solution = solve(CVaR(corridor([1.3, STEP, 0.4], 2.0), "r0", 0.8, 0.2, cost_levels=200))
+    within = LayeredPricing.minimise
+
+    def lost(self: LayeredPricing, price: float, *warm: Column | None) -> Column:
+        found = within(self, price, *warm)
+        return replace(found, failure=found.failure + 0.5, goal=found.goal - 0.5)
+
+    monkeypatch.setattr(LayeredPricing, "minimise", lost)
+    with pytest.raises(ModelError, match="so long that its failure cannot be told"):
+        CVaR(corridor([1.0, 1.0, 0.0], 2.0), "r0", 0.8, 0.2).compile().least_failure()
+    certificate = certify(solution)  # what the cheapest way costs, in place of a search
+    assert certificate.accepted
+    assert 0.0 < certificate.lower_bound <= solution.lower_bound
+
+
+def test_runs_within_a_layer_that_hardly_end_are_evaluated_with_care(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A solver that loses a part of what ends is seen, and its totals are verified."""
+    table = {
+        "a": {"go": [(0.5, "b", 0.0), (0.3, "g", 1.0), (0.2, "d", 1.0)]},
+        "b": {"go": [(0.75, "a", 0.0), (0.25, "g", 2.0)]},
+        "d": {},
+    }
+    sweep = S3P(model_of(table), "a", 0.9).compile().pricing().sweep
+    choice = sweep.room_for_choice()
+    choice[:] = 0
+    exact = sweep.measure(choice, 1.0)
+    with monkeypatch.context() as broken:
+        broken.setattr(Sweep, "one_pass", None)
+        solved = System.solve
+        broken.setattr(System, "solve", lambda self, right, *a: 1.1 * solved(self, right, *a))
+        assert np.allclose(Sweep(sweep.process).measure(choice, 1.0), exact, rtol=1e-12)
