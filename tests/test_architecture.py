@@ -13,6 +13,7 @@ import pytest
 from formulations import MCMP, S3P, CVaR
 from ssp_lp import SSP, solve, visits
 from ssp_lp.formulation import Formulation
+from tests.support.compiled import Switch
 
 ROOT = Path(__file__).parent.parent
 
@@ -209,9 +210,10 @@ DEPOT = SSP.from_transitions(
     ids=["MCMP", "S3P", "CVaR", "limits"],
 )
 def test_a_small_solve_crosses_few_modules_and_functions(
-    problem: Formulation, modules: int, functions: int
+    problem: Formulation, modules: int, functions: int, accelerate: Switch
 ) -> None:
     """Those of a warm solve of three states: they may fall, and are not to rise."""
+    accelerate(False)  # no small call is worth compiling for
     solve(problem)
     crossed: set[tuple[str, str]] = set()
 
