@@ -19,13 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ssp_lp.arrays import BELOW_RATIO, FloatArray
-from ssp_lp.errors import (
-    InfeasibleError,
-    ModelError,
-    SolverError,
-    is_number,
-    wrong_argument,
-)
+from ssp_lp.errors import InfeasibleError, ModelError, SolverError, is_number, wrong_argument
 from ssp_lp.linear_programming.backends import answers_in_turn, backends_for, run_backend
 from ssp_lp.linear_programming.in_full import as_latex, as_table, is_small, words_as_latex
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer, check_bounds
