@@ -13,7 +13,7 @@ from cvxpy.constraints.nonpos import Inequality
 from cvxpy.constraints.zero import Equality
 
 from ssp_lp.arrays import FloatArray
-from ssp_lp.errors import ModelError, SolverError
+from ssp_lp.errors import ModelError, SolverError, wrong_argument
 from ssp_lp.linear_programming.convex_rows import (
     ScaledExpression,
     affine_parts,
@@ -145,6 +145,9 @@ class ConvexProgram:
         opened = {"failure"} if self.program.at_least and as_stated else set[str]()
         bounds = {n: options.pop(n) for n in self.bounds.keys() | opened if n in options}
         check_bounds(bounds)
+        for name in (name for name, bound in bounds.items() if bound == np.inf):
+            hint = f"; del convex.constraints[{name!r}] takes the row away"
+            raise wrong_argument(name, "be finite", np.inf, hint)
         start = self._begun if start is None else start
         program = self.program.bounded_by(self._now | bounds) if as_stated else self.program
         program = program if start is None else program.started(start)
@@ -157,8 +160,8 @@ class ConvexProgram:
         self.start.value = program.process.start
         if objective is not None:
             self.cost.value, self._constant.value = self.program.expression(objective)
-        for name in bounds.keys() & self.bounds.keys():  # one that is infinite may have no row
-            self.bounds[name].value = bounds[name]
+        for name, bound in bounds.items():
+            self.bounds[name].value = bound
         for tight in (False, True):
             if not solve_stated(self.problem, solver, options, tight=tight):
                 raise self._bounded.infeasible()
