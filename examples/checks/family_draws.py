@@ -154,7 +154,10 @@ def answer(seed: int, families: Sequence[str], criteria: Sequence[str], states: 
             proof = certify(solution)
             told["proof"] = proof.gap if proof.accepted else proof.reason
     except InfeasibleError as error:
-        told |= {"end": "cannot", "why": str(error)[:120]}
+        if told["end"] == "answer":  # a certificate that calls an answered problem infeasible
+            told["proof"] = str(error)[:120]
+        else:
+            told |= {"end": "cannot", "why": str(error)[:120]}
     except (SSPError, KeyboardInterrupt) as error:
         told |= {"end": "nothing", "why": f"{type(error).__name__}: {str(error)[:200]}"}
     told.setdefault("seconds", time.perf_counter() - began)
