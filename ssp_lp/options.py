@@ -36,6 +36,7 @@ and what docs/solving.md lists; what is done at level INFO, how far it has come 
 ``share`` of it that is done as a field of the record where that is known."""
 
 _SEARCH = logging.getLogger(f"{LOGGER}.search")
+_PATIENCE = 1.0  # seconds before a line that does not last is shown
 _BETWEEN = 0.1  # seconds between two tellings of how far work has come
 _WIDTH, _BAR = 100, 20  # characters of a line, and of a bar in it
 
@@ -200,7 +201,7 @@ def _logged_progress(progress: Progress | None) -> Progress:
 
 
 @contextmanager
-def progress_shown(verbose: bool = True) -> Iterator[None]:
+def progress_shown(verbose: bool = True, *, lasting: bool = True) -> Iterator[None]:
     """Show what the library is doing, on the standard error: each phase as it is done.
 
     In a terminal or a notebook a line at the bottom says besides how far the work has come. Without
@@ -208,20 +209,23 @@ def progress_shown(verbose: bool = True) -> Iterator[None]:
 
     Args:
         verbose: False: show nothing.
+        lasting: False: one line alone that is overwritten, from the second second on, of which
+            nothing is left in the end.
 
     Raises:
-        ModelError: it is neither True nor False.
+        ModelError: one of them is neither True nor False.
 
     Example:
         >>> with progress_shown():
         ...     pass  # SSP.from_successors(...), solve(...), trace_frontier(...)
     """
     check_flag("verbose", verbose)
+    check_flag("lasting", lasting)
     logger = logging.getLogger(LOGGER)
     if not verbose or any(isinstance(known, _ProgressLines) for known in logger.handlers):
         yield
         return
-    shown = _ProgressLines(sys.stderr)
+    shown = _ProgressLines(sys.stderr, lasting)
     level, passed_on = logger.level, logger.propagate
     logger.addHandler(shown)
     logger.setLevel(logging.DEBUG)
@@ -238,16 +242,19 @@ def progress_shown(verbose: bool = True) -> Iterator[None]:
 class _ProgressLines(logging.Handler):
     """Lines of what is done; below them, where it can be overwritten, what is under way."""
 
-    def __init__(self, stream: TextIO) -> None:
+    def __init__(self, stream: TextIO, lasting: bool) -> None:
         """Begin to count the seconds."""
         super().__init__()
-        self._stream, self._began = stream, time.perf_counter()
+        self._stream, self._began, self._lasting = stream, time.perf_counter(), lasting
         self._overwrites = stream.isatty() or "ipykernel" in sys.modules
         self._told, self._under_way = 0.0, False
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write one line, over that of what was under way."""
         now, done = time.perf_counter(), record.levelno > logging.DEBUG
+        if not self._lasting and now - self._began < _PATIENCE:
+            return
+        done = done and self._lasting
         if not done and not (self._overwrites and now - self._told >= _BETWEEN):
             return
         phase = record.name.rpartition(".")[2]

@@ -45,7 +45,8 @@ def _run_command(asked: Namespace) -> int:
     from ssp_lp.errors import InfeasibleError, MissingDependencyError, SolverError, SSPError
 
     try:
-        with warnings.catch_warnings(), progress_shown(asked.verbose):
+        shown = asked.verbose or (sys.stderr.isatty() and not asked.quiet)
+        with warnings.catch_warnings(), progress_shown(shown, lasting=asked.verbose):
             warnings.showwarning = _warn_on_command_line
             for line in import_module(f"{__name__}.commands").COMMANDS[asked.command](asked):
                 print(line)

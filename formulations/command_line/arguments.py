@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from argparse import (
     SUPPRESS,
     Action,
@@ -23,6 +24,10 @@ CRITERIA = {
 }
 """The criteria by their names in a shell, which are those of their pages."""
 
+_SHELLS = ("bash", "zsh", "tcsh")
+_FILES = {"bash": "_shtab_compgen_files", "zsh": "_files", "tcsh": "f"}
+"""What completes the name of a file, as shtab's ``FILE`` has it."""
+
 
 class Parameter(NamedTuple):
     """What a criterion may take, an argument of its class."""
@@ -32,21 +37,40 @@ class Parameter(NamedTuple):
     metavar: str = ""
 
 
-def _number_argument(text: str) -> Fraction:
-    """An argument's number as it is written: 0.1 is a tenth."""
+def number_argument(text: str) -> Fraction:
+    """A number as it is written: 0.1 is a tenth, 5% a twentieth, 1/3 a third.
+
+    Raises:
+        ArgumentTypeError: no number that a float can stand for.
+    """
+    plain, percent, rest = text.partition("%")
     try:
-        if "/" not in text and not 0.0 < abs(float(text)) < float("inf"):
-            return Fraction(float(text))  # written out, 1e-9999999 would fill the memory
-        number = Fraction(text)
+        if "/" not in plain and not 0.0 < abs(float(plain)) < float("inf"):
+            number = Fraction(float(plain))  # written out, 1e-9999999 would fill the memory
+        else:
+            number = Fraction(plain)
         float(number)
+        if rest:
+            raise ValueError
     except (ValueError, ZeroDivisionError, OverflowError):
         raise ArgumentTypeError(f"{text!r} is no number that a float can stand for") from None
-    return number
+    return number / 100 if percent else number
+
+
+def _float_argument(text: str) -> float:
+    """A number, 0.05 or 5%."""
+    return float(number_argument(text))
 
 
 def _number_or_none(text: str) -> float | None:
     """A number, or what None is for Python."""
-    return None if text == "none" else float(_number_argument(text))
+    return None if text == "none" else _float_argument(text)
+
+
+def _criterion_argument(text: str) -> str:
+    """The criterion that is meant: ``min-cost``, ``MinCost`` and ``min_cost`` are one."""
+    letters = re.sub("[-_]", "", text).lower()
+    return next((name for name in CRITERIA if name.replace("-", "") == letters), text)
 
 
 def _steps_argument(text: str) -> int | str | None:
@@ -72,18 +96,20 @@ PARAMETERS = {
         _number_or_none,
         "P",
     ),
-    "reach_fraction": Parameter("share of the greatest goal probability to keep", float, "SHARE"),
-    "penalty": Parameter("what failing costs", float, "COST"),
-    "level": Parameter("of the quantile or the tail, such as 0.95", float, "P"),
-    "cost_bound": Parameter("the total cost to keep to", _number_argument, "COST"),
-    "cost_budget": Parameter("the expected cost to keep to", float, "COST"),
-    "risk_factor": Parameter("of the exponential utility, < 0 to shun risk", float, "X"),
-    "goal_bonus": Parameter("utility of the goal itself", float, "X"),
+    "reach_fraction": Parameter(
+        "share of the greatest goal probability to keep", _float_argument, "SHARE"
+    ),
+    "penalty": Parameter("what failing costs", _float_argument, "COST"),
+    "level": Parameter("of the quantile or the tail, such as 0.95", _float_argument, "P"),
+    "cost_bound": Parameter("the total cost to keep to", number_argument, "COST"),
+    "cost_budget": Parameter("the expected cost to keep to", _float_argument, "COST"),
+    "risk_factor": Parameter("of the exponential utility, < 0 to shun risk", _float_argument, "X"),
+    "goal_bonus": Parameter("utility of the goal itself", _float_argument, "X"),
     "quantity": Parameter("what is to be least, as in --limit", str, "QUANTITY"),
     "discount": Parameter("of the paper's surrogate, in (0, 1), or none", _number_or_none, "GAMMA"),
     "give_up": Parameter("where: anywhere, attention (states), dead_ends", str, "WHERE"),
     "charge_failing_step": Parameter("whether the failing step is paid"),
-    "cost_cap": Parameter("tell costs apart up to here", float, "COST"),
+    "cost_cap": Parameter("tell costs apart up to here", _float_argument, "COST"),
     "cost_levels": Parameter("tell so many costs apart", int, "N"),
 }
 """The arguments of criteria, by name; which of them one takes and needs, its class says."""
@@ -115,7 +141,7 @@ EXAMPLES = {
   ssp-lp solve gym:FrozenLake-v1 --criterion cost-bounded-reach --cost-bound 40""",
     "frontier": """\
   ssp-lp frontier roads.json --goal home --start depot
-  ssp-lp frontier roads.json --goal home --start depot --criterion s3p --csv > frontier.csv
+  ssp-lp frontier roads.json --goal home --start depot --criterion s3p --csv frontier.csv
   ssp-lp frontier roads.json --goal home --start depot --failure-budget 0.05 --plot frontier.png""",
     "info": """\
   ssp-lp info roads.json --goal home --start depot
@@ -150,9 +176,30 @@ class _Version(Action):
         parser.exit()
 
 
+class _Completion(Action):
+    """Print what makes a shell complete the command, for which ``shtab`` is loaded."""
+
+    def __call__(self, parser: ArgumentParser, _: object, shell: Any, *rest: object) -> NoReturn:
+        from ssp_lp.errors import MissingDependencyError, optional_module
+
+        try:
+            print(optional_module("shtab", "completion").complete(parser, shell))
+        except MissingDependencyError as error:
+            parser.error(str(error))
+        parser.exit()
+
+
+class _OneLineParser(ArgumentParser):
+    """A parser whose errors are one line, without the usage, which ``--help`` has."""
+
+    def error(self, message: str) -> NoReturn:
+        """End with what is wrong and where help is."""
+        self.exit(2, f"{self.prog}: {message} ({self.prog} --help)\n")
+
+
 def argument_parser() -> ArgumentParser:
     """The parser of the whole command line; what it parses has the command's name."""
-    whole = ArgumentParser(
+    whole = _OneLineParser(
         prog="ssp-lp",
         formatter_class=RawDescriptionHelpFormatter,
         description="Reach the goal as cheaply as possible, and fail with probability at most P.",
@@ -161,6 +208,10 @@ def argument_parser() -> ArgumentParser:
         + "\n\nexit codes: 0 done, 1 a method failed, 2 wrong arguments or model, 3 infeasible",
     )
     whole.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    whole.add_argument(
+        "--print-completion", action=_Completion, choices=_SHELLS, metavar="SHELL",
+        help=f"print what makes {', '.join(_SHELLS)} complete the command",
+    )  # fmt: skip
     commands = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, (purpose, add) in _COMMANDS.items():
         one = commands.add_parser(
@@ -170,15 +221,16 @@ def argument_parser() -> ArgumentParser:
             description=f"{purpose[0].upper()}{purpose[1:]}.\n\n{_MODEL_HELP}",
             epilog=f"examples:\n{EXAMPLES[name]}",
         )
-        one.add_argument("model", metavar="MODEL", help="see above")
+        _add_file(one, "model", metavar="MODEL", help="see above")
         if name == "convert":
             one.add_argument("target", metavar="TARGET", help="a file, or - for JSON to read on")
-        said = "say on the way how far it has come"
-        one.add_argument("--verbose", action="store_true", help=said)
+        said = one.add_mutually_exclusive_group()
+        said.add_argument("--verbose", action="store_true", help="each phase, in lines that stay")
+        said.add_argument("--quiet", action="store_true", help="say nothing on the way")
         _add_model(one)
         if add is not None:
             add(one)
-        if name in ("solve", "info", "simulate", "compare"):
+        if name in ("solve", "info", "simulate"):
             one.add_argument("--json", action="store_true", help=_JSON)
     _add_check(commands)
     return whole
@@ -192,8 +244,13 @@ def _add_check(commands: Any) -> None:
         description=f"{told[0].upper()}{told[1:]}: what the optimum lies between, as fractions.",
         epilog=f"examples:\n{EXAMPLES['check']}",
     )  # fmt: skip
-    one.add_argument("certificate", metavar="FILE", help="of solve --certificate-out")
-    one.set_defaults(verbose=False)
+    _add_file(one, "certificate", metavar="FILE", help="of solve --certificate-out")
+    one.set_defaults(verbose=False, quiet=True)
+
+
+def _add_file(one: Any, *names: str, **told: Any) -> None:
+    """Add an argument that shells complete by the names of files."""
+    one.add_argument(*names, **told).complete = _FILES
 
 
 def _add_model(one: ArgumentParser) -> None:
@@ -218,7 +275,7 @@ def _add_question(one: ArgumentParser, criteria: list[str]) -> None:
     """Add the arguments that ask a criterion."""
     question = one.add_argument_group("the question")
     question.add_argument(
-        "--criterion", choices=criteria, default="mcmp", metavar="NAME",
+        "--criterion", type=_criterion_argument, choices=criteria, default="mcmp", metavar="NAME",
         help=f"mcmp if left out; or {', '.join(c for c in criteria if c != 'mcmp')}",
     )  # fmt: skip
     for name, parameter in PARAMETERS.items():
@@ -245,15 +302,14 @@ def _add_solve(one: ArgumentParser) -> None:
     search.add_argument("--tolerance", type=float, metavar="GAP", help="relative gap; 1e-9")
     search.add_argument("--time-limit", type=float, metavar="SECONDS", help="then the best so far")
     answer = one.add_argument_group("the answer")
-    answer.add_argument(
-        "--policy-out", metavar="FILE",
+    _add_file(
+        answer, "--policy-out", metavar="FILE",
         help="write the policy: .npz to load again, .storm.json for Storm, .json for a "
         "controller, .dot, .csv",
     )  # fmt: skip
-    answer.add_argument(
-        "--certificate-out", metavar="FILE", help="write a proof of the answer, for ssp-lp check"
-    )
-    answer.add_argument("--plot", metavar="FILE", help="draw the law of the total cost")
+    told = "write a proof of the answer, for ssp-lp check"
+    _add_file(answer, "--certificate-out", metavar="FILE", help=told)
+    _add_file(answer, "--plot", metavar="FILE", help="draw the law of the total cost")
 
 
 def _add_frontier(one: ArgumentParser) -> None:
@@ -262,15 +318,20 @@ def _add_frontier(one: ArgumentParser) -> None:
     one.add_argument("--gap", type=float, metavar="GAP", help="how near; 1e-9")
     one.add_argument("--point-limit", type=int, metavar="N", help="at most so many turning points")
     one.add_argument("--time-limit", type=float, metavar="SECONDS", help="then what is there")
+    _add_forms(one)
+    _add_file(one, "--plot", metavar="FILE", help="draw it, with the budget and its tangent")
+
+
+def _add_forms(one: ArgumentParser) -> None:
+    """Add ``--json`` and ``--csv``, printed or in a file, of which there may be one."""
     form = one.add_mutually_exclusive_group()
     form.add_argument("--json", action="store_true", help=_JSON)
-    form.add_argument("--csv", action="store_true", help="for tables")
-    one.add_argument("--plot", metavar="FILE", help="draw it, with the budget and its tangent")
+    _add_file(form, "--csv", nargs="?", const="-", metavar="FILE", help="for tables; into a file")
 
 
 def _add_simulate(one: ArgumentParser) -> None:
     """Add the arguments of ``simulate``."""
-    one.add_argument("--policy", required=True, metavar="FILE", help="of solve --policy-out")
+    _add_file(one, "--policy", required=True, metavar="FILE", help="of solve --policy-out")
     one.add_argument("--episodes", type=int, default=10_000, metavar="N", help="10,000")
     one.add_argument("--seed", type=int, default=0, metavar="N", help="0")
     one.add_argument("--max-steps", type=int, default=10_000, metavar="N", help="10,000")
@@ -287,12 +348,13 @@ def _add_compare(one: ArgumentParser) -> None:
         said = PARAMETERS[name]
         told: dict[str, Any] = {"type": said.type, "metavar": said.metavar, "help": said.help}
         one.add_argument(option(name), dest=several, nargs="+", default=[], **told)
+    _add_forms(one)
 
 
 def _add_program(one: ArgumentParser) -> None:
     """Add the arguments of ``program``."""
     _add_question(one, [name for name in CRITERIA if name not in {"cost-quantile", "cvar"}])
-    one.add_argument("--out", metavar="FILE", help="write it: .mps or .lp")
+    _add_file(one, "--out", metavar="FILE", help="write it: .mps or .lp")
 
 
 _COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None] | None]] = {

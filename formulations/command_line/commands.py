@@ -6,12 +6,13 @@ import csv
 import json
 import re
 import sys
-from argparse import Namespace
+from argparse import ArgumentTypeError, Namespace
 from ast import literal_eval
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields
 from functools import cache
+from io import StringIO
 from itertools import zip_longest
 from operator import eq, ge, le
 from pathlib import Path
@@ -19,7 +20,13 @@ from typing import TYPE_CHECKING, Any, cast
 
 import formulations
 import ssp_lp
-from formulations.command_line.arguments import CRITERIA, PARAMETERS, SEVERAL, option
+from formulations.command_line.arguments import (
+    CRITERIA,
+    PARAMETERS,
+    SEVERAL,
+    number_argument,
+    option,
+)
 from formulations.comparison import compare_criteria
 from formulations.maxprob import MaxProb
 from formulations.mcmp import MCMP
@@ -232,8 +239,8 @@ def _problem_term(words: str, whole: str, of: _CommandModel) -> ssp_lp.Quantity:
 def _problem_number(word: str, whole: str) -> float:
     """A number in the words of a problem's limit."""
     try:
-        return float(word)
-    except ValueError as error:
+        return float(number_argument(word))
+    except ArgumentTypeError as error:
         raise ModelError(f'"{word}" in "{whole}" is no number') from error
 
 
@@ -241,6 +248,16 @@ def json_answer(answer: Any) -> list[str]:
     """The lines of an answer in JSON; what is no finite number is null."""
     finite = json.loads(json.dumps(answer), parse_constant=lambda _: None)
     return [json.dumps(finite, indent=2, ensure_ascii=False)]
+
+
+def _csv_answer(path: str, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> list[str]:
+    """The lines of a table with commas between its cells, an unknown one empty; or in a file."""
+    text = StringIO()
+    csv.writer(text, lineterminator="\n").writerows([head, *rows])
+    if path == "-":
+        return text.getvalue().splitlines()
+    Path(path).write_text(text.getvalue(), encoding="utf-8")
+    return []
 
 
 def with_options(error: ssp_lp.SSPError) -> str:
@@ -284,10 +301,8 @@ def policy_writer(path: str | None) -> PolicyWriter | None:
 
 def _write_answer_table(solution: Solution, of: _CommandModel, path: str) -> None:
     """Write the policy of an answer as a table."""
-    with Path(path).open("w", encoding="utf-8", newline="") as file:
-        rows = csv.writer(file)
-        rows.writerow(("state", "memory", "action", "probability", "member"))
-        rows.writerows(io.policy_table(solution.policy))
+    head = ("state", "memory", "action", "probability", "member")
+    _csv_answer(path, head, io.policy_table(solution.policy))
 
 
 _WRITERS: dict[str, PolicyWriter] = {
@@ -382,8 +397,7 @@ def _frontier_command(asked: Namespace) -> Iterable[str]:
         points = [dict(zip(_POINT, row, strict=True)) for row in rows]
         return json_answer({"gap": traced.gap, "complete": traced.complete, "points": points})
     if asked.csv:
-        cells = [["" if x is None else repr(x) for x in row] for row in rows]
-        return [",".join(line) for line in (_POINT, *cells)]
+        return _csv_answer(asked.csv, _POINT, rows)
     cells = [["-" if x is None else f"{x:.6g}" for x in row] for row in rows]
     ended = "" if traced.status is Status.OPTIMAL else f"; {traced.status}"
     return [*text_table([_POINT, *cells], left=0), f"gap {traced.gap:.1e}{ended}"]
@@ -464,11 +478,13 @@ def _compare_command(asked: Namespace) -> Iterable[str]:
         if (given := getattr(asked, name))
     }
     compared = compare_criteria(found.model, found.start, horizon=found.horizon, **several)
-    if not asked.json:
-        return [compared.summary()]
     head = ("criterion", *_COLUMNS, "note")
-    rows = ((row.criterion, *row.numbers, row.note) for row in compared.rows)
-    return json_answer([dict(zip(head, row, strict=True)) for row in rows])
+    rows = [(row.criterion, *row.numbers, row.note) for row in compared.rows]
+    if asked.csv:
+        return _csv_answer(asked.csv, head, rows)
+    if asked.json:
+        return json_answer([dict(zip(head, row, strict=True)) for row in rows])
+    return [compared.summary()]
 
 
 def _program_command(asked: Namespace) -> Iterable[str]:
