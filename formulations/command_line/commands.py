@@ -35,6 +35,7 @@ from ssp_lp.analysis.simulation import Estimate
 from ssp_lp.errors import Argument, SolverError, check_whole, optional_module
 from ssp_lp.formulation import Problem, attention_labels, dead_end_labels
 from ssp_lp.io.model_files.json_model import model_in_json, parse_json
+from ssp_lp.io.model_files.raw_model import FIRST_COST
 from ssp_lp.methods.program import program_of
 from ssp_lp.model.naming import text_table
 from ssp_lp.options import Status
@@ -109,10 +110,13 @@ def command_model(asked: Namespace) -> _CommandModel:
     """
     if asked.model.startswith(ENVIRONMENT):
         return _model_of_environment(asked)
+    cost = asked.cost
+    if cost is None and asked.command in ("info", "convert"):  # which minimise none
+        cost = FIRST_COST
     if asked.model == "-":
-        stated = parse_json(_model_from_standard_input(), "standard input", asked.goal, asked.cost)
+        stated = parse_json(_model_from_standard_input(), "standard input", asked.goal, cost)
     else:
-        stated = io.read_any(asked.model, asked.goal, asked.cost, asked.constants)
+        stated = io.read_any(asked.model, asked.goal, cost, asked.constants)
     model, start = stated
     if asked.start is not None:
         start = state_named(model, asked.start)
@@ -230,6 +234,8 @@ def _problem_term(words: str, whole: str, of: _CommandModel) -> ssp_lp.Quantity:
         measured = _OF_STATES[word](states if known else state_named(of.model, states))
     elif word in _PLAIN:
         measured = _PLAIN[word]()
+    elif word in of.model.named_costs:
+        measured = ssp_lp.secondary_cost(word)
     else:
         measured = ssp_lp.secondary_cost(of.model_with_cost(word).costs)
     factor = found["factor"]
@@ -377,6 +383,7 @@ def _decisions(policy: Policy) -> dict[str, Any]:
     return {"actions": {str(s): "give up" if a is ssp_lp.GIVE_UP else str(a) for s, a in actions}}
 
 
+_LISTED = 8  # actions that ``info`` names
 _POINT = ("failure", "goal", "cost", "objective", "price")
 
 
@@ -406,7 +413,8 @@ def _frontier_command(asked: Namespace) -> Iterable[str]:
 def _info_command(asked: Namespace) -> Iterable[str]:
     """The command ``info``."""
     model, start = command_model(asked).written_out
-    facts: dict[str, float] = {
+    names = list(map(str, model.action_names))
+    facts: dict[str, Any] = {
         "states": model.n_states,
         "pairs": model.n_pairs,
         "outcomes": model.n_outcomes,
@@ -414,11 +422,16 @@ def _info_command(asked: Namespace) -> Iterable[str]:
         "dead-ends": len(dead_end_labels(model)),
         "attention states": len(attention_labels(model)),
     }
+    facts |= {
+        "actions": names[:_LISTED] + ["..."] * (len(names) > _LISTED),
+        "costs": list(model.costs_by_name),
+        "labels": {name: len(members) for name, members in model.state_labels.items()},
+    }
     if start is not None:
         facts["least failure"] = ssp_lp.solve(MaxProb(model, start)).failure_probability
     if asked.json:
         return json_answer(facts)
-    return [f"{name:<17} {value:,}" for name, value in facts.items()]
+    return [f"{name:<17} {_in_words(value)}" for name, value in facts.items() if value != {}]
 
 
 def _simulate_command(asked: Namespace) -> Iterable[str]:
@@ -451,6 +464,10 @@ def _simulate_command(asked: Namespace) -> Iterable[str]:
 
 def _in_words(value: Any) -> str:
     """What a command found, in words."""
+    if isinstance(value, list):
+        return ", ".join(value)
+    if isinstance(value, int):
+        return f"{value:,}"
     if isinstance(value, Mapping):
         return ", ".join(f"{name} {count:,}" for name, count in value.items() if count)
     return f"{value}" if isinstance(value, (Estimate, str)) else f"{value:,.6g}"

@@ -9,7 +9,7 @@ from ssp_lp.errors import Argument, ModelError
 from ssp_lp.io.archives import load_model, save_model
 from ssp_lp.io.model_files.explicit_files import read_drn, read_prism, write_drn, write_prism
 from ssp_lp.io.model_files.json_model import StatedModel, model_in_json, read_json
-from ssp_lp.io.model_files.raw_model import ModelFile, write_text
+from ssp_lp.io.model_files.raw_model import FIRST_COST, ModelFile, write_text
 from ssp_lp.io.storm_models import Constants, read_with_storm, write_umb
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
@@ -48,7 +48,8 @@ def read_any(
         path: the file.
         goal: name or names of the goal states, or a label of them where the format has labels, or a
             condition on the variables of a program.
-        cost: the name of the cost, where the format has several; None: the only one.
+        cost: the name of the cost that counts, where the format has several; None: the only one;
+            "*": the first. The others are the model's ``named_costs``.
         constants: of a program, "N=5,p=0.1" or by name.
 
     Raises:
@@ -63,13 +64,11 @@ def read_any(
     if ending in _JSON:
         return read_json(file, goals, cost)
     if ending == _ARCHIVE:
-        for name, given, told in (
-            ("goal", goals, "says itself which states are goals"),
-            ("cost", cost is not None, "has one cost, without a name"),
-        ):
-            if given:
-                raise ModelError(f"{file.name} {told}: leave ", Argument(name), " out")
-        return StatedModel(load_model(file))
+        if goals:
+            told = f"{file.name} says itself which states are goals: leave "
+            raise ModelError(told, Argument("goal"), " out")
+        model = load_model(file)
+        return StatedModel(model if cost in (None, FIRST_COST) else model.with_cost(cost))
     if len(goals) != 1:
         told = f"{file}: name the one label whose states are goals ("
         raise ModelError(told, Argument("goal"), ")")

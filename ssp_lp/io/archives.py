@@ -158,6 +158,7 @@ def save_model(model: SSP, path: FilePath) -> None:
         "actions": stated(model.action_names),
         "state_labels": list(model.state_labels),
         "exact_costs": [[cost, str(exact)] for cost, exact in model.exact_costs.items()],
+        "named_costs": list(model.named_costs),
     }
     found = {name: getattr(model, name) for name in _ARRAYS if hasattr(model, name)} | {
         "costs": model.costs[:1] if uniform else model.costs,
@@ -166,7 +167,8 @@ def save_model(model: SSP, path: FilePath) -> None:
         "label_members": np.concatenate([np.zeros(0, dtype=np.int64), *members]),
     }
     arrays = {name: found[name].astype(f"<{kind}") for name, kind in _ARRAYS.items()}
-    _write_archive(path, "model", header, arrays)
+    named = {f"costs {k}": costs for k, costs in enumerate(model.named_costs.values())}
+    _write_archive(path, "model", header, arrays | named)
 
 
 @explained
@@ -217,6 +219,7 @@ def _model_in_archive(texts: Mapping[str, Any], arrays: Mapping[str, Array]) -> 
         actions=actions,
         state_labels=dict(zip(texts["state_labels"], marked, strict=True)),
         exact_costs=_exact_costs_in_archive(texts["exact_costs"]),
+        named_costs={name: arrays[f"costs {k}"] for k, name in enumerate(texts["named_costs"])},
         treat_actionless_as_dead_ends=True,
     )
     return replace(model, probabilities=read_only(arrays["probabilities"]))  # not rounded again
@@ -570,6 +573,8 @@ def _fingerprint_words(model: SSP) -> Iterator[tuple[str, object]]:
     yield "states", _fingerprint_labels(model.states)
     yield "actions", _fingerprint_labels(model.action_names)
     yield "state_labels", {name: found.tolist() for name, found in model.state_labels.items()}
+    if model.named_costs:
+        yield "named_costs", {name: costs.tolist() for name, costs in model.named_costs.items()}
     yield "exact_costs", [[float(k).hex(), str(v)] for k, v in sorted(model.exact_costs.items())]
     if isinstance(model, ProductSSP):
         yield "original", fingerprint(model.original)

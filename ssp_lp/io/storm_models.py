@@ -14,6 +14,7 @@ from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import Argument, ModelError, optional_module
 from ssp_lp.io.model_files.raw_model import (
     DEADLOCK,
+    FIRST_COST,
     INITIAL,
     FilePath,
     ModelFile,
@@ -144,7 +145,7 @@ def _explored_program(
     formula = asked(f"{file}, goal {goal!r}{listed}", quoted)
     # a condition that stands alone would have Storm explore no further than where it holds
     wanted = [formula, asked(str(file), "true")]
-    if cost is not None:
+    if cost not in (None, FIRST_COST):
         reward = f'R{{"{cost}"}}min=? [C]' if cost else "Rmin=? [C]"
         wanted.append(asked(f"{file}, cost {cost!r}", reward))
     options = _ask_storm(file, stormpy.BuilderOptions, wanted, program)
@@ -153,7 +154,7 @@ def _explored_program(
     options.set_build_state_valuations()
     options.set_scale_and_lift_transition_rewards(False)
     options.set_add_out_of_bounds_state()  # its own check would refuse 0.8 + 0.1 + 0.1
-    if cost is None:
+    if cost in (None, FIRST_COST):
         options.set_build_all_reward_models()
     sparse = _ask_storm(file, stormpy.build_model, program, options=options)
     answer = _model_of_storm(sparse, goal, formula, cost, str(file))
@@ -231,9 +232,9 @@ def _model_of_storm(
                 f"{source}: the goal must say of each state whether it is one, not {goal!r}"
             )
         labels[goal] = _members_of(told.get_truth_values_vector())
-    rewards = dict(model.reward_models)
-    place = chosen_reward(source, sorted(rewards), cost)
-    paid = None if place is None else sorted(rewards)[place]
+    rewards = dict(sorted(model.reward_models.items()))
+    place = chosen_reward(source, list(rewards), cost)
+    paid = None if place is None else list(rewards)[place]
     offsets, successors, probabilities = _ask_storm(source, _matrix_of_storm, model)
     pair_offsets = np.arange(model.nr_states + 1)
     if not model.transition_matrix.has_trivial_row_grouping:
@@ -245,6 +246,11 @@ def _model_of_storm(
         successors=successors,
         probabilities=probabilities,
         costs=_costs_of_storm(rewards.get(paid), state, offsets, successors),
+        named_costs={
+            name: _costs_of_storm(reward, state, offsets, successors)
+            for name, reward in rewards.items()
+            if name
+        },
         actions=_ask_storm(source, _action_names_of_storm, model, state, pair_offsets),
         labels=labels,
         states=_ask_storm(source, _state_names_of_storm, model),
@@ -376,7 +382,7 @@ def to_stormpy(model: SSP, *, start: Hashable) -> Any:
 
     States, labels and costs are those of :func:`ssp_lp.io.write_drn`: state k is the k-th of
     ``model.states``, the labels are the model's, and "goal", "deadlock" for dead-ends, and "init";
-    the reward model "cost" belongs to actions, and a dearer outcome of one leads through a state
+    each reward model belongs to actions, and a dearer outcome of one leads through a state
     labelled "paying" that pays the rest. Choices bear the names of the actions.
 
     Args:
@@ -392,7 +398,7 @@ def to_stormpy(model: SSP, *, start: Hashable) -> Any:
     """
     stormpy, process = _storm(), exported(model, start)
     models, offsets, ends = stormpy.models, process.pair_offsets, process.outcome_offsets
-    n_states, n_pairs = offsets.size - 1, process.costs.size
+    n_states, n_pairs = offsets.size - 1, len(process.costs)
     builder = stormpy.datastructures.SparseMatrixBuilder[float](
         rows=n_pairs,
         columns=n_states,
@@ -419,10 +425,12 @@ def to_stormpy(model: SSP, *, start: Hashable) -> Any:
         choices.add_label(name)
     for choice, name in enumerate(process.actions):
         choices.add_label_to_choice(name, choice)
-    costs = process.costs.tolist()
-    reward = models.SparseRewardModel[float](optional_state_action_reward_vector=costs)
+    rewards = {
+        name: models.SparseRewardModel[float](optional_state_action_reward_vector=costs)
+        for name, costs in zip(process.cost_names, process.costs.T.tolist(), strict=True)
+    }
     parts = models.SparseModelComponents[float](
-        transition_matrix=builder.build(), state_labeling=labels, reward_models={"cost": reward}
+        transition_matrix=builder.build(), state_labeling=labels, reward_models=rewards
     )
     parts.choice_labeling = choices
     return models.SparseMdp[float](parts)

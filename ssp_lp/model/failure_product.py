@@ -290,6 +290,7 @@ def label_failing(
             for name, members in model.state_labels.items()
         },
         exact_costs=model.exact_costs,
+        named_costs={n: read_only(costs[outcome]) for n, costs in model.named_costs.items()},
         original=model,
         memory=Memory(BEFORE, _LabelMoves(model, dead_ends(model) & is_open).after),
         is_hidden=True,

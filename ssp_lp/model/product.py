@@ -222,17 +222,20 @@ def product(
         if is_at_goal(label) or memory.fails(label[1]):
             return {}
         state, kept = label
-        here, found = model.index_of(state), {}
+        here = model.index_of(state)
+        found: dict[Hashable, Any] = {}
         for pair in range(int(model.pair_offsets[here]), int(model.pair_offsets[here + 1])):
             action = model.action_of(pair)
             some = slice(int(model.outcome_offsets[pair]), int(model.outcome_offsets[pair + 1]))
             arrays = model.probabilities[some], model.successors[some], model.costs[some]
-            rows = zip(*(array.tolist() for array in arrays), strict=True)
-            ends = [(p, model.states[to], cost) for p, to, cost in rows if p > 0.0]
-            found[action] = [
-                (p, (to, memory.update(kept, state, action, to, cost)), cost)
-                for p, to, cost in ends
-            ]
+            named = {name: costs[some].tolist() for name, costs in model.named_costs.items()}
+            found[action] = []
+            for k, (p, to, cost) in enumerate(zip(*(a.tolist() for a in arrays), strict=True)):
+                if p > 0.0:
+                    label = model.states[to]
+                    after = label, memory.update(kept, state, action, label, cost)
+                    by_name = {_OWN: cost, **{name: paid[k] for name, paid in named.items()}}
+                    found[action].append((p, after, by_name if named else cost))
         return found
 
     # the labels of the original, and why an episode failed; a label may say both
@@ -248,13 +251,18 @@ def product(
         [(state, memory.start) for state in begin],
         successors,
         is_goal,
+        cost=_OWN if model.named_costs else None,
         state_limit=state_limit,
         state_labels=labels,
         treat_actionless_as_dead_ends=True,
     )
     fields = {name: getattr(plain, name) for name in SSP.__dataclass_fields__}
-    fields["exact_costs"] = model.exact_costs
+    named = {name: costs for name, costs in plain.named_costs.items() if name != _OWN}
+    fields |= {"exact_costs": model.exact_costs, "named_costs": named}
     return ProductSSP(**fields, original=model, memory=memory)
+
+
+_OWN = "the model's own"  # the name of the cost that counts while a product is built
 
 
 def _is_labelled(
@@ -451,6 +459,7 @@ def unroll_steps(model: SSP, steps: int, begin: Sequence[int] | None) -> Horizon
         goal_mask=read_only(model.goal_mask[state]),
         state_labels={name: read_only(np.flatnonzero(mask)) for name, mask in marked.items()},
         exact_costs=model.exact_costs,
+        named_costs={n: read_only(costs[outcomes]) for n, costs in model.named_costs.items()},
         original=model,
         memory=Memory(start=0, update=_StepCount(model, steps).after, fails=_is_late),
         steps=steps,

@@ -9,7 +9,7 @@ import logging
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
@@ -28,7 +28,7 @@ from ssp_lp.arrays import (
     pieces_of_chunks,
     read_only,
 )
-from ssp_lp.errors import ModelError, check_whole, did_you_mean, in_short
+from ssp_lp.errors import Argument, ModelError, check_whole, did_you_mean, in_short
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import Graph
 from ssp_lp.model.naming import html_table
@@ -36,7 +36,10 @@ from ssp_lp.model.naming import html_table
 if TYPE_CHECKING:
     from ssp_lp.model.failure_product import FailureSSP
 
-Outcomes = Iterable[tuple[float, Hashable, float]]
+Costs = float | Mapping[str, float]
+"""What an outcome costs: a number, or numbers by name, of which the model counts one."""
+
+Outcomes = Iterable[tuple[float, Hashable, Costs]]
 
 ENDS = ("goal", "dead_end", "gave_up", "wandering", "unfinished")
 """Names that reports give to the ways in which an episode ends."""
@@ -44,9 +47,9 @@ ENDS = ("goal", "dead_end", "gave_up", "wandering", "unfinished")
 _LISTED = 5  # actions that an error names
 _PROGRESS_EVERY = 10_000
 _EXPLORING = logging.getLogger("ssp_lp.exploring")
-_NEGATIVE_COST = (
-    "has a negative cost: costs must be >= 0 (rewards? pass costs=-rewards; a constant added to "
-    "every step would ask another question)"
+_NO_REWARDS = (
+    "costs must be >= 0 (rewards? pass costs=-rewards; a constant added to every step would ask "
+    "another question)"
 )
 
 
@@ -68,14 +71,18 @@ class SSP(Graph, ReadOnlyCopies):
     goal_mask: BoolArray  # [states]
     state_labels: Mapping[str, IntArray]  # label -> state indices; for reports only
     exact_costs: Mapping[float, Fraction]  # costs that were given as fractions
+    named_costs: Mapping[str, FloatArray] = field(kw_only=True, default_factory=dict)
+    """Costs by name, [outcomes] each, ``costs`` among them if it has a name: what
+    ``secondary_cost("fuel")`` counts."""
 
     @classmethod
     @explained
     def from_transitions(
         cls,
-        transitions: Mapping[Hashable, Mapping[Hashable, Iterable[tuple[float, Hashable, float]]]],
+        transitions: Mapping[Hashable, Mapping[Hashable, Outcomes]],
         goal: Iterable[Hashable],
         *,
+        cost: str | None = None,
         state_labels: Mapping[str, Iterable[Hashable]] | None = None,
         treat_actionless_as_dead_ends: bool = False,
         normalise: bool = False,
@@ -85,8 +92,11 @@ class SSP(Graph, ReadOnlyCopies):
         Args:
             transitions: every state that is not a goal must be a key, unless states without
                 actions are accepted. Actions listed at a goal state are left out: the episode ends
-                there.
+                there. A cost may be several by name, ``{"time": 4.0, "fuel": 1.5}``, the same
+                names everywhere.
             goal: the labels of the goal states.
+            cost: which of several costs is the model's own; the others are limited by
+                ``secondary_cost("fuel")``.
             state_labels: names for sets of states ("wall"), used in reports.
             treat_actionless_as_dead_ends: accept states without actions that are not goals.
             normalise: divide out sums of probabilities that miss 1 by up to 1e-5.
@@ -111,7 +121,7 @@ class SSP(Graph, ReadOnlyCopies):
             )
         goals = dict.fromkeys(no_lone_string(goal, "goal"))
         listed = [*transitions, *(g for g in goals if g not in transitions)]
-        flat = _FlatModel(listed, closed=not treat_actionless_as_dead_ends)
+        flat = _FlatModel(listed, cost, closed=not treat_actionless_as_dead_ends)
         for state in flat.states:  # it grows where states without actions are not listed
             reached = state in goals
             flat.add(state, {} if reached else transitions.get(state, {}), goal=reached)
@@ -134,6 +144,7 @@ class SSP(Graph, ReadOnlyCopies):
         successors: Callable[[Any], Mapping[Hashable, Outcomes]],
         goal: Callable[[Any], bool] | Iterable[Hashable],
         *,
+        cost: str | None = None,
         state_limit: int = 1_000_000,
         progress: Callable[[int], None] | None = None,
         state_labels: Mapping[str, Callable[[Any], bool]] | None = None,
@@ -144,8 +155,10 @@ class SSP(Graph, ReadOnlyCopies):
 
         Args:
             start: a state, or a list or set of states, to explore from.
-            successors: maps a state to ``{action: [(probability, successor, cost), ...]}``.
+            successors: maps a state to ``{action: [(probability, successor, cost), ...]}``, where
+                the cost may be several by name, as in :meth:`from_transitions`.
             goal: a predicate on states, or the goal states.
+            cost: which of several costs is the model's own.
             state_limit: raise when more states than this are found.
             progress: called now and then with the number of states found so far.
             state_labels: label -> predicate on states.
@@ -158,7 +171,8 @@ class SSP(Graph, ReadOnlyCopies):
         check_whole("state_limit", state_limit)
         is_goal = goal if callable(goal) else set(no_lone_string(goal, "goal")).__contains__
         several = isinstance(start, (list, set, frozenset))
-        flat = _FlatModel(list(dict.fromkeys(cast(Iterable[Any], start))) if several else [start])
+        begin = list(dict.fromkeys(cast(Iterable[Any], start))) if several else [start]
+        flat = _FlatModel(begin, cost)
         for done, state in enumerate(flat.states, start=1):  # it grows while it is walked
             reached = is_goal(state)
             flat.add(state, {} if reached else successors(state), goal=reached)
@@ -186,6 +200,72 @@ class SSP(Graph, ReadOnlyCopies):
 
     @classmethod
     @explained
+    def from_frame(
+        cls,
+        table: Any,
+        goal: Iterable[Hashable],
+        *,
+        state: str | Sequence[str] = "state",
+        action: str = "action",
+        successor: str | Sequence[str] = "successor",
+        probability: str = "probability",
+        cost: str | Sequence[str] = "cost",
+        state_labels: Mapping[str, Iterable[Hashable]] | None = None,
+        normalise: bool = False,
+    ) -> SSP:
+        """Build a model from a table of outcomes, a row for each, in any order.
+
+        A state that has no rows and is no goal is a dead-end.
+
+        Args:
+            table: a ``DataFrame`` of pandas or polars, or anything else that has columns by name,
+                such as a dict of lists.
+            goal: the goal states.
+            state: the column of the state in which the action is taken, or several, of which a
+                tuple is made.
+            action: the column of the action.
+            successor: the column of the next state, or as many as ``state`` has.
+            probability: the column of the probability.
+            cost: the column of the cost, or of several, the first of which is the model's own; each
+                of several can be limited, ``secondary_cost("fuel") <= 3``.
+            state_labels: names for sets of states, used in reports.
+            normalise: divide out sums of probabilities that miss 1 by up to 1e-5.
+
+        Raises:
+            ModelError: a column that is not there or is of another length, an empty cell, or naming
+                the state and the action at fault.
+
+        Example:
+            >>> table = {"state": ["a", "a"], "action": ["go", "go"], "successor": ["home", "pit"],
+            ...          "probability": [0.9, 0.1], "time": [4, 2], "fuel": [1.5, 0.5]}
+            >>> model = SSP.from_frame(table, goal={"home"}, cost=["time", "fuel"])
+            >>> model.n_outcomes, list(model.named_costs)
+            (2, ['time', 'fuel'])
+        """
+        costs = [cost] if isinstance(cost, str) else list(cost)
+        before, after, acts, chances, *paid = (
+            _column(table, names) for names in (state, successor, action, probability, *costs)
+        )
+        if len({len(before), len(after), len(acts), len(chances), *map(len, paid)}) > 1:
+            raise ModelError("the columns of the table have different lengths")
+        transitions: dict[Hashable, dict[Hashable, list[tuple[float, Hashable, Costs]]]] = {}
+        for here, name, there, chance, *some in zip(
+            before, acts, after, chances, *paid, strict=True
+        ):
+            outcome = some[0] if isinstance(cost, str) else dict(zip(costs, some, strict=True))
+            rows = transitions.setdefault(here, {}).setdefault(name, [])
+            rows.append((chance, there, outcome))
+        return cls.from_transitions(
+            transitions,
+            goal,
+            cost=None if isinstance(cost, str) else costs[0],
+            state_labels=state_labels,
+            treat_actionless_as_dead_ends=True,
+            normalise=normalise,
+        )
+
+    @classmethod
+    @explained
     def from_arrays(
         cls,
         *,
@@ -199,6 +279,7 @@ class SSP(Graph, ReadOnlyCopies):
         actions: Sequence[Hashable] | None = None,
         state_labels: Mapping[str, Iterable[Hashable]] | None = None,
         exact_costs: Mapping[float, Fraction] | None = None,
+        named_costs: Mapping[str, npt.ArrayLike] | None = None,
         treat_actionless_as_dead_ends: bool = False,
         normalise: bool = False,
     ) -> SSP:
@@ -217,6 +298,7 @@ class SSP(Graph, ReadOnlyCopies):
             state_labels: names for sets of states, given by their labels.
             exact_costs: the fraction meant by a float cost such as 1/3; others mean their
                 shortest decimal. It decides the lattice of accumulated costs.
+            named_costs: costs by name, each as ``costs`` is given, for ``secondary_cost("fuel")``.
             treat_actionless_as_dead_ends: accept states without pairs that are not goals.
             normalise: divide out sums of probabilities that miss 1 by up to 1e-5, such as those
                 of single precision; else 1e-9 is the limit.
@@ -253,11 +335,48 @@ class SSP(Graph, ReadOnlyCopies):
             exact_costs=dict(exact_costs or {}),
         )
         _check_outcomes(draft)
+        named = {name: _costs_of_outcomes(c, outcomes) for name, c in (named_costs or {}).items()}
+        for name, costs_of_name in named.items():
+            _check_costs(draft, costs_of_name, name)
         chance = _with_unit_sums(draft, normalise)
         _check_idle_states(draft, treat_actionless_as_dead_ends)
         labels = _indexed_labels(draft, state_labels or {})
         target = read_only(target, np.int32)
-        return replace(draft, successors=target, probabilities=chance, state_labels=labels)
+        return replace(
+            draft,
+            successors=target,
+            probabilities=chance,
+            state_labels=labels,
+            named_costs=named,
+        )
+
+    def with_cost(self, name: str) -> SSP:
+        """The same model with another of its named costs as the one that counts.
+
+        Raises:
+            ModelError: it has no cost of this name.
+        """
+        return replace(self, costs=self.cost_named(name))
+
+    @property
+    def costs_by_name(self) -> Mapping[str, FloatArray]:
+        """All costs, [outcomes] each, the model's own first: "cost" where it has no name."""
+        named = self.named_costs
+        same = (n for n, c in named.items() if c is self.costs or np.array_equal(c, self.costs))
+        own = next(same, "cost" if "cost" not in named else "own cost")
+        return {own: self.costs, **{n: costs for n, costs in named.items() if n != own}}
+
+    def cost_named(self, name: str) -> FloatArray:
+        """A cost by its name, [outcomes].
+
+        Raises:
+            ModelError: the model has no cost of this name.
+        """
+        if name not in self.named_costs:
+            known = ", ".join(map(repr, self.named_costs)) or "none by name"
+            nearest = did_you_mean(name, self.named_costs)
+            raise ModelError(f"the model has no cost {name!r}{nearest}; its costs: {known}")
+        return self.named_costs[name]
 
     @cached_property
     def _index(self) -> Mapping[Hashable, int]:
@@ -370,14 +489,19 @@ def check_model(model: object, verb: str) -> None:
 class _FlatModel:
     """States in the order in which they were found, and the flat lists of those expanded. Grows."""
 
-    def __init__(self, states: list[Any], *, closed: bool = False) -> None:
-        """Begin with some distinct states; closed: there are no others."""
-        self.states, self._closed = states, closed
+    def __init__(self, states: list[Any], cost: str | None, *, closed: bool = False) -> None:
+        """Begin with some distinct states; closed: there are no others.
+
+        Args:
+            states: that are listed.
+            cost: the name of the cost that counts, of several; None: the only one.
+        """
+        self.states, self._closed, self._cost = states, closed, cost
         self._index = {state: i for i, state in enumerate(states)}
         lists = ("actions", "goal_states", "successors", "probabilities", "costs")
         self.arrays: dict[str, Any] = {name: [] for name in lists}  # as ``from_arrays`` takes them
         self.arrays |= {"states": states, "pair_offsets": [0], "outcome_offsets": [0]}
-        self.arrays |= {"exact_costs": {}}
+        self.arrays |= {"exact_costs": {}, "named_costs": {}}
 
     def add(self, state: Hashable, actions: Any, *, goal: bool) -> None:
         """Append the next state's actions and note what is new among their successors.
@@ -422,15 +546,63 @@ class _FlatModel:
                     probability = _number(probability, "probability", state, action)
                 probabilities.append(probability)
                 if type(cost) is not float:
-                    exact, cost = cost, _number(cost, "cost", state, action)
-                    if isinstance(exact, Fraction):
-                        flat["exact_costs"][cost] = exact
+                    named = isinstance(cost, Mapping)
+                    cost = (self._paid_by_name if named else self._paid)(cost, state, action)
                 costs.append(cost)
             flat["actions"].append(action)
             flat["outcome_offsets"].append(len(successors))
+        if any(len(paid) < len(costs) for paid in flat["named_costs"].values()):
+            raise ModelError(f"state {state!r} has costs without names; elsewhere they have some")
+        if self._cost is not None and costs and not flat["named_costs"]:
+            raise ModelError(f"the costs have no names: none is called {self._cost!r}")
         if goal:
             flat["goal_states"].append(len(flat["pair_offsets"]) - 1)
         flat["pair_offsets"].append(len(flat["actions"]))
+
+    def _paid(self, cost: Any, state: Hashable, action: Hashable) -> float:
+        """A cost as a float; a fraction is remembered."""
+        paid = _number(cost, "cost", state, action)
+        if isinstance(cost, Fraction):
+            self.arrays["exact_costs"][paid] = cost
+        return paid
+
+    def _paid_by_name(self, costs: Mapping[Any, Any], state: Hashable, action: Hashable) -> float:
+        """The cost that counts of an outcome, all of whose costs are remembered by name."""
+        named: dict[str, list[float]] = self.arrays["named_costs"]
+        where = f"action {action!r} of state {state!r}"
+        if not self.arrays["costs"]:
+            named |= {name: [] for name in costs}
+        if not costs or named.keys() != costs.keys():
+            told = "the costs " + ", ".join(map(repr, costs)) if costs else "no costs"
+            others = ", ".join(map(repr, named)) or "none by name"
+            raise ModelError(f"{where} has {told}, others have {others}: name all everywhere")
+        if (self._cost is None and len(named) > 1) or self._cost not in (None, *named):
+            known = ", ".join(map(repr, named))
+            said = "" if self._cost is None else f", not {self._cost!r}"
+            raise ModelError("say which cost counts (", Argument("cost"), f"): {known}{said}")
+        for name, cost in costs.items():
+            named[name].append(self._paid(cost, state, action))
+        return named[self._cost or next(iter(named))][-1]
+
+
+def _column(table: Any, names: str | Sequence[str]) -> list[Any]:
+    """A column of a table as Python's own values; of several columns tuples.
+
+    Raises:
+        ModelError: there is no such column, or a cell is empty.
+    """
+    if not isinstance(names, str):
+        return list(zip(*(_column(table, name) for name in names), strict=True))
+    known = [*getattr(table, "columns", table)]
+    if names not in known:
+        nearest = did_you_mean(names, known) or f"; it has {', '.join(map(repr, known))}"
+        raise ModelError(f"the table has no column {names!r}{nearest}")
+    column = table[names]
+    cells = column.tolist() if hasattr(column, "tolist") else list(column)
+    for row, cell in enumerate(cells):
+        if cell is None or (cell == cell) is not True:  # not a number, or pandas's NA
+            raise ModelError(f"row {row} of the table has nothing in the column {names!r}")
+    return cells
 
 
 def no_lone_string(states: Iterable[Hashable], name: str) -> Iterable[Hashable]:
@@ -466,18 +638,41 @@ def _check_outcomes(model: SSP) -> None:
     Raises:
         ModelError: naming the first outcome at fault.
     """
-    chances, costs = model.probabilities, model.costs
+    chances, n_states = model.probabilities, model.n_states
+    _check_rules(
+        model,
+        [
+            (
+                model.successors,
+                lambda s: (s < 0) | (s >= n_states),
+                "has a successor that is no state",
+            ),
+            (chances, np.isnan, "has a probability that is NaN"),
+            (chances, lambda p: p < 0, "has a negative probability"),
+            (chances, np.isinf, "has an infinite probability"),
+        ],
+    )
+    _check_costs(model, model.costs)
+
+
+def _check_costs(model: SSP, costs: FloatArray, name: str = "") -> None:
+    """Raise :class:`ModelError`, naming the first outcome at fault, unless costs can be paid."""
     paid = costs[:1] if costs.strides == (0,) else costs  # one number for all
-    n_states = model.n_states
-    rules: list[tuple[npt.NDArray[Any], Callable[[npt.NDArray[Any]], BoolArray], str]] = [
-        (model.successors, lambda s: (s < 0) | (s >= n_states), "has a successor that is no state"),
-        (chances, np.isnan, "has a probability that is NaN"),
-        (chances, lambda p: p < 0, "has a negative probability"),
-        (chances, np.isinf, "has an infinite probability"),
-        (paid, np.isnan, "has a cost that is NaN"),
-        (paid, lambda c: c < 0, _NEGATIVE_COST),
-        (paid, np.isinf, "has an infinite cost"),
-    ]
+    said = f" {name!r}" if name else ""
+    _check_rules(
+        model,
+        [
+            (paid, np.isnan, f"has a cost{said} that is NaN"),
+            (paid, lambda c: c < 0, f"has a negative cost{said}: {_NO_REWARDS}"),
+            (paid, np.isinf, f"has an infinite cost{said}"),
+        ],
+    )
+
+
+def _check_rules(
+    model: SSP, rules: Iterable[tuple[npt.NDArray[Any], Callable[[Any], BoolArray], str]]
+) -> None:
+    """Raise :class:`ModelError` for the first outcome whose value breaks the first broken rule."""
     for values, is_broken, complaint in rules:
         for some in chunks(values.size):
             broken = is_broken(values[some])

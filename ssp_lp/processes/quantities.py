@@ -33,14 +33,15 @@ NestedCosts = Mapping[Hashable, Mapping[Hashable, float]]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StageCosts:
-    """A cost of steps: None: the model's own; else by pair, by outcome, or nested dicts."""
+    """A cost of steps: None: the model's own; else a name, by pair, by outcome, or nested dicts."""
 
-    cost: NestedCosts | npt.ArrayLike | None = None
+    cost: NestedCosts | npt.ArrayLike | str | None = None
     through_failure: bool = False
 
     def __repr__(self) -> str:
         """What was called, without the costs."""
-        return "expected_cost()" if self.cost is None else "secondary_cost(...)"
+        told = repr(self.cost) if isinstance(self.cost, str) else "..."
+        return "expected_cost()" if self.cost is None else f"secondary_cost({told})"
 
 
 @dataclass(frozen=True, repr=False)
@@ -181,12 +182,14 @@ def expected_cost() -> Quantity:
     return Quantity(((1.0, StageCosts()),))
 
 
-def secondary_cost(cost: NestedCosts | npt.ArrayLike, *, through_failure: bool = False) -> Quantity:
+def secondary_cost(
+    cost: NestedCosts | npt.ArrayLike | str, *, through_failure: bool = False
+) -> Quantity:
     """The expected total of another cost, counted as the model's own is: until failing.
 
     Args:
-        cost: ``{state: {action: cost}}``, pairs that are not listed costing nothing; or an array,
-            [pairs], or [outcomes]; finite and >= 0.
+        cost: the name of a cost of the model's, "fuel"; ``{state: {action: cost}}``, pairs that are
+            not listed costing nothing; or an array, [pairs], or [outcomes]; finite and >= 0.
         through_failure: count it to the true end of the run (mathematics, section 2): each step
             that is taken after failing, and no charge in its place.
     """
@@ -320,18 +323,24 @@ def constraints_of(limits: Mapping[str, CostLimit]) -> dict[str, Constraint]:
     return {name: secondary_cost(limit.cost) <= limit.bound for name, limit in limits.items()}
 
 
-def outcome_costs(model: SSP, name: str, cost: NestedCosts | npt.ArrayLike) -> FloatArray:
+def outcome_costs(model: SSP, name: str, cost: NestedCosts | npt.ArrayLike | str) -> FloatArray:
     """A cost by outcome, [outcomes].
 
     Args:
         model: the model.
         name: of the limit, for errors.
-        cost: ``{state: {action: cost}}``, or an array, [pairs] or [outcomes].
+        cost: the name of one of the model's; ``{state: {action: cost}}``, or an array, [pairs] or
+            [outcomes].
 
     Raises:
-        ModelError: a cost that is not a finite number >= 0, an array of the wrong length, an
-            unknown state or action.
+        ModelError: no cost of this name, one that is not a finite number >= 0, an array of the
+            wrong length, an unknown state or action.
     """
+    if isinstance(cost, str):
+        try:
+            return model.cost_named(cost)
+        except ModelError as error:
+            raise ModelError(f"limit {name!r}: {error}") from error
     if isinstance(cost, Mapping):
         given = np.repeat(_listed_costs(model, name, cost), np.diff(model.outcome_offsets))
     else:

@@ -44,7 +44,7 @@ def test_a_published_model_goes_through_storm(name: str, tmp_path: Path) -> None
     own = SSP.from_transitions(case.floats(), case.goal, treat_actionless_as_dead_ends=True)
     stated = read_any(FOLDER / "models" / f"{name}.json.gz", [], "unit")
     write_any(stated.model, tmp_path / "m.umb", stated.start)
-    found = read_any(tmp_path / "m.umb", ["goal"])
+    found = read_any(tmp_path / "m.umb", ["goal"], "unit")
     budget = 1.0 - 0.8 * solve(MaxProb(own, case.start)).objective
     # a loop that Storm's formats call a deadlock is kept: no such label was written
     assert optima(found.model, found.start, budget) == pytest.approx(

@@ -118,6 +118,7 @@ def _drn_body(
     state_rewards, pair_rewards, probabilities = array("d"), array("d"), array("d")
     names: list[str] = []
     labels: dict[str, list[int]] = {}
+    width = max(len(rewards), 1)
     is_rewarded = column is not None
     for line in filter(None, lines):
         if line[0].isdigit():
@@ -132,17 +133,17 @@ def _drn_body(
         if match is None:
             raise file.fault("neither a state nor an action nor a transition")
         kind, name, listed, rest = match.groups()
-        paid = _listed_reward(listed, len(rewards), column, file)
-        is_rewarded |= paid is not None
+        paid = _listed_rewards(listed, len(rewards), file)
+        is_rewarded |= bool(paid)
         if kind == "state":
             if name != str(len(pair_counts)):
                 raise file.fault(f"state {len(pair_counts)} should come here")
             for label in _labels_of_line(rest, file):
                 labels.setdefault(label, []).append(len(pair_counts))
-            state_rewards.append(paid or 0.0)
+            state_rewards.extend(paid or [0.0] * width)
             pair_counts.append(0)
         elif pair_counts:
-            pair_rewards.append(paid or 0.0)
+            pair_rewards.extend(paid or [0.0] * width)
             names.append(name if name != _NO_NAME else str(pair_counts[-1]))
             pair_counts[-1] += 1
             outcome_counts.append(0)
@@ -154,15 +155,18 @@ def _drn_body(
         raise file.fault(f"the header says {stated}, the file has {there}")
     counts, sizes = np.array(pair_counts), np.array(outcome_counts)
     state = np.repeat(np.arange(n_states), counts)
-    paid_by_pair = np.ones(len(names))
-    if is_rewarded:
-        paid_by_pair = decimal_sum(np.array(pair_rewards), np.array(state_rewards)[state])
+    own, of_states = (np.array(each).reshape(-1, width) for each in (pair_rewards, state_rewards))
+    costs = [decimal_sum(own[:, k], of_states[state, k]) for k in range(width)]
+    paid_by_pair = [
+        np.repeat(each, sizes) for each in (costs if is_rewarded else [np.ones(own.size)])
+    ]
     return RawModel(
         pair_offsets=offsets_of(counts),
         outcome_offsets=offsets_of(sizes),
         successors=np.array(successors),
         probabilities=np.array(probabilities),
-        costs=np.repeat(paid_by_pair, sizes),
+        costs=paid_by_pair[column or 0],
+        named_costs=dict(zip(filter(None, rewards), paid_by_pair, strict=False)),
         actions=distinct_actions(names, state),
         labels={name: np.array(at, dtype=np.int64) for name, at in labels.items()},
     )
@@ -179,16 +183,12 @@ def _drn_transition(line: str, file: TextFile, n_states: int) -> tuple[int, floa
     return successor, file.float(words[2])
 
 
-def _listed_reward(
-    listed: str | None, n_rewards: int, column: int | None, file: TextFile
-) -> float | None:
-    """The reward that is the cost, of those in brackets; None: there are none."""
+def _listed_rewards(listed: str | None, n_rewards: int, file: TextFile) -> list[float]:
+    """The rewards in brackets, one for each reward model; none: nothing stands there."""
     words = listed.split(",") if listed and listed.strip() else []
-    if not words:
-        return None
-    if len(words) != (n_rewards or 1):
+    if words and len(words) != (n_rewards or 1):
         raise file.fault(f"{len(words)} rewards for {n_rewards} reward models")
-    return file.float(words[column or 0].strip())
+    return [file.float(word.strip()) for word in words]
 
 
 def _labels_of_line(text: str, file: TextFile) -> dict[str, None]:
@@ -205,7 +205,8 @@ def _labels_of_line(text: str, file: TextFile) -> dict[str, None]:
 def write_drn(model: SSP, path: FilePath, *, start: Hashable) -> None:
     """Write a model as a DRN file for Storm; gzip if the name ends in .gz.
 
-    State k of the file is the k-th of ``model.states``. The cost is the action reward "cost".
+    State k of the file is the k-th of ``model.states``. Each cost is an action reward, the model's
+    own first, called "cost" where it has no name.
     Where outcomes of an action differ in cost, the action pays the least, and a dearer outcome
     leads through a state labelled "paying" that pays the rest: each run keeps its total, and our
     readers take the state out again. (For other tools, what is counted up to a failure can lack
@@ -230,13 +231,15 @@ def _drn_text(process: Exported) -> Iterator[str]:
         shown = name if re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII) else f'"{name}"'
         for state in np.asarray(members).tolist():
             marks[state] = f"{marks.get(state, '')} {shown}"
-    n_states, n_pairs = process.pair_offsets.size - 1, process.costs.size
-    yield "@type: MDP\n@value_type: double\n@parameters\n\n@reward_models\ncost\n"
+    n_states, n_pairs = process.pair_offsets.size - 1, len(process.costs)
+    names = " ".join(process.cost_names)
+    yield f"@type: MDP\n@value_type: double\n@parameters\n\n@reward_models\n{names}\n"
     yield f"@nr_states\n{n_states}\n@nr_choices\n{n_pairs}\n@model\n"
-    for state, number, pair, cost, moves in process.pairs():
+    for state, number, pair, moves in process.pairs():
         if number == 0:
             yield f"state {state}{marks.get(state, '')}\n"
-        yield f"\taction {process.actions[pair]} [{cost!r}]\n"
+        paid = ", ".join(map(repr, process.costs[pair].tolist()))
+        yield f"\taction {process.actions[pair]} [{paid}]\n"
         for successor, chance in moves:
             yield f"\t\t{successor} : {chance!r}\n"
 
@@ -293,13 +296,16 @@ def read_prism(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFi
     if any(table.names):
         first = zip(order[firsts].tolist(), choice[firsts].tolist(), strict=True)
         names = distinct_actions([table.names[k] or str(number) for k, number in first], owner)
-    structure, states = _chosen_rewards(base, cost), _existing(base, ".sta")
+    rewards, states = _reward_files(base), _existing(base, ".sta")
+    place = chosen_reward(base, list(rewards.values()), cost)
+    costs = [_costs(*files, n_states, keys) for files in rewards] or [np.ones(len(keys))]
     raw = RawModel(
         pair_offsets=offsets_of(np.bincount(owner, minlength=n_states)),
         outcome_offsets=np.append(firsts, order.size),
         successors=keys[:, -1],
         probabilities=table.values[order],
-        costs=np.ones(len(keys)) if structure is None else _costs(*structure, n_states, keys),
+        costs=costs[place or 0],
+        named_costs={n: c for n, c in zip(rewards.values(), costs, strict=False) if n},
         actions=names,
         labels={"init": np.zeros(1, dtype=np.int64)} | _read_labels(labels, n_states),
         states=None if states is None else _read_states(states, n_states),
@@ -411,16 +417,8 @@ def _read_states(path: Path, n_states: int) -> Sequence[Hashable] | None:
     return None if all(s == (k,) for k, s in enumerate(states)) else states
 
 
-def _chosen_rewards(base: Path, cost: str | None) -> tuple[Path | None, Path | None] | None:
-    """The rewards of states and of transitions that are the cost; None: no files of rewards.
-
-    Args:
-        base: the path of the files without an ending.
-        cost: the name of the reward structure; None: the only one.
-
-    Raises:
-        ModelError: there is none of this name, or several to choose from.
-    """
+def _reward_files(base: Path) -> dict[tuple[Path | None, Path | None], str | None]:
+    """The files of each reward structure, of states and of transitions, and its name."""
     known: dict[tuple[Path | None, Path | None], str | None] = {}
     for number in chain(("",), map(str, count(1))):
         files = _existing(base, f"{number}.srew"), _existing(base, f"{number}.trew")
@@ -429,8 +427,7 @@ def _chosen_rewards(base: Path, cost: str | None) -> tuple[Path | None, Path | N
             known[files] = match[1] if match else None
         elif number not in ("", "1"):
             break
-    place = chosen_reward(base, [*known.values()], cost)
-    return None if place is None else list(known)[place]
+    return known
 
 
 def _costs(
@@ -473,9 +470,10 @@ def _read_rewards(path: Path, widths: dict[int, int], n_states: int) -> _Table:
 def write_prism(model: SSP, path: FilePath, *, start: Hashable) -> None:
     """Write a model as PRISM's explicit files: .tra, .lab, .sta, .srew and .trew.
 
-    States, costs and labels are those of :func:`ssp_lp.io.write_drn`; the reward structure is
-    "cost". Where each state is a tuple of as many whole numbers or truth values, and each action
-    has one cost, ``path.sta`` names the states so; else it numbers them.
+    States, costs and labels are those of :func:`ssp_lp.io.write_drn`; each cost is a reward
+    structure, of which several are ``path1.trew`` and so on. Where each state is a tuple of as many
+    whole numbers or truth values, and each action has one cost, ``path.sta`` names the states so;
+    else it numbers them.
 
     Args:
         model: the model.
@@ -486,33 +484,36 @@ def write_prism(model: SSP, path: FilePath, *, start: Hashable) -> None:
         ModelError: the start is no state, or a label cannot be written.
     """
     base, process = _without_ending(path), exported(model, start)
-    n_states, n_pairs = process.pair_offsets.size - 1, process.costs.size
-    sizes = np.diff(process.outcome_offsets)
-    n_paid = int(sizes[process.costs != 0.0].sum())
+    n_states, n_pairs = process.pair_offsets.size - 1, len(process.costs)
     texts: dict[str, Iterable[str]] = {
         ".tra": chain(
             [f"{n_states} {n_pairs} {process.successors.size}\n"],
             (
                 f"{state} {number} {successor} {chance!r} {process.actions[pair]}\n"
-                for state, number, pair, _, moves in process.pairs()
+                for state, number, pair, moves in process.pairs()
                 for successor, chance in moves
             ),
         ),
         ".lab": _label_lines(process),
-        ".trew": chain(
-            [f'# Reward structure "cost"\n# Transition rewards\n{n_states} {n_pairs} {n_paid}\n'],
-            (
-                f"{state} {number} {successor} {cost!r}\n"
-                for state, number, _, cost, moves in process.pairs()
-                for successor, _ in moves
-                if cost
-            ),
-        ),
-        ".srew": [f'# Reward structure "cost"\n# State rewards\n{n_states} 0\n'],
         ".sta": _state_lines(n_states, model),
     }
+    for k, name in enumerate(process.cost_names):
+        number = "" if len(process.cost_names) == 1 else str(k + 1)
+        texts[f"{number}.trew"] = _reward_lines(process, k)
+        texts[f"{number}.srew"] = [f'# Reward structure "{name}"\n# State rewards\n{n_states} 0\n']
     for ending, text in texts.items():
         write_text(base.with_name(base.name + ending), text)
+
+
+def _reward_lines(process: Exported, k: int) -> Iterator[str]:
+    """The file of the rewards of transitions that are the k-th cost."""
+    costs = process.costs[:, k]
+    n_paid = int(np.diff(process.outcome_offsets)[costs != 0.0].sum())
+    yield f'# Reward structure "{process.cost_names[k]}"\n# Transition rewards\n'
+    yield f"{process.pair_offsets.size - 1} {costs.size} {n_paid}\n"
+    for state, number, pair, moves in process.pairs():
+        if paid := float(costs[pair]):
+            yield from (f"{state} {number} {successor} {paid!r}\n" for successor, _ in moves)
 
 
 def _label_lines(process: Exported) -> Iterator[str]:

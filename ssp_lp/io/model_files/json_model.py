@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ssp_lp.errors import Argument, ModelError, did_you_mean
-from ssp_lp.io.model_files.raw_model import opened_text
+from ssp_lp.io.model_files.raw_model import FIRST_COST, opened_text
 from ssp_lp.model import SSP
 
 EXPLICIT = "explicit-mdp-v1"
@@ -56,7 +56,7 @@ def parse_json(text: str, source: str, goal: Sequence[str], cost: str | None = N
     if not isinstance(table, dict):
         raise ModelError(f"{source} must hold {_TABLE}")
     if isinstance(table.get("format"), str):
-        return _stated_model(_explicit_json(table, source, goal, cost), source, (), None)
+        return _stated_model(_explicit_json(table, source, goal, cost), source, (), cost)
     if not isinstance(table.get("goal"), list):
         table = {"goal": [], "transitions": table}
     return _stated_model(table, source, goal, cost)
@@ -73,12 +73,14 @@ def _explicit_json(
         goals = {g for one in goal for g in labels.get(one, [one])} or set(table["goal"] or ())
         names = {name for listed in choices for one in listed for name in one["rewards"]}
         none_given = dict.fromkeys(sorted(names), 0) or {UNIT: 1}
+        if cost != UNIT:
+            _counted_cost(source, none_given, cost)
         transitions: dict[str, dict[str, Any]] = {}
         for state, listed in enumerate(choices):
             known = Counter(one["name"] for one in listed)
             transitions[str(state)] = actions = {}
             for at, one in enumerate(listed):
-                paid = chosen_cost(source, {**none_given, **one["rewards"]}, cost)
+                paid = {**none_given, **one["rewards"]}
                 name = str(one["name"]) if known[one["name"]] == 1 else f"{at}:{one['name']}"
                 actions[name] = [[chance, successor, paid] for successor, chance in one["to"]]
         return {
@@ -138,17 +140,24 @@ def _stated_model(
         told = f"{source} does not say which states are goals: name them by "
         raise ModelError(told, Argument("goal"))
     transitions: dict[Hashable, Any] = {}
+    counted = set[str]()
     for state, actions in (listed or {}).items():
         if not isinstance(actions, dict):
             told = f"state {state!r} needs {{action: [[probability, successor, cost], ...]}}"
             raise ModelError(told)
         transitions[state] = {
             name: [
-                _json_outcome(f"action {name!r} of state {state!r}", outcome, cost)
+                _json_outcome(f"action {name!r} of state {state!r}", outcome, cost, counted)
                 for outcome in (outcomes if isinstance(outcomes, list) else [outcomes])
             ]
             for name, outcomes in actions.items()
         }
+    # what one outcome names costs nothing elsewhere
+    named = [paid for acts in transitions.values() for some in acts.values() for *_, paid in some]
+    unpaid = {name: 0.0 for paid in named if isinstance(paid, dict) for name in paid}
+    for paid in named:
+        if isinstance(paid, dict):
+            paid |= {**unpaid, **paid}
     met = {to for actions in transitions.values() for some in actions.values() for _, to, _ in some}
     goals = [name for one in goal for name in labels.get(one, [one])]
     for name in goals:
@@ -156,37 +165,44 @@ def _stated_model(
             names = [*transitions, *(to for to in met if to not in transitions)]
             raise ModelError(f"the goal {name!r} does not occur{did_you_mean(name, names)}")
     model = SSP.from_transitions(
-        transitions, goals, state_labels=labels, treat_actionless_as_dead_ends=True
+        transitions,
+        goals,
+        cost=next(iter(counted), None),
+        state_labels=labels,
+        treat_actionless_as_dead_ends=True,
     )
     return StatedModel(model, start if start is None or isinstance(start, dict) else str(start))
 
 
-def _json_outcome(where: str, outcome: Any, cost: str | None) -> tuple[Any, Hashable, Any]:
-    """An outcome, checked for its form."""
+def _json_outcome(
+    where: str, outcome: Any, cost: str | None, counted: set[str]
+) -> tuple[Any, Hashable, Any]:
+    """An outcome, checked for its form; ``counted`` gets the name of the cost that counts."""
     fits = isinstance(outcome, list) and len(outcome) == 3
     if not fits or not isinstance(outcome[1], (str, int)):
         raise ModelError(
             f"{where}: an outcome must be [probability, successor, cost], not {json.dumps(outcome)}"
         )
-    paid = outcome[2]
-    if not isinstance(paid, dict):
-        paid = {None: paid}
-    return _json_number(outcome[0]), str(outcome[1]), _json_number(chosen_cost(where, paid, cost))
-
-
-def chosen_cost(where: str, costs: Mapping[Any, Any], cost: str | None) -> Any:
-    """The cost of a name in a JSON model, or the only one."""
+    chance, successor, paid = outcome
+    named = paid if isinstance(paid, dict) else {}
     if cost == UNIT:
-        return 1.0
-    if cost in costs:
-        return costs[cost]
-    if cost is None and len(costs) == 1:
-        return next(iter(costs.values()))
-    known = ", ".join(repr(name) for name in costs if name is not None)
-    if not known:
+        named = {UNIT: 1.0, **named}
+    if named or isinstance(paid, dict):
+        counted.add(_counted_cost(where, named, cost))
+        paid = {name: _json_number(value) for name, value in named.items()}
+    elif cost not in (None, FIRST_COST):
         raise ModelError(f"{where}: the cost has no name, there is none called {cost!r}")
+    return _json_number(chance), str(successor), _json_number(paid)
+
+
+def _counted_cost(where: str, costs: Mapping[str, Any], cost: str | None) -> str:
+    """The name of the cost that counts, of several: the one that is asked for, or the only one."""
+    if cost is not None and cost in costs:
+        return cost
+    if costs and (cost == FIRST_COST or (cost is None and len(costs) == 1)):
+        return next(iter(costs))
     said = "" if cost is None else f", not {cost!r}{did_you_mean(cost, costs)}"
-    known = f"{known}, or {UNIT!r}, which is 1 for each step"
+    known = f"{', '.join(map(repr, costs))}, or {UNIT!r}, which is 1 for each step"
     raise ModelError(f"{where}: choose one of the costs (", Argument("cost"), f"): {known}{said}")
 
 
@@ -223,17 +239,23 @@ def model_in_json(
     elif start is not None:
         stated["start"] = names[model.index_of(start)]
     yield json.dumps(stated, ensure_ascii=False)[:-1] + ', "transitions": {'
-    numbers = model.probabilities, model.successors, model.costs
+    by_name = model.costs_by_name
+
+    def paid(outcome: int) -> Any:
+        """What an outcome costs: a number, or several by name, fractions in words."""
+        costs = [float(each[outcome]) for each in by_name.values()]
+        told = [str(model.exact_costs.get(cost, "")) or cost for cost in costs]
+        return dict(zip(by_name, told, strict=True)) if model.named_costs else told[0]
+
     for state, name in enumerate(names):
         rows: dict[str, list[list[Any]]] = {}
         for pair in range(int(model.pair_offsets[state]), int(model.pair_offsets[state + 1])):
-            part = slice(model.outcome_offsets[pair], model.outcome_offsets[pair + 1])
             action = str(model.action_names[int(model.pair_action[pair])])
             if action in rows:
                 raise ModelError(f"two actions of state {name!r} read {action!r} as words")
             rows[action] = [
-                [chance, names[to], str(model.exact_costs.get(cost, "")) or cost]
-                for chance, to, cost in zip(*(some[part].tolist() for some in numbers), strict=True)
+                [float(model.probabilities[k]), names[int(model.successors[k])], paid(k)]
+                for k in range(model.outcome_offsets[pair], model.outcome_offsets[pair + 1])
             ]
         line = json.dumps({name: rows}, ensure_ascii=False)[1:-1]
         yield ("\n" if state == 0 else ",\n") + line

@@ -16,6 +16,7 @@ from fractions import Fraction
 from itertools import pairwise
 from os import PathLike
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple, TextIO
 
 import numpy as np
@@ -105,14 +106,25 @@ def write_text(path: FilePath, pieces: Iterable[str]) -> None:
             plain.writelines(pieces)
 
 
+FIRST_COST = "*"
+"""The name of whichever cost comes first, where a model is looked at and nothing is minimised."""
+
+
 def chosen_reward(source: object, names: Sequence[str | None], cost: str | None) -> int | None:
     """Position of the reward model that is the cost; None: there is none at all.
+
+    Args:
+        source: for errors.
+        names: of the reward models.
+        cost: the name; None: the only one; ``FIRST_COST``.
 
     Raises:
         ModelError: there is none of this name, or several to choose from.
     """
-    if not names and not cost:
+    if not names and cost in (None, "", FIRST_COST):
         return None
+    if cost == FIRST_COST:
+        return 0
     places = [k for k, name in enumerate(names) if cost in (None, name)]
     if len(places) == 1:
         return places[0]
@@ -142,6 +154,7 @@ class RawModel(NamedTuple):
     labels: Mapping[str, IntArray]  # label -> states
     states: Sequence[Hashable] | None = None
     exact_costs: Mapping[float, Fraction] | None = None
+    named_costs: Mapping[str, FloatArray] = MappingProxyType({})  # name -> [outcomes]
 
 
 def without_paying_states(raw: RawModel, goals: IntArray) -> RawModel:
@@ -171,10 +184,16 @@ def without_paying_states(raw: RawModel, goals: IntArray) -> RawModel:
     # each paying state's one outcome, at other states anything
     firsts = np.minimum(raw.outcome_offsets[raw.pair_offsets[:-1]], raw.successors.size - 1)
     through = paying[raw.successors]
-    rest = np.where(through, raw.costs[firsts[raw.successors]], 0.0)
+
+    def whole(costs: FloatArray) -> FloatArray:
+        """A cost of outcomes with what the state behind it pays, [outcomes]."""
+        rest = np.where(through, costs[firsts[raw.successors]], 0.0)
+        return decimal_sum(costs, rest, raw.exact_costs)
+
     moved = raw._replace(
         successors=np.where(through, raw.successors[firsts[raw.successors]], raw.successors),
-        costs=decimal_sum(raw.costs, rest, raw.exact_costs),
+        costs=whole(raw.costs),
+        named_costs={name: whole(costs) for name, costs in raw.named_costs.items()},
     )
     left, number = _with_pairs(moved, np.repeat(~paying, counts)), np.cumsum(~paying) - 1
     labels = {name: number[at[~paying[at]]] for name, at in raw.labels.items()}
@@ -199,6 +218,7 @@ def _with_pairs(raw: RawModel, kept: BoolArray) -> RawModel:
         successors=raw.successors[outcomes],
         probabilities=raw.probabilities[outcomes],
         costs=raw.costs[outcomes],
+        named_costs={name: costs[outcomes] for name, costs in raw.named_costs.items()},
         actions=raw.actions and [raw.actions[k] for k in np.flatnonzero(kept).tolist()],
     )
 
@@ -306,32 +326,33 @@ _BAD_LABEL = re.compile(r'["\\\x00-\x1f]|//')
 
 
 class Exported(NamedTuple):
-    """A Markov decision process with a cost for each action.
+    """A Markov decision process with costs for each action.
 
     Its states are those of the model, then states that pay: an outcome that costs more than the
     cheapest of its action leads to its successor through one that pays what is missing. Goal
     states and dead-ends stay where they are.
     """
 
+    cost_names: Sequence[str]  # the model's own first
     pair_offsets: IntArray  # [states + 1]
     outcome_offsets: IntArray  # [pairs + 1]
     successors: IntArray  # [outcomes], rising within each pair
     probabilities: FloatArray  # [outcomes]
-    costs: FloatArray  # [pairs]
+    costs: FloatArray  # [pairs, costs]
     actions: Sequence[str]  # [pairs] words, distinct within each state
     labels: Mapping[str, IntArray]  # label -> states
     choice_of_pair: IntArray  # [pairs of the model]
     target_of_outcome: IntArray  # [outcomes of the model] the next state; -1: it never occurs
 
-    def pairs(self) -> Iterator[tuple[int, int, int, float, list[tuple[int, float]]]]:
-        """State, number in it, pair, cost, and the successors with their probabilities."""
+    def pairs(self) -> Iterator[tuple[int, int, int, list[tuple[int, float]]]]:
+        """State, number in it, pair, and the successors with their probabilities."""
         ends, pair = self.outcome_offsets.tolist(), 0
         for state, (begin, end) in enumerate(pairwise(self.pair_offsets.tolist())):
             for pair in range(begin, end):
                 some = slice(ends[pair], ends[pair + 1])
                 chances = self.probabilities[some].tolist()
                 moves = list(zip(self.successors[some].tolist(), chances, strict=True))
-                yield state, pair - begin, pair, float(self.costs[pair]), moves
+                yield state, pair - begin, pair, moves
 
 
 def exported(model: SSP, start: Hashable) -> Exported:
@@ -346,12 +367,13 @@ def exported(model: SSP, start: Hashable) -> Exported:
     """
     occurs = model.probabilities > 0.0
     pair = np.repeat(np.arange(model.n_pairs), np.diff(model.outcome_offsets))[occurs]
-    successors, least, following, rests = _split_costs(model, pair, occurs)
+    by_name = model.costs_by_name
+    successors, least, following, rests = _split_costs(model, by_name.values(), pair, occurs)
     idle = np.flatnonzero(np.diff(model.pair_offsets) == 0)
     # new numbers of the model's pairs, of the loops of states that had none, of those that pay
     own = np.arange(model.n_pairs) + np.searchsorted(idle, model.pair_state)
     loops = model.pair_offsets[idle] + np.arange(idle.size)
-    paying = np.arange(rests.size) + model.n_pairs + idle.size
+    paying = np.arange(len(rests)) + model.n_pairs + idle.size
     n_pairs = own.size + loops.size + paying.size
     pairs = np.concatenate([own[pair], loops, paying])
     targets = np.concatenate([successors, idle, following])
@@ -359,7 +381,7 @@ def exported(model: SSP, start: Hashable) -> Exported:
     order = np.lexsort((targets, pairs))
     pairs, targets = pairs[order], targets[order]
     new = (np.diff(pairs, prepend=-1) != 0) | (np.diff(targets, prepend=-1) != 0)
-    costs, code = np.zeros(n_pairs), np.empty(n_pairs, dtype=np.int64)
+    costs, code = np.zeros((n_pairs, len(by_name))), np.empty(n_pairs, dtype=np.int64)
     costs[own], costs[paying] = least, rests
     names = [*_exported_words(model.action_names), *_OWN_ACTIONS]
     code[own], code[loops], code[paying] = model.pair_action, len(names) - 2, len(names) - 1
@@ -367,41 +389,49 @@ def exported(model: SSP, start: Hashable) -> Exported:
     next_state = np.full(model.n_outcomes, -1, dtype=np.int64)
     next_state[occurs] = successors
     return Exported(
+        cost_names=_exported_words(list(by_name)),
         pair_offsets=offsets_of(counts),
         outcome_offsets=offsets_of(np.bincount(pairs[new], minlength=n_pairs)),
         successors=targets[new],
         probabilities=np.add.reduceat(chances[order], np.flatnonzero(new)),
         costs=costs,
         actions=[names[k] for k in code.tolist()],
-        labels=_exported_labels(model, start, idle, paying.size),
+        labels=_exported_labels(model, start, idle, len(paying)),
         choice_of_pair=own,
         target_of_outcome=next_state,
     )
 
 
 def _split_costs(
-    model: SSP, pair: IntArray, occurs: BoolArray
+    model: SSP, costs: Iterable[FloatArray], pair: IntArray, occurs: BoolArray
 ) -> tuple[IntArray, FloatArray, IntArray, FloatArray]:
     """Split the costs of outcomes: the least of the pair at once, the rest on the way.
 
     Args:
         model: the model.
+        costs: each of them, [outcomes of the model].
         pair: of each outcome that occurs, [outcomes].
         occurs: [outcomes of the model].
 
     Returns:
-        The next state of each outcome, [outcomes]; the cost of each pair, [pairs]; and of each
-        state that pays the one that follows and what it pays, [paying].
+        The next state of each outcome, [outcomes]; the costs of each pair, [pairs, costs]; and of
+        each state that pays the one that follows and what it pays, [paying, costs].
     """
-    successors, costs = model.successors[occurs].astype(np.int64), model.costs[occurs]
+    successors = model.successors[occurs].astype(np.int64)
+    paid = np.stack([each[occurs] for each in costs], axis=1)
     firsts = np.searchsorted(pair, np.arange(model.n_pairs))
-    least = np.minimum.reduceat(costs, firsts) if costs.size else np.zeros(0)
-    late = np.flatnonzero(costs > least[pair])
+    least = np.minimum.reduceat(paid, firsts) if paid.size else np.zeros((0, paid.shape[1]))
+    late = np.flatnonzero((paid > least[pair]).any(axis=1))
     meant = dict(model.exact_costs) | {-cost: -exact for cost, exact in model.exact_costs.items()}
-    rest = decimal_sum(costs[late], -least[pair[late]], meant)
-    following, rests, kind = _distinct_pairs(successors[late].astype(np.float64), rest)
-    successors[late] = model.n_states + kind
-    return successors, least, following.astype(np.int64), rests
+    both = zip(paid[late].T, -least[pair[late]].T, strict=True)
+    rest = np.stack([decimal_sum(whole, part, meant) for whole, part in both], axis=1)
+    following = successors[late]
+    place: IntArray = following
+    for column in rest.T:  # outcomes alike in successor and rests share a state that pays
+        *_, place = _distinct_pairs(place.astype(np.float64), column)
+    _, alone = np.unique(place, return_index=True)
+    successors[late] = model.n_states + place
+    return successors, least, following[alone], rest[alone]
 
 
 def _exported_words(names: Sequence[Hashable]) -> list[str]:

@@ -58,6 +58,9 @@ def test_info_counts(roads: Path, capsys: pytest.CaptureFixture[str]) -> None:
         "goals": 1,
         "dead-ends": 1,
         "attention states": 2,
+        "actions": ["alley", "road", "wait", "sail"],
+        "costs": ["cost"],
+        "labels": {},
         "least failure": pytest.approx(0.01),
     }
     code, out, _ = run(capsys, *asked)
