@@ -128,13 +128,22 @@ def _solved_by_highs(
     return solver
 
 
+class _SilentHighs(highspy.Highs):
+    """HiGHS whose output is off before it names itself, once in a process, on standard output."""
+
+    def enableCallbacks(self) -> None:  # noqa: N802 (the first that its constructor calls)
+        """Turn the output off first."""
+        self.setOptionValue("output_flag", False)
+        super().enableCallbacks()  # type: ignore[no-untyped-call]
+
+
 def highs_solver(lp: highspy.HighsLp, options: HighsOptions) -> highspy.Highs:
     """HiGHS with a program and options, silent and on one core.
 
     Raises:
         SolverError: it refuses an option or the program.
     """
-    solver = highspy.Highs()  # type: ignore[no-untyped-call]
+    solver = _SilentHighs()  # type: ignore[no-untyped-call]
     for name, value in {"output_flag": False, "threads": 1, **options}.items():
         if solver.setOptionValue(name, value) != highspy.HighsStatus.kOk:
             raise SolverError(f"HiGHS refuses the option {name}={value!r}")

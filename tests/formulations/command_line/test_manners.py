@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -76,6 +77,15 @@ def test_errors_are_one_line(
     assert complaint in told
     assert told.count("\n") == 1
     assert "--help" in told
+
+
+@pytest.mark.parametrize("method", ["lp", "deterministic"])
+def test_solvers_print_nothing_beside_the_answer(asked: list[str], method: str) -> None:
+    """HiGHS would name itself on standard output, which only another process sees."""
+    words = ["solve", *asked, "--method", method, "--failure-budget", "0.05", "--json"]
+    command = [sys.executable, "-m", "formulations.command_line", *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
+    assert json.loads(done.stdout)["objective"] >= 6.6
 
 
 def test_tables_go_into_files(
