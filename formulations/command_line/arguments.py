@@ -138,6 +138,7 @@ EXAMPLES = {
   ssp-lp solve roads.json --goal home --start depot --criterion cvar --level 0.9 --json
   ssp-lp solve roads.json --goal home --start depot --failure-budget 0.05 --policy-out policy.npz
   ssp-lp solve roads.json --goal home --start depot --criterion s3p --limit "cost <= 9"
+  ssp-lp solve roads.json --start depot --property 'multi(Rmin=? [C], P>=0.95 [F "home"])'
   ssp-lp solve gym:FrozenLake-v1 --criterion cost-bounded-reach --cost-bound 40""",
     "frontier": """\
   ssp-lp frontier roads.json --goal home --start depot
@@ -277,6 +278,10 @@ def _add_question(one: ArgumentParser, criteria: list[str]) -> None:
     question.add_argument(
         "--criterion", type=_criterion_argument, choices=criteria, default="mcmp", metavar="NAME",
         help=f"mcmp if left out; or {', '.join(c for c in criteria if c != 'mcmp')}",
+    )  # fmt: skip
+    question.add_argument(
+        "--property", metavar="WORDS",
+        help='the same in PRISM\'s words: multi(R{"time"}min=? [F "ok"], P>=0.95 [F "ok"])',
     )  # fmt: skip
     for name, parameter in PARAMETERS.items():
         told: dict[str, Any] = {"help": parameter.help, "default": SUPPRESS}

@@ -16,7 +16,7 @@ from io import StringIO
 from itertools import zip_longest
 from operator import eq, ge, le
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import formulations
 import ssp_lp
@@ -250,6 +250,114 @@ def _problem_number(word: str, whole: str) -> float:
         raise ModelError(f'"{word}" in "{whole}" is no number') from error
 
 
+_OPERATOR = re.compile(
+    r'\s*(?P<measure>[PR])\s*(?:\{\s*"(?P<cost>[^"]*)"\s*\})?\s*'
+    r"(?P<relation>max\s*=\s*\?|min\s*=\s*\?|>=|<=)\s*(?P<bound>[^\s\[]*)\s*"
+    r'\[\s*(?:(?P<total>C)|F\s*(?:<=\s*(?P<steps>\d+)\s*)?(?:"(?P<label>[^"]+)"|\(?(?P<condition>[^\]]+?)\)?))'
+    r"\s*\]\s*"
+)
+_TAKEN = 'such as multi(R{"time"}min=? [F "ok"], P>=0.95 [F "ok"], P<=0.01 [F "crash"])'
+
+
+class _Operator(NamedTuple):
+    """One operator: ``P>=0.95 [F "ok"]``."""
+
+    words: str
+    measure: str  # P or R
+    cost: str | None
+    relation: str  # max=?, min=?, >= or <=
+    bound: str
+    target: str | None  # what is reached; None: [C], the total
+    steps: str | None  # within which it is reached
+
+
+def with_property(asked: Namespace) -> Namespace:
+    """What a command asks, with what ``--property`` says in PRISM's words in its place.
+
+    The objective says what is to be least or most, P>= how often the goal is to be reached, other
+    operators are limits: P<= how an episode may end, R<= another cost. Costs count until the goal
+    is reached or lost, as everywhere here, also with [C].
+
+    Raises:
+        ModelError: another property, or one that contradicts the other arguments.
+    """
+    if getattr(asked, "property", None) is None:
+        return asked
+    operators = _operators_in(asked.property)
+    objectives = [one for one in operators if one.relation.endswith("?")]
+    if len(objectives) != 1:
+        raise ModelError(f"{asked.property}: one operator must ask =?, not {len(objectives)}")
+    objective, reaching = (
+        objectives[0],
+        [o for o in operators if (o.measure, o.relation) == ("P", ">=")],
+    )
+    goals = {one.target for one in (objective, *reaching) if one.target is not None}
+    if len(goals) != 1:
+        raise ModelError(f"{asked.property}: one goal must be reached, not {sorted(goals)}")
+    if (objective.measure, objective.relation) not in {("P", "max=?"), ("R", "min=?")}:
+        raise ModelError(f"{objective.words}: what is asked is Pmax=? or Rmin=?")
+    (goal,) = goals
+    told: dict[str, Any] = {"goal": [goal], "limit": list(asked.limit)}
+    if objective.measure == "P":
+        told["criterion"] = "maxprob"
+    elif reaching:
+        least = max(number_argument(one.bound) for one in reaching)
+        told |= {"criterion": "mcmp", "failure_budget": float(1 - least), "cost": objective.cost}
+    else:
+        told |= {"criterion": "min-cost", "cost": objective.cost}
+    for one in operators:
+        if one.relation == "<=":
+            limited = (one.cost or "cost") if one.measure == "R" else f"end({one.target})"
+            told["limit"].append(f"{limited} <= {one.bound}")
+        elif one.measure == "R" and one is not objective:
+            raise ModelError(f"{one.words}: a cost may be at most so much, not at least")
+    steps = {one.steps for one in operators if one.steps is not None}
+    if steps:
+        if len(steps) > 1 or any(one.steps is None and one.target == goal for one in operators):
+            raise ModelError(f"{asked.property}: all operators must know the same number of steps")
+        told["horizon"] = int(*steps)
+    for name in ("goal", "cost"):
+        if getattr(asked, name) and name in told and getattr(asked, name) != told[name]:
+            raise ModelError(f"--{name} says something else than the property {asked.property}")
+    return Namespace(**{**vars(asked), **{k: v for k, v in told.items() if v is not None}})
+
+
+def _operators_in(words: str) -> list[_Operator]:
+    """The operators of a property, one or several in ``multi( , )``.
+
+    Raises:
+        ModelError: what is none.
+    """
+    several = re.fullmatch(r"\s*multi\s*\((.*)\)\s*", words)
+    operators = []
+    for one in re.split(r"(?<=\])\s*,", several[1]) if several else [words]:
+        found = _OPERATOR.fullmatch(one)
+        if found is None:
+            raise ModelError(f"{one.strip()!r} is no property that is understood, {_TAKEN}")
+        relation, bound = re.sub(r"\s", "", found["relation"]), found["bound"]
+        try:
+            number_argument(bound or "0")
+        except ArgumentTypeError as error:
+            raise ModelError(f"{one.strip()}: {error}") from error
+        if relation.endswith("?") == bool(bound):
+            raise ModelError(f"{one.strip()}: a number goes with >= and <= alone")
+        target = None if found["total"] else found["label"] or found["condition"]
+        if found["measure"] == "P" and target is None:
+            raise ModelError(f"{one.strip()}: a probability is one of reaching something, F")
+        operators.append(
+            _Operator(
+                one.strip(),
+                found["measure"],
+                found["cost"],
+                relation,
+                bound,
+                target,
+                found["steps"],
+            )
+        )
+    return operators
+
+
 def json_answer(answer: Any) -> list[str]:
     """The lines of an answer in JSON; what is no finite number is null."""
     finite = json.loads(json.dumps(answer), parse_constant=lambda _: None)
@@ -325,6 +433,7 @@ _WRITERS: dict[str, PolicyWriter] = {
 def _solve_command(asked: Namespace) -> Iterable[str]:
     """The command ``solve``."""
     write, figure = policy_writer(asked.policy_out), figure_for(asked.plot)
+    asked = with_property(asked)
     found = command_model(asked)
     tolerance = {} if asked.tolerance is None else {"tolerance": asked.tolerance}
     problem = problem_of(asked, found)
@@ -391,6 +500,7 @@ def _frontier_command(asked: Namespace) -> Iterable[str]:
     """The command ``frontier``."""
     figure = figure_for(asked.plot)
     gap = {} if asked.gap is None else {"gap": asked.gap}
+    asked = with_property(asked)
     problem = problem_of(asked, command_model(asked))
     traced = ssp_lp.trace_frontier(
         problem, point_limit=asked.point_limit, time_limit=asked.time_limit, **gap
@@ -506,6 +616,7 @@ def _compare_command(asked: Namespace) -> Iterable[str]:
 
 def _program_command(asked: Namespace) -> Iterable[str]:
     """The command ``program``."""
+    asked = with_property(asked)
     program = program_of(problem_of(asked, command_model(asked)))
     if asked.out is not None:
         program.write(asked.out)
