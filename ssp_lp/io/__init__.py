@@ -25,6 +25,10 @@ from ssp_lp.io.model_files.explicit_files import (
     write_drn as write_drn,
     write_prism as write_prism,
 )
+from ssp_lp.io.model_files.programs import (
+    write_jani as write_jani,
+    write_prism_program as write_prism_program,
+)
 from ssp_lp.io.model_files.raw_model import ModelFile as ModelFile
 from ssp_lp.io.policy_exports import (
     induced_chain as induced_chain,

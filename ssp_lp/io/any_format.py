@@ -9,6 +9,7 @@ from ssp_lp.errors import Argument, ModelError
 from ssp_lp.io.archives import load_model, save_model
 from ssp_lp.io.model_files.explicit_files import read_drn, read_prism, write_drn, write_prism
 from ssp_lp.io.model_files.json_model import StatedModel, model_in_json, read_json
+from ssp_lp.io.model_files.programs import write_jani, write_prism_program
 from ssp_lp.io.model_files.raw_model import FIRST_COST, ModelFile, write_text
 from ssp_lp.io.storm_models import Constants, read_with_storm, write_umb
 from ssp_lp.model import SSP
@@ -28,6 +29,8 @@ _WRITERS: dict[str, Callable[..., None]] = {
     ".drn": write_drn,
     ".drn.gz": write_drn,
     ".tra": write_prism,
+    ".prism": write_prism_program,
+    ".jani": write_jani,
     ".umb": write_umb,
 }
 """What writes a file that knows one initial state, by the ending of its name."""
