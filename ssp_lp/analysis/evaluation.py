@@ -21,6 +21,7 @@ from ssp_lp.analysis.cost_law import measured_law
 from ssp_lp.analysis.quantity_values import (
     check_giving_up,
     complement,
+    cost_after_failing,
     counted_nodes,
     free_in_everything,
     quantity_values,
@@ -64,6 +65,7 @@ class Evaluation:
     secondary_costs: Mapping[str, float] = field(
         default_factory=dict
     )  # each constrained quantity, by name; as ``objective``
+    cost_after_failing: float | None = None  # until the true end; None: runs are over by failing
 
     @property
     def limited_failure(self) -> float:
@@ -81,6 +83,7 @@ class Evaluation:
         costs = {
             "cost given success": self.conditional_cost,
             "cost until failure": self.expected_cost,
+            **({} if (later := self.cost_after_failing) is None else {"cost after failing": later}),
             **self.secondary_costs,
         }
         parts = [
@@ -178,6 +181,7 @@ def _evaluation_of(sums: Measures, problem: Problem) -> Evaluation:
         discounted_failure=surrogate if discounted else None,
         ends=sums.ends,
         secondary_costs=secondary,
+        cost_after_failing=sums.after_failing,
     )
 
 
@@ -211,6 +215,7 @@ def _evaluated_measures(chain: Chain, problem: Problem, *, declared: bool = Fals
         discounted_cost=target,
         ends=_evaluated_ends(chain),
         secondary=quantity_values(chain, counted, problem),
+        after_failing=cost_after_failing(chain, counted),
     )
 
 
@@ -394,6 +399,7 @@ class Measures:
     discounted_cost: float  # case M: discounted E[r_tau]; case S: E[gamma^(T - 1) r_T; goal]
     ends: Mapping[str, float]
     secondary: Mapping[str, float]  # discounted like the cost
+    after_failing: float | None = None  # None: runs are over by failing
 
 
 def mean_of(parts: list[Measures], weights: FloatArray) -> Measures:
@@ -402,7 +408,7 @@ def mean_of(parts: list[Measures], weights: FloatArray) -> Measures:
     scalars = {
         f.name: sum(w * getattr(p, f.name) for p, w in used)
         for f in fields(Measures)
-        if f.name not in ("ends", "secondary")
+        if f.name not in ("ends", "secondary") and getattr(used[0][0], f.name) is not None
     }
     names = list(dict.fromkeys(name for p, _ in used for name in p.ends))
     return Measures(

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from scipy.sparse import csgraph
 
-from ssp_lp.arrays import BoolArray, FloatArray
+from ssp_lp.accumulated_cost.policy_layers import stopping_where_lost
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import attention_states, dead_ends, end_components
-from ssp_lp.policies.chain import Chain, reaching_in_chain
+from ssp_lp.policies.chain import Chain, policy_chain, reaching_in_chain
+from ssp_lp.policies.policy import GIVE_UP_CODE, Policy, as_lottery
 from ssp_lp.problem import Problem, conditions_of, objective_of
 from ssp_lp.processes.conditions import StepTerm, Term
 from ssp_lp.processes.failure_semantics import (
@@ -20,6 +23,7 @@ from ssp_lp.processes.failure_semantics import (
     dead_end_charges,
     free_pairs,
     give_up_charges,
+    start_distribution,
     survival_of,
 )
 from ssp_lp.processes.rows import costless_pairs
@@ -135,11 +139,52 @@ def counted_nodes(
             quits &= ~attention_states(problem.model)[chain.state]
         over = (chain.goal > 0) | quits
         return reaching_in_chain(chain, over | (chain.dead > 0) if declared else over)
-    objective = objective_of(problem)
-    asked = conditions_of(problem) + (() if objective is None else (objective,))
-    if problem.semantics.forbids_failing or not any(c.wants_ends for c in asked):
+    if problem.semantics.forbids_failing or not _asks_for_ends(problem):
         return hopeful
     return reaching_in_chain(chain, (chain.goal > 0) | (chain.dead > 0) | (chain.give_up > 0))
+
+
+def lost_situations(policy: Policy, problem: Problem) -> Callable[[IntArray, IntArray], BoolArray]:
+    """In which (state, memory) of a policy its chain has failed, as an evaluation counts it.
+
+    Returns:
+        A function of states and memories, [situations] each; False for one that the model's own
+        steps do not lead to.
+    """
+    model = problem.model
+    if model.failure_label is None and policy.layers() is not None and not _asks_for_ends(problem):
+        (stopping,) = stopping_where_lost(as_lottery(policy)).policies
+        return lambda states, memory: stopping.branches(states, memory).pair == GIVE_UP_CODE
+    chain = policy_chain(model, policy, start_distribution(model, problem.start))
+    hopeful = reaching_in_chain(chain, chain.goal > 0)
+    counted = counted_nodes(chain, hopeful, problem, declared=policy.declares_failing)
+    lost = ~counted & (chain.dead == 0)
+    keys = (chain.memory * model.n_states + chain.state)[lost]
+    return lambda states, memory: np.isin(memory * model.n_states + states, keys)
+
+
+def _asks_for_ends(problem: Problem) -> bool:
+    """Whether some constraint or the objective asks for an end that is not the goal."""
+    objective = objective_of(problem)
+    asked = conditions_of(problem) + (() if objective is None else (objective,))
+    return any(condition.wants_ends for condition in asked)
+
+
+def cost_after_failing(chain: Chain, counted: BoolArray) -> float | None:
+    """Expected cost from failing until the run ends; None where runs are over with failing.
+
+    Args:
+        chain: the policy's.
+        counted: nodes at which failure has not been declared, [nodes].
+    """
+    if (label := chain.model.failure_label) is None:
+        return None
+    failed = label.after[chain.state[chain.target]] | ~counted[chain.source]
+    paid = label.original.costs[label.original_outcome[chain.outcome]]
+    later = replace(chain, cost=np.where(failed, paid, 0.0))
+    over = (chain.goal > 0) | (chain.dead > 0) | (chain.give_up > 0)
+    unpaid = FailureSemantics(GiveUp.DEAD_ENDS)
+    return value_until_failure(later, reaching_in_chain(chain, over), unpaid, 1.0)
 
 
 def quantity_values(chain: Chain, counted: BoolArray, problem: Problem) -> dict[str, float]:

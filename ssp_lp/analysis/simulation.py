@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -16,9 +16,8 @@ import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.sparse import csgraph
 
-from ssp_lp.analysis.quantity_values import state_give_up_charges
+from ssp_lp.analysis.quantity_values import lost_situations, state_give_up_charges
 from ssp_lp.arrays import (
-    BoolArray,
     FloatArray,
     IntArray,
     ReadOnlyCopies,
@@ -31,7 +30,7 @@ from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.continuous_model import WorldSimulator
 from ssp_lp.model.failure_product import FailureSSP
-from ssp_lp.model.graph import dead_ends, end_marks, stop_marks
+from ssp_lp.model.graph import attention_states, dead_ends, end_marks, stop_marks
 from ssp_lp.model.naming import ByName
 from ssp_lp.model.product import HorizonSSP, ProductSSP
 from ssp_lp.options import progress_shown
@@ -39,6 +38,7 @@ from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import GIVE_UP_CODE, MOST_EPISODES, Randomness, as_lottery, generator_of
 from ssp_lp.problem import Problem, on_one_model
 from ssp_lp.processes.failure_semantics import (
+    GiveUp,
     as_percentage,
     dead_end_charges,
     start_distribution,
@@ -211,10 +211,7 @@ class _CountingSimulator:
 
 @dataclass(frozen=True, eq=False)
 class _LabellingSimulator:
-    """A world of the original's states as one of (state, label of failing).
-
-    After failing nothing is paid; the step that fails costs what failing does.
-    """
+    """A world of the original's states as one of (state, label of failing)."""
 
     inner: Simulator
     product: FailureSSP
@@ -230,9 +227,7 @@ class _LabellingSimulator:
         product = self.product
         moved, state, cost = self.inner.step(world, product.original_pair[pair], rng)
         _check_simulated_states(product.original, state)
-        there = product.moved(pair, state)
-        charge = product.costs[product.outcome_offsets[pair]]
-        return moved, there, np.where(product.after[there], charge, cost)
+        return moved, product.moved(pair, state), cost
 
 
 def _on_products(simulator: Simulator, model: SSP, stated: SSP) -> Simulator:
@@ -253,11 +248,12 @@ class SimulationReport(ReadOnlyCopies):
     ends: Mapping[str, int]  # goal, each label, dead_end, gave_up, unfinished
     goal_probability: Estimate
     conditional_cost: Estimate  # mean total cost of the episodes that reached the goal in time
-    expected_cost: Estimate  # mean cost until the end, failing charged as the problem says
+    expected_cost: Estimate  # mean cost until the goal or failing, as in ``Evaluation``
     success_costs: FloatArray  # [successes] total costs of the episodes that reached the goal
     mean_steps: float
     max_steps: int  # after which an episode counted as unfinished
     paths: tuple[World, ...]  # worlds of the first recorded episodes, [steps + 1, ...] each
+    cost_after_failing: Estimate | None = None  # until the true end; None: runs are over by failing
 
     @property
     def note(self) -> str:
@@ -280,7 +276,8 @@ class SimulationReport(ReadOnlyCopies):
         cut = f"; {self.note}" if self.note else ""
         return (
             f"SimulationReport({self.episodes:,} episodes: {ends}; goal {self.goal_probability}, "
-            f"cost given success {self.conditional_cost}, cost {self.expected_cost}{cut})"
+            f"cost given success {self.conditional_cost}, "
+            f"cost until failure {self.expected_cost}{cut})"
         )
 
 
@@ -300,7 +297,8 @@ def simulate(
     """Play episodes and count how they end.
 
     An episode ends at a goal, in a dead-end, when the policy gives up, or unfinished after
-    ``max_steps``. A mixed policy draws one member for each episode.
+    ``max_steps``. A mixed policy draws one member for each episode. Its cost counts as
+    :func:`evaluate` has it, until the policy has lost the goal in the model.
 
     Intervals of probabilities are Clopper and Pearson's, those of mean costs hold for rare dear
     events too (``mean_estimate``): upwards, by empirical Bernstein, as far as the dearest episode
@@ -348,8 +346,9 @@ def _check_simulation(episodes: int, max_steps: int, record: int, confidence: fl
 @dataclass(frozen=True, eq=False)
 class _Played:
     mark: IntArray  # [episodes] as of graph.end_marks, -1 for unfinished
-    cost: FloatArray  # [episodes] total of stage costs
+    cost: FloatArray  # [episodes] total of stage costs until failing
     charge: FloatArray  # [episodes] what failing cost in the end
+    later: FloatArray  # [episodes] total of stage costs after failing
     steps: IntArray  # [episodes]
     paths: tuple[World, ...]
 
@@ -369,8 +368,12 @@ def _simulate_episodes(
     world, state = simulator.reset(episodes, rng)
     world, state = world.copy(), np.array(state, dtype=np.int64)
     players.begin(state, marks[state] < 0)
-    cost, steps = np.zeros(episodes), np.zeros(episodes, dtype=np.int64)
-    gave_up = np.zeros(episodes, dtype=np.bool_)
+    cost, later, steps = np.zeros(episodes), np.zeros(episodes), np.zeros(episodes, dtype=np.int64)
+    gave_up, lost = np.zeros((2, episodes), dtype=np.bool_)
+    charge, charges = np.zeros(episodes), _failing_charges(problem)
+    label, lost_in = model.failure_label, cache(lambda member: lost_situations(member, problem))
+    watched = attention_states(model) & (marks < 0)  # elsewhere no policy has lost the goal
+    watched &= problem.semantics.give_up is not GiveUp.DEAD_ENDS  # which pays until a dead-end
     trace = [world[:record].copy()]
     for step in range(max_steps):
         alive = np.flatnonzero((marks[state] < 0) & ~gave_up)
@@ -379,12 +382,22 @@ def _simulate_episodes(
         over = episodes - alive.size
         share = {"share": over / episodes}
         _LOG.debug("step %d, %d of %d episodes are over", step, over, episodes, extra=share)
+        unsure = alive[watched[state[alive]] & ~lost[alive]]
+        for member, mine in players.shares(unsure):
+            here = unsure[mine]
+            here = here[lost_in(member)(state[here], players.memory[here])]
+            lost[here], charge[here] = True, charges[1][state[here]]
         pair = players.decide(alive, state[alive])
         gave_up[alive[pair == GIVE_UP_CODE]] = True
         alive, pair = alive[pair != GIVE_UP_CODE], pair[pair != GIVE_UP_CODE]
         moved, successor, paid = _checked_step(model, simulator.step(world[alive], pair, rng))
         world[alive], state[alive] = moved, successor
-        cost[alive] += paid
+        past = lost[alive]
+        if label is not None:
+            failed = label.after[successor]
+            later[alive] += np.where(past | failed, paid, 0.0)
+            paid = np.where(failed, model.costs[model.outcome_offsets[pair]], paid)
+        cost[alive] += np.where(past, 0.0, paid)
         steps[alive] += 1
         going = marks[successor] < 0
         players.remember(alive[going], pair[going], successor[going], paid[going])
@@ -393,7 +406,8 @@ def _simulate_episodes(
     mark = np.where(gave_up, stop_marks(model)[state], marks[state])  # < 0: unfinished
     history = np.stack(trace)
     paths = tuple(history[: int(steps[i]) + 1, i] for i in range(min(record, episodes)))
-    return _Played(mark, cost, _simulated_charges(problem, state, gave_up), steps, paths)
+    ended = np.where(gave_up, charges[1][state], charges[0][state])
+    return _Played(mark, cost, np.where(lost, charge, ended), later, steps, paths)
 
 
 def _checked_step(
@@ -413,14 +427,13 @@ def _check_simulated_states(model: SSP, state: IntArray) -> None:
         raise ModelError(f"the simulator left the model's states 0 .. {model.n_states - 1}")
 
 
-def _simulated_charges(problem: Problem, state: IntArray, gave_up: BoolArray) -> FloatArray:
-    """What failing costs the simulated episodes."""
-    model = problem.model
-    entering = dead_end_charges(model, dead_ends(model), problem.semantics)[state]
-    if not gave_up.any():
-        return entering
-    giving_up = state_give_up_charges(model, problem.semantics)[state]
-    return np.where(gave_up, giving_up, entering)
+def _failing_charges(problem: Problem) -> tuple[FloatArray, FloatArray]:
+    """What failing costs who enters a dead-end, and who gives up or has lost the goal, [states]."""
+    model, semantics = problem.model, problem.semantics
+    entering = dead_end_charges(model, dead_ends(model), semantics)
+    if semantics.forbids_failing:
+        return np.where(dead_ends(model), np.inf, entering), np.full(model.n_states, np.inf)
+    return entering, state_give_up_charges(model, semantics)
 
 
 def _simulation_report(
@@ -432,6 +445,10 @@ def _simulation_report(
     ends["unfinished"] = int((played.mark < 0).sum())
     reached, most = played.mark == 0, greatest_total(problem.model, max_steps)
     charged = most + float(problem.model.costs.max(initial=0.0))  # failing costs a step at most
+    after = None
+    if (label := problem.model.failure_label) is not None:
+        dearest = max_steps * float(label.original.costs.max(initial=0.0))
+        after = mean_estimate(played.later, confidence, dearest)
     return SimulationReport(
         episodes=len(played.mark),
         ends=ByName(ends),
@@ -442,4 +459,5 @@ def _simulation_report(
         mean_steps=float(played.steps.mean()),
         max_steps=max_steps,
         paths=played.paths,
+        cost_after_failing=after,
     )

@@ -317,7 +317,7 @@ class EpisodeBatch:
         self._members, self._drawn, self._rng = tuple(members), drawn, rng
         self.model = self._members[0].model
         self._is_model = world == "model"
-        self._memory = np.zeros(len(drawn), dtype=np.int64)
+        self.memory = np.zeros(len(drawn), dtype=np.int64)  # [episodes] of those that go on
         self._pairs = np.full(len(drawn), UNDECIDED, dtype=np.int64)  # of the last actions
         self._state: IntArray | None = None  # [episodes] where they stand, once begun
         self._is_observed = True  # what the last actions led to
@@ -402,8 +402,8 @@ class EpisodeBatch:
 
     def begin(self, states: IntArray, going: BoolArray) -> None:
         """Set the memories of the episodes that do not end where they start, [episodes]."""
-        for member, mine in self._shares(begun := np.flatnonzero(going)):
-            self._memory[begun[mine]] = member.start_memory(states[begun[mine]])
+        for member, mine in self.shares(begun := np.flatnonzero(going)):
+            self.memory[begun[mine]] = member.start_memory(states[begun[mine]])
 
     def decide(self, episodes: IntArray, states: IntArray) -> IntArray:
         """A pair or GIVE_UP_CODE for each of the given episodes, in these states.
@@ -411,13 +411,13 @@ class EpisodeBatch:
         Those that give up where the policy knows what to do afterwards begin with that.
         """
         pairs = np.empty(len(episodes), dtype=np.int64)
-        for member, mine in self._shares(episodes):
-            pairs[mine] = member.sample(states[mine], self._memory[episodes[mine]], self._rng)
+        for member, mine in self.shares(episodes):
+            pairs[mine] = member.sample(states[mine], self.memory[episodes[mine]], self._rng)
             quits = mine[pairs[mine] == GIVE_UP_CODE]
-            memory = member.after_giving_up(states[quits], self._memory[episodes[quits]])
+            memory = member.after_giving_up(states[quits], self.memory[episodes[quits]])
             going, memory = quits[memory >= 0], memory[memory >= 0]
             if going.size:
-                self._memory[episodes[going]], self.failed[episodes[going]] = memory, True
+                self.memory[episodes[going]], self.failed[episodes[going]] = memory, True
                 pairs[going] = member.sample(states[going], memory, self._rng)
         return pairs
 
@@ -425,11 +425,11 @@ class EpisodeBatch:
         self, episodes: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
     ) -> None:
         """Move the memories of the given episodes."""
-        for member, mine in self._shares(episodes):
-            kept, step = self._memory[episodes[mine]], (pairs[mine], successors[mine], costs[mine])
-            self._memory[episodes[mine]] = member.remember(kept, *step)
+        for member, mine in self.shares(episodes):
+            kept, step = self.memory[episodes[mine]], (pairs[mine], successors[mine], costs[mine])
+            self.memory[episodes[mine]] = member.remember(kept, *step)
 
-    def _shares(self, episodes: IntArray) -> Iterator[tuple[Policy, IntArray]]:
+    def shares(self, episodes: IntArray) -> Iterator[tuple[Policy, IntArray]]:
         """Each member with the positions of the episodes that it plays."""
         for number, member in enumerate(self._members):
             mine = np.flatnonzero(self._drawn[episodes] == number)

@@ -8,9 +8,19 @@ import pytest
 from hypothesis import given, strategies as st
 
 from checks import library_model
-from formulations import MCMP, S3P
+from drawn_policies import drawn_model, drawn_policy
+from formulations import MCMP, S3P, LeastQuantity, MaxProb, MinCost
 from small_models import model_of
-from ssp_lp import InfeasibleError, evaluate, simulate, solve
+from ssp_lp import (
+    DeterministicPolicy,
+    InfeasibleError,
+    SSPError,
+    end_probability,
+    evaluate,
+    simulate,
+    solve,
+    visits,
+)
 from strategies import budgets, often, problems
 
 SIGMAS = 4.0
@@ -99,3 +109,72 @@ def test_drawn_problems(drawn, formulation, place):
         max_steps=300,
     )
     check_report(report, evaluation, EPISODES)
+
+
+def drawn_plain_policy(draw, model):
+    """Any action in each state, so that many a goal is lost before a dead-end is entered."""
+    acting = np.flatnonzero((np.diff(model.pair_offsets) > 0) & ~model.goal_mask).tolist()
+    pairs = [int(draw.integers(*model.pair_offsets[s : s + 2])) for s in acting]
+    actions = {model.states[s]: model.action_of(k) for s, k in zip(acting, pairs, strict=True)}
+    return DeterministicPolicy.from_actions(model, actions)
+
+
+@pytest.mark.parametrize("seed", range(15))
+def test_costs_until_failing_and_after_it_are_one_number_each(seed):
+    """Of every criterion and every policy: simulated as evaluated, under one name."""
+    draw = np.random.default_rng(seed)
+    model = drawn_model(draw, [0.0, 1.0, 2.0])
+    other = drawn_plain_policy(draw, model)
+    if seed % 3:
+        other = drawn_policy(draw, model, on_levels=seed % 3 == 1)
+    pit, seen = {"pit": end_probability("pit") <= 0.9}, {"seen": visits(1) <= 1.0}
+    beyond = {"seen": visits(1, through_failure=True) <= 1.0}
+    asked = [
+        *(MCMP(model, 0, 0.6, give_up=word) for word in ("anywhere", "attention", "dead_ends")),
+        *(MCMP(model, 0, 0.9, constraints=limits) for limits in (pit, beyond)),
+        *(S3P(model, 0, 0.9, constraints=limits) for limits in ({}, pit, seen)),
+        MinCost(model, 0),
+        MaxProb(model, 0, constraints=pit),
+        LeastQuantity(model, 0, visits(1), 0.9),
+    ]
+    for problem in asked:
+        for made in (other, None):
+            try:
+                policy = solve(problem).policy if made is None else made
+                exact = evaluate(policy, problem)
+            except SSPError:
+                continue
+            report = simulate(
+                policy, problem, episodes=2_000, rng=seed, max_steps=400, confidence=0.99999
+            )
+            goes_on = problem.unrolled is not problem
+            assert (exact.cost_after_failing is not None) == goes_on
+            assert (report.cost_after_failing is not None) == goes_on
+            for name in ("expected_cost", "cost_after_failing")[: 1 + goes_on]:
+                cost, estimate = getattr(exact, name), getattr(report, name)
+                if cost == np.inf:  # paid for ever: or cut off after so many steps
+                    assert estimate.value == np.inf or report.ends["unfinished"]
+                    continue
+                assert estimate.low - 1e-9 <= cost <= estimate.high + 1e-9, (problem, name)
+
+
+def test_what_is_paid_once_the_goal_is_lost_is_not_the_cost():
+    """Three steps of 1 after the goal is lost: 1 until failing, 3 later where they count."""
+    moves = {"a": {"go": [(0.5, "g", 1), (0.5, "b", 1)]}, "d": {}}
+    moves |= {
+        "b": {"on": [(1.0, "c", 1)], "back": [(1.0, "a", 9)]},
+        "c": {"on": [(1.0, "d", 2)], "back": [(1.0, "a", 9)]},
+    }
+    model = model_of(moves, "g", labels={"pit": ["d"]})
+    policy = DeterministicPolicy.from_actions(model, {"a": "go", "b": "on", "c": "on"})
+    plain = MCMP(model, "a", 1.0, charge_failing_step=False)
+    counted = MCMP(
+        model, "a", 1.0, charge_failing_step=False, constraints={"p": end_probability("pit") <= 0.5}
+    )
+    for problem, later in ((plain, None), (counted, 1.5), (S3P(model, "a", 1.0), None)):
+        exact = evaluate(policy, problem)
+        report = simulate(policy, problem, episodes=1_000, rng=0)
+        assert exact.expected_cost == report.expected_cost.value == 1.0
+        assert exact.cost_after_failing == later
+        if later is not None:
+            assert report.cost_after_failing.low < later < report.cost_after_failing.high
