@@ -38,7 +38,10 @@ from ssp_lp.policies import (
     StochasticPolicy as StochasticPolicy,
     TimedPolicy as TimedPolicy,
 )
-from ssp_lp.policies.remembering import on_original as on_original
+from ssp_lp.policies.remembering import (
+    acting_everywhere as acting_everywhere,
+    on_original as on_original,
+)
 from ssp_lp.processes.failure_semantics import GiveUp as GiveUp
 from ssp_lp.processes.quantities import (
     Constraint as Constraint,

@@ -23,7 +23,12 @@ from ssp_lp.errors import InfeasibleError, ModelError, in_short, is_number, wron
 from ssp_lp.model import SSP
 from ssp_lp.model.product import ProductSSP, check_product
 from ssp_lp.policies.policy import GIVE_UP_CODE, Branches, MixedPolicy, Policy, as_lottery
-from ssp_lp.policies.remembering import LabelledPolicy, RememberingPolicy, on_original
+from ssp_lp.policies.remembering import (
+    CompletePolicy,
+    LabelledPolicy,
+    RememberingPolicy,
+    on_original,
+)
 from ssp_lp.processes.conditions import Condition
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, start_distribution
 from ssp_lp.processes.goal_reach import greatest_from
@@ -456,10 +461,11 @@ def on_product(policy: Policy | MixedPolicy, product: ProductSSP) -> MixedPolicy
     lottery = as_lottery(policy)
     if product.original is not lottery.model and isinstance(product.original, ProductSSP):
         lottery = on_product(lottery, product.original)
+    carried = (m.inner if isinstance(m, CompletePolicy) else m for m in lottery.policies)
     members = tuple(
-        member.inner
-        if isinstance(member, RememberingPolicy | LabelledPolicy) and member.product is product
+        inner.inner
+        if isinstance(inner, RememberingPolicy | LabelledPolicy) and inner.product is product
         else _InProduct(member, product)
-        for member in lottery.policies
+        for inner, member in zip(carried, lottery.policies, strict=True)
     )
     return MixedPolicy(members, lottery.weights)

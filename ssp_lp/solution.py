@@ -15,17 +15,26 @@ from ssp_lp.analysis.evaluation import (
     failing_in_words,
     giving_up_at_start,
 )
-from ssp_lp.arrays import FloatArray, ReadOnlyCopies, read_only
+from ssp_lp.arrays import FloatArray, IntArray, ReadOnlyCopies, read_only
 from ssp_lp.column_generation.column import least_of, relative_gap
+from ssp_lp.column_generation.compiled_problem import CompiledExplicit
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError, in_short
+from ssp_lp.model.graph import dead_ends
 from ssp_lp.model.naming import ByName, html_table
 from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
-from ssp_lp.policies.policy import Policy, as_lottery
+from ssp_lp.policies.policy import UNDECIDED, Policy, as_lottery
+from ssp_lp.policies.remembering import Default, acting_everywhere
 from ssp_lp.problem import Problem, has_rows, on_one_model, pulled_back
 from ssp_lp.processes.conditions import FAILURE_ROW
-from ssp_lp.processes.failure_semantics import AS_ASKED, Aim, GiveUp, ObjectiveSense
+from ssp_lp.processes.failure_semantics import (
+    AS_ASKED,
+    Aim,
+    FailureSemantics,
+    GiveUp,
+    ObjectiveSense,
+)
 from ssp_lp.programs.occupation_measure import StateValues
 
 _LEAST_LIMIT = 1.0  # seconds that numbers have which are worked out after a short call
@@ -104,6 +113,43 @@ class Solution(ReadOnlyCopies):
                              "values are those of one")  # fmt: skip
         found: StateValues = make().values_at(self.prices, self.objective)
         return found
+
+    def policy_everywhere(self, default: Default | None = None) -> MixedPolicy:
+        """The policy as one that acts in every state that has actions, reached by its plan or not.
+
+        Where the plan has no decision, it takes what is best at the optimal price of failing, in
+        case M without giving up, or at least failure where there is no price: worked out when it
+        is asked for. What is done after giving up and in dead-ends is told by
+        :func:`ssp_lp.acting_everywhere`.
+
+        Args:
+            default: comes before both: an action, for all states that have it, ``{state: action}``,
+                or a policy without memory; None: none.
+
+        Raises:
+            ModelError: an unknown state or action.
+        """
+        return acting_everywhere(self.policy, default, self._greedy)
+
+    @cached_property
+    def _greedy(self) -> IntArray:
+        """A best pair of each state at the price of failing, [states]."""
+        model, semantics = self.problem.model, self.problem.semantics
+        live = ~(dead_ends(model) | model.goal_mask)
+        if not live.any():
+            return np.full(model.n_states, UNDECIDED)
+        pays = FailureSemantics(GiveUp.DEAD_ENDS, semantics.charge_failing_step)
+        compiled = CompiledExplicit(model, live / live.sum(), pays)
+        price = None if semantics.aim is not Aim.LEAST_COST else self.failure_price
+        if price is None or price == np.inf:
+            best = compiled.least_failure().policy
+        else:
+            pricing = compiled.pricing()
+            best = pricing.policy(
+                pricing.minimise(price + (self.objective if self.problem.ratio else 0.0))
+            )
+        states = np.arange(model.n_states)
+        return best.branches(states, np.zeros_like(states)).pair
 
     @property
     def gap(self) -> float:

@@ -36,7 +36,12 @@ from ssp_lp.model.ssp import check_model, check_offsets
 from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy
-from ssp_lp.policies.remembering import JointMemory, LabelledPolicy, RememberingPolicy
+from ssp_lp.policies.remembering import (
+    CompletePolicy,
+    JointMemory,
+    LabelledPolicy,
+    RememberingPolicy,
+)
 from ssp_lp.problem import Problem, conditions_of, unrolled
 from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.solution import Run, Solution, as_solved
@@ -339,6 +344,7 @@ _CLASSES: dict[str, type[Any]] = {
     "remembering": RememberingPolicy,
     "labelled": LabelledPolicy,
     "joint memory": JointMemory,
+    "complete": CompletePolicy,
 }
 """The classes of policies that a file can hold: all of ``ssp_lp/policies``."""
 

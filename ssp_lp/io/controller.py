@@ -5,12 +5,13 @@ writes the files that it reads:
 
 - ``format``: "ssp-lp controller"; ``version``: 1; ``model``: the model's fingerprint;
 - ``checksum``: the SHA-256 of all else, as JSON with sorted keys and no blanks;
-- ``ends``: the numbers of the states in which an episode is over, goals and dead-ends;
+- ``goals``, ``dead_ends``: the numbers of these states;
 - ``states``: the labels of the states, or their number where they are 0, 1, ...; tuples as lists;
 - ``actions``: the labels of the actions;
 - ``members``: the policies of a lottery that is drawn once in each episode, each with
 
   - ``weight``: its probability;
+  - ``ends``: the numbers of the states in which it is over;
   - ``memory``: null, or an object whose ``kind`` is
 
     - "layers": the cost paid in whole numbers of ``unit``, other costs rounded up to them where it
@@ -24,10 +25,17 @@ writes the files that it reads:
     - "task": a number, at first ``start``; ``moves``: [number, state, action, successor, cost, next
       number] of each step that changes it, the cost null where any will do;
 
-    the last two with ``place``: [number][state], the situation that both make, -1 for none, and
+    - "failing": whether the run has failed, 1 or 0: by a position in ``decision`` beyond the last
+      action, which stands for the same actions in turn, taken with giving up, and from the states
+      that are ``lost``; to the memory that is kept besides the step that fails costs the state's
+      ``charge``, each one after it nothing;
+
+    the last three with ``place``: [number][state], the situation that both make, -1 for none, and
     ``inner``: null or the memory that is kept besides, for which situations are the states;
   - ``decision``: [memory][state], of the innermost memory and its states, the position of an
-    action, -1 to give up, -2 for none, or a list of [position, probability].
+    action, -1 to give up, -2 for none, or a list of [position, probability];
+  - ``otherwise``, ``afterwards``, of one that acts everywhere: [state], the position of an action
+    where there is no decision, and where the member has given up or is over, -2 for none.
 """
 
 from __future__ import annotations
@@ -84,8 +92,10 @@ class Controller:
         labels = range(states) if self._are_numbered else map(controller_label, states)
         self._index: dict[Hashable, int] = {label: k for k, label in enumerate(labels)}
         self._actions: list[Hashable] = [controller_label(action) for action in told["actions"]]
-        self._ends = frozenset(told["ends"])
+        self._goals, self._dead_ends = frozenset(told["goals"]), frozenset(told["dead_ends"])
         self._members: list[dict[str, Any]] = told["members"]
+        for member in self._members:
+            member["ends"] = frozenset(member["ends"])
         self._rng = random.Random()
         self._member: dict[str, Any] | None = None
 
@@ -112,38 +122,81 @@ class Controller:
         self._is_observed = True  # what that action led to
         self._is_over = False
         self._answer: Hashable = None  # the last one, which is all from when it is over on
+        self._alone = 0  # 1: the member is over, and the controller acts on; 2: it never began
+        self._quits = False  # whether the last action is taken with giving up
+        self._failed = False
+
+    @property
+    def failed(self) -> bool:
+        """Whether the goal has been lost or given up, as far as the last action tells."""
+        return self._failed
 
     def action(self, state: Hashable) -> Hashable:
         """The action in this state; "give up" or None from where the episode is over.
 
-        It is over from giving up on, or from a goal or a dead-end.
+        It is over from giving up on, or from a goal or a dead-end, unless the policy knows what to
+        do then; ``failed`` says from when on the goal is given up.
 
         Raises:
             ValueError: unknown state or another than the one observed, or one in which the policy
                 has no decision.
             RuntimeError: no episode was begun.
         """
-        member, here = self._current(), self._state(state)
+        _, here = self._current(), self._state(state)
         begun = self._memory is not None
         if begun and self._is_model and not self._is_over and here != self._step[0]:
             raise ValueError(f"by what was observed the episode is not in state {state!r}")
-        if not self._is_over and here in self._ends:
-            self._is_over, self._answer = True, None
+        if not self._is_over and self._ends_in(here):
+            self._is_over, self._answer, self._step = True, None, (here, -1)
         if self._is_over:
+            self._failed |= self._step[0] not in self._goals
             return self._answer
         if not begun:
-            self._memory = _controller_start(member["memory"], here)
-        memory, place = _innermost_of_controller(member["memory"], self._memory, here)
-        choice = member["decision"][memory][place]
-        if isinstance(choice, list):
-            codes, shares = zip(*choice, strict=True)
-            choice = self._rng.choices(codes, shares)[0]
+            self._begin(here)
+        choice = self._choice(here)
         if choice < _GIVE_UP_CODE:
             raise ValueError(f"the policy has no decision in state {state!r}")
-        self._step, self._is_observed = (here, choice), False
+        self._quits = choice >= len(self._actions)
+        self._step, self._is_observed = (here, choice - self._quits * len(self._actions)), False
         self._is_over = choice == _GIVE_UP_CODE
-        self._answer = GIVE_UP if self._is_over else self._actions[choice]
+        self._failed |= self._is_over or self._quits or here in self._dead_ends
+        self._answer = GIVE_UP if self._is_over else self._actions[self._step[1]]
         return self._answer
+
+    def _ends_in(self, state: int) -> bool:
+        """Whether an episode is over in a state."""
+        member = self._current()
+        if "afterwards" in member:
+            return state in self._goals or member["afterwards"][state] < 0
+        return state in member["ends"]
+
+    def _begin(self, state: int) -> None:
+        """Set the memory of an episode that begins in a state."""
+        member, self._memory = self._current(), 0
+        try:
+            self._memory = _controller_start(member["memory"], state)
+        except ValueError:
+            if "otherwise" not in member:
+                raise
+            self._alone = 2
+
+    def _choice(self, state: int) -> int:
+        """The position of an action in a state, or a code."""
+        member, is_over = self._current(), self._alone == 1
+        acts = "otherwise" in member
+        is_over |= acts and state in member["ends"]
+        if is_over or self._alone:
+            return int(member["afterwards" if is_over else "otherwise"][state])
+        memory, place = _innermost_of_controller(member["memory"], self._memory, state)
+        choice = member["decision"][memory][place]
+        if isinstance(choice, list):
+            kept = [one for one in choice if not self._quits or one[0] >= len(self._actions)]
+            codes, shares = zip(*kept, strict=True)
+            choice = self._rng.choices(codes, shares)[0]
+        if acts and choice == _GIVE_UP_CODE:
+            self._alone, self._failed = 1, True
+            return int(member["afterwards"][state])
+        return int(member["otherwise"][state] if acts and choice < 0 else choice)
 
     def observe(self, successor: Hashable, cost: float) -> None:
         """Tell where the step led and what it cost; this moves the memory.
@@ -163,12 +216,15 @@ class Controller:
             raise ValueError("observe() was called twice after one action()")
         if not (isinstance(cost, Real) and 0.0 <= cost <= sys.float_info.max):
             raise ValueError(f"observed cost {cost!r} must be a number >= 0, and finite")
-        if there in self._ends:
+        if self._ends_in(there):
             self._is_over, self._answer = True, None
-        else:
+        elif "otherwise" in member and self._step[0] in member["ends"]:
+            self._alone = 1
+        elif not self._alone:
             step = (*self._step, there)
-            self._memory = _controller_after(member["memory"], self._memory, step, float(cost))
-        self._step, self._is_observed = (there, self._step[1]), True
+            kept = _controller_after(member["memory"], self._memory, step, float(cost), self._quits)
+            self._memory = kept
+        self._step, self._is_observed, self._quits = (there, self._step[1]), True, False
 
     def _current(self) -> dict[str, Any]:
         """The member that the controller plays."""
@@ -231,7 +287,7 @@ def _innermost_of_controller(
 
 
 def _controller_after(
-    memory: dict[str, Any] | None, value: Any, step: tuple[int, int, int], cost: float
+    memory: dict[str, Any] | None, value: Any, step: tuple[int, int, int], cost: float, quits: bool
 ) -> Any:
     """The controller's memory after a step from a state by an action to a successor."""
     if memory is None:
@@ -239,10 +295,16 @@ def _controller_after(
     state, action, successor = step
     if "place" in memory:
         number, inner = value
-        then = _counted_by_controller(memory, number, step, cost)
+        if memory["kind"] == "failing":
+            fails = quits or (number == 0 and state in memory["lost"])
+            then = int(fails or number == 1)
+            cost = memory["charge"][state] if fails else 0.0 if then else cost
+        else:
+            then = _counted_by_controller(memory, number, step, cost)
         places = zip((number, then), (state, successor), strict=True)
         place, there = (_controller_place(memory, *one) for one in places)
-        return [then, _controller_after(memory["inner"], inner, (place, action, there), cost)]
+        inner = _controller_after(memory["inner"], inner, (place, action, there), cost, quits)
+        return [then, inner]
     number = value
     if not memory["acting"][successor] or number >= memory["cap"]:
         return number

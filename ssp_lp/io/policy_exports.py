@@ -27,12 +27,20 @@ from ssp_lp.io.model_files.raw_model import (
 )
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
+from ssp_lp.model.failure_product import FailureSSP
 from ssp_lp.model.graph import attention_pairs, attention_states, dead_ends
 from ssp_lp.model.product import HorizonSSP, ProductSSP
 from ssp_lp.policies import MixedPolicy, Policy, StochasticPolicy
 from ssp_lp.policies.chain import Chain, policy_chain, reaching_in_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, as_lottery
-from ssp_lp.policies.remembering import JointMemory, RememberingPolicy, memory_size
+from ssp_lp.policies.remembering import (
+    FAILING_WORDS,
+    CompletePolicy,
+    JointMemory,
+    LabelledPolicy,
+    RememberingPolicy,
+    memory_size,
+)
 from ssp_lp.processes.failure_semantics import start_distribution
 
 
@@ -55,6 +63,9 @@ def policy_table(policy: Policy | MixedPolicy) -> list[PolicyRow]:
     - the cost paid so far (cost-aware policies, cost levels), "tail k" from the cap on;
     - the time step, or (time step, memory of the stage) (timed policies);
     - the product's memory, or (it, memory of the inner policy);
+    - "before failing", "giving up" and "after failing", likewise, where that counts;
+    - "over" and "elsewhere" of a policy that acts everywhere, where the other one is over, or has
+      begun in no state of its own;
     - a tuple, where several of these are kept side by side.
 
     Args:
@@ -101,6 +112,14 @@ def _table_rows(policy: Policy, member: int) -> Iterator[PolicyRow]:
 
 def _table_states(policy: Policy, memory: int) -> IntArray:
     """The states that a table lists for a memory, [states]."""
+    if isinstance(policy, CompletePolicy):
+        inner, alone = divmod(memory, 3)
+        of_product = isinstance(policy.inner, RememberingPolicy) and not alone
+        acting = np.diff(policy.model.pair_offsets) > 0
+        listed = _table_states(policy.inner, inner) if of_product else np.arange(acting.size)
+        return listed[acting[listed]]
+    if isinstance(policy, LabelledPolicy) and memory % len(FAILING_WORDS):
+        return np.flatnonzero(policy.product.is_open)
     if isinstance(policy, RememberingPolicy):
         number = memory % len(policy.product.memories)
         return np.flatnonzero(policy.product.table[:, number] >= 0)
@@ -129,13 +148,19 @@ def memories_of(policy: Policy) -> list[tuple[int, Hashable]]:
             return _joined_in_table(range(len(policy.stages)), memories_of(policy.stages[0]))
         case RememberingPolicy():
             return _joined_in_table(policy.product.memories, memories_of(policy.inner))
+        case LabelledPolicy():
+            return _joined_in_table(FAILING_WORDS, memories_of(policy.inner))
+        case CompletePolicy(inner=inner):
+            known = [(3 * code, told) for code, told in memories_of(inner)]
+            own = inner.begins(np.arange(inner.model.n_states)).all()
+            return [*known, (1, "over"), *([] if own else [(2, "elsewhere")])]
         case JointMemory(keepers=(keeper,)):
             return memories_of(keeper)
         case JointMemory():
             sizes = [memory_size(keeper) for keeper in policy.keepers]
             parts = every_choice(*(memories_of(keeper) for keeper in policy.keepers))
-            known = [tuple(zip(*some, strict=True)) for some in parts]
-            return [(int(np.ravel_multi_index(codes, sizes)), told) for codes, told in known]
+            joint = [tuple(zip(*some, strict=True)) for some in parts]
+            return [(int(np.ravel_multi_index(codes, sizes)), told) for codes, told in joint]
     raise ModelError(f"what a {type(policy).__name__} remembers is not known")
 
 
@@ -458,7 +483,8 @@ def write_controller(policy: Policy | MixedPolicy, path: FilePath) -> None:
 
     Args:
         policy: deterministic, stochastic, cost-aware, of a problem with a horizon or on a product
-            with a memory (``on_original``), or a lottery over these.
+            with a memory (``on_original``), one that remembers having failed, one that acts
+            everywhere (``Solution.policy_everywhere``), or a lottery over these.
         path: of the file, ``controller.json``.
 
     Raises:
@@ -478,19 +504,32 @@ def write_controller(policy: Policy | MixedPolicy, path: FilePath) -> None:
         if are_numbers_in_turn(model.states)
         else [label_value(label) for label in model.states],
         "actions": [label_value(label) for label in model.action_names],
-        "ends": np.flatnonzero(model.goal_mask | dead_ends(model)).tolist(),
+        "goals": np.flatnonzero(model.goal_mask).tolist(),
+        "dead_ends": np.flatnonzero(dead_ends(model)).tolist(),
         "members": [
-            {
-                "weight": weight,
-                "memory": _controller_memory(member, codes),
-                "decision": _controller_decisions(member, codes),
-            }
+            {"weight": weight, **_controller_member(member, codes)}
             for member, weight in zip(lottery.policies, lottery.weights.tolist(), strict=True)
         ],
     }
     told["checksum"] = controller_checksum(told)
     text = json.dumps(told, separators=(",", ":"), allow_nan=False)
     Path(path).write_text(text + "\n", encoding="utf-8")
+
+
+def _controller_member(policy: Policy, codes: Mapping[Hashable, int]) -> dict[str, Any]:
+    """A member of a lottery, as the controller reads it."""
+    if isinstance(policy, CompletePolicy):
+        action = np.append([codes[name] for name in policy.model.action_names], 0).astype(np.int64)
+        chosen = {
+            name: np.where(pairs < 0, pairs, action[policy.model.pair_action[pairs]]).tolist()
+            for name, pairs in (("otherwise", policy.otherwise), ("afterwards", policy.afterwards))
+        }
+        return _controller_member(policy.inner, codes) | chosen
+    return {
+        "memory": _controller_memory(policy, codes),
+        "decision": _controller_decisions(policy, codes),
+        "ends": np.flatnonzero(policy.ended).tolist(),
+    }
 
 
 def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[str, Any] | None:
@@ -509,6 +548,19 @@ def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[st
         case RememberingPolicy(inner=inner, product=product):
             place = {"place": product.table.T.tolist(), "inner": _controller_memory(inner, codes)}
             return _controller_numbers(product, codes) | place
+        case LabelledPolicy(inner=inner, product=product):
+            n, charged = product.n_original, np.zeros(product.n_original)
+            failing = np.flatnonzero(product.fails)
+            charge = product.costs[product.outcome_offsets[failing]]
+            charged[product.original_state[product.pair_state[failing]]] = charge
+            lost = dead_ends(product.original) & product.is_open
+            return {
+                "kind": "failing",
+                "place": [list(range(n)), list(range(n, 2 * n))],
+                "lost": np.flatnonzero(lost).tolist(),
+                "charge": charged.tolist(),
+                "inner": _controller_memory(inner, _labelled_codes(product, codes)),
+            }
         case policies.CostAwarePolicy():
             table = policy.tail_table
             return {
@@ -552,11 +604,22 @@ def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> d
     return {"kind": "task", "start": product.memory_number[product.memory.start], "moves": moves}
 
 
+def _labelled_codes(product: FailureSSP, codes: Mapping[Hashable, int]) -> dict[Hashable, int]:
+    """The numbers of a model's actions, and of those by which a run gives up, behind them."""
+    names = product.original.action_names
+    giving_up = zip(product.action_names[len(names) :], names, strict=True)
+    return {**codes, **{name: len(codes) + codes[own] for name, own in giving_up}}
+
+
 def _controller_decisions(policy: Policy, codes: Mapping[Hashable, int]) -> list[list[Any]]:
     """What the policy does, [memories][states], of the innermost memory and its states."""
     over = np.zeros(policy.model.n_states, dtype=np.bool_)
-    while isinstance(policy, RememberingPolicy):
+    while isinstance(policy, RememberingPolicy | LabelledPolicy):
         product, policy = policy.product, policy.inner
+        if (label := product.failure_label) is not None:
+            codes = _labelled_codes(label, codes)
+            over = over[label.original_state] | label.after | label.lost
+            continue
         idle = (np.diff(product.pair_offsets) == 0) & ~product.goal_mask
         over = idle | np.where(dead_ends(product), True, over[product.original_state])
     model = policy.model

@@ -10,4 +10,7 @@ from ssp_lp.policies.policy import (
     Policy as Policy,
     StochasticPolicy as StochasticPolicy,
 )
-from ssp_lp.policies.remembering import TimedPolicy as TimedPolicy
+from ssp_lp.policies.remembering import (
+    CompletePolicy as CompletePolicy,
+    TimedPolicy as TimedPolicy,
+)

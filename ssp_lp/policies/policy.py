@@ -188,6 +188,10 @@ class Policy(Playable):
         """Memory at the start of episodes that begin in these states, [episodes]."""
         return np.zeros(len(states), dtype=np.int64)
 
+    def begins(self, states: IntArray) -> BoolArray:
+        """Whether an episode of the policy may begin in these states, [episodes]."""
+        return np.ones(len(states), dtype=np.bool_)
+
     def layers(self) -> CostLayers | None:
         """The policy layer by layer of the cost paid; None where its memory is another one."""
         return None

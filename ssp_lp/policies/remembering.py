@@ -6,12 +6,13 @@ Such a policy acts on a product of model and memory, and is carried back to the 
 from __future__ import annotations
 
 import enum
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from math import prod
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained_class
@@ -29,6 +30,7 @@ from ssp_lp.policies.policy import (
     StochasticPolicy,
     as_lottery,
     check_costs,
+    check_decisions,
     check_policies,
 )
 
@@ -221,6 +223,11 @@ class RememberingPolicy(Policy):
         own = self.product.steps if isinstance(self.product, HorizonSSP) else None
         return min((n for n in (own, self.inner.step_limit) if n is not None), default=None)
 
+    def begins(self, states: IntArray) -> BoolArray:
+        """Whether the product has these states with the memory's start, [episodes]."""
+        number = self.product.memory_number[self.product.memory.start]
+        return np.asarray(self.product.table[states, number] >= 0)
+
     def start_memory(self, states: IntArray) -> IntArray:
         """The memory's start, and the inner policy's, [episodes]."""
         product = self.product
@@ -408,12 +415,152 @@ class LabelledPolicy(Policy):
         return f"LabelledPolicy(goes on after failing in {count:,} states, {self.inner!r})"
 
 
+FAILING_WORDS = ("before failing", "giving up", "after failing")
+"""What a policy remembers of failing, in words."""
+
+
 class _Label(enum.IntEnum):
     """What a policy remembers of failing."""
 
     BEFORE = 0
     GIVING_UP = 1  # with the action that comes next
     AFTER = 2
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CompletePolicy(Policy):
+    """A policy that acts wherever there is anything to do, as another one as far as that says.
+
+    Its memory is ``3 * inner``; one more from where on that policy is over, having given up or from
+    a dead-end on; two more from the start on where none of its episodes begins.
+
+    Raises:
+        ModelError: a decision is no pair of its state.
+    """
+
+    inner: Policy
+    otherwise: IntArray  # [states] pair where the inner policy has no decision, or UNDECIDED
+    afterwards: IntArray  # [states] pair where it is over, or UNDECIDED
+
+    def __post_init__(self) -> None:
+        for name in ("otherwise", "afterwards"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+            check_decisions(self.model, getattr(self, name))
+
+    @property
+    def model(self) -> SSP:  # type: ignore[override]
+        """The model of the inner policy."""
+        return self.inner.model
+
+    @property
+    def step_limit(self) -> int | None:
+        """The inner policy's."""
+        return self.inner.step_limit
+
+    @property
+    def goes_on(self) -> bool:
+        """Yes."""
+        return True
+
+    @property
+    def ended(self) -> BoolArray:
+        """Goals, and states without an action, [states]."""
+        return np.asarray(self.model.goal_mask | (np.diff(self.model.pair_offsets) == 0))
+
+    def start_memory(self, states: IntArray) -> IntArray:
+        """The inner policy's, where its episodes begin, [episodes]."""
+        memory, begins = np.full(len(states), 2), self.inner.begins(states)
+        memory[begins] = 3 * self.inner.start_memory(states[begins])
+        return memory
+
+    def after_giving_up(self, states: IntArray, memory: IntArray) -> IntArray:
+        """As the inner policy goes on, else by what is done afterwards, [episodes]."""
+        inner, alone = np.divmod(memory, 3)
+        moved = self.inner.after_giving_up(states, inner)
+        return np.where((alone == 0) & (moved >= 0), 3 * moved, 3 * inner + 1)
+
+    def branches(self, states: IntArray, memory: IntArray) -> Branches:
+        """The inner policy's decisions, or what is done where it has none."""
+        inner, alone = np.divmod(memory, 3)
+        over = (alone == 1) | self.inner.ended[states]
+        asked, silent = np.flatnonzero(~over & (alone == 0)), np.flatnonzero(over | (alone > 0))
+        found = self.inner.branches(states[asked], inner[asked])
+        here = states[asked][found.situation]
+        pair = np.where(found.pair == UNDECIDED, self.otherwise[here], found.pair)
+        rest = np.where(over, self.afterwards[states], self.otherwise[states])[silent]
+        situation = np.append(asked[found.situation], silent)
+        order, chance = np.argsort(situation, kind="stable"), np.ones(silent.size)
+        chance = np.append(found.probability, chance)[order]
+        return Branches(situation[order], np.append(pair, rest)[order], chance)
+
+    def remember(
+        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
+    ) -> IntArray:
+        """The inner policy's, as long as it has something to say, [episodes]."""
+        check_costs(costs)
+        inner, alone = np.divmod(memory, 3)
+        ended = self.inner.ended[self.model.pair_state[pairs]]
+        moved, going = np.where(ended, 3 * inner + 1, memory), np.flatnonzero((alone == 0) & ~ended)
+        step = pairs[going], successors[going], costs[going]
+        moved[going] = 3 * self.inner.remember(inner[going], *step)
+        return np.asarray(moved)
+
+    def __repr__(self) -> str:
+        """One line: the inner policy."""
+        return f"CompletePolicy({self.inner!r})"
+
+
+Default = Hashable | Mapping[Hashable, Hashable] | DeterministicPolicy
+"""An action wherever it exists, ``{state: action}``, or the decisions of a policy."""
+
+
+def acting_everywhere(
+    policy: Policy | MixedPolicy, default: Default | None = None, otherwise: IntArray | None = None
+) -> MixedPolicy:
+    """A policy that acts in every state of its model that has actions, a goal excepted.
+
+    It acts as the policy given where that decides. After giving up, and in dead-ends, it goes on as
+    the policy does where its problem counts what happens then; else it surely avoids the goal if it
+    can. ``default`` comes before that, and before what is done where there is no decision.
+
+    Args:
+        policy: any policy, or a lottery.
+        default: an action, for all states that have it, ``{state: action}``, or a policy without
+            memory; None: none.
+        otherwise: pairs where the policy has no decision, [states]; None: the first of each state.
+            A solution knows better ones (``Solution.policy_everywhere``).
+
+    Raises:
+        ModelError: an unknown state or action, or a default that is a policy of another model.
+    """
+    lottery = as_lottery(policy)
+    model = lottery.model
+    if isinstance(default, DeterministicPolicy) and default.model is not model:
+        raise ModelError("the default is a policy of another model")
+    if isinstance(default, DeterministicPolicy):
+        preferred = default.decision
+    elif isinstance(default, Mapping):
+        preferred = DeterministicPolicy.from_actions(model, default).decision
+    else:
+        preferred = np.full(model.n_states, UNDECIDED, dtype=np.int64)
+        named = np.array([name == default for name in model.action_names], dtype=np.bool_)
+        pairs = np.flatnonzero(named[model.pair_action]) if named.any() else np.zeros(0, np.int64)
+        if default is not None and not pairs.size:
+            raise ModelError(f"no state has the action {default!r} that is to be the default")
+        preferred[model.pair_state[pairs]] = pairs
+    acts = (np.diff(model.pair_offsets) > 0) & ~model.goal_mask
+    first = np.where(acts, model.pair_offsets[:-1], UNDECIDED)
+    planned = first if otherwise is None else np.where(otherwise >= 0, otherwise, first)
+
+    def preferring(decision: IntArray) -> IntArray:
+        """Decisions that the default comes before, [states]."""
+        return np.where(preferred >= 0, preferred, np.where(decision >= 0, decision, planned))
+
+    members = tuple(
+        CompletePolicy(member, preferring(planned), preferring(member.staying))
+        for member in (m.inner if isinstance(m, CompletePolicy) else m for m in lottery.policies)
+    )
+    return MixedPolicy(members, lottery.weights)
 
 
 def on_original(policy: Policy | MixedPolicy) -> MixedPolicy:

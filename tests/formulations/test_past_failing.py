@@ -22,7 +22,14 @@ from ssp_lp import (
     solve,
     visits,
 )
-from ssp_lp.io import load_policy, load_solution, save_policy, save_solution, write_controller
+from ssp_lp.io import (
+    Controller,
+    load_policy,
+    load_solution,
+    save_policy,
+    save_solution,
+    write_controller,
+)
 
 CONFIDENCE = 0.9999
 
@@ -322,8 +329,18 @@ def test_files_hold_what_is_done_after_failing(horizon, tmp_path) -> None:
     assert evaluate(found, problem).ends["crash"] == pytest.approx(0.01)
     save_solution(solution, tmp_path / "solution.npz")
     assert certify(load_solution(tmp_path / "solution.npz", problem)).accepted
-    with pytest.raises(ModelError, match="LabelledPolicy"):
-        write_controller(solution.policy, tmp_path / "controller.json")
+    write_controller(solution.policy, tmp_path / "controller.json")
+    controller, ends = Controller(tmp_path / "controller.json"), {"wreck": 0, "ash": 0, "home": 0}
+    draw = np.random.default_rng(3)
+    for seed in range(3_000):
+        controller.reset(seed)
+        state, moves = "a", {"fast": ["home"] * 9 + ["skid"], "slow": ["home"]}
+        while (action := controller.action(state)) is not None:
+            assert controller.failed == (state == "skid")
+            state = str(draw.choice(moves[action] if state == "a" else ["wreck", "ash"]))
+            controller.observe(state, {"fast": 1.0, "slow": 10.0, "slide": 0.0}[action])
+        ends[state] += 1
+    assert abs(ends["wreck"] / 3_000 - 0.01) < 4.0 * np.sqrt(0.01 / 3_000)
     randomised = solution.randomised_policy
     assert randomised.model is SKID
     assert evaluate(randomised, problem).objective == pytest.approx(8.2, rel=1e-9)

@@ -24,9 +24,12 @@ from ssp_lp import (
     Memory,
     MixedPolicy,
     ModelError,
+    acting_everywhere,
+    end_probability,
     on_original,
     product,
     solve,
+    visits,
 )
 from ssp_lp.io import Controller, fingerprint, policy_table, write_controller
 from ssp_lp.io.policy_exports import memories_of
@@ -56,6 +59,7 @@ def acts_the_same(
         for _ in range(60):
             action = episode.action(state)
             assert controller.action(state) == ("give up" if action is GIVE_UP else action)
+            assert controller.failed == episode.failed
             if action in (GIVE_UP, None):
                 break
             state, cost = step(model, state, action, rng)
@@ -161,6 +165,50 @@ def test_the_file_holds_every_probability(name: str, tmp_path: Path) -> None:
                         found[k, state, word, actions[code]] = share
     rows = policy_table(policy)
     assert found == {(r.member, r.state, r.memory, r.action): r.probability for r in rows}
+
+
+CLIFF = SSP.from_transitions(
+    {
+        "a": {"over": [(0.9, "home", 1.0), (0.1, "edge", 1.0)], "round": [(1.0, "home", 3.0)]},
+        "edge": {
+            "slide": [(0.5, "edge", 1.0), (0.5, "ledge", 2.0)],
+            "climb": [(1.0, "home", 9.0)],
+        },
+        "ledge": {"drop": [(1.0, "grave", 1.0)], "cling": [(0.8, "ledge", 1.0), (0.2, "cave", 0)]},
+        "cave": {"sit": [(1.0, "cave", 1.0)]},
+        "far": {"fly": [(0.5, "home", 1.0), (0.5, "grave", 1.0)], "walk": [(1.0, "a", 3.0)]},
+        "grave": {},
+    },
+    {"home"},
+    state_labels={"crash": ["grave"], "seen": ["ledge"]},
+    treat_actionless_as_dead_ends=True,
+)
+
+
+@pytest.mark.parametrize("criterion", [MCMP, S3P])
+@pytest.mark.parametrize("horizon", [None, 5])
+@pytest.mark.parametrize("name", ["crash", "seen"])
+def test_policies_that_remember_having_failed(
+    criterion: type, horizon: int | None, name: str, tmp_path: Path
+) -> None:
+    """Side by side after failing, too, and of those that act everywhere from every state."""
+    counted = visits("seen", through_failure=True) if name == "seen" else end_probability("crash")
+    limits = {name: counted <= 0.03}
+    problem = criterion(CLIFF, "a", 0.1, constraints=limits, horizon=horizon)
+    solution = solve(problem)
+    for member in solution.policy.policies:
+        acts_the_same(member, written(member, tmp_path), "a", 200, surprise=0.0)
+    for member in solution.policy_everywhere({"cave": "sit"}).policies:
+        for start in CLIFF.states:
+            acts_the_same(member, written(member, tmp_path), start, 20, surprise=0.0)
+
+
+@pytest.mark.parametrize("name", ["deterministic", "gives up", "cost aware", "tail table"])
+def test_policies_that_act_everywhere(name: str, tmp_path: Path) -> None:
+    policy = acting_everywhere(policies(hall())[name])
+    controller = written(policy, tmp_path)
+    for start in policy.model.states:
+        acts_the_same(policy, controller, start)
 
 
 def test_one_seed_one_episode_and_controllers_side_by_side(tmp_path: Path) -> None:

@@ -1,0 +1,180 @@
+"""Policies that act in every state: as planned where they plan, sensibly elsewhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cases import NAMES, expected, published
+from formulations import MCMP, S3P, MaxProb
+from ssp_lp import (
+    GIVE_UP,
+    SSP,
+    DeterministicPolicy,
+    ModelError,
+    acting_everywhere,
+    end_probability,
+    evaluate,
+    simulate,
+    solve,
+    visits,
+)
+from ssp_lp.io import load_policy, policy_table, save_policy
+from ssp_lp.model.graph import attention_states, dead_ends
+
+COSTS = {case["model"]: case["cost"] for case in expected()["cases"]}
+
+FORK = SSP.from_transitions(
+    {
+        "a": {"over": [(0.9, "home", 1.0), (0.1, "edge", 1.0)], "round": [(1.0, "home", 10.0)]},
+        "edge": {"slide": [(1.0, "wreck", 1.0)], "climb": [(1.0, "home", 100.0)]},
+        "wreck": {"wait": [(1.0, "wreck", 1.0)], "call": [(1.0, "grave", 1.0)]},
+        "grave": {},
+        "far": {"fly": [(0.5, "home", 1.0), (0.5, "grave", 1.0)], "walk": [(1.0, "a", 3.0)]},
+    },
+    {"home"},
+    state_labels={"crash": ["grave"]},
+    treat_actionless_as_dead_ends=True,
+)
+
+
+def asked_everywhere(policy) -> dict[object, set[object]]:
+    """The first action of each member in each state, an episode begun there."""
+    model, found = policy.model, {}
+    for member in policy.policies:
+        for state, action in zip(
+            model.states,
+            member.start_many(model.n_states, 0).actions(model.states),
+            strict=True,
+        ):
+            found.setdefault(state, set()).add(action)
+    return found
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name in COSTS])
+@pytest.mark.parametrize("criterion", ["MCMP", "least", "S3P", "horizon"])
+def test_every_state_of_every_published_model(name: str, criterion: str) -> None:
+    """An action in every state that has one, as planned where that decides; worth the same."""
+    model, start = published(name, COSTS[name])
+    if model.n_states > 1_000:
+        pytest.skip("asked in smaller models")
+    least = MaxProb(model, start)
+    budget = min(solve(least).failure_probability + 0.1, 1.0)
+    problem = {
+        "MCMP": MCMP(model, start, budget),
+        "least": MCMP(model, start),
+        "S3P": S3P(model, start, budget),
+        "horizon": MaxProb(model, start, horizon=5 if model.n_states < 200 else 2),
+    }[criterion]
+    if criterion == "horizon" and not problem.unrolled.model.goal_mask.any():
+        return
+    solution = solve(problem)
+    policy = solution.policy_everywhere()
+    acts = (np.diff(model.pair_offsets) > 0) & ~model.goal_mask
+    for k, (state, actions) in enumerate(asked_everywhere(policy).items()):
+        assert (actions != {None}) == acts[k], state
+        assert None not in actions or not acts[k]
+        assert GIVE_UP not in actions
+    for member, complete in zip(solution.policy.policies, policy.policies, strict=True):
+        states = np.flatnonzero(member.begins(np.arange(model.n_states)) & ~member.ended)
+        planned = member.branches(states, member.start_memory(states))
+        acting = complete.branches(states, complete.start_memory(states))
+        decided = planned.pair >= -1
+        assert (planned.pair == acting.pair)[decided].all()
+        assert (acting.pair != -2).all()
+    found = evaluate(policy, problem)
+    assert found.objective == pytest.approx(solution.evaluation.objective, rel=1e-9, abs=1e-12)
+    assert found.ends == pytest.approx(solution.evaluation.ends, abs=1e-12)
+
+
+def test_what_is_done_where() -> None:
+    """As planned, at the price where nothing was planned, avoiding the goal after giving up."""
+    problem = MCMP(FORK, "a", 0.1, charge_failing_step=False)
+    solution = solve(problem)
+    assert solution.policy.start(0).action("far") == "walk"
+    policy = solution.policy_everywhere()
+    found = asked_everywhere(policy)
+    assert found["edge"] == {"slide"}
+    assert found["far"] == {"walk"}
+    assert found["wreck"] == {"wait"}
+    assert found["grave"] == found["home"] == {None}
+    assert asked_everywhere(solution.policy_everywhere(default="call"))["wreck"] == {"call"}
+    assert asked_everywhere(solution.policy_everywhere({"wreck": "call"}))["wreck"] == {"call"}
+    quits = DeterministicPolicy.from_actions(FORK, {"a": "over", "edge": GIVE_UP})
+    fly = DeterministicPolicy.from_actions(FORK, {"far": "fly", "edge": "climb"})
+    chosen = asked_everywhere(acting_everywhere(quits, fly))
+    assert (chosen["far"], chosen["edge"], chosen["a"]) == ({"fly"}, {"climb"}, {"over"})
+    with pytest.raises(ModelError, match="default"):
+        acting_everywhere(quits, "swim")
+    with pytest.raises(ModelError, match="another model"):
+        acting_everywhere(quits, DeterministicPolicy.from_actions(MOVED, {}))
+
+
+MOVED = SSP.from_transitions({"a": {"go": [(1.0, "home", 1.0)]}}, {"home"})
+
+
+def test_an_episode_goes_on_to_its_true_end() -> None:
+    quits = DeterministicPolicy.from_actions(FORK, {"a": "over", "edge": GIVE_UP})
+    episode = acting_everywhere(quits, {"wreck": "call"}).start(0)
+    assert episode.action("a") == "over"
+    assert not episode.failed
+    episode.observe("edge", 1.0)
+    assert episode.action("edge") == "slide"
+    assert episode.failed
+    episode.observe("wreck", 1.0)
+    assert episode.action("wreck") == "call"
+    episode.observe("grave", 1.0)
+    assert episode.action("grave") is None
+
+
+def test_who_gave_up_does_not_come_back() -> None:
+    """In the attention set the plan would drive on again; whoever gave up stays away."""
+    moves = {
+        "a": {"go": [(0.5, "home", 1.0), (0.5, "b", 1.0)], "wait": [(1.0, "b", 1.0)]},
+        "b": {"go": [(1.0, "home", 5.0)], "back": [(1.0, "a", 1.0)]},
+    }
+    model = SSP.from_transitions(moves, {"home"})
+    assert attention_states(model).sum() == 2
+    quits = DeterministicPolicy.from_actions(model, {"a": "go", "b": GIVE_UP})
+    episode = acting_everywhere(quits).start(0)
+    for state, action in (("a", "go"), ("b", "back"), ("a", "wait"), ("b", "back")):
+        assert episode.action(state) == action
+        episode.observe({"go": "b", "back": "a", "wait": "b"}[action], 1.0)
+    problem = MCMP(model, "a", 1.0)
+    for policy in (quits, acting_everywhere(quits)):
+        assert evaluate(policy, problem).failure_probability == pytest.approx(0.5)
+        assert simulate(policy, problem, episodes=100, rng=0).ends["gave_up"] > 20
+
+
+@pytest.mark.parametrize("horizon", [None, 6])
+def test_what_counts_after_failing_comes_first(horizon, tmp_path) -> None:
+    """The program's own decisions after failing, the others where it has none; from files, too."""
+    limits = {"crash": end_probability("crash") <= 0.02}
+    problem = MCMP(FORK, "a", 0.1, constraints=limits, horizon=horizon)
+    solution = solve(problem)
+    policy = solution.policy_everywhere()
+    assert evaluate(policy, problem).secondary_costs["crash"] == pytest.approx(
+        solution.secondary_costs["crash"], abs=1e-12
+    )
+    found = asked_everywhere(policy)
+    assert found["wreck"] <= {"wait", "call"}
+    save_policy(policy, tmp_path / "policy.npz")
+    again = load_policy(tmp_path / "policy.npz", FORK)
+    assert asked_everywhere(again) == found
+    assert evaluate(again, problem).objective == pytest.approx(solution.objective, rel=1e-9)
+
+
+def test_tables_tell_what_is_done_afterwards() -> None:
+    quits = DeterministicPolicy.from_actions(FORK, {"a": "over", "edge": GIVE_UP})
+    rows = {(r.state, r.memory): r.action for r in policy_table(acting_everywhere(quits))}
+    assert rows["edge", None] is GIVE_UP
+    assert rows["edge", "over"] == "slide"
+    assert rows["a", None] == "over"
+    assert rows["far", None] == "fly"
+    assert {state for state, _ in rows} == {
+        FORK.states[k] for k in np.flatnonzero(np.diff(FORK.pair_offsets) > 0)
+    }
+    limited = MCMP(FORK, "a", 0.1, constraints={"seen": visits("grave", through_failure=True) <= 0})
+    told = {(r.state, r.memory): r.action for r in policy_table(solve(limited).policy)}
+    assert told["edge", "giving up"] == "slide"
+    assert dead_ends(FORK).sum() == 2
