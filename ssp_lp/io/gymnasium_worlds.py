@@ -438,7 +438,8 @@ def rollout(
 
     A lottery draws one member for each episode. An episode ends at a goal or a dead-end of the
     model, when the policy gives up, or when it is cut off: by the environment, by the horizon that
-    the policy was made for, or after ``max_steps``.
+    the policy was made for, or after ``max_steps``. A policy that knows what to do after failing
+    goes on with that; the episode counts as it failed, whatever it comes to.
 
     Args:
         env: the environment; it is reset before each episode, and not closed.
@@ -512,21 +513,24 @@ class _Player:
         self.model, self.lottery, self.rng = cast(EnvironmentSSP, lottery.model), lottery, rng
         self.over = dead_ends(lottery.model) | lottery.model.goal_mask  # [states]
         self._branches, self.remember = cache(self._asked), cache(self._remembered)
+        self.ended = cache(lambda member: member.ended)  # [states], whatever came before
 
-    def decide(self, member: Policy, state: int, memory: int) -> int:
-        """A pair, or GIVE_UP_CODE."""
-        pairs, cumulative = self._branches(member, state, memory)
-        if len(pairs) == 1:
-            return pairs[0]
-        drawn = bisect(cumulative, self.rng.random() * cumulative[-1])
-        return pairs[min(drawn, len(pairs) - 1)]
+    def decide(self, member: Policy, state: int, memory: int) -> tuple[int, int]:
+        """A pair, or GIVE_UP_CODE, and the memory with which it is taken."""
+        pairs, kept, cumulative = self._branches(member, state, memory)
+        drawn = 0
+        if len(pairs) > 1:
+            drawn = min(bisect(cumulative, self.rng.random() * cumulative[-1]), len(pairs) - 1)
+        return pairs[drawn], kept[drawn]
 
-    def _asked(self, member: Policy, state: int, memory: int) -> tuple[list[int], list[float]]:
-        """The decisions of a member with their running probabilities."""
-        branches = member.branches(np.array([state]), np.array([memory]))
+    def _asked(
+        self, member: Policy, state: int, memory: int
+    ) -> tuple[list[int], list[int], list[float]]:
+        """The decisions of a member, the memories with which they are played, running sums."""
+        branches, kept = member.played(np.array([state]), np.array([memory]))
         if UNDECIDED in branches.pair:
             raise ModelError(f"the policy has no decision in state {self.model.states[state]!r}")
-        return branches.pair.tolist(), np.cumsum(branches.probability).tolist()
+        return branches.pair.tolist(), kept.tolist(), np.cumsum(branches.probability).tolist()
 
     def _remembered(self, member: Policy, *step: float) -> int:
         """The memory after a step: from a memory, by a pair, to a state, at a cost."""
@@ -543,12 +547,15 @@ def _play_episode(env: gymnasium.Env[Any, Any], player: _Player, most: int) -> _
     model, over, lottery = player.model, player.over, player.lottery
     member = lottery.policies[int(player.rng.choice(len(lottery.policies), p=lottery.weights))]
     shown, cost, steps = _plain(env.reset()[0]), 0.0, 0
-    state = model.index_of(shown)
-    memory = int(member.start_memory(np.array([state]))[0]) if not over[state] else 0
-    while not over[state]:
-        pair = player.decide(member, state, memory)
+    state, ended = model.index_of(shown), player.ended(member)
+    memory, failed = 0 if ended[state] else int(member.start_memory(np.array([state]))[0]), ""
+    while not ended[state]:
+        pair, kept = player.decide(member, state, memory)
+        if pair == GIVE_UP_CODE or kept != memory:
+            failed = failed or "gave_up"
+        failed, memory = failed or ("failed" if over[state] else ""), kept
         if pair == GIVE_UP_CODE:
-            return _Episode("gave_up", cost, steps)
+            break
         action, before = model.action_of(pair), shown
         seen, reward, terminated, truncated, _ = env.step(action)
         shown = _plain(seen)
@@ -565,8 +572,9 @@ def _play_episode(env: gymnasium.Env[Any, Any], player: _Player, most: int) -> _
         paid = float(model.step_cost(before, action, shown, float(reward)))
         check_costs(paid)
         cost, steps = cost + paid, steps + 1
-        if not over[state]:
+        if not ended[state]:
             if truncated or steps == most:
-                return _Episode("truncated", cost, steps, bool(truncated))
+                lost = failed or ("failed" if over[state] else "")
+                return _Episode(lost or "truncated", cost, steps, bool(truncated))
             memory = player.remember(member, memory, pair, state, paid)
-    return _Episode("goal" if model.goal_mask[state] else "failed", cost, steps)
+    return _Episode(failed or ("goal" if model.goal_mask[state] else "failed"), cost, steps)

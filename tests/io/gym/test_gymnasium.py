@@ -18,6 +18,7 @@ from ssp_lp import (
     Memory,
     MissingDependencyError,
     ModelError,
+    acting_everywhere,
     certify,
     product,
     solve,
@@ -230,6 +231,19 @@ def test_giving_up_ends_the_episode() -> None:
     report = rollout(env, policy, episodes=7, seed=0)
     assert (report.gave_up, report.goal, report.mean_steps) == (7, 0, 0.0)
     assert np.isnan(report.conditional_cost.value)
+
+
+def test_what_comes_after_failing_is_played() -> None:
+    """Who gave up walks on to an end or the limit, and has given up all the same."""
+    env = gym.make("FrozenLake-v1")
+    model = from_gymnasium(env, horizon=None).model
+    acting = np.flatnonzero(np.diff(model.pair_offsets))
+    quits = DeterministicPolicy.from_actions(model, {model.states[s]: GIVE_UP for s in acting})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", StepLimitWarning)
+        report = rollout(env, acting_everywhere(quits, 2), episodes=50, seed=0)
+    assert (report.gave_up, report.goal) == (50, 0)
+    assert report.mean_steps > 2.0
 
 
 def test_seeds_repeat_and_steps_are_limited() -> None:
