@@ -310,7 +310,7 @@ def _add_solve(one: ArgumentParser) -> None:
     _add_file(
         answer, "--policy-out", metavar="FILE",
         help="write the policy: .npz to load again, .storm.json for Storm, .json for a "
-        "controller, .dot, .csv",
+        "controller, .h for C, .dot, .csv",
     )  # fmt: skip
     told = "write a proof of the answer, for ssp-lp check"
     _add_file(answer, "--certificate-out", metavar="FILE", help=told)

@@ -424,7 +424,8 @@ _WRITERS: dict[str, PolicyWriter] = {
         solution.randomised_policy, path, start=of.only_start
     ),
     ".npz": lambda solution, of, path: io.save_policy(solution.policy, path),
-    ".json": lambda solution, of, path: io.write_controller(solution.policy, path),
+    ".json": lambda solution, of, path: io.write_controller(solution.policy_everywhere(), path),
+    ".h": lambda solution, of, path: io.write_c_header(solution.policy_everywhere(), path),
     ".dot": lambda solution, of, path: io.write_dot(solution.policy, path, of.start),
     ".csv": _write_answer_table,
 }

@@ -10,6 +10,7 @@ from ssp_lp.io.archives import (
     save_policy as save_policy,
     save_solution as save_solution,
 )
+from ssp_lp.io.c_header import write_c_header as write_c_header
 from ssp_lp.io.controller import Controller as Controller
 from ssp_lp.io.gymnasium_worlds import (
     GymnasiumWorld as GymnasiumWorld,

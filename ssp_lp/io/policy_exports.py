@@ -519,9 +519,10 @@ def write_controller(policy: Policy | MixedPolicy, path: FilePath) -> None:
 def _controller_member(policy: Policy, codes: Mapping[Hashable, int]) -> dict[str, Any]:
     """A member of a lottery, as the controller reads it."""
     if isinstance(policy, CompletePolicy):
-        action = np.append([codes[name] for name in policy.model.action_names], 0).astype(np.int64)
+        action = np.array([codes[name] for name in policy.model.action_names], dtype=np.int64)
+        action = np.append(action[policy.model.pair_action], 0)  # of a model without pairs, too
         chosen = {
-            name: np.where(pairs < 0, pairs, action[policy.model.pair_action[pairs]]).tolist()
+            name: np.where(pairs < 0, pairs, action[np.maximum(pairs, 0)]).tolist()
             for name, pairs in (("otherwise", policy.otherwise), ("afterwards", policy.afterwards))
         }
         return _controller_member(policy.inner, codes) | chosen
