@@ -312,6 +312,10 @@ def _add_solve(one: ArgumentParser) -> None:
         help="write the policy: .npz to load again, .storm.json for Storm, .json for a "
         "controller, .h for C, .dot, .csv",
     )  # fmt: skip
+    answer.add_argument(
+        "--everywhere", action="store_true",
+        help="the policy that is written acts in every state, planned or not, failed or not",
+    )  # fmt: skip
     told = "write a proof of the answer, for ssp-lp check"
     _add_file(answer, "--certificate-out", metavar="FILE", help=told)
     _add_file(answer, "--plot", metavar="FILE", help="draw the law of the total cost")

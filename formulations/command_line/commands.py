@@ -10,7 +10,7 @@ from argparse import ArgumentTypeError, Namespace
 from ast import literal_eval
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass, fields, replace
 from functools import cache
 from io import StringIO
 from itertools import zip_longest
@@ -424,8 +424,8 @@ _WRITERS: dict[str, PolicyWriter] = {
         solution.randomised_policy, path, start=of.only_start
     ),
     ".npz": lambda solution, of, path: io.save_policy(solution.policy, path),
-    ".json": lambda solution, of, path: io.write_controller(solution.policy_everywhere(), path),
-    ".h": lambda solution, of, path: io.write_c_header(solution.policy_everywhere(), path),
+    ".json": lambda solution, of, path: io.write_controller(solution.policy, path),
+    ".h": lambda solution, of, path: io.write_c_header(solution.policy, path),
     ".dot": lambda solution, of, path: io.write_dot(solution.policy, path, of.start),
     ".csv": _write_answer_table,
 }
@@ -440,7 +440,8 @@ def _solve_command(asked: Namespace) -> Iterable[str]:
     problem = problem_of(asked, found)
     solution = ssp_lp.solve(problem, asked.method, time_limit=asked.time_limit, **tolerance)
     if write is not None:
-        write(solution, found, asked.policy_out)
+        policy = solution.policy_everywhere() if asked.everywhere else solution.policy
+        write(replace(solution, policy=policy), found, asked.policy_out)
     if asked.certificate_out is not None:
         ssp_lp.write_certificate(solution, asked.certificate_out)
     if figure is not None:

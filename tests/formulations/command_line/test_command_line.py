@@ -367,6 +367,13 @@ def test_a_horizon_is_that_of_the_criterion(
         assert player.action("lock") == "try"
         player.observe("lock", 1.0)
     assert player.action("lock") == "give up"
+    assert run(capsys, *asked, "--policy-out", runner, "--everywhere")[0] == 0
+    player = Controller(runner)
+    player.reset()
+    for step in range(6):  # there is nothing else to do
+        assert player.action("lock") == "try"
+        assert player.failed == (step >= 3)
+        player.observe("lock", 1.0)
     rows = json.loads(run(capsys, "compare", model, *words, "--json")[1])
     assert rows[0] == {**rows[0], "criterion": "MaxProb", "objective": pytest.approx(0.875)}
 
