@@ -63,9 +63,10 @@ from ssp_lp.solve import solve as solve
 from ssp_lp.verification.certify import Certificate as Certificate, certify as certify
 
 if TYPE_CHECKING:
-    from ssp_lp.analysis.frontier import Frontier as Frontier, trace_frontier as trace_frontier
+    from ssp_lp.analysis.frontier import Frontier as Frontier
     from ssp_lp.analysis.simulation import simulate as simulate
     from ssp_lp.formulation import Formulation as Formulation
+    from ssp_lp.methods.trade_off import trace_frontier as trace_frontier
     from ssp_lp.model.continuous_model import (
         Axis as Axis,
         ContinuousModel as ContinuousModel,
@@ -89,9 +90,10 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _MODULES = {
-    "analysis.frontier": "Frontier trace_frontier",
+    "analysis.frontier": "Frontier",
     "analysis.simulation": "simulate",
     "formulation": "Formulation",
+    "methods.trade_off": "trace_frontier",
     "model.continuous_model": "Axis ContinuousModel Distribution Grid WorldSimulator",
     "model.discretise": "Quadrature Samples discretise",
     "programs.occupation_program": "OccupationProgram",

@@ -226,6 +226,7 @@ class Restated:
     semantics: FailureSemantics
     conditions: tuple[Condition, ...] = ()
     discount: float | None = None
+    objective_condition: Condition | None = None  # minimised in place of the cost
 
     def compile(self) -> CompiledArrivalCost:
         """The process on the lattice of its costs."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,17 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ssp_lp.arrays import BELOW_RATIO, LEAST_BUDGET, RELATIVE_GAP, FloatArray
+from ssp_lp.arrays import BELOW_RATIO, LEAST_BUDGET, FloatArray
 from ssp_lp.column_generation.column import Column, FailureRow, PricingProblem, Proof, least_of
 from ssp_lp.column_generation.compiled_problem import CompiledProblem, checked_least_failure
 from ssp_lp.column_generation.search import Secant, generate
-from ssp_lp.compiled.deadline import Stop, WithIncumbent, closing, is_late, until
+from ssp_lp.compiled.deadline import Stop, WithIncumbent, closing, is_late
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import (
     Argument,
     InfeasibleError,
     ModelError,
-    OutOfTimeError,
     SolverError,
     check_between_0_and_1,
     check_whole,
@@ -31,17 +29,11 @@ from ssp_lp.errors import (
     wrong_argument,
 )
 from ssp_lp.model.naming import html_table
-from ssp_lp.options import SolveOptions, Status, deadline_of, progress_shown
+from ssp_lp.options import SolveOptions, Status
 from ssp_lp.policies import MixedPolicy
-from ssp_lp.problem import (
-    Problem,
-    check_numbers,
-    check_problem,
-    pulled_back,
-    requirements,
-    unrolled,
-)
-from ssp_lp.processes.failure_semantics import Aim, as_percentage
+from ssp_lp.problem import Problem, budget_of_share, check_numbers, pulled_back, requirements
+from ssp_lp.processes.conditions import FAILURE_ROW
+from ssp_lp.processes.failure_semantics import as_percentage
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -56,13 +48,14 @@ class Frontier:
 
     Between two of them the optimum is their lottery: cost is piecewise linear and convex in the
     failure. In case S ``cost`` is E[cost; goal], and the objective is cost / goal along a segment.
-    Under a discount all three are discounted.
+    Under a discount all three are discounted. Over another limit, ``spent`` is what is spent of it,
+    and takes the place of the failure.
     """
 
-    failure: FloatArray  # [points] increasing
+    spent: FloatArray  # [points] increasing: of what is traced, failure unless ``over`` says else
     goal: FloatArray  # [points] 1 - failure
     cost: FloatArray  # [points] decreasing
-    price: FloatArray  # [points - 1] price of failure on each segment, decreasing
+    price: FloatArray  # [points - 1] of what is traced, on each segment, decreasing
     below: FloatArray  # [points - 1] no policy lies further below, as a share of the safer cost
     tolerance: float  # share below a segment up to which it was not split
     hidden: float  # share by which what a cap on the accumulated cost hides may lie below
@@ -75,6 +68,8 @@ class Frontier:
     _problem: Problem | None = None  # as stated
     ends_early: bool = False  # whether tracing was stopped before it found the other end
     status: Status = Status.OPTIMAL
+    over: str = FAILURE_ROW  # the limit that is traced
+    maximises: bool = False  # then the objective grows, and what is said to lie below lies above
 
     @classmethod
     def through(
@@ -95,7 +90,7 @@ class Frontier:
         ordered = tuple(sorted(columns, key=lambda c: c.failure))
         failure, cost = np.array([c.failure for c in ordered]), np.array([c.cost for c in ordered])
         return cls(
-            failure=failure,
+            spent=failure,
             goal=np.array([c.goal for c in ordered]),
             cost=cost,
             price=-np.diff(cost) / np.diff(failure),
@@ -105,6 +100,16 @@ class Frontier:
             _columns=ordered,
             **told,
         )
+
+    @property
+    def failure(self) -> FloatArray:
+        """What fails at each turning point, [points]."""
+        return self.spent if self.over == FAILURE_ROW else 1.0 - self.goal
+
+    @property
+    def problem(self) -> Problem | None:
+        """The problem as it was stated."""
+        return self._problem
 
     @property
     def gap(self) -> float:
@@ -225,9 +230,13 @@ class Frontier:
         """
         number, weight = self._locate(budget)
         weights = np.ones(1) if weight == 0.0 else np.array([1.0 - weight, weight])
-        some = self._columns[number : number + len(weights)]
-        found = MixedPolicy(tuple(self._pricing.policy(column) for column in some), weights)
+        found = self._lottery(number, weights)
         return found if self._problem is None else pulled_back(found, self._problem)
+
+    def _lottery(self, number: int, weights: FloatArray) -> MixedPolicy:
+        """The lottery over turning points from one on, on the model of the problem solved."""
+        some = self._columns[number : number + len(weights)]
+        return MixedPolicy(tuple(self._pricing.policy(column) for column in some), weights)
 
     def plot(self, budget: float | None = None, *, ax: Axes | None = None, **style: Any) -> Axes:
         """Draw the frontier: :func:`ssp_lp.plotting.plot_frontier`."""
@@ -238,14 +247,14 @@ class Frontier:
     def to_frame(self) -> Any:
         """The turning points as a pandas ``DataFrame``, a row for each.
 
-        Columns: failure, goal, cost, objective; price and below of the segment that begins at the
-        point, nan at the last.
+        Columns: what is traced by its name, goal, cost, objective; price and below of the segment
+        that begins at the point, nan at the last.
 
         Raises:
             MissingDependencyError: pandas is not installed.
         """
         columns = {
-            "failure": self.failure,
+            self.over: self.spent,
             "goal": self.goal,
             "cost": self.cost,
             "objective": self.objective,
@@ -257,57 +266,65 @@ class Frontier:
     def __repr__(self) -> str:
         """One line, and a few of the points."""
         rows = "".join(
-            f"\n  failure {failure:<12} objective {objective:<12} price {price}"
+            f"\n  {self.over} {failure:<12} objective {objective:<12} price {price}"
             for failure, objective, price in self._some()
         )
         return f"Frontier({self._title}){rows}"
 
     def _repr_html_(self) -> str:
         """A few of the points as a table, for notebooks."""
-        head = ("failure", "objective", "price from here on")
+        head = (self.over, "objective", "price from here on")
         return html_table(f"Frontier: {self._title}", self._some(), head)
 
     @property
     def _title(self) -> str:
         """How many points, from where to where, and how near."""
-        failure, value, count = self.failure, self.objective, len(self.open_segments)
+        spent, value, count = self.spent, self.objective, len(self.open_segments)
         told = f", {count} segment{'s' * (count != 1)} open: {self.status}" if count else ""
         return (
-            f"{len(failure):,} points, failure {failure[0]:.6g} .. {failure[-1]:.6g}, "
+            f"{len(spent):,} points, {self.over} {spent[0]:.6g} .. {spent[-1]:.6g}, "
             f"objective {value[0]:.6g} .. {value[-1]:.6g}, gap {self.gap:.1e}{told}"
         )
 
     def _some(self) -> list[tuple[str, str, str]]:
-        """Failure, objective and price from there on, of a few points from first to last."""
-        count = len(self.failure)
+        """Spent, objective and price from there on, of a few points from first to last."""
+        count = len(self.spent)
         shown = np.unique(np.linspace(0, count - 1, min(count, _SHOWN)).round().astype(int))
         price = [f"{p:.6g}" for p in self.price] + ["-"]
         return [
-            (f"{self.failure[k]:.6g}", f"{self.objective[k]:.6g}", price[k]) for k in shown.tolist()
+            (f"{self.spent[k]:.6g}", f"{self.objective[k]:.6g}", price[k]) for k in shown.tolist()
         ]
 
     def _locate(self, budget: float) -> tuple[int, float]:
         """The turning point at or before the budget, and the weight of the next one."""
         check_numbers(budget=budget)
-        if budget > 1.0 + LEAST_BUDGET:
+        if self.over == FAILURE_ROW and budget > 1.0 + LEAST_BUDGET:
             raise ModelError(f"budget must be a probability, not {budget!r}{as_percentage(budget)}")
-        least = float(self.failure[0])
+        least, spent = float(self.spent[0]), self.spent
         if not self.complete and not budget >= least:
             raise ModelError(
                 f"the frontier was traced from failure {least:.12g} on, which the budget "
                 f"{budget!r} is below; a steeper steepest_price traces more of it"
             )
         if not budget >= least - LEAST_BUDGET:
+            told = "fails with" if self.over == FAILURE_ROW else f"takes of {self.over!r}"
             raise InfeasibleError(
-                f"every policy fails with at least {least:.12g}, above the budget {budget!r}",
-                failure_budget=budget,
-                least_failure=least,
+                f"every policy {told} at least {least:.12g}, above the budget {budget!r}",
+                failure_budget=budget if self.over == FAILURE_ROW else None,
+                least_failure=least if self.over == FAILURE_ROW else self._least_failure,
+                conflicting_rows=(self.over,),
             )
-        number = max(int(np.searchsorted(self.failure, budget, side="right")) - 1, 0)
-        if number == len(self.failure) - 1 or budget <= least:
+        number = max(int(np.searchsorted(spent, budget, side="right")) - 1, 0)
+        if number == len(spent) - 1 or budget <= least:
             return number, 0.0
-        width = float(self.failure[number + 1] - self.failure[number])
-        return number, (budget - float(self.failure[number])) / width
+        width = float(spent[number + 1] - spent[number])
+        return number, (budget - float(spent[number])) / width
+
+    def _least_failure(self) -> float:
+        """The least failure probability of all policies, worked out where an error asks for it."""
+        if self._problem is None:
+            return float(self.failure.min())
+        return budget_of_share(self._problem.model, self._problem.start, 1.0)
 
 
 def _apart_on_curve(low: float, high: float) -> str:
@@ -321,81 +338,28 @@ _STEEP_SHARE = 3  # one in so many of the points that are allowed is sought at t
 _LOG = logging.getLogger("ssp_lp.frontier")
 
 
-def trace_frontier(
-    problem: Problem,
-    *,
-    gap: float = RELATIVE_GAP,
-    steepest_price: float | None = None,
-    point_limit: int | None = None,
-    time_limit: float | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    verbose: bool = False,
-) -> Frontier:
-    """Trace the frontier from the least failure to where more failure buys nothing.
-
-    Each segment is priced at its own slope: either no policy lies below it and it is part of the
-    frontier, or the policy found splits it. Case M ends at price 0; case S where the price falls
-    to the ratio itself, beyond which failing more does not lower the cost given success.
-
-    Args:
-        problem: its failure budget does not matter.
-        gap: how far a policy may lie below a segment, as a share of the cost at its safer end.
-        steepest_price: begin with the policy that is best at this price of failure (kappa in case
-            S) rather than at the least failure, near which the price grows without bound.
-        point_limit: stop splitting after so many turning points, of which the segments with most
-            below them get theirs first; ``gap`` is then what was reached.
-        time_limit: seconds after which splitting stops, also within a pricing call, as Ctrl-C does
-            at once. The points found are kept; ``open_segments`` says where others may be missing.
-        progress: called after each pricing call with (calls, turning points so far).
-        verbose: show how far it has come (``ssp_lp.progress_shown``).
+def traced_over_failure(problem: Problem, limits: TraceLimits) -> Frontier:
+    """The frontier over the failure budget alone, of a problem without other limits.
 
     Raises:
-        ModelError: an argument out of range, or a problem without a failure budget.
+        ModelError: it has no failure budget, or no mean of costs, to trace.
         InfeasibleError: case S, and the goal cannot be reached from the start.
-        OutOfTimeError: the time limit passed before there was a point.
-        KeyboardInterrupt: Ctrl-C came before there was one.
+        Stop: the time ended before there was a point.
     """
-    asked = _traceable(problem)
-    deadline = deadline_of(time_limit, time.perf_counter())
-    limits = _Limits(gap, steepest_price, point_limit, deadline < np.inf, progress)
-    with progress_shown(verbose), until(deadline) as ended:
-        try:
-            traced = _traced_and_refined(asked.compile(), limits)
-        except Stop:
-            if ended.is_interrupted:
-                raise KeyboardInterrupt from None
-            told = "the time limit ended before the least failure was known: allow more time"
-            raise OutOfTimeError(told) from None
-        _LOG.info("%d turning points, gap %.1e", len(traced.failure), traced.gap)
-    status = ended.status(np.inf if traced.ends_early else traced.gap, gap)
-    return replace(traced, _problem=problem, status=status)
-
-
-def _traceable(problem: Problem) -> Problem:
-    """The problem that is solved, which has one failure budget and a mean of costs.
-
-    Raises:
-        ModelError: it has not.
-    """
-    check_problem(problem, "trace_frontier")
-    problem = unrolled(problem)
-    name = type(problem).__name__
-    if problem.semantics.aim is not Aim.LEAST_COST or problem.semantics.forbids_failing:
-        raise ModelError(f"{name} has no failure budget to trace: trace MCMP's")
-    asked = requirements(problem)
+    name, asked = type(problem).__name__, requirements(problem)
     if asked.measure is not None:
         raise ModelError(f"{name} is no mean of costs to trace: trace S3P's")
-    if asked.rows:
-        raise ModelError(f"{name} has limits besides its failure budget: trace it without them")
     if asked.several_rows:
         raise ModelError(
             f"{name}'s costs have no common unit and too many sums to tell apart: round them, or "
             "trace MCMP's frontier"
         )
-    return problem
+    traced = _traced_and_refined(problem.compile(), limits)
+    _LOG.info("%d turning points, gap %.1e", len(traced.spent), traced.gap)
+    return traced
 
 
-def _traced_and_refined(compiled: CompiledProblem, limits: _Limits) -> Frontier:
+def _traced_and_refined(compiled: CompiledProblem, limits: TraceLimits) -> Frontier:
     """Trace, and again on a finer process while a cap on the cost hides more than the gap.
 
     It hides most where the price is steepest, so that a few pricing calls at that end tell first
@@ -426,7 +390,7 @@ def _traced_and_refined(compiled: CompiledProblem, limits: _Limits) -> Frontier:
 
 
 @dataclass(frozen=True)
-class _Limits:
+class TraceLimits:
     """How far to trace."""
 
     gap: float
@@ -464,7 +428,7 @@ def _share_lost_in_tracing(compiled: CompiledProblem, traced: Frontier) -> float
     return lost / max(float(traced.cost.min()), 1e-300) if lost > 0.0 else 0.0
 
 
-def _ends(compiled: CompiledProblem, limits: _Limits) -> tuple[list[Column], bool, int, Work]:
+def _ends(compiled: CompiledProblem, limits: TraceLimits) -> tuple[list[Column], bool, int, Work]:
     """The first and last point to be traced; whether the last is known; calls made, and work.
 
     Raises:
@@ -489,7 +453,7 @@ def _ends(compiled: CompiledProblem, limits: _Limits) -> tuple[list[Column], boo
 
 
 def _traced(
-    compiled: CompiledProblem, limits: _Limits, begun: Frontier | None, *, steep_only: bool
+    compiled: CompiledProblem, limits: TraceLimits, begun: Frontier | None, *, steep_only: bool
 ) -> Frontier:
     """The turning points of one process.
 
@@ -532,7 +496,7 @@ def _traced(
 class _WaitingSegments:
     """Segments with a policy below them, the worst first where not all can be split. Grows."""
 
-    def __init__(self, pricing: PricingProblem, ratio: bool, limits: _Limits) -> None:
+    def __init__(self, pricing: PricingProblem, ratio: bool, limits: TraceLimits) -> None:
         """Nothing waits."""
         self.found: list[tuple[float, int, tuple[Column, Column, Column]]] = []  # a heap
         self.calls, self.work = 0, Work()

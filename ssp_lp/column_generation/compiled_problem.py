@@ -1085,6 +1085,14 @@ class CompiledExplicit(CompiledProblem):
             raise ModelError("a value function of [(layers + 1) x nodes + 1] is needed")
         return self._handing_on(replace(self, cap=layers - 1))
 
+    def bounded(self, budget: float | None, side: tuple[UpperRow, ...]) -> CompiledExplicit:
+        """The same rows with other bounds: all else that is known of the process is handed on."""
+        other, least = replace(self, budget=budget, side=side), {"least", "least_goal"}
+        vars(other).update(
+            (k, v) for k, v in vars(self).items() if k not in vars(other).keys() | least
+        )
+        return other
+
     def charging(self, charge: Charge) -> CompiledExplicit:
         """The same with another charge, if its arrivals lie on the lattice of costs."""
         return self._handing_on(replace(self, charge=charge, cap=None))

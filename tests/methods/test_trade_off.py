@@ -1,0 +1,183 @@
+"""Frontiers over any limit: closed forms, optima at thirty bounds, refusals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from formulations import GUBS, MCMP, S3P, CostLimit, ConstrainedCost, CVaR, MaxProb
+from small_models import model_of
+from ssp_lp import (
+    InfeasibleError,
+    ModelError,
+    OutOfTimeError,
+    end_probability,
+    evaluate,
+    expected_cost,
+    secondary_cost,
+    solve,
+    trace_frontier,
+    visits,
+)
+
+SKID = model_of(
+    {
+        "a": {
+            "fast": [(0.9, "g", 1.0), (0.1, "skid", 1.0)],
+            "mid": [(0.98, "g", 4.0), (0.02, "wreck", 4.0)],
+            "slow": [(1.0, "g", 10.0)],
+        },
+        "skid": {"slide": [(0.5, "wreck", 0.0), (0.5, "ash", 0.0)]},
+    },
+    labels={"crash": ["wreck"], "fire": ["ash"]},
+)
+
+
+@cache
+def town(seed: int) -> Any:
+    """Six places in a row with three ways on each, from dear and safe to cheap and risky."""
+    rng, choices = np.random.default_rng(seed), dict[Any, Any]()
+    for k in range(6):
+        on, choices[k] = "g" if k == 5 else k + 1, {}
+        for way in range(3):
+            pit, ice = 0.02 * way * rng.random(), 0.03 * way * rng.random()
+            back = 0.2 * rng.random()
+            cost = float(np.round(1.0 + (3.0 - way) * (1.0 + rng.random())))
+            choices[k][way] = [(1.0 - pit - ice - back, on, cost), (pit, "pit", cost)]
+            choices[k][way] += [(ice, "ice", cost), (back, max(k - 1, 0), cost)]
+    choices["pit"], choices["ice"] = {}, {}
+    return model_of(choices, labels={"crash": ["pit"], "cold": ["ice"]})
+
+
+def fuel_of(model: Any) -> Any:
+    return secondary_cost({k: {0: 0.5, 1: 1.0, 2: 1.5} for k in range(6)})
+
+
+def crashes(bound: float, **more: Any) -> Any:
+    limits = {"crash": end_probability("crash") <= bound, "fire": end_probability("fire") <= 0.03}
+    return MCMP(SKID, "a", 0.1, constraints=limits, **more)
+
+
+def test_the_frontier_over_crashes_in_closed_form() -> None:
+    """Slow, mid, and as much of fast as 3 % of fires leave: three points on two lines."""
+    frontier = trace_frontier(crashes(1.0), over="crash")
+    assert frontier.over == "crash"
+    assert frontier.spent == pytest.approx([0.0, 0.02, 0.038], abs=1e-12)
+    assert frontier.objective == pytest.approx([10.0, 4.0, 2.2], rel=1e-12)
+    assert frontier.price == pytest.approx([300.0, 100.0], rel=1e-9)
+    assert frontier.failure == pytest.approx([0.0, 0.02, 0.068], abs=1e-12)
+    assert frontier.objective_at(0.01) == pytest.approx(7.0, rel=1e-12)
+    assert frontier.bounds_at(0.5) == pytest.approx((2.2, 2.2), rel=1e-9)
+    policy = frontier.policy_at(0.029)
+    assert evaluate(policy, crashes(0.029)).secondary_costs["crash"] == pytest.approx(0.029)
+    assert repr(frontier).startswith("Frontier(3 points, crash 0 .. 0.038, objective 10 .. 2.2")
+
+
+def over_failure(b: float) -> Any:
+    return MCMP(town(1), 0, b, constraints={"cold": end_probability("cold") <= 0.06})
+
+
+def given_success(b: float) -> Any:
+    model = town(2)
+    return S3P(model, 0, 0.4, constraints={"crash": end_probability("crash") <= b})
+
+
+def failing_given_success(b: float) -> Any:
+    model = town(3)
+    return S3P(model, 0, b, constraints={"fuel": fuel_of(model) <= 9.0})
+
+
+def reaching(b: float) -> Any:
+    model = town(4)
+    limits = {"cost": expected_cost() <= b, "fuel": fuel_of(model) <= 9.0}
+    return MaxProb(model, 0, constraints=limits)
+
+
+def in_time(b: float) -> Any:
+    model = town(5)
+    return MCMP(model, 0, 0.6, horizon=12, constraints={"crash": end_probability("crash") <= b})
+
+
+def discounted(b: float) -> Any:
+    model = town(6)
+    return MCMP(model, 0, 0.5, discount=0.95, constraints={"few": visits(3) <= b})
+
+
+def least_failure(b: float) -> Any:
+    model = town(7)
+    return ConstrainedCost(model, 0, {"fuel": CostLimit(fuel_of(model).terms[0][1].cost, b)}, 0.5)
+
+
+FINE = 1e-9
+CASES: dict[str, tuple[Callable[[float], Any], str, float]] = {
+    "failure, cold held": (over_failure, "failure", FINE),
+    "crash given success": (given_success, "crash", 2e-2),
+    "failure given success, fuel held": (failing_given_success, "failure", 2e-2),
+    "cost of the greatest goal": (reaching, "cost", FINE),
+    "crash within a horizon": (in_time, "crash", FINE),
+    "visits under a discount": (discounted, "few", FINE),
+    "a limit of the criterion's own": (least_failure, "fuel", FINE),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_no_optimum_lies_outside_the_bounds(case: str) -> None:
+    stated, over, gap = CASES[case]
+    frontier = trace_frontier(stated(0.5), over, gap=gap)
+    assert (np.diff(frontier.spent) > 0.0).all()
+    assert frontier.gap <= gap * (1.0 + 1e-12)
+    first, last = float(frontier.spent[0]), float(frontier.spent[-1])
+    assert len(frontier.spent) > 2
+    count = 30 if gap == FINE else 8  # given success each bound takes a search of its own
+    for bound in np.linspace(first + 1e-9, min(1.05 * last, last + 0.01), count).tolist():
+        optimum = solve(stated(bound)).objective
+        low, high = frontier.bounds_at(bound)
+        assert low - 1e-9 * abs(low) <= optimum <= high + 1e-9 * abs(high)
+        assert high - low <= 2.0 * gap * max(frontier.objective)
+    middle = 0.5 * (first + last)
+    policy = frontier.policy_at(middle)
+    assert policy.model is stated(0.5).model
+    found = evaluate(policy, stated(middle))
+    spent = found.limited_failure if over == "failure" else found.secondary_costs[over]
+    assert spent == pytest.approx(middle, rel=1e-9)
+    assert found.objective == pytest.approx(frontier.objective_at(middle), rel=1e-8)
+    with pytest.raises(InfeasibleError) as refused:
+        frontier.bounds_at(first - 0.01)
+    assert refused.value.least_failure <= 1.0
+
+
+def test_tracing_that_was_cut_short_bounds_the_rest() -> None:
+    whole = trace_frontier(over_failure(0.5))
+    part = trace_frontier(over_failure(0.5), point_limit=3)
+    assert len(part.open_segments) > 0
+    for bound in np.linspace(float(whole.spent[0]), float(whole.spent[-1]), 20).tolist():
+        low, high = part.bounds_at(bound)
+        assert low * (1.0 - 1e-9) <= whole.objective_at(bound) <= high * (1.0 + 1e-9)
+    with pytest.raises(OutOfTimeError):
+        trace_frontier(over_failure(0.5), time_limit=0.0)
+
+
+def test_what_no_limit_or_no_program_is_is_refused() -> None:
+    with pytest.raises(ModelError, match="'crahs'; did you mean 'crash'"):
+        trace_frontier(crashes(1.0), over="crahs")
+    with pytest.raises(ModelError, match="bounds from below"):
+        kept = {"fire": end_probability("fire") >= 0.01}
+        trace_frontier(MCMP(SKID, "a", 0.1, constraints=kept), over="fire")
+    with pytest.raises(ModelError, match="no linear program"):
+        limits = {"crash": end_probability("crash") <= 0.1}
+        trace_frontier(CVaR(SKID, "a", 0.9, 0.1, constraints=limits), over="crash")
+    with pytest.raises(ModelError, match="steepest_price"):
+        trace_frontier(crashes(1.0), over="crash", steepest_price=10.0)
+
+
+def test_a_utility_over_a_limit() -> None:
+    limits = {"crash": end_probability("crash") <= 0.5}
+    problem = GUBS(SKID, "a", lambda c: np.exp(-0.1 * c), 1.0, constraints=limits)
+    frontier = trace_frontier(problem, over="crash")
+    assert frontier.maximises
+    assert (np.diff(frontier.objective) > 0.0).all()
+    assert frontier.objective[0] == pytest.approx(np.exp(-1.0) + 1.0)
