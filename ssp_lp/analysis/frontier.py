@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 
 
 _SHOWN = 5  # points that a repr lists
+_BENT = 0.1  # of its height: a frontier that lies less below its chord has no bend
+_AROUND = 3.0  # times as far as the bend of a frontier is worth looking at
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -110,6 +112,23 @@ class Frontier:
     def problem(self) -> Problem | None:
         """The problem as it was stated."""
         return self._problem
+
+    @property
+    def region(self) -> tuple[float, float]:
+        """The bounds worth looking at: three times as far as the curve lies most below its chord.
+
+        Beyond, more of the budget buys little; all of them where the curve has no such bend.
+        """
+        first, last = float(self.spent[0]), float(self.spent[-1])
+        if len(self.spent) < 3:
+            return first, last
+        along = (self.spent - first) / (last - first)
+        up = (self.objective - self.objective[-1]) / (self.objective[0] - self.objective[-1])
+        below = 1.0 - along - up
+        if below.max() < _BENT:
+            return first, last
+        bend = float(self.spent[int(np.argmax(below))])
+        return first, min(first + _AROUND * (bend - first), last)
 
     @property
     def gap(self) -> float:

@@ -11,10 +11,11 @@ The least objective is convex in the bound, and linear between turning points. W
 two neighbours prove meet below the line between their optima, the problem is solved next: either
 that is a turning point, or it lies on a segment, whose price it proves at both ends.
 
-**Given success** the objective is a ratio, of which prices prove ``cost / goal >= L - price *
-(bound - its own bound) * t`` with ``t = 1 / goal``. The goal probability of a lottery is not known,
-but it is one number in all these lines: the least that their greatest comes to for any t >= 1 is a
-bound. On a segment all lines proved there pass through both ends, and only there: it is tight.
+**Given success** the objective is a ratio, of which prices prove ``cost / goal >= c - (c - L + price
+* (bound - its own bound)) * t``, where c is what was attained and ``t = 1 / goal``. The goal
+probability of a lottery is not known, but it is one number in all these lines: the least that their
+greatest comes to for any t >= 1 is a bound. Lines proved inside of a segment pass through both its
+ends, and meet nowhere else: there the bound is tight.
 """
 
 from __future__ import annotations
@@ -177,6 +178,7 @@ class _Lines:
     """What the prices of all optima prove at any bound."""
 
     at: FloatArray  # [optima] the bound of each
+    value: FloatArray  # [optima] attained at it
     proved: FloatArray  # [optima] at it
     price: FloatArray  # [optima]
     least_goal: float | None  # that all lotteries have; None: nothing is counted given success
@@ -187,7 +189,7 @@ class _Lines:
         longest, beyond = self._longest(bound), bound - self.at
         tells = (beyond <= 0.0) | np.isfinite(self.price)
         finite = np.where(np.isfinite(self.price), self.price, 0.0)
-        height, slope = self.proved[tells], -(finite * beyond)[tells]
+        height, slope = self.value[tells], (self.proved - self.value - finite * beyond)[tells]
         up, down = slope >= 0.0, slope < 0.0
         first = _rounded_down(height[up], slope[up], 1.0)
         last = _rounded_down(height[down], slope[down], longest)
@@ -299,9 +301,9 @@ class _Tracing:
     @property
     def _lines(self) -> _Lines:
         """What the optima so far prove."""
-        at, proved, price = np.array([(o.at, o.proved, o.price) for o in self.optima]).T
+        drawn = np.array([(o.at, o.value, o.proved, o.price) for o in self.optima]).T
         goal = self.stated.least_goal if self.stated.ratio else None
-        return _Lines(at, proved, price, goal, self.over == FAILURE_ROW)
+        return _Lines(*drawn, goal, self.over == FAILURE_ROW)
 
     def _scale(self, p: _Optimum, q: _Optimum) -> float:
         """To which what lies below a segment is compared: the larger objective of its ends."""

@@ -253,9 +253,14 @@ def test_what_is_refused():
     for method in ("game", "deterministic"):
         with pytest.raises(ModelError, match="ConstrainedCost"):
             solve(problem, method)
-    for question in (trace_frontier, cross_check):
-        with pytest.raises(ModelError, match="ConstrainedCost"):
-            question(problem)
+    with pytest.raises(ModelError, match="ConstrainedCost"):
+        cross_check(problem)
+
+
+def test_a_frontier_holds_the_limits():
+    """Over failure, with the fuel held at its bound."""
+    problem = ConstrainedCost(THREE, "a", {"fuel": CostLimit(FUEL, 3)}, failure_budget=0.5)
+    assert trace_frontier(problem).objective_at(0.5) == pytest.approx(solve(problem).objective)
 
 
 @pytest.mark.parametrize("backend", ["highs", "highs-simplex", "highs-ipx", "clarabel", "cvxpy"])
