@@ -27,6 +27,7 @@ CRITERIA = {
 _SHELLS = ("bash", "zsh", "tcsh")
 _FILES = {"bash": "_shtab_compgen_files", "zsh": "_files", "tcsh": "f"}
 """What completes the name of a file, as shtab's ``FILE`` has it."""
+_NO_PROGRAM = {"cost-quantile", "cvar"}
 
 
 class Parameter(NamedTuple):
@@ -143,7 +144,11 @@ EXAMPLES = {
     "frontier": """\
   ssp-lp frontier roads.json --goal home --start depot
   ssp-lp frontier roads.json --goal home --start depot --criterion s3p --csv frontier.csv
-  ssp-lp frontier roads.json --goal home --start depot --failure-budget 0.05 --plot frontier.png""",
+  ssp-lp frontier roads.json --goal home --start depot --failure-budget 0.05 --plot frontier.png
+  ssp-lp frontier roads.json --goal home --start depot --limit "cost <= 9" --over cost""",
+    "explore": """\
+  ssp-lp explore roads.json --goal home --start depot --failure-budget 0.05 --out roads.html
+  ssp-lp explore gym:FrozenLake-v1 --horizon none --out lake.html""",
     "info": """\
   ssp-lp info roads.json --goal home --start depot
   ssp-lp info gym:FrozenLake-v1 --horizon none --json""",
@@ -321,12 +326,27 @@ def _add_solve(one: ArgumentParser) -> None:
     _add_file(answer, "--plot", metavar="FILE", help="draw the law of the total cost")
 
 
+def _add_tracing(one: ArgumentParser, points: int | None = None) -> None:
+    """Add the arguments of whatever traces a frontier."""
+    _add_question(one, [name for name in CRITERIA if name not in _NO_PROGRAM])
+    said = "the limit to trace, by its words: failure if left out; other limits are kept"
+    one.add_argument("--over", metavar="NAME", default="failure", help=said)
+    one.add_argument("--gap", type=float, metavar="GAP", help="how near; 1e-9")
+    many = "at most so many turning points" + ("" if points is None else f"; {points}")
+    one.add_argument("--point-limit", type=int, metavar="N", default=points, help=many)
+    one.add_argument("--time-limit", type=float, metavar="SECONDS", help="then what is there")
+
+
+def _add_explore(one: ArgumentParser) -> None:
+    """Add the arguments of ``explore``."""
+    _add_tracing(one, 50)
+    _add_file(one, "--out", required=True, metavar="FILE", help="the page: .html")
+    one.add_argument("--seed", type=int, default=0, metavar="N", help="of the sample runs; 0")
+
+
 def _add_frontier(one: ArgumentParser) -> None:
     """Add the arguments of ``frontier``."""
-    _add_question(one, ["mcmp", "s3p"])
-    one.add_argument("--gap", type=float, metavar="GAP", help="how near; 1e-9")
-    one.add_argument("--point-limit", type=int, metavar="N", help="at most so many turning points")
-    one.add_argument("--time-limit", type=float, metavar="SECONDS", help="then what is there")
+    _add_tracing(one)
     _add_forms(one)
     _add_file(one, "--plot", metavar="FILE", help="draw it, with the budget and its tangent")
 
@@ -362,13 +382,14 @@ def _add_compare(one: ArgumentParser) -> None:
 
 def _add_program(one: ArgumentParser) -> None:
     """Add the arguments of ``program``."""
-    _add_question(one, [name for name in CRITERIA if name not in {"cost-quantile", "cvar"}])
+    _add_question(one, [name for name in CRITERIA if name not in _NO_PROGRAM])
     _add_file(one, "--out", metavar="FILE", help="write it: .mps or .lp")
 
 
 _COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None] | None]] = {
     "solve": ("the best policy within a failure budget, and its proof", _add_solve),
     "frontier": ("the least cost for every failure budget at once", _add_frontier),
+    "explore": ("a page of HTML with a slider along the frontier", _add_explore),
     "info": ("what a model holds, and how little can fail in it", None),
     "simulate": ("play a saved policy, with confidence intervals", _add_simulate),
     "convert": ("a model from one format into another", None),

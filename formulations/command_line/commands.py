@@ -39,7 +39,7 @@ from ssp_lp.io.model_files.raw_model import FIRST_COST
 from ssp_lp.methods.program import program_of
 from ssp_lp.model.naming import text_table
 from ssp_lp.options import Status
-from ssp_lp.plotting import plot_cost_law, plot_frontier
+from ssp_lp.plotting import explore, plot_cost_law, plot_frontier, row_major
 from ssp_lp.policies.policy import Policy
 
 if TYPE_CHECKING:
@@ -495,31 +495,50 @@ def _decisions(policy: Policy) -> dict[str, Any]:
 
 
 _LISTED = 8  # actions that ``info`` names
-_POINT = ("failure", "goal", "cost", "objective", "price")
+_POINT = ("goal", "cost", "objective", "price")
+
+
+def _traced_frontier(asked: Namespace, of: _CommandModel) -> ssp_lp.Frontier:
+    """The frontier that a command asks for."""
+    gap = {} if asked.gap is None else {"gap": asked.gap}
+    limits = {"point_limit": asked.point_limit, "time_limit": asked.time_limit}
+    return ssp_lp.trace_frontier(problem_of(asked, of), asked.over, **limits, **gap)
+
+
+def _explore_command(asked: Namespace) -> Iterable[str]:
+    """The command ``explore``."""
+    asked = with_property(asked)
+    found = command_model(asked)
+    traced = _traced_frontier(asked, found)
+    world = getattr(found.environment, "unwrapped", None)
+    drawn: Any = getattr(world, "desc", ())  # a map in letters
+    rows, columns = len(drawn), len(drawn[0]) if len(drawn) else 0
+    is_map = rows * columns == found.model.n_states
+    cells = row_major(rows, columns) if is_map else None
+    explore(traced, asked.out, cells=cells, seed=asked.seed)
+    return [repr(traced).splitlines()[0]]
 
 
 def _frontier_command(asked: Namespace) -> Iterable[str]:
     """The command ``frontier``."""
     figure = figure_for(asked.plot)
-    gap = {} if asked.gap is None else {"gap": asked.gap}
     asked = with_property(asked)
-    problem = problem_of(asked, command_model(asked))
-    traced = ssp_lp.trace_frontier(
-        problem, point_limit=asked.point_limit, time_limit=asked.time_limit, **gap
-    )
+    traced = _traced_frontier(asked, command_model(asked))
     if figure is not None:
-        plot_frontier(traced, getattr(asked, "failure_budget", None), ax=figure.subplots())
+        budget = getattr(asked, "failure_budget", None) if traced.over == "failure" else None
+        plot_frontier(traced, budget, ax=figure.subplots())
         figure.savefig(asked.plot)
     # the last point has no price
-    rows = list(zip_longest(*(getattr(traced, name).tolist() for name in _POINT)))
+    rows = list(zip_longest(*(getattr(traced, name).tolist() for name in ("spent", *_POINT))))
+    head = (traced.over, *_POINT)
     if asked.json:
-        points = [dict(zip(_POINT, row, strict=True)) for row in rows]
+        points = [dict(zip(head, row, strict=True)) for row in rows]
         return json_answer({"gap": traced.gap, "complete": traced.complete, "points": points})
     if asked.csv:
-        return _csv_answer(asked.csv, _POINT, rows)
+        return _csv_answer(asked.csv, head, rows)
     cells = [["-" if x is None else f"{x:.6g}" for x in row] for row in rows]
     ended = "" if traced.status is Status.OPTIMAL else f"; {traced.status}"
-    return [*text_table([_POINT, *cells], left=0), f"gap {traced.gap:.1e}{ended}"]
+    return [*text_table([head, *cells], left=0), f"gap {traced.gap:.1e}{ended}"]
 
 
 def _info_command(asked: Namespace) -> Iterable[str]:
@@ -628,6 +647,7 @@ def _program_command(asked: Namespace) -> Iterable[str]:
 COMMANDS: dict[str, Callable[[Namespace], Iterable[str]]] = {
     "solve": _solve_command,
     "frontier": _frontier_command,
+    "explore": _explore_command,
     "info": _info_command,
     "simulate": _simulate_command,
     "convert": _convert_command,

@@ -257,6 +257,29 @@ class Frontier:
         some = self._columns[number : number + len(weights)]
         return MixedPolicy(tuple(self._pricing.policy(column) for column in some), weights)
 
+    def slopes_at(self, budget: float) -> list[float]:
+        """Slopes of the objective in the budget, of each segment that meets it and is settled."""
+        slopes = []
+        for k in np.flatnonzero(self.below <= self.tolerance).tolist():
+            if not self.spent[k] <= budget <= self.spent[k + 1]:
+                continue
+            width, cost, goal = (
+                np.diff(x[k : k + 2])[0] for x in (self.spent, self.cost, self.goal)
+            )
+            if self.ratio:
+                w = (budget - self.spent[k]) / width
+                here = (1.0 - w) * self.goal[k] + w * self.goal[k + 1]
+                cost = (
+                    cost - ((1.0 - w) * self.cost[k] + w * self.cost[k + 1]) / here * goal
+                ) / here
+            slopes.append(float(cost / width))
+        return slopes
+
+    @property
+    def axis(self) -> str:
+        """What is traced, in words."""
+        return "failure budget" if self.over == FAILURE_ROW else f"bound on {self.over}"
+
     def plot(self, budget: float | None = None, *, ax: Axes | None = None, **style: Any) -> Axes:
         """Draw the frontier: :func:`ssp_lp.plotting.plot_frontier`."""
         pictures = optional_module("ssp_lp.plotting.curves", "plot")  # which know frontiers

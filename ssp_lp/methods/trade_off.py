@@ -11,8 +11,8 @@ The least objective is convex in the bound, and linear between turning points. W
 two neighbours prove meet below the line between their optima, the problem is solved next: either
 that is a turning point, or it lies on a segment, whose price it proves at both ends.
 
-**Given success** the objective is a ratio, of which prices prove ``cost / goal >= c - (c - L + price
-* (bound - its own bound)) * t``, where c is what was attained and ``t = 1 / goal``. The goal
+**Given success** the objective is a ratio, of which prices prove ``cost / goal >= c - (c - L +
+price * (bound - its own bound)) * t``, where c is what was attained and ``t = 1 / goal``. The goal
 probability of a lottery is not known, but it is one number in all these lines: the least that their
 greatest comes to for any t >= 1 is a bound. Lines proved inside of a segment pass through both its
 ends, and meet nowhere else: there the bound is tight.
@@ -303,7 +303,7 @@ class _Tracing:
         """What the optima so far prove."""
         drawn = np.array([(o.at, o.value, o.proved, o.price) for o in self.optima]).T
         goal = self.stated.least_goal if self.stated.ratio else None
-        return _Lines(*drawn, goal, self.over == FAILURE_ROW)
+        return _Lines(drawn[0], drawn[1], drawn[2], drawn[3], goal, self.over == FAILURE_ROW)
 
     def _scale(self, p: _Optimum, q: _Optimum) -> float:
         """To which what lies below a segment is compared: the larger objective of its ends."""

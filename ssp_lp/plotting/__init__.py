@@ -1,6 +1,7 @@
-"""Pictures of frontiers, policies, episodes, bounds and laws of costs, with matplotlib."""
+"""Pictures of frontiers, policies, episodes, bounds and laws of costs, and a page to explore."""
 
 from ssp_lp.plotting.curves import BoundsRecord, plot_bounds, plot_cost_law, plot_frontier
+from ssp_lp.plotting.explorer import Explorer, explore
 from ssp_lp.plotting.plane import (
     plot_episodes,
     plot_grid_policy,
@@ -11,6 +12,8 @@ from ssp_lp.plotting.plane import (
 
 __all__ = [
     "BoundsRecord",
+    "Explorer",
+    "explore",
     "plot_bounds",
     "plot_cost_law",
     "plot_episodes",

@@ -75,6 +75,8 @@ _SAMPLES = 400  # budgets in all, shared out among the segments
 _VISIBLE = 2e-3  # of the height: a band that is narrower is a line
 _TANGENT = 0.4  # of the height: how far a tangent rises and falls
 _FINEST = 1e-5  # gap: five digits are shown at most
+_MARGIN = 0.05  # of the region that is shown, on each side
+_BESIDE = 1.5  # times as far as the budget is shown at least
 _MANY = 40  # turning points, beyond which each has a small marker
 
 
@@ -86,8 +88,9 @@ def plot_frontier(
     ax: Axes | None = None,
     label: str | None = None,
     look: int = 0,
+    whole: bool = False,
 ) -> Axes:
-    """Draw the least objective against the failure budget.
+    """Draw the least objective against the failure budget, or another limit.
 
     The line is what the lotteries over neighbouring turning points attain. Where tracing was cut
     short, the optimum lies in the hatched band below it, down to what is proved
@@ -102,6 +105,7 @@ def plot_frontier(
         ax: where to draw; None: a new figure.
         label: of the line; None: its gap.
         look: of the line, 0 .. 4, so that several can be told apart.
+        whole: show all of it; else a new figure shows the region around its bend and the budget.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
@@ -117,28 +121,42 @@ def plot_frontier(
         ...     goal={"g"}, treat_actionless_as_dead_ends=True)
         >>> axes = trace_frontier(MCMP(model, "s")).plot(budget=0.05)
     """
-    ax = axes_or_new(ax)
-    chosen = LOOKS[look % len(LOOKS)]
-    _draw_frontier(ax, frontier, chosen, label or f"least cost, gap {frontier.gap:.1e}")
+    is_new, ax = ax is None, axes_or_new(ax)
+    chosen, words = LOOKS[look % len(LOOKS)], "objective" if frontier.maximises else "least cost"
+    _draw_frontier(ax, frontier, chosen, label or f"{words}, gap {frontier.gap:.1e}")
     if budget is not None:
         _mark_on_frontier(ax, frontier, budget, chosen)
-    dress_axes(ax, "failure budget", f"least cost{' given success' if frontier.ratio else ''}")
+    if is_new and not whole:
+        _show_region(ax, frontier, budget)
+    dress_axes(ax, frontier.axis, f"{words}{' given success' if frontier.ratio else ''}")
     ax.legend(frameon=False)
     return ax
+
+
+def _show_region(ax: Axes, frontier: Frontier, budget: float | None) -> None:
+    """Show the part of a frontier that is worth looking at, and the budget in it."""
+    first, last = frontier.region
+    if budget is not None:
+        last = max(last, min(first + _BESIDE * (budget - first), float(frontier.spent[-1])))
+    ends = [high for _, high in map(frontier.bounds_at, (first, last))]
+    for (low, high), show in (((first, last), ax.set_xlim), (sorted(ends), ax.set_ylim)):
+        if high > low:
+            show(low - _MARGIN * (high - low), high + _MARGIN * (high - low))
 
 
 def _draw_frontier(ax: Axes, frontier: Frontier, look: _Look, label: str) -> None:
     """The frontier, its turning points, and the band where the optimum may lie below."""
     # budgets along every segment
-    failure = frontier.failure
-    each = max(_SAMPLES // len(failure), 4)
-    segments = zip(failure[:-1].tolist(), failure[1:].tolist(), strict=True)
-    found = [failure, *(_budgets_between(begin, end, each) for begin, end in segments)]
+    spent = frontier.spent
+    each = max(_SAMPLES // len(spent), 4)
+    segments = zip(spent[:-1].tolist(), spent[1:].tolist(), strict=True)
+    found = [spent, *(_budgets_between(begin, end, each) for begin, end in segments)]
     budgets = np.unique(np.concatenate(found))
     low, high = np.array([frontier.bounds_at(float(b)) for b in budgets]).T
-    many = len(frontier.failure) > _MANY
-    ax.plot(budgets, high, color=look.colour, linestyle=look.line, linewidth=2, label=label)
-    ax.plot(frontier.failure, frontier.objective, look.marker, color=look.colour,
+    many = len(spent) > _MANY
+    attained = low if frontier.maximises else high
+    ax.plot(budgets, attained, color=look.colour, linestyle=look.line, linewidth=2, label=label)
+    ax.plot(spent, frontier.objective, look.marker, color=look.colour,
             markersize=2.5 if many else 5)  # fmt: skip
     if (high - low).max() > max(_VISIBLE * np.ptp(high), frontier.tolerance * high.max()):
         band = None if _BAND in ax.get_legend_handles_labels()[1] else _BAND
@@ -170,15 +188,15 @@ def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: _Look) 
         return
     ax.plot([budget], [value], "*", color=look.colour, markeredgecolor=INK, markersize=14, zorder=6,
             label=f"budget {budget:g}: {_as_far_as_sure(value, frontier):.5g}")  # fmt: skip
-    touching = (frontier.failure[:-1] <= budget) & (budget <= frontier.failure[1:])
-    settled = frontier.below <= frontier.tolerance  # one segment, up to two at its ends
-    prices = frontier.price[touching & settled] - (value if frontier.ratio else 0.0)
-    for price in prices.tolist():
-        _draw_tangent(ax, frontier, (budget, value), price)
-    if prices.size:
-        told = " to ".join(f"{price:.4g}" for price in sorted(prices.tolist()))
-        ax.plot([], [], color=INK, linestyle="-.", linewidth=1,
-                label=f"tangent{'s' * (prices.size - 1)}: failure price {told}")  # fmt: skip
+    slopes = frontier.slopes_at(budget)
+    for slope in slopes:
+        _draw_tangent(ax, frontier, (budget, value), slope)
+    if slopes:
+        by_failure = frontier.ratio and frontier.over == "failure"
+        prices = sorted(abs(slope) * (1.0 - budget if by_failure else 1.0) for slope in slopes)
+        told = " to ".join(f"{price:.4g}" for price in prices)
+        words = f"tangent{'s' * (len(prices) - 1)}: {frontier.over} price {told}"
+        ax.plot([], [], color=INK, linestyle="-.", linewidth=1, label=words)
 
 
 def _as_far_as_sure(value: float, frontier: Frontier) -> float:
@@ -187,13 +205,12 @@ def _as_far_as_sure(value: float, frontier: Frontier) -> float:
     return float(f"{value:.{int(digits)}g}")
 
 
-def _draw_tangent(ax: Axes, frontier: Frontier, point: tuple[float, float], price: float) -> None:
+def _draw_tangent(ax: Axes, frontier: Frontier, point: tuple[float, float], slope: float) -> None:
     """The line through a point, as far as it stays beside the frontier."""
     budget, value = point
-    slope = -price / (1.0 - budget) if frontier.ratio else -price
-    height, failure = frontier.objective, frontier.failure
+    height, spent = frontier.objective, frontier.spent
     room = _TANGENT * float(np.ptp(height)) / abs(slope) if slope else np.inf
-    ends = max(budget - room, float(failure[0])), min(budget + room, float(failure[-1]))
+    ends = max(budget - room, float(spent[0])), min(budget + room, float(spent[-1]))
     along = _budgets_between(*ends, _SAMPLES)
     height = value + slope * (along - budget)
     ax.plot(along, height, color=INK, linestyle="-.", linewidth=1.1, zorder=5)

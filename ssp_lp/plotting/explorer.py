@@ -38,7 +38,7 @@ LARGEST = 3_000_000
 """Bytes of a page: what is larger is slow to open."""
 
 _BLUE, _RED, _GREEN = (look.colour for look in LOOKS[:3])
-_BARS = 60  # of the law of the total cost
+_FEW, _BARS = 12, 60  # of the law of the total cost, least and most
 _UNSEEN = 1e-2  # share of the successes that are costlier than what is drawn
 _BUDGETS = 200  # of the band between bounds
 _MOST_DRAWN = 40  # states of a model that is drawn as a graph
@@ -117,7 +117,10 @@ def explore(
     policies = [frontier.policy_at(float(spent)) for spent in frontier.spent]
     evaluations = [evaluate(policy, problem) for policy in policies]
     data = _numbers(frontier, evaluations)
-    figures = {"frontier": _frontier_figure(plotting, frontier), "ends": _ends_figure(plotting, data)}
+    figures = {
+        "frontier": _frontier_figure(plotting, frontier),
+        "ends": _ends_figure(plotting, data),
+    }
     in_region = frontier.spent <= frontier.region[1]
     if (law := _laws(policies, problem, in_region)) is not None:
         data["law"], figures["law"] = law, _law_figure(plotting, law)
@@ -144,11 +147,15 @@ def explore(
 def _numbers(frontier: Frontier, evaluations: list[Evaluation]) -> dict[str, Any]:
     """What is told of each turning point."""
     names = list(dict.fromkeys(name for found in evaluations for name in found.ends))
-    names = [name for name in names if any(found.ends.get(name, 0.0) > 0.0 for found in evaluations)]
+    names = [
+        name for name in names if any(found.ends.get(name, 0.0) > 0.0 for found in evaluations)
+    ]
     reached = np.array([found.goal_probability for found in evaluations])
     paid = np.array([found.conditional_cost for found in evaluations])
     region, spent = frontier.region, frontier.spent
-    asked = getattr(frontier.problem, "failure_budget", None) if frontier.over == "failure" else None
+    asked = (
+        getattr(frontier.problem, "failure_budget", None) if frontier.over == "failure" else None
+    )
     begin = region[0] + 0.5 * (region[1] - region[0]) if asked is None else asked
     quantities = evaluations[0].secondary_costs
     return {
@@ -189,10 +196,12 @@ def _laws(
     if not costs.size:
         return None
     width = float(np.diff(costs).min(initial=np.inf)) if len(costs) > 1 else 1.0
-    width = max(width, float(np.ptp(costs)) / _BARS)
+    width = max(min(width, np.ptp(costs) / _FEW or width), np.ptp(costs) / _BARS)
     edges = np.arange(costs[0] - 0.5 * width, costs[-1] + width, width)
     none = np.zeros(len(edges) - 1)
-    mass = [none if one is None else np.histogram(one[0], edges, weights=one[1])[0] for one in atoms]
+    mass = [
+        none if one is None else np.histogram(one[0], edges, weights=one[1])[0] for one in atoms
+    ]
     rows = [_short(row) for row in mass]
     return {"left": edges[:-1].tolist(), "right": edges[1:].tolist(), "mass": rows}
 
@@ -226,6 +235,11 @@ def _places(problem: Problem, cells: Places | None) -> FloatArray | None:
     return _layout(problem) if model.n_states <= _MOST_DRAWN else None
 
 
+def _placed(points: FloatArray) -> BoolArray:
+    """Which states lie somewhere, [states]."""
+    return np.asarray(~np.isnan(points).any(axis=1))
+
+
 def _layout(problem: Problem) -> FloatArray:
     """States of a small model by how many steps they are from the start, [states, 2]."""
     model, begun = problem.model, start_distribution(problem.model, problem.start) > 0.0
@@ -250,7 +264,7 @@ def _plane(
     policies: list[MixedPolicy], problem: Problem, points: FloatArray, moves: Places | None
 ) -> dict[str, Any]:
     """Visits of each place, and how much goes along each arrow, at each turning point."""
-    model, known = problem.model, ~np.isnan(points).any(axis=1)
+    model, known = problem.model, _placed(points)
     middles, inverse = np.unique(points[known], axis=0, return_inverse=True)
     place = np.full(model.n_states, -1)
     place[known] = inverse.reshape(-1)
@@ -261,7 +275,8 @@ def _plane(
         aim, share = points[model.successors] - points[source], model.probabilities
     else:
         aim, source, key = _aims(model, points, moves), owner, model.pair_action
-        outcome_pair, share = np.arange(model.n_pairs), np.ones(model.n_pairs)
+        outcome_pair = np.arange(model.n_pairs, dtype=outcome_pair.dtype)
+        share = np.ones(model.n_pairs)
     length = np.hypot(*aim.T)
     drawn = np.flatnonzero((place[source] >= 0) & (length > 1e-9))
     arrows, arrow = np.unique(
@@ -314,7 +329,7 @@ def _runs(
     """Sample runs at each turning point, as numbers of states."""
     model, marks = problem.model, end_marks(problem.model)
     words = ["goal", *model.state_labels, "dead-end", "gave up, or goes on"]
-    placed = ~np.isnan(points).any(axis=1)
+    placed = _placed(points)
 
     def told(path: IntArray) -> dict[str, Any]:
         """One run."""
@@ -324,8 +339,8 @@ def _runs(
 
     runs = []
     for policy in policies:
-        how = {"episodes": max(episodes, 1), "rng": seed, "record": episodes}
-        runs.append([told(path) for path in simulate(policy, problem, **how).paths])
+        played = simulate(policy, problem, episodes=max(episodes, 1), rng=seed, record=episodes)
+        runs.append([told(path) for path in played.paths])
     aside = np.random.default_rng(seed).uniform(-_SPREAD, _SPREAD, (episodes, 2))
     where = np.where(placed[:, None], points, 0.0)
     return {"runs": runs, "points": where.tolist(), "aside": aside.tolist()}
@@ -349,8 +364,10 @@ def _frontier_figure(plotting: Any, frontier: Frontier) -> Any:
     success = " given success" if frontier.ratio else ""
     y = f"objective{success}"
     ranges = {"x_range": models.Range1d(name="across"), "y_range": models.Range1d(name="up")}
-    figure = _figure(plotting, _axis(frontier), y, **ranges)
-    budgets = np.union1d(np.linspace(frontier.spent[0], frontier.spent[-1], _BUDGETS), frontier.spent)
+    figure = _figure(plotting, frontier.axis, y, **ranges)
+    budgets = np.union1d(
+        np.linspace(frontier.spent[0], frontier.spent[-1], _BUDGETS), frontier.spent
+    )
     budgets = np.union1d(budgets, np.linspace(*region, _BUDGETS))
     low, high = np.array([frontier.bounds_at(float(b)) for b in budgets]).T
     if frontier.open_segments:
@@ -363,11 +380,6 @@ def _frontier_figure(plotting: Any, frontier: Frontier) -> Any:
     return figure
 
 
-def _axis(frontier: Frontier) -> str:
-    """What the slider moves."""
-    return "failure budget" if frontier.over == "failure" else f"bound on {frontier.over}"
-
-
 def _ends_figure(plotting: Any, data: dict[str, Any]) -> Any:
     """How episodes end, a bar each."""
     models, names = optional_module("bokeh.models", "explore"), data["end_names"]
@@ -377,7 +389,9 @@ def _ends_figure(plotting: Any, data: dict[str, Any]) -> Any:
                      y_range=names[::-1], x_range=across)  # fmt: skip
     figure.xaxis.ticker = [0.0, 0.25, 0.5, 0.75, 1.0]
     figure.ygrid.grid_line_color = None
-    figure.hbar(y="end", right="share", height=0.6, source=source, fill_color=_BLUE, line_color=None)
+    figure.hbar(
+        y="end", right="share", height=0.6, source=source, fill_color=_BLUE, line_color=None
+    )
     figure.text(x="share", y="end", text="told", source=source, x_offset=6, text_baseline="middle",
                 text_font_size="12px", text_color=INK)  # fmt: skip
     return figure
@@ -399,7 +413,7 @@ def _ground(
     plotting: Any, problem: Problem, points: FloatArray, walls: list[Point], graph: bool = False
 ) -> Any:
     """Places with goals, dead-ends, walls and the start."""
-    model, known = problem.model, ~np.isnan(points).any(axis=1)
+    model, known = problem.model, _placed(points)
     everything = np.vstack([points[known], *np.array(walls, dtype=float).reshape(-1, 2)])
     low, high = everything.min(axis=0) - 0.7, everything.max(axis=0) + 0.7
     height = int(np.clip(440 * (high - low)[1] / (high - low)[0], 200, 520))
@@ -447,8 +461,8 @@ def _plane_figure(
     figure.scatter("x1", "y1", angle="angle", marker="triangle", size=8, source=arrows, color=INK,
                    alpha="alpha")  # fmt: skip
     if graph:
-        known = ~np.isnan(points).any(axis=1)
-        names = [str(state)[:14] for state, has in zip(problem.model.states, known, strict=True) if has]
+        known = _placed(points)
+        names = [str(problem.model.states[k])[:14] for k in np.flatnonzero(known).tolist()]
         figure.text(*points[known].T, names, text_align="center", text_baseline="top", y_offset=18,
                     text_font_size="11px", text_color=INK)  # fmt: skip
     tip = [("expected visits", "@visits{0.0000}")]
@@ -478,7 +492,9 @@ _HEADS = {
 
 def _page(frontier: Frontier, data: dict[str, Any], figures: dict[str, Any]) -> str:
     """The page as HTML."""
-    embed, resources = (optional_module(f"bokeh.{part}", "explore") for part in ("embed", "resources"))
+    embed, resources = (
+        optional_module(f"bokeh.{part}", "explore") for part in ("embed", "resources")
+    )
     script, divs = embed.components(figures)
     more = "".join(
         f"<section><h2>{head}</h2>{note and f'<p class=note>{note}</p>'}{divs[name]}</section>"
@@ -487,12 +503,12 @@ def _page(frontier: Frontier, data: dict[str, Any], figures: dict[str, Any]) -> 
     )
     problem = frontier.problem
     title = f"{type(problem).__name__}: {'objective' if frontier.maximises else 'least cost'}"
-    title = f"{title} against {_axis(frontier)}"
+    title = f"{title} against {frontier.axis}"
     template = Template(files("ssp_lp.plotting").joinpath("explorer.html").read_text("utf-8"))
     return template.substitute(
         title=html.escape(title),
         note=html.escape(f"{problem!r}; {frontier._title}"),
-        axis=html.escape(_axis(frontier)),
+        axis=html.escape(frontier.axis),
         over=html.escape(frontier.over),
         resources=resources.Resources(mode="inline", components=["bokeh"]).render(),
         frontier=divs["frontier"],

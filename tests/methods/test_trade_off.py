@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from formulations import GUBS, MCMP, S3P, CostLimit, ConstrainedCost, CVaR, MaxProb
+from formulations import GUBS, MCMP, S3P, ConstrainedCost, CostLimit, CVaR, MaxProb
 from small_models import model_of
 from ssp_lp import (
     InfeasibleError,
@@ -161,11 +161,11 @@ def test_tracing_that_was_cut_short_bounds_the_rest() -> None:
 def test_what_no_limit_or_no_program_is_is_refused() -> None:
     with pytest.raises(ModelError, match="'crahs'; did you mean 'crash'"):
         trace_frontier(crashes(1.0), over="crahs")
+    kept = {"fire": end_probability("fire") >= 0.01}
     with pytest.raises(ModelError, match="bounds from below"):
-        kept = {"fire": end_probability("fire") >= 0.01}
         trace_frontier(MCMP(SKID, "a", 0.1, constraints=kept), over="fire")
+    limits = {"crash": end_probability("crash") <= 0.1}
     with pytest.raises(ModelError, match="no linear program"):
-        limits = {"crash": end_probability("crash") <= 0.1}
         trace_frontier(CVaR(SKID, "a", 0.9, 0.1, constraints=limits), over="crash")
     with pytest.raises(ModelError, match="steepest_price"):
         trace_frontier(crashes(1.0), over="crash", steepest_price=10.0)
