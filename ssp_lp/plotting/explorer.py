@@ -43,6 +43,7 @@ _UNSEEN = 1e-2  # share of the successes that are costlier than what is drawn
 _BUDGETS = 200  # of the band between bounds
 _MOST_DRAWN = 40  # states of a model that is drawn as a graph
 _LONGEST = 300  # steps of a run that are drawn
+_NEVER = 1e-12  # a probability that is the rounding of none
 _RARE = 0.02  # of a place's visits: what is taken less often has no arrow
 _FAINT = 0.25  # how visible the faintest arrow is
 _REACH = 0.42  # of a cell's side: length of an arrow
@@ -124,12 +125,12 @@ def explore(
     in_region = frontier.spent <= frontier.region[1]
     if (law := _laws(policies, problem, in_region)) is not None:
         data["law"], figures["law"] = law, _law_figure(plotting, law)
-    points = _places(problem, cells)
+    points, is_graph = _places(problem, cells), cells is None and not _are_points(problem.model)
     if points is not None:
-        plane = _plane(policies, problem, points, moves)
+        plane = _plane(policies, problem, points, moves, is_graph=is_graph)
         figures["plane"] = _plane_figure(plotting, problem, points, plane, list(walls))
         data["plane"] = plane
-        if cells is not None or _are_points(problem.model):
+        if not is_graph:
             data |= _runs(policies, problem, points, episodes, seed)
             figures["runs"] = _runs_figure(plotting, problem, points, list(walls))
     page = _page(frontier, data, figures)
@@ -148,7 +149,7 @@ def _numbers(frontier: Frontier, evaluations: list[Evaluation]) -> dict[str, Any
     """What is told of each turning point."""
     names = list(dict.fromkeys(name for found in evaluations for name in found.ends))
     names = [
-        name for name in names if any(found.ends.get(name, 0.0) > 0.0 for found in evaluations)
+        name for name in names if any(found.ends.get(name, 0.0) > _NEVER for found in evaluations)
     ]
     reached = np.array([found.goal_probability for found in evaluations])
     paid = np.array([found.conditional_cost for found in evaluations])
@@ -167,7 +168,7 @@ def _numbers(frontier: Frontier, evaluations: list[Evaluation]) -> dict[str, Any
         "failure": frontier.failure.tolist(),
         "price": frontier.price.tolist(),
         "region": list(region),
-        "begin": float(np.clip(begin, spent[0], spent[-1])),
+        "begin": float(f"{np.clip(begin, spent[0], spent[-1]):.6g}"),
         "failing": [found.failure_probability for found in evaluations],
         "reached": reached.tolist(),
         "paid": np.where(reached > 0.0, paid * reached, 0.0).tolist(),
@@ -261,7 +262,12 @@ def _layout(problem: Problem) -> FloatArray:
 
 
 def _plane(
-    policies: list[MixedPolicy], problem: Problem, points: FloatArray, moves: Places | None
+    policies: list[MixedPolicy],
+    problem: Problem,
+    points: FloatArray,
+    moves: Places | None,
+    *,
+    is_graph: bool,
 ) -> dict[str, Any]:
     """Visits of each place, and how much goes along each arrow, at each turning point."""
     model, known = problem.model, _placed(points)
@@ -269,7 +275,6 @@ def _plane(
     place = np.full(model.n_states, -1)
     place[known] = inverse.reshape(-1)
     owner, outcome_pair = segment_ids(model.pair_offsets), segment_ids(model.outcome_offsets)
-    is_graph = moves is None and len(middles) == known.sum() and not _are_points(model)
     if is_graph:  # an arrow for each way from state to state, else one for each action
         source, key = owner[outcome_pair], place[model.successors]
         aim, share = points[model.successors] - points[source], model.probabilities
@@ -463,8 +468,8 @@ def _plane_figure(
     if graph:
         known = _placed(points)
         names = [str(problem.model.states[k])[:14] for k in np.flatnonzero(known).tolist()]
-        figure.text(*points[known].T, names, text_align="center", text_baseline="top", y_offset=18,
-                    text_font_size="11px", text_color=INK)  # fmt: skip
+        figure.text(*(points[known] - [0.0, 0.2]).T, names, text_align="center",
+                    text_baseline="top", text_font_size="11px", text_color=INK)  # fmt: skip
     tip = [("expected visits", "@visits{0.0000}")]
     figure.add_tools(models.HoverTool(renderers=[shades], tooltips=tip))
     return figure

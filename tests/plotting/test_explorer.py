@@ -1,0 +1,211 @@
+"""The explorer: its page in a browser, the slider moved, numbers equal to the library's."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from formulations import MCMP, S3P
+from formulations.command_line import main
+from small_models import model_of
+from ssp_lp import (
+    MissingDependencyError,
+    ModelError,
+    end_probability,
+    evaluate,
+    solve,
+    trace_frontier,
+)
+from ssp_lp.analysis.evaluation import pair_visits
+from ssp_lp.plotting import Explorer, explore
+
+pytest.importorskip("bokeh")
+
+SKID = model_of(
+    {
+        "a": {
+            "fast": [(0.9, "g", 1.0), (0.1, "skid", 1.0)],
+            "mid": [(0.98, "g", 4.0), (0.02, "wreck", 4.0)],
+            "slow": [(1.0, "g", 10.0)],
+        },
+        "skid": {"slide": [(0.5, "wreck", 0.0), (0.5, "ash", 0.0)]},
+    },
+    labels={"crash": ["wreck"], "fire": ["ash"]},
+)
+HELD = {"crash": end_probability("crash") <= 0.1, "fire": end_probability("fire") <= 0.03}
+FIELD = model_of(
+    {
+        (0, 1): {
+            "east": [(0.9, (1, 1), 1.0), (0.1, (1, 0), 1.0)],
+            "south": [(0.5, (0, 0), 1.0), (0.5, (0, 1), 1.0)],
+        },
+        (1, 1): {"east": [(1.0, (2, 1), 1.0)]},
+        (2, 1): {"south": [(1.0, (2, 0), 1.0)]},
+        (0, 0): {"east": [(1.0, (2, 0), 7.0)]},
+        (1, 0): {},
+    },
+    (2, 0),
+    labels={"pit": [(1, 0)]},
+)
+PROBLEMS: dict[str, tuple[Any, str]] = {
+    "crash": (MCMP(SKID, "a", 0.1, constraints=HELD), "crash"),
+    "given success": (S3P(FIELD, (0, 1), 0.05), "failure"),
+    "field": (MCMP(FIELD, (0, 1), 0.05), "failure"),
+}
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Chromium without a screen."""
+    webdriver = pytest.importorskip("selenium.webdriver")
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
+    driver = shutil.which("chromedriver")
+    if chromium is None or driver is None:
+        pytest.skip("there is no chromium with its chromedriver")
+    options, service = webdriver.ChromeOptions(), webdriver.ChromeService(driver)
+    options.binary_location = chromium
+    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu"):
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    found = webdriver.Chrome(options=options, service=service)
+    yield found
+    found.quit()
+
+
+Page = Callable[[Path], Any]
+
+
+@pytest.fixture
+def opened(browser: Any) -> Page:
+    """Opens a page and waits until it is drawn."""
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    def open_page(path: Path) -> Any:
+        browser.get(path.as_uri())
+        ready = "return document.body.dataset.ready === 'yes'"
+        WebDriverWait(browser, 60).until(lambda page: page.execute_script(ready))
+        return browser
+
+    return open_page
+
+
+def numbers(page: Any) -> dict[str, float]:
+    """What the table on the page says, with all digits."""
+    told = (
+        "[...document.querySelectorAll('#numbers td')].map((c) => [c.dataset.key, c.dataset.value])"
+    )
+    return {key: float(value) for key, value in page.execute_script(f"return {told}") if value}
+
+
+def typed(page: Any, bound: float) -> dict[str, float]:
+    """The numbers once a bound has been typed in."""
+    page.execute_script(
+        "const box = document.getElementById('bound'); box.value = arguments[0];"
+        "box.dispatchEvent(new Event('change'))",
+        bound,
+    )
+    return numbers(page)
+
+
+@pytest.mark.parametrize("case", PROBLEMS)
+def test_numbers_on_the_page_are_the_library_s(case: str, opened: Page, tmp_path: Path) -> None:
+    problem, over = PROBLEMS[case]
+    frontier = trace_frontier(problem, over)
+    assert isinstance(explore(frontier, tmp_path / "page.html", seed=3), Explorer)
+    assert (tmp_path / "page.html").stat().st_size < 3_000_000
+    page = opened(tmp_path / "page.html")
+    first, last = float(frontier.spent[0]), float(frontier.spent[-1])
+    bounds = [first, 0.3 * first + 0.7 * last, 0.9 * first + 0.1 * last, *frontier.spent.tolist()]
+    for bound in bounds:
+        told, found = typed(page, bound), evaluate(frontier.policy_at(bound), problem)
+        assert told["objective"] == pytest.approx(frontier.objective_at(bound), rel=1e-12)
+        assert told["failing"] == pytest.approx(found.failure_probability, abs=1e-12)
+        assert told["paid"] == pytest.approx(found.conditional_cost, rel=1e-12)
+        for name, value in found.secondary_costs.items():
+            assert told[name] == pytest.approx(value, abs=1e-12)
+        drawn = page.execute_script("return Bokeh.documents[0].get_model_by_name('ends').data")
+        ends = {name.replace("_", " "): share for name, share in found.ends.items()}
+        for name, share in zip(drawn["end"], drawn["share"], strict=True):
+            assert share == pytest.approx(ends.get(name, 0.0), abs=1e-12)
+    severe = [entry for entry in page.get_log("browser") if entry["level"] == "SEVERE"]
+    assert severe == []
+
+
+def test_the_slider_moves_everything(opened: Page, tmp_path: Path) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    problem, _ = PROBLEMS["field"]
+    frontier = trace_frontier(problem)
+    explore(frontier, tmp_path / "page.html")
+    page = opened(tmp_path / "page.html")
+    before, slider = numbers(page), page.find_element("id", "budget")
+    slider.send_keys(Keys.HOME)
+    assert numbers(page)["objective"] == pytest.approx(float(frontier.objective[0]))
+    slider.send_keys(Keys.ARROW_RIGHT * 5)
+    bound = float(page.find_element("id", "bound").get_attribute("value"))
+    low, high = frontier.region
+    assert bound == pytest.approx(low + 0.005 * (high - low))
+    told = numbers(page)
+    assert told["objective"] == pytest.approx(frontier.objective_at(bound), rel=1e-9)
+    assert told["objective"] != before["objective"]
+    pairs, gave_up = pair_visits(frontier.policy_at(bound), problem)
+    drawn = page.execute_script(
+        "return ['visits', 'runs', 'here', 'law'].map((name) => "
+        "Bokeh.documents[0].get_model_by_name(name).data).map((data) => "
+        "Object.fromEntries(Object.entries(data).map(([key, x]) => [key, Array.from(x)])))"
+    )
+    assert sum(drawn[0]["visits"]) == pytest.approx(pairs.sum() + gave_up.sum(), rel=1e-5)
+    assert len(drawn[1]["xs"]) == 20
+    assert drawn[2]["x"] == pytest.approx([bound])
+    assert sum(drawn[3]["share"]) == pytest.approx(1.0, abs=0.011)
+    page.find_element("id", "whole").click()
+    typed(page, 1.0)
+    assert numbers(page)["objective"] == pytest.approx(frontier.objective_at(1.0))
+
+
+def test_the_price_is_the_failure_price(opened: Page, tmp_path: Path) -> None:
+    for case in ("given success", "field"):
+        problem, _ = PROBLEMS[case]
+        explore(trace_frontier(problem), tmp_path / "page.html", episodes=0)
+        told = typed(opened(tmp_path / "page.html"), 0.03)  # no turning point
+        price = solve(replace(problem, failure_budget=0.03)).failure_price
+        assert told["price"] == pytest.approx(price, rel=1e-7)
+
+
+def test_a_page_stands_alone_and_in_a_notebook() -> None:
+    problem = MCMP(SKID, "a", 0.1, constraints={"</script>": end_probability("crash") <= 0.1})
+    page = explore(trace_frontier(problem, "</script>"))
+    head, told = page.page.rsplit("<body>", 1)
+    assert "<h1>MCMP: least cost against bound on &lt;/script&gt;</h1>" in told
+    assert "http://" not in told
+    assert "https://" not in told
+    assert re.search(r"<(script|link|img)[^>]* (src|href)=", head + told) is None
+    assert page._repr_html_().startswith('<iframe srcdoc="&lt;!DOCTYPE html&gt;')
+    assert "bytes of HTML" in repr(page)
+
+
+def test_what_cannot_be_explored_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ModelError, match="takes a frontier"):
+        explore(solve(PROBLEMS["field"][0]))  # type: ignore[arg-type]
+    monkeypatch.setattr("ssp_lp.plotting.explorer.LARGEST", 1_000)
+    with pytest.raises(ModelError, match="point_limit"):
+        explore(trace_frontier(PROBLEMS["field"][0]))
+    monkeypatch.setitem(sys.modules, "bokeh.plotting", None)
+    with pytest.raises(MissingDependencyError, match=r"pip install 'ssp-lp\[explore\]'"):
+        explore(trace_frontier(PROBLEMS["field"][0]))
+
+
+def test_a_page_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("gymnasium")
+    out = tmp_path / "lake.html"
+    asked = ["explore", "gym:FrozenLake-v1", "--horizon", "none", "--point-limit", "5"]
+    assert main([*asked, "--out", str(out)]) == 0
+    assert capsys.readouterr().out.startswith("Frontier(5 points, failure 0")
+    assert '"runs"' in out.read_text(encoding="utf-8")
