@@ -1,13 +1,9 @@
 """A policy that remembers its cost, layer by layer of the cost paid, on the model's own outcomes.
 
-Backward sweeps total what follows. Only the layers that a step can reach are held at once. Within a
-layer, where steps cost nothing, and under the tails, the totals are those of a chain of its own and
-verified as such (``evaluate_chain``); from layer to layer they are sums of products, which lose a
-rounding each.
-
-Forward, the law of the total cost: below the cap the cost paid is the layer, so that all that a law
-needs of a layer is how much mass arrives at the goal with it. What reaches the cap goes on by the
-policy's tails, whose chains are written out.
+Its mass is followed forwards, with the cost that it has paid; only the layers that a step can reach
+are held at once. Below the cap that tells what the policy attains and with which total cost it
+arrives; what reaches the cap goes on by the policy's tails, whose chains are written out. Within a
+layer, where steps cost nothing, visits are those of a chain of its own.
 
 A state from which the goal is not reached under a policy is one in which it can be avoided for
 sure, so that the policy may give up there: what it would still pay changes no cost given success.
@@ -16,11 +12,11 @@ sure, so that the policy may give up there: what it would still pay changes no c
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse as sp
 
 from ssp_lp.accumulated_cost.totals import exact_cost, totals_of
@@ -37,7 +33,6 @@ from ssp_lp.arrays import (
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.equations import System, strong_components
-from ssp_lp.dynamic_programming.evaluation import evaluate_chain
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import (
@@ -50,14 +45,11 @@ from ssp_lp.policies import CostAwarePolicy, MixedPolicy
 from ssp_lp.policies.chain import Chain, policy_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, CostLayers, DeterministicPolicy, Policy
 
-HOPEFUL, OPEN, WRONG, ENDLESS, FAILS = 1, 2, 4, 8, 16
-"""Bits: the goal can be reached; some end can; a decision that is missing or not allowed can;
-a loop that costs something and is never left can; failing can, where that is forbidden."""
-
 ENDED = -3
 """In place of a pair where an episode is over."""
 
 _NO_CLASSES = np.zeros(0, dtype=np.uint8)
+_LOG = logging.getLogger("ssp_lp.evaluation")
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +69,28 @@ class Staying:
         closed = np.zeros(len(among), dtype=np.bool_)
         closed[System(self.share, np.where(among, self.onward, 1.0)).closed] = True
         return closed
+
+    def visits(self, entering: FloatArray, inside: BoolArray, survival: float) -> FloatArray:
+        """Expected visits of each state within the layer, like ``entering``.
+
+        Args:
+            entering: the mass that enters the layer, and maybe, in a second column, that times the
+                cost paid before, [k, 1 or 2].
+            inside: states whose moves are followed, from all of which they leave, [k].
+            survival: factor of every move.
+        """
+        nodes, visits = np.flatnonzero(inside), entering.copy()
+        rows = sp.csr_array(self.share[nodes] * survival)
+        leaving = (
+            (1.0 - survival) + survival * self.onward[nodes] + rows @ np.where(inside, 0.0, 1.0)
+        )
+        system = System(sp.csr_array(rows[:, nodes]), leaving)
+        for column, mass in enumerate(visits.T):
+            if column > 0:
+                mass += survival * (self.paid[nodes].T @ visits[nodes, 0])
+            mass[nodes] = system.solve_transposed(mass[nodes])
+            mass += np.where(inside, 0.0, rows.T @ mass[nodes])
+        return visits
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,10 +130,6 @@ class LayerMoves:
         pair = np.where(decision < 0, decision, self.model.pair_offsets[states] + decision)
         return np.where(self.acting[states], pair, ENDED)
 
-    def tail(self, number: int, states: IntArray) -> IntArray:
-        """The same moves under a tail."""
-        return np.where(self.acting[states], self.layers.tails[number][states], ENDED)
-
     def ring(self, layer: int) -> IntArray:
         """Rows of the ring to which a layer's classes of steps lead, -1: they stay, [classes]."""
         leads, room = self.layers.leads(layer), self.room
@@ -127,47 +137,6 @@ class LayerMoves:
         ring[ring >= room] -= room  # no step leads beyond the ring
         ring[leads <= 0] = -1
         return ring
-
-    def expect(
-        self,
-        pairs: IntArray,
-        ring: IntArray,
-        worth: FloatArray,
-        marks: IntArray,
-        priced: IntArray,
-        costs: FloatArray,
-    ) -> tuple[FloatArray, IntArray]:
-        """Expected worth of arriving in later layers, [k, columns], and marks met, [k].
-
-        Args:
-            pairs: of the states asked for, [k].
-            ring: [classes].
-            worth: [rows, states, columns].
-            marks: [rows, states].
-            priced: columns (from, to) of which one counts in the other, times a cost, [.., 2].
-            costs: of each class, [.., classes].
-        """
-        check_time()
-        totals = np.zeros((len(pairs), worth.shape[2]))
-        met = np.zeros(len(pairs), dtype=np.uint8)
-        if accelerated(self.model.n_outcomes):
-            from ssp_lp.compiled.layers import stream_totals
-
-            stream_totals(self.model.n_outcomes)(
-                pairs, *self._outcomes, ring, costs, worth, marks, priced, totals, met
-            )
-            return totals, met
-        source, outcome, step = self._taken(pairs, ring >= 0)
-        place = ring[step] * marks.shape[1] + self.model.successors[outcome]
-        flat, shape = worth.reshape(-1, worth.shape[2]), (len(pairs), marks.size)
-        share = self.model.probabilities[outcome]
-        totals += sp.csr_array((share, (source, place)), shape=shape) @ flat
-        for (begin, end), cost in zip(priced.tolist(), costs, strict=True):
-            totals[:, end] += (
-                sp.csr_array((share * cost[step], (source, place)), shape=shape) @ flat[:, begin]
-            )
-        np.bitwise_or.at(met, source, marks.reshape(-1)[place])
-        return totals, met
 
     @cached_property
     def free_order(self) -> IntArray:
@@ -202,22 +171,82 @@ class LayerMoves:
             source, outcome, step = self._taken(pairs, leads >= 0)
             met = hopeful[layer + leads[step], model.successors[outcome]]
             hopeful[layer, source[met]] = True
-            if (leads <= 0).any():
-                marks = np.where(hopeful[layer], HOPEFUL, 0)
-                spread_in_layer(marks, HOPEFUL, self.staying(everywhere, pairs, self.ring(layer)))
-                hopeful[layer] = marks > 0
+            staying = self.staying(everywhere, pairs, self.ring(layer))
+            if staying is not None:
+                back, begins = staying.share.tocsc(), np.flatnonzero(hopeful[layer])
+                hopeful[layer] |= reached_along(back.indices, back.indptr, begins)
+
+    def follow(
+        self,
+        waiting: FloatArray,
+        survivals: Sequence[float] = (1.0,),
+        hopeful: BoolArray | None = None,
+    ) -> Iterator[tuple[int, IntArray, IntArray, FloatArray]]:
+        """Follow mass layer by layer; what comes to layers beyond the last one goes on waiting.
+
+        Args:
+            waiting: mass in the rows of the ring, [rows, states, columns]: one column, or three for
+                each discount, of mass that has not lost the goal, of that times the cost paid, and
+                of mass that has; emptied, and written.
+            survivals: the discounts.
+            hopeful: whence the goal can be reached, [layers, states]; None: one column is followed.
+
+        Yields:
+            The layer, the states where mass is, their pairs, [k] each, and their expected visits,
+            [k, columns], infinite where they never end. Mass that has just lost the goal counts in
+            the first column and in the third.
+        """
+        everywhere, layers = np.arange(self.model.n_states), self.layers
+        for layer in range(layers.count):
+            share = layer / layers.count
+            _LOG.debug("layer %d of %d", layer, layers.count, extra={"share": share})
+            row, ring = waiting[layer % self.room], self.ring(layer)
+            here: IntArray = np.flatnonzero(row @ np.ones(waiting.shape[2]))
+            if (ring < 0).any():
+                here = self.within(self.pairs(layer, everywhere), ring, here)
+            pairs, visits = self.pairs(layer, here), row[here]
+            row[here] = 0.0
+            staying, moving = self.staying(here, pairs, ring), pairs >= 0
+            hopes = moving if hopeful is None else hopeful[layer, here]
+            closed = np.False_ if staying is None else staying.closed(moving)
+            sent = np.empty_like(visits)
+            for k, survival in enumerate(survivals):
+                block = slice(3 * k, 3 * k + 3)
+                own, lost = visits[:, block][:, :2], visits[:, block][:, 2:]
+                if staying is not None:
+                    own[:] = staying.visits(own, moving & hopes & ~closed, survival)
+                lost[~hopes] += own[~hopes, :1]
+                if staying is not None and lost.size:
+                    ends = ~closed if survival == 1.0 else True
+                    lost[:] = staying.visits(lost, moving & ~hopes & ends, survival)
+                sent[:, block] = survival * visits[:, block]
+                sent[:, block][~hopes, :2] = 0.0
+                if staying is not None and lost.size and survival == 1.0 and closed.any():
+                    stuck = np.flatnonzero(closed & (lost[:, 0] > 0.0))
+                    lost[reached_along(staying.share.indices, staying.share.indptr, stuck)] = np.inf
+            self.send(sent, pairs, ring, waiting)
+            yield layer, here, pairs, visits
 
     def send(self, mass: FloatArray, pairs: IntArray, ring: IntArray, waiting: FloatArray) -> None:
-        """Send the mass of k states by their pairs on to later layers, in place, [rows, states]."""
+        """Send the mass of k states by their pairs on to later layers, in place.
+
+        Args:
+            mass: as ``follow`` holds it, [k, columns].
+            pairs: [k].
+            ring: [classes].
+            waiting: [rows, states, columns].
+        """
         check_time()
+        costs = self.layers.costs
         if accelerated(self.model.n_outcomes):
             from ssp_lp.compiled.layers import stream_mass
 
-            stream_mass(mass, pairs, *self._outcomes, ring, waiting)
+            stream_mass(mass, pairs, *self._outcomes, ring, costs, waiting)
             return
-        source, outcome, step = self._taken(np.where(mass > 0.0, pairs, -1), ring >= 0)
-        place = ring[step], self.model.successors[outcome]
-        np.add.at(waiting, place, mass[source] * self.model.probabilities[outcome])
+        source, outcome, step = self._taken(pairs, ring >= 0)
+        place, moved = (ring[step], self.model.successors[outcome]), mass[source]
+        moved[:, 1::3] += costs[step, None] * moved[:, ::3]
+        np.add.at(waiting, place, moved * self.model.probabilities[outcome, None])
 
     def within(self, pairs: IntArray, ring: IntArray, begins: IntArray) -> IntArray:
         """States to which moves that stay lead from some, these included, increasing.
@@ -276,223 +305,6 @@ class LayerMoves:
         return source, outcome, self.classes[outcome] if self.classes.size else 0 * outcome
 
 
-def spread_in_layer(marks: IntArray, bit: int, staying: Staying | None) -> None:
-    """Mark, in place, all states from which a marked one can be reached within the layer."""
-    begins = np.flatnonzero(marks & bit)
-    if staying is None or not begins.size or begins.size == marks.size:
-        return
-    backward = staying.share.tocsc()
-    marks[reached_along(backward.indices, backward.indptr, begins)] |= bit
-
-
-_LOG = logging.getLogger("ssp_lp.evaluation")
-
-
-@dataclass(frozen=True, eq=False)
-class TotalledReward:
-    """One total: ``v(x) = reward + survival * E[v(next)]`` where something is still open."""
-
-    ends: FloatArray  # [states] value at goals and dead-ends
-    survival: float = 1.0  # factor of what is to come
-    until_lost: bool = True  # open while the goal can be reached; else while some end can be
-    each: float = 0.0  # reward of every decision
-    reward: FloatArray | None = None  # [pairs] beside it
-    gives_up: FloatArray | float = 0.0  # [states] reward of giving up
-    lost: FloatArray | float = 0.0  # [states] value where nothing is open
-    goes_on: bool = False  # costs go on where the goal is lost, until a dead-end is entered
-    prices: int | None = None  # the column whose next value, times the cost, counts besides
-
-
-@dataclass(frozen=True, eq=False)
-class LayerSweep:
-    """The layers of one policy, and what is totalled over them.
-
-    First it is found where the policy may be in each layer: only these states are totalled.
-    """
-
-    moves: LayerMoves
-    columns: tuple[TotalledReward, ...]
-    forbidden: BoolArray  # [states] where the policy may not give up
-    forbids_failing: bool
-
-    def at_start(self, begins: IntArray) -> tuple[FloatArray, IntArray]:
-        """The totals from some states on, [begins, columns], with nothing paid, and their marks.
-
-        Args:
-            begins: states, increasing.
-        """
-        moves, room = self.moves, self.moves.room
-        met, worth, marks = self._met(begins)
-        for layer in reversed(range(moves.layers.count)):
-            over = 1.0 - layer / moves.layers.count
-            _LOG.debug("layer %d of %d", layer, moves.layers.count, extra={"share": over})
-            here = np.flatnonzero(np.unpackbits(met[layer]))
-            pairs, ring = moves.pairs(layer, here), moves.ring(layer)
-            totals, own_marks = moves.expect(pairs, ring, worth, marks, *self._priced)
-            self._settle(here, pairs, moves.staying(here, pairs, ring), totals, own_marks)
-            worth[layer % room, here], marks[layer % room, here] = totals, own_marks
-        at = np.searchsorted(here, begins)
-        return totals[at], own_marks[at]
-
-    def _met(self, begins: IntArray) -> tuple[list[npt.NDArray[np.uint8]], FloatArray, IntArray]:
-        """Where the policy may be in each layer, as bits, and what follows beyond the last one.
-
-        Returns:
-            The bits of the states, [layers]; then, of the states that may be met in the layers from
-            there on, the totals, [rows, states, columns], and the marks, [rows, states].
-        """
-        moves, room, n = self.moves, self.moves.room, self.moves.model.n_states
-        arriving, met, everywhere = np.zeros((room, n)), [], np.arange(n)  # > 0: it may arrive
-        arriving[0, begins] = 1.0
-        for layer in range(moves.layers.count):
-            here: IntArray = np.flatnonzero(arriving[layer % room])
-            ring = moves.ring(layer)
-            arriving[layer % room] = 0.0
-            if (ring < 0).any():
-                here = moves.within(moves.pairs(layer, everywhere), ring, here)
-            moves.send(np.ones(len(here)), moves.pairs(layer, here), ring, arriving)
-            is_met = np.zeros(n, dtype=np.bool_)
-            is_met[here] = True
-            met.append(np.packbits(is_met))
-        worth, marks = np.empty((room, n, len(self.columns))), np.empty((room, n), dtype=np.uint8)
-        count, stays = moves.layers.count, np.full(len(moves.layers.costs), -1)
-        chosen = {row % room: moves.layers.tail_at(row) for row in range(count, count + room)}
-        for number in range(len(moves.layers.tails)):  # a layer, all of whose moves stay
-            lands = [(arriving[row] > 0.0) & (tail == number) for row, tail in chosen.items()]
-            landed = np.flatnonzero(np.logical_or.reduce(lands))
-            if not landed.size:
-                continue
-            here = moves.within(moves.tail(number, everywhere), stays, landed)
-            pairs, totals = moves.tail(number, here), np.zeros((len(here), len(self.columns)))
-            tail_marks = np.zeros(len(here), dtype=np.uint8)
-            self._settle(here, pairs, moves.staying(here, pairs, stays), totals, tail_marks)
-            for row, tail in chosen.items():
-                own = tail[here] == number
-                worth[row, here[own]], marks[row, here[own]] = totals[own], tail_marks[own]
-        return met, worth, marks
-
-    @cached_property
-    def _priced(self) -> tuple[IntArray, FloatArray]:
-        """Columns (from, to) of which one, times a cost, counts in the other, and the costs.
-
-        What is to come is discounted later, and these are not.
-
-        Returns:
-            [k, 2], and the costs of each class of steps, [k, classes].
-        """
-        priced = [(c.prices, k) for k, c in enumerate(self.columns) if c.prices is not None]
-        factors = [1.0 / self.columns[k].survival for _, k in priced]
-        return np.array(priced, dtype=np.int64), np.outer(factors, self.moves.layers.costs)
-
-    @cached_property
-    def _groups(self) -> list[list[int]]:
-        """Columns that are totalled over the same states at once, those that need others last."""
-        groups: dict[tuple[bool, bool, float, bool], list[int]] = {}
-        for k, column in enumerate(self.columns):
-            key = column.prices is not None, column.until_lost, column.survival, column.goes_on
-            groups.setdefault(key, []).append(k)
-        return [columns for _, columns in sorted(groups.items())]
-
-    @cached_property
-    def _closed(self) -> list[FloatArray]:
-        """What each column is worth where nothing is open, [states] each."""
-        lost = [0.0 if column.goes_on else column.lost for column in self.columns]
-        return [
-            np.where(self.moves.acting, worth, column.ends)
-            for worth, column in zip(lost, self.columns, strict=True)
-        ]
-
-    @cached_property
-    def _ended(self) -> IntArray:
-        """Marks of goals and dead-ends, [states]."""
-        failed = OPEN | (FAILS if self.forbids_failing else 0)
-        ended = np.where(self.moves.model.goal_mask, HOPEFUL | OPEN, failed)
-        return np.where(self.moves.acting, 0, ended).astype(np.uint8)
-
-    def _settle(
-        self,
-        here: IntArray,
-        pairs: IntArray,
-        staying: Staying | None,
-        totals: FloatArray,
-        marks: IntArray,
-    ) -> None:
-        """Turn what is met after moves to later layers into a layer's own, in place.
-
-        Args:
-            here: states, increasing, [k].
-            pairs: [k].
-            staying: moves within the layer; None: there are none.
-            totals: expected ones, [k, columns].
-            marks: those that may be met, [k].
-        """
-        self._mark(here, pairs, staying, marks)
-        acting, moving = self.moves.acting[here], np.maximum(pairs, 0)
-        quits = np.flatnonzero(pairs == GIVE_UP_CODE)
-        hopeful, is_open = (marks & HOPEFUL) > 0, (marks & OPEN) > 0
-        goes_on = (marks & ENDLESS) == 0
-        if staying is not None and any(column.goes_on for column in self.columns):
-            goes_on &= ~staying.closed(acting & ~is_open)
-        systems: dict[tuple[float, bytes], tuple[sp.csr_array, System]] = {}
-        for group in self._groups:
-            kind = self.columns[group[0]]
-            inside = hopeful if kind.until_lost else is_open
-            if kind.goes_on:
-                inside = inside | goes_on | (kind.survival < 1.0)
-            inside = acting & inside
-            out = np.flatnonzero(~inside)
-            for k in group:
-                column, total = self.columns[k], totals[:, k]
-                if column.survival < 1.0:
-                    total *= column.survival
-                    total += column.each
-                if column.reward is not None:
-                    total += np.where(pairs >= 0, column.reward[moving], 0.0)
-                if quits.size:
-                    gain = np.broadcast_to(column.gives_up, column.ends.shape)
-                    total[quits] += gain[here[quits]]
-                total[out] = self._closed[k][here[out]]
-            nodes = np.flatnonzero(inside)
-            if staying is None or not nodes.size:
-                continue
-            key = kind.survival, inside.tobytes()
-            if key not in systems:
-                rows = staying.share[nodes]
-                left = rows @ (~inside).astype(np.float64) + staying.onward[nodes]
-                left += (pairs[nodes] == GIVE_UP_CODE).astype(np.float64)
-                leak = (1.0 - kind.survival) + kind.survival * left
-                own = sp.csr_array(rows[:, nodes] * kind.survival)
-                systems[key] = rows, System(own, leak)
-            rows, system = systems[key]
-            rewards, beyond = totals[nodes][:, group], totals[:, group]
-            beyond[nodes] = 0.0
-            rewards += kind.survival * (rows @ beyond)
-            if kind.prices is not None:
-                for j, k in enumerate(group):
-                    rewards[:, j] += staying.paid[nodes] @ totals[:, self.columns[k].prices]
-            totals[nodes[:, None], group] = evaluate_chain(system, rewards).values
-
-    def _mark(
-        self, here: IntArray, pairs: IntArray, staying: Staying | None, marks: IntArray
-    ) -> None:
-        """Add to the marks of what a layer's moves may meet those of the layer itself, in place."""
-        quits, missing = pairs == GIVE_UP_CODE, pairs == UNDECIDED
-        acting = self.moves.acting[here]
-        marks |= self._ended[here]
-        marks[quits] |= OPEN | (FAILS if self.forbids_failing else 0)
-        marks[missing | (quits & self.forbidden[here])] |= WRONG
-        for bit in (HOPEFUL, OPEN):
-            spread_in_layer(marks, bit, staying)
-        if self.forbids_failing:
-            marks[acting & ((marks & HOPEFUL) == 0)] |= FAILS
-        if staying is not None and any(column.goes_on for column in self.columns):
-            paying = np.asarray(staying.paid.sum(axis=1)).ravel() > 0.0
-            never = acting & ((marks & OPEN) == 0)  # such loops cost without end
-            marks[staying.closed(never) & paying] |= ENDLESS
-        for bit in (WRONG, ENDLESS, FAILS):
-            spread_in_layer(marks, bit, staying)
-
-
 _AT_ONCE = 1_000_000  # decisions between two looks at the time
 
 
@@ -510,9 +322,25 @@ def _stopping(policy: Policy) -> Policy:
     layers = policy.layers()
     if not isinstance(policy, CostAwarePolicy) or layers is None:
         return policy
-    model, moves, count = policy.model, LayerMoves(policy.model, layers), layers.count
-    tails, decision = layers.tails.copy(), layers.decision.copy()
-    beyond = np.empty(tails.shape, dtype=np.bool_)  # where a tail has not lost the goal
+    moves, tails, decision = LayerMoves(policy.model, layers), layers.tails, layers.decision
+    hopeful, beyond = hopeful_layers(moves)
+    hopes = hopeful[: layers.count]
+    decision = np.where(moves.acting & (decision >= 0) & ~hopes, GIVE_UP_CODE, decision)
+    tails = np.where(moves.acting & (tails >= 0) & ~beyond, GIVE_UP_CODE, tails)
+    return replace(policy, decision=decision, tails=tails)
+
+
+def hopeful_layers(moves: LayerMoves) -> tuple[BoolArray, BoolArray]:
+    """Whence the goal can be reached under a policy that remembers its cost.
+
+    Returns:
+        [layers and those that steps lead to beyond the last, states], and [tails, states].
+
+    Raises:
+        Stop: the time ended.
+    """
+    model, layers, count = moves.model, moves.layers, moves.layers.count
+    beyond = np.empty(layers.tails.shape, dtype=np.bool_)  # where a tail has not lost the goal
     for number, tail in enumerate(layers.tails):
         followed = np.zeros(model.n_pairs, dtype=np.bool_)
         followed[tail[tail >= 0]] = True
@@ -525,9 +353,27 @@ def _stopping(policy: Policy) -> Policy:
     several = 1 if layers.unit is None else max(_AT_ONCE // max(model.n_states, 1), 1)
     for end in range(count, 0, -several):
         moves.meet(max(end - several, 0), end, hopeful)
-    decision[moves.acting & (decision >= 0) & ~hopeful[:count]] = GIVE_UP_CODE
-    tails[moves.acting & (tails >= 0) & ~beyond] = GIVE_UP_CODE
-    return replace(policy, decision=decision, tails=tails)
+    return hopeful, beyond
+
+
+def landed_chains(moves: LayerMoves, waiting: FloatArray) -> Iterator[tuple[Chain, FloatArray]]:
+    """The tails' chains, and the mass that ``LayerMoves.follow`` left to each, [nodes, columns].
+
+    Raises:
+        ModelError: a tail has no decision in a state that it reaches.
+    """
+    model, layers = moves.model, moves.layers
+    for number, tail in enumerate(layers.tails):
+        entering = np.zeros(waiting.shape[1:])
+        for layer in range(layers.count, layers.count + moves.room):
+            own = layers.tail_at(layer) == number
+            entering[own] += waiting[layer % moves.room, own]
+        reached = entering.any(axis=1)
+        if reached.any():
+            chain = policy_chain(
+                model, DeterministicPolicy(model, tail), reached.astype(np.float64)
+            )
+            yield chain, entering[chain.state]
 
 
 LARGE = 300_000
@@ -603,7 +449,7 @@ def _law_forwards(moves: LayerMoves, start: FloatArray) -> tuple[FloatArray, Flo
         What arrives at the goal, [layers], those beyond the cap included; and what goes on there,
         [layers beyond the cap, states].
     """
-    layers, room, everywhere = moves.layers, moves.layers.width, np.arange(len(start))
+    layers, room, at_goal = moves.layers, moves.room, moves.model.goal_mask
     exact = moves.model.exact_costs
     if layers.unit is None:
         return None
@@ -611,24 +457,16 @@ def _law_forwards(moves: LayerMoves, start: FloatArray) -> tuple[FloatArray, Flo
         unit, *costs = (exact_cost(cost, exact) for cost in (layers.unit, *layers.costs.tolist()))
         if any(c != k * unit for c, k in zip(costs, layers.leads(0).tolist(), strict=True)):
             return None
-    waiting, goal = np.zeros((room, len(start))), np.zeros(layers.count + room)
-    waiting[0] = start
-    for layer in range(layers.count + room):
-        mass = waiting[layer % room]
-        if layer >= layers.count:
-            goal[layer] = mass[moves.model.goal_mask].sum()
-            mass[~moves.acting] = 0.0
-            continue
-        pairs, leads = moves.pairs(layer, everywhere), layers.leads(layer)
-        if (mass[pairs == UNDECIDED] > 0.0).any():
+    waiting, goal = np.zeros((room, len(start), 1)), np.zeros(layers.count + room)
+    waiting[0, :, 0] = start
+    for layer, here, pairs, visits in moves.follow(waiting):
+        if (pairs == UNDECIDED).any():
             return None
-        staying = moves.staying(everywhere, pairs, np.where(leads > 0, 0, -1))
-        if staying is not None:
-            mass = _visits_within_law(staying, pairs, mass)
-        moves.send(mass, pairs, np.where(leads > 0, (layer + leads) % room, -1), waiting)
-        goal[layer] = mass[moves.model.goal_mask].sum()
-        waiting[layer % room] = 0.0
-    return goal, waiting[(layers.count + np.arange(room)) % room]
+        goal[layer] = visits[at_goal[here], 0].sum()
+    landed = waiting[(layers.count + np.arange(room)) % room, :, 0]
+    goal[layers.count :] = landed[:, at_goal].sum(axis=1)
+    landed[:, ~moves.acting] = 0.0
+    return goal, landed
 
 
 def _spine_of_law(model: SSP, layers: CostLayers, reached: FloatArray, landed: FloatArray) -> Chain:
@@ -693,15 +531,3 @@ def _spine_of_law(model: SSP, layers: CostLayers, reached: FloatArray, landed: F
         branch_pair=_NOTHING,
         branch_probability=np.zeros(0),
     )
-
-
-def _visits_within_law(staying: Staying, pairs: IntArray, mass: FloatArray) -> FloatArray:
-    """Expected visits within a layer, given what enters it, [states]."""
-    inside = (pairs >= 0) & ~staying.closed(pairs >= 0)
-    nodes, others = np.flatnonzero(inside), np.flatnonzero(~inside)
-    rows = staying.share[nodes]
-    exits = staying.onward[nodes] + rows @ (~inside).astype(np.float64)
-    visits = mass.copy()
-    visits[nodes] = System(sp.csr_array(rows[:, nodes]), exits).solve_transposed(mass[nodes])
-    visits[others] += sp.csr_array(rows[:, others]).T @ visits[nodes]
-    return visits

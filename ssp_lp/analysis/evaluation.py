@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from math import fsum
 
 import numpy as np
 
 from ssp_lp.accumulated_cost.policy_layers import (
-    ENDLESS,
-    FAILS,
     LARGE,
-    WRONG,
     LayerMoves,
-    LayerSweep,
-    TotalledReward,
     chains_of_law,
+    hopeful_layers,
+    landed_chains,
 )
 from ssp_lp.analysis.cost_law import measured_law
 from ssp_lp.analysis.quantity_values import (
@@ -28,15 +26,16 @@ from ssp_lp.analysis.quantity_values import (
     state_give_up_charges,
     value_until_failure,
 )
-from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray
+from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray
 from ssp_lp.compiled.deadline import limited
 from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends, end_marks, stop_marks
 from ssp_lp.model.naming import ByName
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.policies import StochasticPolicy
 from ssp_lp.policies.chain import Chain, policy_chain, reaching_in_chain
-from ssp_lp.policies.policy import GIVE_UP_CODE, MixedPolicy, Policy
+from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, MixedPolicy, Policy
 from ssp_lp.policies.remembering import common_memory
 from ssp_lp.problem import NEEDED, Problem, conditions_of, objective_of, on_one_model
 from ssp_lp.processes.conditions import OBJECTIVE
@@ -187,83 +186,97 @@ def _evaluation_of(sums: Measures, problem: Problem) -> Evaluation:
 
 def _evaluated_measures(chain: Chain, problem: Problem, *, declared: bool = False) -> Measures:
     """The measures that an evaluation needs, on a policy's chain."""
-    gamma = survival_of(problem.discount)
     hopeful = reaching_in_chain(chain, chain.goal > 0)
-    alive = hopeful & (chain.goal == 0)
     counted = counted_nodes(chain, hopeful, problem, declared=declared)
-    goal, success = _evaluated_success(chain, alive, 1.0)
-    early, early_cost = (goal, success) if gamma == 1.0 else _evaluated_success(chain, alive, gamma)
-    reached, failed = _evaluated_two_ways(chain, goal, alive, 1.0)
-    kept, surrogate = (
-        _evaluated_two_ways(chain, early, alive, gamma) if gamma < 1.0 else (reached, failed)
-    )
     check_giving_up(chain, problem.semantics, free_in_everything(problem))
-    stopped = value_until_failure(chain, counted, problem.semantics, 1.0)
-    if problem.ratio:
-        target = float(chain.start @ early_cost)
-    else:
-        target = stopped if gamma == 1.0 else value_until_failure(
-            chain, counted, problem.semantics, gamma
-        )  # fmt: skip
-    return Measures(
-        goal=reached,
-        failure=failed,
-        success_cost=float(chain.start @ success),
-        expected_cost=stopped,
-        discounted_goal=kept,
-        discounted_failure=surrogate,
-        discounted_cost=target,
-        ends=_evaluated_ends(chain),
-        secondary=quantity_values(chain, counted, problem),
-        after_failing=cost_after_failing(chain, counted),
-    )
+    mass = np.zeros((chain.n_nodes, 3))
+    mass[:, 0] = chain.start
+    totals = [
+        _chain_totals(chain, hopeful, counted, problem, survival, mass)
+        for survival in _survivals(problem)
+    ]
+    secondary = quantity_values(chain, counted, problem)
+    measures = _measures_of(problem, totals, _evaluated_ends(chain, chain.start), secondary)
+    return replace(measures, after_failing=cost_after_failing(chain, counted))
 
 
-def _evaluated_success(
-    chain: Chain, alive: BoolArray, survival: float
-) -> tuple[FloatArray, FloatArray]:
-    """E[survival^(T-1); goal] and E[survival^(T-1) * cost; goal] at nodes before the goal."""
-    hit = chain.per_node(chain.goal[chain.target])
-    early = chain.accumulate(hit, alive, survival)
-    weight = np.where(chain.goal[chain.target] > 0, 1.0, survival * early[chain.target])
-    priced = chain.per_node(weight * chain.cost)
-    return early, chain.accumulate(priced, alive, survival)
+def _survivals(problem: Problem) -> list[float]:
+    """The discounts under which a policy is measured, the problem's last."""
+    return [1.0] if problem.discount is None else [1.0, problem.discount]
 
 
-def _evaluated_two_ways(
-    chain: Chain, early: FloatArray, alive: BoolArray, survival: float
-) -> tuple[float, float]:
-    """Probabilities of reaching the goal and of failing, each from its own exits, discounted.
+GOAL, FAILED, SUCCESS_COST, STOPPED = range(4)
+
+
+def _chain_totals(
+    chain: Chain,
+    hopeful: BoolArray,
+    counted: BoolArray,
+    problem: Problem,
+    survival: float,
+    mass: FloatArray,
+) -> list[float]:
+    """Goal, failure, cost of success and cost until failure under one discount, [4].
 
     Args:
         chain: the chain.
-        early: E[survival^(T-1); goal], [nodes].
-        alive: nodes from which the goal can be reached, [nodes].
+        hopeful: nodes from which the goal can be reached, [nodes].
+        counted: nodes at which failure has not been declared, [nodes].
+        problem: says the semantics.
         survival: the discount.
+        mass: that enters, that times the cost paid before, and what has failed, [nodes, 3].
     """
-    goal = min(float(chain.start @ (survival * early + chain.goal)), 1.0)
+    entering, paid, lost = mass.T
+    alive = hopeful & (chain.goal == 0)
+    early = chain.accumulate(chain.per_node(chain.goal[chain.target]), alive, survival)
+    weight = np.where(chain.goal[chain.target] > 0, 1.0, survival * early[chain.target])
+    cost = chain.accumulate(chain.per_node(weight * chain.cost), alive, survival)
+    reached = survival * early + chain.goal
     ended = (~alive & (chain.goal == 0.0)).astype(np.float64)
     leaks = (1.0 - survival) + survival * (chain.matrix @ ended + chain.give_up)
-    failed = chain.accumulate(np.where(alive, leaks, 0.0), alive, survival)
-    failure = min(float(chain.start @ (failed + ended)), 1.0)
-    if failure == 0.0:  # decided on the graph: no exit leads to failure
-        return 1.0, 0.0
-    return goal, 1.0 if goal == 0.0 else failure
+    failed = chain.accumulate(np.where(alive, leaks, 0.0), alive, survival) + ended
+    goes_on = problem.semantics.give_up is GiveUp.DEAD_ENDS
+    begins = entering + lost if goes_on else entering
+    stopped = value_until_failure(chain, counted, problem.semantics, survival, start=begins)
+    success = float(entering @ cost + paid @ reached / survival)
+    return [float(entering @ reached), float(entering @ failed), success, stopped]
 
 
-def _evaluated_ends(chain: Chain) -> dict[str, float]:
-    """Probability of each way in which episodes end."""
+def _evaluated_ends(chain: Chain, start: FloatArray) -> FloatArray:
+    """Probability of each way in which episodes end, as of ``end_marks``, [ways]."""
     final = (chain.goal > 0) | (chain.dead > 0)
     settling = reaching_in_chain(chain, final | (chain.give_up > 0)) & ~final
-    names = ["goal", *chain.model.state_labels, "dead_end", "gave_up"]
-    marks = end_marks(chain.model)
-    at_end = np.stack([final & (marks[chain.state] == i) for i in range(len(names))], axis=1)
+    marks, ways = end_marks(chain.model), len(chain.model.state_labels) + 3
+    at_end = np.stack([final & (marks[chain.state] == i) for i in range(ways)], axis=1)
     hits = chain.matrix @ at_end.astype(np.float64)
     hits[np.arange(chain.n_nodes), stop_marks(chain.model)[chain.state]] += chain.give_up
     totals = chain.accumulate(np.where(settling[:, None], hits, 0.0), settling)
-    shares = chain.start @ (totals + at_end)
-    ends = {name: float(share) for name, share in zip(names, shares, strict=True)}
-    return ends | {"wandering": complement(sum(ends.values()))}
+    return np.asarray(start @ (totals + at_end))
+
+
+def _measures_of(
+    problem: Problem,
+    totals: Sequence[Sequence[float]],
+    ends: FloatArray,
+    secondary: Mapping[str, float],
+) -> Measures:
+    """The measures of totals by discount, [discounts, 4], and of ways to end, [ways]."""
+    first, last = totals[0], totals[-1]
+    goal, failure = _both_measures(first[GOAL], first[FAILED])
+    kept, surrogate = _both_measures(last[GOAL], last[FAILED])
+    names = ["goal", *problem.model.state_labels, "dead_end", "gave_up"]
+    shares = dict(zip(names, ends.tolist(), strict=True))
+    return Measures(
+        goal=goal,
+        failure=failure,
+        success_cost=first[SUCCESS_COST],
+        expected_cost=first[STOPPED],
+        discounted_goal=kept,
+        discounted_failure=surrogate,
+        discounted_cost=last[SUCCESS_COST if problem.ratio else STOPPED],
+        ends=shares | {"wandering": complement(sum(shares.values()))},
+        secondary=secondary,
+    )
 
 
 _ROUNDING = 64 * MACHINE_EPSILON
@@ -383,9 +396,6 @@ def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> Stoch
     )
 
 
-GOAL, FAILED, SUCCESS_COST, STOPPED = range(4)
-
-
 @dataclass(frozen=True)
 class Measures:
     """Quantities of a policy that are linear in the start lottery."""
@@ -433,84 +443,111 @@ def layered_measures(
         start: distribution over states, [states].
         least_nodes: states times layers from which a policy is not written out.
     """
-    layers = policy.layers()
-    if layers is None or layers.count * problem.model.n_states < least_nodes:
+    model, layers = problem.model, policy.layers()
+    if layers is None or layers.count * model.n_states < least_nodes:
         return None
     if conditions_of(problem) or objective_of(problem) is not None:
         return None
-    quits = any((part == GIVE_UP_CODE).any() for part in (layers.decision, layers.tails))
-    charge, semantics = state_give_up_charges(problem.model, problem.semantics), problem.semantics
-    columns, names = _measured_columns(problem, np.where(np.isinf(charge), 0.0, charge), quits)
-    moves, begins = LayerMoves(problem.model, layers), np.flatnonzero(start)
-    sweep = LayerSweep(moves, tuple(columns), np.isinf(charge), semantics.forbids_failing)
-    totals, marks = sweep.at_start(begins)
-    found = int(np.bitwise_or.reduce(marks))
-    if found & WRONG:
+    moves, survivals = LayerMoves(model, layers), _survivals(problem)
+    hopeful, costs = hopeful_layers(moves)[0], _LayerCosts.of(problem)
+    waiting = np.zeros((moves.room, model.n_states, 3 * len(survivals)))
+    waiting[0, :, ::3] = start[:, None]
+    parts = []
+    for layer, here, pairs, visits in moves.follow(waiting, survivals, hopeful):
+        quits = (pairs == GIVE_UP_CODE) & np.isinf(costs.charge[here])
+        if quits.any() or (pairs == UNDECIDED).any():
+            return None
+        where = here, pairs, hopeful[layer, here]
+        totals = [
+            costs.totals(*where, visits[:, 3 * k : 3 * k + 3], survival)
+            for k, survival in enumerate(survivals)
+        ]
+        parts.append([*(total for each in totals for total in each), *costs.ends(*where, visits)])
+    try:
+        for tail, mass in landed_chains(moves, waiting):
+            parts.append(_landed_totals(tail, mass, problem, survivals))
+    except ModelError:
         return None
-    # the measures from the totals of ``_measured_columns`` at the start, and what may be met
-    total = (start[begins] @ totals).tolist()
-    later = len(total) - 4 if problem.discount is not None else 0  # where the discounted begin
-    goal, failure = _both_measures(total[GOAL], total[FAILED])
-    kept, surrogate = _both_measures(total[later + GOAL], total[later + FAILED])
-    stopped = float("inf") if found & (ENDLESS | FAILS) else total[STOPPED]
-    endless = found & (FAILS if later else ENDLESS | FAILS)
-    target = float("inf") if endless else total[later + STOPPED]
-    ends = dict.fromkeys(["goal", *problem.model.state_labels, "dead_end", "gave_up"], 0.0)
-    ends |= {"goal": total[GOAL]} | dict(zip(names, total[4:], strict=False))
-    return Measures(
-        goal=goal,
-        failure=failure,
-        success_cost=total[SUCCESS_COST],
-        expected_cost=stopped,
-        discounted_goal=kept,
-        discounted_failure=surrogate,
-        discounted_cost=total[later + SUCCESS_COST] if problem.ratio else target,
-        ends=ends | {"wandering": complement(sum(ends.values()))},
-        secondary={},
-    )
+    sums = [fsum(part) for part in zip(*parts, strict=True)]
+    several = 4 * len(survivals)
+    totals = [sums[k : k + 4] for k in range(0, several, 4)]
+    if problem.semantics.forbids_failing and totals[0][FAILED] > 0.0:
+        for each in totals:
+            each[STOPPED] = float("inf")
+    return _measures_of(problem, totals, np.array(sums[several:]), {})
 
 
-def _measured_columns(
-    problem: Problem, charge: FloatArray, gives_up: bool
-) -> tuple[list[TotalledReward], list[str]]:
-    """What is totalled: the first four undiscounted, then by end, then discounted.
+def _landed_totals(
+    chain: Chain, mass: FloatArray, problem: Problem, survivals: Sequence[float]
+) -> list[float]:
+    """The totals of mass that goes on by a tail's chain, and its ways to end.
 
-    Args:
-        problem: it limits nothing but failure.
-        charge: of giving up, [states].
-        gives_up: whether the policy does so anywhere.
-
-    Returns:
-        The columns, and the names of the ends that may occur, but the goal.
+    Raises:
+        ModelError: the tail gives up where it may not.
     """
-    model, semantics = problem.model, problem.semantics
-    goal, dead = model.goal_mask.astype(np.float64), dead_ends(model).astype(np.float64)
-    entering = dead_end_charges(model, dead_ends(model), semantics)
-    goes_on, stage = semantics.give_up is GiveUp.DEAD_ENDS, cost_means(model)
+    hopeful = reaching_in_chain(chain, chain.goal > 0)
+    check_giving_up(chain, problem.semantics, free_in_everything(problem))
+    totals = list[float]()
+    for k, survival in enumerate(survivals):
+        own = mass[:, 3 * k : 3 * k + 3]
+        totals += _chain_totals(chain, hopeful, hopeful, problem, survival, own)
+    return [*totals, *_evaluated_ends(chain, mass[:, 0] + mass[:, 2])]
 
-    def four(survival: float, first: int) -> list[TotalledReward]:
-        """Goal, failure, cost of success and cost until failure."""
-        leak = 1.0 - survival
-        return [
-            TotalledReward(goal, survival),
-            TotalledReward(dead, survival, each=leak, gives_up=survival, lost=1.0),
-            TotalledReward(0.0 * goal, survival, prices=first + GOAL),
-            TotalledReward(entering, survival, reward=stage, gives_up=charge, lost=charge,
-                   goes_on=goes_on),
-        ]  # fmt: skip
 
-    marks, names, ends = end_marks(model), list[str](), list[TotalledReward]()
-    for number, name in enumerate((*model.state_labels, "dead_end"), start=1):
-        if (marks == number).any():
-            names.append(name)
-            ends.append(TotalledReward((marks == number).astype(np.float64), until_lost=False))
-    if gives_up:
-        names.append("gave_up")
-        ends.append(TotalledReward(0.0 * goal, until_lost=False, gives_up=1.0))
-    found, gamma = four(1.0, 0) + ends, survival_of(problem.discount)
-    if gamma < 1.0:
-        found += four(gamma, len(found))
-    return found, names
+@dataclass(frozen=True, eq=False)
+class _LayerCosts:
+    """What a layer of a policy that remembers its cost adds to its totals."""
+
+    model: SSP
+    stage: FloatArray  # [pairs]
+    charge: FloatArray  # [states] of giving up, infinite where that is not allowed
+    stopping: FloatArray  # [states] what failing there costs
+    marks: IntArray  # [2, states] as of ``end_marks``; and where the policy gives up
+    goes_on: bool  # costs go on where the goal is lost, until a dead-end is entered
+
+    @classmethod
+    def of(cls, problem: Problem) -> _LayerCosts:
+        """What a problem without limits says."""
+        model, semantics, dead = problem.model, problem.semantics, dead_ends(problem.model)
+        charge = state_give_up_charges(model, semantics)
+        entering = dead_end_charges(model, dead, semantics)
+        stopping = np.where(dead, entering, np.where(np.isinf(charge), 0.0, charge))
+        marks = np.stack([end_marks(model), stop_marks(model)])
+        goes_on = semantics.give_up is GiveUp.DEAD_ENDS
+        return cls(model, cost_means(model), charge, stopping, marks, goes_on)
+
+    def totals(
+        self, here: IntArray, pairs: IntArray, hopes: BoolArray, visits: FloatArray, survival: float
+    ) -> list[float]:
+        """Goal, failure, cost of success and cost until failure under one discount, [4].
+
+        Args:
+            here: states, [k].
+            pairs: [k].
+            hopes: where the goal is in reach, [k].
+            visits: of one discount, as of ``LayerMoves.follow``, [k, 3].
+            survival: the discount.
+        """
+        mass, paid, lost = visits.T
+        at_goal, moving = self.model.goal_mask[here], pairs >= 0
+        cost = np.where(moving, self.stage[np.maximum(pairs, 0)], self.stopping[here])
+        cost[at_goal] = 0.0
+        failed = mass[~hopes].sum() + (1.0 - survival) * mass[hopes & moving].sum()
+        costly = ~hopes & (cost > 0.0)
+        after = (
+            lost[costly] @ cost[costly] if self.goes_on else mass @ (~hopes * self.stopping[here])
+        )
+        stopped = mass @ (hopes * cost) + after
+        return [mass[at_goal].sum(), failed, paid[at_goal].sum() / survival, stopped]
+
+    def ends(
+        self, here: IntArray, pairs: IntArray, hopes: BoolArray, visits: FloatArray
+    ) -> list[float]:
+        """What ends in a layer in each way, as of ``end_marks``, [ways]."""
+        marks = self.marks[(pairs == GIVE_UP_CODE).astype(np.int64), here]
+        over, mass = marks >= 0, np.where(hopes, visits[:, 0], visits[:, 2])
+        ways = len(self.model.state_labels) + 3
+        return list(np.bincount(marks[over], weights=mass[over], minlength=ways))
 
 
 def _both_measures(goal: float, failure: float) -> tuple[float, float]:

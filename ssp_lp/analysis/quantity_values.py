@@ -251,6 +251,7 @@ def value_until_failure(
     semantics: FailureSemantics,
     survival: float,
     free: BoolArray | None = None,
+    start: FloatArray | None = None,
 ) -> float:
     """E[r_tau] from the start: stage costs while the goal is in reach, then what failing costs.
 
@@ -260,20 +261,20 @@ def value_until_failure(
         semantics: what failing costs.
         survival: the discount.
         free: pairs that are free in these costs, [pairs]; None: those that cost nothing.
+        start: mass that enters, [nodes]; None: the chain's own.
     """
+    start = chain.start if start is None else start
     lost = lost_costs(chain, hopeful, semantics, survival, free)
     if semantics.forbids_failing:
         lost = np.where(hopeful & (chain.give_up == 0.0), lost, np.inf)
     charged = give_up_costs(chain, semantics, free)
     endless = np.isinf(lost) | np.isinf(charged)
-    if endless.any() and (chain.start[reaching_in_chain(chain, endless)] > 0).any():
+    if endless.any() and (start[reaching_in_chain(chain, endless)] > 0).any():
         return float("inf")
     lost, charged = np.where(endless, 0.0, [lost, chain.give_up * charged])
     alive = hopeful & (chain.goal == 0) & (chain.dead == 0)
     stage = chain.per_node(chain.cost) + charged + survival * (chain.matrix @ lost)
-    return float(
-        chain.start @ (lost + chain.accumulate(np.where(alive, stage, 0.0), alive, survival))
-    )
+    return float(start @ (lost + chain.accumulate(np.where(alive, stage, 0.0), alive, survival)))
 
 
 def complement(probability: float) -> float:

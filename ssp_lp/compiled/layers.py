@@ -218,26 +218,33 @@ def sweep_layers(
 @njit(cache=True)
 def stream_mass(
     mass: Array, pairs: Array, offsets: Array, successors: Array, probabilities: Array,
-    classes: Array, ring: Array, waiting: Array,
+    classes: Array, ring: Array, costs: Array, waiting: Array,
 ) -> None:  # fmt: skip
     """Send the mass of a layer on to later ones, in place; one core: the sums keep their order.
 
     Args:
-        mass: [k].
+        mass: one column, or three for each discount, the second of which is the first times the
+            cost paid, [k, columns].
         pairs: of the states that have it, negative where none is taken, [k].
         offsets: outcomes of each pair, [pairs + 1].
         successors: [outcomes].
         probabilities: [outcomes].
         classes: of the step costs, [outcomes]; empty: all outcomes are of class 0.
         ring: row of the layer that a class of steps leads to, -1: this one, [classes].
-        waiting: written, [rows, states].
+        costs: [classes].
+        waiting: written, [rows, states, columns].
     """
     for s in range(pairs.size):
-        if pairs[s] >= 0 and mass[s] > 0.0:
+        if pairs[s] >= 0:
             for outcome in range(offsets[pairs[s]], offsets[pairs[s] + 1]):
                 step = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
                 if ring[step] >= 0:
-                    waiting[ring[step], successors[outcome]] += mass[s] * probabilities[outcome]
+                    to, share = waiting[ring[step], successors[outcome]], probabilities[outcome]
+                    for k in range(0, to.size, 3):
+                        to[k] += mass[s, k] * share
+                        if to.size > 1:
+                            to[k + 1] += (mass[s, k + 1] + costs[step] * mass[s, k]) * share
+                            to[k + 2] += mass[s, k + 2] * share
 
 
 @njit(cache=True)
@@ -372,61 +379,3 @@ def stream_hope(
                             break
             if not stays:
                 break
-
-
-@one_or_all_cores
-def stream_totals(
-    pairs: Array, offsets: Array, successors: Array, probabilities: Array, classes: Array,
-    ring: Array, costs: Array, worth: Array, marks: Array, priced: Array,
-    sums: Array, found: Array,
-) -> None:  # fmt: skip
-    """Expected totals after moves to later layers, and the marks that may be met there.
-
-    Args:
-        pairs: of each state that is asked for, negative where none is taken, [k].
-        offsets: outcomes of each pair, [pairs + 1].
-        successors: [outcomes].
-        probabilities: [outcomes].
-        classes: of the step costs, [outcomes]; empty: all outcomes are of class 0.
-        ring: row of the layer that a class of steps leads to, -1: this one, [classes].
-        costs: [totals that are priced, classes].
-        worth: totals from there on, [rows, states, columns].
-        marks: bits, [rows, states].
-        priced: columns (from, to): the worth in one, times the cost, counts in the other, [.., 2].
-        sums: written, [k, columns].
-        found: written, [k].
-    """
-    n_columns = sums.shape[1]
-    for s in prange(pairs.size):
-        found[s] = 0
-        for k in range(n_columns):
-            sums[s, k] = 0.0
-        if pairs[s] < 0:
-            continue
-        begin, end = offsets[pairs[s]], offsets[pairs[s] + 1]
-        for first in range(0, n_columns, 4):  # four at a time, in registers
-            last = n_columns - 1
-            second, third, fourth = min(first + 1, last), min(first + 2, last), min(first + 3, last)
-            one, two, three, four = 0.0, 0.0, 0.0, 0.0
-            for outcome in range(begin, end):
-                step = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
-                row, share = ring[step], probabilities[outcome]
-                if row < 0 or share <= 0.0:
-                    continue
-                to = successors[outcome]
-                if first == 0:
-                    found[s] |= marks[row, to]
-                one += share * worth[row, to, first]
-                two += share * worth[row, to, second]
-                three += share * worth[row, to, third]
-                four += share * worth[row, to, fourth]
-            sums[s, first], sums[s, second] = one, two
-            sums[s, third], sums[s, fourth] = three, four
-        for j in range(priced.shape[0]):
-            paid = 0.0
-            for outcome in range(begin, end):
-                step = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
-                row, share = ring[step], probabilities[outcome]
-                if row >= 0 and share > 0.0:
-                    paid += share * costs[j, step] * worth[row, successors[outcome], priced[j, 0]]
-            sums[s, priced[j, 1]] += paid
