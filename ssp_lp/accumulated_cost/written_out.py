@@ -11,6 +11,7 @@ as the cap grows (paper, section 3.5, with a tail that is free to choose).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -46,8 +47,7 @@ def materialise(process: LayeredProcess) -> ExplicitProcess:
     )
     n_beyond, n_tails = len(beyond) * base.n_nodes, len(each.goal.T)
     n_states = cap * base.n_nodes + n_beyond + 1
-    kinds, classes = _kinds_of_steps(base)
-    steps = _written_steps(base, classes, process.totals.reached_by(kinds), None, n_states)
+    steps = steps_of_layers(base, lambda kinds: (process.totals.reached_by(kinds), None), n_states)
     own_pairs, failure, goal = (
         np.tile(per_pair, cap)
         for per_pair in (np.diff(base.pair_offsets), base.failure, base.survival * base.gain)
@@ -101,32 +101,24 @@ def chosen_pairs(process: LayeredProcess, choice: IntArray, tail_price: float) -
     return np.concatenate([within.ravel(), beyond, [source]])
 
 
-def _kinds_of_steps(base: AccumulatedCost) -> tuple[IntArray, IntArray]:
-    """What steps of the process may cost, in classes, and which of these each entry costs."""
-    ahead = base.steps.indices.astype(np.int64) // max(base.n_nodes, 1)
-    kinds, classes = np.unique(ahead, return_inverse=True)
-    return kinds, classes
-
-
-def _written_steps(
+def steps_of_layers(
     base: AccumulatedCost,
-    classes: IntArray,
-    leads: IntArray,
-    share: FloatArray | None,
+    leads: Callable[[IntArray], tuple[IntArray, FloatArray | None]],
     n_states: int,
 ) -> sp.csr_array:
     """Transitions of the pairs of all layers, [layers * pairs, states].
 
     Args:
         base: one layer.
-        classes: of each entry of its steps.
-        leads: layer to which each class of steps leads, [layers, classes].
-        share: of it that goes to the layer after that one, likewise; None: nothing does.
+        leads: classes of steps -> the layer to which each leads, [layers, classes], and the share
+            of it that goes to the layer after that one, likewise; None: nothing does.
         n_states: of the process.
     """
-    steps, n, layers = base.steps, base.n_nodes, len(leads)
-    node = steps.indices.astype(np.int64) % max(n, 1)
-    columns = (leads[:, classes] * n + node).ravel()
+    steps, n = base.steps, base.n_nodes
+    ahead, node = np.divmod(steps.indices.astype(np.int64), max(n, 1))
+    kinds, classes = np.unique(ahead, return_inverse=True)
+    reached, share = leads(kinds)
+    layers, columns = len(reached), (reached[:, classes] * n + node).ravel()
     row_ends = np.tile(steps.indptr[1:].astype(np.int64), layers)
     row_ends += np.repeat(np.arange(layers, dtype=np.int64) * steps.nnz, len(base.gain))
     index = np.int32 if max(n_states, columns.size) <= np.iinfo(np.int32).max else np.int64
@@ -173,8 +165,7 @@ class OpenEnded(ChargedLayers):
         """All layers written out; ModelError: there is no room for it."""
         check_room(self.base, self.cap, MOST_WRITTEN)
         base, copies = self.base, self.cap + 1
-        kinds, classes = _kinds_of_steps(base)
-        steps = _written_steps(base, classes, *self.leads(kinds), copies * self.n_nodes + 1)
+        steps = steps_of_layers(base, self.leads, copies * self.n_nodes + 1)
         steps.sum_duplicates()
         cost = self.own_cost + self.everywhere(*self.shift_of_ends)
         failure = self.everywhere(base.failure, base.start_failure)

@@ -136,87 +136,70 @@ def gather_component(
 @njit(cache=True)
 def eliminate_component(inner: Array, low: Array, leaving: Array, right: Array, size: int) -> bool:
     """Solve one component, in place; false if it is never left."""
-    n_rewards = right.shape[1]
-    for i in range(size - 1, -1, -1):
-        departs = leaving[i]
-        for j in range(low[i], i):
-            departs += inner[i, j]
-        if departs <= 0.0:
-            return False
-        for j in range(low[i], i):
-            inner[i, j] /= departs
-        leaving[i] /= departs
-        for j in range(n_rewards):
-            right[i, j] /= departs
-        for r in range(low[i], i):
-            weight = inner[r, i]
-            if weight > 0.0:
-                for j in range(low[i], i):
-                    inner[r, j] += weight * inner[i, j]
-                leaving[r] += weight * leaving[i]
-                for j in range(n_rewards):
-                    right[r, j] += weight * right[i, j]
-    for i in range(1, size):
-        for j in range(low[i], i):
-            weight = inner[i, j]
-            for k in range(n_rewards):
-                right[i, k] += weight * right[j, k]
+    flat, width = inner.reshape(-1), inner.shape[1]
+    if not eliminate_states(flat, width, 0, low, leaving, size):
+        return False
+    solve_eliminated(flat, width, 0, low, right, size)
     return True
 
 
 @njit(cache=True)
-def eliminate_band(band: Array, leaving: Array, weights: Array) -> bool:
-    """Take the states of a banded chain out, last first, in place.
+def eliminate_states(
+    inner: Array, width: int, shift: int, low: Array, leaving: Array, size: int
+) -> bool:
+    """Take the states of a chain out, last first, in place.
 
     Args:
-        band: ``band[i, width + j - i]`` is the probability of going from i to j,
-            [states, 2 * width + 1]; then, for j < i, what remains of it, divided by the
-            probability of departing, and for j > i the weights with which j is replaced.
-        leaving: probability of leaving from each state, [states].
-        weights: probability of departing from each state, written, [states].
+        inner: ``inner[i * width + shift + j]`` is the probability of going from i to j; then, for
+            j < i, what remains of it, divided by the probability of departing, which stands at
+            j = i, and for j > i the weight with which j is replaced.
+        width: of a row: as many as there are states, or twice the distance of a move in a band.
+        shift: where the first row begins.
+        low: the first state that each leads to or from, when all later ones are out, [states].
+        leaving: probability of leaving from each state, [states]; overwritten.
+        size: number of states.
 
     Returns:
         False if the chain is never left.
     """
-    n, width = band.shape[0], band.shape[1] // 2
-    for i in range(n - 1, -1, -1):
-        low = max(0, i - width)
-        departs = leaving[i]
-        for j in range(low, i):
-            departs += band[i, width + j - i]
+    for i in range(size - 1, -1, -1):
+        row, first, departs = i * width + shift, low[i], leaving[i]
+        for j in range(first, i):
+            departs += inner[row + j]
         if departs <= 0.0:
             return False
-        weights[i] = departs
-        for j in range(low, i):
-            band[i, width + j - i] /= departs
+        for j in range(first, i):
+            inner[row + j] /= departs
+        inner[row + i] = departs
         leaving[i] /= departs
-        for r in range(low, i):
-            weight = band[r, width + i - r]
+        for r in range(first, i):
+            other = r * width + shift
+            weight = inner[other + i]
             if weight > 0.0:
-                for j in range(low, i):
-                    band[r, width + j - r] += weight * band[i, width + j - i]
+                for j in range(first, i):
+                    inner[other + j] += weight * inner[row + j]
                 leaving[r] += weight * leaving[i]
     return True
 
 
 @njit(cache=True)
-def solve_band(band: Array, departs: Array, right: Array) -> None:
-    """Solve with an eliminated band, in place, [states, rewards]."""
-    n, width = band.shape[0], band.shape[1] // 2
-    n_rewards = right.shape[1]
-    for i in range(n - 1, -1, -1):
-        for k in range(n_rewards):
-            right[i, k] /= departs[i]
-        for r in range(max(0, i - width), i):
-            weight = band[r, width + i - r]
+def solve_eliminated(
+    inner: Array, width: int, shift: int, low: Array, right: Array, size: int
+) -> None:
+    """Solve when the states are taken out, in place, [states, rewards]."""
+    for i in range(size - 1, -1, -1):
+        for k in range(right.shape[1]):
+            right[i, k] /= inner[i * width + shift + i]
+        for r in range(low[i], i):
+            weight = inner[r * width + shift + i]
             if weight > 0.0:
-                for k in range(n_rewards):
+                for k in range(right.shape[1]):
                     right[r, k] += weight * right[i, k]
-    for i in range(1, n):
-        for j in range(max(0, i - width), i):
-            weight = band[i, width + j - i]
+    for i in range(1, size):
+        for j in range(low[i], i):
+            weight = inner[i * width + shift + j]
             if weight > 0.0:
-                for k in range(n_rewards):
+                for k in range(right.shape[1]):
                     right[i, k] += weight * right[j, k]
 
 

@@ -418,21 +418,21 @@ def band_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray, width:
     Raises:
         SolverError: the chain is never left.
     """
-    from ssp_lp.compiled.equations import eliminate_band, solve_band
+    from ssp_lp.compiled.equations import eliminate_states, solve_eliminated
 
     entry, size = matrix.tocoo(), len(exits)
     place = np.empty(size, dtype=np.int64)
     place[order] = np.arange(size)
-    band, departs = np.zeros((size, 2 * width + 1)), np.empty(size)
-    row, column = place[entry.row], place[entry.col]
-    np.add.at(band, (row, width + column - row), entry.data)
-    if not eliminate_band(band, exits[order], departs):
+    flat = np.zeros(size * (2 * width + 1))
+    np.add.at(flat, place[entry.row] * 2 * width + width + place[entry.col], entry.data)
+    band = flat, 2 * width, width, np.maximum(np.arange(size) - width, 0)
+    if not eliminate_states(*band, exits[order], size):
         raise SolverError(HOLDS_MASS)
 
     def solve(right: FloatArray) -> FloatArray:
         """The totals of a right side, like ``right``."""
         ordered = right[order]
-        solve_band(band, departs, ordered)
+        solve_eliminated(*band, ordered, size)
         return _solved_in_place(ordered, order)
 
     return solve
