@@ -368,7 +368,7 @@ def landed_chains(moves: LayerMoves, waiting: FloatArray) -> Iterator[tuple[Chai
         for layer in range(layers.count, layers.count + moves.room):
             own = layers.tail_at(layer) == number
             entering[own] += waiting[layer % moves.room, own]
-        reached = np.where(entering @ np.ones(waiting.shape[2]) > 0.0, 1.0, 0.0)
+        reached = np.asarray(np.where(entering.sum(axis=1) > 0.0, 1.0, 0.0))
         if reached.any():
             chain = policy_chain(model, DeterministicPolicy(model, tail), reached)
             yield chain, entering[chain.state]

@@ -31,7 +31,7 @@ from ssp_lp.compiled.deadline import limited
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends, end_marks, stop_marks
-from ssp_lp.model.naming import ByName
+from ssp_lp.model.naming import ByName, Reported
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.policies import StochasticPolicy
 from ssp_lp.policies.chain import Chain, policy_chain, reaching_in_chain
@@ -50,7 +50,7 @@ from ssp_lp.processes.rows import cost_means
 
 
 @dataclass(frozen=True, repr=False)
-class Evaluation:
+class Evaluation(Reported):
     """What a policy attains from the start. Costs are in the model's unit."""
 
     goal_probability: float
@@ -76,22 +76,19 @@ class Evaluation:
         for name in ("ends", "secondary_costs"):
             object.__setattr__(self, name, ByName(getattr(self, name)))
 
-    def __repr__(self) -> str:
-        """One line: the objective, how episodes end, and the costs."""
+    def facts(self) -> list[tuple[str, str]]:
+        """The objective, how episodes end, and the costs."""
         failing = failing_in_words(self.ends)
         costs = {
+            "objective": self.objective,
+            "goal": self.goal_probability,
             "cost given success": self.conditional_cost,
             "cost until failure": self.expected_cost,
             **({} if (later := self.cost_after_failing) is None else {"cost after failing": later}),
             **self.secondary_costs,
         }
-        parts = [
-            f"objective {self.objective:.6g}",
-            f"goal {self.goal_probability:.6g}",
-            *([failing] if failing else []),
-            *(f"{name} {cost:.6g}" for name, cost in costs.items()),
-        ]
-        return f"Evaluation({', '.join(parts)})"
+        told = [(name, f"{cost:.6g}") for name, cost in costs.items()]
+        return [*told[:2], *([("failing", failing)] if failing else []), *told[2:]]
 
 
 def evaluate(

@@ -313,6 +313,10 @@ class Frontier:
         )
         return f"Frontier({self._title}){rows}"
 
+    def summary(self) -> str:
+        """One line, and a few of the points."""
+        return repr(self)
+
     def _repr_html_(self) -> str:
         """A few of the points as a table, for notebooks."""
         head = (self.over, "objective", "price from here on")

@@ -31,7 +31,7 @@ from ssp_lp.model.arguments import explained
 from ssp_lp.model.continuous_model import WorldSimulator
 from ssp_lp.model.failure_product import FailureSSP
 from ssp_lp.model.graph import attention_states, dead_ends, end_marks, stop_marks
-from ssp_lp.model.naming import ByName
+from ssp_lp.model.naming import ByName, Reported
 from ssp_lp.model.product import HorizonSSP, ProductSSP
 from ssp_lp.options import progress_shown
 from ssp_lp.policies import MixedPolicy, Policy
@@ -241,7 +241,7 @@ def _on_products(simulator: Simulator, model: SSP, stated: SSP) -> Simulator:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SimulationReport(ReadOnlyCopies):
+class SimulationReport(Reported, ReadOnlyCopies):
     """What happened in the episodes."""
 
     episodes: int
@@ -270,15 +270,18 @@ class SimulationReport(ReadOnlyCopies):
         miss = 1.0 - reached.value, 1.0 - reached.high, 1.0 - reached.low
         return Estimate(*miss, reached.confidence)
 
-    def __repr__(self) -> str:
-        """One line: how the episodes ended, and the costs with their intervals."""
+    def facts(self) -> list[tuple[str, str]]:
+        """How the episodes ended, and the costs with their intervals."""
         ends = ", ".join(f"{name} {count:,}" for name, count in self.ends.items() if count)
-        cut = f"; {self.note}" if self.note else ""
-        return (
-            f"SimulationReport({self.episodes:,} episodes: {ends}; goal {self.goal_probability}, "
-            f"cost given success {self.conditional_cost}, "
-            f"cost until failure {self.expected_cost}{cut})"
-        )
+        later = self.cost_after_failing
+        return [
+            ("episodes", f"{self.episodes:,}: {ends}"),
+            ("goal", str(self.goal_probability)),
+            ("cost given success", str(self.conditional_cost)),
+            ("cost until failure", str(self.expected_cost)),
+            *([] if later is None else [("cost after failing", str(later))]),
+            *([("note", self.note)] if self.note else []),
+        ]
 
 
 @explained

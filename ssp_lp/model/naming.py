@@ -48,6 +48,22 @@ class Summarised:
         return html_text(self.summary())
 
 
+class Reported:
+    """Mix-in of reports that are facts, each a name and what is to be said: a line, or a table."""
+
+    @abstractmethod
+    def facts(self) -> Sequence[tuple[str, str]]:
+        """The facts in the order in which they are told."""
+
+    def __repr__(self) -> str:
+        """One line."""
+        return f"{type(self).__name__}({', '.join(' '.join(fact) for fact in self.facts())})"
+
+    def summary(self) -> str:
+        """A line for each fact."""
+        return "\n".join(text_table(self.facts(), left=2))
+
+
 def html_table(
     title: str, rows: Iterable[Sequence[str]], head: Sequence[str] = (), notes: Iterable[str] = ()
 ) -> str:

@@ -247,6 +247,10 @@ class OccupationMeasure:
             frame["advantage"] = excess
         return frame
 
+    def summary(self) -> str:
+        """What :func:`repr` says."""
+        return repr(self)
+
     def __repr__(self) -> str:
         """The objective, what c* is made of, and each row with what is spent and its price."""
         lines = [f"objective {self.objective:.9g}   ({self.solver}: {self.status})"]

@@ -16,6 +16,7 @@ from ssp_lp.errors import ModelError, OutOfTimeError
 from ssp_lp.methods.approaches import Case, approach_to
 from ssp_lp.methods.incumbent import broken_limit, by_moments, prove_by_cheapest_way
 from ssp_lp.methods.refinement import Proved
+from ssp_lp.model.naming import Reported
 from ssp_lp.options import Status, progress_shown
 from ssp_lp.policies.policy import as_lottery
 from ssp_lp.problem import objective_of, on_one_model
@@ -113,7 +114,7 @@ _BUDGET_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, repr=False)
-class Certificate:
+class Certificate(Reported):
     """What was recomputed. ``accepted`` says that the policy keeps to the budget and all limits."""
 
     objective: float  # exact value of the policy
@@ -135,15 +136,17 @@ class Certificate:
             return relative_gap(self.upper_bound, self.objective)
         return relative_gap(self.objective, self.lower_bound)
 
-    def __repr__(self) -> str:
-        """One line: accepted or why not, both sides, and what is left of the budget."""
+    def facts(self) -> list[tuple[str, str]]:
+        """Accepted or why not, both sides, and what is left of the budget."""
         upper = self.upper_bound
         side, bound = ("lower", self.lower_bound) if upper is None else ("upper", upper)
-        verdict = "accepted" if self.accepted else f"refused: {self.reason}"
-        return (
-            f"Certificate({verdict}, objective {self.objective:.9g}, {side} bound {bound:.9g}, "
-            f"gap {self.gap:.1e}, failure {self.failure:.6g} of {self.budget:.6g})"
-        )
+        return [
+            ("verdict", "accepted" if self.accepted else f"refused: {self.reason}"),
+            ("objective", f"{self.objective:.9g}"),
+            (f"{side} bound", f"{bound:.9g}"),
+            ("gap", f"{self.gap:.1e}"),
+            ("failure", f"{self.failure:.6g} of {self.budget:.6g}"),
+        ]
 
 
 def certificate_of(

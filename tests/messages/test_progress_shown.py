@@ -61,10 +61,10 @@ def test_verbose_tells_each_phase(capsys: pytest.CaptureFixture[str]) -> None:
     told = capsys.readouterr().err
     for part in (
         "2 turning points",
-        "SimulationReport(10 epi",
+        "SimulationReport(epi",
         "1 of 7: MaxProb",
         "7 states foun",
-        "Certificate(acc",
+        "Certificate(verdict acc",
         "3 of 3: game, ",
         "3 methods agree",
     ):

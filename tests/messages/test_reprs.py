@@ -115,7 +115,7 @@ def test_reprs_are_short(solution: Solution) -> None:
     assert repr(policy).startswith("MixedPolicy(2 members: ")
     many = MixedPolicy(tuple(policy.policies[:1] * 50), np.full(50, 0.02))
     assert repr(many).endswith("+ ...)")
-    assert repr(certify(solution)).startswith("Certificate(accepted, objective ")
+    assert repr(certify(solution)).startswith("Certificate(verdict accepted, objective ")
     found = [
         solution,
         policy,
@@ -245,3 +245,20 @@ def test_notebooks_show_escaped_tables(solution: Solution) -> None:
 def test_a_policy_that_gives_up_is_described() -> None:
     policy = DeterministicPolicy.from_actions(MODEL, {"s": GIVE_UP})
     assert "gives up in 1" in repr(policy)
+
+
+def test_every_report_has_a_summary() -> None:
+    solution = solve(PROBLEM)
+    reports = [
+        solution,
+        evaluate(solution.policy, PROBLEM),
+        simulate(solution.policy, PROBLEM, episodes=100, rng=0),
+        certify(solution),
+        cross_check(PROBLEM),
+        trace_frontier(PROBLEM),
+        PROBLEM.program().solve(),
+    ]
+    for report in reports:
+        lines = report.summary().splitlines()
+        assert len(lines) >= 2
+        assert max(map(len, lines)) <= 200
