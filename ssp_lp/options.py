@@ -170,11 +170,18 @@ def options_of(
     if progress is not None and not callable(progress):
         raise ModelError(f"progress must be a function or None, not {progress!r}; verbose=True "
                          "shows how far work has come")  # fmt: skip
+
+    def told(calls: int, price: float, objective: float) -> None:
+        """Tell the logger, then whoever asked."""
+        _SEARCH.debug("%d pricing calls, price %.6g, objective %.9g", calls, price, objective)
+        if progress is not None:
+            progress(calls, price, objective)
+
     deadline = deadline_of(time_limit, began)
     single = isinstance(method, DeterministicPolicies)
     relaxation = method.relaxation if isinstance(method, DeterministicPolicies) else method
     program = relaxation if isinstance(relaxation, LinearProgramming) else None
-    return SolveOptions(float(tolerance), deadline, _logged_progress(progress), program, single)
+    return SolveOptions(float(tolerance), deadline, told, program, single)
 
 
 def deadline_of(time_limit: float | None, began: float) -> float:
@@ -186,18 +193,6 @@ def deadline_of(time_limit: float | None, began: float) -> float:
     if time_limit is not None and not (is_number(time_limit) and time_limit >= 0.0):
         raise wrong_argument("time_limit", "be a number of seconds", time_limit)
     return float("inf") if time_limit is None else began + float(time_limit)
-
-
-def _logged_progress(progress: Progress | None) -> Progress:
-    """The progress function itself, after the logger has been told the same."""
-
-    def told(calls: int, price: float, objective: float) -> None:
-        """Tell the logger, then whoever asked."""
-        _SEARCH.debug("%d pricing calls, price %.6g, objective %.9g", calls, price, objective)
-        if progress is not None:
-            progress(calls, price, objective)
-
-    return told
 
 
 @contextmanager

@@ -79,20 +79,17 @@ def unrolled(problem: Problem) -> Problem:
 
     The first with a horizon, the second where something is counted after failing.
     """
-    found: Problem = getattr(problem, "unrolled", problem)
-    return found
+    return cast("Problem", getattr(problem, "unrolled", problem))
 
 
 def conditions_of(problem: Problem) -> tuple[Condition, ...]:
     """The constraints of a problem beside its failure budget; a class of your own may have none."""
-    found: tuple[Condition, ...] = getattr(problem, "conditions", ())
-    return found
+    return cast("tuple[Condition, ...]", getattr(problem, "conditions", ()))
 
 
 def objective_of(problem: Problem) -> Condition | None:
     """The quantity that a problem minimises in place of its cost; None: there is none."""
-    found: Condition | None = getattr(problem, "objective_condition", None)
-    return found
+    return cast("Condition | None", getattr(problem, "objective_condition", None))
 
 
 def has_rows(problem: Problem) -> bool:
@@ -263,8 +260,7 @@ class FailureBudget:
             if (key := "_budget") not in known:
                 with limited(None if is_within_call() else READING, _FOLLOWS):
                     known[key] = _Shared(budget_of_share(asked.model, asked.start, share))
-        found: float | None = known[key]
-        return found
+        return cast("float | None", known[key])
 
 
 BUDGET_OR_SHARE = FailureBudget()

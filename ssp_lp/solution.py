@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 
@@ -111,8 +112,7 @@ class Solution(ReadOnlyCopies):
         if (make := getattr(self.problem, "program", None)) is None:
             raise ModelError(f"a {type(self.problem).__name__} makes no program: its states' "
                              "values are those of one")  # fmt: skip
-        found: StateValues = make().values_at(self.prices, self.objective)
-        return found
+        return cast("StateValues", make().values_at(self.prices, self.objective))
 
     def policy_everywhere(self, default: Default | None = None) -> MixedPolicy:
         """The policy as one that acts in every state that has actions, reached by its plan or not.
@@ -284,6 +284,10 @@ class Solution(ReadOnlyCopies):
         """What the summary says, by name; how the policy fails, if it does."""
         at_start = giving_up_at_start(self.policy, self.problem)
         failing = failing_in_words(self.evaluation.ends, at_start)
+        budget, gave_up = self.problem.failure_budget, self.evaluation.ends.get("gave_up", 0.0)
+        chosen = getattr(self.problem, "give_up", GiveUp.DEAD_ENDS) is not GiveUp.DEAD_ENDS
+        # giving up by choice, which the problem might not allow, is most of the budget
+        mostly_gives_up = chosen and budget is not None and gave_up > 0.5 * budget > 0.0
         bound = self.upper_bound
         side, bound = ("lower", self.lower_bound) if bound is None else ("upper", bound)
         rows = [
@@ -291,7 +295,7 @@ class Solution(ReadOnlyCopies):
             (f"{side} bound", f"{bound:.9g}   (relative gap {self.gap:.1e})"),
             ("failure probability", f"{self.failure_probability:.6g}"),
             *([("failing", failing)] if failing else []),
-            *([("giving up", _GIVING_UP)] if self._mostly_gives_up else []),
+            *([("giving up", _GIVING_UP)] if mostly_gives_up else []),
             ("cost given success", f"{self.conditional_cost:.6g}"),
             ("cost until failure", f"{self.expected_cost:.6g}"),
         ]
@@ -311,13 +315,6 @@ class Solution(ReadOnlyCopies):
         if self.note:
             rows.append(("note", self.note))
         return rows
-
-    @property
-    def _mostly_gives_up(self) -> bool:
-        """Whether giving up by choice, which the problem might not allow, is most of the budget."""
-        budget, gave_up = self.problem.failure_budget, self.evaluation.ends.get("gave_up", 0.0)
-        chosen = getattr(self.problem, "give_up", GiveUp.DEAD_ENDS) is not GiveUp.DEAD_ENDS
-        return chosen and budget is not None and gave_up > 0.5 * budget > 0.0
 
     @property
     def _asked(self) -> str:

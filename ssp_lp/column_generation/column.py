@@ -140,6 +140,11 @@ class PricingProblem(ABC):
             ModelError: values of another shape.
         """
 
+    @property
+    def anything(self) -> FloatArray:
+        """Values that ask for the best that can be proved."""
+        return np.broadcast_to(np.inf, self.value_shape)
+
     def policy(self, column: Column) -> Policy:
         """The column's policy on the original states."""
         return self.pulled_back(column) if column.policy is None else column.policy

@@ -16,6 +16,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from ssp_lp.accumulated_cost import written_out
 from ssp_lp.accumulated_cost.charges import TOTAL_COST, Charge, ExponentialUtility, TailValues
 from ssp_lp.accumulated_cost.exponential_utility import MomentReach, cost_horizon, greatest_moment
 from ssp_lp.accumulated_cost.process import (
@@ -33,17 +34,7 @@ from ssp_lp.accumulated_cost.totals import (
     step_costs,
     sums_in,
 )
-from ssp_lp.accumulated_cost.written_out import (
-    MOST_WRITTEN,
-    OpenEnded,
-    check_room,
-    chosen_pairs,
-    first_cap,
-    first_total,
-    materialise,
-    truncates,
-)
-from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON, BoolArray, FloatArray, IntArray, read_only
+from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON, FloatArray, IntArray, read_only
 from ssp_lp.column_generation.column import Column, PricingProblem, Proof, relative_gap, required
 from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
 from ssp_lp.column_generation.layered_pricing import LayeredPricing, OpenEndedPricing
@@ -126,7 +117,7 @@ class CompiledProblem(ABC):
         return survival_of(self.discount)
 
     def capped_at(self, cost: float) -> Self:
-        """The same with totals told apart up to about this one, where a cap is a guess."""
+        """The same with totals told apart up to about this one, for a long shot."""
         return self
 
     @abstractmethod
@@ -183,6 +174,22 @@ class CompiledProblem(ABC):
         """
         return 0.0
 
+    def _handing_on(self, other: Self, *own: str) -> Self:
+        """Hand what has been worked out to a copy, but for what is each one's own."""
+        shared = vars(self).keys() - vars(other).keys() - set(own)
+        vars(other).update((name, vars(self)[name]) for name in shared)
+        return other
+
+
+def _unreachable(budget: float | None, discounted: float | None = None) -> InfeasibleError:
+    """The error of case S where the goal is out of reach."""
+    return InfeasibleError(
+        "the goal cannot be reached from the start: no cost given success exists",
+        failure_budget=budget,
+        least_failure=1.0,
+        least_discounted_failure=discounted,
+    )
+
 
 def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> LeastFailure:
     """The policy of least failure, which keeps to the budget.
@@ -197,12 +204,7 @@ def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> Le
     least = compiled.least_failure()
     failure, discounted = least.column.failure, compiled.discount is not None
     if compiled.ratio and least.column.goal <= 0.0:
-        raise InfeasibleError(
-            "the goal cannot be reached from the start: no cost given success exists",
-            failure_budget=budget,
-            least_failure=1.0,
-            least_discounted_failure=1.0 if discounted else None,
-        )
+        raise _unreachable(budget, 1.0 if discounted else None)
     if budget is None or failure <= budget + LEAST_BUDGET:
         return least
     if not discounted:
@@ -245,7 +247,7 @@ def check_compiled_table(layers: int, base: AccumulatedCost, remedy: str) -> Non
         )
 
 
-class CompiledLayered(CompiledProblem):
+class _CompiledLayered(CompiledProblem):
     """A compiled problem whose process is layered."""
 
     charge: Charge
@@ -275,12 +277,6 @@ class CompiledLayered(CompiledProblem):
         """The least goal probability and the cheapest policy that attains it (pi'_or)."""
         least = least_goal_reach(self.model, self.survival)
         return least, cheapest_reach(self.model, least, self.survival)
-
-    def _handing_on(self, other: Self, *kept: str) -> Self:
-        """Hand what has been worked out to a copy: the extreme probabilities, and what is named."""
-        names = ("greatest", "safest_policy", "riskiest", *kept)
-        vars(other).update((name, vars(self)[name]) for name in names if name in vars(self))
-        return other
 
     def _tails_of(
         self,
@@ -312,11 +308,11 @@ class CompiledLayered(CompiledProblem):
 
     def explicit(self) -> ExplicitProcess:
         """All layers below the cap, written out."""
-        return materialise(self.process)
+        return written_out.materialise(self.process)
 
     def explicit_choice(self, column: Column) -> IntArray:
         """The column's pairs in all layers, its tails beyond them and the source's only pair."""
-        return chosen_pairs(self.process, required(column.choice), column.tail_price)
+        return written_out.chosen_pairs(self.process, required(column.choice), column.tail_price)
 
     def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
         """How much of a bound at this price the cap costs; 0 where it is proved lossless."""
@@ -343,7 +339,7 @@ _MOST_GROWTH = 4
 
 
 @dataclass(frozen=True, eq=False)
-class CompiledAccumulatedCost(CompiledLayered):
+class CompiledAccumulatedCost(_CompiledLayered):
     """Minimise E[cost | goal], failure limited (paper, section 3.1.1).
 
     ``cap`` says where the table of accumulated costs ends; None: a first guess, to learn the
@@ -507,7 +503,8 @@ class CompiledAccumulatedCost(CompiledLayered):
 
     def _carry(self, other: CompiledAccumulatedCost) -> CompiledAccumulatedCost:
         """Hand what does not depend on the cap to a copy."""
-        other = self._handing_on(other, "base", "_directed", "_guess")
+        own = "process", "is_long_shot", "_has_exact_tails", "_tails"
+        other = self._handing_on(other, *own)
         if "_tails" in vars(self) and self._has_exact_tails == other._has_exact_tails:
             vars(other)["_tails"] = self._tails
         return other
@@ -535,11 +532,12 @@ _DOUBLINGS = 60  # of a cap, if all sums that there are lie below it
 _LOWER = 0.5  # cap, times the one whose sums are too many
 _BEYOND = 1e-9  # relative distance of a total that lies beyond another
 _LEAST = 1e-12  # relative room below the goal probability of policies that all attain it
+_OF_TAILS: tuple[str, ...] = ("_tails", "_moments", "cost_horizon")
 _LOST = 1e-6  # goal probability that a policy of least failure may lack, by rounding of long runs
 
 
 @dataclass(frozen=True, eq=False)
-class CompiledArrivalCost(CompiledLayered):
+class CompiledArrivalCost(_CompiledLayered):
     """Minimise E[charge(total cost); goal], or its ratio to Pr(goal), failure limited; exact.
 
     The table of accumulated costs ends where the charge has become affine: what is best beyond it
@@ -555,10 +553,6 @@ class CompiledArrivalCost(CompiledLayered):
     cap: float | None = None  # total at which the table ends, in units; None: as the charge asks
     by_sums: bool = False  # totals are the sums of steps that can occur, and a unit is 1
     discount: None = None
-
-    def capped_at(self, cost: float) -> CompiledArrivalCost:
-        """The same with a table that ends at this cost."""
-        return self.charging(self.charge, self._units(cost))
 
     @property
     def is_trial(self) -> bool:
@@ -728,16 +722,16 @@ class CompiledArrivalCost(CompiledLayered):
 
         An exponential reward has tails of its own.
         """
-        kept: tuple[str, ...] = ("base",)
+        own = _OF_TAILS
         exponential = (isinstance(c, ExponentialUtility) for c in (charge, self.charge))
         if charge == self.charge or not any(exponential):
-            vars(self)["_tails"] = self._tails
-            kept = ("base", "_tails", "_moments", "cost_horizon")
-        return self._handing_on(replace(self, charge=charge, cap=cap), *kept)
+            vars(self)["_tails"], own = self._tails, ()
+        return self._handing_on(replace(self, charge=charge, cap=cap), "process", *own)
 
     def safest(self) -> CompiledArrivalCost:
         """The same among the policies of least failure."""
-        return self._handing_on(replace(self, safest_only=True, cap=None))
+        safest = replace(self, safest_only=True, cap=None)
+        return self._handing_on(safest, "process", "base", *_OF_TAILS)
 
     def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledArrivalCost:
         """The same problem with as many layers as the value function, [layers, nodes].
@@ -784,7 +778,7 @@ _MOST_SWEPT = 400_000_000
 _WORTH_SWEEPING = 400  # entries of a layer from which pricing by layers pays
 
 _ROOM = 6_000_000  # pairs of a process on levels, each of which is priced many times
-_OWN = {"augmented", "explicit_pricing", "_layer_pricing", "totals", "layers"}
+_OWN = {"augmented", "explicit_pricing", "_pricing", "totals", "layers"}
 """What depends on the charge, the cap or the resolution."""
 
 
@@ -898,11 +892,7 @@ class CompiledExplicit(CompiledProblem):
         """
         self.check_sure()
         if self.ratio and self.greatest_goal <= 0.0:
-            raise InfeasibleError(
-                "the goal cannot be reached from the start: no cost given success exists",
-                failure_budget=self.budget,
-                least_failure=1.0,
-            )
+            raise _unreachable(self.budget)
         if self.budget is None or self.budget >= 1.0:
             return self
         at_least = self.budget <= self.least.column.failure
@@ -933,20 +923,16 @@ class CompiledExplicit(CompiledProblem):
         return least_goal_reach(self.model, self.survival).bound
 
     @cached_property
-    def _usable(self) -> BoolArray | None:
-        """Pairs that attain the least failure, where only they may be used, [model pairs]."""
-        return None if self.budget is not None else self.greatest.usable
-
-    @cached_property
-    def augmented(self) -> FailureLabelled | OpenEnded:
+    def augmented(self) -> FailureLabelled | written_out.OpenEnded:
         """The process, in which only what is free in everything counted is collapsed."""
         if self.charge is None:
             self.check_sure()
-            setting = self.start, self.semantics, self.discount, self._usable
+            usable = None if self.budget is not None else self.greatest.usable
+            setting = self.start, self.semantics, self.discount, usable
             return label_failure(self.model, *setting, self.side, self.objective)
         layers = self.layers  # checks that there is room
         how = self.base, self.charge, self.sense.shift, self.totals or self.base.totals(layers)
-        return OpenEnded(*how, self.start, self._least_goals)
+        return written_out.OpenEnded(*how, self.start, self._least_goals)
 
     @property
     def is_rounded(self) -> bool:
@@ -958,7 +944,7 @@ class CompiledExplicit(CompiledProblem):
         """The totals that are told apart, where they are no multiples of a unit."""
         if self.resolution is None or self.charge is None:
             return None
-        first = first_total(self.charge, self.typical_cost)
+        first = written_out.first_total(self.charge, self.typical_cost)
         return self.resolution.totals(self.model, first, self._room, grows=self.charge.slope > 0.0)
 
     @property
@@ -972,14 +958,14 @@ class CompiledExplicit(CompiledProblem):
         Raises:
             InfeasibleError: failing is forbidden and cannot be avoided.
         """
-        return self._layer_pricing or self.explicit_pricing
+        return self._pricing
 
     @cached_property
-    def _layer_pricing(self) -> OpenEndedPricing | None:
-        """The pricing problem by layers; None where the process is written out."""
+    def _pricing(self) -> ExplicitPricing | OpenEndedPricing:
+        """The pricing problem, kept."""
         layered = self.augmented
-        if not isinstance(layered, OpenEnded) or not self._is_swept:
-            return None
+        if not isinstance(layered, written_out.OpenEnded) or not self._is_swept:
+            return self.explicit_pricing
         counting = layered.counting()
         return OpenEndedPricing(layered, self.precise, tuple(row.at(counting) for row in self.side))
 
@@ -1001,7 +987,7 @@ class CompiledExplicit(CompiledProblem):
     def row_coefficients(self, rows: Sequence[UpperRow]) -> list[FloatArray]:
         """What rows take of each pair of the process, [process pairs] each."""
         augmented = self.augmented
-        if isinstance(augmented, OpenEnded):
+        if isinstance(augmented, written_out.OpenEnded):
             counting = augmented.counting()
             return [augmented.everywhere(*row.at(counting)) for row in rows]
         counting = counting_of(augmented, self.start, self.semantics, self.discount)
@@ -1015,7 +1001,7 @@ class CompiledExplicit(CompiledProblem):
             self.start,
             self.discount,
             arrivals=self.semantics.measure is not None,
-            usable=self._usable,
+            usable=None if self.budget is not None else self.greatest.usable,
             side=self.side,
             by_steps=self.resolution is not None,
         )
@@ -1033,14 +1019,16 @@ class CompiledExplicit(CompiledProblem):
             return 1
         layers = self.cap if self.totals is None else self.totals.size
         if layers is None:
-            layers = first_cap(self.base, self.charge, self.typical_cost, self.fixed_cap)
-        check_room(self.base, layers, self._most_pairs)
+            layers = written_out.first_cap(
+                self.base, self.charge, self.typical_cost, self.fixed_cap
+            )
+        written_out.check_room(self.base, layers, self._most_pairs)
         return layers
 
     @property
     def _most_pairs(self) -> int:
         """Pairs of all layers together that there is room for."""
-        return _MOST_SWEPT if self._is_swept else MOST_WRITTEN
+        return _MOST_SWEPT if self._is_swept else written_out.MOST_WRITTEN
 
     def refined(self, price: float) -> CompiledExplicit | None:
         """More layers, or more digits in comparing pairs where no total is counted; None: no more.
@@ -1057,23 +1045,19 @@ class CompiledExplicit(CompiledProblem):
         if self.fixed_cap is not None:
             return None
         end = self.layers * self.base.unit if self.totals is None else float(self.totals.values[-1])
-        cut = truncates(self.charge, end)
+        cut = written_out.truncates(self.charge, end)
         if self.resolution is not None and self.totals is not None:
             enough = self.charge.lossless(price) if cut else None
             finer = self.resolution.finer(self.totals, enough, self._room)
-            return None if finer is None else self._handing_on(replace(self, resolution=finer))
+            if finer is None:
+                return None
+            return self._handing_on(replace(self, resolution=finer), *_OWN)
         here = self.layers
         lossless = int(np.ceil(_MARGIN * self.charge.lossless(price) / self.base.unit)) + 1
         wanted = min(lossless, _MOST_GROWTH * here) if lossless > here else 2 * here
         if not cut or (wanted + 1) * len(self.base.gain) > self._most_pairs:
             return None
-        return self._handing_on(replace(self, cap=wanted))
-
-    def up_to(self, price: float) -> CompiledExplicit:
-        """The same with totals up to where failing is best, at a price that is about right."""
-        if self.resolution is None or self.charge is None:
-            return self
-        return replace(self, resolution=self.resolution.up_to(self.charge.lossless(price)))
+        return self._handing_on(replace(self, cap=wanted), *_OWN)
 
     def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledExplicit:
         """The same with as many layers as a value function has, [process states]; or ModelError."""
@@ -1083,7 +1067,7 @@ class CompiledExplicit(CompiledProblem):
         layers, odd = divmod(values.size - 1, nodes) if nodes else (2, values.size - 1)
         if values.ndim != 1 or odd or layers < 2:
             raise ModelError("a value function of [(layers + 1) x nodes + 1] is needed")
-        return self._handing_on(replace(self, cap=layers - 1))
+        return self._handing_on(replace(self, cap=layers - 1), *_OWN)
 
     def bounded(self, budget: float | None, side: tuple[UpperRow, ...]) -> CompiledExplicit:
         """The same rows with other bounds: all else that is known of the process is handed on."""
@@ -1095,13 +1079,7 @@ class CompiledExplicit(CompiledProblem):
 
     def charging(self, charge: Charge) -> CompiledExplicit:
         """The same with another charge, if its arrivals lie on the lattice of costs."""
-        return self._handing_on(replace(self, charge=charge, cap=None))
-
-    def _handing_on(self, other: CompiledExplicit) -> CompiledExplicit:
-        """Hand what depends on neither charge nor cap to a copy."""
-        shared = vars(self).keys() - vars(other).keys() - _OWN
-        vars(other).update((name, vars(self)[name]) for name in shared)
-        return other
+        return self._handing_on(replace(self, charge=charge, cap=None), *_OWN)
 
     @property
     def n_columns(self) -> int:

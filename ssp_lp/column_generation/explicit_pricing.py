@@ -33,7 +33,6 @@ from ssp_lp.dynamic_programming.dynamics import leaving_choice
 from ssp_lp.dynamic_programming.equations import DIRECT_STATES
 from ssp_lp.dynamic_programming.evaluation import evaluate_policy
 from ssp_lp.dynamic_programming.policy_iteration import first_of_equals, iterate_policy, switched
-from ssp_lp.errors import ModelError
 from ssp_lp.policies.policy import Policy
 from ssp_lp.processes.explicit import Contraction, ExplicitProcess, bound_of, contract
 from ssp_lp.processes.failure_label import FailureLabelled
@@ -120,7 +119,8 @@ class ExplicitPricing(PricingProblem):
         run = partial(iterate_policy, precise=self.precise or None)
         if smaller is None:
             settled = run(self.process.dynamics, self.rewards, weights, choice, guess)
-            return self._column(settled.choice, settled.totals, settled.runs, settled.work, at)
+            kept = {"runs": settled.runs, "work": settled.work, "found_at": at}
+            return self._column(settled.choice, settled.totals, **kept)
         choice = smaller.begun(self.process, choice).astype(np.int32)
         priced = weighted(self.rewards, weights)[smaller.pairs, None]
         about = None if guess is None else smaller.least(weighted(guess, weights))[:, None]
@@ -175,47 +175,41 @@ class ExplicitPricing(PricingProblem):
             found_at: a price at which no policy is worth less.
         """
         totals = evaluate_policy(self.process.dynamics, choice, self.rewards)
-        return self._column(choice, totals.values, totals.runs, work + Work(1, 0), found_at)
+        kept = {"runs": totals.runs, "work": work + Work(1, 0), "found_at": found_at}
+        return self._column(choice, totals.values, **kept)
 
-    def _column(
-        self,
-        choice: IntArray,
-        totals: FloatArray,
-        runs: FloatArray,
-        work: Work,
-        found_at: float | None,
-    ) -> Column:
-        """A column of explicit pricing from its choice, its totals and its run lengths."""
-        kept = {"totals": totals, "runs": runs, "work": work, "found_at": found_at}
-        return Column.of_figures(expected(self.process.start, totals), choice, **kept)
+    def _column(self, choice: IntArray, totals: FloatArray, **more: Any) -> Column:
+        """A column of explicit pricing from its choice and its totals."""
+        figures = expected(self.process.start, totals)
+        return Column.of_figures(figures, choice, totals=totals, **more)
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
         """Prove a lower bound from the values of a policy of least priced cost."""
         column = best if best.totals is not None else self.minimise(price, best)
         values = weighted(required(column.totals), pricing_weights(price))
-        return self._checked(price, values, column.choice)
+        return self.check(price, values, choice=column.choice)
 
     def prove_afresh(self, weights: FloatArray, warm: Column) -> Proof:
         """Prove the best lower bound at weights that nothing has been priced at yet."""
         values = weighted(required(self.minimise(weights, warm).totals), weights)
         return self.check(weights, values)
 
-    def check(self, price: float | FloatArray, values: FloatArray, *, slack: bool = False) -> Proof:
-        """Lower values, [states], to a checked sub-solution.
+    def check(
+        self,
+        price: float | FloatArray,
+        values: FloatArray,
+        *,
+        slack: bool = False,
+        choice: IntArray | None = None,
+    ) -> Proof:
+        """Lower values, [states], to a checked sub-solution; with a policy of about these values.
 
         Raises:
-            ModelError: values of another shape, or ``slack``, which is for ratios.
+            ModelError: values of another shape.
         """
-        if values.shape != (self.process.n_states,) or slack:
-            raise ModelError(f"a value function of shape ({self.process.n_states},) is needed")
-        return self._checked(price, values, None)
-
-    def _checked(
-        self, price: float | FloatArray, values: FloatArray, choice: IntArray | None
-    ) -> Proof:
-        """The proof that checked values of explicit pricing make."""
-        bound = self.lowered(pricing_weights(price), values, choice)
-        failing = float(pricing_weights(price)[1])
+        self.check_shape(values)
+        weights = pricing_weights(price)
+        bound, failing = self.lowered(weights, values, choice), float(weights[1])
         return Proof(failing, failing, bound.at(self.process.start), bound.values)
 
     def lowered(

@@ -33,13 +33,7 @@ from ssp_lp.column_generation.explicit_pricing import (
     rest_of,
 )
 from ssp_lp.compiled.deadline import check_time
-from ssp_lp.dynamic_programming.bellman import (
-    PairCost,
-    Work,
-    best_pairs,
-    chosen_product,
-    safe_minima,
-)
+from ssp_lp.dynamic_programming import bellman
 from ssp_lp.dynamic_programming.dual_bound import DualBound
 from ssp_lp.policies.policy import DeterministicPolicy, Policy
 
@@ -100,8 +94,10 @@ class LayeredPricing(PricingProblem):
 
     def minimise(self, failure_price: float, *warm: Column | None) -> Column:
         """A policy of least ``E[charge; goal] + failure_price * failure``, measured exactly."""
-        choice = self.sweep.room_for_choice()
-        failing = failure_price if self._likely else 0.0
+        base, tails, choice = self.process.base, self.process.tails, self.sweep.room_for_choice()
+        goal = tails.guess[1] if tails.guess else float(base.start @ tails.goal[0])
+        # where no policy probably succeeds success is counted rather than failure
+        failing = failure_price if goal + base.start_goal >= 0.5 else 0.0
         measures = self.sweep.minimise(failure_price, failing, choice)
         return self._column(measures, choice, failure_price, self.process.cap)
 
@@ -118,7 +114,7 @@ class LayeredPricing(PricingProblem):
         self, totals: FloatArray, choice: IntArray, tail_price: float, backups: int
     ) -> Column:
         """A choice with its charge, failure and goal from the start."""
-        base, work = self.process.base, Work(backups, self.process.cap)
+        base, work = self.process.base, bellman.Work(backups, self.process.cap)
         cost, failure, goal = totals.tolist()
         failure = max(failure + base.start_failure, 0.0)  # verified: below it lies rounding
         goal = max(goal + base.start_goal, 0.0)
@@ -134,8 +130,7 @@ class LayeredPricing(PricingProblem):
 
     def prove(self, price: float, best: Column | None = None, *, slack: bool = False) -> Proof:
         """The best lower bound of every policy that a sweep gives; none is needed for it."""
-        beyond = self.process.beyond_bound(price, 0.0 if slack else price)
-        return self._proof(price, self._anything, beyond, slack=slack)
+        return self._proof(price, 0.0 if slack else price, self.anything)
 
     def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
         """Lower values, [cap, nodes], to a checked sub-solution.
@@ -147,12 +142,12 @@ class LayeredPricing(PricingProblem):
         Raises:
             ModelError: values of another shape.
         """
-        choice, beyond = None, self.process.beyond_bound(price, 0.0 if slack else price)
+        choice = None
         self.check_shape(values)
         if self.sweep.can_follow and self.sweep.one_pass is None:
             wants_best = all(bool(np.isposinf(layer).all()) for layer in values)
             choice = self.sweep.room_for_choice() if wants_best else None
-        return self._proof(price, values, beyond, choice, slack=slack)
+        return self._proof(price, 0.0 if slack else price, values, choice)
 
     def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
         """How much of the bound the cap costs, at most: 0 where the tails are proved to be optimal.
@@ -176,41 +171,23 @@ class LayeredPricing(PricingProblem):
             if most <= _SAME * abs(proof.bound):
                 return most
         beyond = self.process.beyond_value(price, failing)
-        reached = self._proof(price, self._anything, beyond, slack=slack).bound
+        reached = float(self.sweep.bound(price, failing, self.anything, beyond, None)[0][0])
         if proof is not None and reached <= proof.bound:
             return 0.0
         return max(reached - self.prove(price, slack=slack).bound, 0.0)
 
     def _proof(
-        self,
-        price: float,
-        values: FloatArray,
-        beyond: FloatArray,
-        choice: IntArray | None = None,
-        *,
-        slack: bool,
+        self, price: float, failing: float, values: FloatArray, choice: IntArray | None = None
     ) -> Proof:
-        """Lower values layer by layer, from what is given beyond the cap."""
-        failing = 0.0 if slack else price
+        """Lower values layer by layer, from the bound beyond the cap."""
+        beyond = self.process.beyond_bound(price, failing)
         bounds, kept = self.sweep.bound(price, failing, values, beyond, choice)
-        work = Work(self.process.cap, 0)
+        work = bellman.Work(self.process.cap, 0)
         return Proof(price, failing, float(bounds[0]), kept, work, choice, by_layer=bounds)
-
-    @property
-    def _anything(self) -> FloatArray:
-        """Values that ask for the best that can be proved, [cap, nodes]."""
-        return np.broadcast_to(np.inf, self.value_shape)
 
     def pulled_back(self, column: Column) -> Policy:
         """The cost-aware policy of a choice and its tails."""
         return self.process.policy(required(column.choice), column.tail_price)
-
-    @cached_property
-    def _likely(self) -> bool:
-        """Whether some policy probably succeeds; else success is counted rather than failure."""
-        base, tails = self.process.base, self.process.tails
-        goal = tails.guess[1] if tails.guess else float(base.start @ tails.goal[0])
-        return goal + base.start_goal >= 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,16 +233,11 @@ class OpenEndedPricing(PricingProblem):
         """Charges of arriving from a layer with the shift, [pairs]."""
         return self.augmented.own_cost_from(layer) + self.augmented.shift_of_ends[0]
 
-    @cached_property
-    def _first(self) -> Column:
-        """The column of the policy that leaves the open end, whatever has been paid."""
+    def first(self) -> Column:
+        """The policy that leaves the open end, whatever has been paid: nearer to the goal."""
         beyond = self._beyond.first()
         last = required(beyond.choice) - self.augmented.base.pair_offsets[:-1]
         return self._swept(beyond, lambda charged, ahead: last)
-
-    def first(self) -> Column:
-        """A policy that comes nearer to the goal with every step it takes, where it can."""
-        return self._first
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
         """A policy of least priced cost, measured exactly."""
@@ -278,8 +250,8 @@ class OpenEndedPricing(PricingProblem):
             """The best position of each node in a layer, from the totals of the layer after it."""
             if totals is not None:
                 values.push(weighted(totals, weights))
-            cost = PairCost(weights[0] * charged + owed)
-            backup = best_pairs(base.pair_offsets, base.later, cost, values.flat, tied=TIED)
+            cost = bellman.PairCost(weights[0] * charged + owed)
+            backup = bellman.best_pairs(base.pair_offsets, base.later, cost, values.flat, tied=TIED)
             return np.asarray(backup.choice - base.pair_offsets[:-1])
 
         return self._swept(last, best)
@@ -314,11 +286,11 @@ class OpenEndedPricing(PricingProblem):
             chosen = base.pair_offsets[:-1] + choice[layer]
             totals = np.empty((base.n_nodes, self.n_rewards))
             totals[:, 0], totals[:, 1:] = charged[chosen], self._counted[chosen]
-            totals += chosen_product(base.later, chosen, window.flat)
+            totals += bellman.chosen_product(base.later, chosen, window.flat)
             window.push(totals)
         begun = required(last.totals) if totals is None else totals
         figures = base.start @ begun + self._at_source
-        return Column.of_figures(figures, choice, work=last.work + Work(1, 1))
+        return Column.of_figures(figures, choice, work=last.work + bellman.Work(1, 1))
 
     def _window(self, last: FloatArray) -> Window:
         """The layers ahead of the last one below the cap, all of them beyond it."""
@@ -327,7 +299,7 @@ class OpenEndedPricing(PricingProblem):
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
         """Prove the best lower bound that a sweep gives."""
-        return self.check(price, np.broadcast_to(np.inf, self.value_shape))
+        return self.check(price, self.anything)
 
     def prove_afresh(self, weights: FloatArray, warm: Column) -> Proof:
         """Prove the best lower bound at weights that nothing has been priced at yet."""
@@ -413,8 +385,8 @@ class OpenEndedPricing(PricingProblem):
             check_time()
             cost = priced(layer)
             size = np.abs(cost)
-            lowest = safe_minima(
-                base.pair_offsets, base.later, PairCost(cost), size, size, window.flat
+            lowest = bellman.safe_minima(
+                base.pair_offsets, base.later, bellman.PairCost(cost), size, size, window.flat
             )
             ceiling = np.nan_to_num(given[layer], nan=floor, posinf=np.inf)
             lowest = np.minimum(lowest, np.maximum(ceiling, floor))

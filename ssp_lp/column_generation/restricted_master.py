@@ -95,11 +95,7 @@ def solve_master(
 
 
 def _by_simplex(
-    cost: FloatArray,
-    matrix: FloatArray,
-    basis: IntArray,
-    rounding: FloatArray,
-    noise: FloatArray,
+    cost: FloatArray, matrix: FloatArray, basis: IntArray, rounding: FloatArray, noise: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Minimise ``cost @ x`` with ``matrix @ x == (0, ..., 0, 1)`` and ``x >= 0``.
 

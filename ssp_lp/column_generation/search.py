@@ -197,7 +197,7 @@ class Secant:
 
     def seek(self, tolerance: float) -> Column:
         """The best column at the slope, unless the last one is known to be that."""
-        price, last = self.slope, self.inside if self.last is None else self.last
+        price, last = self.slope, self.last or self.inside
         if last.found_at != price:
             warm = last, self.inside, self.outside
             began, last = time.perf_counter(), self.pricing.minimise(price, *warm)
@@ -213,38 +213,32 @@ class Secant:
         One that never succeeds has no ratio: the price was too low, nothing is learnt. Where none
         lies below the line and the budget is slack, Dinkelbach's iteration goes on.
         """
-        price = self.slope
-        if not self._improved_by(column, price, tolerance):
-            slack = self.row.ratio and self.outside is not None and price < self.objective
-            self.outside = None if slack else self.outside
+        price, outside = self.slope, self.outside
+        below = self.inside.cost - column.cost - price * excess_failure(column, self.inside)
+        scale = abs(self.objective) * (self.inside.goal if self.row.ratio else 1.0)
+        if not below > 0.1 * tolerance * max(scale, 1e-300):
+            slack = self.row.ratio and outside is not None and price < self.objective
+            self.outside = None if slack else outside
             return not slack
-        if self._has(column):
-            return True
+        if outside is not None and column.cost >= outside.cost - _SAME_COST * abs(outside.cost):
+            same = min(_SAME_FAILURE, _SAME_SMALL * min(outside.failure, outside.goal))
+            if abs(excess_failure(column, outside)) <= same:
+                return True  # the one beyond the budget again
         if self.row.breaks(column):
             self.outside = column
         elif self.row.objective(column.cost, column.goal) < np.inf:
             self.inside = column
         return False
 
-    def _improved_by(self, column: Column, price: float, tolerance: float) -> bool:
-        """Whether a column lies below the line through ``inside`` at this price."""
-        below = self.inside.cost - column.cost - price * excess_failure(column, self.inside)
-        scale = abs(self.objective) * (self.inside.goal if self.row.ratio else 1.0)
-        return below > 0.1 * tolerance * max(scale, 1e-300)
-
-    def _has(self, column: Column) -> bool:
-        """Whether a column is the one beyond the budget again, up to rounding."""
-        outside = self.outside
-        if outside is None:
-            return False
-        same = min(_SAME_FAILURE, _SAME_SMALL * min(outside.failure, outside.goal))
-        is_near = abs(excess_failure(column, outside)) <= same
-        return is_near and column.cost >= outside.cost - _SAME_COST * abs(outside.cost)
-
     def concluded(self, tolerance: float, *, finished: bool) -> Generated:
         """The lottery of both ends, and a certified bound at the slope."""
-        row, price, last = self.row, self.slope, self.inside if self.last is None else self.last
-        self._align(price)
+        row, price, last = self.row, self.slope, self.last or self.inside
+        if self.outside is not None and has_time_for(self.took):
+            # with the tails of this price, if one is still on each side of the budget
+            with WithIncumbent(), closing():
+                both = [self.pricing.aligned(c, price) for c in (self.inside, self.outside)]
+                if row.breaks(both[1]) and not row.breaks(both[0]):
+                    self.inside, self.outside = both
         weight, best = self.weight, self.objective
         columns: tuple[Column, ...] = (self.inside,)
         weights = np.ones(1)
@@ -287,21 +281,7 @@ class Secant:
             if has_time_for(self.took):
                 with closing():
                     return self.pricing.prove(price, best, slack=slack)
-        anything = np.broadcast_to(np.inf, self.pricing.value_shape)
-        return self.proof or Proof(price, price, -np.inf, anything)
-
-    def _align(self, price: float) -> None:
-        """Re-evaluate both columns with the tails of this price.
-
-        They are kept if one is still on each side of the budget.
-        """
-        if self.outside is None or not has_time_for(self.took):
-            return
-        with WithIncumbent(), closing():
-            inside = self.pricing.aligned(self.inside, price)
-            outside = self.pricing.aligned(self.outside, price)
-            if self.row.breaks(outside) and not self.row.breaks(inside):
-                self.inside, self.outside = inside, outside
+        return self.proof or Proof(price, price, -np.inf, self.pricing.anything)
 
 
 _STEEP = 5.0  # first price of failure, in costs of a policy that goes for the goal
@@ -342,7 +322,18 @@ def columns_by_pricing(
     Returns:
         None where no column that keeps to the budget was found.
     """
-    pricing, last, price = _first_price(compiled, row, guess)
+    last, doing = None, "the process was still being built"
+    with WithIncumbent() as search:
+        pricing = compiled.pricing()
+        doing = "the totals of a first policy were being worked out"
+        if guess is None:
+            last = pricing.first()
+            typical = last.cost if last.goal <= 0.0 else row.objective(last.cost, last.goal)
+            price = _STEEP * typical if typical > 0.0 else 1.0
+        else:
+            price = guess.price
+    if search.stop:
+        raise Stop(told=doing) from search.stop
     steps = _STEPS if guess is None else tuple(guess.spread * step for step in _HINTED_STEPS)
     one_sided = price == 0.0 or (guess is not None and guess.slack)
     inside: Column | None = None
@@ -364,35 +355,19 @@ def columns_by_pricing(
             enough = one_sided or outside is not None or is_late()
             if step is None or (inside is not None and enough):
                 break
-            price = _initial_price(
-                price, step, last.failure, row.budget, is_hinted=guess is not None
-            )
+            size, failure = 1.0 + step, last.failure
+            if guess is None and min(row.budget, failure) > 0.0:
+                # failure falls about as fast as the price rises; the square of their ratio
+                # overshoots, so that the columns lie on both sides and not far apart
+                ratio = max(failure / row.budget, row.budget / failure)
+                size = min(max(ratio**2, _LEAST_FACTOR), size)
+            price = price * size if failure > row.budget else price / size
     if search.stop:
         took = max(took, time.perf_counter() - began)
         inside = last = _initial_column_within(pricing, row, search.stop, inside, last)
     if inside is None or last is None:
         return None
     return Secant(pricing, row, inside, outside, last, calls, work, took=took)
-
-
-def _first_price(
-    compiled: CompiledProblem, row: FailureRow, guess: DualGuess | None
-) -> tuple[PricingProblem, Column | None, float]:
-    """The pricing problem, a column to begin with, if any, and the first price.
-
-    Raises:
-        Stop: the time ended before they were known; it says what was under way.
-    """
-    doing = "the process was still being built"
-    with WithIncumbent() as search:
-        pricing = compiled.pricing()
-        if guess is not None:
-            return pricing, None, guess.price
-        doing = "the totals of a first policy were being worked out"
-        first = pricing.first()
-        typical = first.cost if first.goal <= 0.0 else row.objective(first.cost, first.goal)
-        return pricing, first, _STEEP * typical if typical > 0.0 else 1.0
-    raise Stop(told=doing) from search.stop
 
 
 def _initial_column_within(
@@ -426,24 +401,6 @@ def _initial_column_within(
         least = min((column.failure for column in columns), default=1.0)
         raise Stop(told=f"the safest policy known by then fails with {least:.6g}") from stop
     return min(answers, key=lambda column: row.objective(column.cost, column.goal))
-
-
-def _initial_price(
-    price: float, step: float, failure: float, budget: float, *, is_hinted: bool
-) -> float:
-    """A price towards the other side of the budget, at most the factor 1 + step away.
-
-    Failure falls about as fast as the price rises; the square of their ratio overshoots, so that
-    the columns found lie on both sides and not far apart.
-    """
-    most = 1.0 + step
-    if is_hinted or budget <= 0.0 or failure <= 0.0:
-        return price / most if failure <= budget else price * most
-    factor = (failure / budget) ** 2
-    least = min(_LEAST_FACTOR, most)
-    if failure <= budget:
-        return price * float(np.clip(factor, 1.0 / most, 1.0 / least))
-    return price * float(np.clip(factor, least, most))
 
 
 _IN_BETWEEN = 0.5  # share of the best known prices in those that are tried
@@ -547,11 +504,6 @@ class StabilisedMaster:
     def _objective(self, column: Column) -> float:
         """The objective of a policy in the master."""
         return 0.0 if self.elastic else float(self.rows.objective(column.figures))
-
-
-def violation_in_master(pool: Pool, rows: Rows) -> StabilisedMaster:
-    """Phase 1: the lottery that violates the rows least is sought."""
-    return StabilisedMaster(pool, rows, np.zeros(len(rows.index)), elastic=True)
 
 
 def without_trifles(

@@ -17,12 +17,7 @@ import scipy.sparse as sp
 from ssp_lp.arrays import RESIDUAL, BoolArray
 from ssp_lp.compiled.deadline import Stop, check_time, is_late, until
 from ssp_lp.errors import ModelError, SolverError
-from ssp_lp.linear_programming.linear_program import (
-    LinearProgram,
-    LPAnswer,
-    objective_doubt,
-    program_residuals,
-)
+from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer, answer_faults
 from ssp_lp.options import BACKENDS
 
 _SIMPLEX = (None, "highs", "highs-simplex")  # what may begin at a basis
@@ -81,9 +76,8 @@ def first_accepted(
     for name in backends_for(program, backend):
         check_time()
         answer = run_backend(program, name, deadline - time.perf_counter())
-        worst = max(program_residuals(program, answer))
+        worst, doubt = answer_faults(program, answer)
         if worst <= RESIDUAL:
-            doubt = objective_doubt(program, answer)
             accepted.append((doubt, answer, worst))
             if doubt <= _DOUBTFUL or program.matrix.shape[1] > _SIMPLEX_COLUMNS:
                 return answer, worst

@@ -91,10 +91,7 @@ def bound_ranges(program: LinearProgram, rows: Iterable[str]) -> dict[str, tuple
 
 
 def _solved_by_highs(
-    program: LinearProgram,
-    backend: str,
-    time_limit: float = np.inf,
-    basis: BoolArray | None = None,
+    program: LinearProgram, backend: str, time_limit: float = np.inf, basis: BoolArray | None = None
 ) -> highspy.Highs:
     """HiGHS, having solved a program; from a basis, of which steps may exchange half.
 

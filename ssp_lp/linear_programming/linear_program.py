@@ -71,41 +71,31 @@ def check_bounds(bounds: Mapping[str, object]) -> None:
             raise wrong_argument(name, "be a number, the bound of its row", bound)
 
 
-def program_residuals(program: LinearProgram, answer: LPAnswer) -> tuple[float, float, float]:
-    """How well an answer satisfies the program, each relative to the numbers at hand.
-
-    Returns:
-        The largest violation of a row or of x >= 0, the largest negative reduced cost, and the gap
-        between the primal and the dual objective; nan counts as infinite.
-    """
-    violation, reduced = _violation_and_reduced_cost(program, answer)
-    primal = max(float(violation.max(initial=0.0)), float((-answer.x).max(initial=0.0)))
-    bounds = np.where(np.isfinite(program.upper), program.upper, program.lower)
-    value, dual_value = float(program.cost @ answer.x), float(bounds @ answer.dual)
-    primal /= 1.0 + float(np.abs(answer.x).max(initial=0.0))
-    dual = float((-reduced).max(initial=0.0)) / (1.0 + float(np.abs(answer.dual).max(initial=0.0)))
-    figures = np.array([primal, dual, abs(value - dual_value) / (1.0 + abs(value))])
-    first, second, third = np.where(np.isfinite(figures), figures, np.inf).tolist()
-    return first, second, third
-
-
-def _violation_and_reduced_cost(
-    program: LinearProgram, answer: LPAnswer
-) -> tuple[FloatArray, FloatArray]:
-    """By how much each row is violated, < 0 where it is not, [rows]; reduced costs, [columns]."""
-    activity = program.matrix @ answer.x
-    violation = np.maximum(program.lower - activity, activity - program.upper)
-    return violation, program.cost - program.matrix.T @ answer.dual
-
-
-def objective_doubt(program: LinearProgram, answer: LPAnswer) -> float:
-    """How much a residual may be worth in the objective, relative to that.
+def answer_faults(program: LinearProgram, answer: LPAnswer) -> tuple[float, float]:
+    """How well an answer satisfies a program, and how much that may be worth in the objective.
 
     Where a process is left with probability 1e-6 a step, what a row misses by counts a million
-    times: violations are priced at the duals, negative reduced costs at the visits.
+    times: in the objective violations are priced at the duals, negative reduced costs at the
+    visits.
+
+    Returns:
+        The largest of the violation of a row or of x >= 0, the negative reduced cost, and the gap
+        between the primal and the dual objective, each relative to the numbers at hand, nan
+        counting as infinite; and what is worth most, relative to the objective.
     """
-    violation, reduced = _violation_and_reduced_cost(program, answer)
-    priced = np.maximum(violation, 0.0) * np.abs(answer.dual)
-    gained = np.maximum(-reduced, 0.0) * np.maximum(answer.x, 0.0)
-    worth = max(float(priced.max(initial=0.0)), float(gained.max(initial=0.0)))
-    return worth / (1.0 + abs(float(program.cost @ answer.x)))
+    x, dual, activity = answer.x, answer.dual, program.matrix @ answer.x
+    short = np.maximum(np.maximum(program.lower - activity, activity - program.upper), 0.0)
+    negative = np.maximum(program.matrix.T @ dual - program.cost, 0.0)  # reduced costs below 0
+    bounds = np.where(np.isfinite(program.upper), program.upper, program.lower)
+    value, dual_value = float(program.cost @ x), float(bounds @ dual)
+    missed = max(float(short.max(initial=0.0)), float((-x).max(initial=0.0)))
+    residuals = np.array(
+        [
+            missed / (1.0 + float(np.abs(x).max(initial=0.0))),
+            float(negative.max(initial=0.0)) / (1.0 + float(np.abs(dual).max(initial=0.0))),
+            abs(value - dual_value) / (1.0 + abs(value)),
+        ]
+    )
+    worst = float(np.where(np.isfinite(residuals), residuals, np.inf).max())
+    worth = float(np.append(short * np.abs(dual), negative * np.maximum(x, 0.0)).max(initial=0.0))
+    return worst, worth / (1.0 + abs(value))

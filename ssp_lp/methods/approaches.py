@@ -77,7 +77,7 @@ class Case:
 
 
 @dataclass(frozen=True, eq=False)
-class Approach:
+class _Approach:
     """How some problems are solved, and how an answer is proved from the model alone."""
 
     answers: Callable[[Case], bool]
@@ -100,19 +100,19 @@ def _is_split(case: Case) -> bool:
 
 
 APPROACHES = (
-    Approach(lambda case: case.by_game, solve_by_game, prove_within_budget),
-    Approach(_is_on_rounded_costs, solve_on_rounded_costs, prove_by_units, afresh=True),
-    Approach(_is_split, solve_on_split_costs, prove_by_units, afresh=True),
-    Approach(lambda case: case.asks.is_risk, least_risk, prove_risk, afresh=True),
-    Approach(lambda case: case.asks.several_rows, solve_constrained, prove_limits),
-    Approach(lambda case: case.asks.aim is not Aim.LEAST_COST, extreme_goal, prove_goal),
-    Approach(lambda case: case.asks.least_failure, cheapest_at_least_failure, prove_least_failure),
-    Approach(lambda case: True, best_within_budget, prove_within_budget),
+    _Approach(lambda case: case.by_game, solve_by_game, prove_within_budget),
+    _Approach(_is_on_rounded_costs, solve_on_rounded_costs, prove_by_units, afresh=True),
+    _Approach(_is_split, solve_on_split_costs, prove_by_units, afresh=True),
+    _Approach(lambda case: case.asks.is_risk, least_risk, prove_risk, afresh=True),
+    _Approach(lambda case: case.asks.several_rows, solve_constrained, prove_limits),
+    _Approach(lambda case: case.asks.aim is not Aim.LEAST_COST, extreme_goal, prove_goal),
+    _Approach(lambda case: case.asks.least_failure, cheapest_at_least_failure, prove_least_failure),
+    _Approach(lambda case: True, best_within_budget, prove_within_budget),
 )
 """The first that answers is taken."""
 
 
-def approach_to(case: Case) -> Approach:
+def approach_to(case: Case) -> _Approach:
     """The approach that answers a case."""
     return next(approach for approach in APPROACHES if approach.answers(case))
 

@@ -429,7 +429,8 @@ def _attempt(
             process = compiled.explicit()
             limits = {FAILURE_ROW: (process.failure, row.budget)}
             optimum = solve_program(process, limits, options, ratio=row.ratio)
-            guess = DualGuess(optimum.kappa, _SPREAD)
+            kappa = optimum.prices.get(FAILURE_ROW, 0.0) + row.ratio * optimum.objective
+            guess = DualGuess(kappa, _SPREAD)
     if guess is None and row.budget >= 1.0 and not row.ratio:
         guess = DualGuess(0.0, _SPREAD, slack=True)  # nothing is limited: no price has to be found
     rule = None

@@ -137,7 +137,7 @@ class _PolicySearch:
     refused: int = 0
 
     @cached_property
-    def relaxation(self) -> DeterministicRelaxation:
+    def relaxation(self) -> _DeterministicRelaxation:
         """The process written out."""
         return deterministic_relaxation(self.outcome.compiled, self.outcome.generated.price)
 
@@ -155,7 +155,7 @@ class _PolicySearch:
         return finished
 
     def offer(self, choice: IntArray) -> bool:
-        """Measure a choice and keep it if it is the best; whether it is within budget."""
+        """Measure a choice and keep it if it is the best; whether it is within the budget."""
         relaxation, row, kept = self.relaxation, self.outcome.row, False
         whole = relaxation.completed(choice)[0]
         for column in () if whole is None else relaxation.measure(whole):
@@ -225,7 +225,7 @@ class _PolicySearch:
         if visits is None:
             return 0.0, False
         gap = 0.0 if row.ratio else self.tolerance
-        program = IntegerProgram(process, self.most, visits, free, max(gap, _LEAST_GAP))
+        program = _IntegerProgram(process, self.most, visits, free, max(gap, _LEAST_GAP))
         if program.pairs.size == 0:
             return 0.0, True  # nothing is to be decided: the lottery's bound is all there is
         bound = 0.0
@@ -249,7 +249,7 @@ class _PolicySearch:
             ratio = better
         return bound, False
 
-    def _solved_without_refused(self, program: IntegerProgram, cost: FloatArray) -> IntegerAnswer:
+    def _solved_without_refused(self, program: _IntegerProgram, cost: FloatArray) -> _IntegerAnswer:
         """Solve, and solve again without each policy that breaks the budget when measured."""
         while True:
             answer = program.solve(cost, self.deadline)
@@ -274,7 +274,7 @@ _ENDLESS = 1e9  # price of failure, relative to 1 + the optimal one, by which no
 
 
 @dataclass(frozen=True, eq=False)
-class DeterministicRelaxation:
+class _DeterministicRelaxation:
     """The process that policies live on, and one of which they are special cases.
 
     A deterministic policy may leave a collapsed component by a way that depends on where it came
@@ -303,7 +303,7 @@ class DeterministicRelaxation:
         return np.where(reached, choice, self.fallback), reached
 
 
-def deterministic_relaxation(compiled: CompiledProblem, price: float) -> DeterministicRelaxation:
+def deterministic_relaxation(compiled: CompiledProblem, price: float) -> _DeterministicRelaxation:
     """Write a process out.
 
     Args:
@@ -348,7 +348,7 @@ def deterministic_relaxation(compiled: CompiledProblem, price: float) -> Determi
             tails = (price, 0.0, _ENDLESS * (1.0 + price))
             return [pricing.measure((within - shift).astype(np.int32), tail) for tail in tails]
 
-    return DeterministicRelaxation(
+    return _DeterministicRelaxation(
         compiled=exact,
         process=process,
         relaxed=relaxed,
@@ -431,7 +431,7 @@ def _has_time(solver: highspy.Highs, cost: FloatArray, deadline: float) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class IntegerAnswer:
+class _IntegerAnswer:
     """What HiGHS says; nothing in it is trusted but the bound."""
 
     x: FloatArray | None  # [pairs] None: no policy was found
@@ -440,7 +440,7 @@ class IntegerAnswer:
     finished: bool
 
 
-class IntegerProgram:
+class _IntegerProgram:
     """The mixed-integer program of a process, from which policies can be excluded one by one."""
 
     def __init__(
@@ -463,7 +463,23 @@ class IntegerProgram:
         self.process, self.free = process, free
         decided = (np.diff(process.pair_offsets) > 1) & (visits > 0.0) & ~free
         self.pairs = np.flatnonzero(decided[process.pair_state])
-        lp = highs_lp(self._stated(budget, visits))
+        base = rows_program(process, {FAILURE_ROW: (process.failure, budget)}, ratio=False)
+        state, n_y = process.pair_state[self.pairs], self.pairs.size
+        picks, group = np.unique(state, return_inverse=True)
+        each, one = np.arange(n_y), np.ones(n_y)
+        taken = sp.csr_array((one, (each, self.pairs)), shape=(n_y, process.n_pairs))
+        linked = sp.csr_array((-visits[state], (each, each)), shape=(n_y, n_y))
+        single = sp.csr_array((one, (group, each)), shape=(picks.size, n_y))
+        left = sp.vstack([base.matrix, taken, sp.csr_array((picks.size, process.n_pairs))])
+        right = sp.vstack([sp.csr_array((base.matrix.shape[0], n_y)), linked, single])
+        stated = LinearProgram(  # the rows of y below those of the occupation measure
+            cost=np.append(process.cost, np.zeros(n_y)),
+            matrix=sp.csc_array(sp.hstack([left, right])),
+            lower=np.concatenate([base.lower, np.full(n_y, -np.inf), np.ones(picks.size)]),
+            upper=np.concatenate([base.upper, np.zeros(n_y), np.ones(picks.size)]),
+            rows=base.rows,
+        )
+        lp = highs_lp(stated)
         upper = np.where(visits > 0.0, highspy.kHighsInf, 0.0)[process.pair_state]
         lp.col_upper_ = np.append(upper, np.ones(self.pairs.size))
         lp.integrality_ = [highspy.HighsVarType.kContinuous] * process.n_pairs + [
@@ -472,26 +488,6 @@ class IntegerProgram:
         self._solver = highs_solver(lp, {**_OPTIONS, "mip_rel_gap": gap})
         self._solver.HandleUserInterrupt = True
 
-    def _stated(self, budget: float, visits: FloatArray) -> LinearProgram:
-        """The occupation-measure program with the rows of y below it."""
-        process, n_y = self.process, self.pairs.size
-        base = rows_program(process, {FAILURE_ROW: (process.failure, budget)}, ratio=False)
-        state = process.pair_state[self.pairs]
-        picks, group = np.unique(state, return_inverse=True)
-        each, one = np.arange(n_y), np.ones(n_y)
-        taken = sp.csr_array((one, (each, self.pairs)), shape=(n_y, process.n_pairs))
-        linked = sp.csr_array((-visits[state], (each, each)), shape=(n_y, n_y))
-        single = sp.csr_array((one, (group, each)), shape=(picks.size, n_y))
-        left = sp.vstack([base.matrix, taken, sp.csr_array((picks.size, process.n_pairs))])
-        right = sp.vstack([sp.csr_array((base.matrix.shape[0], n_y)), linked, single])
-        return LinearProgram(
-            cost=np.append(process.cost, np.zeros(n_y)),
-            matrix=sp.csc_array(sp.hstack([left, right])),
-            lower=np.concatenate([base.lower, np.full(n_y, -np.inf), np.ones(picks.size)]),
-            upper=np.concatenate([base.upper, np.zeros(n_y), np.ones(picks.size)]),
-            rows=base.rows,
-        )
-
     def forbid(self, pairs: IntArray) -> None:
         """Exclude all policies that take these pairs, one for each state that they reach."""
         position = np.flatnonzero(np.isin(self.pairs, pairs))
@@ -499,11 +495,11 @@ class IntegerProgram:
         most = float(position.size) - 1.0
         self._solver.addRow(-highspy.kHighsInf, most, position.size, columns, np.ones(columns.size))
 
-    def solve(self, cost: FloatArray, deadline: float) -> IntegerAnswer:
+    def solve(self, cost: FloatArray, deadline: float) -> _IntegerAnswer:
         """Minimise a cost of the pairs, [pairs], until the deadline of ``time.perf_counter``."""
         solver, n = self._solver, self.process.n_pairs
         if not _has_time(solver, cost, deadline):
-            return IntegerAnswer(None, None, -np.inf, finished=False)
+            return _IntegerAnswer(None, None, -np.inf, finished=False)
         solver.startSolve()  # beside this thread, which so hears of Ctrl-C and ends it
         try:
             while not solver.wait(_POLL)[0]:
@@ -514,18 +510,18 @@ class IntegerProgram:
             raise
         status, info = solver.getModelStatus(), solver.getInfo()
         if status in _OVER:
-            return IntegerAnswer(None, None, np.inf, finished=True)
+            return _IntegerAnswer(None, None, np.inf, finished=True)
         finished = status == highspy.HighsModelStatus.kOptimal
         bound = float(info.mip_dual_bound)
         if info.primal_solution_status != highspy.SolutionStatus.kSolutionStatusFeasible:
-            return IntegerAnswer(None, None, bound, finished=False)
+            return _IntegerAnswer(None, None, bound, finished=False)
         values = np.asarray(solver.getSolution().col_value, dtype=np.float64)
         weight = values[:n].copy()
         weight[self.pairs] = values[n:]
         # the pair of greatest y, or of greatest x where there is no y
         order = np.lexsort((weight, self.process.pair_state))
         choice = order[self.process.pair_offsets[1:] - 1]
-        return IntegerAnswer(values[:n], choice, bound, finished)
+        return _IntegerAnswer(values[:n], choice, bound, finished)
 
 
 _MARGIN = 1e-6

@@ -66,15 +66,6 @@ class _Place:
     parents: list[_Place] = field(default_factory=list)
 
 
-@dataclass(frozen=True, eq=False)
-class Bounded:
-    """What a search came to."""
-
-    bound: float  # of every policy's value at the price
-    failure: float  # of the policy that seems best
-    finished: bool  # whether that is the best policy, and the bound its value
-
-
 def rises_by_each_step(model: SSP, total: float) -> bool:
     """Whether every step adds to the cost paid what is told apart before a total."""
     ended = model.goal_mask | dead_ends(model)
@@ -95,12 +86,16 @@ class ExactTotals:
     places: dict[tuple[int, int], _Place] = field(default_factory=dict, init=False)
     actions: dict[int, list[_Action]] = field(default_factory=dict, init=False)  # of states
 
-    def raised(self, enough: float, most: int) -> Bounded:
+    def raised(self, enough: float, most: int) -> tuple[float, float, bool]:
         """Raise the start's bound until it is enough, or the value of the best policy.
 
         Args:
             enough: bound beyond which none is needed.
             most: places after which the search ends.
+
+        Returns:
+            A bound of every policy's value at the price; the failure of the policy that seems best;
+            and whether that is the best policy, and the bound its value.
         """
         live = np.flatnonzero((self.start > 0.0) & (self._node_of >= 0)).tolist()
         begun = _Option(0.0, 0.0, [(float(self.start[x]), self._place(x, 0.0)) for x in live])
@@ -114,7 +109,7 @@ class ExactTotals:
             bound = constant + root.value
             bound -= _ROUNDING * (abs(bound) + self.proof.price + 1.0)
             if bound > enough or not tips or len(self.places) > most:
-                return Bounded(max(bound, self.proof.bound), failure, not tips)
+                return max(bound, self.proof.bound), failure, not tips
             for place in tips:
                 self._expand(place)
             self._raise_bounds(tips)
@@ -171,7 +166,8 @@ class ExactTotals:
         Each expanded place of it has its best option chosen on the way.
         """
         mass, order = {root: 1.0}, [(root.paid, id(root), root)]
-        tips, failure = list[_Place](), 0.0
+        tips, failure, tails = list[_Place](), 0.0, self.process.tails
+        late = tails.greatest_goal if self.proof.price > 1.0 else tails.least_goal
         while order:
             place = heappop(order)[2]
             here = mass.pop(place)
@@ -181,7 +177,7 @@ class ExactTotals:
                 if place.is_open:
                     tips.append(place)
                 else:
-                    failure += here * float(self._failing_late[self._node_of[place.state]])
+                    failure += here * (1.0 - float(late[self._node_of[place.state]]))
                 continue
             best = min(place.options, key=_Option.value)
             failure += here * best.failing
@@ -217,9 +213,3 @@ class ExactTotals:
     def _beyond(self) -> FloatArray:
         """Bounds from what is surely late, [layers, nodes]."""
         return self.process.beyond_bound(self.proof.price, self.proof.price)
-
-    @cached_property
-    def _failing_late(self) -> FloatArray:
-        """How a policy fails that is surely late, where it is best, [nodes]."""
-        tails = self.process.tails
-        return 1.0 - (tails.greatest_goal if self.proof.price > 1.0 else tails.least_goal)

@@ -9,7 +9,6 @@ from ssp_lp.arrays import FloatArray
 from ssp_lp.errors import SolverError
 from ssp_lp.linear_programming.backends import first_accepted
 from ssp_lp.options import SolveOptions
-from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.programs.program_rows import rows_program
 
@@ -21,7 +20,6 @@ class ProgramOptimum:
     """A checked optimum of the linear program."""
 
     objective: float  # c*
-    kappa: float  # the price of failure at which the optimal policies are priced
     report: str  # one line: backend, size, residuals, seconds
     prices: Mapping[str, float]  # of all limited rows, by name
 
@@ -50,12 +48,10 @@ def solve_program(
     answer, worst = first_accepted(program, backend, options.deadline)
     named = set(program.rows) - {"balance", "normaliser"}
     prices = {name: max(-float(answer.dual[program.rows[name]][0]), 0.0) for name in named}
-    objective = float(program.cost @ answer.x)
     n_rows, n_columns = program.matrix.shape
+    objective = float(program.cost @ answer.x)
     return ProgramOptimum(
         objective=objective,
-        kappa=prices.get(FAILURE_ROW, 0.0)
-        + (float(answer.dual[program.rows["normaliser"]][0]) if ratio else 0.0),
         report=f"{answer.backend}: {objective:.10g}, {n_rows:,} rows x {n_columns:,} columns, "
         f"residual {worst:.0e}, {answer.seconds:.2g} s",
         prices=prices,

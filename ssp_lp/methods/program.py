@@ -76,7 +76,14 @@ def program_of(
             )
     rows = list[ProgramRow]()
     if augmented is None:
-        augmented = _augmented(compiled)
+        inside = compiled.augmented
+        if isinstance(inside, OpenEnded):
+            augmented = LayeredModel(inside, compiled.start)
+        else:  # what is minimised as the cost
+            cost = np.ascontiguousarray(compiled.explicit_pricing.rewards[:, 0])
+            labelled = replace(inside, process=replace(inside.process, cost=cost))
+            setting = compiled.start, compiled.semantics, compiled.discount
+            augmented = LabelledModel(labelled, *setting)
         limits = compiled.bounds
         if compiled.budget is not None and inner.semantics.aim is Aim.LEAST_COST:
             limits[0] = compiled.budget  # a row even where it limits nothing: sweeps begin there
@@ -99,16 +106,6 @@ def program_of(
         at_least=compiled.budget is None,
         remade=partial(program_of, problem),
     ).spread_out()
-
-
-def _augmented(compiled: CompiledExplicit) -> Augmented:
-    """The process of the compiled problem, with what is minimised as its cost."""
-    augmented = compiled.augmented
-    if isinstance(augmented, OpenEnded):
-        return LayeredModel(augmented, compiled.start)
-    cost = np.ascontiguousarray(compiled.explicit_pricing.rewards[:, 0])
-    labelled = replace(augmented, process=replace(augmented.process, cost=cost))
-    return LabelledModel(labelled, compiled.start, compiled.semantics, compiled.discount)
 
 
 def _cost_given_success(compiled: CompiledExplicit) -> LabelledModel:

@@ -12,6 +12,7 @@ from typing import Protocol, TypeVar
 
 from ssp_lp.column_generation.column import two_sided_gap
 from ssp_lp.compiled.deadline import Stop, WithIncumbent, is_late
+from ssp_lp.errors import ModelError
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,8 @@ def refine(attempts: Iterable[_Attempt], tolerance: float) -> _Attempt:
     """The attempt of least gap, once that meets the tolerance, none is finer, or time is up.
 
     Args:
-        attempts: each by a finer process; they end where refining would not help.
+        attempts: each by a finer process; they end where refining would not help, or with a
+            ModelError where a table would be too large.
         tolerance: relative gap.
 
     Raises:
@@ -54,11 +56,15 @@ def refine(attempts: Iterable[_Attempt], tolerance: float) -> _Attempt:
     """
     best: _Attempt | None = None
     with WithIncumbent() as search:
-        for attempt in attempts:
-            if best is None or attempt.gap <= best.gap:
-                best = attempt
-            if best.gap <= tolerance or is_late():
-                break
+        try:
+            for attempt in attempts:
+                if best is None or attempt.gap <= best.gap:
+                    best = attempt
+                if best.gap <= tolerance or is_late():
+                    break
+        except ModelError:
+            if best is None:
+                raise
     if best is None:
         raise search.stop or Stop
     return best

@@ -35,22 +35,16 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from bisect import bisect_left
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
 from heapq import heappop, heappush, heapreplace
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
-from ssp_lp.accumulated_cost.charges import (
-    Charge,
-    CostQuantileOf,
-    ExcessCharge,
-    LateCharge,
-    TailMeanOf,
-    TotalCostCharge,
-)
+from ssp_lp.accumulated_cost.charges import CostQuantileOf, ExcessCharge, LateCharge, TailMeanOf
 from ssp_lp.accumulated_cost.cost_law import CostLaw
 from ssp_lp.accumulated_cost.sweep import KEPT_VALUES
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, last_steps, room_of, step_costs, sums_in
@@ -70,7 +64,13 @@ from ssp_lp.methods.columns import refined_optimum
 from ssp_lp.methods.exact_totals import ExactTotals, rises_by_each_step
 from ssp_lp.methods.incumbent import worth_bound
 from ssp_lp.methods.refinement import Proved
-from ssp_lp.methods.rows import Truth, bound_at, least_goal_within, row_activities, rows_optimum
+from ssp_lp.methods.rows import (
+    bound_at,
+    least_goal_within,
+    limited_rows,
+    row_activities,
+    rows_optimum,
+)
 from ssp_lp.model import SSP
 from ssp_lp.options import CERTIFYING, SolveOptions
 from ssp_lp.policies import MixedPolicy
@@ -83,7 +83,7 @@ from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 def least_risk(
     problem: Problem,
     options: SolveOptions,
-    question: Question | None = None,
+    question: _Question | None = None,
     near: Near | None = None,
 ) -> Solution:
     """The least quantile, or the least conditional value at risk, of the cost given success.
@@ -96,13 +96,13 @@ def least_risk(
 
     Raises:
         InfeasibleError: the budget is below the least failure, or the goal is out of reach.
-        ModelError: another measure, or a table of costs that would be too large.
+        ModelError: a table of costs that would be too large.
     """
     has_answer()
     question = question_of(problem) if question is None else question
-    is_quantile, level = _level_of(problem)
-    search = least_quantile if is_quantile else least_tail_mean
-    return search(problem, question, level, options, near)
+    measure = _measure_of(problem)
+    search = least_quantile if isinstance(measure, CostQuantileOf) else least_tail_mean
+    return search(problem, question, options, near)
 
 
 def prove_risk(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
@@ -114,9 +114,10 @@ def prove_risk(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
             one below it.
     """
     problem, value, bound = solution.problem, evaluation.objective, 0.0
-    question, (is_quantile, level) = question_of(problem), _level_of(problem)
+    question, measure = question_of(problem), _measure_of(problem)
+    level = measure.level
     try:
-        if not is_quantile:
+        if isinstance(measure, TailMeanOf):
             bound = _TailMeanSearch(problem, question, level, CERTIFYING).run()[1]
         elif (number := question.thresholds.number(value)) > 0:
             trial = question.attempt(LateCharge(question.thresholds.total(number - 1)), CERTIFYING)
@@ -127,22 +128,13 @@ def prove_risk(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
     return Proved(value, bound, question.allowed)
 
 
-def _level_of(problem: Problem) -> tuple[bool, float]:
-    """Whether the least quantile is asked for rather than the least tail mean; at which level.
-
-    Raises:
-        ModelError: another measure.
-    """
-    match problem.semantics.measure:
-        case CostQuantileOf(level):
-            return True, level
-        case TailMeanOf(level):
-            return False, level
-    raise ModelError(f"{problem.semantics.measure!r} is no measure of risk")
+def _measure_of(problem: Problem) -> CostQuantileOf | TailMeanOf:
+    """The measure of a problem of risk (``requirements(problem).is_risk``)."""
+    return cast("CostQuantileOf | TailMeanOf", problem.semantics.measure)
 
 
 @dataclass(frozen=True)
-class ThresholdMultiples:
+class _Multiples:
     """Multiples of a unit: of all costs, or, not sharp, of a grid."""
 
     unit: Fraction
@@ -157,7 +149,7 @@ class ThresholdMultiples:
         return round(total / float(self.unit))
 
 
-class ThresholdSums:
+class _Sums:
     """Sums of steps of which the last one leads into the goal. Mutable: they are found as needed.
 
     Raises:
@@ -196,7 +188,7 @@ class ThresholdSums:
         self._cap, self._totals = cap, every[np.diff(every, prepend=-np.inf) > room]
 
 
-Thresholds = ThresholdMultiples | ThresholdSums
+_Thresholds = _Multiples | _Sums
 """Totals, each with its number, 0, 1, ..."""
 
 
@@ -208,7 +200,7 @@ _ROUNDING = 1e-14
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class _Trial:
     """The least E[charge | goal], with its proof."""
 
     value: float
@@ -219,25 +211,35 @@ class Trial:
     prices: Mapping[str, float] = field(default_factory=dict)  # of constraints, by name
 
 
-class Near(NamedTuple):
-    """Where a search may begin: what is known from rounder costs."""
+Near = tuple[float, float]
+"""Where a search may begin, from rounder costs: the quantile of a good policy, and what failing is
+worth there; 0: unknown."""
 
-    total: float  # quantile of a good policy
-    kappa: float  # what failing is worth there; 0: unknown
+_Charge = LateCharge | ExcessCharge
+
+
+class _Guess(NamedTuple):
+    """What failing and what is limited besides are thought to be worth."""
+
+    kappa: float  # of failing
+    rows: Mapping[str, float]  # multipliers of further rows, by name
+    slack: bool = False
+    """The budget is thought to be slack: success is counted rather than failure, which is exact
+    where it is best to fail."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Question(ABC):
+class _Question(ABC):
     """The policies among which the least risk is sought."""
 
     budget: float | None  # of failure; None: only policies of least failure
     allowed: float  # the failure that is allowed: the budget, or what is least
     typical: float  # a cost given success: of the policy that fails least
-    thresholds: Thresholds  # the totals that can occur, or those of a grid
+    thresholds: _Thresholds  # the totals that can occur, or those of a grid
     note: str = ""
 
     @abstractmethod
-    def attempt(self, charge: Charge, options: SolveOptions, kappa: float = 0.0) -> Trial:
+    def attempt(self, charge: _Charge, options: SolveOptions, kappa: float = 0.0) -> _Trial:
         """Minimise E[charge | goal] by one search.
 
         Args:
@@ -247,41 +249,26 @@ class Question(ABC):
         """
 
     @abstractmethod
-    def refuted_below(
-        self, charge: Charge, kappa: float, prices: Mapping[str, float], *, slack: bool = False
-    ) -> float:
-        """A lower bound of E[charge | goal] at a guess of what failing is worth.
+    def refuted_below(self, charge: _Charge, guess: _Guess) -> float:
+        """A lower bound of E[charge | goal] at a guess of prices."""
 
-        Args:
-            charge: of the total cost.
-            kappa: the guess.
-            prices: guesses of the multipliers of further rows, by name.
-            slack: the budget is thought to be slack: success is counted rather than failure, which
-                is exact where it is best to fail.
-        """
-
-    def late_shares(
-        self, number: int, kappa: float, prices: Mapping[str, float], *, slack: bool = False
-    ) -> Callable[[int], float]:
+    def late_shares(self, number: int, guess: _Guess) -> Callable[[int], float]:
         """Lower bounds of Pr(C > B | goal) for the bounds B up to one, by their numbers.
 
         Args:
             number: of the greatest bound.
-            kappa: what failing is thought to be worth.
-            prices: of further rows, by name.
-            slack: as of :meth:`refuted_below`.
+            guess: of prices.
         """
-        total = self.thresholds.total
-        return lambda k: self.refuted_below(LateCharge(total(k)), kappa, prices, slack=slack)
+        return lambda k: self.refuted_below(LateCharge(self.thresholds.total(k)), guess)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class WithinBudget(Question):
+class _WithinBudget(_Question):
     """Failure alone is limited. Policies of least failure fail alike: there no price matters."""
 
     compiled: CompiledArrivalCost  # of the total cost
 
-    def attempt(self, charge: Charge, options: SolveOptions, kappa: float = 0.0) -> Trial:
+    def attempt(self, charge: _Charge, options: SolveOptions, kappa: float = 0.0) -> _Trial:
         """One search on layers of the total cost."""
         compiled = self._charging(charge, kappa)
         if self.budget is None:
@@ -289,37 +276,35 @@ class WithinBudget(Question):
             column = pricing.minimise(0.0)
             policy = MixedPolicy((pricing.policy(column),), np.ones(1))
             value = column.cost / column.goal
-            return Trial(value, min(self.share(pricing.prove(0.0)), value), policy, 0.0, 2)
+            return _Trial(value, min(self.share(pricing.prove(0.0)), value), policy, 0.0, 2)
         guess = DualGuess(kappa, _NEARBY) if kappa > 0.0 else None
         outcome = refined_optimum(compiled, self.budget, options, guess)
         value, bound = outcome.generated.objective, outcome.generated.lower_bound
-        return Trial(value, bound, outcome.lottery, outcome.generated.price, outcome.calls)
+        return _Trial(value, bound, outcome.lottery, outcome.generated.price, outcome.calls)
 
-    def refuted_below(
-        self, charge: Charge, kappa: float, prices: Mapping[str, float], *, slack: bool = False
-    ) -> float:
+    def refuted_below(self, charge: _Charge, guess: _Guess) -> float:
         """The bound of one sweep; there are no prices of further rows."""
-        kappa, slack = (0.0, False) if self.budget is None else (kappa, slack)
-        return self.share(self._charging(charge, kappa).pricing().prove(kappa, slack=slack))
+        return self.share(self._proof(charge, guess))
 
-    def late_shares(
-        self, number: int, kappa: float, prices: Mapping[str, float], *, slack: bool = False
-    ) -> Callable[[int], float]:
+    def late_shares(self, number: int, guess: _Guess) -> Callable[[int], float]:
         """The same where layers are multiples of a unit: one sweep for the greatest bound.
 
         What is best depends on what is left of the bound alone: whoever begins with as much paid as
         parts two bounds has the lesser one left.
         """
         if self.compiled.by_sums:
-            return super().late_shares(number, kappa, prices, slack=slack)
-        kappa, slack = (0.0, False) if self.budget is None else (kappa, slack)
-        compiled = self.compiled.charging(LateCharge(self.thresholds.total(number)))
-        proof = compiled.pricing().prove(kappa, slack=slack)
+            return super().late_shares(number, guess)
+        proof = self._proof(LateCharge(self.thresholds.total(number)), guess)
         by_layer = required(proof.by_layer)
         last = len(by_layer) - 1
         return lambda k: self.share(replace(proof, bound=by_layer[min(number - k, last)]))
 
-    def _charging(self, charge: Charge, kappa: float) -> CompiledArrivalCost:
+    def _proof(self, charge: _Charge, guess: _Guess) -> Proof:
+        """A bound of every policy's value; at least failure no price matters."""
+        kappa, slack = (0.0, False) if self.budget is None else (guess.kappa, guess.slack)
+        return self._charging(charge, kappa).pricing().prove(kappa, slack=slack)
+
+    def _charging(self, charge: _Charge, kappa: float) -> CompiledArrivalCost:
         """The process with a charge, as large as a price of failure asks for."""
         compiled = self.compiled.charging(charge)
         if kappa <= 0.0 or self.budget is None:
@@ -335,13 +320,13 @@ class WithinBudget(Question):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class WithinRows(Question):
+class _WithinRows(_Question):
     """Other quantities are limited, too."""
 
     problem: Problem
     compiled: CompiledExplicit  # of the total cost
 
-    def attempt(self, charge: Charge, options: SolveOptions, kappa: float = 0.0) -> Trial:
+    def attempt(self, charge: _Charge, options: SolveOptions, kappa: float = 0.0) -> _Trial:
         """Column generation with all rows; the table grows until its gap is closed."""
 
         def value(policy: MixedPolicy) -> float:
@@ -355,44 +340,31 @@ class WithinRows(Question):
             spent = row_activities(self.compiled, evaluation)
             return np.array([_expected_charge(charge, law), evaluation.failure_probability, *spent])
 
-        compiled, truth = self.compiled.charging(charge), Truth(value, figures)
-        optimum = rows_optimum(compiled, options, truth)
+        optimum = rows_optimum(self.compiled.charging(charge), options, (value, figures))
         failing = optimum.prices.get(FAILURE_ROW, 0.0) + optimum.value
-        return Trial(
+        return _Trial(
             optimum.value, optimum.bound, optimum.policy, failing, optimum.calls, optimum.prices
         )
 
-    def refuted_below(
-        self, charge: Charge, kappa: float, prices: Mapping[str, float], *, slack: bool = False
-    ) -> float:
+    def refuted_below(self, charge: _Charge, guess: _Guess) -> float:
         """The bound at the prices of another charge's optimum."""
-        ratio = kappa - prices.get(FAILURE_ROW, 0.0)
-        return bound_at(self.compiled.charging(charge), prices, ratio, self._least_goal)
+        ratio = guess.kappa - guess.rows.get(FAILURE_ROW, 0.0)
+        return bound_at(self.compiled.charging(charge), guess.rows, ratio, self._least_goal)
 
     @cached_property
     def _least_goal(self) -> float:
         """A goal probability that all lotteries within the rows have."""
-        bounds = self.compiled.bounds
-        return least_goal_within(self.compiled, np.where(np.isfinite(bounds), bounds, 0.0))
+        return least_goal_within(self.compiled, limited_rows(self.compiled))
 
 
-def _expected_charge(charge: Charge, law: CostLaw) -> float:
-    """E[charge; goal].
-
-    Raises:
-        ModelError: no charge of a risk.
-    """
-    match charge:
-        case TotalCostCharge():
-            return law.cost
-        case LateCharge(bound):
-            return law.goal - law.within(bound)
-        case ExcessCharge(threshold, share):
-            return threshold * law.goal + law.excess(threshold) / share
-    raise ModelError(f"{charge!r} is no charge of a risk")
+def _expected_charge(charge: _Charge, law: CostLaw) -> float:
+    """E[charge; goal]."""
+    if isinstance(charge, LateCharge):
+        return law.goal - law.within(charge.bound)
+    return charge.threshold * law.goal + law.excess(charge.threshold) / charge.share
 
 
-def question_of(problem: Problem) -> Question:
+def question_of(problem: Problem) -> _Question:
     """Check the budget, and say which policies count.
 
     A budget above the least failure by no more than rounding counts as equal to it.
@@ -406,30 +378,26 @@ def question_of(problem: Problem) -> Question:
     if not requirements(problem).several_rows:
         return question_of_compiled(compiled_totals(problem), problem.failure_budget)
     compiled = compiled_constrained(problem).settled()
-    budget = compiled.budget
-    return WithinRows(
+    budget, typical = compiled.budget, compiled.typical_cost
+    thresholds: _Thresholds = _Multiples(Fraction(typical / _FINE), sharp=False)
+    if compiled.resolution is None:
+        thresholds = _Multiples(compiled.base.exact_unit)
+    else:
+        with suppress(ModelError):  # more sums than are told apart
+            sums = _Sums(compiled.model)
+            sums.number(_AHEAD * typical)
+            thresholds = sums
+    return _WithinRows(
         budget=budget,
         allowed=max(1.0 - compiled.least_goal, 0.0) if budget is None else budget,
-        typical=compiled.typical_cost,
-        thresholds=_thresholds_within_rows(compiled),
+        typical=typical,
+        thresholds=thresholds,
         problem=problem,
         compiled=compiled,
     )
 
 
-def _thresholds_within_rows(compiled: CompiledExplicit) -> Thresholds:
-    """The totals that can occur, or those of a grid."""
-    if compiled.resolution is None:
-        return ThresholdMultiples(compiled.base.exact_unit)
-    try:
-        sums = ThresholdSums(compiled.model)
-        sums.number(_AHEAD * compiled.typical_cost)
-    except ModelError:
-        return ThresholdMultiples(Fraction(compiled.typical_cost / _FINE), sharp=False)
-    return sums
-
-
-def question_of_compiled(compiled: CompiledArrivalCost, budget: float | None) -> WithinBudget:
+def question_of_compiled(compiled: CompiledArrivalCost, budget: float | None) -> _WithinBudget:
     """The same of a problem whose failure alone is limited, already compiled.
 
     Args:
@@ -449,24 +417,15 @@ def question_of_compiled(compiled: CompiledArrivalCost, budget: float | None) ->
             away = abs(budget - allowed)
             note = f"the budget lies {away:.1e} {side} the least failure and counts as equal"
         compiled, budget = compiled.safest(), None
-    thresholds: Thresholds
-    if compiled.by_sums:
-        thresholds = ThresholdSums(compiled.model)
-    else:
-        thresholds = ThresholdMultiples(compiled.base.exact_unit)
-    return WithinBudget(
+    by_sums, model = compiled.by_sums, compiled.model
+    return _WithinBudget(
         budget=budget,
         allowed=allowed,
         typical=column.cost / column.goal,
-        thresholds=thresholds,
+        thresholds=_Sums(model) if by_sums else _Multiples(compiled.base.exact_unit),
         note=note,
         compiled=compiled,
     )
-
-
-def question_remarks(question: Question, *, in_time: bool) -> str:
-    """The note, and whether time ran out."""
-    return "; ".join(note for note in (question.note, "" if in_time else CUT_SHORT) if note)
 
 
 _ROUGH = 1e-2  # how exactly a share is worked out that need only lie on one side of another
@@ -475,18 +434,13 @@ _ABOVE = 1e-9  # relative: by which a price of failure lies above a share, where
 
 
 def least_quantile(
-    problem: Problem,
-    question: Question,
-    level: float,
-    options: SolveOptions,
-    near: Near | None = None,
+    problem: Problem, question: _Question, options: SolveOptions, near: Near | None = None
 ) -> Solution:
     """Search for the least bound that some policy keeps to.
 
     Args:
         problem: the problem.
         question: the policies that count.
-        level: in (0, 1).
         options: method, tolerance and limits.
         near: where the quantile may be; None: unknown.
 
@@ -494,8 +448,9 @@ def least_quantile(
         ModelError: the quantile lies beyond the largest table of costs.
         Stop: the time ended before some policy kept to a bound.
     """
-    places, near = question.thresholds, near or Near(question.typical, 0.0)
-    incumbent, calls, kappa, number = None, 0, near.kappa, places.number(near.total)
+    level = _measure_of(problem).level
+    places, (total, kappa) = question.thresholds, near or (question.typical, 0.0)
+    incumbent, calls, number = None, 0, places.number(total)
     low, refuted, high, tried = -1, -1, 0, 0  # too low, proved so; kept to; and bounds tried
     rough = replace(options, tolerance=max(options.tolerance, _ROUGH))
     with WithIncumbent():
@@ -530,13 +485,13 @@ def least_quantile(
         value=objective,
         bound=min(_beyond_refuted(question, refuted), objective),
         failure=1.0 - law.goal,
-        note=question_remarks(question, in_time=high - low <= 1),
+        note="; ".join(filter(None, (question.note, CUT_SHORT if high - low > 1 else ""))),
     )
     reason = f"{tried} cost bounds, {calls} pricing calls"
     return assembled(problem, answer, Run(options.method, reason, calls, 0.0))
 
 
-def _last_refuted(question: Question, trial: Trial, level: float, first: int, last: int) -> int:
+def _last_refuted(question: _Question, trial: _Trial, level: float, first: int, last: int) -> int:
     """The greatest number of a bound that no policy keeps to, as is proved at a trial's prices.
 
     Args:
@@ -549,12 +504,12 @@ def _last_refuted(question: Question, trial: Trial, level: float, first: int, la
     share = _late_share(level)
     slack = trial.kappa <= trial.value * (1.0 + _ABOVE)  # of the budget
     kappa = share * (1.0 + _ABOVE) if slack else max(trial.kappa, share)
-    shares = question.late_shares(last, kappa, trial.prices, slack=slack)
+    shares = question.late_shares(last, _Guess(kappa, trial.prices, slack))
     numbers = range(first + 1, last)
     return first + bisect_left(numbers, True, key=lambda number: shares(number) <= share)
 
 
-def _beyond_refuted(question: Question, refuted: int) -> float:
+def _beyond_refuted(question: _Question, refuted: int) -> float:
     """The least total that can occur beyond one that is refuted; -1: none is."""
     places = question.thresholds
     if places.sharp:
@@ -569,7 +524,7 @@ _PLACES = 2_000, 50_000  # looked at for a price, at least and at most
 _CELLS_A_PLACE = 64  # of the table, for each of them in between
 
 
-def exactly_refuted(question: WithinBudget, model: SSP, level: float, quantile: float) -> float:
+def exactly_refuted(question: _WithinBudget, model: SSP, level: float, quantile: float) -> float:
     """A quantile, by next to nothing less, if exact totals prove that no policy has a lower one.
 
     Args:
@@ -598,13 +553,13 @@ def exactly_refuted(question: WithinBudget, model: SSP, level: float, quantile: 
         proof = compiled.pricing().prove(price)
         search = ExactTotals(model, compiled.start, compiled.process, proof, bound, usable)
         enough = share * (1.0 - question.allowed) + price * question.allowed
-        exact = search.raised(enough, places)
-        if question.share(replace(proof, bound=exact.bound)) > share:
+        raised, failure, finished = search.raised(enough, places)
+        if question.share(replace(proof, bound=raised)) > share:
             return quantile * (1.0 - 2.0 * _BELOW)
-        if not exact.finished or budget is None or (price == lowest and exact.failure <= budget):
+        if not finished or budget is None or (price == lowest and failure <= budget):
             break
-        line = exact.failure, exact.bound - price * exact.failure
-        within, beyond = (line, beyond) if exact.failure <= budget else (within, line)
+        line = failure, raised - price * failure
+        within, beyond = (line, beyond) if failure <= budget else (within, line)
         if beyond is None:
             price = max(price / _STEEPER, lowest)
         elif within is None:
@@ -636,12 +591,12 @@ class _TailMeanSearch:
     """A search over thresholds. Mutable: it learns."""
 
     problem: Problem
-    question: Question
+    question: _Question
     level: float
     options: SolveOptions
     best: Answer | None = None
     quantile: int = 0  # number of the best policy's own quantile
-    tried: dict[int, Trial] = field(default_factory=dict)  # by the number of the threshold
+    tried: dict[int, _Trial] = field(default_factory=dict)  # by the number of the threshold
     kappas: dict[int, float] = field(default_factory=dict)  # what failing is worth there
     calls: int = 0
     sweeps: int = 0
@@ -677,8 +632,8 @@ class _TailMeanSearch:
         def swept(kappa: float) -> float:
             """The bound at a guess of what failing is worth."""
             self.sweeps += 1
-            at = max(kappa, self.target)
-            return self.question.refuted_below(charge, at, prices, slack=kappa <= self.target)
+            guess = _Guess(max(kappa, self.target), prices, kappa <= self.target)
+            return self.question.refuted_below(charge, guess)
 
         bound = swept(kappa)
         if first < last or self.question.budget is None or kappa <= 0.0:
@@ -717,7 +672,7 @@ class _TailMeanSearch:
         if self.level == 0.0:
             return best, max(whole, 0.0)  # the whole mean: the least threshold is best
         if near is not None:
-            self.kappas.setdefault(places.number(near.total), near.kappa)
+            self.kappas.setdefault(places.number(near[0]), near[1])
         with WithIncumbent():
             while self.quantile not in self.tried and not is_late():
                 best = self.attempt(self.quantile)
@@ -765,26 +720,21 @@ class _TailMeanSearch:
 
 
 def least_tail_mean(
-    problem: Problem,
-    question: Question,
-    level: float,
-    options: SolveOptions,
-    near: Near | None = None,
+    problem: Problem, question: _Question, options: SolveOptions, near: Near | None = None
 ) -> Solution:
     """Find a policy by alternating, and prove that no other threshold gives a better one.
 
     Args:
         problem: the problem.
         question: the policies that count.
-        level: in [0, 1).
         options: method, tolerance and limits.
         near: where the best threshold may be; None: unknown.
     """
-    search = _TailMeanSearch(problem, question, level, options)
+    search = _TailMeanSearch(problem, question, _measure_of(problem).level, options)
     best, bound = search.run(near)
     sweeps = f", {search.sweeps} sweeps over intervals" if search.sweeps else ""
     reason = f"{len(search.tried)} thresholds, {search.calls} pricing calls{sweeps}"
     price = None if question.budget is None else best.price
-    note = question_remarks(question, in_time=not is_late())
+    note = "; ".join(filter(None, (question.note, CUT_SHORT if is_late() else "")))
     answer = replace(best, bound=min(bound, best.value), price=price, note=note)
     return assembled(problem, answer, Run(options.method, reason, search.calls, 0.0))

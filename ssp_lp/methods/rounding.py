@@ -26,7 +26,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
-from typing import TypeVar, cast
+from typing import cast
 
 import numpy as np
 
@@ -94,25 +94,10 @@ def solve_on_split_costs(problem: Problem, options: SolveOptions) -> Solution:
         InfeasibleError: no policy keeps to the budget.
         Stop: the time ended before one that does was found.
     """
-    best = refine(_while_room(_split_attempts(problem, options)), options.tolerance)
+    best = refine(_split_attempts(problem, options), options.tolerance)
     if best.note != CUT_SHORT and (best.gap <= options.tolerance or is_late()):
         return replace(best, note="")
     return best
-
-
-_Attempt = TypeVar("_Attempt")
-
-
-def _while_room(attempts: Iterator[_Attempt]) -> Iterator[_Attempt]:
-    """Attempts with smaller and smaller units, until a table of so many layers is too large."""
-    is_first = True
-    try:
-        for attempt in attempts:
-            yield attempt
-            is_first = False
-    except ModelError:
-        if is_first:
-            raise
 
 
 def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solution]:
@@ -168,10 +153,8 @@ def prove_by_units(solution: Solution, evaluation: Evaluation, _: float) -> Prov
     rough = replace(CERTIFYING, tolerance=max(CERTIFYING.tolerance, _SHARE * solution.gap))
     enough = max(CERTIFYING.tolerance, (1.0 + _SHARE) * solution.gap)
     if problem.semantics.measure is None:
-        proofs = _split_proofs(problem, attained, enough, rough)
-    else:
-        proofs = _rounded_proofs(problem, attained, rough)
-    return refine(_while_room(proofs), enough)
+        return refine(_split_proofs(problem, attained, enough, rough), enough)
+    return refine(_rounded_proofs(problem, attained, rough), enough)
 
 
 def _split_proofs(
@@ -354,8 +337,7 @@ def with_split_costs(model: SSP, unit: Fraction) -> SSP:
 
 def _levels_asked(problem: Problem) -> int | None:
     """How many totals may be told apart; None: as many as there is room for."""
-    asked: int | None = getattr(problem, "cost_levels", None)
-    return asked
+    return cast("int | None", getattr(problem, "cost_levels", None))
 
 
 def _split_units(problem: Problem, *, finest: bool = False) -> Iterator[Fraction]:
@@ -442,7 +424,7 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
         InfeasibleError: no policy keeps to the budget.
         Stop: the time ended before one that does was found.
     """
-    best = refine(_while_room(_rounded_attempts(problem, options)), options.tolerance)
+    best = refine(_rounded_attempts(problem, options), options.tolerance)
     maximised, measure = problem.semantics.maximises, problem.semantics.measure
     attained, note = best.objective, best.note
     bound = best.lower_bound if best.upper_bound is None else best.upper_bound
@@ -473,7 +455,13 @@ def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solut
     for unit in rounding_units(problem, span):
         rough = float(unit) / span if best is None else _SHARE * best.gap
         finer = replace(options, tolerance=max(options.tolerance, rough))
-        near = None if best is None else _starting_point(problem, best)
+        near = None  # where a risk's search may begin, from the policy of coarser costs
+        if best is not None and isinstance(measure, CostQuantileOf | TailMeanOf):
+            quantile, price = (
+                measured_costs(best.policy, problem).quantile(measure.level),
+                best.failure_price,
+            )
+            near = quantile, 0.0 if price is None else price + best.objective
         # the best policy of costs rounded up, on the model itself
         solution = _solved_on_lattice(_with_rounded_costs(problem, unit, up=True), finer, near)
         members = tuple(_rounding_up(p, problem.model, unit) for p in solution.policy.policies)
@@ -530,16 +518,6 @@ def lattice_bound(
     solution = _solved_on_lattice(rounded, options, near)
     bound = solution.lower_bound if solution.upper_bound is None else solution.upper_bound
     return bound, solution.budget_used if budget is None else max(budget, solution.budget_used)
-
-
-def _starting_point(problem: Problem, best: Solution) -> Near | None:
-    """Where a risk's search may begin, from the policy of coarser costs."""
-    match problem.semantics.measure:
-        case CostQuantileOf(level) | TailMeanOf(level):
-            quantile = measured_costs(best.policy, problem).quantile(level)
-            price = best.failure_price
-            return Near(quantile, 0.0 if price is None else price + best.objective)
-    return None
 
 
 def _rounding_up(policy: Policy, model: SSP, unit: Fraction) -> CostAwarePolicy:

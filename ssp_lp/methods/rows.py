@@ -37,7 +37,6 @@ from ssp_lp.column_generation.search import (
     Rows,
     StabilisedMaster,
     generate,
-    violation_in_master,
     without_trifles,
 )
 from ssp_lp.compiled.deadline import Stop, WithIncumbent, closing, is_late
@@ -63,7 +62,7 @@ _FINER = 1e-3  # of the tolerance, where a complement is minimised, which may be
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class RowsOptimum(Answer):
+class _RowsOptimum(Answer):
     """The best lottery that was found, with its proof, and what it took."""
 
     policy: MixedPolicy
@@ -114,7 +113,7 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
 
 def rows_optimum(
     stated: CompiledExplicit, options: SolveOptions, truth: Truth | None = None
-) -> RowsOptimum:
+) -> _RowsOptimum:
     """The best lottery that keeps to all rows, refined until the gap meets the tolerance.
 
     Args:
@@ -127,11 +126,12 @@ def rows_optimum(
         SolverError: the time ran out before any such policy was found, or the linear program's
             answer fails its check.
     """
-    guess: RowsOptimum | None = None
-    if stated.resolution is not None:
+    guess: _RowsOptimum | None = None
+    if stated.resolution is not None and stated.charge is not None:
         coarse = replace(stated, resolution=Resolution(grid=_COARSE_TOTALS, most=_COARSE_TOTALS))
         guess = _rows_attempt(coarse, SolveOptions(_COARSE_GAP, options.deadline), None, None)
-        stated = stated.up_to(guess.kappa)
+        lossless = stated.charge.lossless(guess.kappa)  # from there on failing is best
+        stated = replace(stated, resolution=stated.resolution.up_to(lossless))
     best = refine(_rows_attempts(stated, options, truth, guess), options.tolerance)
     if best.gap <= options.tolerance:
         return best
@@ -151,8 +151,8 @@ def rows_optimum(
 
 
 def _rows_attempts(
-    stated: CompiledExplicit, options: SolveOptions, truth: Truth | None, guess: RowsOptimum | None
-) -> Iterator[RowsOptimum]:
+    stated: CompiledExplicit, options: SolveOptions, truth: Truth | None, guess: _RowsOptimum | None
+) -> Iterator[_RowsOptimum]:
     """Optima on finer and finer totals, and in the end in twice the precision."""
     calls, work, gaps = 0, Work(), list[float]()
     while True:
@@ -177,8 +177,8 @@ def _rows_attempts(
 
 
 def _rows_attempt(
-    stated: CompiledExplicit, options: SolveOptions, truth: Truth | None, guess: RowsOptimum | None
-) -> RowsOptimum:
+    stated: CompiledExplicit, options: SolveOptions, truth: Truth | None, guess: _RowsOptimum | None
+) -> _RowsOptimum:
     """One search for the rows' optimum, in the precision that the compiled problem says.
 
     With a certified bound at the prices that the search ended with.
@@ -200,20 +200,23 @@ def _rows_attempt(
     if program is not None and generated.finished:
         check_agreement(program, value)
     prices = without_trifles(generated.prices, pool.sizes(rows), cost + ratio * failure)
-    bound, values = bound_in_time(compiled, rows, prices, ratio, pool)
+    bound, values = 0.0, compiled.pricing().anything
+    with WithIncumbent(), closing():  # where no time is left the values ask for the best
+        bound, proof = rows_bound(compiled, replace(rows, ratio=ratio), prices, pool.proved)
+        values = read_only(proof.values)
     policy = generated.lottery(compiled.pricing())
     if truth is not None and compiled.is_rounded:
-        repaired = true_lottery(compiled, rows, pool, rows.weights(prices), truth.figures)
+        repaired = true_lottery(compiled, rows, pool, rows.weights(prices), truth[1])
         policy, failure = repaired or (policy, failure)
-        value = truth.value(policy) if repaired else np.inf
+        value = truth[0](policy) if repaired else np.inf
     elif truth is not None:
-        value = truth.value(policy)
+        value = truth[0](policy)
     named = dict.fromkeys(compiled.names, 0.0)
     named |= zip(names_of(compiled, rows), prices.tolist(), strict=True)
     if compiled.budget is None:
         del named[FAILURE_ROW]
     paid = float(prices @ np.abs(rows.bounds))
-    return RowsOptimum(
+    return _RowsOptimum(
         compiled=compiled,
         value=value,
         bound=compiled.sense.settled_bound(value, least_of(bound, value), paid),
@@ -255,12 +258,9 @@ _STEEP = 1e3  # factor of a ratio at which nothing reached the goal
 _STEEPEST = 1e15
 
 
-@dataclass(frozen=True, eq=False)
-class Truth:
-    """What a policy is worth by itself, where the process truncates or rounds it."""
-
-    value: Callable[[MixedPolicy], float]  # of a lottery, in what is minimised
-    figures: Callable[[Policy], FloatArray]  # cost, failure and rows of one policy
+Truth = tuple[Callable[[MixedPolicy], float], Callable[[Policy], FloatArray]]
+"""Where the process truncates or rounds policies: what a lottery is worth by itself, in what is
+minimised; and cost, failure and rows of one policy."""
 
 
 def best_lottery(
@@ -314,7 +314,18 @@ def true_lottery(
     Returns:
         None where none of them keeps to the rows: the grid is too coarse.
     """
-    policies = _candidates(compiled, rows, pool, weights)
+    pricing, order = compiled.pricing(), np.argsort(weights @ pool.figures, kind="stable")
+    best, points = pool.columns[int(order[0])], [pool.columns[k] for k in order[:_MOST].tolist()]
+    if not compiled.ratio and rows.index.size == 0:
+        points = [best]
+    else:  # what breaks a limit by rounding needs a policy on the other side, of steeper prices
+        worth = weights[0] * float(best.figures @ weights)
+        least = np.where(rows.bounds > 0.0, worth / rows.scales, 0.0)
+        for factor in _STEEPER:
+            steeper = weights.copy()
+            steeper[rows.index] += factor * np.maximum(weights[rows.index], least)
+            points.append(pricing.minimise(steeper, best))
+    policies = [pricing.policy(point) for point in points]
     true = np.stack([figures(policy) for policy in policies], axis=1)
     taken, limits, (cost, failure) = true[rows.index], (rows.bounds, rows.scales), true[:2]
 
@@ -342,28 +353,6 @@ def true_lottery(
     return lottery, float(failure @ chosen)
 
 
-def _candidates(
-    compiled: CompiledExplicit, rows: Rows, pool: Pool, weights: FloatArray
-) -> list[Policy]:
-    """The best policies of the search and, where something is limited, some of steeper prices.
-
-    What breaks a limit by rounding needs a policy on the other side.
-    """
-    pricing, order = compiled.pricing(), np.argsort(weights @ pool.figures, kind="stable")
-    best = pool.columns[int(order[0])]
-    if not compiled.ratio and rows.index.size == 0:
-        return [pricing.policy(best)]
-    least = np.where(
-        rows.bounds > 0.0, weights[0] * float(best.figures @ weights) / rows.scales, 0.0
-    )
-    points = [pool.columns[k] for k in order[:_MOST].tolist()]
-    for factor in _STEEPER:
-        steeper = weights.copy()
-        steeper[rows.index] += factor * np.maximum(weights[rows.index], least)
-        points.append(pricing.minimise(steeper, best))
-    return [pricing.policy(point) for point in points]
-
-
 def truth_of(problem: Problem, stated: CompiledExplicit) -> Truth | None:
     """What the policies of a lottery are worth on the model itself, where tables truncate them."""
     if stated.charge is None:
@@ -386,7 +375,7 @@ def truth_of(problem: Problem, stated: CompiledExplicit) -> Truth | None:
             cost = value(MixedPolicy((policy,), np.ones(1)))
         return np.array([cost, failure, *row_activities(stated, evaluation)])
 
-    return Truth(value, figures)
+    return value, figures
 
 
 def row_activities(stated: CompiledExplicit, evaluation: Evaluation) -> list[float]:
@@ -415,7 +404,8 @@ def phase_one(
     pool.add(cheapest)
     limited = np.flatnonzero(np.isfinite(compiled.bounds))
     rows = pool.rows(1 + limited, compiled.bounds[limited])
-    ended = generate(violation_in_master(pool, rows), options)
+    elastic = StabilisedMaster(pool, rows, np.zeros(limited.size), elastic=True)
+    ended = generate(elastic, options)
     if _kept_to(ended, rows):
         raised = rows.relaxed(ended.excess)
         ratio = _positive_ratio(pool, ended) if compiled.ratio else 0.0
@@ -539,7 +529,8 @@ def _irreducible_conflict(
         if not rest or len(rest) == len(conflict.rows):
             continue
         part = rows.among(rest)
-        ended = generate(violation_in_master(pool, part), options)
+        elastic = StabilisedMaster(pool, part, np.zeros(len(rest)), elastic=True)
+        ended = generate(elastic, options)
         smaller = None if _kept_to(ended, part) else _proved_conflict(pool, part, ended)
         if smaller is not None:
             conflict = smaller._replace(rows=tuple(rest[k] for k in smaller.rows))
@@ -594,34 +585,17 @@ def lagrange_bound(least: float, prices: FloatArray, bounds: FloatArray) -> floa
     return least - paid - (len(prices) + 1.0) * MACHINE_EPSILON * float(prices @ np.abs(bounds))
 
 
-def bound_in_time(
-    compiled: CompiledExplicit, rows: Rows, prices: FloatArray, ratio: float, pool: Pool
-) -> tuple[float, FloatArray]:
-    """A certified lower bound of every lottery within the rows, at prices, and its values.
-
-    Where no time is left the bound is 0, and the values ask for the best.
-
-    Args:
-        compiled: the problem.
-        rows: what is limited.
-        prices: [rows] >= 0.
-        ratio: case S: the value that is to be proved.
-        pool: policies to begin with.
-    """
-    every, bounds = np.zeros((2, rows.n_rewards - 1))
-    every[rows.index - 1], bounds[rows.index - 1] = prices, rows.bounds
-    with WithIncumbent():
-        with closing():
-            bound, proof = rows_bound(compiled, every, bounds, ratio, pool.proved)
-        return bound, read_only(proof.values)
-    return 0.0, np.broadcast_to(np.inf, compiled.pricing().value_shape)
+def limited_rows(compiled: CompiledExplicit) -> Rows:
+    """The rows of a problem that are limited, none of them in a size of its own."""
+    limited = np.flatnonzero(np.isfinite(compiled.bounds))
+    ones, n_rewards = np.ones(limited.size), 1 + len(compiled.names)
+    return Rows(1 + limited, compiled.bounds[limited], ones, n_rewards)
 
 
 def rows_bound(
     compiled: CompiledExplicit,
+    rows: Rows,
     prices: FloatArray,
-    bounds: FloatArray,
-    ratio: float,
     prove: Callable[[FloatArray], Proof],
     least_goal: float | None = None,
 ) -> tuple[float, Proof]:
@@ -632,21 +606,20 @@ def rows_bound(
 
     Args:
         compiled: the problem.
-        prices: of all rows, [rows].
-        bounds: of the same, finite, [rows].
-        ratio: case S: the value that is to be proved.
+        rows: what is limited; in case S with the ratio that is to be proved.
+        prices: >= 0, [rows].
         prove: a checked bound of every policy's totals, by the weights of the rewards.
         least_goal: a goal probability that all lotteries within the rows have; None: worked out
             where a bound without it is poor.
     """
     if not compiled.ratio:
-        proof = prove(np.append(1.0, prices))
-        proved = _beyond_paid(compiled, prices, bounds, 0.0, proof) + compiled.sense.shift
+        proof = prove(rows.weights(prices))
+        proved = _beyond_paid(compiled, rows, prices, proof) + compiled.sense.shift
         return max(proved, 0.0), proof  # what is minimised is a sum of terms of at least 0
     proofs = []
-    for priced in (ratio, ratio * BELOW_RATIO):
-        proof = prove(np.concatenate([[1.0, prices[0] + priced], prices[1:]]))
-        proofs.append((priced, _beyond_paid(compiled, prices, bounds, priced, proof), proof))
+    for at in (rows, replace(rows, ratio=rows.ratio * BELOW_RATIO)):
+        proof = prove(at.weights(prices))
+        proofs.append((at.ratio, _beyond_paid(compiled, at, prices, proof), proof))
 
     def best(goal: float) -> tuple[float, Proof]:
         """The best bound, where every lottery has a goal probability."""
@@ -655,25 +628,22 @@ def rows_bound(
         return max(proved, key=lambda pair: pair[0])
 
     bound = best(least_goal or 0.0)
-    if least_goal is None and relative_gap(ratio, bound[0]) > RELATIVE_GAP:
-        return best(least_goal_within(compiled, bounds))
+    if least_goal is None and relative_gap(rows.ratio, bound[0]) > RELATIVE_GAP:
+        return best(least_goal_within(compiled, rows))
     return bound
 
 
-def _beyond_paid(
-    compiled: CompiledExplicit, prices: FloatArray, bounds: FloatArray, ratio: float, proof: Proof
-) -> float:
+def _beyond_paid(compiled: CompiledExplicit, rows: Rows, prices: FloatArray, proof: Proof) -> float:
     """By how much every lottery within the rows exceeds what every episode pays, at least."""
-    paid, less = ratio if compiled.ratio else compiled.sense.shift, -np.inf
+    paid, less = rows.ratio if compiled.ratio else compiled.sense.shift, -np.inf
     if paid > 0.0:
-        weights = np.append(1.0, prices)
-        less = compiled.pricing().check_less(weights, ratio, paid, proof.values)
-    return max(
-        lagrange_bound(proof.bound, prices, bounds) - paid, lagrange_bound(less, prices, bounds)
-    )
+        weights = replace(rows, ratio=0.0).weights(prices)
+        less = compiled.pricing().check_less(weights, rows.ratio, paid, proof.values)
+    beyond = lagrange_bound(proof.bound, prices, rows.bounds) - paid
+    return max(beyond, lagrange_bound(less, prices, rows.bounds))
 
 
-def least_goal_within(compiled: CompiledExplicit, bounds: FloatArray) -> float:
+def least_goal_within(compiled: CompiledExplicit, rows: Rows) -> float:
     """A certified goal probability that every lottery within the rows has, by a search of its own.
 
     It follows from all rows together: where "little fuel" and "seldom the pit" leave no room for
@@ -681,7 +651,7 @@ def least_goal_within(compiled: CompiledExplicit, bounds: FloatArray) -> float:
 
     Args:
         compiled: the problem, settled.
-        bounds: of all rows, finite, [rows].
+        rows: what is limited, all of it.
     """
     if compiled.budget is None:
         return compiled.least_goal
@@ -691,10 +661,8 @@ def least_goal_within(compiled: CompiledExplicit, bounds: FloatArray) -> float:
         opened = phase_one(reach, reach, CERTIFYING)
     except InfeasibleError:
         return 0.0  # then no lottery is within the rows, and nothing is to be proved
-    generated, rows = generate(opened, CERTIFYING), opened.rows
-    prices = np.zeros(len(bounds))
-    prices[rows.index - 1] = generated.prices
-    return rows_bound(reach, prices, bounds, 0.0, opened.pool.proved)[0]
+    generated = generate(opened, CERTIFYING)
+    return rows_bound(reach, replace(rows, ratio=0.0), generated.prices, opened.pool.proved)[0]
 
 
 def bound_at(
@@ -709,11 +677,10 @@ def bound_at(
         least_goal: a goal probability that all of them have.
     """
     pool = Pool(compiled.pricing(), [compiled.pricing().first()])
-    limited = np.isfinite(compiled.bounds)
-    multipliers = np.array([prices.get(name, 0.0) for name in compiled.names]) * limited
-    bounds = np.where(limited, compiled.bounds, 0.0)
-    pool.add(pool.priced(np.concatenate([[1.0, multipliers[0] + ratio], multipliers[1:]])))
-    return rows_bound(compiled, multipliers, bounds, ratio, pool.proved, least_goal)[0]
+    rows = replace(limited_rows(compiled), ratio=ratio)
+    multipliers = np.array([prices.get(name, 0.0) for name in names_of(compiled, rows)])
+    pool.add(pool.priced(rows.weights(multipliers)))
+    return rows_bound(compiled, rows, multipliers, pool.proved, least_goal)[0]
 
 
 def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
@@ -741,10 +708,10 @@ def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved
     prices = np.array([solution.prices.get(name, 0.0) for name in compiled.names])
     if not ((prices >= 0.0) & (prices <= LARGEST)).all():
         return Proved(evaluation.objective, 0.0, budget, "a price is not a number >= 0")
-    limited = np.isfinite(compiled.bounds)
-    bounds = np.where(limited, compiled.bounds, 0.0)
-    room = ATTAINABLE * np.maximum(np.abs(bounds), 0.0)
-    raised = np.where(limited, np.clip(spent, bounds, bounds + room), 0.0)
+    rows = limited_rows(compiled)
+    places, bounds = rows.index - 1, rows.bounds
+    prices, most = prices[places], bounds + ATTAINABLE * np.abs(bounds)
+    rows = replace(rows, bounds=np.clip(np.array(spent)[places], bounds, most))
     claims = evaluation.objective, solution.lower_bound
     own_values = None if solution.method == Game.name else values  # a game's are of its own layers
     pricing = compiled.pricing()
@@ -756,13 +723,13 @@ def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved
         return pricing.check(weights, own_values)
 
     ratios = [claim for claim in claims if claim > 0.0] if compiled.ratio else [0.0]
-    bounded = [rows_bound(compiled, prices * limited, raised, r, prove)[0] for r in ratios]
+    bounded = [rows_bound(compiled, replace(rows, ratio=r), prices, prove)[0] for r in ratios]
     lower = max([0.0, *bounded])
-    budget = float(raised[0]) if limited[0] else budget
+    budget = float(rows.bounds[0]) if 0 in places else budget
     attained = evaluation.objective - compiled.sense.worth(0.0)
     lower = compiled.sense.settled_bound(
         attained if compiled.sense.constant is None else -attained,
         lower,
-        float(prices[limited] @ np.abs(bounds[limited])),
+        float(prices @ np.abs(bounds)),
     )
     return Proved(evaluation.objective, compiled.sense.worth(lower), budget)

@@ -19,15 +19,7 @@ from ssp_lp.dynamic_programming.dynamics import approach_leaving
 from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.dynamic_programming.extreme_reach import ExtremeReach, attaining_pairs, extreme_reach
 from ssp_lp.dynamic_programming.policy_iteration import first_of_equals, iterate_policy
-from ssp_lp.model import SSP
-from ssp_lp.model.graph import (
-    attention_states,
-    dead_ends,
-    goal_approach,
-    hopeless_states,
-    reaching_states,
-    surely_reaching,
-)
+from ssp_lp.model import SSP, graph
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.processes.quotient import Quotient, build_quotient
@@ -90,13 +82,14 @@ def greatest_goal_reach(
         start: where it is asked for, positive there, [states]; None: in every state.
         last_digits: whether all that attains it is asked for; else one policy and a bound.
     """
-    exact, hopeless = survival == 1.0, hopeless_states(model)
-    lost = (hopeless & ~dead_ends(model))[model.pair_state]  # after failing all pairs are as good
+    exact, hopeless = survival == 1.0, graph.hopeless_states(model)
+    # after failing all pairs are as good
+    lost = (hopeless & ~graph.dead_ends(model))[model.pair_state]
     if not exact:
         quotient = build_quotient(model, ended=model.goal_mask | hopeless)
         setting = survival, start, last_digits
         return _extreme_reach(quotient, model.goal_mask, lost, *setting, greatest=True)
-    sure, keeping, nearer = surely_reaching(model)
+    sure, keeping, nearer = graph.surely_reaching(model)
     inside = sure & ~model.goal_mask
     surely, asked = lost | (keeping & inside[model.pair_state]), ~hopeless
     if start is not None:
@@ -140,10 +133,10 @@ def least_goal_reach(
     Only states that cannot avoid the goal for sure need to be solved for, and of those only the
     ones that can come to an attention state: from the others it is reached for sure.
     """
-    attention = attention_states(model)
+    attention = graph.attention_states(model)
     bound_to = model.goal_mask
     if survival == 1.0:
-        bound_to = ~reaching_states(model, attention)
+        bound_to = ~graph.reaching_states(model, attention)
     quotient = build_quotient(model, ended=attention | bound_to)
     inside = bound_to & ~model.goal_mask
     surely = inside[model.pair_state]
@@ -209,7 +202,7 @@ def cheapest_reach(model: SSP, reach: GoalReach, survival: float = 1.0) -> Reach
     exits = reach.decision == GIVE_UP_CODE
     free = costless_pairs(model, weight) & ~exits[model.pair_state] if survival == 1.0 else None
     usable = reach.usable & ~exits[model.pair_state]
-    hopeless = hopeless_states(model)
+    hopeless = graph.hopeless_states(model)
     quotient = build_quotient(model, usable=usable, free=free, exits=exits, ended=hopeless)
     dynamics, departs = quotient.dynamics(survival, departing=survival == 1.0)
     gain = quotient.at_pairs(successor_means(model, model.goal_mask)) / departs
@@ -256,7 +249,7 @@ def goal_directed(model: SSP, survival: float = 1.0) -> ReachPolicy:
     It reaches the goal with positive probability from wherever that can be done, and is found and
     evaluated without optimising anything; its cost bound is the trivial one.
     """
-    decision, _ = goal_approach(model)
+    decision, _ = graph.goal_approach(model)
     live = (decision >= 0).nonzero()[0]
     node_of = np.full(model.n_states, -1, dtype=np.int32)
     node_of[live] = np.arange(live.size)

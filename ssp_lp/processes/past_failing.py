@@ -14,15 +14,8 @@ import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray, read_only, segment_minima
 from ssp_lp.errors import ModelError
-from ssp_lp.model import SSP
+from ssp_lp.model import SSP, graph
 from ssp_lp.model.failure_product import FailureSSP, label_failing
-from ssp_lp.model.graph import (
-    attention_pairs,
-    attention_states,
-    dead_ends,
-    nearer_pairs,
-    pairs_into,
-)
 from ssp_lp.processes.conditions import ArrivalTerm, Condition, StepTerm, Term
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, GiveUp, free_pairs
 from ssp_lp.processes.rows import cost_means
@@ -55,9 +48,9 @@ def labelled_past_failing(
         return None
 
     # who may give up: with totals of the cost, as in case S, whoever can avoid the goal
-    dead, attention = dead_ends(model), attention_states(model)
+    dead, attention = graph.dead_ends(model), graph.attention_states(model)
     give_up = GiveUp.ATTENTION if semantics.charge(ratio) is not None else semantics.give_up
-    staying = attention_pairs(model, attention)
+    staying = graph.attention_pairs(model, attention)
     usable = (dead & ~ends)[model.pair_state]
     if give_up is not GiveUp.DEAD_ENDS:
         usable |= staying & ~dead[model.pair_state]
@@ -65,10 +58,10 @@ def labelled_past_failing(
     for term in terms:
         if term.through:
             counts |= ~term.free
-    leaving = usable & (counts | pairs_into(model, targets))
+    leaving = usable & (counts | graph.pairs_into(model, targets))
     if not leaving.any():
         return None
-    is_open = nearer_pairs(model, leaving, usable) >= 0
+    is_open = graph.nearer_pairs(model, leaving, usable) >= 0
     everywhere = give_up is GiveUp.ANYWHERE
     stops = ~model.goal_mask & (everywhere | attention) & ~is_open & ~dead
     charged = dead[model.pair_state] | everywhere | staying

@@ -32,7 +32,7 @@ NestedCosts = Mapping[Hashable, Mapping[Hashable, float]]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class StageCosts:
+class _StageCosts:
     """A cost of steps: None: the model's own; else a name, by pair, by outcome, or nested dicts."""
 
     cost: NestedCosts | npt.ArrayLike | str | None = None
@@ -45,7 +45,7 @@ class StageCosts:
 
 
 @dataclass(frozen=True, repr=False)
-class Visits:
+class _Visits:
     """How often some states are entered or started in; names are states or labels of states."""
 
     of: tuple[Hashable, ...]
@@ -57,7 +57,7 @@ class Visits:
 
 
 @dataclass(frozen=True, repr=False)
-class Ends:
+class _Ends:
     """The probability of ending in one of several ways, or, as ``others``, in none of them."""
 
     ways: tuple[Hashable, ...]
@@ -70,7 +70,7 @@ class Ends:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ArrivalCosts:
+class _ArrivalCosts:
     """What arriving at the goal costs: a function of the total cost, in the end a line."""
 
     function: Callable[[FloatArray], FloatArray]
@@ -81,7 +81,7 @@ class ArrivalCosts:
         return "arrival_cost(...)"
 
 
-Counted = StageCosts | Visits | Ends | ArrivalCosts
+Counted = _StageCosts | _Visits | _Ends | _ArrivalCosts
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -179,7 +179,7 @@ class Constraint:
 
 def expected_cost() -> Quantity:
     """The model's own expected total cost, counted as the criterion counts costs."""
-    return Quantity(((1.0, StageCosts()),))
+    return Quantity(((1.0, _StageCosts()),))
 
 
 def secondary_cost(
@@ -194,7 +194,7 @@ def secondary_cost(
             that is taken after failing, and no charge in its place.
     """
     check_flag("through_failure", through_failure)
-    return Quantity(((1.0, StageCosts(cost, through_failure)),))
+    return Quantity(((1.0, _StageCosts(cost, through_failure)),))
 
 
 def visits(*states: Hashable, through_failure: bool = False) -> Quantity:
@@ -212,7 +212,7 @@ def visits(*states: Hashable, through_failure: bool = False) -> Quantity:
     """
     _check_quantity_names("visits", states)
     check_flag("through_failure", through_failure)
-    return Quantity(((1.0, Visits(states, through_failure)),))
+    return Quantity(((1.0, _Visits(states, through_failure)),))
 
 
 def end_probability(*ways: Hashable) -> Quantity:
@@ -227,7 +227,7 @@ def end_probability(*ways: Hashable) -> Quantity:
             reports; or a state at which episodes end.
     """
     _check_quantity_names("end_probability", ways)
-    return Quantity(((1.0, Ends(ways)),))
+    return Quantity(((1.0, _Ends(ways)),))
 
 
 def goal_probability() -> Quantity:
@@ -237,7 +237,7 @@ def goal_probability() -> Quantity:
 
 def failure_probability() -> Quantity:
     """The probability of never reaching the goal."""
-    return Quantity(((1.0, Ends(("goal",), others=True)),))
+    return Quantity(((1.0, _Ends(("goal",), others=True)),))
 
 
 def arrival_cost(
@@ -261,7 +261,7 @@ def arrival_cost(
         raise ModelError(f"arrival_cost takes a function of total costs, not {in_short(function)}")
     if (line := _quantity_number(affine_from)) < 0.0:
         raise ModelError(f"affine_from must be at least 0, not {line:g}")
-    return Quantity(((1.0, ArrivalCosts(np.asarray if function is None else function, line)),))
+    return Quantity(((1.0, _ArrivalCosts(np.asarray if function is None else function, line)),))
 
 
 def _check_quantity_names(verb: str, names: tuple[object, ...]) -> None:
@@ -490,7 +490,7 @@ def arrival_measure(quantity: Quantity) -> ExpectedArrivalCost | None:
         ModelError: other quantities are added to it, or it is to be large.
     """
     terms = quantity.terms if isinstance(quantity, Quantity) else ()
-    costs = [(weight, counted) for weight, counted in terms if isinstance(counted, ArrivalCosts)]
+    costs = [(weight, counted) for weight, counted in terms if isinstance(counted, _ArrivalCosts)]
     if not costs:
         return None
     if len(costs) < len(terms) or min(weight for weight, _ in costs) < 0.0:
@@ -530,19 +530,19 @@ def _looked_up_term(model: SSP, name: str, counted: Counted) -> Term:
     if (label := model.failure_label) is not None:
         return past_failing_term(label, _looked_up_term(label.original, name, counted))
     match counted:
-        case StageCosts(cost, through):
+        case _StageCosts(cost, through):
             if cost is None:
                 return StepTerm(model)
             costs = outcome_costs(model, name, cost)
             return StepTerm(replace(model, costs=costs, exact_costs={}), through)
-        case ArrivalCosts():
+        case _ArrivalCosts():
             raise ModelError(
                 f"limit {name!r}: an arrival cost depends on the total of a whole run; it is "
                 "minimised given success (ratio = True), not limited"
             )
-        case Visits(of, through):
+        case _Visits(of, through):
             return ArrivalTerm(model, _looked_up_states(model, name, of), through=through)
-        case Ends(ways, others):
+        case _Ends(ways, others):
             ends = _looked_up_states(model, name, ways, final=True)
             return ArrivalTerm(model, ends, final=True, others=others)
 

@@ -88,21 +88,7 @@ def costless_pairs(model: SSP, weights: FloatArray | BoolArray | None = None) ->
     Args:
         weights: factor of the costs by successor, [states]; 1 everywhere if left out.
     """
-    cost = uniform_cost(model)
-    if cost is not None and cost > 0.0 and weights is None:
-        return np.zeros(model.n_pairs, dtype=np.bool_)
-    if cost is not None and cost > 0.0 and weights is not None:
-        return np.asarray(successor_means(model, weights > 0) == 0.0)
-    result = np.zeros(model.n_pairs, dtype=np.bool_)
-    for pairs in segment_chunks(model.outcome_offsets):
-        check_time()
-        offsets = model.outcome_offsets[pairs.start : pairs.stop + 1]
-        some = slice(offsets[0], offsets[-1])
-        paid = (model.probabilities[some] > 0) & (model.costs[some] > 0)
-        if weights is not None:
-            paid &= weights[model.successors[some]] > 0
-        result[pairs] = ~np.logical_or.reduceat(paid, offsets[:-1] - offsets[0])
-    return result
+    return np.asarray(cost_means(model, None if weights is None else weights > 0) == 0.0)
 
 
 _WORTH_SHARING = 1_000_000
@@ -149,8 +135,11 @@ def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
         rows: the rows.
         survival: factor of every probability.
     """
-    counts, departs, leaks = _count_live(rows)
-    matrix = _filled_rows(rows, survival, departs, _row_bounds(rows, counts))
+    if accelerated(rows.model.n_outcomes):
+        counts, departs, leaks = _count_live(rows)
+        matrix = _filled_rows(rows, survival, departs, _row_bounds(rows, counts))
+    else:
+        matrix, departs, leaks = _live_rows_in_numpy(rows, survival)
     exits = leaks if survival == 1.0 else (1.0 - survival) + survival * leaks
     return LiveRows(matrix, departs, exits / departs)
 
@@ -162,9 +151,11 @@ def shared_live_rows(rows: RowChoice, survival: float = 1.0) -> SparseRows:
         rows: the rows.
         survival: factor of every probability.
     """
+    if not accelerated(rows.model.n_outcomes):
+        return _live_rows_in_numpy(rows, survival)[0]
     counts, departs, _ = _count_live(rows)
     bounds, entries = _row_bounds(rows, counts), int(counts.sum())
-    if entries < _WORTH_SHARING or not accelerated(entries):
+    if entries < _WORTH_SHARING:
         return _filled_rows(rows, survival, departs, bounds)
     from ssp_lp.compiled.rows import share_rows
 
@@ -216,73 +207,27 @@ def _filled_rows(
     rows: RowChoice, survival: float, departs: FloatArray, bounds: IntArray
 ) -> sp.csr_array:
     """The rows that were counted, each entry's probability beside its column."""
-    n_rows, n_columns, model = len(rows.pair_at), rows.width * rows.n_nodes, rows.model
-    indices = np.empty(int(bounds[-1]), dtype=bounds.dtype)
-    data = np.empty(len(indices))
-    if accelerated(model.n_outcomes):
-        for some in pieces(n_rows, model.n_outcomes):
-            own = bounds[some.start : some.stop + 1]
-            _fill_compiled(rows, some, departs, survival, own, indices, data)
-    else:
-        for some in _row_chunks(rows):
-            outcome, row = _outcomes_of_live_rows(rows, some)
-            probability = model.probabilities[outcome]
-            node = rows.node_of[model.successors[outcome]].astype(np.int64)
-            kept = (node >= 0) & (probability > 0)
-            if rows.home is not None:
-                away = kept & (node != rows.home[some][row])
-                counts = np.diff(bounds[some.start : some.stop + 1])
-                departing = np.bincount(row[away], minlength=len(counts)) == counts
-                kept = np.where(departing[row], away, kept)
-            if rows.ahead is not None:
-                node += rows.ahead[outcome].astype(np.int64) * rows.n_nodes
-            place = slice(bounds[some.start], bounds[some.stop])
-            indices[place] = node[kept]
-            data[place] = probability[kept] / departs[some][row[kept]] * survival
+    n_rows, n_columns = len(rows.pair_at), rows.width * rows.n_nodes
+    indices, data = np.empty(int(bounds[-1]), dtype=bounds.dtype), np.empty(int(bounds[-1]))
+    for some in pieces(n_rows, rows.model.n_outcomes):
+        own = bounds[some.start : some.stop + 1]
+        _fill_compiled(rows, some, departs, survival, own, indices, data)
     return csr_of(data, indices, bounds, (n_rows, n_columns))
 
 
 def _count_live(rows: RowChoice) -> tuple[IntArray, FloatArray, FloatArray]:
     """Entries of each live row, its probability of departing, and what ends there, [rows] each."""
-    counts, departs = np.zeros(len(rows.pair_at), dtype=np.int32), np.ones(len(rows.pair_at))
-    leaks = np.ones(len(rows.pair_at))
-    model = rows.model
-    if accelerated(model.n_outcomes):
-        from ssp_lp.compiled import rows as compiled
+    from ssp_lp.compiled.rows import count_rows
 
-        home = _row_array(rows.home)
-        for some in pieces(len(counts), model.n_outcomes):
-            compiled.count_rows(
-                model.outcome_offsets, model.successors.view(np.uint32), model.probabilities,
-                rows.node_of, rows.pair_at[some], home[some] if home.size else home,
-                counts[some], departs[some], leaks[some],
-            )  # fmt: skip
-        return counts, departs, leaks
-    for some in _row_chunks(rows):
-        outcome, row, size = *_outcomes_of_live_rows(rows, some), some.stop - some.start
-        probability = model.probabilities[outcome]
-        node = rows.node_of[model.successors[outcome]]
-        live = (node >= 0) & (probability > 0)
-        loop = np.zeros_like(live)
-        if rows.home is not None:
-            loop = live & (node == rows.home[some][row])
-        away = live & ~loop
-        leak = np.bincount(row[node < 0], probability[node < 0], size)
-        leaks[some] = np.where(rows.pair_at[some] < 0, 1.0, leak)
-        mass = leak + np.bincount(row[away], probability[away], size)
-        loops = np.bincount(row[loop], minlength=size)
-        entries = np.bincount(row[away], minlength=size)
-        counts[some] = np.where(mass == 0, entries + loops, entries)
-        departs[some] = np.where((loops > 0) & (mass > 0), mass, 1.0)
+    n_rows, model, home = len(rows.pair_at), rows.model, _row_array(rows.home)
+    counts, departs, leaks = np.zeros(n_rows, dtype=np.int32), np.ones(n_rows), np.ones(n_rows)
+    for some in pieces(n_rows, model.n_outcomes):
+        count_rows(
+            model.outcome_offsets, model.successors.view(np.uint32), model.probabilities,
+            rows.node_of, rows.pair_at[some], home[some] if home.size else home,
+            counts[some], departs[some], leaks[some],
+        )  # fmt: skip
     return counts, departs, leaks
-
-
-def _outcomes_of_live_rows(rows: RowChoice, some: slice) -> tuple[IntArray, IntArray]:
-    """Outcomes of a chunk of rows, and the row within the chunk that each belongs to."""
-    offsets, pair = rows.model.outcome_offsets, rows.pair_at[some]
-    begin = np.where(pair < 0, 0, offsets[pair])
-    lengths = np.where(pair < 0, 0, offsets[pair + 1] - begin)
-    return concatenated_ranges(begin, lengths), segment_ids(offsets_of(lengths))
 
 
 def _row_array(given: IntArray | None) -> IntArray:
@@ -290,8 +235,34 @@ def _row_array(given: IntArray | None) -> IntArray:
     return _NOWHERE if given is None else given
 
 
-def _row_chunks(rows: RowChoice) -> list[slice]:
-    """Chunks of live rows with about as many outcomes each."""
-    pair, offsets = rows.pair_at, rows.model.outcome_offsets
-    lengths = np.where(pair < 0, 0, offsets[pair + 1] - offsets[pair])
-    return list(segment_chunks(offsets_of(lengths)))
+def _live_rows_in_numpy(
+    rows: RowChoice, survival: float
+) -> tuple[sp.csr_array, FloatArray, FloatArray]:
+    """The same without compiled loops: the rows, what they depart with, and what ends there."""
+    model, n_rows, pairs = rows.model, len(rows.pair_at), rows.pair_at
+    begins = np.where(pairs < 0, 0, model.outcome_offsets[pairs])
+    lengths = np.where(pairs < 0, 0, model.outcome_offsets[pairs + 1] - begins)
+    departs, leaks, counts = np.ones(n_rows), np.ones(n_rows), np.zeros(n_rows, dtype=np.int64)
+    columns, entries = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
+    for some in segment_chunks(offsets_of(lengths)):
+        outcome = concatenated_ranges(begins[some], lengths[some])
+        row, size = segment_ids(offsets_of(lengths[some])), some.stop - some.start
+        chance, node = model.probabilities[outcome], rows.node_of[model.successors[outcome]]
+        live, ends = (node >= 0) & (chance > 0), node < 0
+        loop = live & (False if rows.home is None else node == rows.home[some][row])
+        leak = np.bincount(row[ends], chance[ends], size)
+        away = live & ~loop
+        mass = leak + np.bincount(row[away], chance[away], size)
+        leaks[some] = np.where(pairs[some] < 0, 1.0, leak)
+        waits = np.bincount(row[loop], minlength=size) > 0
+        departs[some] = np.where(waits & (mass > 0), mass, 1.0)
+        kept = np.where((mass == 0)[row], live, away)  # a row that never departs is kept
+        column = node[kept].astype(np.int64)
+        if rows.ahead is not None:
+            column += rows.ahead[outcome[kept]].astype(np.int64) * rows.n_nodes
+        columns.append(column)
+        entries.append(chance[kept] / departs[some][row[kept]] * survival)
+        counts[some] = np.bincount(row[kept], minlength=size)
+    bounds = _row_bounds(rows, counts)
+    indices, shape = np.concatenate(columns).astype(bounds.dtype), rows.width * rows.n_nodes
+    return csr_of(np.concatenate(entries), indices, bounds, (n_rows, shape)), departs, leaks

@@ -12,7 +12,7 @@ from formulations import EGUBS, CostBoundedReach, CostQuantile, CVaR
 from ssp_lp import SSP, certify, evaluate, solve, success_costs
 from ssp_lp.accumulated_cost.charges import LateCharge
 from ssp_lp.methods import risk
-from ssp_lp.methods.risk import Near, question_of
+from ssp_lp.methods.risk import _Guess, question_of
 from ssp_lp.options import SolveOptions
 
 FREE_STEPS = SSP.from_transitions(
@@ -44,11 +44,11 @@ def test_what_is_best_depends_on_what_is_left(
     """The bounds of one sweep at the greatest bound are those of a sweep at each."""
     accelerate(on)
     question = question_of(CostQuantile(model, start, 0.5, budget))
-    for kappa, slack in ((0.3, False), (0.6, True), (5.0, False)):
-        shares = question.late_shares(30, kappa, {}, slack=slack)
+    for guess in (_Guess(0.3, {}), _Guess(0.6, {}, slack=True), _Guess(5.0, {})):
+        shares = question.late_shares(30, guess)
         for number in range(31):
             charge = LateCharge(question.thresholds.total(number))
-            alone = question.refuted_below(charge, kappa, {}, slack=slack)
+            alone = question.refuted_below(charge, guess)
             assert shares(number) == pytest.approx(alone, rel=1e-12, abs=1e-13)
 
 
@@ -118,8 +118,7 @@ def test_bounds_that_no_price_refutes_are_doubled(monkeypatch: pytest.MonkeyPatc
     asked = CostQuantile(corridor(30), 0, 0.9999, 0.5)
     least = solve(asked).objective
     monkeypatch.setattr(risk, "_last_refuted", lambda *given: -1)
-    near = Near(1.0, 0.0)
-    found = risk.least_quantile(asked, question_of(asked), 0.9999, SolveOptions(), near)
+    found = risk.least_quantile(asked, question_of(asked), SolveOptions(), (1.0, 0.0))
     assert found.objective == least > 64
     assert int(found.run.reason.split()[0]) <= 7 + 2 * int(np.ceil(np.log2(least)))
 
