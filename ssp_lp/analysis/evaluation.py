@@ -21,6 +21,7 @@ from ssp_lp.analysis.quantity_values import (
     complement,
     cost_after_failing,
     counted_nodes,
+    ending_values,
     free_in_everything,
     quantity_values,
     state_give_up_charges,
@@ -241,14 +242,13 @@ def _chain_totals(
 
 def _evaluated_ends(chain: Chain, start: FloatArray) -> FloatArray:
     """Probability of each way in which episodes end, as of ``end_marks``, [ways]."""
-    final = (chain.goal > 0) | (chain.dead > 0)
-    settling = reaching_in_chain(chain, final | (chain.give_up > 0)) & ~final
-    marks, ways = end_marks(chain.model), len(chain.model.state_labels) + 3
-    at_end = np.stack([final & (marks[chain.state] == i) for i in range(ways)], axis=1)
-    hits = chain.matrix @ at_end.astype(np.float64)
-    hits[np.arange(chain.n_nodes), stop_marks(chain.model)[chain.state]] += chain.give_up
-    totals = chain.accumulate(np.where(settling[:, None], hits, 0.0), settling)
-    return np.asarray(start @ (totals + at_end))
+    ways = np.arange(len(chain.model.state_labels) + 3)
+    final = ((chain.goal > 0) | (chain.dead > 0))[:, None]
+    ends, stops = (
+        marks(chain.model)[chain.state][:, None] == ways for marks in (end_marks, stop_marks)
+    )
+    values = ending_values(chain, np.where(final & ends, 1.0, 0.0), at_stop=stops)
+    return np.asarray(start @ values)
 
 
 def _measures_of(

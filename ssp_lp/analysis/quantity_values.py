@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from scipy.sparse import csgraph
 
 from ssp_lp.accumulated_cost.policy_layers import stopping_where_lost
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.arrays import BoolArray, FloatArray
+from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import attention_states, dead_ends, end_components
@@ -85,15 +85,12 @@ def lost_costs(
     stage = chain.per_node(chain.cost) + survival * (chain.matrix @ values)
     if survival < 1.0:
         return values + chain.accumulate(np.where(lost, stage, 0.0), lost, survival)
-    # lost nodes in closed classes that cost something, and in ones that cost nothing
-    _, label = csgraph.connected_components(chain.matrix, connection="strong")
-    leaves = (chain.dead > 0) | (chain.give_up > 0) | ~lost
-    leaves[chain.source[label[chain.source] != label[chain.target]]] = True
-    closed = ~np.isin(label, np.unique(label[leaves]))
-    paying = np.isin(label, np.unique(label[chain.per_node(chain.cost) > 0]))
-    endless, free = closed & paying, closed & ~paying
-    infinite = reaching_in_chain(chain, endless) & lost if endless.any() else endless
-    values = values + chain.accumulate(np.where(lost, stage, 0.0), lost & ~free & ~infinite)
+    # lost nodes in closed classes, and those that may come to pay in one for ever
+    leaving = (chain.dead > 0) | (chain.give_up > 0) | ~lost
+    closed = np.zeros(chain.n_nodes, dtype=np.bool_)
+    closed[System(chain.matrix, np.where(leaving, 1.0, 0.0)).closed] = True
+    infinite = lost & reaching_in_chain(chain, closed & (chain.per_node(chain.cost) > 0))
+    values = values + chain.accumulate(np.where(lost, stage, 0.0), lost & ~closed & ~infinite)
     return np.where(infinite, np.inf, values)
 
 
@@ -215,23 +212,25 @@ def _quantity_value(chain: Chain, counted: BoolArray, problem: Problem, term: Te
         at_once = chain.start @ (there * ((chain.goal > 0) | (chain.dead > 0)))
         free = term.free
         return value_until_failure(entering, counted, plain, survival, free) + float(at_once)
-    ended = float(ending_value(chain, there[:, None], survival)[0])
+    ended = float(chain.start @ ending_values(chain, there[:, None], survival)[:, 0])
     return complement(ended) if term.others else ended
 
 
-def ending_value(chain: Chain, at_end: FloatArray, survival: float) -> FloatArray:
-    """Probability of ending in some nodes, discounted, [ways].
+def ending_values(
+    chain: Chain, at_end: FloatArray, survival: float = 1.0, at_stop: FloatArray | float = 0.0
+) -> FloatArray:
+    """Probability of ending in some nodes, discounted, from each node, [nodes, ways].
 
     Args:
         chain: the chain.
         at_end: which goals and dead-ends belong to each way, [nodes, ways].
         survival: the discount.
+        at_stop: where giving up does, [nodes, ways].
     """
     final = (chain.goal > 0) | (chain.dead > 0)
     settling = reaching_in_chain(chain, final | (chain.give_up > 0)) & ~final
-    hits = survival * (chain.matrix @ at_end)
-    totals = chain.accumulate(np.where(settling[:, None], hits, 0.0), settling, survival)
-    return np.asarray(chain.start @ (totals + at_end))
+    hits = survival * (chain.matrix @ at_end) + chain.give_up[:, None] * at_stop
+    return at_end + chain.accumulate(np.where(settling[:, None], hits, 0.0), settling, survival)
 
 
 def free_in_everything(problem: Problem) -> BoolArray:

@@ -249,14 +249,17 @@ def improve_blocks(
         begin, end = blocks[block], blocks[block + 1]
         if end - begin > 1:
             states = order[begin:end]
-            if _any_stale(stale, states):
+            if stale[states].any():
                 before[: states.size] = values[states]
                 moved, _ = improve_component(
                     rows, states, place, cost, noise, floor, _ROUNDS, choice, values,
                     inner, low, leaving, right,
                 )  # fmt: skip
                 changed += moved
-                _mark_to_improve(entering, entering_offsets, owner, states, before, values, stale)
+                for i in range(states.size):
+                    if values[states[i]] != before[i]:
+                        _mark_entering(entering, entering_offsets, owner, states[i], stale)
+                stale[states] = False
             continue
         s = order[begin]
         if not stale[s]:
@@ -272,29 +275,6 @@ def improve_blocks(
             _mark_entering(entering, entering_offsets, owner, s, stale)
         stale[s] = False
     return changed
-
-
-@njit(cache=True)
-def _any_stale(stale: Array, states: Array) -> bool:
-    """Whether a block has a state left to improve."""
-    for s in states:  # noqa: SIM110 (compiled)
-        if stale[s]:
-            return True
-    return False
-
-
-@njit(cache=True)
-def _mark_to_improve(
-    entering: Array, entering_offsets: Array, owner: Array,
-    states: Array, before: Array, values: Array, stale: Array,
-) -> None:  # fmt: skip
-    """Mark what leads to the states of a block that changed; the block itself is up to date."""
-    for i in range(states.size):
-        s = states[i]
-        if values[s] != before[i]:
-            _mark_entering(entering, entering_offsets, owner, s, stale)
-    for s in states:
-        stale[s] = False
 
 
 @njit(cache=True)

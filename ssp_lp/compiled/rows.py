@@ -140,25 +140,13 @@ def row_products(
     result: Array,
 ) -> None:  # fmt: skip
     """Chosen rows times several vectors, [states, vectors]."""
-    if x.shape[1] == 3:  # each entry is read once
-        for s in prange(choice.size):
-            row = choice[s]
-            one, two, three, first, begin = 0.0, 0.0, 0.0, indptr[row], begins[row]
-            for k in range(indptr[row + 1] - first):
-                weight, column = data[begin + k], indices[first + k]
-                one += weight * x[column, 0]
-                two += weight * x[column, 1]
-                three += weight * x[column, 2]
-            result[s, 0], result[s, 1], result[s, 2] = one, two, three
-        return
     for s in prange(choice.size):
-        row = choice[s]
-        first, begin = indptr[row], begins[row]
-        for j in range(x.shape[1]):
-            total = 0.0
-            for k in range(indptr[row + 1] - first):
-                total += data[begin + k] * x[indices[first + k], j]
-            result[s, j] = total
+        first, begin = indptr[choice[s]], begins[choice[s]]
+        result[s] = 0.0
+        for k in range(indptr[choice[s] + 1] - first):
+            weight, column = data[begin + k], indices[first + k]
+            for j in range(x.shape[1]):
+                result[s, j] += weight * x[column, j]
 
 
 @one_or_all_cores

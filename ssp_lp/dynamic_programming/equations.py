@@ -342,8 +342,10 @@ def strong_components(
     edges: sp.csr_array = graph.copy()  # each once and none of weight 0, as scipy needs them
     edges.sum_duplicates()
     edges.eliminate_zeros()
-    found = csgraph.connected_components(edges, connection="strong")[1]
-    label = _topological_components(graph, found)
+    label = csgraph.connected_components(edges, connection="strong")[1]
+    entry = edges.tocoo()
+    if (label[entry.row] < label[entry.col]).any():  # not documented, and hence checked
+        raise SolverError("the strong components that scipy found are in no topological order")
     order = np.argsort(label, kind="stable").astype(np.int32)
     return StrongComponents(label, order, offsets_of(np.bincount(label)))
 
@@ -368,26 +370,3 @@ def _compiled_components(
     label, order, count = order_components(begin, end, indices, data, by_height=by_height)
     sizes = np.bincount(label, minlength=count)
     return StrongComponents(label, order, offsets_of(sizes))
-
-
-def _topological_components(graph: sp.csr_array, label: IntArray) -> IntArray:
-    """Labels renumbered, if need be, so that no edge leads to a component of a greater number.
-
-    Those of scipy's search are so already, which is not documented and hence checked.
-    """
-    entry = graph.tocoo()
-    entry_from, entry_to = label[entry.row], label[entry.col]
-    if (entry_from >= entry_to)[entry.data > 0.0].all():
-        return label
-    between = (entry_from != entry_to) & (entry.data > 0.0)
-    source, target = entry_from[between], entry_to[between]
-    height = np.zeros(int(label.max()) + 1, dtype=np.int64)
-    while True:
-        raised = height.copy()
-        np.maximum.at(raised, source, height[target] + 1)
-        if np.array_equal(raised, height):
-            break
-        height = raised
-    position = np.empty_like(height)
-    position[np.argsort(height, kind="stable")] = np.arange(height.size)
-    return position[label].astype(label.dtype)

@@ -103,17 +103,6 @@ class Player(Protocol):
         ...
 
 
-class RatioPlayer(Player, Protocol):
-    """A player of case S, whose c* is a ratio."""
-
-    def surplus(self, price: float, accuracy: float) -> float:
-        """What every policy has at least of ``J_obj - price * (1 - J_cond)``, rounding counted.
-
-        Where it is not negative, no policy's ``J_obj / (1 - J_cond)`` is less than the price.
-        """
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class Discounted:
     """A discounted decision process with two costs per pair: the operator T_alpha of section 3.5.

@@ -72,17 +72,12 @@ class CostPlayer:
 
     @property
     def tails(self) -> LayeredTails:
-        """What follows beyond M: the policies that fail least and most (see ``outer_tails``)."""
-        return self._outer_tails[1]
-
-    @property
-    def tail_pairs(self) -> IntArray:
-        """The pairs that they take, [2, nodes]."""
-        return self._outer_tails[0]
+        """What follows beyond M: the policies that fail least and most."""
+        return self.outer_tails[1]
 
     @cached_property
-    def _outer_tails(self) -> tuple[IntArray, LayeredTails]:
-        """Both, worked out once."""
+    def outer_tails(self) -> tuple[IntArray, LayeredTails]:
+        """The pairs that these take, [2, nodes], and what they attain (see ``outer_tails``)."""
         return outer_tails(self.base)
 
     @property
@@ -192,7 +187,7 @@ class CostPlayer:
         sweep, price = Sweep(process), _DEAREST
         choice = sweep.room_for_choice()
         if weights[0] == 0.0:
-            choice[:] = self.tail_pairs[0] - base.pair_offsets[:-1]
+            choice[:] = self.outer_tails[0][0] - base.pair_offsets[:-1]
             first = self.tails.first
             measures = np.stack([first.cost, first.failure, first.goal])
             objective, failure, goal = (measures @ base.start).tolist()
@@ -311,8 +306,8 @@ class BayesCostPlayer:
 
         J_obj is undiscounted, while J_cond stays discounted (section 3.3).
         """
-        tails, worst = self.stationary.tails, self.stationary.tail_pairs[1:]
-        goal, cost = followed_tails(self.base, worst, 1.0)
+        pairs, tails = self.stationary.outer_tails
+        goal, cost = followed_tails(self.base, pairs[1:], 1.0)
         values = TailValues(*(each[1:] for each in tails.values))._replace(early=goal, cost=cost)
         return replace(tails, decisions=tails.decisions[1:], values=values)
 
@@ -383,7 +378,7 @@ class BayesCostPlayer:
         Successive stages that decide alike are one object.
         """
         strategy: _TimedLayers = response.strategy
-        worst = self.stationary.tail_pairs[1] - self.base.pair_offsets[:-1]
+        worst = self.stationary.outer_tails[0][1] - self.base.pair_offsets[:-1]
         after = np.broadcast_to(worst, strategy.choice.shape[1:])
         rows = [*strategy.choice, after.astype(strategy.choice.dtype)]
         stages: list[CostAwarePolicy] = []

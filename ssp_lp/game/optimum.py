@@ -24,7 +24,7 @@ from ssp_lp.errors import (
     check_between_0_and_1,
     wrong_argument,
 )
-from ssp_lp.game.best_response import BestResponse, Player, RatioPlayer, check_alpha
+from ssp_lp.game.best_response import BestResponse, Player, check_alpha
 from ssp_lp.game.cost_player import BayesCostPlayer, CostPlayer
 from ssp_lp.game.label_player import BayesLabelPlayer, LabelModels, LabelPlayer, label_models
 from ssp_lp.game.threshold import Threshold, extremes, find_threshold
@@ -162,7 +162,7 @@ def find_optimum(
     c, lower = threshold.high, threshold.low
     is_slack = best is not None and best.failing <= budget - best.origin
     if is_slack or not (best is None or is_least or best.ratio < lower):
-        lower = _slack_bound_of_optimum(cast(RatioPlayer, player), c, budget, tolerance)
+        lower = _slack_bound_of_optimum(cast(CostPlayer, player), c, budget, tolerance)
     if is_slack:
         return GameSolution(problem, player, threshold, spent, c, lower, alpha=share, price=c)
     return GameSolution(
@@ -172,7 +172,7 @@ def find_optimum(
 
 
 def _slack_bound_of_optimum(
-    player: RatioPlayer, ratio: float, budget: float, tolerance: float
+    player: CostPlayer | BayesCostPlayer, ratio: float, budget: float, tolerance: float
 ) -> float:
     """A ratio a little below the least one, such that every policy is seen to have more.
 
