@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ssp_lp.accumulated_cost.policy_layers import stopping_where_lost
-from ssp_lp.arrays import BoolArray, FloatArray
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
