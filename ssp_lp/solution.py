@@ -298,6 +298,7 @@ class Solution(ReadOnlyCopies):
             *([("giving up", _GIVING_UP)] if mostly_gives_up else []),
             ("cost given success", f"{self.conditional_cost:.6g}"),
             ("cost until failure", f"{self.expected_cost:.6g}"),
+            *([] if self.problem.model.costs.any() else [("costs", _ALL_FREE)]),
         ]
         if self.discounted_failure is not None:
             rows.insert(-2, ("discounted failure", f"{self.discounted_failure:.6g}"))
@@ -331,6 +332,7 @@ class Solution(ReadOnlyCopies):
         return limit
 
 
+_ALL_FREE = "none: every step costs 0, so that only failing tells policies apart"
 _GIVING_UP = "most of the budget: give_up='dead_ends' fails where the goal is lost alone"
 
 
