@@ -16,6 +16,7 @@ from ssp_lp.io.gymnasium_worlds import (
     GymnasiumWorld as GymnasiumWorld,
     RolloutReport as RolloutReport,
     StepLimitWarning as StepLimitWarning,
+    continuous_from_gymnasium as continuous_from_gymnasium,
     from_gymnasium as from_gymnasium,
     rollout as rollout,
 )

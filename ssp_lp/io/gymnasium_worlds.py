@@ -42,6 +42,7 @@ from ssp_lp.errors import (
     wrong_argument,
 )
 from ssp_lp.model.arguments import explained
+from ssp_lp.model.continuous_model import ContinuousModel, Coordinates, Grid
 from ssp_lp.model.graph import dead_ends
 from ssp_lp.model.product import HorizonSSP, ProductSSP, within_steps
 from ssp_lp.model.ssp import SSP
@@ -156,6 +157,80 @@ def from_gymnasium(
     return GymnasiumWorld(unrolled, unrolled.start(begin), limit, steps)
 
 
+FAILED, OUTSIDE = "failed", "outside"
+"""Dead-ends of a continuous environment: it terminated elsewhere, or left the box."""
+
+
+@explained
+def continuous_from_gymnasium(
+    env: gymnasium.Env[Any, Any],
+    grid: Grid,
+    *,
+    goal: Callable[[tuple[float, ...]], bool],
+    cost: Callable[[tuple[float, ...], Any, tuple[float, ...], float], float] | None = None,
+) -> ContinuousModel:
+    """The continuous world of an environment whose state is an array of coordinates.
+
+    Its step function puts the environment's ``env.unwrapped.state`` at a point and takes one step
+    there: ``discretise`` makes a model of it, and ``WorldSimulator`` plays policies in the
+    environment's own dynamics. What the environment draws at random while it steps is drawn once
+    at each point. CartPole and MountainCar are such environments.
+
+    Args:
+        env: an environment with discrete actions; it is stepped, so it is to be one of its own.
+        grid: a box of the coordinates, an axis for each, and its cells.
+        goal: says of the coordinates in which the environment terminates whether that is success;
+            else that is the dead-end "failed".
+        cost: ``(point, action, next point, reward) -> cost``; None: 1 for each step.
+
+    Raises:
+        MissingDependencyError: gymnasium is not installed.
+        ModelError: it has no such state, other coordinates than the grid, or other actions.
+    """
+    _step_limit_of(env)
+    bare: Any = env.unwrapped
+    bare.reset(seed=0)
+    state: Any = getattr(bare, "state", None)
+    if np.shape(state) != (len(grid.axes),):
+        raise ModelError(
+            f"{_name_of(env)}: env.unwrapped.state must be {len(grid.axes)} coordinates, one for "
+            f"each axis, not {in_short(state)}"
+        )
+    if not hasattr(bare.action_space, "n"):
+        raise ModelError(f"{_name_of(env)} has no discrete actions: {bare.action_space}")
+    first = int(getattr(bare.action_space, "start", 0))
+    kind = np.asarray(state).dtype
+
+    def taken(point: tuple[float, ...], action: int) -> tuple[list[float], float, int]:
+        """One step from one point: the next one, its cost and its end."""
+        bare.state = np.array(point, dtype=kind)
+        _, reward, terminated, *_ = bare.step(action)
+        after = [float(value) for value in bare.state]
+        paid = 1.0 if cost is None else float(cost(point, action, tuple(after), float(reward)))
+        if terminated:
+            bare.reset()  # some count the steps that are taken after an end
+        return after, paid, (1 if goal(tuple(after)) else 2) if terminated else 0
+
+    def step(point: Coordinates, action: Hashable, noise: Coordinates) -> Any:
+        """Many points, one after the other."""
+        places = np.broadcast_arrays(*point)
+        steps = [
+            taken(p, cast("int", action)) for p in zip(*(each.flat for each in places), strict=True)
+        ]
+        shape = places[0].shape
+        after = np.array([s[0] for s in steps]).T.reshape(len(grid.axes), *shape)
+        paid, ends = np.array([s[1] for s in steps]), np.array([s[2] for s in steps])
+        return tuple(after), paid.reshape(shape), ends.reshape(shape)
+
+    return ContinuousModel(
+        grid,
+        actions=tuple(range(first, first + int(bare.action_space.n))),
+        step=step,
+        dead_ends={FAILED: 0.0, OUTSIDE: 0.0},
+        outside=OUTSIDE,
+    )
+
+
 def _step_limit_of(env: gymnasium.Env[Any, Any]) -> int | None:
     """The steps after which the environment's ``TimeLimit`` cuts an episode off; None: never.
 
@@ -202,8 +277,11 @@ def _table_of(env: gymnasium.Env[Any, Any]) -> _Table:
     """
     listed = getattr(env.unwrapped, "P", None)
     if listed is None:
-        name = _name_of(env)
-        raise ModelError(f"{name} is not tabular: it has no table of transitions, env.unwrapped.P")
+        raise ModelError(
+            f"{_name_of(env)} is not tabular: it has no table of transitions, env.unwrapped.P; "
+            "where its state is coordinates, continuous_from_gymnasium(env, grid, goal=...) makes "
+            "a world of it that discretise cuts into cells"
+        )
     # no lists of lists: their collector would take longer than all the rest
     names, tables = _keys(listed), list(_values(listed))
     index = {_plain(name): k for k, name in enumerate(names)}
