@@ -27,9 +27,9 @@ from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_ids
 from ssp_lp.errors import ModelError, check_whole, in_short, optional_module
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.graph import dead_ends, end_marks
+from ssp_lp.model.graph import end_marks
 from ssp_lp.plotting.curves import INK, LOOKS
-from ssp_lp.plotting.plane import Places, Point, cells_of, points_of
+from ssp_lp.plotting.plane import Places, Point, cells_of, points_of, squares_of
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import start_distribution
@@ -418,24 +418,22 @@ def _ground(
     plotting: Any, problem: Problem, points: FloatArray, walls: list[Point], graph: bool = False
 ) -> Any:
     """Places with goals, dead-ends, walls and the start."""
-    model, known = problem.model, _placed(points)
+    known = _placed(points)
     everything = np.vstack([points[known], *np.array(walls, dtype=float).reshape(-1, 2)])
     low, high = everything.min(axis=0) - 0.7, everything.max(axis=0) + 0.7
     height = int(np.clip(440 * (high - low)[1] / (high - low)[0], 200, 520))
     figure = _figure(plotting, "", "", height, x_range=(low[0], high[0]), y_range=(low[1], high[1]),
                      match_aspect=not graph)  # fmt: skip
     figure.axis.visible, figure.grid.grid_line_color = False, None
-    goal, dead = model.goal_mask, dead_ends(model) & ~model.goal_mask
-    start = start_distribution(model, problem.start) > 0.0
     side = 0.36 if graph else 1.0
     looks = (
-        (known & ~goal & ~dead, "#d0d0d0", "white", 1.0),
-        (known & dead, _RED, "#f3d9c9", 1.0),
-        (known & goal, _GREEN, "#d5efe6", 2.0),
-        (known & start, INK, None, 2.0),
+        ("#d0d0d0", "white", 1.0),
+        (_RED, "#f3d9c9", 1.0),
+        (_GREEN, "#d5efe6", 2.0),
+        (INK, None, 2.0),
     )
-    for where, line, fill, width in looks:
-        x, y = np.unique(points[where], axis=0).T if where.any() else np.zeros((2, 0))
+    for squares, (line, fill, width) in zip(squares_of(problem, points), looks, strict=True):
+        x, y = np.array(sorted(squares), dtype=float).reshape(-1, 2).T
         inner = side * (0.9 if fill is None else 1.0)
         level = "overlay" if fill is None else "glyph"
         figure.rect(x, y, inner, inner, line_color=line, fill_color=fill, line_width=width,

@@ -102,23 +102,20 @@ _SIDES = 0.25, 0.55  # inches: of a cell, least and most
 def draw_ground(ax: Axes, problem: Problem, points: FloatArray, walls: Iterable[Point]) -> None:
     """Draw walls, dead-ends, goals and the start as unit squares, and a frame around other cells.
 
-    Where several states lie in a cell, it is a goal if one of them is, and a dead-end if all are.
-
     Args:
         ax: where to draw.
         problem: says the model and the start.
         points: of the model's states, nan where there is none, [states, 2].
         walls: middles of squares that are no states.
     """
-    patches, model = optional_module("matplotlib.patches", "plot"), problem.model
-    dead, goal = dead_ends(model) & ~model.goal_mask, model.goal_mask
-    goals, free = _distinct_cells(points[goal]), _distinct_cells(points[~dead & ~goal])
+    patches = optional_module("matplotlib.patches", "plot")
+    free, dead, goals, begin = squares_of(problem, points)
     kinds = (
-        (free - goals, "", _FREE),
-        (_distinct_cells(points[dead]) - free - goals, "dead-end", _DEAD_END),
+        (free, "", _FREE),
+        (dead, "dead-end", _DEAD_END),
         (set(walls), "wall", _WALL),
         (goals, "goal", _GOAL),
-        (_distinct_cells(points[start_distribution(model, problem.start) > 0.0]), "start", _START),
+        (begin, "start", _START),
     )
     for squares, words, style in kinds:
         side = _INNER if style is _START else 1.0
@@ -132,6 +129,20 @@ def draw_ground(ax: Axes, problem: Problem, points: FloatArray, walls: Iterable[
     low, high = everything.min(axis=0) - _MARGIN, everything.max(axis=0) + _MARGIN
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xticks=[], yticks=[])
     ax.spines[:].set_visible(False)
+
+
+def squares_of(
+    problem: Problem, points: FloatArray
+) -> tuple[set[Point], set[Point], set[Point], set[Point]]:
+    """The middles of free cells, dead-ends, goals, and of those where an episode may begin.
+
+    Where several states lie in a cell, it is a goal if one of them is, and a dead-end if all are.
+    """
+    model, goal = problem.model, problem.model.goal_mask
+    dead, begin = dead_ends(model) & ~goal, start_distribution(model, problem.start) > 0.0
+    goals, free = _distinct_cells(points[goal]), _distinct_cells(points[~dead & ~goal])
+    lost = _distinct_cells(points[dead]) - free - goals
+    return free - goals, lost, goals, _distinct_cells(points[begin])
 
 
 def _distinct_cells(points: FloatArray) -> set[Point]:
