@@ -148,6 +148,7 @@ def of_files(folder: Path) -> Iterator[Any]:
     from ssp_lp import io, plotting
 
     problem = criteria.MCMP(MODEL, START, failure_budget=0.2)
+    yield plotting.Explorer("<!doctype html>")
     record = plotting.BoundsRecord()
     solution = solve(problem, progress=record)
     io.write_controller(solution.policy, folder / "controller.json")

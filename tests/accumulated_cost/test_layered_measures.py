@@ -49,6 +49,9 @@ def test_layers_attain_what_the_written_out_chain_does(
             compared += 1
             for name in (field.name for field in fields(truth)):
                 here, there = getattr(found, name), getattr(truth, name)
+                if there is None:  # nothing is paid after failing
+                    assert here is None, name
+                    continue
                 assert here == pytest.approx(there, rel=CLOSE, abs=CLOSE), name
     assert compared > 30
 

@@ -317,7 +317,7 @@ def test_progress_and_the_run():
         ({"fuel": CostLimit([[1.0, 2.0, 3.0]], 1)}, "'fuel'.*shape"),
         ({"fuel": CostLimit([1.0, -2.0, 3.0], 1)}, "'fuel'.*'y'.*'a'"),
         ({"fuel": CostLimit([1.0, np.inf, 3.0], 1)}, "'fuel'.*'y'.*'a'"),
-        ({"fuel": CostLimit("cheap", 1)}, "'fuel'.*numbers"),
+        ({"fuel": CostLimit("cheap", 1)}, "'fuel'.*has no cost 'cheap'"),
         ([("fuel", 3)], "limits must be"),
     ],
 )
