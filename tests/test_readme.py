@@ -31,6 +31,7 @@ SHOWN = {
     "docs/guides/big_models.md": 1,
     "docs/guides/certificate.md": 5,
     "docs/guides/command_line.md": 2,
+    "docs/guides/explorer.md": 1,
     "docs/guides/own_criterion.md": 2,
     "docs/guides/own_memory.md": 1,
     "docs/guides/own_simulator.md": 0,
