@@ -360,7 +360,7 @@ def columns_by_pricing(
                 # failure falls about as fast as the price rises; the square of their ratio
                 # overshoots, so that the columns lie on both sides and not far apart
                 ratio = max(failure / row.budget, row.budget / failure)
-                size = min(max(ratio**2, _LEAST_FACTOR), size)
+                size = min(max(ratio * ratio, _LEAST_FACTOR), size)
             price = price * size if failure > row.budget else price / size
     if search.stop:
         took = max(took, time.perf_counter() - began)

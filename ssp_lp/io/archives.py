@@ -550,6 +550,8 @@ def fingerprint(model: SSP) -> str:
         _fingerprint_array(digest.update, name, getattr(model, name), "<i8")
     for name in ("probabilities", "costs"):
         _fingerprint_array(digest.update, name, getattr(model, name), "<f8")
+    for name, costs in model.named_costs.items():
+        _fingerprint_array(digest.update, f"cost {name!r}", costs, "<f8")
     for name, value in _fingerprint_words(model):
         told = json.dumps(value, sort_keys=True, separators=(",", ":")).encode()
         digest.update(f"\n{name} {len(told)}\n".encode() + told)
@@ -579,8 +581,6 @@ def _fingerprint_words(model: SSP) -> Iterator[tuple[str, object]]:
     yield "states", _fingerprint_labels(model.states)
     yield "actions", _fingerprint_labels(model.action_names)
     yield "state_labels", {name: found.tolist() for name, found in model.state_labels.items()}
-    if model.named_costs:
-        yield "named_costs", {name: costs.tolist() for name, costs in model.named_costs.items()}
     yield "exact_costs", [[float(k).hex(), str(v)] for k, v in sorted(model.exact_costs.items())]
     if isinstance(model, ProductSSP):
         yield "original", fingerprint(model.original)

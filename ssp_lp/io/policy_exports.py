@@ -118,8 +118,9 @@ def _table_states(policy: Policy, memory: int) -> IntArray:
         acting = np.diff(policy.model.pair_offsets) > 0
         listed = _table_states(policy.inner, inner) if of_product else np.arange(acting.size)
         return listed[acting[listed]]
-    if isinstance(policy, LabelledPolicy) and memory % len(FAILING_WORDS):
-        return np.flatnonzero(policy.product.is_open)
+    if isinstance(policy, LabelledPolicy):
+        failed = memory % len(FAILING_WORDS) > 0
+        return np.flatnonzero(policy.product.is_open if failed else ~policy.ended)
     if isinstance(policy, RememberingPolicy):
         number = memory % len(policy.product.memories)
         return np.flatnonzero(policy.product.table[:, number] >= 0)

@@ -29,7 +29,7 @@ from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import Argument, ModelError, check_whole
 from ssp_lp.model.arguments import check_fields, explained
 from ssp_lp.model.graph import dead_ends
-from ssp_lp.model.ssp import SSP, check_model, no_lone_string
+from ssp_lp.model.ssp import SSP, Costs, check_model, no_lone_string
 
 MEMORY_FAILS = "memory fails"
 """Label of states where the memory fails."""
@@ -217,35 +217,29 @@ def product(
         """Whether the memory accepts it, too."""
         return is_at_goal(label) and bool(memory.accepts(label[1]))
 
-    def successors(label: Label) -> dict[Hashable, list[tuple[float, Label, float]]]:
+    def successors(label: Label) -> dict[Hashable, list[tuple[float, Label, Costs]]]:
         """What each action of the original leads to; nothing where the episode is over."""
         if is_at_goal(label) or memory.fails(label[1]):
             return {}
         state, kept = label
-        here = model.index_of(state)
-        found: dict[Hashable, Any] = {}
+        here, found = model.index_of(state), {}
         for pair in range(int(model.pair_offsets[here]), int(model.pair_offsets[here + 1])):
-            action = model.action_of(pair)
-            some = slice(int(model.outcome_offsets[pair]), int(model.outcome_offsets[pair + 1]))
-            arrays = model.probabilities[some], model.successors[some], model.costs[some]
-            named = {name: costs[some].tolist() for name, costs in model.named_costs.items()}
-            found[action] = []
-            for k, (p, to, cost) in enumerate(zip(*(a.tolist() for a in arrays), strict=True)):
-                if p > 0.0:
-                    label = model.states[to]
-                    after = label, memory.update(kept, state, action, label, cost)
-                    by_name = {_OWN: cost, **{name: paid[k] for name, paid in named.items()}}
-                    found[action].append((p, after, by_name if named else cost))
+            action, bounds = model.action_of(pair), model.outcome_offsets[pair : pair + 2].tolist()
+            arrays = (
+                a[slice(*bounds)] for a in (model.probabilities, model.successors, model.costs)
+            )
+            rows = zip(range(*bounds), *(array.tolist() for array in arrays), strict=True)
+            ends = [(p, model.states[to], cost, k) for k, p, to, cost in rows if p > 0.0]
+            found[action] = [
+                (p, (to, memory.update(kept, state, action, to, cost)), _priced(model, cost, k))
+                for p, to, cost, k in ends
+            ]
         return found
 
-    # the labels of the original, and why an episode failed; a label may say both
-    labels: dict[str, Callable[[Label], bool]] = {
+    own: dict[str, Callable[[Label], bool]] = {
         MEMORY_FAILS: lambda label: bool(memory.fails(label[1])),
         NOT_ACCEPTED: lambda label: is_at_goal(label) and not is_goal(label),
     }
-    for name, members in model.state_labels.items():
-        among = frozenset(model.states[k] for k in members.tolist())
-        labels[name] = partial(_is_labelled, among, labels.get(name, _never_in_product))
     begin = model.states if start is None else no_lone_string(start, "start")
     plain = SSP.from_successors(
         [(state, memory.start) for state in begin],
@@ -253,16 +247,33 @@ def product(
         is_goal,
         cost=_OWN if model.named_costs else None,
         state_limit=state_limit,
-        state_labels=labels,
+        state_labels=_labels_in_product(model, own),
         treat_actionless_as_dead_ends=True,
     )
     fields = {name: getattr(plain, name) for name in SSP.__dataclass_fields__}
-    named = {name: costs for name, costs in plain.named_costs.items() if name != _OWN}
+    outcome = plain.named_costs.get(_OUTCOME, plain.costs[:0]).astype(np.int64)
+    named = {name: read_only(costs[outcome]) for name, costs in model.named_costs.items()}
     fields |= {"exact_costs": model.exact_costs, "named_costs": named}
     return ProductSSP(**fields, original=model, memory=memory)
 
 
-_OWN = "the model's own"  # the name of the cost that counts while a product is built
+_OWN, _OUTCOME = "own", "outcome"  # what an outcome costs while a product is built
+
+
+def _priced(model: SSP, cost: float, outcome: int) -> Costs:
+    """A cost, and where others have names the number of its outcome, by which they are found."""
+    return {_OWN: cost, _OUTCOME: outcome} if model.named_costs else cost
+
+
+def _labels_in_product(
+    model: SSP, own: Mapping[str, Callable[[Label], bool]]
+) -> dict[str, Callable[[Label], bool]]:
+    """The labels of the original, and why an episode failed, ``own``; a label may say both."""
+    labels = dict(own)
+    for name, members in model.state_labels.items():
+        among = frozenset(model.states[k] for k in members.tolist())
+        labels[name] = partial(_is_labelled, among, own.get(name, _never_in_product))
+    return labels
 
 
 def _is_labelled(

@@ -340,13 +340,11 @@ class SSP(Graph, ReadOnlyCopies):
             _check_costs(draft, costs_of_name, name)
         chance = _with_unit_sums(draft, normalise)
         _check_idle_states(draft, treat_actionless_as_dead_ends)
-        labels = _indexed_labels(draft, state_labels or {})
-        target = read_only(target, np.int32)
         return replace(
             draft,
-            successors=target,
+            successors=read_only(target, np.int32),
             probabilities=chance,
-            state_labels=labels,
+            state_labels=_indexed_labels(draft, state_labels or {}),
             named_costs=named,
         )
 

@@ -23,7 +23,15 @@ from ssp_lp import (
     solve,
     within_steps,
 )
-from ssp_lp.io import load_model, read_drn, read_prism, save_model, write_drn, write_prism
+from ssp_lp.io import (
+    fingerprint,
+    load_model,
+    read_drn,
+    read_prism,
+    save_model,
+    write_drn,
+    write_prism,
+)
 from ssp_lp.io.any_format import read_any, write_any
 
 ROWS = [
@@ -284,3 +292,19 @@ def test_what_is_not_there() -> None:
         SSP.from_frame(TABLE, {"home"}, cost="time").with_cost("fuel")
     answer = solve(MCMP(model, "depot", 0.05))
     assert evaluate(answer.policy, answer.problem).objective == pytest.approx(answer.objective)
+
+
+def test_a_reward_model_without_a_name_moves_no_other(tmp_path: Path) -> None:
+    write_drn(roads(), tmp_path / "m.drn", start="depot")
+    text = (tmp_path / "m.drn").read_text(encoding="utf-8").replace("time fuel", '"" fuel')
+    (tmp_path / "m.drn").write_text(text, encoding="utf-8")
+    read = read_drn(tmp_path / "m.drn", goal="goal", cost="").model
+    assert list(read.named_costs) == ["fuel"]
+    assert set(read.named_costs["fuel"].tolist()) == {1.0, 0.5, 0.25}
+    assert set(read.costs.tolist()) == {4.0, 2.0, 9.0, 5.0}
+
+
+def test_named_costs_are_part_of_the_fingerprint() -> None:
+    assert fingerprint(roads()) == fingerprint(roads())
+    assert fingerprint(roads()) != fingerprint(roads(fuel=[1.0, 1.0, 0.5, 0.5]))
+    assert fingerprint(roads()) != fingerprint(roads().with_cost("fuel"))

@@ -118,8 +118,7 @@ def _drn_body(
     state_rewards, pair_rewards, probabilities = array("d"), array("d"), array("d")
     names: list[str] = []
     labels: dict[str, list[int]] = {}
-    width = max(len(rewards), 1)
-    is_rewarded = column is not None
+    width, is_rewarded = max(len(rewards), 1), column is not None
     for line in filter(None, lines):
         if line[0].isdigit():
             if not pair_counts or not pair_counts[-1]:
@@ -155,21 +154,26 @@ def _drn_body(
         raise file.fault(f"the header says {stated}, the file has {there}")
     counts, sizes = np.array(pair_counts), np.array(outcome_counts)
     state = np.repeat(np.arange(n_states), counts)
-    own, of_states = (np.array(each).reshape(-1, width) for each in (pair_rewards, state_rewards))
-    costs = [decimal_sum(own[:, k], of_states[state, k]) for k in range(width)]
-    paid_by_pair = [
-        np.repeat(each, sizes) for each in (costs if is_rewarded else [np.ones(own.size)])
-    ]
+    listed_costs = _drn_costs(pair_rewards, state_rewards, state, width)
+    costs = [np.repeat(c, sizes) for c in (listed_costs if is_rewarded else [np.ones(len(names))])]
     return RawModel(
         pair_offsets=offsets_of(counts),
         outcome_offsets=offsets_of(sizes),
         successors=np.array(successors),
         probabilities=np.array(probabilities),
-        costs=paid_by_pair[column or 0],
-        named_costs=dict(zip(filter(None, rewards), paid_by_pair, strict=False)),
+        costs=costs[column or 0],
+        named_costs={name: c for name, c in zip(rewards, costs, strict=False) if name},
         actions=distinct_actions(names, state),
         labels={name: np.array(at, dtype=np.int64) for name, at in labels.items()},
     )
+
+
+def _drn_costs(
+    pair_rewards: array[float], state_rewards: array[float], state: IntArray, width: int
+) -> list[FloatArray]:
+    """Each cost of the pairs, [pairs]: the action's reward plus its state's, of so many models."""
+    of_pairs, of_states = (np.reshape(r, (-1, width)) for r in (pair_rewards, state_rewards))
+    return [decimal_sum(*each) for each in zip(of_pairs.T, of_states[state].T, strict=True)]
 
 
 def _drn_transition(line: str, file: TextFile, n_states: int) -> tuple[int, float]:

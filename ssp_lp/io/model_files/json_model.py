@@ -241,21 +241,22 @@ def model_in_json(
     yield json.dumps(stated, ensure_ascii=False)[:-1] + ', "transitions": {'
     by_name = model.costs_by_name
 
-    def paid(outcome: int) -> Any:
+    def paid(costs: Sequence[float]) -> Any:
         """What an outcome costs: a number, or several by name, fractions in words."""
-        costs = [float(each[outcome]) for each in by_name.values()]
         told = [str(model.exact_costs.get(cost, "")) or cost for cost in costs]
         return dict(zip(by_name, told, strict=True)) if model.named_costs else told[0]
 
+    numbers = model.probabilities, model.successors, *by_name.values()
     for state, name in enumerate(names):
         rows: dict[str, list[list[Any]]] = {}
         for pair in range(int(model.pair_offsets[state]), int(model.pair_offsets[state + 1])):
             action = str(model.action_names[int(model.pair_action[pair])])
             if action in rows:
                 raise ModelError(f"two actions of state {name!r} read {action!r} as words")
+            part = slice(model.outcome_offsets[pair], model.outcome_offsets[pair + 1])
             rows[action] = [
-                [float(model.probabilities[k]), names[int(model.successors[k])], paid(k)]
-                for k in range(model.outcome_offsets[pair], model.outcome_offsets[pair + 1])
+                [chance, names[to], paid(costs)]
+                for chance, to, *costs in zip(*(n[part].tolist() for n in numbers), strict=True)
             ]
         line = json.dumps({name: rows}, ensure_ascii=False)[1:-1]
         yield ("\n" if state == 0 else ",\n") + line

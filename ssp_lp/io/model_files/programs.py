@@ -109,42 +109,10 @@ def _prism_lines(process: Exported) -> Iterator[str]:
 def _jani_program(process: Exported) -> dict[str, Any]:
     """The document of a program in JANI."""
     words, (begin,) = _program_words(process), process.labels["init"].tolist()
-    last, costs = process.pair_offsets.size - 2, process.costs
+    last = process.pair_offsets.size - 2
 
-    def among(states: list[int]) -> Any:
-        """The condition of being in one of some states, halved until it is one."""
-        if len(states) <= 1:
-            return {"op": "=", "left": "s", "right": states[0]} if states else False
-        half = len(states) // 2
-        return {"op": "∨", "left": among(states[:half]), "right": among(states[half:])}
-
-    edges = [
-        {
-            "location": "there",
-            "action": words[pair],
-            "guard": {"exp": among([state])},
-            "destinations": [
-                {
-                    "location": "there",
-                    "probability": {"exp": chance},
-                    "assignments": [
-                        {"ref": "s", "value": successor},
-                        *(
-                            {"ref": name, "value": paid}
-                            for name, paid in zip(
-                                process.cost_names, costs[pair].tolist(), strict=True
-                            )
-                            if paid
-                        ),
-                    ],
-                }
-                for successor, chance in moves
-            ],
-        }
-        for state, _, pair, moves in process.pairs()
-    ]
     labels = {name: members.tolist() for name, members in _state_sets(process)}
-    marks = [{"ref": name, "value": among(members)} for name, members in labels.items()]
+    marks = [{"ref": name, "value": _among(members)} for name, members in labels.items()]
     transient = [
         *(
             {"name": n, "type": "real", "transient": True, "initial-value": 0}
@@ -170,7 +138,7 @@ def _jani_program(process: Exported) -> dict[str, Any]:
                 "name": "states",
                 "locations": [{"name": "there", "transient-values": marks}],
                 "initial-locations": ["there"],
-                "edges": edges,
+                "edges": _jani_edges(process, words),
             }
         ],
         "system": {
@@ -179,3 +147,40 @@ def _jani_program(process: Exported) -> dict[str, Any]:
         },
         "properties": [],
     }
+
+
+def _jani_edges(process: Exported, words: list[str]) -> list[dict[str, Any]]:
+    """An edge of JANI's for each state and action."""
+    return [
+        {
+            "location": "there",
+            "action": words[pair],
+            "guard": {"exp": _among([state])},
+            "destinations": [
+                {
+                    "location": "there",
+                    "probability": {"exp": chance},
+                    "assignments": [
+                        {"ref": "s", "value": successor},
+                        *(
+                            {"ref": name, "value": paid}
+                            for name, paid in zip(
+                                process.cost_names, process.costs[pair].tolist(), strict=True
+                            )
+                            if paid
+                        ),
+                    ],
+                }
+                for successor, chance in moves
+            ],
+        }
+        for state, _, pair, moves in process.pairs()
+    ]
+
+
+def _among(states: list[int]) -> Any:
+    """The condition of being in one of some states, halved until it is one."""
+    if len(states) <= 1:
+        return {"op": "=", "left": "s", "right": states[0]} if states else False
+    half = len(states) // 2
+    return {"op": "∨", "left": _among(states[:half]), "right": _among(states[half:])}
