@@ -202,8 +202,8 @@ DEPOT = SSP.from_transitions(
 @pytest.mark.parametrize(
     ("problem", "modules", "functions"),
     [
-        (MCMP(DEPOT, "depot", 0.05), 34, 250),
-        (S3P(DEPOT, "depot", 0.05), 40, 350),
+        (MCMP(DEPOT, "depot", 0.05), 33, 245),
+        (S3P(DEPOT, "depot", 0.05), 38, 342),
         (CVaR(DEPOT, "depot", 0.9, 0.05), 50, 470),
         (MCMP(DEPOT, "depot", 0.05, constraints={"few": visits("wreck") <= 0.04}), 41, 330),
     ],

@@ -44,19 +44,11 @@ from ssp_lp.errors import Argument, InfeasibleError, ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends, goal_approach, surely_reaching
 from ssp_lp.policies.policy import DeterministicPolicy, Policy
+from ssp_lp.processes import goal_reach
 from ssp_lp.processes.conditions import FAILURE_ROW, UpperRow
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of, label_failure
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, ObjectiveSense, survival_of
-from ssp_lp.processes.goal_reach import (
-    GoalReach,
-    ReachPolicy,
-    cheapest_reach,
-    goal_directed,
-    greatest_from,
-    greatest_goal_reach,
-    least_goal_reach,
-)
 from ssp_lp.processes.rows import uniform_cost
 
 
@@ -219,7 +211,7 @@ def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> Le
             conflicting_rows=("failure",),
         )
     greatest = float(
-        compiled.start @ greatest_goal_reach(compiled.model, start=compiled.start).goal
+        compiled.start @ goal_reach.greatest_goal_reach(compiled.model, start=compiled.start).goal
     )
     real = max(1.0 - greatest, 0.0)
     nearer = ("; ", Argument("discount", None), " or a discount nearer to 1 is feasible")
@@ -263,25 +255,25 @@ class _CompiledLayered(CompiledProblem):
         """The process cut at the cap."""
 
     @cached_property
-    def greatest(self) -> GoalReach:
+    def greatest(self) -> goal_reach.GoalReach:
         """The greatest goal probability."""
-        return greatest_goal_reach(self.model, self.survival)
+        return goal_reach.greatest_goal_reach(self.model, self.survival)
 
     @cached_property
-    def safest_policy(self) -> ReachPolicy:
+    def safest_policy(self) -> goal_reach.ReachPolicy:
         """The cheapest policy of greatest goal probability."""
-        return cheapest_reach(self.model, self.greatest, self.survival)
+        return goal_reach.cheapest_reach(self.model, self.greatest, self.survival)
 
     @cached_property
-    def riskiest(self) -> tuple[GoalReach, ReachPolicy]:
+    def riskiest(self) -> tuple[goal_reach.GoalReach, goal_reach.ReachPolicy]:
         """The least goal probability and the cheapest policy that attains it (pi'_or)."""
-        least = least_goal_reach(self.model, self.survival)
-        return least, cheapest_reach(self.model, least, self.survival)
+        least = goal_reach.least_goal_reach(self.model, self.survival)
+        return least, goal_reach.cheapest_reach(self.model, least, self.survival)
 
     def _tails_of(
         self,
-        first: ReachPolicy | MomentReach,
-        last: ReachPolicy | MomentReach,
+        first: goal_reach.ReachPolicy | MomentReach,
+        last: goal_reach.ReachPolicy | MomentReach,
         greatest: FloatArray,
         least: FloatArray,
         **more: Any,
@@ -385,9 +377,9 @@ class CompiledAccumulatedCost(_CompiledLayered):
         return self.cap is None and self.fixed_cap is None and not self._has_exact_tails
 
     @cached_property
-    def _directed(self) -> ReachPolicy:
+    def _directed(self) -> goal_reach.ReachPolicy:
         """A policy that goes for the goal, for the tail beyond the accumulated cost's cap."""
-        return goal_directed(self.model, self.survival)
+        return goal_reach.goal_directed(self.model, self.survival)
 
     @cached_property
     def _guess(self) -> tuple[float, float] | None:
@@ -628,7 +620,7 @@ class CompiledArrivalCost(_CompiledLayered):
     def _first_guess(self) -> float:
         """As many layers as are surely needed, and some more where that is not enough."""
         if self.is_trial:
-            directed = goal_directed(self.model)
+            directed = goal_reach.goal_directed(self.model)
             cost, goal = float(self.start @ directed.cost), float(self.start @ directed.goal)
             return self._settled_units() + _NEARLY * cost / max(goal, 1e-300)
         goal = float(self.base.start @ self._tails.goal[0])
@@ -646,7 +638,9 @@ class CompiledArrivalCost(_CompiledLayered):
     def _tails(self) -> LayeredTails:
         """The tail policies that are followed, and charged, beyond the cap."""
         at, moments = self.base.quotient.least_over_members, self._moments
-        first: ReachPolicy | MomentReach = self.safest_policy if moments is None else moments
+        first: goal_reach.ReachPolicy | MomentReach = (
+            self.safest_policy if moments is None else moments
+        )
         last, least, least_cost = first, np.zeros(self.model.n_states), None
         if self.safest_only:
             least = self.greatest.goal * (1.0 - _LEAST)
@@ -881,7 +875,7 @@ class CompiledExplicit(CompiledProblem):
     def _least_failure_alone(self) -> float:
         """The least failure probability, worked out when the error is asked for it."""
         with limited(READING, "the least failure probability was worked out"):
-            return max(1.0 - greatest_from(self.model, self.start), 0.0)
+            return max(1.0 - goal_reach.greatest_from(self.model, self.start), 0.0)
 
     def settled(self) -> CompiledExplicit:
         """The same at least failure, where the budget does not exceed that.
@@ -905,9 +899,9 @@ class CompiledExplicit(CompiledProblem):
         return float(self.start @ np.maximum(reach.goal, reach.bound))
 
     @cached_property
-    def greatest(self) -> GoalReach:
+    def greatest(self) -> goal_reach.GoalReach:
         """The greatest goal probability from the start, and the pairs that attain it."""
-        return greatest_goal_reach(self.model, self.survival, self.start)
+        return goal_reach.greatest_goal_reach(self.model, self.survival, self.start)
 
     @cached_property
     def least_goal(self) -> float:
@@ -920,7 +914,7 @@ class CompiledExplicit(CompiledProblem):
         """A goal probability that every policy that counts attains, [states]."""
         if self.budget is None:
             return self.greatest.goal * (1.0 - ATTAINABLE)
-        return least_goal_reach(self.model, self.survival).bound
+        return goal_reach.least_goal_reach(self.model, self.survival).bound
 
     @cached_property
     def augmented(self) -> FailureLabelled | written_out.OpenEnded:
@@ -1009,7 +1003,7 @@ class CompiledExplicit(CompiledProblem):
     @cached_property
     def typical_cost(self) -> float:
         """The cost given success of the policy that fails least."""
-        safest = cheapest_reach(self.model, self.greatest, self.survival)
+        safest = goal_reach.cheapest_reach(self.model, self.greatest, self.survival)
         return float(self.start @ safest.cost) / max(float(self.start @ safest.goal), 1e-300)
 
     @cached_property

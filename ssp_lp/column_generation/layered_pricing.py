@@ -23,15 +23,8 @@ from ssp_lp.accumulated_cost.sweep import KEPT_VALUES, PartOfSweep, Sweep
 from ssp_lp.accumulated_cost.totals import Window
 from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import MACHINE_EPSILON, TIED, FloatArray, IntArray, least_integer_type, weighted
+from ssp_lp.column_generation import explicit_pricing
 from ssp_lp.column_generation.column import Column, PricingProblem, Proof, required
-from ssp_lp.column_generation.explicit_pricing import (
-    LOST,
-    ExplicitPricing,
-    less_paid,
-    pricing_rounding,
-    pricing_weights,
-    rest_of,
-)
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming import bellman
 from ssp_lp.dynamic_programming.dual_bound import DualBound
@@ -212,10 +205,10 @@ class OpenEndedPricing(PricingProblem):
         return ((self.augmented.cap + 1) * self.augmented.n_nodes + 1,)
 
     @cached_property
-    def _beyond(self) -> ExplicitPricing:
+    def _beyond(self) -> explicit_pricing.ExplicitPricing:
         """The pricing problem of what lies beyond the cap."""
         rows = tuple(row for row, _ in self.rows)
-        return ExplicitPricing(self.augmented.beyond, self.precise, rows)
+        return explicit_pricing.ExplicitPricing(self.augmented.beyond, self.precise, rows)
 
     @cached_property
     def _counted(self) -> FloatArray:
@@ -241,7 +234,7 @@ class OpenEndedPricing(PricingProblem):
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
         """A policy of least priced cost, measured exactly."""
-        weights, base = pricing_weights(price), self.augmented.base
+        weights, base = explicit_pricing.pricing_weights(price), self.augmented.base
         owed = self._counted @ weights[1:]
         last = self._beyond.minimise(weights, *map(self._last, warm))
         values = self._window(weighted(required(last.totals), weights))
@@ -311,15 +304,17 @@ class OpenEndedPricing(PricingProblem):
         Raises:
             ModelError: values of another shape.
         """
-        weights = pricing_weights(price)
+        weights = explicit_pricing.pricing_weights(price)
         owed, at_source = self._counted @ weights[1:], float(self._at_source @ weights)
-        lost = pricing_rounding(self._counted, weights[1:]) * owed
+        lost = explicit_pricing.pricing_rounding(self._counted, weights[1:]) * owed
 
         def priced(layer: int) -> FloatArray:
             """Priced costs of a layer's pairs, rounded down, [pairs]."""
             cost = weights[0] * self._cost_from(layer)
             both = (cost != 0.0) & (owed != 0.0)
-            return np.asarray(cost + owed - (lost + both * LOST * (np.abs(cost) + owed)))
+            return np.asarray(
+                cost + owed - (lost + both * explicit_pricing.LOST * (np.abs(cost) + owed))
+            )
 
         last = self._beyond.lowered(weights, self._asked_beyond(values, weights))
         bound, kept = self._lowered(last, priced, values, at_source)
@@ -338,16 +333,18 @@ class OpenEndedPricing(PricingProblem):
         begun, earned_at_once = float(self._at_source @ weights), ratio * base.start_goal
         shift = self.augmented.shift_of_ends[1]
         summed = begun + shift + earned_at_once
-        at_source = begun - shift - earned_at_once - LOST * summed
+        at_source = begun - shift - earned_at_once - explicit_pricing.LOST * summed
 
         def left(layer: int) -> FloatArray:
             """What a layer's pairs cost beside what is paid on ending, rounded down, [pairs]."""
             own = self.augmented.own_cost_from(layer)
-            return rest_of(own, own + owed, earned)
+            return explicit_pricing.rest_of(own, own + owed, earned)
 
         values_beyond = self._asked_beyond(values, counted)
         last = self._beyond.lowered_less(weights, ratio, paid, values_beyond)
-        return self._lowered(last, left, less_paid(values, paid), at_source, -paid)[0]
+        return self._lowered(
+            last, left, explicit_pricing.less_paid(values, paid), at_source, -paid
+        )[0]
 
     def _asked_beyond(self, values: FloatArray, weights: FloatArray) -> FloatArray:
         """The values beyond the cap; where they ask for the best, those of the best policy."""

@@ -54,15 +54,7 @@ from ssp_lp.column_generation.compiled_problem import CompiledProblem, LeastFail
 from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
 from ssp_lp.column_generation.layered_pricing import OpenEndedPricing
 from ssp_lp.column_generation.restricted_master import MasterOptimum, solve_master
-from ssp_lp.compiled.deadline import (
-    Stop,
-    WithIncumbent,
-    closing,
-    has_answer,
-    has_time_for,
-    is_late,
-    is_limited,
-)
+from ssp_lp.compiled import deadline
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
@@ -123,9 +115,9 @@ def generate(rule: Secant | StabilisedMaster, options: SolveOptions) -> Generate
         options: tolerance, deadline, and who is told after each pricing call.
     """
     begun, finished = rule.calls, False
-    with WithIncumbent():
+    with deadline.WithIncumbent():
         for _ in range(rule.most_rounds):
-            if rule.calls > begun and is_late():
+            if rule.calls > begun and deadline.is_late():
                 break
             column = rule.seek(options.tolerance)
             report = None if column is None else rule.report()
@@ -233,9 +225,9 @@ class Secant:
     def concluded(self, tolerance: float, *, finished: bool) -> Generated:
         """The lottery of both ends, and a certified bound at the slope."""
         row, price, last = self.row, self.slope, self.last or self.inside
-        if self.outside is not None and has_time_for(self.took):
+        if self.outside is not None and deadline.has_time_for(self.took):
             # with the tails of this price, if one is still on each side of the budget
-            with WithIncumbent(), closing():
+            with deadline.WithIncumbent(), deadline.closing():
                 both = [self.pricing.aligned(c, price) for c in (self.inside, self.outside)]
                 if row.breaks(both[1]) and not row.breaks(both[0]):
                     self.inside, self.outside = both
@@ -264,9 +256,13 @@ class Secant:
             began: when its pricing began, on the clock of ``time.perf_counter``.
         """
         now = time.perf_counter()
-        if not is_limited() or now - began < _LONG or self._spent > _SHARE * (now - self._since):
+        if (
+            not deadline.is_limited()
+            or now - began < _LONG
+            or self._spent > _SHARE * (now - self._since)
+        ):
             return
-        with WithIncumbent():
+        with deadline.WithIncumbent():
             proof, bound = self.pricing.prove(price, best), self.row.lower_bound
             if self.proof is None or bound(proof) > bound(self.proof):
                 self.proof = proof
@@ -277,9 +273,9 @@ class Secant:
 
         The values of a trivial bound ask a certificate for the best that can be had.
         """
-        with WithIncumbent():
-            if has_time_for(self.took):
-                with closing():
+        with deadline.WithIncumbent():
+            if deadline.has_time_for(self.took):
+                with deadline.closing():
                     return self.pricing.prove(price, best, slack=slack)
         return self.proof or Proof(price, price, -np.inf, self.pricing.anything)
 
@@ -323,7 +319,7 @@ def columns_by_pricing(
         None where no column that keeps to the budget was found.
     """
     last, doing = None, "the process was still being built"
-    with WithIncumbent() as search:
+    with deadline.WithIncumbent() as search:
         pricing = compiled.pricing()
         doing = "the totals of a first policy were being worked out"
         if guess is None:
@@ -333,13 +329,13 @@ def columns_by_pricing(
         else:
             price = guess.price
     if search.stop:
-        raise Stop(told=doing) from search.stop
+        raise deadline.Stop(told=doing) from search.stop
     steps = _STEPS if guess is None else tuple(guess.spread * step for step in _HINTED_STEPS)
     one_sided = price == 0.0 or (guess is not None and guess.slack)
     inside: Column | None = None
     outside: Column | None = None
     work, calls, began, took = Work(), 0, time.perf_counter(), 0.0
-    with WithIncumbent() as search:
+    with deadline.WithIncumbent() as search:
         for step in (*steps, None):
             began = time.perf_counter()
             last, calls = pricing.minimise(price, last, inside, outside), calls + 1
@@ -349,10 +345,10 @@ def columns_by_pricing(
                 outside = last
             elif value < np.inf:
                 inside = last
-                has_answer(by_itself=True)
+                deadline.has_answer(by_itself=True)
             if options.progress is not None:
                 options.progress(calls, price, value if last is inside else np.inf)
-            enough = one_sided or outside is not None or is_late()
+            enough = one_sided or outside is not None or deadline.is_late()
             if step is None or (inside is not None and enough):
                 break
             size, failure = 1.0 + step, last.failure
@@ -392,14 +388,16 @@ def _initial_column_within(
         return is_policy and has_worth and not row.breaks(column)
 
     columns = [column for column in candidates if column is not None]
-    with WithIncumbent(), closing():
+    with deadline.WithIncumbent(), deadline.closing():
         if not any(map(is_answer, columns)):
-            reached = pricing.incumbent(stop.choice) if isinstance(stop, Stop) else None
+            reached = pricing.incumbent(stop.choice) if isinstance(stop, deadline.Stop) else None
             columns.append(pricing.first() if reached is None else reached)
     answers = list(filter(is_answer, columns))
     if not answers:
         least = min((column.failure for column in columns), default=1.0)
-        raise Stop(told=f"the safest policy known by then fails with {least:.6g}") from stop
+        raise deadline.Stop(
+            told=f"the safest policy known by then fails with {least:.6g}"
+        ) from stop
     return min(answers, key=lambda column: row.objective(column.cost, column.goal))
 
 

@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ssp_lp import options
 from ssp_lp.analysis.evaluation import Evaluation
 from ssp_lp.errors import Argument, ModelError
 from ssp_lp.game.optimum import checked_setting
@@ -34,14 +35,6 @@ from ssp_lp.methods.rounding import (
     solve_on_split_costs,
 )
 from ssp_lp.methods.rows import prove_limits, solve_constrained
-from ssp_lp.options import (
-    ColumnGeneration,
-    DeterministicPolicies,
-    Game,
-    LinearProgramming,
-    Method,
-    SolveOptions,
-)
 from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.problem import Problem, Requirements, TotalScale, conditions_of, requirements
 from ssp_lp.processes.failure_semantics import Aim
@@ -81,7 +74,7 @@ class _Approach:
     """How some problems are solved, and how an answer is proved from the model alone."""
 
     answers: Callable[[Case], bool]
-    solve: Callable[[Problem, SolveOptions], Solution]
+    solve: Callable[[Problem, options.SolveOptions], Solution]
     prove: Callable[[Solution, Evaluation, float], Proved]
     """Of a solution, what its policy attains, and the least failure of its members."""
     afresh: bool = False  # whether the proof needs nothing of what the solution claims
@@ -117,17 +110,17 @@ def approach_to(case: Case) -> _Approach:
     return next(approach for approach in APPROACHES if approach.answers(case))
 
 
-def refusal(problem: Problem, method: Method) -> ModelError | None:
+def refusal(problem: Problem, method: options.Method) -> ModelError | None:
     """Why a method does not answer a problem; None: it does."""
-    if isinstance(method, ColumnGeneration | LinearProgramming):
+    if isinstance(method, options.ColumnGeneration | options.LinearProgramming):
         return None  # a budget of a share is not worked out for it
     asks, named = requirements(problem), Argument("method", method.name)
     name = f"{type(problem).__name__}{' with limits' if conditions_of(problem) else ''}"
-    if isinstance(method, DeterministicPolicies) and (
+    if isinstance(method, options.DeterministicPolicies) and (
         asks.several_rows or asks.totals is TotalScale.SUMS or asks.measure is not None
     ):
         return ModelError(named, f" is not available for {name}")
-    if not isinstance(method, Game):
+    if not isinstance(method, options.Game):
         return None
     if asks.rows:
         return ModelError(named, f" knows one row only, not {name}: take 'columns' or 'lp'")

@@ -29,7 +29,6 @@ from ssp_lp.errors import ModelError
 from ssp_lp.methods.deterministic import best_deterministic
 from ssp_lp.methods.full_program import check_agreement, solve_program
 from ssp_lp.methods.refinement import Proved, refine
-from ssp_lp.methods.rows import lagrange_bound
 from ssp_lp.options import Game, SolveOptions
 from ssp_lp.policies import DeterministicPolicy, MixedPolicy
 from ssp_lp.policies.cost_aware import levels_of
@@ -170,9 +169,7 @@ def prove_least_failure(solution: Solution, evaluation: Evaluation, _: float) ->
         for steps in _STEEP_PRICES:
             price = steps * max(evaluation.objective, 1.0)
             column = pricing.minimise(price, column)
-            priced = lagrange_bound(
-                pricing.prove(price, column).bound, np.array([price]), np.array([allowed])
-            )
+            priced = FailureRow(allowed, ratio=False).lower_bound(pricing.prove(price, column))
             if relative_gap(evaluation.objective, priced) <= RELATIVE_GAP:
                 bound = priced
                 break

@@ -39,7 +39,6 @@ from typing import TYPE_CHECKING, cast
 import highspy
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse import csgraph
 
 from ssp_lp.accumulated_cost.process import LayeredProcess
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
@@ -53,6 +52,7 @@ from ssp_lp.compiled.deadline import WithIncumbent, is_late
 from ssp_lp.errors import Argument, ModelError, SolverError
 from ssp_lp.linear_programming.highs import HighsOptions, highs_lp, highs_solver, run_highs
 from ssp_lp.linear_programming.linear_program import LinearProgram
+from ssp_lp.model.graph import reached_along
 from ssp_lp.policies.policy import as_lottery
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.explicit import ExplicitProcess
@@ -295,9 +295,10 @@ class _DeterministicRelaxation:
         process = self.process
         chain = sp.csr_array(process.transitions[choice])
         chain.eliminate_zeros()
-        reached = within_reach(chain, process.start > 0)
+        back, start = sp.csr_array(chain.T), np.flatnonzero(process.start > 0)
+        reached = reached_along(chain.indices, chain.indptr, start)
         leaks = process.goal[choice] + process.failure[choice] > 0
-        leaves = within_reach(sp.csr_array(chain.T), leaks)
+        leaves = reached_along(back.indices, back.indptr, np.flatnonzero(leaks))
         if (reached & ~leaves).any():
             return None, reached
         return np.where(reached, choice, self.fallback), reached
@@ -352,7 +353,7 @@ def deterministic_relaxation(compiled: CompiledProblem, price: float) -> _Determ
         compiled=exact,
         process=process,
         relaxed=relaxed,
-        may_randomise=free & within_reach(steps_between(process), process.start > 0),
+        may_randomise=free & _reached_states(process),
         fallback=exact.explicit_choice(exact.pricing().minimise(price)),
         measure=measure,
     )
@@ -384,27 +385,10 @@ def _merged_nodes(quotient: Quotient) -> BoolArray:
     return np.asarray(members > 1)
 
 
-def within_reach(steps: sp.csr_array, start: BoolArray) -> BoolArray:
-    """States to which a path leads, the first ones included, [states]."""
-    n = len(start)
-    first = sp.csr_array(start.astype(np.float64)[None, :])
-    below = sp.vstack([steps, first])
-    graph = sp.csr_array(sp.hstack([below, sp.csr_array((n + 1, 1))]))
-    order = csgraph.breadth_first_order(graph, n, return_predecessors=False)
-    reached = np.zeros(n + 1, dtype=np.bool_)
-    reached[order] = True
-    return reached[:n]
-
-
-def steps_between(process: ExplicitProcess) -> sp.csr_array:
-    """Steps between states of a process, by whatever pair, [states, states]."""
-    of_state = sp.csr_array(
-        (np.ones(process.n_pairs), np.arange(process.n_pairs), process.pair_offsets),
-        shape=(process.n_states, process.n_pairs),
-    )
-    graph = sp.csr_array(of_state @ process.transitions)
-    graph.eliminate_zeros()
-    return graph
+def _reached_states(process: ExplicitProcess) -> BoolArray:
+    """States of a process to which a path leads from its start, [states]."""
+    rows, start = process.transitions, np.flatnonzero(process.start > 0)
+    return reached_along(rows.indices, rows.indptr[process.pair_offsets], start)
 
 
 _LEAST_GAP = 1e-10
@@ -555,11 +539,10 @@ def most_visits(
     Raises:
         SolverError: a program has no optimum.
     """
-    steps = steps_between(process)
-    reached = within_reach(steps, process.start > 0)
+    rows, reached = process.transitions, _reached_states(process)
+    waits = rows.indices == np.repeat(process.pair_state, np.diff(rows.indptr))
     once = float(process.start.sum()) * (1.0 + _MARGIN)
-    n_parts, _ = csgraph.connected_components(steps, directed=True, connection="strong")
-    if n_parts == process.n_states and not steps.diagonal().any():
+    if process.dynamics.components.largest <= 1 and not waits.any():
         return np.where(reached, once, 0.0)
     room = most + _ROOM * (1.0 + abs(most))
     limits = {

@@ -80,9 +80,8 @@ class Quotient:
             per_pair: [model pairs].
             give_up: value of the pairs that give up: a number, or one per node.
         """
-        if isinstance(give_up, float):
-            return np.where(self.pair_at >= 0, per_pair[self.pair_at], give_up)
-        return np.where(self.pair_at >= 0, per_pair[self.pair_at], give_up[self.pair_node])
+        given_up = give_up if isinstance(give_up, float) else give_up[self.pair_node]
+        return np.where(self.pair_at >= 0, per_pair[self.pair_at], given_up)
 
     @property
     def gives_up(self) -> BoolArray:
@@ -182,22 +181,15 @@ class Quotient:
 
             place_layers(choice, unsigned(first), self.pair_at, offsets, self.node_of, found)
             return found
-        place = self.pair_at - offsets[model.pair_state[np.maximum(self.pair_at, 0)]]
-        place = np.where(self.pair_at < 0, self.pair_at, place).astype(found.dtype)
         live, several = (self.node_of >= 0).nonzero()[0], max(_TOGETHER // max(len(offsets), 1), 1)
-        nodes, own = self.node_of[live], self.pair_offsets[:-1]
-        table = place[None, :0]
-        if self.merged.any():  # its members' ways depend on the pair of the node alone: each once
-            most = int(np.diff(self.pair_offsets).max())
-            last = self.pair_offsets[1:] - 1
-            pairs = np.stack([self.pull_back(np.minimum(own + k, last)) for k in range(most)])
-            table = np.where(pairs < 0, pairs, pairs - offsets)[:, live].astype(found.dtype)
+        nodes, own, last = self.node_of[live], self.pair_offsets[:-1], self.pair_offsets[1:] - 1
+        # the ways of a node's members depend on its pair alone: each once
+        most = int(np.diff(self.pair_offsets).max(initial=1))
+        pairs = np.stack([self.pull_back(np.minimum(own + k, last)) for k in range(most)])
+        table = np.where(pairs < 0, pairs, pairs - offsets)[:, live].astype(found.dtype)
         for begin in range(0, len(choice), several):
-            pairs = (first + choice[begin : begin + several])[:, nodes]
-            ways = place[pairs]
-            if table.size:
-                ways = table[pairs - own[nodes], np.arange(len(live))]
-            found[begin : begin + several, live] = ways
+            taken = (first + choice[begin : begin + several])[:, nodes] - own[nodes]
+            found[begin : begin + several, live] = table[taken, np.arange(len(live))]
         return found
 
     def pull_back(self, choice: IntArray) -> IntArray:
