@@ -116,7 +116,7 @@ class LiveChain:
         return cls(start, ahead[0], ahead[1], ahead[2, :-1], source, target, probability, paid)
 
 
-class FreeChainMoves:
+class _FreeMoves:
     """What moves on at no cost before anything is paid: each layer is a chain of its own."""
 
     def __init__(self, live: LiveChain, free: BoolArray) -> None:
@@ -191,14 +191,14 @@ class _LayerPower(NamedTuple):
         return _LayerPower(self.onward @ self.onward, lands, leaves).scaled()
 
 
-class LayerPowers:
+class _LayerPowers:
     """Powers of two of one layer's transition, squared when they are first needed. Mutable.
 
     Mass waits at places: at a node, some layers ahead. Those of a node follow each other.
     """
 
     def __init__(
-        self, onward: sp.csr_array, lost: FloatArray, free: FreeChainMoves | None = None
+        self, onward: sp.csr_array, lost: FloatArray, free: _FreeMoves | None = None
     ) -> None:
         """Find the places to which moves lead; each node has one without delay.
 
@@ -352,7 +352,7 @@ class Arrivals:
         self._live, self._size = live, len(live.start)
         goal = self._size - 1
         free = np.asarray(steps == 0, dtype=np.bool_) & (live.target != goal)
-        self._free = FreeChainMoves(live, free) if free.any() else None
+        self._free = _FreeMoves(live, free) if free.any() else None
         onward = live.source[~free], (block * self._size + live.target)[~free]
         shape = goal, (int(block.max(initial=0)) + 1) * self._size
         self._onward = sp.csr_array((live.probability[~free], onward), shape=shape)
@@ -464,9 +464,9 @@ class Arrivals:
         return float(goal.sum()), float(cost.sum())
 
     @cached_property
-    def _powers(self) -> LayerPowers:
+    def _powers(self) -> _LayerPowers:
         """Of the transition of one layer, between the places where mass that will arrive waits."""
-        return LayerPowers(self._onward, self._live.lost, self._free)
+        return _LayerPowers(self._onward, self._live.lost, self._free)
 
     def _here(self) -> FloatArray:
         """What waits before the first layer that is not settled, [places]."""

@@ -245,7 +245,7 @@ class Sweep:
 
     def follow(self, choice: IntArray, tail_price: float) -> FloatArray:
         """Charge, failure and goal of a choice from the start on, [3], by its mass forwards."""
-        process, mass = self.process, LayerMass(self.process.base, self.process.totals)
+        process, mass = self.process, _LayerMass(self.process.base, self.process.totals)
         sums = [mass.follow(choice[k], process.charged(k)).tolist() for k in range(process.cap)]
         beyond = process.beyond(tail_price)
         sums.append([float((mass.left[: len(each)] * each).sum()) for each in beyond])
@@ -253,7 +253,7 @@ class Sweep:
 
     def mass_beyond(self, choice: IntArray) -> FloatArray:
         """The mass with which a choice gets beyond the cap, [layers beyond, nodes] at least."""
-        base, mass = self.process.base, LayerMass(self.process.base, self.process.totals)
+        base, mass = self.process.base, _LayerMass(self.process.base, self.process.totals)
         for chosen in choice:
             mass.follow(chosen, PairCost(base.gain_cost))
         return mass.left
@@ -487,7 +487,7 @@ def follow_rule(
     Returns:
         None where nothing is seen to arrive, or much is still on its way by then.
     """
-    mass, sums = LayerMass(base, base.totals(0)), np.zeros(3)
+    mass, sums = _LayerMass(base, base.totals(0)), np.zeros(3)
     for layer in range(most_layers):
         mass.here[mass.here < _DROPPED] = 0.0
         sums += mass.follow(rule, PairCost(base.gain_cost, base.gain, layer * base.unit))
@@ -496,7 +496,7 @@ def follow_rule(
     return None
 
 
-class LayerMass:
+class _LayerMass:
     """The mass of a layer and of those that its steps lead to. Mutable: layer after layer."""
 
     def __init__(self, base: AccumulatedCost, totals: Totals) -> None:

@@ -152,7 +152,7 @@ def evaluate_each(
     return replace(evaluation, objective=measure.of(law)), each
 
 
-def _evaluation_of(sums: Measures, problem: Problem) -> Evaluation:
+def _evaluation_of(sums: _Measures, problem: Problem) -> Evaluation:
     """The evaluation that measures of a policy make."""
     discounted = problem.discount is not None
     failure, surrogate = sums.failure, sums.discounted_failure
@@ -182,7 +182,7 @@ def _evaluation_of(sums: Measures, problem: Problem) -> Evaluation:
     )
 
 
-def _evaluated_measures(chain: Chain, problem: Problem, *, declared: bool = False) -> Measures:
+def _evaluated_measures(chain: Chain, problem: Problem, *, declared: bool = False) -> _Measures:
     """The measures that an evaluation needs, on a policy's chain."""
     hopeful = reaching_in_chain(chain, chain.goal > 0)
     counted = counted_nodes(chain, hopeful, problem, declared=declared)
@@ -256,14 +256,14 @@ def _measures_of(
     totals: Sequence[Sequence[float]],
     ends: FloatArray,
     secondary: Mapping[str, float],
-) -> Measures:
+) -> _Measures:
     """The measures of totals by discount, [discounts, 4], and of ways to end, [ways]."""
     first, last = totals[0], totals[-1]
     goal, failure = _both_measures(first[GOAL], first[FAILED])
     kept, surrogate = _both_measures(last[GOAL], last[FAILED])
     names = ["goal", *problem.model.state_labels, "dead_end", "gave_up"]
     shares = dict(zip(names, ends.tolist(), strict=True))
-    return Measures(
+    return _Measures(
         goal=goal,
         failure=failure,
         success_cost=first[SUCCESS_COST],
@@ -394,7 +394,7 @@ def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> Stoch
 
 
 @dataclass(frozen=True)
-class Measures:
+class _Measures:
     """Quantities of a policy that are linear in the start lottery."""
 
     goal: float
@@ -409,16 +409,16 @@ class Measures:
     after_failing: float | None = None  # None: runs are over by failing
 
 
-def mean_of(parts: list[Measures], weights: FloatArray) -> Measures:
+def mean_of(parts: list[_Measures], weights: FloatArray) -> _Measures:
     """Mean of measures over a lottery; an infinite cost of weight 0 does not count."""
     used = [(p, float(w)) for p, w in zip(parts, weights, strict=True) if w > 0]
     scalars = {
         f.name: sum(w * getattr(p, f.name) for p, w in used)
-        for f in fields(Measures)
+        for f in fields(_Measures)
         if f.name not in ("ends", "secondary") and getattr(used[0][0], f.name) is not None
     }
     names = list(dict.fromkeys(name for p, _ in used for name in p.ends))
-    return Measures(
+    return _Measures(
         **scalars,
         ends={n: sum(w * p.ends.get(n, 0.0) for p, w in used) for n in names},
         secondary={n: sum(w * p.secondary[n] for p, w in used) for n in used[0][0].secondary},
@@ -427,7 +427,7 @@ def mean_of(parts: list[Measures], weights: FloatArray) -> Measures:
 
 def layered_measures(
     policy: Policy, problem: Problem, start: FloatArray, least_nodes: int = LARGE
-) -> Measures | None:
+) -> _Measures | None:
     """The measures of a policy; None where its chain is to be written out.
 
     That is where it is small, where the policy remembers something else than its cost, where
@@ -449,46 +449,44 @@ def layered_measures(
     hopeful, costs = hopeful_layers(moves)[0], _LayerCosts.of(problem)
     waiting = np.zeros((moves.room, model.n_states, 3 * len(survivals)))
     waiting[0, :, ::3] = start[:, None]
-    parts = []
+    stopped = np.zeros((2, model.n_states))  # what ends in each state, and what gives up there
+    ends, parts = np.zeros(len(model.state_labels) + 3), list[list[list[float]]]()
     for layer, here, pairs, visits in moves.follow(waiting, survivals, hopeful):
-        quits = (pairs == GIVE_UP_CODE) & np.isinf(costs.charge[here])
-        if quits.any() or (pairs == UNDECIDED).any():
+        hopes, quits = hopeful[layer, here], pairs == GIVE_UP_CODE
+        if (quits & np.isinf(costs.charge[here])).any() or (pairs == UNDECIDED).any():
             return None
-        where = here, pairs, hopeful[layer, here]
-        totals = [
-            costs.totals(*where, visits[:, 3 * k : 3 * k + 3], survival)
-            for k, survival in enumerate(survivals)
-        ]
-        parts.append([*(total for each in totals for total in each), *costs.ends(*where, visits)])
+        stopped[quits.astype(np.int64), here] += np.where(hopes, visits[:, 0], visits[:, 2])
+        each = zip(np.split(visits, len(survivals), axis=1), survivals, strict=True)
+        parts.append(
+            [costs.totals(here, pairs, hopes, block, survival) for block, survival in each]
+        )
     try:
         for tail, mass in landed_chains(moves, waiting):
-            parts.append(_landed_totals(tail, mass, problem, survivals))
+            parts.append(_landed_totals(tail, mass, problem))
+            ends += _evaluated_ends(tail, mass[:, 0] + mass[:, 2])
     except ModelError:
         return None
-    sums = [fsum(part) for part in zip(*parts, strict=True)]
-    several = 4 * len(survivals)
-    totals = [sums[k : k + 4] for k in range(0, several, 4)]
-    if problem.semantics.forbids_failing and totals[0][FAILED] > 0.0:
-        for each in totals:
-            each[STOPPED] = float("inf")
-    return _measures_of(problem, totals, np.array(sums[several:]), {})
+    marks = np.stack([end_marks(model), stop_marks(model)])
+    over = marks >= 0
+    ends += np.bincount(marks[over], weights=stopped[over], minlength=ends.size)
+    totals = np.apply_along_axis(fsum, 0, np.array(parts))
+    if problem.semantics.forbids_failing and totals[0, FAILED] > 0.0:
+        totals[:, STOPPED] = np.inf
+    return _measures_of(problem, totals.tolist(), ends, {})
 
 
-def _landed_totals(
-    chain: Chain, mass: FloatArray, problem: Problem, survivals: Sequence[float]
-) -> list[float]:
-    """The totals of mass that goes on by a tail's chain, and its ways to end.
+def _landed_totals(chain: Chain, mass: FloatArray, problem: Problem) -> list[list[float]]:
+    """The totals of mass that goes on by a tail's chain, [discounts, 4].
 
     Raises:
         ModelError: the tail gives up where it may not.
     """
-    hopeful = reaching_in_chain(chain, chain.goal > 0)
+    hopeful, survivals = reaching_in_chain(chain, chain.goal > 0), _survivals(problem)
     check_giving_up(chain, problem.semantics, free_in_everything(problem))
-    totals = list[float]()
-    for k, survival in enumerate(survivals):
-        own = mass[:, 3 * k : 3 * k + 3]
-        totals += _chain_totals(chain, hopeful, hopeful, problem, survival, own)
-    return [*totals, *_evaluated_ends(chain, mass[:, 0] + mass[:, 2])]
+    return [
+        _chain_totals(chain, hopeful, hopeful, problem, survival, block)
+        for block, survival in zip(np.split(mass, len(survivals), axis=1), survivals, strict=True)
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -499,7 +497,6 @@ class _LayerCosts:
     stage: FloatArray  # [pairs]
     charge: FloatArray  # [states] of giving up, infinite where that is not allowed
     stopping: FloatArray  # [states] what failing there costs
-    marks: IntArray  # [2, states] as of ``end_marks``; and where the policy gives up
     goes_on: bool  # costs go on where the goal is lost, until a dead-end is entered
 
     @classmethod
@@ -509,9 +506,8 @@ class _LayerCosts:
         charge = state_give_up_charges(model, semantics)
         entering = dead_end_charges(model, dead, semantics)
         stopping = np.where(dead, entering, np.where(np.isinf(charge), 0.0, charge))
-        marks = np.stack([end_marks(model), stop_marks(model)])
         goes_on = semantics.give_up is GiveUp.DEAD_ENDS
-        return cls(model, cost_means(model), charge, stopping, marks, goes_on)
+        return cls(model, cost_means(model), charge, stopping, goes_on)
 
     def totals(
         self, here: IntArray, pairs: IntArray, hopes: BoolArray, visits: FloatArray, survival: float
@@ -536,15 +532,6 @@ class _LayerCosts:
         )
         stopped = mass @ (hopes * cost) + after
         return [mass[at_goal].sum(), failed, paid[at_goal].sum() / survival, stopped]
-
-    def ends(
-        self, here: IntArray, pairs: IntArray, hopes: BoolArray, visits: FloatArray
-    ) -> list[float]:
-        """What ends in a layer in each way, as of ``end_marks``, [ways]."""
-        marks = self.marks[(pairs == GIVE_UP_CODE).astype(np.int64), here]
-        over, mass = marks >= 0, np.where(hopes, visits[:, 0], visits[:, 2])
-        ways = len(self.model.state_labels) + 3
-        return list(np.bincount(marks[over], weights=mass[over], minlength=ways))
 
 
 def _both_measures(goal: float, failure: float) -> tuple[float, float]:

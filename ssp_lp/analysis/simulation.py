@@ -188,46 +188,31 @@ class ModelSimulator:
 
 
 @dataclass(frozen=True, eq=False)
-class _CountingSimulator:
-    """A world of the original's states as one of (state, steps taken)."""
+class _ProductSimulator:
+    """A world of the original's states as one of (state, steps taken) or (state, label of failing)."""
 
     inner: Simulator
-    horizon: HorizonSSP
+    product: HorizonSSP | FailureSSP
 
     def reset(self, episodes: int, rng: np.random.Generator) -> tuple[World, IntArray]:
-        """Begin episodes, no step taken."""
+        """Begin episodes, no step taken, none of which has failed."""
         world, state = self.inner.reset(episodes, rng)
-        return world, self.horizon.positions[state, 0]
+        if isinstance(self.product, HorizonSSP):
+            state = self.product.positions[state, 0]
+        return world, state
 
     def step(
         self, world: World, pair: IntArray, rng: np.random.Generator
     ) -> tuple[World, IntArray, FloatArray]:
-        """Take one step in the world, and count it."""
-        horizon = self.horizon
-        moved, state, cost = self.inner.step(world, horizon.original_pair[pair], rng)
-        _check_simulated_states(horizon.original, state)
-        return moved, horizon.stepped(horizon.pair_state[pair], state), cost
-
-
-@dataclass(frozen=True, eq=False)
-class _LabellingSimulator:
-    """A world of the original's states as one of (state, label of failing)."""
-
-    inner: Simulator
-    product: FailureSSP
-
-    def reset(self, episodes: int, rng: np.random.Generator) -> tuple[World, IntArray]:
-        """Begin episodes, none of which has failed."""
-        return self.inner.reset(episodes, rng)
-
-    def step(
-        self, world: World, pair: IntArray, rng: np.random.Generator
-    ) -> tuple[World, IntArray, FloatArray]:
-        """Take one step in the world, and move the label."""
+        """Take one step in the world, and count it, or move the label."""
         product = self.product
         moved, state, cost = self.inner.step(world, product.original_pair[pair], rng)
         _check_simulated_states(product.original, state)
-        return moved, product.moved(pair, state), cost
+        if isinstance(product, HorizonSSP):
+            there = product.stepped(product.pair_state[pair], state)
+        else:
+            there = product.moved(pair, state)
+        return moved, there, cost
 
 
 def _on_products(simulator: Simulator, model: SSP, stated: SSP) -> Simulator:
@@ -235,9 +220,10 @@ def _on_products(simulator: Simulator, model: SSP, stated: SSP) -> Simulator:
     if model is stated or not isinstance(model, ProductSSP):
         return simulator
     inner = _on_products(simulator, model.original, stated)
-    if (label := model.failure_label) is not None:
-        return _LabellingSimulator(inner, label)
-    return _CountingSimulator(inner, model) if isinstance(model, HorizonSSP) else inner
+    product = model if model.failure_label is None else model.failure_label
+    if not isinstance(product, HorizonSSP | FailureSSP):
+        return inner
+    return _ProductSimulator(inner, product)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -322,7 +308,10 @@ def simulate(
     Raises:
         ModelError: wrong arguments, or a state in which the policy has no decision.
     """
-    _check_simulation(episodes, max_steps, record, confidence)
+    check_between_0_and_1("confidence", confidence, as_percentage(confidence))
+    check_whole("episodes", episodes, most=MOST_EPISODES)
+    check_whole("max_steps", max_steps)
+    check_whole("record", record, 0)
     played_by, asked = on_one_model(policy, problem, "simulate")
     if isinstance(simulator, WorldSimulator):
         simulator.check_model(problem.model)
@@ -336,14 +325,6 @@ def simulate(
         report = _simulation_report(asked, played, float(confidence), max_steps)
         _LOG.info("%r", report)
     return report
-
-
-def _check_simulation(episodes: int, max_steps: int, record: int, confidence: float) -> None:
-    """Raise :class:`ModelError` for numbers that are none, or out of range."""
-    check_between_0_and_1("confidence", confidence, as_percentage(confidence))
-    check_whole("episodes", episodes, most=MOST_EPISODES)
-    check_whole("max_steps", max_steps)
-    check_whole("record", record, 0)
 
 
 @dataclass(frozen=True, eq=False)
