@@ -21,6 +21,7 @@ from ssp_lp.column_generation.column import least_of, relative_gap
 from ssp_lp.column_generation.compiled_problem import CompiledExplicit
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError, in_short
+from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends
 from ssp_lp.model.naming import ByName, html_table
 from ssp_lp.options import Status
@@ -36,6 +37,8 @@ from ssp_lp.processes.failure_semantics import (
     GiveUp,
     ObjectiveSense,
 )
+from ssp_lp.processes.past_failing import labelled_past_failing
+from ssp_lp.processes.quantities import Quantity, objective_of
 from ssp_lp.programs.occupation_measure import StateValues
 
 _LEAST_LIMIT = 1.0  # seconds that numbers have which are worked out after a short call
@@ -114,7 +117,9 @@ class Solution(ReadOnlyCopies):
                              "values are those of one")  # fmt: skip
         return cast("StateValues", make().values_at(self.prices, self.objective))
 
-    def policy_everywhere(self, default: Default | None = None) -> MixedPolicy:
+    def policy_everywhere(
+        self, default: Default | None = None, *, least_after: Quantity | None = None
+    ) -> MixedPolicy:
         """The policy as one that acts in every state that has actions, reached by its plan or not.
 
         Where the plan has no decision, it takes what is best at the optimal price of failing, in
@@ -125,11 +130,14 @@ class Solution(ReadOnlyCopies):
         Args:
             default: comes before both: an action, for all states that have it, ``{state: action}``,
                 or a policy without memory; None: none.
+            least_after: what is done after giving up and in dead-ends makes the least of this
+                quantity, such as ``end_probability("crash")``, the plan being what it is.
 
         Raises:
-            ModelError: an unknown state or action.
+            ModelError: an unknown state or action, or a quantity that cannot change after failing.
         """
-        return acting_everywhere(self.policy, default, self._greedy)
+        later = None if least_after is None else _least_after(self.problem.model, least_after)
+        return acting_everywhere(self.policy, default, self._greedy, later)
 
     @cached_property
     def _greedy(self) -> IntArray:
@@ -330,6 +338,34 @@ class Solution(ReadOnlyCopies):
         if semantics.penalty > 0.0:
             return "no failure" if semantics.forbids_failing else f"penalty {semantics.penalty:g}"
         return limit
+
+
+def _least_after(model: SSP, quantity: Quantity) -> IntArray:
+    """Pairs that make the least of a quantity after failing, UNDECIDED where any do, [states].
+
+    Raises:
+        ModelError: the quantity does not count what comes after failing, or nothing can come.
+    """
+    live, failing = ~model.goal_mask, FailureSemantics()
+    asked = objective_of(model, live / max(live.sum(), 1), quantity)
+    label = labelled_past_failing(model, (), asked, failing, ratio=False, discount=None)
+    if label is None:
+        raise ModelError(
+            "the quantity counts nothing that may come after failing: ask for an end, or for "
+            "visits or a cost with through_failure=True"
+        )
+    begins = label.after & ~label.ended & label.finite[0]
+    decision = np.full(model.n_states, UNDECIDED)
+    decision[model.pair_state[label.staying_after]] = label.staying_after
+    if begins.any():
+        start = begins / begins.sum()
+        least = objective_of(label, start, quantity).minimised()
+        pricing = CompiledExplicit(label, start, failing, objective=least).pricing()
+        states = np.flatnonzero(begins)
+        best = pricing.policy(pricing.minimise(0.0)).branches(states, np.zeros_like(states))
+        here, acts = label.original_state[states], best.pair >= 0
+        decision[here[acts]] = label.original_pair[best.pair[acts]]
+    return decision
 
 
 _ALL_FREE = "none: every step costs 0, so that only failing tells policies apart"

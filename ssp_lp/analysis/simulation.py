@@ -189,7 +189,7 @@ class ModelSimulator:
 
 @dataclass(frozen=True, eq=False)
 class _ProductSimulator:
-    """A world of the original's states as one of states with steps taken, or with the label of failing."""
+    """A world of the original's states as one that counts steps, or labels failing."""
 
     inner: Simulator
     product: HorizonSSP | FailureSSP

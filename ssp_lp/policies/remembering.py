@@ -515,7 +515,10 @@ Default = Hashable | Mapping[Hashable, Hashable] | DeterministicPolicy
 
 
 def acting_everywhere(
-    policy: Policy | MixedPolicy, default: Default | None = None, otherwise: IntArray | None = None
+    policy: Policy | MixedPolicy,
+    default: Default | None = None,
+    otherwise: IntArray | None = None,
+    afterwards: IntArray | None = None,
 ) -> MixedPolicy:
     """A policy that acts in every state of its model that has actions, a goal excepted.
 
@@ -529,6 +532,7 @@ def acting_everywhere(
             memory; None: none.
         otherwise: pairs where the policy has no decision, [states]; None: the first of each state.
             A solution knows better ones (``Solution.policy_everywhere``).
+        afterwards: pairs after giving up and in dead-ends, likewise; None: that avoid the goal.
 
     Raises:
         ModelError: an unknown state or action, or a default that is a policy of another model.
@@ -556,8 +560,11 @@ def acting_everywhere(
         """Decisions that the default comes before, [states]."""
         return np.where(preferred >= 0, preferred, np.where(decision >= 0, decision, planned))
 
+    later = np.full(model.n_states, UNDECIDED) if afterwards is None else afterwards
     members = tuple(
-        CompletePolicy(member, preferring(planned), preferring(member.staying))
+        CompletePolicy(
+            member, preferring(planned), preferring(np.where(later >= 0, later, member.staying))
+        )
         for member in (m.inner if isinstance(m, CompletePolicy) else m for m in lottery.policies)
     )
     return MixedPolicy(members, lottery.weights)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cases import NAMES, expected, published
-from formulations import MCMP, S3P, MaxProb
+from formulations import MCMP, S3P, LeastQuantity, MaxProb
 from ssp_lp import (
     GIVE_UP,
     SSP,
@@ -15,6 +15,7 @@ from ssp_lp import (
     acting_everywhere,
     end_probability,
     evaluate,
+    expected_cost,
     simulate,
     solve,
     visits,
@@ -166,6 +167,51 @@ def test_what_counts_after_failing_comes_first(horizon, tmp_path) -> None:
     again = load_policy(tmp_path / "policy.npz", FORK)
     assert asked_everywhere(again) == found
     assert evaluate(again, problem).objective == pytest.approx(solution.objective, rel=1e-9)
+
+
+BRAKES = SSP.from_transitions(
+    {
+        "a": {"over": [(0.9, "home", 1.0), (0.1, "edge", 1.0)], "round": [(1.0, "home", 10.0)]},
+        "edge": {
+            "slide": [(1.0, "wreck", 1.0)],
+            "brake": [(0.3, "wreck", 1.0), (0.7, "ledge", 1.0)],
+            "climb": [(1.0, "home", 100.0)],
+        },
+        "ledge": {
+            "jump": [(1.0, "wreck", 0.0)],
+            "wait": [(0.5, "ledge", 1.0), (0.5, "cave", 1.0)],
+        },
+        "wreck": {"burn": [(1.0, "ash", 0.0)], "roll": [(0.5, "ash", 1.0), (0.5, "cave", 1.0)]},
+        "cave": {},
+        "ash": {},
+    },
+    {"home"},
+    state_labels={"fire": ["ash"]},
+    treat_actionless_as_dead_ends=True,
+)
+
+
+def test_the_least_harm_after_failing() -> None:
+    """The plan as it is, then the least fire: 0.1 give up, of which 0.3 crash and half burn."""
+    problem = MCMP(BRAKES, "a", 0.1, charge_failing_step=False)
+    solution = solve(problem)
+    fire = end_probability("fire")
+    watched = MCMP(BRAKES, "a", 0.1, charge_failing_step=False, constraints={"fire": fire <= 1.0})
+    careful = solution.policy_everywhere(least_after=fire)
+    found = evaluate(careful, watched)
+    assert found.secondary_costs["fire"] == pytest.approx(0.015, rel=1e-12)
+    assert found.objective == pytest.approx(solution.objective, rel=1e-12)
+    cheap = {"cost": expected_cost() <= solution.objective}
+    other = LeastQuantity(BRAKES, "a", fire, 0.1, constraints=cheap, charge_failing_step=False)
+    assert solve(other).objective == pytest.approx(0.015, rel=1e-9)
+    chosen = asked_everywhere(solution.policy_everywhere(least_after=fire))
+    assert (chosen["edge"], chosen["wreck"], chosen["ledge"]) == ({"brake"}, {"roll"}, {"wait"})
+    careless = evaluate(solution.policy_everywhere(), watched)
+    assert careless.secondary_costs["fire"] == pytest.approx(0.1, rel=1e-12)  # slide, and burn
+    seen = visits("wreck", through_failure=True)
+    assert asked_everywhere(solution.policy_everywhere(least_after=seen))["edge"] == {"brake"}
+    with pytest.raises(ModelError, match="through_failure"):
+        solution.policy_everywhere(least_after=visits("a"))
 
 
 def test_tables_tell_what_is_done_afterwards() -> None:
