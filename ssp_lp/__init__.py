@@ -111,7 +111,7 @@ def __getattr__(name: str) -> object:
     if name not in _ON_DEMAND:
         if name[:1].isupper():  # ``from ssp_lp import`` would not tell what an AttributeError says
             raise ImportError(
-                f"there is no {name} in {__name__}; criteria are in formulations: "
+                f"there is no {name} in {__name__}; if it is a criterion: "
                 f"from formulations import {name}"
             )
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

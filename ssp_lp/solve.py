@@ -108,10 +108,11 @@ def _solved_with_proof(
                 if not case.asks.is_risk:
                     raise
                 too_large = error  # a table of totals: what is in hand is the answer
-        if solution is None:
+        if solution is None or not isfinite(solution.objective):
             with closing():
                 incumbent.find()
-            solution = incumbent.solution
+            solution = incumbent.solution if solution is None else incumbent.improving(solution)
+            solution = solution if solution is None or isfinite(solution.objective) else None
         if solution is None and too_large is not None:
             raise too_large
         if solution is None:

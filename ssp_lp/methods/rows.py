@@ -92,6 +92,9 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
         problem: the problem; no measure of risk.
         options: method, tolerance and limits.
 
+    Returns:
+        The solution; its objective is infinite where the time was enough for a bound alone.
+
     Raises:
         InfeasibleError: no policy keeps to the failure budget and the limits; names a
             conflict none of whose rows can be left out.
@@ -99,7 +102,12 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
             answer fails its check.
     """
     stated = compiled_constrained(problem)
-    optimum = rows_optimum(stated, options, truth_of(problem, stated))
+    try:
+        optimum = rows_optimum(stated, options, truth_of(problem, stated))
+    except Stop as stop:
+        if not isinstance(stop.choice, _RowsOptimum):
+            raise
+        optimum = stop.choice
     compiled = optimum.compiled
     many = int(np.isfinite(compiled.bounds).sum())
     reason = f"column generation with {many} rows, {optimum.calls} pricing calls"
@@ -125,6 +133,7 @@ def rows_optimum(
         InfeasibleError: no policy keeps to all rows; names some that none keeps to together.
         SolverError: the time ran out before any such policy was found, or the linear program's
             answer fails its check.
+        Stop: the time ended before any policy was evaluated; it carries what has a bound alone.
     """
     guess: _RowsOptimum | None = None
     if stated.resolution is not None and stated.charge is not None:
@@ -132,7 +141,12 @@ def rows_optimum(
         guess = _rows_attempt(coarse, SolveOptions(_COARSE_GAP, options.deadline), None, None)
         lossless = stated.charge.lossless(guess.kappa)  # from there on failing is best
         stated = replace(stated, resolution=stated.resolution.up_to(lossless))
-    best = refine(_rows_attempts(stated, options, truth, guess), options.tolerance)
+    try:
+        best = refine(_rows_attempts(stated, options, truth, guess), options.tolerance)
+    except Stop as stop:
+        raise (
+            stop if guess is None else Stop(replace(guess, value=np.inf, note=CUT_SHORT))
+        ) from None
     if best.gap <= options.tolerance:
         return best
     compiled, note = best.compiled, best.note or (CUT_SHORT if is_late() else "")
@@ -140,6 +154,9 @@ def rows_optimum(
     if compiled.totals is not None:
         levels = f"{levels} up to {compiled.totals.values[-1]:.6g}"
     if not np.isfinite(best.value):
+        if is_late():
+            bound = best.bound if guess is None else max(best.bound, guess.bound)
+            raise Stop(replace(best, bound=bound, note=note))
         raise SolverError(
             f"no policy on {levels} of accumulated cost keeps to the limits: more ",
             Argument("cost_levels"),
@@ -206,9 +223,11 @@ def _rows_attempt(
         values = read_only(proof.values)
     policy = generated.lottery(compiled.pricing())
     if truth is not None and compiled.is_rounded:
-        repaired = true_lottery(compiled, rows, pool, rows.weights(prices), truth[1])
-        policy, failure = repaired or (policy, failure)
-        value = truth[0](policy) if repaired else np.inf
+        value = np.inf
+        with WithIncumbent(), closing():  # where no time is left the bound counts by itself
+            repaired = true_lottery(compiled, rows, pool, rows.weights(prices), truth[1])
+            if repaired is not None:
+                value, (policy, failure) = truth[0](repaired[0]), repaired
     elif truth is not None:
         value = truth[0](policy)
     named = dict.fromkeys(compiled.names, 0.0)

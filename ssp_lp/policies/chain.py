@@ -25,7 +25,11 @@ from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends, reached_along
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
 
+_Step = tuple[IntArray, IntArray, FloatArray, FloatArray, IntArray, IntArray, IntArray, FloatArray]
+
 _MOST_KEYS = 2_000_000_000
+_MANY_ROUNDS = 64  # of a few nodes each: then all that there may be are searched at once
+_FEW_NODES = 1_000_000  # memories times pairs, so that this takes no longer than many rounds
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,12 +141,18 @@ def policy_chain(
     first = np.flatnonzero(start > 0)
     memory = np.where(ended[first], 0, policy.start_memory(first))
     start_key = memory * model.n_states + first
-    visited, found, reached = np.zeros(model.n_states, dtype=np.bool_), [], 0
+    visited, found, reached = np.zeros(model.n_states, dtype=np.bool_), list[_Step](), 0
     frontier = sorted_unique(start_key)
     if policy.is_stationary:
-        frontier = _stationary_nodes(model, policy, first, ended)
+        frontier = _reachable_nodes(model, policy, frontier, ended, 1)
+    size = policy.memory_size
     while frontier.size:
         check_time()
+        if len(found) == _MANY_ROUNDS and size and size * model.n_pairs <= _FEW_NODES:
+            room = max(size * model.n_states - visited.size, 0)
+            visited = np.append(visited, np.zeros(room, dtype=np.bool_))
+            frontier = _reachable_nodes(model, policy, frontier, ended, size)
+            frontier = frontier[~visited[frontier]]
         reached += frontier.size
         if reached > most_nodes and not policy.is_stationary:
             raise ModelError(f"the policy's chain has more than {most_nodes:,} nodes")
@@ -187,23 +197,37 @@ def policy_chain(
     )
 
 
-def _stationary_nodes(model: SSP, policy: Policy, start: IntArray, ended: BoolArray) -> IntArray:
-    """The states that a policy without memory comes to, by one search on its graph."""
+def _reachable_nodes(
+    model: SSP, policy: Policy, start: IntArray, ended: BoolArray, size: int
+) -> IntArray:
+    """Nodes that a policy comes to from some, by one search on the graph of all there are, as keys.
+
+    Args:
+        model: the model.
+        policy: on the model.
+        start: nodes to begin with, as keys.
+        ended: states in which an episode is over, [states].
+        size: how many values its memory takes.
+    """
     acting = np.flatnonzero(~ended)
-    branch = policy.branches(acting, np.zeros(acting.size, dtype=np.int64))
+    state, memory = np.tile(acting, size), np.repeat(np.arange(size), acting.size)
+    branch, kept = policy.played(state, memory)
     moves = branch.pair >= 0
-    pair, source = branch.pair[moves], acting[branch.situation[moves]]
+    pair, situation = branch.pair[moves], branch.situation[moves]
     outcome, count = entries_of(model.outcome_offsets, pair)
     possible = model.probabilities[outcome] > 0.0
-    edges = np.bincount(np.repeat(source, count)[possible], minlength=model.n_states)
-    offsets = offsets_of(edges)
-    return np.flatnonzero(reached_along(model.successors[outcome[possible]], offsets, start))
+    outcome = outcome[possible]
+    source = np.repeat(memory[situation] * model.n_states + state[situation], count)[possible]
+    target = model.successors[outcome]
+    if not policy.is_stationary:
+        kept, pair = (np.repeat(each, count)[possible] for each in (kept[moves], pair))
+        after = policy.remember(kept, pair, target, model.costs[outcome])
+        target = np.where(ended[target], 0, after) * model.n_states + target
+    offsets = offsets_of(np.bincount(source, minlength=size * model.n_states))
+    return np.flatnonzero(reached_along(target, offsets, start))
 
 
-Step = tuple[IntArray, IntArray, FloatArray, FloatArray, IntArray, IntArray, IntArray, FloatArray]
-
-
-def _expand_chain(model: SSP, policy: Policy, keys: IntArray, ended: BoolArray) -> Step:
+def _expand_chain(model: SSP, policy: Policy, keys: IntArray, ended: BoolArray) -> _Step:
     """Moves and branches of the chain out of the given nodes, all as keys."""
     memory, state = np.divmod(keys, model.n_states)
     acting = ~ended[state]

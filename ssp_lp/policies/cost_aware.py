@@ -85,6 +85,11 @@ class CostAwarePolicy(Policy):
         """Number of layers of accumulated cost with decisions of their own (M / unit)."""
         return int(self.decision.shape[0])
 
+    @property
+    def memory_size(self) -> int:
+        """A value for each layer, and for each tail beyond."""
+        return self.cap + len(self.tails)
+
     def start_memory(self, states: IntArray) -> IntArray:
         """Nothing is paid yet: layer 0, [episodes]."""
         nothing = np.zeros(len(states), dtype=np.int64)

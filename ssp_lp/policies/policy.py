@@ -180,6 +180,11 @@ class Policy(Playable):
         return (self,), np.zeros(episodes, dtype=np.int64)
 
     @property
+    def memory_size(self) -> int | None:
+        """How many values its memory takes, numbered from 0; None: nothing bounds them."""
+        return None
+
+    @property
     def step_limit(self) -> int | None:
         """The steps within which it was made to reach the goal; None: it knows of none."""
         return None
