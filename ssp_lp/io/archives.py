@@ -285,7 +285,8 @@ def load_policy(path: FilePath, model: SSP, *, check: bool = True) -> AnyPolicy:
         if horizon is not None and not isinstance(model, HorizonSSP):
             begin = arrays[horizon["begin"]]
             if begin.max(initial=0) < model.n_states:  # else it is another model: its pairs differ
-                model = unroll_steps(model, horizon["steps"], begin.tolist())
+                asked = {"survive": horizon.get("survive", False)}
+                model = unroll_steps(model, horizon["steps"], begin.tolist(), **asked)
         label = header.get("label")
         if label is not None and len(arrays[label["open_pairs"]]) == model.n_pairs:
             names = ("open_pairs", "stops", "charged", "free_pairs")
@@ -379,7 +380,11 @@ class _PolicyRecords:
             label = {**masks, "charges": labelled.charges}
         if isinstance(stated, HorizonSSP):
             begin = np.flatnonzero(stated.positions[:, 0] >= 0)
-            horizon = {"steps": stated.steps, "begin": self.add_array(begin)}
+            horizon = {
+                "steps": stated.steps,
+                "begin": self.add_array(begin),
+                "survive": stated.survive,
+            }
         prints = {"model": fingerprint(model), "pairs": pair_print(model)}
         told = {"sizes": repr(model), "policies": self._records}
         return prints | told | {"horizon": horizon, "label": label}

@@ -769,7 +769,10 @@ def _goal_mask(goal_states: npt.ArrayLike, n_states: int) -> BoolArray:
         raise ModelError("goal_states must be indices of states (integers), no mask")
     goals = goals.astype(np.int64)
     if goals.size == 0:
-        raise ModelError("the model has no goal state; name at least one")
+        raise ModelError(
+            "the model has no goal state; name at least one (where surviving is all that counts, "
+            "one that no action leads to: within_steps(model, 100, survive=True))"
+        )
     if goals.min() < 0 or goals.max() >= n_states:
         raise ModelError(f"goal states must be indices of states, 0 .. {n_states - 1}")
     mask = np.zeros(n_states, dtype=np.bool_)
