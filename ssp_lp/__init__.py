@@ -66,7 +66,11 @@ if TYPE_CHECKING:
     from ssp_lp.analysis.frontier import Frontier as Frontier
     from ssp_lp.analysis.simulation import simulate as simulate
     from ssp_lp.formulation import Formulation as Formulation
-    from ssp_lp.methods.trade_off import trace_frontier as trace_frontier
+    from ssp_lp.methods.trade_off import (
+        Surface as Surface,
+        trace_frontier as trace_frontier,
+        trace_surface as trace_surface,
+    )
     from ssp_lp.model.continuous_model import (
         Axis as Axis,
         ContinuousModel as ContinuousModel,
@@ -93,7 +97,7 @@ _MODULES = {
     "analysis.frontier": "Frontier",
     "analysis.simulation": "simulate",
     "formulation": "Formulation",
-    "methods.trade_off": "trace_frontier",
+    "methods.trade_off": "Surface trace_frontier trace_surface",
     "model.continuous_model": "Axis ContinuousModel Distribution Grid WorldSimulator",
     "model.discretise": "Quadrature Samples discretise",
     "programs.occupation_program": "OccupationProgram",

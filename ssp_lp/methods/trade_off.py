@@ -16,27 +16,42 @@ price * (bound - its own bound)) * t``, where c is what was attained and ``t = 1
 probability of a lottery is not known, but it is one number in all these lines: the least that their
 greatest comes to for any t >= 1 is a bound. Lines proved inside of a segment pass through both its
 ends, and meet nowhere else: there the bound is tight.
+
+**Over two limits** what optima prove are planes, and what they attain all lotteries over them. The
+problem is solved next at those bounds, of a grid, where both lie apart most.
 """
 
 from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from ssp_lp.analysis.evaluation import evaluate
 from ssp_lp.analysis.frontier import Frontier, TraceLimits, traced_over_failure
-from ssp_lp.arrays import MACHINE_EPSILON, RELATIVE_GAP, FloatArray
+from ssp_lp.arrays import MACHINE_EPSILON, RELATIVE_GAP, FloatArray, ReadOnlyCopies
 from ssp_lp.column_generation.column import FailureRow
+from ssp_lp.column_generation.restricted_master import solve_master
 from ssp_lp.compiled.deadline import Stop, WithIncumbent, until
 from ssp_lp.dynamic_programming.bellman import Work
-from ssp_lp.errors import Argument, ModelError, OutOfTimeError, did_you_mean
+from ssp_lp.errors import (
+    Argument,
+    InfeasibleError,
+    ModelError,
+    OutOfTimeError,
+    did_you_mean,
+    is_number,
+    optional_module,
+    wrong_argument,
+)
 from ssp_lp.methods.rows import rows_optimum, truth_of
-from ssp_lp.options import SolveOptions, deadline_of, progress_shown
+from ssp_lp.model.naming import Reported
+from ssp_lp.options import SolveOptions, Status, deadline_of, progress_shown
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import (
     Problem,
@@ -45,6 +60,7 @@ from ssp_lp.problem import (
     compiled_constrained,
     conditions_of,
     has_rows,
+    pulled_back,
     requirements,
     unrolled,
 )
@@ -120,7 +136,7 @@ def trace_frontier(
             if over == FAILURE_ROW and not has_rows(asked):
                 traced = traced_over_failure(asked, limits)
             else:
-                traced = _Tracing(asked, over, limits).traced()
+                traced = _Tracing(asked, [over], limits).traced()
         except Stop:
             if ended.is_interrupted:
                 raise KeyboardInterrupt from None
@@ -128,6 +144,68 @@ def trace_frontier(
             raise OutOfTimeError(told) from None
     status = ended.status(np.inf if traced.ends_early else traced.gap, gap)
     return replace(traced, _problem=problem, status=status)
+
+
+def trace_surface(
+    problem: Problem,
+    over: Sequence[str],
+    *,
+    gap: float = 1e-3,
+    point_limit: int = 200,
+    time_limit: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    verbose: bool = False,
+) -> Surface:
+    """Trace the least objective over two limits (or more) at once, all others held.
+
+    The problem is solved at those bounds where what is attained and what is proved lie apart most,
+    of a grid over all bounds that matter, until they do so nowhere by more than the gap.
+
+    Args:
+        problem: what it allows of what is traced does not matter; all other limits are kept.
+        over: "failure", or names of limits that bound a quantity from above.
+        gap: how far both bounds may lie apart on the grid, as a share of the objective there.
+        point_limit: most bounds at which the problem is solved.
+        time_limit: seconds after which no further ones are solved.
+        progress: called after each of them with (pricing calls, how many were solved).
+        verbose: show how far it has come (``ssp_lp.progress_shown``).
+
+    Raises:
+        ModelError: an argument out of range, no such limit, the same one twice, or a criterion that
+            is no linear program.
+        InfeasibleError: the other limits cannot be kept.
+        OutOfTimeError: the time limit passed before there was a point.
+        KeyboardInterrupt: Ctrl-C came before there was one.
+
+    Example:
+        >>> from ssp_lp import SSP, trace_surface, visits
+        >>> from formulations import MCMP
+        >>> model = SSP.from_transitions(
+        ...     {"a": {"fast": [(0.9, "g", 1.0), (0.1, "yard", 1.0)], "slow": [(1.0, "g", 10.0)]},
+        ...      "yard": {"on": [(0.5, "g", 2.0), (0.5, "pit", 2.0)]}, "pit": {}}, goal={"g"},
+        ...     treat_actionless_as_dead_ends=True)
+        >>> problem = MCMP(model, "a", constraints={"yard": visits("yard") <= 0.05})
+        >>> surface = trace_surface(problem, ["failure", "yard"])
+        >>> [round(bound, 6) for bound in surface.bounds_at(0.02, 0.05)]
+        [6.48, 6.48]
+    """
+    check_problem(problem, "trace_surface")
+    if isinstance(over, str) or len(set(over)) != len(list(over)) or len(over) < 2:
+        raise wrong_argument("over", "be several different limits", over)
+    deadline = deadline_of(time_limit, time.perf_counter())
+    limits = TraceLimits(gap, None, point_limit, deadline < np.inf, progress)
+    inner = unrolled(problem)
+    for name in over:
+        inner = _traceable(inner, name, limits)
+    with progress_shown(verbose), until(deadline) as ended:
+        try:
+            traced = _surface_of(_Tracing(inner, over, limits), problem)
+        except Stop:
+            if ended.is_interrupted:
+                raise KeyboardInterrupt from None
+            told = "the time limit ended before any bounds were settled: allow more time"
+            raise OutOfTimeError(told) from None
+    return replace(traced, status=ended.status(traced.gap, gap))
 
 
 def _traceable(problem: Problem, over: str, limits: TraceLimits) -> Problem:
@@ -162,34 +240,49 @@ def _traceable(problem: Problem, over: str, limits: TraceLimits) -> Problem:
 
 @dataclass(frozen=True, eq=False)
 class _Optimum:
-    """The optimum at one bound, in what is minimised: a point, and a line below all policies."""
+    """The optimum at some bounds, in what is minimised: a point, and a plane below all policies."""
 
-    spent: float  # of the limit that is traced
+    spends: FloatArray  # [limits] of what is traced
     value: float
     goal: float
-    at: float  # the bound
-    proved: float  # of every policy that keeps to it
-    price: float  # of the bound in that proof; infinite: it says nothing of larger bounds
+    bounds: FloatArray  # [limits]
+    proved: float  # of every policy that keeps to them
+    prices: FloatArray  # [limits] of the bounds in that proof; infinite: no word of larger bounds
     policy: MixedPolicy
+
+    @property
+    def spent(self) -> float:
+        """What is spent of the limit that is traced, or of the first of them."""
+        return float(self.spends[0])
+
+    @property
+    def price(self) -> float:
+        """The price of its bound."""
+        return float(self.prices[0])
 
 
 @dataclass(frozen=True, eq=False)
 class _Lines:
-    """What the prices of all optima prove at any bound."""
+    """What the prices of all optima prove at any bounds."""
 
-    at: FloatArray  # [optima] the bound of each
-    value: FloatArray  # [optima] attained at it
-    proved: FloatArray  # [optima] at it
-    price: FloatArray  # [optima]
+    bounds: FloatArray  # [optima, limits] of each
+    value: FloatArray  # [optima] attained at them
+    proved: FloatArray  # [optima] at them
+    prices: FloatArray  # [optima, limits]
     least_goal: float | None  # that all lotteries have; None: nothing is counted given success
-    of_failure: bool  # whether the bounds are failure budgets
+    failure: int | None  # which of the bounds is a failure budget
 
-    def least(self, bound: float) -> float:
-        """No policy that keeps to a bound has less: the least over t of the greatest line."""
-        longest, beyond = self._longest(bound), bound - self.at
-        tells = (beyond <= 0.0) | np.isfinite(self.price)
-        finite = np.where(np.isfinite(self.price), self.price, 0.0)
-        height, slope = self.value[tells], (self.proved - self.value - finite * beyond)[tells]
+    def least(self, bounds: FloatArray) -> float:
+        """No policy that keeps to bounds has less: the least over t of the greatest line.
+
+        Args:
+            bounds: [limits].
+        """
+        longest, beyond = self._longest(bounds), bounds - self.bounds
+        tells = ((beyond <= 0.0) | np.isfinite(self.prices)).all(axis=1)
+        finite = np.where(np.isfinite(self.prices), self.prices, 0.0)
+        saved = (finite * beyond).sum(axis=1)
+        height, slope = self.value[tells], (self.proved - self.value - saved)[tells]
         up, down = slope >= 0.0, slope < 0.0
         first = _rounded_down(height[up], slope[up], 1.0)
         last = _rounded_down(height[down], slope[down], longest)
@@ -198,11 +291,11 @@ class _Lines:
         crossing = _rounded_down(rise, turn, t)[(t >= 1.0) & (t <= longest)]
         return float(np.concatenate([[0.0], first, last, crossing]).max())
 
-    def _longest(self, bound: float) -> float:
+    def _longest(self, bounds: FloatArray) -> float:
         """The greatest that 1 / goal may be."""
         if self.least_goal is None:
             return 1.0
-        goal = max(self.least_goal, 1.0 - bound if self.of_failure else 0.0)
+        goal = max(self.least_goal, 0.0 if self.failure is None else 1.0 - bounds[self.failure])
         return 1.0 / max(goal, _RAREST)
 
 
@@ -232,29 +325,35 @@ class LimitFrontier(Frontier):
         number, weight = self._locate(budget)
         attained = self._attained(number, weight, FailureRow(budget, self.ratio))
         worth = self._sense.worth
-        least = 0.0 if self._lines is None else self._lines.least(budget)
+        least = 0.0 if self._lines is None else self._lines.least(np.array([budget]))
         if self.maximises:
             return attained, max(worth(least), attained)
         return min(worth(least), attained), attained
 
     def _lottery(self, number: int, weights: FloatArray) -> MixedPolicy:
         """The lottery over the lotteries of turning points from one on."""
-        some = [(w, self._members[number + k]) for k, w in enumerate(weights.tolist())]
-        policies = tuple(policy for _, member in some for policy in member.policies)
-        return MixedPolicy(policies, np.concatenate([w * member.weights for w, member in some]))
+        return _mixed_of(self._members[number : number + len(weights)], weights)
 
 
 class _Tracing:
-    """Optima at bounds of one limit, the others held. Grows."""
+    """Optima at bounds of some limits, the others held. Grows."""
 
-    def __init__(self, problem: Problem, over: str, limits: TraceLimits) -> None:
+    def __init__(self, problem: Problem, over: Sequence[str], limits: TraceLimits) -> None:
         """Nothing is solved yet."""
-        self.problem, self.over, self.limits = problem, over, limits
+        self.problem, self.over, self.limits = problem, tuple(over), limits
         self.calls, self.work = 0, Work()
         self.stated = compiled_constrained(problem)
+        if FAILURE_ROW in self.over:  # whatever was allowed, even if that was the least
+            self.stated = replace(self.stated, budget=1.0)
         self.truth = truth_of(problem, self.stated)
         self.options = SolveOptions(_FINER * limits.gap)
-        self.optima: list[_Optimum] = []  # by what is spent
+        self.optima: list[_Optimum] = []
+
+    def free(self) -> float:
+        """The optimum where nothing of what is traced is limited is the first; what it is worth."""
+        _ = self.stated.pricing()  # for all bounds
+        self.add([1.0 if name == FAILURE_ROW else np.inf for name in self.over])
+        return self.optima[0].value
 
     def traced(self) -> Frontier:
         """The frontier.
@@ -263,14 +362,13 @@ class _Tracing:
             InfeasibleError: the other limits cannot be kept.
             Stop: the time ended before both ends were known.
         """
-        _ = self.stated.pricing()  # for all bounds
-        self._add(1.0 if self.over == FAILURE_ROW else np.inf)
-        if (least := self._least()) < self.optima[0].spent:
-            self._add(least)
+        self.free()
+        if (least := self.least(0)) < self.optima[0].spent:
+            self.add([least])
         settled: set[tuple[float, float]] = set()
         with WithIncumbent():
             while self.limits.allows(len(points := self._points())):
-                lines = self._lines
+                lines = self.lines
                 worst = max(
                     ((*self._apart(p, q, lines), p, q) for p, q in pairwise(points)
                      if (p.spent, q.spent) not in settled),
@@ -285,7 +383,7 @@ class _Tracing:
                 if share <= 2.0 * own or width <= _NARROW * whole:
                     settled.add((p.spent, q.spent))
                     continue
-                self._add(bound)
+                self.add([bound])
                 if not any(p.spent < o.spent < q.spent for o in self.optima):
                     settled.add((p.spent, q.spent))
         return self._frontier()
@@ -299,11 +397,16 @@ class _Tracing:
         return points
 
     @property
-    def _lines(self) -> _Lines:
+    def lines(self) -> _Lines:
         """What the optima so far prove."""
-        drawn = np.array([(o.at, o.value, o.proved, o.price) for o in self.optima]).T
+        bounds, prices = (
+            np.array(each)
+            for each in zip(*((o.bounds, o.prices) for o in self.optima), strict=True)
+        )
+        value, proved = np.array([(o.value, o.proved) for o in self.optima]).T
         goal = self.stated.least_goal if self.stated.ratio else None
-        return _Lines(drawn[0], drawn[1], drawn[2], drawn[3], goal, self.over == FAILURE_ROW)
+        failure = self.over.index(FAILURE_ROW) if FAILURE_ROW in self.over else None
+        return _Lines(bounds, value, proved, prices, goal, failure)
 
     def _scale(self, p: _Optimum, q: _Optimum) -> float:
         """To which what lies below a segment is compared: the larger objective of its ends."""
@@ -327,7 +430,7 @@ class _Tracing:
         shares = [min(max(share, _INSIDE), 1.0 - _INSIDE), *(_SPLITS if self.stated.ratio else ())]
         shares += [] if np.isfinite(left) else [_NARROW]
         apart = [
-            (self._mixed(p, q, b) - lines.least(b), k)
+            (self._mixed(p, q, b) - lines.least(np.array([b])), k)
             for k, share in enumerate(shares)
             for b in [p.spent + share * width]
         ]
@@ -335,56 +438,63 @@ class _Tracing:
         split = 0.5 if shares[k] == _NARROW else shares[k]
         return most / self._scale(p, q), p.spent + split * width
 
-    def _least(self) -> float:
-        """The least that can be spent, the other limits held."""
-        problem, name, ratio = self.problem, self.over, self.stated.charge is not None
+    def least(self, number: int) -> float:
+        """The least that can be spent of one of what is traced, the limits that are not, held."""
+        problem, name, ratio = self.problem, self.over[number], self.stated.charge is not None
         semantics = replace(problem.semantics, aim=Aim.LEAST_COST, measure=None)
-        budget, held, objective = problem.failure_budget, conditions_of(problem), None
+        conditions, objective = conditions_of(problem), None
+        held = tuple(each for each in conditions if each.name not in self.over)
+        budget = 1.0 if FAILURE_ROW in self.over else problem.failure_budget
         if name == FAILURE_ROW:
-            budget, semantics = 1.0, replace(semantics, aim=Aim.GREATEST_GOAL)
+            semantics = replace(semantics, aim=Aim.GREATEST_GOAL)
         else:
-            objective = next(condition for condition in held if condition.name == name)
-            held = tuple(condition for condition in held if condition.name != name)
+            objective = next(condition for condition in conditions if condition.name == name)
         if ratio:  # whoever is asked for a cost given success fails for real
             semantics = replace(semantics, give_up=GiveUp.DEAD_ENDS)
         asked = problem.model, problem.start, False, budget, semantics, held, problem.discount
         safest = compiled_constrained(Restated(*asked, objective))
-        return self._spent(rows_optimum(safest, self.options).policy)[0]
+        return float(self._spent(rows_optimum(safest, self.options).policy)[0][number])
 
-    def _spent(self, policy: MixedPolicy) -> tuple[float, float]:
-        """What a policy spends of what is traced, and its goal probability."""
+    def _spent(self, policy: MixedPolicy) -> tuple[FloatArray, float]:
+        """What a policy spends of what is traced, [limits], and its goal probability."""
         found = evaluate(policy, self.problem)
         failure = found.limited_failure
-        return failure if self.over == FAILURE_ROW else found.secondary_costs[
-            self.over
-        ], 1 - failure
+        spent = {**found.secondary_costs, FAILURE_ROW: failure}
+        return np.array([spent[name] for name in self.over]), 1.0 - failure
 
-    def _add(self, bound: float) -> None:
-        """Solve at a bound."""
-        of_failure, stated = self.over == FAILURE_ROW, self.stated
-        budget = bound if of_failure else stated.budget
-        side = stated.side if of_failure else tuple(
-            replace(row, bound=row.activity(bound)) if row.name == self.over else row
+    def add(self, bounds: Sequence[float]) -> None:
+        """Solve at some bounds.
+
+        Args:
+            bounds: of what is traced, in its order.
+        """
+        asked, stated = dict(zip(self.over, bounds, strict=True)), self.stated
+        budget = asked.get(FAILURE_ROW, stated.budget)
+        side = tuple(
+            replace(row, bound=row.activity(asked[row.name])) if row.name in asked else row
             for row in stated.side
-        )  # fmt: skip
+        )
         found = rows_optimum(stated.bounded(budget, side), self.options, self.truth)
         at_least = found.compiled.budget is None, stated.budget is None
         if found.compiled.layers > stated.layers and at_least[0] == at_least[1]:
             self.stated = found.compiled.bounded(stated.budget, stated.side)  # begun there next
-        spent, goal = self._spent(found.policy)
-        price = found.prices.get(self.over, np.inf) if found.bound > 0.0 else 0.0
-        at, spent = (bound if np.isfinite(bound) else spent), min(spent, bound)
-        point = _Optimum(spent, found.value, goal, at, found.bound, price, found.policy)
-        self.optima.append(point)
+        spends, goal = self._spent(found.policy)
+        tells = np.isfinite(bounds) if found.bound > 0.0 else np.zeros(len(bounds), dtype=np.bool_)
+        self.optima.append(_Optimum(
+            spends=np.minimum(spends, bounds), value=found.value, goal=goal,
+            bounds=np.where(np.isfinite(bounds), bounds, spends), proved=found.bound,
+            prices=np.where(tells, [found.prices.get(name, np.inf) for name in self.over], 0.0),
+            policy=found.policy,
+        ))  # fmt: skip
         self.calls, self.work = self.calls + found.calls, self.work + found.work
         points = len(self.optima)
-        _LOG.debug("%d pricing calls, %d bounds of %s", self.calls, points, self.over)
+        _LOG.debug("%d pricing calls, %d bounds of %s", self.calls, points, ", ".join(self.over))
         if self.limits.progress is not None:
             self.limits.progress(self.calls, points)
 
     def _frontier(self) -> LimitFrontier:
         """The frontier through all points that turn."""
-        points, lines, sense = self._points(), self._lines, self.stated.sense
+        points, lines, sense = self._points(), self.lines, self.stated.sense
         turning = points[:1]
         for one, after in pairwise(points[1:]):
             straight = self._mixed(turning[-1], after, one.spent)
@@ -397,7 +507,7 @@ class _Tracing:
         objective = cost / goal if self.stated.ratio else cost
         own = [(o.value - o.proved) / self._scale(o, o) for o in turning]
         _LOG.info(
-            "%d turning points over %s, gap %.1e", len(turning), self.over, max(below, default=0)
+            "%d turning points over %s, gap %.1e", len(turning), self.over[0], max(below, default=0)
         )
         return LimitFrontier(
             spent=spent, goal=goal, cost=cost,
@@ -407,6 +517,207 @@ class _Tracing:
             hidden=max(0.0, *own), ratio=self.stated.ratio, complete=True,
             pricing_calls=self.calls, work=self.work,
             _pricing=self.stated.pricing(), _columns=(),
-            over=self.over, maximises=sense.constant is not None,
+            over=self.over[0], maximises=sense.constant is not None,
             _lines=lines, _members=tuple(o.policy for o in turning), _sense=sense,
         )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Surface(Reported, ReadOnlyCopies):
+    """The least objective over several limits at once, between what is attained and proved.
+
+    Policies mix: at any bounds the best lottery over all points attains the upper bound. The prices
+    of the points prove the lower one.
+    """
+
+    problem: Problem
+    over: tuple[str, ...]
+    spent: FloatArray  # [points, limits]
+    objective: FloatArray  # [points]
+    price: FloatArray  # [points, limits] of the bounds at which each point was solved
+    gap: float  # on the grid the bounds lie apart by no more than this share
+    ratio: bool
+    maximises: bool
+    pricing_calls: int
+    work: Work
+    status: Status
+    _value: FloatArray  # [points] in what is minimised
+    _goal: FloatArray  # [points]
+    _lines: _Lines
+    _members: tuple[MixedPolicy, ...]  # [points]
+    _sense: ObjectiveSense
+
+    def bounds_at(self, *bounds: float) -> tuple[float, float]:
+        """What the optimum within bounds surely lies between; nothing is solved.
+
+        Args:
+            bounds: in the order of ``over``.
+
+        Raises:
+            ModelError: another number of bounds, or one that is no number >= 0.
+            InfeasibleError: no lottery over the points keeps to them.
+        """
+        asked = self._checked(bounds)
+        attained, _ = _best_lottery(self.spent, self._value, self._goal, asked, self.ratio)
+        worth = self._sense.worth
+        if not np.isfinite(attained):
+            told = ", ".join(f"{n} <= {b:g}" for n, b in zip(self.over, bounds, strict=True))
+            budget = dict(zip(self.over, bounds, strict=True)).get(
+                FAILURE_ROW, self.problem.failure_budget
+            )
+            raise InfeasibleError(
+                f"no lottery over what was found keeps to {told}",
+                failure_budget=budget,
+                least_failure=1.0 - float(self._goal.max()),
+            )
+        low, high = worth(min(self._lines.least(asked), attained)), worth(attained)
+        return (high, low) if self.maximises else (low, high)
+
+    def policy_at(self, *bounds: float) -> MixedPolicy:
+        """A lottery that keeps to bounds, and attains the upper one of :meth:`bounds_at`.
+
+        Raises:
+            ModelError: another number of bounds, or one that is no number >= 0.
+            InfeasibleError: no lottery over the points keeps to them.
+        """
+        self.bounds_at(*bounds)
+        asked = self._checked(bounds)
+        _, weights = _best_lottery(self.spent, self._value, self._goal, asked, self.ratio)
+        return pulled_back(_mixed_of(self._members, weights), self.problem)
+
+    def facts(self) -> list[tuple[str, str]]:
+        """What was traced, how finely, and between which bounds."""
+        ends = zip(self.over, self.spent.min(axis=0), self.spent.max(axis=0), strict=True)
+        return [
+            ("over", ", ".join(f"{name} {low:.4g} .. {high:.4g}" for name, low, high in ends)),
+            ("points", f"{len(self.objective):,}"),
+            ("objective", f"{self.objective.min():.6g} .. {self.objective.max():.6g}"),
+            ("gap on the grid", f"{self.gap:.1e}"),
+            ("pricing calls", f"{self.pricing_calls:,}"),
+        ]
+
+    def to_frame(self) -> Any:
+        """The points as a table of pandas: what each spends, its objective and its prices.
+
+        Raises:
+            MissingDependencyError: pandas is not installed.
+        """
+        pandas = optional_module("pandas", "frames")
+        columns = {name: self.spent[:, k] for k, name in enumerate(self.over)}
+        columns["objective"] = self.objective
+        columns |= {f"price of {name}": self.price[:, k] for k, name in enumerate(self.over)}
+        return pandas.DataFrame(columns)
+
+    def _checked(self, bounds: tuple[float, ...]) -> FloatArray:
+        """Bounds as an array, [limits]."""
+        if len(bounds) != len(self.over) or not all(is_number(b) and b >= 0.0 for b in bounds):
+            raise ModelError(f"give a bound >= 0 for each of {', '.join(self.over)}: {bounds!r}")
+        return np.array(bounds, dtype=np.float64)
+
+
+_GRID = 16  # bounds of each limit at which a surface is compared
+_MOST_PLACES = 1_000  # of the grid
+
+
+def _surface_of(tracing: _Tracing, problem: Problem) -> Surface:
+    """The surface, solved where its bounds lie apart most.
+
+    Raises:
+        InfeasibleError: the other limits cannot be kept.
+        Stop: the time ended before the ends were known.
+    """
+    tracing.free()
+    ends = [
+        (min(tracing.least(k), high), high)
+        for k, high in enumerate(tracing.optima[0].spends.tolist())
+    ]
+    many = max(min(_GRID, int(_MOST_PLACES ** (1.0 / len(ends)))), 2)
+    axes = (np.linspace(low, high, many) for low, high in ends)
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(ends))
+    apart = np.full(len(grid), np.inf)  # what was known when each place was last looked at
+    looked = np.zeros(len(grid), dtype=np.int64)  # how many optima were known then
+    is_kept, is_solved = np.ones(len(grid), dtype=np.bool_), np.zeros(len(grid), dtype=np.bool_)
+
+    def look(place: int) -> None:
+        """How far what is attained and what is proved lie apart at a place, with all optima."""
+        apart[place], looked[place] = _apart_at(tracing, grid[place]), len(tracing.optima)
+
+    with WithIncumbent():
+        while tracing.limits.allows(len(tracing.optima)):
+            place = int(np.argmax(np.where(is_kept & ~is_solved, apart, -1.0)))
+            if apart[place] <= tracing.limits.gap or is_solved[place] or not is_kept[place]:
+                break
+            if looked[place] < len(tracing.optima):  # others may have closed it since
+                look(place)
+                continue
+            is_solved[place] = True
+            try:
+                tracing.add(grid[place].tolist())
+            except InfeasibleError:  # nor is it kept to where less is allowed
+                is_kept &= (grid > grid[place]).any(axis=1)
+    for place in np.flatnonzero(is_kept & (looked < len(tracing.optima))).tolist():
+        look(place)
+    optima, sense = tracing.optima, tracing.stated.sense
+    return Surface(
+        problem=problem,
+        over=tracing.over,
+        spent=np.array([o.spends for o in optima]),
+        objective=np.array([sense.worth(o.value) for o in optima]),
+        price=np.array([o.prices for o in optima]),
+        gap=max(float(apart[is_kept].max(initial=0.0)), 0.0),
+        ratio=tracing.stated.ratio,
+        maximises=sense.constant is not None,
+        pricing_calls=tracing.calls,
+        work=tracing.work,
+        status=Status.OPTIMAL,
+        _value=np.array([o.value for o in optima]),
+        _goal=np.array([o.goal for o in optima]),
+        _lines=tracing.lines,
+        _members=tuple(o.policy for o in optima),
+        _sense=sense,
+    )
+
+
+def _apart_at(tracing: _Tracing, place: FloatArray) -> float:
+    """How far what is attained and what is proved lie apart at some bounds, as a share."""
+    spent = np.array([o.spends for o in tracing.optima])
+    value, goal = np.array([(o.value, o.goal) for o in tracing.optima]).T
+    attained, _ = _best_lottery(spent, value, goal, place, tracing.stated.ratio)
+    if not np.isfinite(attained):
+        return np.inf
+    worth = max(abs(tracing.stated.sense.worth(attained)), 1e-300)
+    return (attained - tracing.lines.least(place)) / worth
+
+
+def _best_lottery(
+    spent: FloatArray, value: FloatArray, goal: FloatArray, bounds: FloatArray, ratio: bool
+) -> tuple[float, FloatArray]:
+    """The least that a lottery over points within bounds attains, infinite for none; its weights.
+
+    Args:
+        spent: [points, limits].
+        value: of each point, in what is minimised, [points].
+        goal: of each point, [points].
+        bounds: [limits].
+        ratio: whether it is a cost given success (Charnes and Cooper: points are weighed by the
+            goal mass that they bring).
+    """
+    mass = goal if ratio else np.ones(len(value))
+    taken = (spent - bounds).T / mass  # of a unit of mass
+    scales = np.maximum(np.abs(bounds), np.abs(spent).max(axis=0))
+    scales = np.where(scales > 0.0, scales, 1.0)
+    limits = np.zeros(len(bounds)), scales
+    weights = solve_master(value, taken, *limits, elastic=True).weights
+    if (taken @ weights > 1e-12 * scales).any():
+        return np.inf, weights
+    weights = solve_master(value, taken, *limits, elastic=False).weights
+    attained = float(value @ weights)
+    weights = weights / mass
+    return attained, weights / weights.sum()
+
+
+def _mixed_of(members: Sequence[MixedPolicy], weights: FloatArray) -> MixedPolicy:
+    """The lottery over lotteries of which some are used."""
+    used = [(member, w) for member, w in zip(members, weights.tolist(), strict=True) if w > 0.0]
+    policies = tuple(policy for member, _ in used for policy in member.policies)
+    return MixedPolicy(policies, np.concatenate([w * member.weights for member, w in used]))
