@@ -43,8 +43,9 @@ from ssp_lp.errors import (
 )
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.continuous_model import ContinuousModel, Coordinates, Grid
+from ssp_lp.model.discretise import Quadrature, discretise
 from ssp_lp.model.graph import dead_ends
-from ssp_lp.model.product import HorizonSSP, ProductSSP, within_steps
+from ssp_lp.model.product import ProductSSP, within_steps
 from ssp_lp.model.ssp import SSP
 from ssp_lp.policies.policy import (
     GIVE_UP_CODE,
@@ -62,6 +63,8 @@ if TYPE_CHECKING:
 
 MOST_STEPS = 10_000
 """Steps after which an episode is cut off where nothing else does, as in ``simulate``."""
+
+_POINTS = 3  # of each coordinate in a cell, from which steps are taken
 
 END = "end"
 """Where an environment also goes on from a state that it may end in, the end is ("end", state)."""
@@ -94,10 +97,11 @@ class EnvironmentSSP(SSP):
 class GymnasiumWorld:
     """An environment as a model, and where its episodes begin."""
 
-    model: EnvironmentSSP | HorizonSSP
+    model: SSP  # an EnvironmentSSP, or one of cells; with a horizon a HorizonSSP
     start: Mapping[Hashable, float]  # the model's states, with probabilities
     step_limit: int | None  # steps after which the environment cuts an episode off
     horizon: int | None  # steps within which the model asks for the goal
+    continuous: ContinuousModel | None = None  # of an array of coordinates: what was discretised
 
 
 @explained
@@ -108,8 +112,10 @@ def from_gymnasium(
     cost: Literal["step", "reward"] | CostFunction = "step",
     horizon: Literal["env"] | int | None = "env",
     start: Hashable | Mapping[Hashable, float] | None = None,
+    grid: Grid | None = None,
+    survive: bool = False,
 ) -> GymnasiumWorld:
-    """Build the model of a tabular environment from its table of transitions.
+    """Build the model of a tabular environment from its table, of another one on a grid.
 
     States in which the environment terminates are goals where every step into them is rewarded,
     dead-ends where none is. A state in which it terminates on one step and goes on after another
@@ -126,15 +132,22 @@ def from_gymnasium(
         horizon: "env": the goal must be reached within the environment's own step limit
             (``TimeLimit``), where it has one, so that what is certified holds in the environment;
             a number: within so many steps; None: at any time (`rollout` tells of what was cut off).
-        start: a state or ``{state: probability}``; None: the environment's own distribution.
+        start: a state or ``{state: probability}``; None: the environment's own distribution. With
+            a grid it is a point, or ``{point: probability}``.
+        grid: for an environment whose state is an array of coordinates (MountainCar, CartPole): a
+            box of them and its cells. ``goal`` says of the points in which it terminates whether
+            that is success, and the step limit is no horizon unless it is given as a number.
+        survive: whether an episode that still goes on at the horizon has reached the goal.
 
     Returns:
         The model, its start and the step limit. With a horizon the model's states are (state,
-        steps taken): see :func:`~ssp_lp.model.product.within_steps`.
+        steps taken): see :func:`~ssp_lp.model.product.within_steps`. With a grid they are its
+        cells, and ``continuous`` is the world that they were made of, for ``WorldSimulator``.
 
     Raises:
         MissingDependencyError: gymnasium is not installed.
-        ModelError: no table, no start, a wrong table or option, or goals that cannot be told.
+        ModelError: no table, no start, a wrong table or option, or goals that cannot be told; to
+            survive without a horizon.
 
     Example:
         >>> import gymnasium
@@ -143,18 +156,32 @@ def from_gymnasium(
         (HorizonSSP(1,568 states, 4,288 pairs, 12,864 outcomes, 95 goals), {(0, 0): 1.0}, 100)
     """
     limit = _step_limit_of(env)
-    table, begin = _table_of(env), _start_of(env, start)
     if not callable(cost) and cost not in _COSTS:
         raise wrong_argument("cost", "be 'step', 'reward' or a function", cost)
-    model = _model_of_table(table, begin, goal, cost if callable(cost) else _COSTS[cost])
-    logging.getLogger("ssp_lp.building").info("%r", model)
     if isinstance(horizon, str) and horizon != "env":
         raise wrong_argument("horizon", "be 'env', a number of steps or None", horizon)
-    steps = limit if horizon == "env" else horizon
-    if steps is None:
-        return GymnasiumWorld(model, begin, limit, None)
-    unrolled = within_steps(model, steps, start=begin)
-    return GymnasiumWorld(unrolled, unrolled.start(begin), limit, steps)
+    paid: CostFunction = cost if callable(cost) else _COSTS[cost]
+    model: SSP
+    begin: Mapping[Hashable, float]
+    continuous, steps = None, limit if horizon == "env" else horizon
+    if grid is None:
+        table, begin = _table_of(env), _start_of(env, start)
+        model = _model_of_table(table, begin, goal, paid)
+    else:
+        if goal is None or start is None:
+            missing = "goal" if goal is None else "start"
+            raise ModelError("with a grid, say ", Argument(missing), " in coordinates")
+        continuous = continuous_from_gymnasium(env, grid, goal=goal, cost=paid)
+        model = discretise(continuous, Quadrature(_POINTS))
+        points = start if isinstance(start, Mapping) else {start: 1.0}
+        begin = {grid.cell_of(cast("tuple[float, ...]", p)): w for p, w in points.items()}
+    logging.getLogger("ssp_lp.building").info("%r", model)
+    if steps is None or (grid is not None and horizon == "env"):
+        if survive:
+            raise ModelError("surviving needs a number of steps: ", Argument("horizon"))
+        return GymnasiumWorld(model, begin, limit, None, continuous)
+    unrolled = within_steps(model, steps, start=begin, survive=survive)
+    return GymnasiumWorld(unrolled, unrolled.start(begin), limit, steps, continuous)
 
 
 FAILED, OUTSIDE = "failed", "outside"

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ssp_lp import Axis, Grid, ModelError, Samples, discretise
-from ssp_lp.io import continuous_from_gymnasium, from_gymnasium
+from formulations import MaxProb
+from ssp_lp import Axis, Grid, ModelError, Quadrature, Samples, discretise, solve
+from ssp_lp.io import continuous_from_gymnasium, fingerprint, from_gymnasium
 
 gymnasium = pytest.importorskip("gymnasium")
 CAR = Grid([Axis(-1.2, 0.6, cells=12), Axis(-0.07, 0.07, cells=10)])
@@ -52,3 +53,26 @@ def test_what_is_no_world_of_coordinates_is_refused() -> None:
             made(name)
     with pytest.raises(ModelError, match="continuous_from_gymnasium"):
         from_gymnasium(gymnasium.make("CartPole-v1"))
+
+
+def test_a_grid_is_discretised_in_one_call() -> None:
+    """The same model as by hand; on it, as on any other, surviving can be the goal."""
+    grid = Grid([Axis(-1.2, 0.6, cells=12), Axis(-0.07, 0.07, cells=8)])
+    hill = {"goal": lambda point: True, "start": (-0.5, 0.0)}
+    made = from_gymnasium(gymnasium.make("MountainCar-v0"), grid=grid, **hill)
+    car = continuous_from_gymnasium(gymnasium.make("MountainCar-v0"), grid, goal=lambda point: True)
+    assert fingerprint(made.model) == fingerprint(discretise(car, Quadrature(3)))
+    assert made.start == {grid.cell_of((-0.5, 0.0)): 1.0}
+    assert (made.step_limit, made.horizon) == (200, None)
+    assert made.continuous is not None
+    axes = [Axis(-2.5, 2.5, 3), Axis(-4, 4, 6), Axis(-0.22, 0.22, 6), Axis(-4, 4, 6)]
+    pole = {"grid": Grid(axes), "goal": lambda point: False, "start": (0.0, 0.0, 0.0, 0.0)}
+    env, balanced = gymnasium.make("CartPole-v1"), []
+    for steps in (2, 5, 9):
+        world = from_gymnasium(env, horizon=steps, survive=True, **pole)
+        balanced.append(solve(MaxProb(world.model, world.start)).objective)
+    assert 1.0 == balanced[0] > balanced[1] > balanced[2] > 0.0
+    with pytest.raises(ModelError, match="surviving needs a number of steps"):
+        from_gymnasium(env, survive=True, **pole)
+    with pytest.raises(ModelError, match="with a grid, say start in coordinates"):
+        from_gymnasium(env, **{**pole, "start": None})
