@@ -180,7 +180,8 @@ def from_gymnasium(
         if survive:
             raise ModelError("surviving needs a number of steps: ", Argument("horizon"))
         return GymnasiumWorld(model, begin, limit, None, continuous)
-    unrolled = within_steps(model, steps, start=begin, survive=survive)
+    ends = () if continuous is None else tuple(continuous.dead_ends)  # where their actions stay
+    unrolled = within_steps(model, steps, start=begin, survive=ends if survive else False)
     return GymnasiumWorld(unrolled, unrolled.start(begin), limit, steps, continuous)
 
 

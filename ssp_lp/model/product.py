@@ -26,7 +26,7 @@ from ssp_lp.arrays import (
     segment_ids,
 )
 from ssp_lp.compiled.deadline import check_time
-from ssp_lp.errors import Argument, ModelError, check_flag, check_whole
+from ssp_lp.errors import Argument, ModelError, check_whole, did_you_mean
 from ssp_lp.model.arguments import check_fields, explained
 from ssp_lp.model.graph import dead_ends
 from ssp_lp.model.ssp import SSP, Costs, check_model, no_lone_string
@@ -348,7 +348,7 @@ class HorizonSSP(ProductSSP):
     """A model whose states are (state, steps taken); see :func:`within_steps`."""
 
     steps: int = field(kw_only=True)
-    survive: bool = field(kw_only=True, default=False)  # having taken the last step is success
+    survive: tuple[str, ...] | None = field(kw_only=True, default=None)  # :func:`within_steps`
     positions: IntArray = field(kw_only=True)  # [states, counts] the product's state, -1 for none
 
     @cached_property
@@ -392,20 +392,25 @@ class HorizonSSP(ProductSSP):
 
 
 def within_steps(
-    model: SSP, steps: int, *, start: Iterable[Hashable] | None = None, survive: bool = False
+    model: SSP,
+    steps: int,
+    *,
+    start: Iterable[Hashable] | None = None,
+    survive: bool | Iterable[str] = False,
 ) -> HorizonSSP:
     """The model in which an episode fails unless it reaches the goal within so many steps.
 
     It is the product with a memory that counts steps, made from arrays at once. A policy on it
     knows how many steps are left; ``on_original`` lets it act on the model's states. To go on for
     so long may be success itself ("do not fall within 500 steps"): then an episode fails where it
-    comes to a state without actions before.
+    comes to a state without actions before, or to one that bears a label of what is to be survived.
 
     Args:
         model: the model; where surviving is all that counts, with a goal that no action leads to.
         steps: how many; a goal reached with the last one counts.
         start: states in which episodes may begin; None: every state of the model.
-        survive: an episode that still goes on when the steps are used up has reached the goal.
+        survive: an episode that still goes on when the steps are used up has reached the goal; or
+            the labels of states in which it does not go on, though they have actions.
 
     Returns:
         The product, with states (state, steps taken), and (state, "out of time") where the steps
@@ -424,18 +429,25 @@ def within_steps(
     """
     check_model(model, "within_steps")
     check_whole("steps", steps)
-    check_flag("survive", survive)
+    labels = (survive,) if isinstance(survive, str) else survive
+    lost = (None, ())[labels] if isinstance(labels, bool) else tuple(labels)
+    for label in set(lost or ()) - model.state_labels.keys():
+        near = did_you_mean(label, model.state_labels)
+        raise ModelError(f"no state bears the label {label!r}{near}")
     begin = None
     if start is not None:
         begin = [model.index_of(state) for state in no_lone_string(start, "start")]
-    horizon = unroll_steps(model, steps, begin, survive=survive)
+    horizon = unroll_steps(model, steps, begin, lost)
     if not horizon.goal_mask.any():
         raise ModelError(f"no goal can be reached within {steps} steps from the start")
     return horizon
 
 
 def unroll_steps(
-    model: SSP, steps: int, begin: Sequence[int] | None, *, survive: bool = False
+    model: SSP,
+    steps: int,
+    begin: Sequence[int] | None,
+    survive: tuple[str, ...] | None = None,
 ) -> HorizonSSP:
     """The model of :func:`within_steps`, whether a goal can be reached in it or not.
 
@@ -443,7 +455,8 @@ def unroll_steps(
         model: the model.
         steps: how many, >= 1.
         begin: states in which episodes may begin; None: all.
-        survive: whether having taken all steps is success.
+        survive: labels of states that are to be survived, where having taken all steps is success;
+            None: it is not.
     """
     steps = int(steps)
     reached = _reached_within_steps(model, begin, steps)
@@ -464,8 +477,14 @@ def unroll_steps(
     count = np.where(over, steps + 1, step).astype(least_integer_type(steps + 1))
     table = np.full((model.n_states, steps + 2), -1, dtype=np.int64)
     table[state, count] = np.arange(len(state))
-    is_late = np.zeros_like(over) if survive else _steps_needed(model, steps)[state] > steps - step
-    marked = {LATE: is_late}
+    is_goal, marked = model.goal_mask[state], dict[str, BoolArray]()
+    if survive is None:
+        marked[LATE] = _steps_needed(model, steps)[state] > steps - step
+    else:
+        lost = np.zeros(model.n_states, dtype=np.bool_)
+        for name in survive:
+            lost[model.state_labels[name]] = True
+        is_goal |= over & ~lost[state]
     for name, members in model.state_labels.items():
         among = np.isin(state, members)
         marked[name] = among | marked[name] if name in marked else among
@@ -478,7 +497,7 @@ def unroll_steps(
         successors=read_only(successors, np.int32),
         probabilities=read_only(model.probabilities[outcomes]),
         costs=read_only(model.costs[outcomes]),
-        goal_mask=read_only(model.goal_mask[state] | (over & survive)),
+        goal_mask=read_only(is_goal),
         state_labels={name: read_only(np.flatnonzero(mask)) for name, mask in marked.items()},
         exact_costs=model.exact_costs,
         named_costs={n: read_only(costs[outcomes]) for n, costs in model.named_costs.items()},
@@ -486,7 +505,7 @@ def unroll_steps(
         memory=Memory(
             start=0,
             update=_StepCount(model, steps).after,
-            fails=_never_in_product if survive else _is_late,
+            fails=_is_late if survive is None else _never_in_product,
         ),
         steps=steps,
         survive=survive,

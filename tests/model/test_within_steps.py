@@ -230,3 +230,19 @@ def test_surviving_can_be_the_goal(steps: int, tmp_path: Path) -> None:
     save_policy(solution.policy, tmp_path / "alive.npz")
     again = load_policy(tmp_path / "alive.npz", alive)
     assert evaluate(again, problem).failure_probability == pytest.approx(solution.budget_used)
+
+
+def test_states_that_are_to_be_survived_may_have_actions() -> None:
+    """Who lies in the net may stay there for ever: surviving is said by a label."""
+    walk = {
+        "rope": {"stride": [(0.9, "rope", 1.0), (0.1, "net", 1.0)]},
+        "net": {"lie": [(1.0, "net", 0.0)]},
+    }
+    model = model_of(walk, "nowhere", labels={"fallen": ["net"]})
+    for lost in (["fallen"], "fallen"):
+        alive = within_steps(model, 5, start=["rope"], survive=lost)
+        assert solve(MaxProb(alive, ("rope", 0))).objective == pytest.approx(0.9**5)
+    alive = within_steps(model, 5, start=["rope"], survive=True)
+    assert solve(MaxProb(alive, ("rope", 0))).objective == pytest.approx(1.0)
+    with pytest.raises(ModelError, match="label 'falen'; did you mean 'fallen'"):
+        within_steps(model, 5, survive=["falen"])

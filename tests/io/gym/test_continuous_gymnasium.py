@@ -66,12 +66,12 @@ def test_a_grid_is_discretised_in_one_call() -> None:
     assert (made.step_limit, made.horizon) == (200, None)
     assert made.continuous is not None
     axes = [Axis(-2.5, 2.5, 3), Axis(-4, 4, 6), Axis(-0.22, 0.22, 6), Axis(-4, 4, 6)]
-    pole = {"grid": Grid(axes), "goal": lambda point: False, "start": (0.0, 0.0, 0.0, 0.0)}
+    pole = {"grid": Grid(axes), "goal": lambda point: False, "start": (0.0, 0.0, 0.1, 1.0)}
     env, balanced = gymnasium.make("CartPole-v1"), []
     for steps in (2, 5, 9):
         world = from_gymnasium(env, horizon=steps, survive=True, **pole)
         balanced.append(solve(MaxProb(world.model, world.start)).objective)
-    assert 1.0 == balanced[0] > balanced[1] > balanced[2] > 0.0
+    assert 1.0 > balanced[0] > balanced[1] > balanced[2] > 0.0
     with pytest.raises(ModelError, match="surviving needs a number of steps"):
         from_gymnasium(env, survive=True, **pole)
     with pytest.raises(ModelError, match="with a grid, say start in coordinates"):
