@@ -25,8 +25,6 @@ from formulations import (
     MinCost,
 )
 from random_models import random_choices
-from references import mcmp_program, s3p_program
-from references.chain import PlainModel, plain_model
 from small_models import model_of
 from ssp_lp import (
     GIVE_UP,
@@ -61,69 +59,30 @@ STEPS = 6
 SEEDS = (0, 3, 4, 8)  # of which the goal can be reached in so many steps
 
 
-def drawn(seed: int) -> tuple[SSP, PlainModel]:
-    """A random ring, and the same unrolled by hand: a dead-end where the steps are used up."""
-    choices = random_choices(np.random.default_rng(seed), 7)
-    by_hand = {
-        (state, t): {
-            action: [(p, (to, t + 1), cost) for p, to, cost in outcomes]
-            for action, outcomes in (actions if t < STEPS else {}).items()
-        }
-        for state, actions in choices.items()
-        for t in range(STEPS + 1)
-    }
-    goals = {("goal", t) for t in range(STEPS + 1)}
-    model = model_of(choices, "goal")
-    return model, plain_model(by_hand, goals)
+def drawn(seed: int) -> SSP:
+    """A random ring of states."""
+    return model_of(random_choices(np.random.default_rng(seed), 7), "goal")
+
+
+HUT = {
+    "camp": {
+        "ridge": [(0.8, "top", 3.0), (0.1, "camp", 1.0), (0.1, "gorge", 1.0)],
+        "path": [(0.5, "top", 7.0), (0.48, "camp", 2.0), (0.02, "gorge", 2.0)],
+        "back": [(1.0, "hut", 2.0)],
+    },
+    "gorge": {},
+    "hut": {},
+}
+
+
+def mountain() -> SSP:
+    return model_of(HUT, "top", labels={"fall": ["gorge"]})
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("discount", [None, 0.9])
-@pytest.mark.parametrize("give_up", ["attention", "anywhere", "dead_ends"])
-def test_case_m_is_the_program_unrolled_by_hand(
-    seed: int, discount: float | None, give_up: str
-) -> None:
-    model, by_hand = drawn(seed)
-    program = mcmp_program.program(
-        by_hand, ("s0", 0), give_up=give_up, charge_failing_step=True, discount=discount
-    )
-    least = mcmp_program.least_failure(program)
-    budget = least + 0.3 * (1.0 - least)
-    problem = MCMP(model, "s0", budget, discount, give_up, horizon=STEPS)
-    solution = solve(problem)
-    assert solution.objective == pytest.approx(mcmp_program.least_cost(program, budget), abs=1e-8)
-    check_it_holds(solution, model)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("discount", [None, 0.9])
-def test_case_s_is_the_program_unrolled_by_hand(seed: int, discount: float | None) -> None:
-    model, by_hand = drawn(seed)
-    program = s3p_program.program(by_hand, ("s0", 0), 4 * STEPS, discount=discount)
-    best = -s3p_program.least_difference(replace(program, cost=0.0 * program.cost), 1.0)
-    budget = 1.0 - 0.7 * best
-    solution = solve(S3P(model, "s0", budget, discount, horizon=STEPS))
-    assert solution.objective == pytest.approx(s3p_program.least_ratio(program, budget), abs=1e-8)
-    check_it_holds(solution, model)
-
-
-def check_it_holds(solution, model: SSP) -> None:
-    """The policy acts on the model, attains what is said of it, and the proof stands."""
-    assert solution.policy.model is solution.problem.model is model
-    certificate = certify(solution)
-    assert certificate.accepted
-    assert certificate.gap < 1e-8
-    found = evaluate(solution.policy, solution.problem)
-    assert found.objective == pytest.approx(solution.objective, abs=1e-9)
-    mixed = evaluate(solution.randomised_policy, solution.problem)
-    assert mixed.objective == pytest.approx(solution.objective, abs=1e-9)
-    assert sum(found.ends.values()) == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize("seed", SEEDS[:4])
 @pytest.mark.parametrize("horizon", [1, 2, 5, 9])
 def test_the_greatest_probability_is_backward_induction(seed: int, horizon: int) -> None:
-    model, _ = drawn(seed)
+    model = drawn(seed)
     value = model.goal_mask.astype(np.float64)
     for _ in range(horizon):
         ahead = np.add.reduceat(
@@ -142,73 +101,56 @@ def test_the_greatest_probability_is_backward_induction(seed: int, horizon: int)
             solve(MinCost(model, "s0", horizon=horizon))
 
 
-@pytest.mark.parametrize("seed", SEEDS[:3])
-def test_every_criterion_agrees_with_the_model_unrolled_first(seed: int) -> None:
-    model, _ = drawn(seed)
-    start = {"s0": 0.75, "s3": 0.25}
-    unrolled_first = within_steps(model, STEPS, start=start)
-    there = unrolled_first.start(start)
-    for criterion, asked in (
-        (MCMP, {}),
-        (MCMP, {"reach_fraction": 0.9}),
-        (S3P, {}),
-        (S3P, {"reach_fraction": 0.8}),
-        (AlphaMCMP, {"reach_fraction": 0.7}),
-        (FinitePenalty, {"penalty": 20.0}),
-        (GUBS, {"utility": lambda cost: 0.9**cost, "goal_bonus": 0.5}),
-    ):
-        mine = solve(criterion(model, start, **asked, horizon=STEPS))
-        theirs = solve(criterion(unrolled_first, there, **asked))
-        assert mine.objective == pytest.approx(theirs.objective, rel=1e-9)
-        assert mine.failure_probability == pytest.approx(theirs.failure_probability, abs=1e-9)
-        assert certify(mine).accepted
+WALKS = {"constraints": {"walks": visits("camp") <= 1.3}}
+AGREES = [
+    (MCMP, {}, None),
+    (MCMP, {}, "deterministic"),
+    (MCMP, {"reach_fraction": 0.9}, None),
+    (MCMP, {"discount": 0.9}, "lp"),
+    (MCMP, {"discount": 0.9}, "game"),
+    (S3P, {}, None),
+    (S3P, {}, "deterministic"),
+    (S3P, {"reach_fraction": 0.8}, None),
+    (S3P, {"discount": 0.9}, "game"),
+    (S3P, WALKS, None),
+    (S3P, {"discount": 0.9} | WALKS, "lp"),
+    (AlphaMCMP, {"reach_fraction": 0.7}, None),
+    (FinitePenalty, {"penalty": 20.0}, None),
+    (GUBS, {"utility": lambda cost: 0.9**cost, "goal_bonus": 0.5}, None),
+    (CostQuantile, {"level": 0.5}, None),
+    (CVaR, {"level": 0.5}, None),
+    (CostBoundedReach, {"cost_bound": 9}, None),
+]
 
 
-@pytest.mark.parametrize(
-    ("criterion", "asked", "method"),
-    [
-        (S3P, {"constraints": {"walks": visits("camp") <= 1.3}}, None),
-        (S3P, {"constraints": {"walks": visits("camp") <= 1.3}, "discount": 0.9}, "lp"),
-        (MCMP, {"discount": 0.9}, "lp"),
-        (MCMP, {"discount": 0.9}, "game"),
-        (S3P, {"discount": 0.9}, "game"),
-        (MCMP, {}, "deterministic"),
-        (S3P, {}, "deterministic"),
-        (CostQuantile, {"level": 0.5}, None),
-        (CVaR, {"level": 0.5}, None),
-        (CostBoundedReach, {"cost_bound": 9}, None),
-    ],
-)
-def test_what_it_goes_with(criterion: Any, asked: dict[str, Any], method: str | None) -> None:
-    model, steps, budget = mountain(), 4, 0.3
-    first = within_steps(model, steps, start=["camp"])
-    options = dict(asked)
-    if "constraints" in asked:
-        camps = [label for label in first.states if label[0] == "camp"]
-        options["constraints"] = {"walks": visits(*camps) <= 1.3}
-    problem = criterion(model, "camp", failure_budget=budget, horizon=steps, **asked)
-    mine = solve(problem, method)
-    theirs = solve(criterion(first, ("camp", 0), failure_budget=budget, **options), method)
-    assert mine.objective == pytest.approx(theirs.objective, rel=1e-6 if method == "game" else 1e-9)
-    certificate = certify(mine)
-    assert certificate.accepted
-    assert certificate.objective == pytest.approx(mine.objective, rel=1e-9)
-    assert mine.policy.model is model
-
-
-HUT = {
-    "camp": {
-        "ridge": [(0.8, "top", 3.0), (0.1, "camp", 1.0), (0.1, "gorge", 1.0)],
-        "path": [(0.5, "top", 7.0), (0.48, "camp", 2.0), (0.02, "gorge", 2.0)],
-        "back": [(1.0, "hut", 2.0)],
-    },
-    "gorge": {},
-    "hut": {},
-}
-
-
-def mountain() -> SSP:
-    return model_of(HUT, "top", labels={"fall": ["gorge"]})
+@pytest.mark.parametrize(("criterion", "asked", "method"), AGREES)
+def test_every_criterion_agrees_with_the_model_unrolled_first(
+    criterion: Any, asked: dict[str, Any], method: str | None
+) -> None:
+    """The policy acts on the model, attains what is said of it, and the proof stands."""
+    limited, budgeted = "constraints" in asked, "failure_budget" in criterion.__dataclass_fields__
+    within = {"failure_budget": 0.3} if budgeted and "reach_fraction" not in asked else {}
+    cases = [(mountain(), 4, {"camp": 1.0}, within)]
+    if method is None and not limited:
+        cases += [(drawn(seed), STEPS, {"s0": 0.75, "s3": 0.25}, {}) for seed in SEEDS[:3]]
+    for model, steps, start, budget in cases:
+        first, options = within_steps(model, steps, start=start), dict(asked)
+        if limited:
+            camps = [label for label in first.states if label[0] == "camp"]
+            options["constraints"] = {"walks": visits(*camps) <= 1.3}
+        problem = criterion(model, start, **asked, **budget, horizon=steps)
+        there = criterion(first, first.start(start), **options, **budget)
+        near = 1e-6 if method == "game" else 1e-9
+        mine, theirs = solve(problem, method), solve(there, method)
+        assert mine.objective == pytest.approx(theirs.objective, rel=near)
+        assert mine.policy.model is model
+        certificate = certify(mine)
+        assert certificate.accepted
+        assert certificate.objective == pytest.approx(mine.objective, rel=1e-9)
+        for policy in (mine.policy, mine.randomised_policy):
+            found = evaluate(policy, problem)
+            assert found.objective == pytest.approx(mine.objective, rel=1e-9)
+            assert sum(found.ends.values()) == pytest.approx(1.0)
 
 
 def test_limits_are_stated_in_the_words_of_the_model() -> None:
@@ -309,6 +251,10 @@ def test_playing_and_simulating_know_what_time_it_is() -> None:
     model = mountain()
     problem = MCMP(model, "camp", 0.2, horizon=2)
     solution = solve(problem)
+    told = solution.summary()
+    assert told.startswith("MCMP, failure budget 0.2, within 2 steps, exact")
+    assert "out of time " in told
+    assert "horizon=2" in repr(problem)
     report = simulate(solution.policy, problem, episodes=4_000, rng=7)
     assert report.goal_probability.low <= 0.8 <= report.goal_probability.high
     assert report.ends[LATE] > 0
@@ -338,13 +284,6 @@ def test_playing_and_simulating_know_what_time_it_is() -> None:
         episode.observe("camp", 1.0)
     assert episode.action("camp") is GIVE_UP
     assert solution.policy.start(3).action("gorge") is None
-
-
-def test_the_summary_says_that_time_ran_out() -> None:
-    told = solve(MCMP(mountain(), "camp", 0.2, horizon=2)).summary()
-    assert told.startswith("MCMP, failure budget 0.2, within 2 steps, exact")
-    assert "out of time " in told
-    assert "horizon=2" in repr(MCMP(mountain(), "camp", 0.2, horizon=2))
 
 
 def test_too_few_steps_left_is_out_of_time_wherever_it_is_found_out() -> None:
@@ -377,7 +316,7 @@ def test_a_goal_that_is_too_far_is_out_of_reach() -> None:
         assert caught.value.least_failure == 1.0
 
 
-def test_the_game_and_the_program_know_the_horizon() -> None:
+def test_the_game_the_program_and_the_frontier_know_the_horizon() -> None:
     problem = MCMP(mountain(), "camp", 0.3, 0.95, horizon=3)
     check = cross_check(problem)
     assert check.agrees
@@ -390,10 +329,7 @@ def test_the_game_and_the_program_know_the_horizon() -> None:
     assert measure.objective == pytest.approx(solution.objective, rel=1e-8)
     for policy in (measure.mixed_policy(), on_original(measure.mixed_policy())):
         assert evaluate(policy, problem).objective == pytest.approx(solution.objective, rel=1e-8)
-
-
-def test_a_frontier_within_the_horizon() -> None:
-    problem = MCMP(mountain(), "camp", 0.3, horizon=3)
+    problem = replace(problem, discount=None)
     frontier = trace_frontier(problem)
     assert frontier.objective_at(0.3) == pytest.approx(solve(problem).objective)
     policy = frontier.policy_at(0.3)
@@ -418,24 +354,6 @@ def test_what_is_saved_is_what_was_found(tmp_path, criterion: type[MCMP] | type[
     for beside in (unrolled(again).model, within_steps(again.model, 5, start=["camp"])):
         policy = load_policy(tmp_path / "policy.npz", beside)
         assert policy.model.states == again.model.states
-
-
-@pytest.mark.parametrize("horizon", [1, 2, 4])
-@pytest.mark.parametrize("seed", SEEDS)
-def test_arrays_are_the_stated_models(seed: int, horizon: int) -> None:
-    """As many outcomes or pairs as the model has steps: an array says what nested dicts say."""
-    model, _ = drawn(seed)
-    costs = np.random.default_rng(seed).integers(0, 9, model.n_pairs).astype(np.float64)
-    nested: dict[Any, dict[Any, float]] = {state: {} for state in model.states}
-    for pair, state in enumerate(model.pair_state.tolist()):
-        nested[model.states[state]][model.action_of(pair)] = costs[pair]
-    listed = {state: of for state, of in nested.items() if of}
-    by_outcome = np.repeat(costs, np.diff(model.outcome_offsets))
-    least = [
-        solve(LeastQuantity(model, "s0", secondary_cost(cost), horizon=horizon)).objective
-        for cost in (listed, costs, by_outcome)
-    ]
-    assert least == pytest.approx([least[0]] * 3, abs=1e-9)
 
 
 def test_an_array_that_would_fit_the_unrolled_model_too_is_the_stated_models() -> None:

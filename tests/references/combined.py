@@ -7,7 +7,8 @@ reach the goal, to an end that is asked for or has no steps. Everything is plain
 one call of scipy: nothing is shared with the library.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -15,6 +16,8 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
+
+from .linear_program import SHARP
 
 Number = int | Fraction
 
@@ -84,6 +87,11 @@ def dead_ends(task: Task) -> set[str]:
         hopeful |= more
 
 
+def stays(outs: list[tuple[float, str, Number]], states: set[str]) -> bool:
+    """Whether all that can happen lies in some states."""
+    return all(to in states for p, to, _ in outs if p > 0)
+
+
 def avoiding(task: Task) -> set[str]:
     """Live states in which some policy surely avoids the goal."""
     found, dead = set(task.choices) - task.goals, dead_ends(task)
@@ -91,10 +99,7 @@ def avoiding(task: Task) -> set[str]:
         kept = {
             s
             for s in found
-            if s in dead
-            or any(
-                all(t in found for p, t, _ in outs if p > 0) for outs in task.choices[s].values()
-            )
+            if s in dead or any(stays(outs, found) for outs in task.choices[s].values())
         }
         if kept == found:
             return found - dead
@@ -171,12 +176,11 @@ def program(
     asked = {part for limit in task.limits for part in limit.weights} | set(minimised)
     ends = {s for s in dead if not task.choices[s] or f"end {named(s)}" in asked}
     place = places(task, horizon, live, (avoids | dead) - ends)
-    names_of_rows = [named(state) for state, _ in place]
     names = sorted({named(state) for state in task.choices})
     every = ["goal", "failure", "cost", "fuel"]
     every += [f"{part} {name}" for part in ("visits", "end") for name in names] + [OVER]
     rows, columns, entries = [], [], []
-    taken_by_column: list[dict[str, float]] = []
+    taken_by_column: list[Mapping[str, float]] = []
     arrivals: list[list[tuple[float, Number]]] = []
     labels: list[tuple[str, str]] = []
     entering = {
@@ -184,75 +188,74 @@ def program(
     }
 
     def add(
-        row: int, taken: dict[str, float], steps: dict[int, float], here: list, action: str = STOP
+        where: tuple[str, Number | str],
+        taken: Mapping[str, float],
+        steps: Mapping[int, float] | None = None,
+        here: Sequence = (),
+        action: str = STOP,
     ) -> None:
         """One more column."""
-        labels.append((names_of_rows[row], action))
-        for at, entry in ({row: 1.0} | {t: (t == row) - p for t, p in steps.items()}).items():
+        row = place[where]
+        labels.append((named(where[0]), action))
+        led = {t: (t == row) - p for t, p in (steps or {}).items()}
+        for at, entry in ({row: 1.0} | led).items():
             rows.append(at), columns.append(len(arrivals)), entries.append(entry)
         taken_by_column.append(taken)
-        arrivals.append(here)
+        arrivals.append(list(here))
 
-    for (state, paid), row in place.items():
+    def step(paid: Number | str, outs: list, survival: float) -> tuple[dict, dict, list]:
+        """What a step takes of every part, where it leads, and what arrives at the goal."""
+        taken: dict[str, float] = defaultdict(float)
+        steps: dict[int, float] = defaultdict(float)
+        here = []
+        for p, to, cost in outs:
+            over = to in task.goals or to in ends
+            taken[f"end {named(to)}"] += survival * p * over
+            if paid == FAILED:
+                taken[OVER] += p * over
+            else:
+                taken["cost"] += p * float(cost)
+                taken[f"visits {named(to)}"] += survival * p
+                taken["failure"] += survival * p * (to in dead)
+                for part, charge in entering.get(to, {}).items():
+                    taken[part] += survival * p * charge
+            if to in task.goals:
+                taken["goal"] += survival * p
+                here.append((p, min(paid + cost, horizon)))
+            if p > 0 and not over:
+                failed = paid == FAILED or to in dead
+                there = place[to, FAILED if failed else min(paid + cost, horizon)]
+                steps[there] += survival * p
+        return taken, steps, here
+
+    for state, paid in place:
         if paid == FAILED:
             for action, outs in task.choices[state].items():
-                if state in dead or all(t in avoids | dead for p, t, _ in outs if p > 0):
-                    taken, steps = dict.fromkeys(every, 0.0), {}
-                    for p, successor, _ in outs:
-                        if successor in ends:
-                            taken[f"end {named(successor)}"] += discount * p
-                            taken[OVER] += p
-                        elif p > 0:
-                            there = place[successor, FAILED]
-                            steps[there] = steps.get(there, 0.0) + discount * p
-                    add(row, taken, steps, [], action)
+                if state in dead or stays(outs, avoids | dead):
+                    add((state, paid), *step(paid, outs, discount), action)
             continue
         begins = [(share, s, 0) for s, share in task.start.items()]
         actions = {"begin": begins} if state == SOURCE else task.choices[state]
         for action, outs in actions.items():
             survival = 1.0 if state == SOURCE else discount
-            taken = dict.fromkeys(every, 0.0)
-            taken["fuel"] = task.fuel.get(named(state), {}).get(action, 0.0)
-            taken["failure"] = 1.0 - survival
-            steps: dict[int, float] = {}
-            here = []
-            for p, successor, cost in outs:
-                total = min(paid + cost, horizon)
-                taken["cost"] += p * float(cost)
-                taken[f"visits {named(successor)}"] += survival * p
-                if successor in task.goals or successor in ends:
-                    taken[f"end {named(successor)}"] += survival * p
-                for part, charge in entering.get(successor, {}).items():
-                    taken[part] += survival * p * charge
-                if successor in task.goals:
-                    taken["goal"] += survival * p
-                    here.append((p, total))
-                elif successor in dead:
-                    taken["failure"] += survival * p
-                    if successor not in ends and p > 0:
-                        there = place[successor, FAILED]
-                        steps[there] = steps.get(there, 0.0) + survival * p
-                elif p > 0:
-                    there = place[successor, total]
-                    steps[there] = steps.get(there, 0.0) + survival * p
-            add(row, taken, steps, here, action)
+            taken, steps, here = step(paid, outs, survival)
+            taken["fuel"] += task.fuel.get(named(state), {}).get(action, 0.0)
+            taken["failure"] += 1.0 - survival
+            add((state, paid), taken, steps, here, action)
         allowed = {"anywhere": True, "attention": state in avoids, "dead_ends": False}
         if state != SOURCE and allowed[give_up]:
-            staying = [
-                action
-                for action, outs in actions.items()
-                if give_up == "anywhere" or all(t in avoids | dead for p, t, _ in outs if p > 0)
-            ]
+            staying = [a for a, outs in actions.items()
+                       if give_up == "anywhere" or stays(outs, avoids | dead)]  # fmt: skip
             paid_once = least_paid(task, state, staying) if charged else {}
             onward = {place[state, FAILED]: 1.0} if state in avoids else {}
-            add(row, dict.fromkeys(every, 0.0) | {"failure": 1.0} | paid_once, onward, [])
+            add((state, paid), {"failure": 1.0} | paid_once, onward)
     counted = {part for limit in task.limits for part in limit.weights} | set(minimised)
     counted -= {part for part in every if part.startswith("end") or part in ("goal", "failure")}
     inside = list(place.values())[1:]  # nobody wanders before the start
     for row in wandering(inside, rows, columns, taken_by_column, counted):
-        fails = 0.0 if list(place)[row][1] == FAILED else 1.0
-        add(row, dict.fromkeys(every, 0.0) | {"failure": fails}, {}, [])
-    parts = {name: np.array([taken[name] for taken in taken_by_column]) for name in every}
+        where = list(place)[row]
+        add(where, {"failure": float(where[1] != FAILED)})
+    parts = {name: np.array([t.get(name, 0.0) for t in taken_by_column]) for name in every}
     start = np.zeros(len(place))
     start[0] = 1.0
     shape = len(place), len(arrivals)
@@ -264,7 +267,7 @@ def wandering(
     everywhere: Iterable[int],
     rows: list[int],
     columns: list[int],
-    taken: list[dict[str, float]],
+    taken: list[Mapping[str, float]],
     counted: set[str],
 ) -> set[int]:
     """Places to which one may come back for ever by steps that add nothing to what is counted.
@@ -281,7 +284,7 @@ def wandering(
         column
         for column in reached
         if reached[column] <= inside
-        and not any(taken[column][part] for part in (*counted, "goal", "failure", OVER))
+        and not any(taken[column].get(part) for part in (*counted, "goal", "failure", OVER))
     ]
     while True:
         steps = [(home[column], row) for column in free for row in reached[column]]
@@ -335,13 +338,8 @@ def solved(
         equal = np.block([[equal, -right[:, None]], [written.parts["goal"], 0.0]])
         right = np.append(np.zeros(len(right)), 1.0)
     for presolve in (True, False):  # HiGHS 1.8 takes some bounded programs for unbounded
-        options = dict.fromkeys(
-            ("primal_feasibility_tolerance", "dual_feasibility_tolerance"), 1e-10
-        )
-        answer = linprog(
-            objective, upper, bounds, equal, right,
-            method="highs-ds", options=options | {"presolve": presolve},
-        )  # fmt: skip
+        options = SHARP | {"presolve": presolve}
+        answer = linprog(objective, upper, bounds, equal, right, method="highs-ds", options=options)
         if answer.status == 0:
             return float(answer.fun)
         if answer.status == 2:

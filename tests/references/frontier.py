@@ -111,11 +111,3 @@ def price_interval(points: Sequence[Point], budget: float, value: float) -> tupl
         elif failure < budget - SAME_FAILURE:
             high = min(high, (cost - value) / (budget - failure))
     return low, high
-
-
-def ratio_price_interval(
-    points: Sequence[Point], budget: float, value: float
-) -> tuple[float, float]:
-    """All prices p >= 0 with cost - value * (1 - failure) + p * (failure - budget) >= 0."""
-    shifted = [Point(f, cost - value * (1 - f)) for f, cost in distinct(points)]
-    return price_interval(shifted, budget, 0.0)

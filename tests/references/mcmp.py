@@ -28,10 +28,12 @@ from references.chain import (
 )
 from references.frontier import Point, least_failure
 
+Start = State | Mapping[State, float]
+
 
 def points(
     model: PlainModel,
-    start: State | Mapping[State, float],
+    start: Start,
     *,
     give_up: str = "attention",
     charge_failing_step: bool = True,
@@ -116,9 +118,7 @@ def _cost(
     return mean(begin, value | dict(over))
 
 
-def at_least_failure(
-    model: PlainModel, start: State | Mapping[State, float], *, charge_failing_step: bool = True
-) -> Point:
+def at_least_failure(model: PlainModel, start: Start, *, charge_failing_step: bool = True) -> Point:
     """The least failure, and the least cost among the policies that attain it, in two stages.
 
     At least failure only a true dead-end is hopeless, so all three meanings of giving up agree.

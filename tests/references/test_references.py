@@ -1,18 +1,23 @@
-"""The references against closed forms: a yardstick that is itself measured."""
+"""The references against closed forms and one another: a yardstick that is itself measured."""
 
 import numpy as np
 import pytest
+from hypothesis import given, strategies as st
 
+import cost_law_models as models
 from cases import ROBOT_VALUES, expected, load_case
-from references import mcmp, s3p, s3p_program
+from checks import plain
+from references import mcmp, mcmp_program, s3p, s3p_program
 from references.chain import plain_model
 from references.frontier import (
     Point,
     constrained_optimum,
     constrained_ratio,
+    least_failure,
     lower_hull,
     price_interval,
 )
+from strategies import acyclic_problems, discounts, often, problems, semantics
 
 EXACT = {"rel": 1e-12, "abs": 1e-12}
 
@@ -24,8 +29,7 @@ def case_model(name, cost):
 
 def hull_value(points, budget):
     """The frontier read off the lower hull instead of from pairs."""
-    hull = lower_hull(points)
-    return float(np.interp(budget, [p.failure for p in hull], [p.cost for p in hull]))
+    return float(np.interp(budget, *zip(*lower_hull(points), strict=True)))
 
 
 FREE_LOOP = plain_model({"x": {"loop": [(1.0, "x", 0.0)], "out": [(1.0, "g", 5.0)]}}, {"g"})
@@ -169,3 +173,87 @@ def test_the_price_of_the_program_is_recognised():
     assert (low, high) == pytest.approx((0.0, 0.0), abs=1e-9)
     assert s3p_program.price_slack(model, "x", 0.02, value, price + 1)[0] < -1e-3
     assert s3p_program.price_slack(model, "x", 0.02, value, price - 1)[0] < -1e-3
+
+
+shares = st.sampled_from([0.01, 0.1, 0.25, 0.5, 0.75, 0.95])
+CLOSE = {"rel": 1e-7, "abs": 1e-8}
+
+
+@often(120)
+@given(problems(), semantics, discounts, shares)
+def test_pairs_and_hull_and_program_give_one_frontier(drawn, meaning, discount, share):
+    """The best lottery over two policies lies on the lower hull, and has a price there."""
+    model = plain(drawn)
+    points = mcmp.points(model, drawn.start, discount=discount, **meaning)
+    data = mcmp_program.program(model, drawn.start, discount=discount, **meaning)
+    least = least_failure(points)
+    assert mcmp_program.least_failure(data) == pytest.approx(least, abs=1e-9)
+    for budget in (least, least + share * (1 - least)):
+        value = constrained_optimum(points, budget)
+        assert value == pytest.approx(hull_value(points, budget), rel=1e-9, abs=1e-9)
+        low, high = price_interval(points, budget, value)
+        assert low <= high + 1e-6
+    assert mcmp_program.least_cost(data, budget) == pytest.approx(value, **CLOSE)
+
+
+@often(120)
+@given(problems(), st.booleans())
+def test_meanings_of_giving_up_agree_at_least_failure(drawn, charge):
+    """Below it they are ordered: the freer the choice to stop, the lower the cost."""
+    model = plain(drawn)
+    best = mcmp.at_least_failure(model, drawn.start, charge_failing_step=charge)
+    values = []
+    for give_up in ("anywhere", "attention", "dead_ends"):
+        points = mcmp.points(model, drawn.start, give_up=give_up, charge_failing_step=charge)
+        assert least_failure(points) == pytest.approx(best.failure, abs=1e-12)
+        at_least = constrained_optimum(points, best.failure)
+        assert at_least == pytest.approx(best.cost, rel=1e-9, abs=1e-9)
+        values.append(constrained_optimum(points, 0.5 + 0.5 * best.failure))
+    assert values[0] <= values[1] + 1e-9
+    assert values[1] <= values[2] + 1e-9
+
+
+@often(120)
+@given(acyclic_problems(), shares, discounts)
+def test_product_by_enumeration_and_by_program(drawn, share, discount):
+    """Runs of acyclic models end within ten layers: enumeration of the product is exact."""
+    model = plain(drawn)
+    least, value = s3p.at_least_failure(model, drawn.start, discount)
+    if value is None:
+        return
+    budget = least + share * (1 - least)
+    points = s3p.product_points(model, drawn.start, 10, discount)
+    bounds = s3p_program.ratio_bounds(model, drawn.start, budget, discount=discount)
+    assert bounds == pytest.approx([constrained_ratio(points, budget)] * 2, rel=1e-7)
+
+
+@often(120)
+@given(st.one_of(problems(most_live=3), problems(most_live=3, attention=True)), shares, discounts)
+def test_memory_of_the_cost_never_hurts(drawn, share, discount):
+    """The product's optimum is at most the best lottery over policies that see states only."""
+    model = plain(drawn)
+    least, value = s3p.at_least_failure(model, drawn.start, discount)
+    if value is None:
+        return
+    budget = least + share * (1 - least)
+    low, high = s3p_program.ratio_bounds(model, drawn.start, budget, discount=discount)
+    stationary = constrained_ratio(s3p.stationary_points(model, drawn.start, discount), budget)
+    assert low <= high + 1e-7
+    assert high <= min(stationary, value) * (1 + 1e-7) + 1e-7
+
+
+@pytest.mark.parametrize("p", [0.5, 0.3])
+def test_trying_again_until_it_works(p):
+    """The geometric law, at least failure and within a budget that never helps."""
+    model = plain_model(models.retry(p), {"g"})
+    for bound in (0, 2, 5):
+        value = models.retry_within(p, bound)
+        assert s3p_program.reach_within(model, "x", bound, None) == pytest.approx(value, **CLOSE)
+    for level in (0.2, 0.51, 0.75):
+        for budget in (None, 0.5):
+            tries = s3p_program.quantile(model, "x", level, budget)
+            assert tries == models.retry_quantile(p, level)
+        low, high = s3p_program.conditional_value_at_risk(model, "x", level, None)
+        assert (low, high) == pytest.approx([models.retry_cvar(p, level)] * 2, **CLOSE)
+    utility = s3p_program.exponential_utility(model, "x", -1.0, 2.0)
+    assert utility == pytest.approx(models.retry_utility(p, -1.0) + 2.0, **CLOSE)
