@@ -20,7 +20,7 @@ from formulations import (
     MaxProb,
     MinCost,
 )
-from small_models import each_meaning, model_of
+from small_models import each_meaning, each_method, model_of
 from ssp_lp import (
     GIVE_UP,
     SSP,
@@ -129,7 +129,7 @@ def test_an_equality_of_the_worth_of_arriving() -> None:
     assert certify(solution).accepted
 
 
-@pytest.mark.parametrize("method", ["columns", "lp"])
+@each_method
 def test_a_goal_probability_that_is_fixed(method: str) -> None:
     rare, asked = 4e-5, 4.4e-5
     model = model_of(
@@ -185,20 +185,16 @@ def test_to_stay_for_ever_must_be_free_in_everything() -> None:
 LOOP = model_of({"a": {"go": [(0.5, "g", 1.0), (0.5, "a", 1.0)], "w": [(1.0, "a", 0.0)]}})
 
 
-def test_a_policy_without_success_is_refused() -> None:
-    problem = S3P(LOOP, "a", failure_budget=1.0, constraints={"v": visits("a") <= 3.0})
-    never = DeterministicPolicy.from_actions(LOOP, {"a": GIVE_UP})
-    certificate = certify(replace(solve(problem), policy=alone(never)))
-    assert not certificate.accepted
-
-
-@pytest.mark.parametrize("method", ["columns", "lp"])
+@each_method
 def test_limits_under_which_nothing_succeeds(method: str) -> None:
     with pytest.raises(InfeasibleError):
         solve(S3P(LOOP, "a", 1.0, constraints={"c": expected_cost() <= 0.0}), method)
+    problem = S3P(LOOP, "a", failure_budget=1.0, constraints={"v": visits("a") <= 3.0})
+    never = DeterministicPolicy.from_actions(LOOP, {"a": GIVE_UP})
+    assert not certify(replace(solve(problem, method), policy=alone(never))).accepted
 
 
-@pytest.mark.parametrize("method", ["columns", "lp"])
+@each_method
 def test_no_failure_at_all(method: str) -> None:
     model = model_of(
         {
@@ -215,14 +211,11 @@ def test_no_failure_at_all(method: str) -> None:
     assert problem.program().solve().objective == pytest.approx(1.25, rel=1e-9)
 
 
-def test_terms_that_count_the_same_are_added_up() -> None:
+def test_terms_that_count_the_same_are_added_up_and_may_come_to_nothing() -> None:
     twice = 2.0 * visits("a") - visits("a")
     solution = solve(MCMP(LOOP, "a", 1.0, constraints={"v": twice <= 1.5}))
     assert solution.secondary_costs["v"] <= 1.5 + 1e-9
     assert solve(MCMP(LOOP, "a", 1.0, constraints={"v": visits("a") - visits("a") <= 0.0}))
-
-
-def test_a_row_that_counts_nothing() -> None:
     with pytest.raises(InfeasibleError) as caught:
         solve(MaxProb(LOOP, "a", constraints={"k": 0.0 * goal_probability() <= -1.0}))
     assert caught.value.conflicting_rows == ("k",)
@@ -266,7 +259,7 @@ FUEL = {"x": {"go": 1.0}}
 
 
 @each_meaning
-@pytest.mark.parametrize("method", ["columns", "lp"])
+@each_method
 def test_what_uses_none_of_the_quantity_may_go_on_for_ever(method: str, give_up: str) -> None:
     """Half go for fuel 1; the others stay, which costs something, but no fuel."""
     problem = LeastQuantity(TANK, "x", secondary_cost(FUEL), 0.5, give_up=give_up)
@@ -365,38 +358,30 @@ def test_limits_that_nearly_forbid_to_move(most: float) -> None:
             assert max(solution.gap, certify(solution).gap) < 1e-9
 
 
-LADDER = model_of(
-    {
-        "a": {"go": [(0.5, "g", 1.0), (0.5, "b", 1.0)]},
-        "b": {"go": [(0.5, "g", 2.0), (0.5, "d", 2.0)]},
-    }
-    | {"d": {}}
-)
+@each_meaning
+def test_where_a_run_without_budget_may_stop(give_up: str) -> None:
+    """Every run costs 2 in the mean unless it may stop anywhere: at a 1, at b 1/2 * 2.
 
-
-@pytest.mark.parametrize(
-    ("give_up", "values"),
-    [("anywhere", (0.0, 0.25, 0.625)), ("attention", None), ("dead_ends", None)],
-)
-def test_where_a_run_without_budget_may_stop(give_up: str, values: tuple | None) -> None:
-    """Of LADDER every run costs 2 in the mean unless it may stop anywhere: a costs 1, b 1/2 * 2."""
-    for place, budget in enumerate((0.0, 0.5, 1.5)):
-        problem = CostBudgetedMaxProb(LADDER, "a", budget, give_up)
-        if values is None:
+    Of the other model half may quit, for nothing, or by a step to the ditch that costs 1/7.
+    """
+    ladder = model_of(
+        {
+            "a": {"go": [(0.5, "g", 1.0), (0.5, "b", 1.0)]},
+            "b": {"go": [(0.5, "g", 2.0), (0.5, "d", 2.0)]},
+            "d": {},
+        }
+    )
+    for budget, value in ((0.0, 0.0), (0.5, 0.25), (1.5, 0.625), (2.0, 0.75)):
+        problem = CostBudgetedMaxProb(ladder, "a", budget, give_up)
+        if give_up != "anywhere" and budget < 2.0:
             with pytest.raises(InfeasibleError, match="at least 2"):
                 solve(problem)
         else:
-            assert solve(problem).objective == pytest.approx(values[place], rel=1e-12)
-    assert solve(CostBudgetedMaxProb(LADDER, "a", 2.0, give_up)).objective == 0.75
-
-
-@pytest.mark.parametrize(("give_up", "value"), [("attention", 0.3), ("dead_ends", 0.25)])
-def test_to_stop_where_the_goal_can_be_avoided(give_up: str, value: float) -> None:
-    """Budget 1/2: half may quit, for nothing, or by a step to the ditch that costs 1/7."""
-    model = model_of(
-        {"x": {"go": [(0.6, "g", 1.0), (0.4, "d", 1.0)], "quit": [(1.0, "d", 1 / 7)]}, "d": {}}
-    )
-    assert solve(CostBudgetedMaxProb(model, "x", 0.5, give_up)).objective == pytest.approx(value)
+            assert solve(problem).objective == pytest.approx(value, rel=1e-12)
+    ways = {"go": [(0.6, "g", 1.0), (0.4, "d", 1.0)], "quit": [(1.0, "d", 1 / 7)]}
+    problem = CostBudgetedMaxProb(model_of({"x": ways, "d": {}}), "x", 0.5, give_up)
+    value = 0.25 if give_up == "dead_ends" else 0.3
+    assert solve(problem).objective == pytest.approx(value)
 
 
 ROADS = model_of(
@@ -426,7 +411,7 @@ ROADS = model_of(
         ({"a": goal_probability() == 0.5, "b": goal_probability() == 0.6}, {"a", "b, at least"}),
     ],
 )
-@pytest.mark.parametrize("method", ["columns", "lp"])
+@each_method
 def test_plain_contradictions_are_named(method: str, limits: dict, named: set[str]) -> None:
     """Beside a limit that is kept; no solver's rounding has a say."""
     every = {"kept": visits("t") <= 3.0, **limits}

@@ -94,6 +94,9 @@ def test_a_penalty_within_a_budget() -> None:
     solution = solve(PenaltyWithinBudget(FIRST, "depot"))
     cost = ALLEY * 3.8 + (1.0 - ALLEY) * 8.96
     assert solution.objective == pytest.approx(cost + 3.0 * 0.05, rel=1e-12)
+    price = (8.96 - 3.8) / 0.09
+    assert solution.failure_price == pytest.approx(price, rel=1e-9)
+    assert solution.budget_slope == pytest.approx(price - 3.0, rel=1e-9)
 
 
 @pytest.mark.parametrize("criterion", [CautiousUtility, PenaltyWithinBudget])
@@ -111,15 +114,14 @@ def test_everything_else_is_inherited(criterion) -> None:
         assert evaluate(policy, problem).objective == pytest.approx(solution.objective, rel=1e-9)
 
 
-def test_the_start_is_checked_for_everyone() -> None:
-    with pytest.raises(ModelError, match="nowhere"):
-        CautiousUtility(FIRST, "nowhere")
-
-
-def test_a_frontier_of_ones_own_criterion() -> None:
+def test_a_frontier_of_ones_own_criterion_and_a_wrong_start() -> None:
     frontier = trace_frontier(PenaltyWithinBudget(FIRST, "depot"))
     known = solve(PenaltyWithinBudget(FIRST, "depot", failure_budget=0.03)).objective
     assert frontier.objective_at(0.03) == pytest.approx(known, rel=1e-9)
+    slopes = [(8.96 - 3.8) / 0.09 - 3.0, (3.8 + 0.3 - 3.0) / 0.9]  # to the alley, to giving up
+    assert frontier.price == pytest.approx(slopes, rel=1e-9)
+    with pytest.raises(ModelError, match="nowhere"):
+        CautiousUtility(FIRST, "nowhere")
 
 
 def test_replace_works_on_every_formulation() -> None:

@@ -57,14 +57,12 @@ SKID = skidding()
 
 FEW = {"crash": end_probability("crash") <= 0.01}
 
-EDGE = model_of(
-    {
-        "a": {"over": [(0.9, "home", 1.0), (0.1, "edge", 1.0)], "round": [(1.0, "home", 10.0)]},
-        "edge": {"slide": [(1.0, "wreck", 1.0)], "climb": [(1.0, "home", 100.0)]},
-        "wreck": {},
-    },
-    crash=["wreck"],
-)
+EDGES = {
+    "a": {"over": [(0.9, "home", 1.0), (0.1, "edge", 1.0)], "round": [(1.0, "home", 10.0)]},
+    "edge": {"slide": [(1.0, "wreck", 1.0)], "climb": [(1.0, "home", 100.0)]},
+    "wreck": {},
+}
+EDGE = model_of(EDGES, crash=["wreck"])
 """Who gives up on the edge falls: nothing else avoids the goal there."""
 
 
@@ -101,22 +99,31 @@ def test_a_limit_counts_the_true_end() -> None:
     assert not certify(replace(solution, policy=without.policy)).accepted
 
 
-def test_the_failing_step_is_charged_where_failing_begins() -> None:
-    """Sliding costs 4, which who skids is charged once: 0.2 * 1.4 + 0.8 * 10."""
-    model = skidding([(0.5, "wreck", 4.0), (0.5, "ash", 4.0)])
-    charged = mcmp(model, constraints=FEW, charge_failing_step=True)
-    assert checked(charged) == pytest.approx(8.28, rel=1e-12)
-    assert checked(mcmp(model, constraints=FEW)) == pytest.approx(8.2, rel=1e-12)
+SLIDE = [(0.5, "wreck", 4.0), (0.5, "ash", 4.0)]
+FAR = skidding([(1.0, "verge", 1.0)], verge={"roll": [(0.5, "wreck", 0.0), (0.5, "ash", 0.0)]})
+CRASHES = {"crash": end_probability("crash") <= 0.02}
 
 
 @pytest.mark.parametrize(
-    ("give_up", "expected"),
-    [("attention", 8.2), ("dead_ends", 8.22), ("anywhere", 7.4)],
+    ("problem", "expected"),
+    [
+        # sliding costs 4, which who skids is charged once: 0.2 * 1.4 + 0.8 * 10
+        (mcmp(skidding(SLIDE), constraints=FEW, charge_failing_step=True), 8.28),
+        (mcmp(skidding(SLIDE), constraints=FEW), 8.2),
+        # a fifth goes over; to slide is paid unless given up; anywhere 0.08 stop at once for free
+        (mcmp(EDGE, constraints=CRASHES, give_up="attention"), 8.2),
+        (mcmp(EDGE, constraints=CRASHES, give_up="dead_ends"), 8.22),
+        (mcmp(EDGE, constraints=CRASHES, give_up="anywhere"), 7.4),
+        # the wreck is three steps away: within two it is not reached, there is only no time left
+        (mcmp(FAR, constraints=FEW, horizon=3), 8.2),
+        (mcmp(FAR, constraints=FEW, horizon=2), 1.0),
+        # who can spin for ever in the skid is never wrecked
+        (mcmp(skidding(beside={"spin": [(1.0, "skid", 5.0)]}), constraints=FEW), 1.0),
+        # who asks for the skid itself does not ask what comes after it
+        (mcmp(SKID, constraints={"skid": end_probability("skid") <= 0.05} | FEW), 5.5),
+    ],
 )
-def test_giving_up_before_a_crash_does_not_avoid_it(give_up: str, expected: float) -> None:
-    """A fifth goes over; to slide is paid unless given up; anywhere 0.08 stop at once for free."""
-    few = {"crash": end_probability("crash") <= 0.02}
-    problem = mcmp(EDGE, constraints=few, give_up=give_up)
+def test_what_is_counted_and_charged(problem, expected: float) -> None:
     assert checked(problem) == pytest.approx(expected, rel=1e-12)
 
 
@@ -147,16 +154,6 @@ def test_criteria_of_costs_given_success() -> None:
         quantile = CostQuantile(SKID, "a", level, 0.1, constraints=FEW)
         assert solve(quantile).objective == pytest.approx(expected)
         assert solve(replace(quantile, constraints={})).objective == pytest.approx(1.0)
-
-
-def test_a_horizon_ends_the_run() -> None:
-    """The wreck is three steps away: within two it is not reached, there is only no time left."""
-    model = skidding(
-        [(1.0, "verge", 1.0)], verge={"roll": [(0.5, "wreck", 0.0), (0.5, "ash", 0.0)]}
-    )
-    late = mcmp(model, constraints=FEW, horizon=3)
-    assert checked(late) == pytest.approx(8.2, rel=1e-12)
-    assert checked(replace(late, horizon=2)) == pytest.approx(1.0, rel=1e-12)
 
 
 def test_a_discount_weighs_true_ends() -> None:
@@ -201,12 +198,6 @@ def test_what_never_ends_after_failing_is_kept_out_of() -> None:
     assert refused.value.least_failure == pytest.approx(0.5)
 
 
-def test_wandering_after_failing_is_free() -> None:
-    """Who can spin for ever in the skid is never wrecked."""
-    model = skidding(beside={"spin": [(1.0, "skid", 5.0)]})
-    assert checked(mcmp(model, constraints=FEW)) == pytest.approx(1.0)
-
-
 @pytest.mark.parametrize(
     "problem",
     [
@@ -224,54 +215,35 @@ def test_nothing_is_built_where_nothing_counts_after_failing(problem) -> None:
     assert problem.unrolled is problem
 
 
-def test_the_first_end_that_is_asked_for_ends_the_run() -> None:
-    """Who asks for the skid itself does not ask what comes after it."""
-    both = {"skid": end_probability("skid") <= 0.05} | FEW
-    assert solve(mcmp(SKID, constraints=both)).objective == pytest.approx(5.5)
+@pytest.mark.parametrize("wait", [False, True])
+def test_an_episode_goes_on_after_giving_up(wait: bool) -> None:
+    """The one who drives sees actions, and ``failed`` from the step on that gives the goal up.
 
-
-def test_an_episode_goes_on_after_giving_up() -> None:
-    """The one who drives sees actions, and ``failed`` from the step on that gives the goal up."""
-    problem = mcmp(EDGE, 0.1, constraints={"crash": end_probability("crash") <= 0.1})
-    policy = solve(problem).policy
-    episode = policy.start(0)
-    assert episode.action("a") == "over"
-    assert not episode.failed
-    episode.observe("edge", 1.0)
-    assert episode.action("edge") == "slide"
-    assert episode.failed
-    episode.observe("wreck", 1.0)
-    assert episode.action("wreck") is None
-    with pytest.raises(ModelError, match="over"):
-        episode.observe("wreck", 0.0)
-
-
-def test_who_stays_for_ever_is_told_how() -> None:
-    """On the edge the first action that avoids the goal slides; to wait is what was certified."""
-    moves = {
-        "a": {"over": [(0.9, "home", 1.0), (0.1, "edge", 1.0)], "round": [(1.0, "home", 10.0)]},
-        "edge": {
-            "slide": [(1.0, "wreck", 1.0)],
-            "wait": [(1.0, "edge", 1.0)],
-            "climb": [(1.0, "home", 100.0)],
-        },
-        "wreck": {},
-    }
+    On the edge the first action that avoids the goal slides; to wait is what was certified.
+    """
+    moves = {state: dict(actions) for state, actions in EDGES.items()}
+    if wait:
+        moves["edge"]["wait"] = [(1.0, "edge", 1.0)]
     model = model_of(moves, crash=["wreck"])
-    solution = solve(mcmp(model, constraints={"crash": end_probability("crash") <= 0.0}))
+    most = end_probability("crash") <= (0.0 if wait else 0.1)
+    solution = solve(mcmp(model, constraints={"crash": most}))
     assert solution.objective == pytest.approx(1.0)
     episode = solution.policy.start(0)
     assert episode.action("a") == "over"
+    assert not episode.failed
     episode.observe("edge", 1.0)
-    action = episode.action("edge")
-    for _ in range(3):
+    for _ in range(3 if wait else 1):
+        action = episode.action("edge")
         if action is GIVE_UP:
             episode.continue_after_give_up()
             action = episode.action("edge")
-        assert action == "wait"
+        assert action == ("wait" if wait else "slide")
         assert episode.failed
-        episode.observe("edge", 1.0)
-        action = episode.action("edge")
+        episode.observe("edge" if wait else "wreck", 1.0)
+    if not wait:
+        assert episode.action("wreck") is None
+        with pytest.raises(ModelError, match="over"):
+            episode.observe("wreck", 0.0)
 
 
 def test_policies_that_say_nothing_of_afterwards_end_where_they_fail() -> None:
