@@ -20,7 +20,7 @@ from formulations import (
     MaxProb,
     MinCost,
 )
-from small_models import each_meaning, each_method, model_of
+from small_models import deciding, each_meaning, each_method, model_of
 from ssp_lp import (
     GIVE_UP,
     SSP,
@@ -41,6 +41,8 @@ from ssp_lp import (
 )
 from tests.support.compiled import Switch
 
+WALL = {"wall": ["wall"]}
+
 
 def alone(policy) -> MixedPolicy:
     return MixedPolicy((policy,), np.ones(1))
@@ -57,7 +59,7 @@ HUT = model_of(
         "b": {"x": [(1.0, "g", 1.0)]},
         "wall": {},
     },
-    labels={"wall": ["wall"]},
+    labels=WALL,
 )
 """The wall lies behind a hut: whoever is on the way there has given the goal up."""
 
@@ -78,13 +80,8 @@ def test_an_end_that_is_asked_for_is_reached_after_failing() -> None:
 
 
 def test_where_failing_is_forbidden_no_end_is_bought() -> None:
-    model = model_of(
-        {
-            "a": {"ok": [(1.0, "g", 5.0)], "risky": [(0.5, "g", 5.0), (0.5, "wall", 5.0)]},
-            "wall": {},
-        },
-        labels={"wall": ["wall"]},
-    )
+    risky = [(0.5, "g", 5.0), (0.5, "wall", 5.0)]
+    model = deciding("a", WALL, ok=[(1.0, "g", 5.0)], risky=risky)
     problem = MinCost(model, "a", constraints={"w": end_probability("goal", "wall") >= 0.5})
     bad = DeterministicPolicy.from_actions(model, {"a": "risky"})
     assert evaluate(bad, problem).objective == np.inf
@@ -93,18 +90,9 @@ def test_where_failing_is_forbidden_no_end_is_bought() -> None:
 
 def wall_of(chance: float) -> SSP:
     """Three ways to the goal; two of them end at the wall, rarely."""
-    return model_of(
-        {
-            "a": {
-                "go": [(chance, "wall", 1.0), (0.6, "g", 2.0), (0.4 - chance, "pit", 1.0)],
-                "slow": [(2 * chance, "wall", 5.0), (1 - 2 * chance, "g", 4.0)],
-                "z": [(1.0, "g", 9.0)],
-            },
-            "wall": {},
-            "pit": {},
-        },
-        labels={"wall": ["wall"]},
-    )
+    go = [(chance, "wall", 1.0), (0.6, "g", 2.0), (0.4 - chance, "pit", 1.0)]
+    slow = [(2 * chance, "wall", 5.0), (1 - 2 * chance, "g", 4.0)]
+    return deciding("a", WALL, go=go, slow=slow, z=[(1.0, "g", 9.0)])
 
 
 @pytest.mark.parametrize(("chance", "asked"), [(2.3e-4, 3.75e-4), (1.2e-4, 1.33e-4)])
@@ -132,15 +120,8 @@ def test_an_equality_of_the_worth_of_arriving() -> None:
 @each_method
 def test_a_goal_probability_that_is_fixed(method: str) -> None:
     rare, asked = 4e-5, 4.4e-5
-    model = model_of(
-        {
-            "a": {
-                "go": [(rare, "g", 1.0), (1 - rare, "wall", 2.0)],
-                "slow": [(2 * rare, "g", 5.0), (1 - 2 * rare, "wall", 1.0)],
-            },
-            "wall": {},
-        }
-    )
+    go = [(rare, "g", 1.0), (1 - rare, "wall", 2.0)]
+    model = deciding("a", go=go, slow=[(2 * rare, "g", 5.0), (1 - 2 * rare, "wall", 1.0)])
     found = [
         solve(FinitePenalty(model, "a", 3.0, constraints={"g": constraint}), method).objective
         for constraint in (goal_probability() == asked, goal_probability() >= asked)
@@ -151,19 +132,9 @@ def test_a_goal_probability_that_is_fixed(method: str) -> None:
 @pytest.mark.parametrize(("rare", "late"), [(1e-7, 5e-10), (1e-9, 1e-8)])
 def test_bounds_of_rare_goals_are_bounds(rare: float, late: float) -> None:
     """A slightly worse policy is not certified as the best."""
-    model = model_of(
-        {
-            "a": {
-                "go": [(rare, "g", 1.0), (1 - rare, "wall", 2.0)],
-                "worse": [
-                    (rare * (1 - late), "g", 1.0),
-                    (rare * late, "g", 2.0),
-                    (1 - rare, "wall", 2.0),
-                ],
-            },
-            "wall": {},
-        }
-    )
+    lost = (1 - rare, "wall", 2.0)
+    worse = [(rare * (1 - late), "g", 1.0), (rare * late, "g", 2.0), lost]
+    model = deciding("a", go=[(rare, "g", 1.0), lost], worse=worse)
     fuel = {"c": secondary_cost({"a": {"go": 3.0}}) <= 5.0}
     solution = solve(S3P(model, "a", failure_budget=1.0, constraints=fuel))
     assert solution.objective == pytest.approx(1.0, rel=1e-12)
@@ -173,16 +144,15 @@ def test_bounds_of_rare_goals_are_bounds(rare: float, late: float) -> None:
 
 def test_to_stay_for_ever_must_be_free_in_everything() -> None:
     """A loop free in the cost but counted as visits is no place to give up."""
-    model = model_of(
-        {"a": {"wait": [(1.0, "a", 0.0)], "go": [(0.5, "g", 1.0), (0.5, "wall", 1.0)]}, "wall": {}}
-    )
+    go = [(0.5, "g", 1.0), (0.5, "wall", 1.0)]
+    model = deciding("a", wait=[(1.0, "a", 0.0)], go=go)
     problem = MCMP(model, "a", 1.0, give_up="dead_ends", constraints={"v": visits("a") <= 1.0})
     assert solve(problem).objective == pytest.approx(1.0)
     with pytest.raises(ModelError, match="gives up"):
         evaluate(DeterministicPolicy.from_actions(model, {"a": GIVE_UP}), problem)
 
 
-LOOP = model_of({"a": {"go": [(0.5, "g", 1.0), (0.5, "a", 1.0)], "w": [(1.0, "a", 0.0)]}})
+LOOP = deciding("a", go=[(0.5, "g", 1.0), (0.5, "a", 1.0)], w=[(1.0, "a", 0.0)])
 
 
 @each_method
@@ -196,15 +166,8 @@ def test_limits_under_which_nothing_succeeds(method: str) -> None:
 
 @each_method
 def test_no_failure_at_all(method: str) -> None:
-    model = model_of(
-        {
-            "b": {
-                "ok": [(1 / 3, "b", 1.0), (2 / 3, "g", 2.0)],
-                "bad": [(0.4, "wall", 0.0), (0.6, "b", 2.0)],
-            },
-            "wall": {},
-        }
-    )
+    bad = [(0.4, "wall", 0.0), (0.6, "b", 2.0)]
+    model = deciding("b", ok=[(1 / 3, "b", 1.0), (2 / 3, "g", 2.0)], bad=bad)
     start = {"b": 0.5, "g": 0.5}
     problem = S3P(model, start, 1.0, constraints={"r": failure_probability() == 0.0})
     assert solve(problem, method).objective == pytest.approx(1.25, rel=1e-9)
@@ -222,10 +185,7 @@ def test_terms_that_count_the_same_are_added_up_and_may_come_to_nothing() -> Non
 
 
 def test_the_greatest_probability_may_be_nothing() -> None:
-    model = model_of(
-        {"a": {"x": [(1 / 3, "g", 1.0), (2 / 3, "wall", 1.0)], "q": [(1.0, "wall", 1.0)]}}
-        | {"wall": {}}
-    )
+    model = deciding("a", x=[(1 / 3, "g", 1.0), (2 / 3, "wall", 1.0)], q=[(1.0, "wall", 1.0)])
     solution = solve(MaxProb(model, "a", constraints={"g": goal_probability() <= 0.0}))
     assert (solution.objective, solution.gap, solution.note) == (0.0, 0.0, "")
 
@@ -254,7 +214,7 @@ def test_the_least_of_the_cost_is_the_least_cost() -> None:
         assert solve(own).objective == pytest.approx(solve(plain).objective, rel=1e-12)
 
 
-TANK = model_of({"x": {"go": [(1.0, "g", 1.0)], "stay": [(1.0, "x", 1.0)]}})
+TANK = deciding("x", go=[(1.0, "g", 1.0)], stay=[(1.0, "x", 1.0)])
 FUEL = {"x": {"go": 1.0}}
 
 
@@ -312,15 +272,11 @@ def test_a_start_where_nothing_is_left_to_decide(
             assert (certify(solution).accepted, certify(solution).gap) == (True, 0.0)
 
 
-WAITING = model_of(
-    {
-        "x": {
-            "cheap": [(0.6, "g", 1.0), (0.4, "d", 1.0)],
-            "dear": [(0.9, "g", 3.0), (0.1, "d", 3.0)],
-            "wait": [(1.0, "x", 1.0)],
-        },
-        "d": {},
-    }
+WAITING = deciding(
+    "x",
+    cheap=[(0.6, "g", 1.0), (0.4, "d", 1.0)],
+    dear=[(0.9, "g", 3.0), (0.1, "d", 3.0)],
+    wait=[(1.0, "x", 1.0)],
 )
 
 
@@ -378,8 +334,8 @@ def test_where_a_run_without_budget_may_stop(give_up: str) -> None:
                 solve(problem)
         else:
             assert solve(problem).objective == pytest.approx(value, rel=1e-12)
-    ways = {"go": [(0.6, "g", 1.0), (0.4, "d", 1.0)], "quit": [(1.0, "d", 1 / 7)]}
-    problem = CostBudgetedMaxProb(model_of({"x": ways, "d": {}}), "x", 0.5, give_up)
+    model = deciding("x", go=[(0.6, "g", 1.0), (0.4, "d", 1.0)], quit=[(1.0, "d", 1 / 7)])
+    problem = CostBudgetedMaxProb(model, "x", 0.5, give_up)
     value = 0.25 if give_up == "dead_ends" else 0.3
     assert solve(problem).objective == pytest.approx(value)
 
@@ -432,5 +388,5 @@ def test_plain_contradictions_are_named(method: str, limits: dict, named: set[st
 def test_a_bound_may_be_wrong_by_rounding() -> None:
     """A probability of 1 and a bit in the last place is meant to be 1."""
     limits = {"sure": goal_probability() >= 1.0 + 2.0**-52, "none": end_probability("pit") <= 0.0}
-    model = model_of({"x": {"go": [(1.0, "g", 1.0)], "no": [(1.0, "pit", 0.0)]}, "pit": {}})
+    model = deciding("x", go=[(1.0, "g", 1.0)], no=[(1.0, "pit", 0.0)])
     assert solve(MCMP(model, "x", 1.0, constraints=limits)).objective == 1.0

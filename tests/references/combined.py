@@ -17,6 +17,7 @@ from scipy.optimize import linprog
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
+from .chain import plain_model
 from .linear_program import SHARP
 
 Number = int | Fraction
@@ -73,37 +74,9 @@ def within_steps(task: Task, steps: int) -> Task:
     return task._replace(choices=choices, goals=goals, start=start)
 
 
-def dead_ends(task: Task) -> set[str]:
-    """States from which the goal cannot be reached."""
-    hopeful = set(task.goals)
-    while True:
-        more = {
-            s
-            for s, actions in task.choices.items()
-            if any(p > 0 and t in hopeful for outs in actions.values() for p, t, _ in outs)
-        }
-        if more <= hopeful:
-            return set(task.choices) - hopeful
-        hopeful |= more
-
-
 def stays(outs: list[tuple[float, str, Number]], states: set[str]) -> bool:
     """Whether all that can happen lies in some states."""
     return all(to in states for p, to, _ in outs if p > 0)
-
-
-def avoiding(task: Task) -> set[str]:
-    """Live states in which some policy surely avoids the goal."""
-    found, dead = set(task.choices) - task.goals, dead_ends(task)
-    while True:
-        kept = {
-            s
-            for s in found
-            if s in dead or any(stays(outs, found) for outs in task.choices[s].values())
-        }
-        if kept == found:
-            return found - dead
-        found = kept
 
 
 class Program(NamedTuple):
@@ -163,15 +136,10 @@ def program(
 ) -> Program:
     """Write the program out, costs told apart below the horizon (0: not at all).
 
-    Args:
-        task: the model and its limits.
-        horizon: of costs.
-        give_up: "anywhere", "attention" or "dead_ends".
-        charged: whether the step that fails is paid.
-        minimised: parts that the objective counts.
-        discount: of each step.
+    ``charged`` says whether the step that fails is paid, ``minimised`` what the objective counts.
     """
-    dead, avoids = dead_ends(task), avoiding(task)
+    model = plain_model(task.choices, task.goals)
+    dead, avoids = set(model.dead_ends), set(model.attention - model.dead_ends)
     live = [s for s in task.choices if s not in dead and s not in task.goals]
     asked = {part for limit in task.limits for part in limit.weights} | set(minimised)
     ends = {s for s in dead if not task.choices[s] or f"end {named(s)}" in asked}

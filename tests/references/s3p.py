@@ -8,7 +8,7 @@ a budget; `references.s3p_program` does the same by a linear program and reaches
 With a discount gamma: success is E[gamma^T; goal], cost on success is E[gamma^(T-1) r_T; goal].
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 from references.chain import (
     Outcome,
@@ -89,10 +89,21 @@ def product_points(
     gamma = 1.0 if discount is None else discount
     begin = {(state, 0): mass for state, mass in start_distribution(start).items()}
     choices: dict[State, dict] = {}
-    for node in _explore(model, begin, horizon):
-        choices[node] = _product_actions(model, node, horizon)
-    goals = {o[1] for a in choices.values() for os in a.values() for o in os if _home(model, o[1])}
-    product = plain_model(choices, goals | {node for node in begin if _home(model, node)})
+    goals = {node for node in begin if node[0] in model.goals}
+    order = [node for node in begin if node not in goals]
+    seen = set(begin)
+    for node in order:  # which grows
+        state, spent = node
+        over = spent >= horizon and state in model.attention
+        choices[node] = {
+            action: [(p, (to, spent + int(cost)), 0.0) for p, to, cost in outcomes]
+            for action, outcomes in ({} if over else model.choices[state]).items()
+        }
+        ahead = dict.fromkeys(o[1] for outcomes in choices[node].values() for o in outcomes)
+        goals |= {there for there in ahead if there[0] in model.goals}
+        order += [there for there in ahead if there not in goals | seen]
+        seen.update(ahead)
+    product = plain_model(choices, goals)
     found = []
     for policy in policies(product, begin, lambda n: list(product.choices[n])):
         moves = moves_of(product, policy)
@@ -105,34 +116,3 @@ def product_points(
         )
         found.append(Point(1.0 - mean(begin, weight), mean(begin, cost)))
     return found
-
-
-def _home(model: PlainModel, node: tuple[State, int]) -> bool:
-    """Whether a product node has arrived at the goal."""
-    return node[0] in model.goals
-
-
-def _product_actions(model: PlainModel, node: tuple[State, int], horizon: int) -> dict:
-    """The actions of a product node; none at the horizon where the model can fail for sure."""
-    state, spent = node
-    if spent >= horizon and state in model.attention:
-        return {}
-    return {
-        action: [(p, (successor, spent + int(cost)), 0.0) for p, successor, cost in outcomes]
-        for action, outcomes in model.choices[state].items()
-    }
-
-
-def _explore(
-    model: PlainModel, begin: Mapping[tuple[State, int], float], horizon: int
-) -> Iterator[tuple[State, int]]:
-    """The non-goal product nodes that some policy visits."""
-    order = [node for node in begin if not _home(model, node)]
-    seen = set(order)
-    for node in order:
-        yield node
-        for outcomes in _product_actions(model, node, horizon).values():
-            for _, successor, _ in outcomes:
-                if successor not in seen and not _home(model, successor):
-                    seen.add(successor)
-                    order.append(successor)

@@ -19,16 +19,14 @@ Steps = list[list[tuple[float, float, int]]]
 class Likeness:
     """How alike two models are, seen from their starts.
 
-    bisimilar: the starts have the same choices of lotteries over costs and equal successors, and
-        so on; all values of all criteria are then the same.
-    same_classes: every class of equal states has as many members in both.
-    largest_class: members of the largest class of states with actions in the first model; if it
-        is 1, models of the same classes are copies of each other but for their dead-ends and goals.
+    The starts of bisimilar models have the same choices of lotteries over costs and equal
+    successors, and so on: all values of all criteria are the same. If the largest class is 1,
+    models of the same classes are copies of each other but for their dead-ends and goals.
     """
 
     bisimilar: bool
-    same_classes: bool
-    largest_class: int
+    same_classes: bool  # every class of equal states has as many members in both
+    largest_class: int  # members of the largest class with actions in the first model
 
 
 def compare(first: SSP, first_start: int, second: SSP, second_start: int) -> Likeness:

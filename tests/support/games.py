@@ -43,11 +43,7 @@ FORK = {
 
 
 def with_room(criterion: Any, model: Any, start: Any, share: float, gamma: float) -> Any:
-    """A problem whose budget lies so far between the least discounted failure and 1.
-
-    Raises:
-        InfeasibleError: case S, and the goal cannot be reached.
-    """
+    """A problem whose budget lies so far between the least discounted failure and 1."""
     problem = criterion(model, start=start, failure_budget=0.5, discount=gamma)
     least = stationary_player(problem).response(0.0, 1.0, 1e-13).condition
     budget = least + share * (1.0 - least)
@@ -107,14 +103,9 @@ def matrix_game_value(points: Sequence[Point], game: Game) -> float:
     """The value of the game with every listed policy as a row, by a linear program."""
     rows = np.array([(cost, game.scale * failure) for failure, cost in points])
     count = len(rows)
-    found = scipy.optimize.linprog(
-        np.append(np.zeros(count), 1.0),
-        A_ub=np.column_stack([rows.T, -np.ones(2)]),
-        b_ub=np.zeros(2),
-        A_eq=np.append(np.ones(count), 0.0)[None, :],
-        b_eq=[1.0],
-        bounds=[(0, None)] * (count + 1),
-    )
+    upper = np.column_stack([rows.T, -np.ones(2)])
+    weights = np.append(np.ones(count), 0.0)[None, :]
+    found = scipy.optimize.linprog(np.append(np.zeros(count), 1.0), upper, [0, 0], weights, [1.0])
     return float(found.fun)
 
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends
@@ -22,12 +21,8 @@ class Ledger(Policy):
     """Any policy, with the cost paid so far beside its own memory.
 
     The memory is ``inner memory * (horizon + 2) + layer``. Layers ``0 .. horizon`` are whole
-    multiples of ``unit``; what lies beyond the horizon is one layer more, which is never left.
-    What entering a dead-end costs is not booked:
-    no success pays it, and it may lie off the lattice.
-
-    Raises:
-        ModelError: a unit that is not positive or a negative horizon.
+    multiples of ``unit``; what lies beyond is one layer more, which is never left. What entering a
+    dead-end costs is not booked: no success pays it, and it may lie off the lattice.
     """
 
     policy: Policy
@@ -58,13 +53,9 @@ class Ledger(Policy):
     def remember(
         self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
     ) -> IntArray:
-        """Move the inner memory and book the cost.
-
-        Raises:
-            ModelError: a cost is no whole number of units.
-        """
+        """Move the inner memory and book the cost, which must be a whole number of units."""
         inner, layer = np.divmod(memory, self.horizon + 2)
-        paid = np.where(self._dead[successors], 0.0, costs / float(self.unit))
+        paid = np.where(dead_ends(self.model)[successors], 0.0, costs / float(self.unit))
         steps = np.rint(paid)
         off = ~((np.abs(paid - steps) <= _OFF_LATTICE) & (steps >= 0.0))
         if off.any():
@@ -74,10 +65,5 @@ class Ledger(Policy):
         after = self.policy.remember(inner, pairs, successors, costs).astype(np.int64)
         return np.asarray(after * (self.horizon + 2) + booked)
 
-    @cached_property
-    def _dead(self) -> BoolArray:
-        return dead_ends(self.model)
-
     def __repr__(self) -> str:
-        """One line: the policy, the unit and the horizon."""
         return f"Ledger({self.policy!r}, {self.horizon:,} layers of cost {float(self.unit):g})"

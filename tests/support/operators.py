@@ -21,12 +21,9 @@ def actions_of(model: PlainModel, state: State) -> dict:
 
 
 def label_choices(model: PlainModel, node: Node, leaving: bool) -> list[tuple[list, str]]:
-    """U(x') of section 3.3: (outcomes of u, j).
+    """U(x') of section 3.3: (outcomes of u, j) at a (state, label).
 
-    Args:
-        model: the model.
-        node: (state, label).
-        leaving: whether (u, f) is listed for actions u that may leave the attention states too.
+    ``leaving``: whether (u, f) is listed for actions u that may leave the attention states too.
     """
     state, label = node
     actions = actions_of(model, state)
@@ -137,14 +134,9 @@ Tail = Callable[[State, float, float], float]
 def cost_tail(
     model: PlainModel, policy: Mapping, gamma: float, scale: float, *, discounted: bool
 ) -> Tail:
-    """V of section 3.5.1 beyond M: (state, paid, alpha) -> value of pi'_or from there.
+    """V of section 3.5.1 beyond M: (state, paid, alpha) -> value of the policy pi'_or from there.
 
-    Args:
-        model: the model.
-        policy: pi'_or.
-        gamma: discount.
-        scale: eta / epsilon.
-        discounted: whether J_obj is discounted beyond M as well; the paper's is not.
+    ``discounted``: whether J_obj is discounted beyond M as well; the paper's is not.
     """
     goal, cost = s3p.values(model, policy, gamma if discounted else None)
     ever = s3p.values(model, policy, gamma)[0]

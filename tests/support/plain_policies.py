@@ -37,7 +37,11 @@ def s3p_point(
     model: PlainModel, start: Mapping[State, float], solution: Any, discount: float | None
 ) -> Point:
     """(failure, cost on success) of the solution's lottery, over states and memories."""
-    parts = [memory_point(model, start, member, discount) for member in solution.policy.policies]
+    parts = []
+    for member in solution.policy.policies:
+        begin, chain, moves = memory_chain(model, start, member)
+        weight, cost = s3p.values(chain, moves, discount)
+        parts.append(Point(1.0 - mean(begin, weight), mean(begin, cost)))
     return lottery(parts, solution.policy.weights)
 
 
@@ -45,15 +49,6 @@ def lottery(parts: list[Point], weights: Any) -> Point:
     """The weighted mean of both numbers."""
     failure, cost = np.asarray(weights) @ np.array(parts)
     return Point(float(failure), float(cost))
-
-
-def memory_point(
-    model: PlainModel, start: Mapping[State, float], member: Any, discount: float | None
-) -> Point:
-    """(failure, cost on success) of one member, its chain solved by the reference."""
-    begin, chain, moves = memory_chain(model, start, member)
-    weight, cost = s3p.values(chain, moves, discount)
-    return Point(1.0 - mean(begin, weight), mean(begin, cost))
 
 
 def memory_chain(
@@ -64,7 +59,11 @@ def memory_chain(
     Returns:
         The start, the chain as a model with one action, and the policy that plays it.
     """
-    begin = {(s, _begin(member, s)): mass for s, mass in start.items()}
+    library: SSP = member.model
+    begin = {
+        (s, int(member.start_memory(np.array([library.index_of(s)]))[0])): mass
+        for s, mass in start.items()
+    }
     queue, choices, goals = list(begin), {}, set()
     for node in queue:
         if node in choices or node in goals:
@@ -75,17 +74,8 @@ def memory_chain(
         choices[node] = {"play": _outcomes(model, member, node)} if model.choices[node[0]] else {}
         queue += [o[1] for outcomes in choices[node].values() for o in outcomes]
     chain = plain_model(choices, goals)
-    return begin, chain, dict.fromkeys(_moving(chain), "play")
-
-
-def _moving(chain: PlainModel) -> list[State]:
-    """The nodes at which the member plays an action."""
-    return [node for node, actions in chain.choices.items() if actions.get("play")]
-
-
-def _begin(member: Any, state: State) -> int:
-    """The memory with which a member starts in a state."""
-    return int(member.start_memory(np.array([member.model.index_of(state)]))[0])
+    moving = [node for node, actions in chain.choices.items() if actions.get("play")]
+    return begin, chain, dict.fromkeys(moving, "play")
 
 
 def _outcomes(model: PlainModel, member: Any, node: tuple[State, int]) -> list:

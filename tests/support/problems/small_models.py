@@ -18,6 +18,12 @@ def model_of(choices, goal="g", labels=None):
     )
 
 
+def deciding(state, labels=None, **actions):
+    """One state with a choice; the run is over wherever else its actions lead."""
+    ends = {to: {} for outcomes in actions.values() for _, to, _ in outcomes if to != "g"}
+    return model_of({**ends, state: actions}, labels=labels)
+
+
 FREE_LOOP = {"x": {"loop": [(1.0, "x", 0)], "out": [(1.0, "g", 5)]}}
 FREE_PAIR = {
     "x": {"swap": [(1.0, "y", 0)], "out": [(0.5, "g", 1), (0.5, "d", 1)]},
