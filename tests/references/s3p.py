@@ -101,7 +101,7 @@ def product_points(
         }
         ahead = dict.fromkeys(o[1] for outcomes in choices[node].values() for o in outcomes)
         goals |= {there for there in ahead if there[0] in model.goals}
-        order += [there for there in ahead if there not in goals | seen]
+        order += [there for there in ahead if there not in goals and there not in seen]
         seen.update(ahead)
     product = plain_model(choices, goals)
     found = []
