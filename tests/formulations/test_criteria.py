@@ -7,7 +7,18 @@ import pytest
 from hypothesis import given, strategies as st
 
 from checks import CLOSE, GAP, check_certificate, check_evaluation, library_model, plain
-from formulations import ISSPUDE, MCMP, S3P, AlphaMCMP, FinitePenalty, MaxProb, MinCost, MinProb
+from formulations import (
+    ISSPUDE,
+    MCMP,
+    S3P,
+    AlphaMCMP,
+    ConstrainedCost,
+    CostLimit,
+    FinitePenalty,
+    MaxProb,
+    MinCost,
+    MinProb,
+)
 from references import mcmp, s3p
 from references.frontier import least_failure
 from small_models import EXACT, FREE_LOOP, FREE_PAIR, TWO_MOVES, each_method, model_of
@@ -27,6 +38,7 @@ from ssp_lp import (
     trace_frontier,
 )
 from ssp_lp.compiled.deadline import check_time, is_limited
+from ssp_lp.formulation import GiveUp
 from strategies import often, problems, semantics
 
 METHODS = ("lp", "columns")
@@ -118,6 +130,48 @@ def test_loops_that_cost_nothing(method):
     assert solve(MinProb(model, "x"), method).objective == 0.0
     assert MaxProb(model, "x").dead_ends == {"d"}
     assert MinProb(model, "x").attention_states == {"x", "y", "d"}
+
+
+class ChargedS3P(S3P):
+    """The cost given success; until failing the cheapest step of a dead-end is paid as well."""
+
+    charge_failing_step = True
+
+
+TRAP = model_of(
+    {
+        "a": {"fast": [(0.8, "g", 1), (0.2, "pit", 1)], "slow": [(1.0, "g", 10)]},
+        "pit": {"roll": [(1.0, "pit", 6)], "sink": [(0.5, "bog", 3), (0.5, "pit", 1)]},
+        "bog": {},
+    }
+)
+"""Going fast fails with 1/5 in a pit where steps go on, the cheapest of them for 2."""
+HALVES, FUEL = {"a": 0.5, "pit": 0.5}, {"a": {"fast": 1}, "pit": {"roll": 1, "sink": 3}}
+ENTERED = [
+    # half go fast, and pay 1 and, in a fifth of the cases, 2 for the pit: 0.5 * 1.4 + 0.5 * 10
+    *((MCMP(TRAP, "a", 0.1, None, stop, True), 5.7, 5.7) for stop in GiveUp),
+    *((MCMP(TRAP, "a", 0.1, None, stop, False), 5.5, 5.5) for stop in GiveUp),
+    (MCMP(TRAP, HALVES, 0.55), (5.7 + 2) / 2, 3.85),  # to begin there is to enter it
+    (MCMP(TRAP, HALVES, 0.55, charge_failing_step=False), 5.5 / 2, 2.75),
+    (MCMP(TRAP, "a", 0.19, 0.9), 0.5 * (1 + 0.9 * 0.4) + 5, None),  # a step later
+    (FinitePenalty(TRAP, "a", 10.0, charge_failing_step=True), 3.4, 1.4),  # all go fast
+    (ChargedS3P(TRAP, "a", 0.1), (0.4 * 1 + 0.5 * 10) / 0.9, 5.7),  # a success pays no failing
+    (S3P(TRAP, "a", 0.1), 6, 5.5),
+    (ConstrainedCost(TRAP, "a", {"fuel": CostLimit(FUEL, 0.6)}, 1.0), 5.7, 5.7),
+]
+
+
+@pytest.mark.parametrize(("problem", "value", "paid"), ENTERED)
+def test_entering_a_dead_end_costs_its_cheapest_step_once(problem, value, paid):
+    """By every method, evaluation, certificate and simulation."""
+    solution = check_all(problem, value)
+    if problem.discount is not None:
+        game = solve(problem, "game")
+        assert game.objective == pytest.approx(value, rel=1e-6)
+        return
+    assert solution.expected_cost == pytest.approx(paid, **CLOSE)
+    played = simulate(solution.policy, problem, episodes=4_000, rng=1, confidence=0.9999)
+    assert played.expected_cost.low <= paid <= played.expected_cost.high
 
 
 @pytest.mark.parametrize("backend", ["highs-simplex", "highs-ipx", "clarabel", "cvxpy"])
