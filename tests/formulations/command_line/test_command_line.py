@@ -1,8 +1,15 @@
-"""The command line: what it prints, and how it ends."""
+"""The command line: what it prints, and how it ends; names and numbers as people write them."""
 
 from __future__ import annotations
 
+import csv
+import io
 import json
+import logging
+import shlex
+import subprocess
+import sys
+import time
 import tomllib
 from collections.abc import Callable
 from importlib import import_module
@@ -15,11 +22,12 @@ import formulations
 from cases import FOLDER
 from formulations import MCMP
 from formulations.command_line import main
-from formulations.command_line.arguments import CRITERIA
+from formulations.command_line.arguments import CRITERIA, argument_parser
 from small_models import model_of
 from ssp_lp import ModelError, evaluate, solve
 from ssp_lp.io import Controller, load_policy, save_model, write_drn, write_prism
 from ssp_lp.io.any_format import read_any
+from ssp_lp.options import progress_shown
 
 ROADS = {
     "depot": {
@@ -134,10 +142,6 @@ def test_what_cannot_be_ends_with_3(roads: Path, run: Run) -> None:
 def test_files_and_parsers_that_refuse(tmp_path: Path, roads: Path, refused: Any) -> None:
     refused("solve", roads)  # which states are goals is not said
     refused("info", tmp_path / "none.json", "--goal", "g")
-    for wrong in (["fly"], [], ["solve", str(roads), "--criterion", "x"]):
-        with pytest.raises(SystemExit) as caught:
-            main(wrong)
-        assert caught.value.code == 2
     with pytest.raises(ModelError, match=r"ends in none of \.json"):
         read_any(tmp_path / "roads.txt", ["g"])
     refused("info", written(tmp_path, "{"), "--goal", "home", complaint="is no JSON")
@@ -423,3 +427,175 @@ def test_environments(run: Run, told: Told) -> None:
     for wrong in ("gym:NoSuchLake-v1", "gym:FrozenLake-v1,depth=3", "gym:CartPole-v1"):
         code, _, err = run("info", wrong)
         assert (code, err.count("ssp-lp: ")) == (2, 1)
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_a_criterion_by_its_class_or_its_page(criterion: str) -> None:
+    parser, joined = argument_parser(), criterion.replace("-", "")
+    for name in (criterion, criterion.upper(), joined, criterion.replace("-", "_")):
+        asked = parser.parse_args(["solve", "roads.json", *FROM_DEPOT, "--criterion", name])
+        assert asked.criterion == criterion
+
+
+def test_percentages(roads: Path, told: Told) -> None:
+    asked = ("solve", roads, *FROM_DEPOT, "--criterion", "S3P", "--limit", "failure <= 9%")
+    for budget, failure in (("5%", 0.05), ("20%", 0.09)):
+        answer = told(*asked, "--failure-budget", budget)
+        assert answer["failure_probability"] == pytest.approx(failure)
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        ("", "COMMAND"),
+        ("sovle", "'sovle'"),
+        ("solve", "MODEL"),
+        ("solve x.json --criterion mcpm", "'mcpm'"),
+        ("solve x.json --failure-budget 5%%", "'5%%' is no number"),
+        ("solve x.json --failure-budget %", "'%' is no number"),
+        ("solve x.json --quiet --verbose", "not allowed with"),
+        ("compare x.json --json --csv", "not allowed with"),
+        ("solve x.json --gaol home", "--gaol"),
+    ],
+)
+def test_errors_are_one_line(words: str, complaint: str, run: Run, capsys: Any) -> None:
+    with pytest.raises(SystemExit) as ended:
+        run(*words.split())
+    told = capsys.readouterr().err
+    assert (ended.value.code, told.count("\n")) == (2, 1)
+    assert complaint in told
+    assert "--help" in told
+
+
+@pytest.mark.parametrize("method", ["lp", "deterministic"])
+def test_solvers_print_nothing_beside_the_answer(roads: Path, method: str) -> None:
+    """HiGHS would name itself on standard output, which only another process sees."""
+    words = ["solve", str(roads), *map(str, WITHIN), "--method", method, "--json"]
+    command = [sys.executable, "-m", "formulations.command_line", *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
+    assert json.loads(done.stdout)["objective"] >= 6.6
+
+
+def test_tables_go_into_files(roads: Path, tmp_path: Path, run: Run) -> None:
+    for command in ("frontier", "compare"):
+        path, asked = tmp_path / f"{command}.csv", (command, roads, *FROM_DEPOT, "--csv")
+        assert run(*asked, path) == (0, "", "")
+        code, printed, _ = run(*asked)
+        assert (code, printed) == (0, path.read_text(encoding="utf-8"))
+        rows = list(csv.DictReader(io.StringIO(printed)))
+        assert {"failure", "failure_probability"} & rows[0].keys()
+        assert min(float(row["objective"]) for row in rows if row["objective"]) < 4.0
+
+
+def test_shells_complete(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("shtab")
+    for shell in ("bash", "zsh", "tcsh"):
+        with pytest.raises(SystemExit) as ended:
+            run("--print-completion", shell)
+        assert ended.value.code == 0
+        assert "failure-budget" in capsys.readouterr().out
+
+
+class _Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_terminal_is_told_what_takes_long(roads: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", terminal := _Terminal())
+    monkeypatch.setattr("ssp_lp.options._PATIENCE", 0.0)
+    for words in (["--quiet"], []):
+        assert not terminal.getvalue()
+        assert main(["solve", str(roads), *FROM_DEPOT, *words]) == 0
+    assert "compiling" in terminal.getvalue()
+    assert "\n" not in terminal.getvalue()
+    *_, wiped, left = terminal.getvalue().split("\r")
+    assert (wiped.strip(), left) == ("", "")  # nothing is left
+
+
+def test_a_line_that_does_not_last_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", terminal := _Terminal())
+    began, now = time.perf_counter(), [0.0]
+    monkeypatch.setattr("ssp_lp.options.time.perf_counter", lambda: began + now[0])
+    with progress_shown(lasting=False):
+        logging.getLogger("ssp_lp.search").info("soon done")
+        assert not terminal.getvalue()
+        now[0] = 2.0
+        logging.getLogger("ssp_lp.search").info("still at it")
+        assert "still at it" in terminal.getvalue()
+
+
+def timed(chance: float, end: str, paid: float, fuel: float) -> list:
+    return [chance, end, {"time": paid, "fuel": fuel}]
+
+
+NAMED = {
+    "start": "depot",
+    "goal": [],
+    "labels": {"ok": ["home"], "crash": ["wreck"], "lost": ["woods"]},
+    "transitions": {
+        "depot": {
+            "alley": [timed(0.90, "home", 4, 1), timed(0.10, "wreck", 2, 1)],
+            "road": [timed(0.99, "home", 9, 2), timed(0.01, "woods", 5, 2)],
+        },
+        "wreck": {},
+        "woods": {},
+    },
+}
+
+
+@pytest.mark.parametrize(
+    ("words", "options"),
+    [
+        ('Pmax=? [F "ok"]', "--cost time --criterion maxprob"),
+        ('Pmax=?[F<=3 "ok"]', "--cost time --criterion maxprob --horizon 3"),
+        ('multi(R{"time"}min=? [F "ok"], P>=0.95 [F "ok"])',
+         "--cost time --criterion mcmp --failure-budget 5%"),
+        ('multi(R{"time"}min=? [C], P>=0.9 [F "ok"], P<=0.02 [F "crash"], R{"fuel"}<=1.9 [C])',
+         '--cost time --failure-budget 0.1 --limit "end(crash) <= 0.02" --limit "fuel <= 1.9"'),
+        ('multi(P>=19/20 [F "ok"], R{"fuel"} min = ? [ C ])', "--cost fuel --failure-budget 0.05"),
+        ('multi(Pmax=? [F "ok"], R{"time"}<=5 [C])',
+         '--cost time --criterion maxprob --limit "time <= 5"'),
+    ],
+)  # fmt: skip
+def test_properties_of_prism_ask_the_same(
+    words: str, options: str, tmp_path: Path, told: Told
+) -> None:
+    model = written(tmp_path, NAMED)
+    cost = [] if "R{" in words and "Pmax" not in words else ["--cost", "time"]
+    found = told("solve", model, *cost, "--property", words)
+    wanted = told("solve", model, "--goal", "ok", *shlex.split(options))
+    for name in ("criterion", "failure_probability", "expected_cost", "objective"):
+        assert found[name] == pytest.approx(wanted[name])
+
+
+def test_a_certain_goal_is_asked_for_at_least_cost(tmp_path: Path, told: Told) -> None:
+    model = written(tmp_path, {"a": {"go": [[0.5, "b", 2], [0.5, "a", 1]]}})
+    found = told("solve", model, "--start", "a", "--property", 'Rmin=? [F "b"]')
+    assert (found["objective"], found["criterion"]) == (pytest.approx(3.0), "MinCost")
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        ("multi(", "no property that is understood"),
+        ('Pmax=? [G "ok"]', "no property that is understood"),
+        ('Pmin=? [F "ok"]', "what is asked is Pmax=? or Rmin=?"),
+        ('R{"time"}max=? [F "ok"]', "what is asked is Pmax=? or Rmin=?"),
+        ('P>=0.9 [F "ok"]', "one operator must ask =?, not 0"),
+        ('multi(Pmax=? [F "ok"], Rmin=? [C])', "one operator must ask =?, not 2"),
+        ('multi(Rmin=? [C], P<=0.1 [F "crash"])', "one goal must be reached, not []"),
+        ('multi(Rmin=? [F "ok"], P>=0.9 [F "lost"])', "one goal must be reached"),
+        ('multi(Pmax=? [F "ok"], R{"fuel"}>=2 [C])', "at most so much"),
+        ('multi(Pmax=? [F "ok"], P>= [F "ok"])', "a number goes with"),
+        ('multi(Pmax=? [F "ok"], P>=x [F "ok"])', "'x' is no number"),
+        ("multi(Rmin=? [C], P>=0.9 [C])", "a probability is one of reaching"),
+        ('multi(Pmax=? [F<=3 "ok"], P>=0.5 [F "ok"])', "the same number of steps"),
+        ('multi(R{"fuel"}min=? [C], P>=0.9 [F "ok"])', "--cost says something else"),
+    ],
+)
+def test_other_properties_are_refused(
+    words: str, complaint: str, tmp_path: Path, refused: Any
+) -> None:
+    asked = ("solve", written(tmp_path, NAMED), "--cost", "time", "--property", words)
+    refused(*asked, complaint=complaint)
