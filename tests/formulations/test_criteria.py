@@ -158,6 +158,7 @@ ENTERED = [
     (ChargedS3P(TRAP, "a", 0.1), (0.4 * 1 + 0.5 * 10) / 0.9, 5.7),  # a success pays no failing
     (S3P(TRAP, "a", 0.1), 6, 5.5),
     (ConstrainedCost(TRAP, "a", {"fuel": CostLimit(FUEL, 0.6)}, 1.0), 5.7, 5.7),
+    (ConstrainedCost(TRAP, HALVES, {"fuel": CostLimit(FUEL, 0.8)}, 1.0), (5.7 + 2) / 2, 3.85),
 ]
 
 

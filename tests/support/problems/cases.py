@@ -70,6 +70,7 @@ def _outcomes(choice: dict[str, Any], cost: str) -> list[tuple[Fraction, int, Fr
     return [(Fraction(p), successor, paid) for successor, p in choice["to"]]
 
 
+@cache
 def published(name: str, cost: str = "unit") -> tuple[SSP, int]:
     """One model of the library, exact in its costs, with its start state."""
     case = load_case(name, cost)
