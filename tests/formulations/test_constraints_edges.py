@@ -280,6 +280,21 @@ WAITING = deciding(
 )
 
 
+@each_method
+def test_who_begins_at_an_end_is_counted_there(method: str) -> None:
+    """A quarter begin at the goal, a quarter lost: of the others half go cheaply, half dearly."""
+    start, limits = {"x": 0.5, "g": 0.25, "d": 0.25}, {"g": goal_probability() >= 0.625}
+    for problem, value in (
+        (S3P(WAITING, start, 1.0, constraints=limits), 0.5 * (0.3 * 1 + 0.45 * 3) / 0.625),
+        (MCMP(WAITING, start, 1.0, constraints=limits), 0.5 * (0.5 * 1 + 0.5 * 3)),
+    ):
+        solution = solve(problem, method)
+        assert solution.objective == pytest.approx(value, rel=1e-9)
+        assert solution.secondary_costs["g"] == pytest.approx(0.625, rel=1e-9)
+        assert certify(solution).gap < 1e-9
+        assert problem.program().solve().objective == pytest.approx(value, rel=1e-9)
+
+
 def test_the_least_goal_mass_follows_from_all_rows() -> None:
     """0.483 cheap and 0.233 dear use up the fuel and reach the goal with 1/2; the others stop."""
     limits = {
