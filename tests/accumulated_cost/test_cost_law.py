@@ -1,23 +1,53 @@
-"""The law of success costs: closed forms, and its edges."""
+"""The law of success costs: closed forms, runs of millions of steps, and its edges."""
 
+from decimal import ROUND_CEILING, Decimal, localcontext
 from fractions import Fraction
-from math import exp, inf, isnan, log
+from itertools import pairwise
+from math import exp, inf, isnan, log, sqrt
 
 import numpy as np
 import pytest
 
-from formulations import S3P
+from formulations import (
+    EGUBS,
+    GUBS,
+    S3P,
+    CostBoundedReach,
+    CostQuantile,
+    CVaR,
+)
 from laws import law_of, one_way
 from small_models import model_of
 from ssp_lp import (
     GIVE_UP,
-    SSP,
     DeterministicPolicy,
     MixedPolicy,
     ModelError,
+    SolverError,
+    cross_check,
+    evaluate,
+    simulate,
+    solve,
     success_costs,
+    trace_frontier,
 )
 from ssp_lp.accumulated_cost import cost_law, law as following
+from ssp_lp.policies.chain import policy_chain
+from written_models import written
+
+WALK = written(
+    """
+    a slow: 0.5 b 1, 0.5 a 1
+    a fast: 0.6 G 2, 0.3 b 1, 0.1 pit 1
+    a wait: a 1
+    b on: 0.9 G 1, 0.1 a 2
+    b jump: 0.7 G 0, 0.3 pit 0
+    pit stuck: pit 3
+    """,
+    "G",
+)
+WAITING = DeterministicPolicy.from_actions(WALK, {"a": "wait"})
+
 
 # Closed forms
 
@@ -31,22 +61,15 @@ def test_tries_until_success_are_geometric():
     assert masses == pytest.approx([p * q ** (n - 1) for n in range(1, 41)], rel=1e-12)
     for n in (0, 1, 7, 300):
         assert law.within(n) == pytest.approx(1 - q**n, rel=1e-13)
-    for n in (0, 1, 7, 100):
+    for n in (0, 1, 7, 100):  # summed from what waits, not left over from a difference
         assert law.excess(n) == pytest.approx(q**n / p, rel=1e-11)
     assert law.excess(2.5) == pytest.approx(q**2 / p - 0.5 * q**2)
     assert law.quantile(0.95) == np.ceil(log(0.05) / log(q))
-    assert law.exponential(-0.2) == pytest.approx(p * exp(-0.2) / (1 - q * exp(-0.2)), rel=1e-13)
-    assert law.expectation(lambda c: np.exp(-0.2 * c), 0.0) == pytest.approx(
-        law.exponential(-0.2), rel=1e-12
-    )
+    value = p * exp(-0.2) / (1 - q * exp(-0.2))
+    assert law.exponential(-0.2) == pytest.approx(value, rel=1e-13)
+    assert law.expectation(lambda c: np.exp(-0.2 * c), 0.0) == pytest.approx(value, rel=1e-12)
     assert law.tail_mean(1 - q**5) == pytest.approx(5 + 1 / p, rel=1e-9)
-
-
-def test_far_out_the_tail_keeps_its_digits():
-    """The excess is summed from what waits, not left over from a difference."""
-    law = one_way([(0.5, "G", 1), (0.5, "a", 1)])
-    assert law.excess(40) == pytest.approx(2 * 0.5**40, rel=1e-12)
-    assert law.tail_mean(1 - 0.5**30) == pytest.approx(32.0, rel=1e-6)
+    assert law.tail_mean(1 - q**60) == pytest.approx(60 + 1 / p, rel=1e-6)
 
 
 @pytest.mark.parametrize(("level", "value"), [(0.95, 1.0), (0.9500001, 100.0), (0.0, 1.0)])
@@ -64,8 +87,7 @@ def test_levels_that_a_geometric_law_attains_exactly(chance):
     law = one_way([(chance, "G", 1), (1 - chance, "a", 1)])
     for n in range(1, 12):
         level = float(1 - (1 - Fraction(repr(chance))) ** n)
-        assert law.quantile(level) == n
-        assert law.quantile(level + 1e-9) == n + 1
+        assert (law.quantile(level), law.quantile(level + 1e-9)) == (n, n + 1)
 
 
 def test_a_level_at_an_edge_given_success():
@@ -74,21 +96,18 @@ def test_a_level_at_an_edge_given_success():
     law = one_way(parts, pit={})
     assert law.goal == pytest.approx(0.8)
     assert law.quantile(0.95) == 1.0
-    assert law.tail_mean(0.95) == pytest.approx(9.0)
-    assert law.tail_mean(0.9) == pytest.approx(5.0)
+    assert (law.tail_mean(0.95), law.tail_mean(0.9)) == pytest.approx((9.0, 5.0))
 
 
 def test_three_tenths_are_within_three_tenths():
     """0.1 + 0.1 + 0.1 exceeds 0.3 in floats, not here; numpy's floats are floats."""
-    chain = {"b": {"go": [(1.0, "c", 0.1)]}, "c": {"go": [(1.0, "G", 0.1)]}}
-    model = SSP.from_transitions({"a": {"go": [(1.0, "b", 0.1)]}, **chain}, goal={"G"})
-    law = law_of(model, dict.fromkeys("abc", "go"))
-    assert law.within(0.3) == 1.0
-    assert law.within(np.float64(0.3)) == 1.0
-    assert law.within(Fraction(3, 10)) == 1.0
-    assert law.within(0.1 + 0.2) == 1.0
-    assert law.within(0.29999999999999993) == 0.0
-    assert law.within(Fraction(3, 10) - Fraction(1, 10**30)) == 0.0
+    law = law_of(
+        written("a go: b 0.1\n b go: c 0.1\n c go: G 0.1", "G"), dict.fromkeys("abc", "go")
+    )
+    for bound in (0.3, np.float64(0.3), Fraction(3, 10), 0.1 + 0.2):
+        assert law.within(bound) == 1.0
+    for bound in (0.29999999999999993, Fraction(3, 10) - Fraction(1, 10**30)):
+        assert law.within(bound) == 0.0
     assert law.quantile(0.5) == 0.3
     assert law.upto(0.3).costs.tolist() == [0.3]
 
@@ -99,15 +118,13 @@ def test_thirds_given_as_fractions():
     law = one_way([(0.5, "G", third), (0.25, "G", 2 * third), (0.25, "a", third)])
     for level in (0.4, 0.6, 0.9, 0.99):
         value = law.quantile(level)
-        assert law.within(value) >= level
-        assert law.within(value * (1 - 1e-12)) < level
-    assert law.within(2 * third) == pytest.approx(0.875)
-    assert law.within(2 / 3) == pytest.approx(0.875)
+        assert law.within(value) >= level > law.within(value * (1 - 1e-12))
+    assert law.within(2 * third) == law.within(2 / 3) == pytest.approx(0.875)
 
 
 def test_the_quantile_of_a_lottery_is_that_of_the_mixture():
     """Half 1 and half 10: the median is 1 and the 3/4-quantile 10, no mean of both."""
-    model = SSP.from_transitions({"a": {"x": [(1, "G", 1)], "y": [(1, "G", 10)]}}, goal={"G"})
+    model = written("a x: G 1\n a y: G 10", "G")
     members = [DeterministicPolicy.from_actions(model, {"a": u}) for u in "xyx"]
     law = success_costs(MixedPolicy(members, np.array([0.5, 0.5, 0.0])), S3P(model, start="a"))
     assert (law.quantile(0.5), law.quantile(0.75)) == (1.0, 10.0)
@@ -128,14 +145,108 @@ def test_larger_chains_against_powers_of_their_matrix(kind):
         i: {"go": [(float(p), "G" if j == n else j, 1.0) for j, p in enumerate(row) if p > 0]}
         for i, row in enumerate(matrix)
     }
-    law = law_of(SSP.from_transitions(choices, goal={"G"}), dict.fromkeys(choices, "go"), 0)
+    law = law_of(model_of(choices, "G"), dict.fromkeys(choices, "go"), 0)
     mass, expected = np.eye(n)[0], []
     for _ in range(30):
         expected.append(mass @ matrix[:, -1])
         mass = mass @ matrix[:, :-1]
     assert law.upto(30).probabilities == pytest.approx(expected, rel=1e-12)
-    assert law.excess(30) == pytest.approx(law.cost - np.minimum(
-        np.arange(1, 31), 30) @ expected - 30 * (1 - sum(expected)), rel=1e-9)  # fmt: skip
+    early = np.arange(1, 31) @ expected
+    assert law.excess(30) == pytest.approx(law.cost - early - 30 * (1 - sum(expected)), rel=1e-9)
+
+
+# Runs that take millions of steps
+
+LEAVING = (1e-3, 1e-6, 1e-9, 1e-12)
+SLACK = Decimal(1) - Decimal("1e-12")  # of a quantile's level
+
+
+def tries_until(level, leaving):
+    """The least number of tries within which a share of the runs has left."""
+    with localcontext(prec=60):
+        share = (1 - Decimal(level) * SLACK).ln() / (1 - Decimal(leaving)).ln()
+        return max(int(share.to_integral_value(ROUND_CEILING)), 1)
+
+
+def still_there(tries, leaving):
+    with localcontext(prec=60):
+        return (1 - Decimal(leaving)) ** int(tries)
+
+
+@pytest.mark.parametrize("leaving", LEAVING)
+@pytest.mark.parametrize("level", [0.0, 0.1, 0.5, 0.9, 0.999])
+def test_a_loop_that_is_hardly_left(leaving, level):
+    """Tries until the first success are geometric: all but the first `tries` are (1-p)^tries."""
+    law = one_way([(leaving, "G", 1), (1 - leaving, "a", 1)])
+    tries = tries_until(level, leaving)
+    assert law.quantile(level) == pytest.approx(tries, rel=1e-11, abs=0)
+    if leaving * (1 - level) > 1e-10:  # else layers are closer together than rounding
+        assert law.quantile(level) == tries
+    left = float(still_there(tries, leaving))
+    assert law.within(tries) == pytest.approx(float(1 - still_there(tries, leaving)), rel=1e-13)
+    assert law.excess(tries) == pytest.approx(left / leaving, rel=1e-13)
+    expected = tries + left / leaving / (1 - level)
+    assert law.tail_mean(level) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("leaving", LEAVING)
+def test_what_is_lost_on_the_way_and_two_loops_one_after_the_other(leaving):
+    """Failing three times as often as succeeding: the law given success is that of leaving.
+
+    After n tries neither loop has let through, or the first alone: (1-p)^n + n p (1-p)^(n-1).
+    """
+    outcomes = [(leaving / 4, "G", 2), (leaving * 3 / 4, "pit", 9), (1 - leaving, "a", 2)]
+    law, tries = one_way(outcomes, pit={}), tries_until(0.5, leaving)
+    assert law.goal == pytest.approx(0.25, rel=1e-14)
+    assert law.quantile(0.5) == pytest.approx(2 * tries, rel=1e-11, abs=0)
+    half = float(1 - still_there(tries, leaving))
+    assert law.within(2 * tries + 1) == pytest.approx(0.25 * half, rel=1e-13)
+    onward = [(leaving, "G", 1), (1 - leaving, "b", 1)]
+    law = one_way([(leaving, "b", 1), (1 - leaving, "a", 1)], b={"go": onward})
+    for share in (0.1, 1.0, 5.0):
+        tries = round(share / leaving)
+        with localcontext(prec=60):
+            first = tries * Decimal(leaving) * still_there(tries - 1, leaving)
+            late = float(still_there(tries, leaving) + first)
+        assert law.within(tries) == pytest.approx(1 - late, rel=1e-12)
+        assert law.quantile(law.within(tries)) == pytest.approx(tries, rel=1e-10)
+
+
+def test_free_loops_that_are_hardly_left_count_no_layers():
+    """Each layer is a walk of 1e9 free steps, and one in 1e6 layers leads to the goal."""
+    pays = {"go": [(1e-6, "G", 0), (1 - 1e-6, "a", 0)]}
+    law = one_way([(1 - 1e-9, "b", 0), (1e-9, "c", 1)], b={"go": [(1.0, "a", 0)]}, c=pays)
+    assert law.quantile(0.5) == tries_until(0.5, 1e-6)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_many_layers_at_once_as_one_by_one(seed, monkeypatch):
+    """Of small models with steps of cost 0 to 3, which may end in a pit."""
+    rng, names, choices = np.random.default_rng(seed), [f"s{i}" for i in range(4)], {}
+    for name in names:
+        ends = [*rng.choice(names, 3).tolist(), "G", "pit"]
+        weights = rng.integers(1, 9, len(ends)) * np.array([1, 1, 1, 0.02, 0.01])
+        paid = rng.integers(0, 4, len(ends)).tolist()
+        shares = (weights / weights.sum()).tolist()
+        choices[name] = {"go": list(zip(shares, ends, paid, strict=True))}
+    model = model_of(choices, "G")
+
+    def make():
+        return law_of(model, dict.fromkeys(names, "go"), names[0])
+
+    monkeypatch.setattr(following, "_MOST_PLACES", 0)
+    slow = make()
+    monkeypatch.setattr(following, "_MOST_PLACES", 800)
+    monkeypatch.setattr(following, "_WORK_OF_POWERS", 0.0)
+    monkeypatch.setattr(following, "_FIRST_LAYERS", 2)
+    for bound in (0, 1, 2, 7, 40, 300, 1000):
+        fast = make()
+        assert fast.within(bound) == pytest.approx(slow.within(bound), rel=1e-13)
+        assert fast.excess(bound) == pytest.approx(slow.excess(bound), rel=1e-12, abs=1e-300)
+    levels = (0.0, 0.3, 0.5, 0.9, 0.999)
+    found = [make().quantile(level) for level in levels]
+    assert found == [slow.quantile(level) for level in levels]
+    assert all(low <= high for low, high in pairwise(found))
 
 
 # Edges
@@ -143,19 +254,11 @@ def test_larger_chains_against_powers_of_their_matrix(kind):
 
 def test_free_cycles_stay_in_their_layer_and_free_wandering_fails():
     """From a one goes in free circles by b before one pays; c is free and never left."""
-    model = model_of(
-        {
-            "a": {"go": [(0.5, "b", 0), (0.2, "a", 0), (0.2, "G", 2), (0.1, "c", 0)]},
-            "b": {"go": [(1.0, "a", 0)]},
-            "c": {"go": [(1.0, "c", 0)]},
-        },
-        "G",
-    )
+    model = written("a go: 0.5 b 0, 0.2 a 0, 0.2 G 2, 0.1 c 0\n b go: a 0\n c go: c 0", "G")
     law = law_of(model, dict.fromkeys("abc", "go"))
-    assert law.goal == pytest.approx(2 / 3)
+    assert law.goal == law.within(inf) == pytest.approx(2 / 3)
     assert law.within(1.9) == 0.0
     assert law.within(2) == pytest.approx(2 / 3)
-    assert law.within(inf) == law.goal
 
 
 def test_a_free_loop_that_is_hardly_ever_left():
@@ -170,12 +273,15 @@ def test_a_free_loop_that_is_hardly_ever_left():
 
 
 def test_paid_wandering_fails_and_ends_the_sweep():
-    wander = {"on": [(1.0, "c", 3)], "out": [(1.0, "G", 1)]}
-    model = model_of({"a": {"go": [(0.5, "c", 1), (0.5, "G", 1)]}, "c": wander}, "G")
+    """Pushing mass through a recurrent class fails; following the live part does not."""
+    model = written("a go: 0.5 c 1, 0.5 G 1\n c on: c 3\n c out: G 1", "G")
     law = law_of(model, {"a": "go", "c": "on"})
     assert law.within(1e12) == pytest.approx(0.5)
     assert law.quantile(0.999) == 1.0
     assert law.all_but(1e-3).costs.tolist() == [1.0]
+    with pytest.raises(SolverError):
+        policy_chain(WALK, WAITING, np.eye(4)[0]).push(np.ones(1))
+    assert success_costs(WAITING, S3P(WALK, start="a")).goal == 0.0
 
 
 def test_starts_at_goals_and_dead_ends_and_giving_up():
@@ -199,6 +305,8 @@ def test_a_goal_that_is_never_reached():
     assert law.expectation(lambda c: 1 / (1 + c), 0.0) == 0.0
     assert law.upto(10).costs.size == 0
     assert "goal 0" in repr(law)
+    for problem in (CVaR(WALK, "a", 0.9), CostQuantile(WALK, "a", 0.9)):
+        assert isnan(evaluate(WAITING, problem).objective)
 
 
 def test_costs_of_entering_dead_ends_do_not_refine_the_lattice():
@@ -215,9 +323,8 @@ def test_without_a_lattice_sums_are_followed_one_by_one():
     assert (law.within(0.99), law.within(1.0)) == (0.5, 1.0)
     assert (law.quantile(0.5), law.quantile(0.6)) == (0.123456789012345, 1.0)
     assert law.excess(0.5) == pytest.approx(0.25)
-    assert law.expectation(lambda cost: 1.0 / (1.0 + cost), 0.0) == pytest.approx(
-        0.25 + 0.5 / 1.123456789012345
-    )
+    hyperbola = law.expectation(lambda cost: 1.0 / (1.0 + cost), 0.0)
+    assert hyperbola == pytest.approx(0.25 + 0.5 / 1.123456789012345)
 
 
 def test_two_ways_to_one_irrational_sum_are_one_atom():
@@ -234,17 +341,20 @@ def test_two_ways_to_one_irrational_sum_are_one_atom():
 
 def test_too_many_sums_are_rounded_up(monkeypatch):
     """No total is understated, and none overstated by more than the steps' rounding."""
-    steps = [(0.5, "a", 2**0.5), (0.25, "a", 3**0.5), (0.25, "G", 1.0)]
-    law = one_way(steps)
-    exact = [law.within(4.0), law.excess(2.0), law.quantile(0.7), law.tail_mean(0.7)]
-    utility = law.expectation(lambda cost: np.exp(-cost), 0.0)
+
+    def asked():
+        law = one_way([(0.5, "a", 2**0.5), (0.25, "a", 3**0.5), (0.25, "G", 1.0)])
+        utility = law.expectation(lambda cost: np.exp(-cost), 0.0)
+        late = [law.excess(2.0), law.quantile(0.7), law.tail_mean(0.7)]
+        return [law.within(4.0), utility], np.array(late)
+
+    soon, late = asked()
     monkeypatch.setattr(cost_law, "_MOST_SUMS", 3)
-    law = one_way(steps)
-    rounded = [law.within(4.0), law.excess(2.0), law.quantile(0.7), law.tail_mean(0.7)]
-    assert rounded[0] <= exact[0] + 1e-12
-    for up, true in zip(rounded[1:], exact[1:], strict=True):
-        assert true - 1e-12 <= up <= true * (1.0 + 2e-3)
-    assert utility * (1.0 - 2e-3) <= law.expectation(lambda cost: np.exp(-cost), 0.0) <= utility
+    rounded_soon, rounded_late = asked()
+    assert rounded_soon[0] <= soon[0] + 1e-12
+    assert soon[1] * (1.0 - 2e-3) <= rounded_soon[1] <= soon[1]
+    assert (late - 1e-12 <= rounded_late).all()
+    assert (rounded_late <= late * (1.0 + 2e-3)).all()
 
 
 def test_a_table_that_would_be_too_large(monkeypatch):
@@ -255,13 +365,31 @@ def test_a_table_that_would_be_too_large(monkeypatch):
         slow.upto(1e9)
     wide = {f"s{i}": {"go": [(1.0, f"s{i + 1}", 1.0)]} for i in range(60)}
     wide["s60"] = {"go": [(0.5, "G", 1.0), (0.5, "G", 1e-6)]}
-    law = law_of(SSP.from_transitions(wide, goal={"G"}), dict.fromkeys(wide, "go"), "s0")
+    law = law_of(model_of(wide, "G"), dict.fromkeys(wide, "go"), "s0")
     assert law.quantile(0.5) == pytest.approx(60 + 1e-6)
     assert law.goal == 1.0
 
 
+def test_the_order_of_questions_does_not_matter():
+    """How far the law was followed for one answer changes no other."""
+    outcomes = [(0.05, "G", 1), (0.15, "G", 3), (0.8, "a", 2)]
+    asked = [
+        lambda law: law.excess(2.0),
+        lambda law: law.quantile(0.999999),
+        lambda law: law.within(5),
+        lambda law: law.upto(11).probabilities.sum(),
+        lambda law: law.all_but(0.2).costs[-1],
+        lambda law: law.tail_mean(0.3),
+    ]
+    fresh = [ask(one_way(outcomes)) for ask in asked]
+    law = one_way(outcomes)
+    law.quantile(1 - 1e-9)
+    assert [ask(law) for ask in asked] == pytest.approx(fresh, rel=1e-12)
+
+
 def test_wrong_questions_are_refused():
     law = one_way([(1.0, "G", 1)])
+    one, other = written("a go: G 1", "G"), written("a go: G 1", "G")
     for ask in (
         lambda: law.quantile(1.0),
         lambda: law.tail_mean(-0.1),
@@ -272,12 +400,52 @@ def test_wrong_questions_are_refused():
         lambda: law.all_but(0.0),
         lambda: law.expectation(lambda c: 1.0, 0.0),
         lambda: law.expectation(lambda c: -c, -inf),
+        lambda: success_costs(DeterministicPolicy.from_actions(one, {"a": "go"}), S3P(other, "a")),
     ):
         with pytest.raises(ModelError):
             ask()
-    other = SSP.from_transitions({"a": {"go": [(1.0, "G", 1)]}}, goal={"G"})
-    with pytest.raises(ModelError, match="another model"):
-        success_costs(
-            DeterministicPolicy.from_actions(other, {"a": "go"}),
-            S3P(SSP.from_transitions({"a": {"go": [(1.0, "G", 1)]}}, goal={"G"}), start="a"),
-        )
+
+
+# In use
+
+
+def test_simulated_totals_follow_the_law():
+    """Within Dvoretzky, Kiefer and Wolfowitz's band, which holds with probability 1 - 1e-6."""
+    problem = S3P(WALK, start={"a": 0.75, "b": 0.25}, failure_budget=0.15)
+    policy = solve(problem).policy
+    law = success_costs(policy, problem)
+    report = simulate(policy, problem, episodes=40_000, rng=np.random.default_rng(3))
+    sample = report.success_costs
+    assert sample.size == report.ends["goal"]
+    width = sqrt(log(2 / 1e-6) / (2 * sample.size))
+    for bound in range(12):
+        share = float((sample <= bound).mean())
+        assert abs(law.within(bound) / law.goal - share) <= width
+    for level in (0.25, 0.5, 0.9, 0.95):
+        seen = float(np.quantile(sample, level, method="inverted_cdf"))
+        assert law.quantile(level - width) <= seen <= law.quantile(level + width)
+    spread = 4 * sample.std() / sqrt(sample.size)
+    assert sample.mean() == pytest.approx(law.conditional_mean, abs=spread)
+
+
+@pytest.mark.parametrize(
+    ("criterion", "value"),
+    [
+        (CostBoundedReach(WALK, "a", 3, 0.2), lambda law: law.within(3)),
+        (CostQuantile(WALK, "a", 0.9, 0.2), lambda law: law.quantile(0.9)),
+        (CVaR(WALK, "a", 0.9, 0.2), lambda law: law.tail_mean(0.9)),
+        (EGUBS(WALK, "a", -0.5, 2.0), lambda law: law.exponential(-0.5) + 2.0 * law.goal),
+        (
+            GUBS(WALK, "a", lambda c: 1 / (1 + c), 2.0),
+            lambda law: law.expectation(lambda c: 1 / (1 + c), 0.0) + 2.0 * law.goal,
+        ),
+    ],
+    ids=lambda p: type(p).__name__,
+)
+def test_evaluate_counts_what_the_problem_measures(criterion, value):
+    policy = solve(S3P(WALK, start="a", failure_budget=0.2)).policy
+    law = success_costs(policy, criterion)
+    assert evaluate(policy, criterion).objective == pytest.approx(value(law), rel=1e-12)
+    for ask in (trace_frontier, cross_check, lambda p: solve(p, method="game")):
+        with pytest.raises(ModelError, match=type(criterion).__name__):
+            ask(criterion)

@@ -1,9 +1,6 @@
 """Solvers of large programs end with the call's time, whatever they hear of it themselves."""
 
-from __future__ import annotations
-
 import time
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,56 +12,43 @@ from ssp_lp.compiled.deadline import Stop, until
 from ssp_lp.linear_programming import backends
 
 MODEL = layered(8, 6, seed=2)
+PROBLEM = MCMP(MODEL, 0, failure_budget=0.1)
 
 
-@pytest.fixture
-def beside(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(autouse=True)
+def beside(monkeypatch):
     """Every program is as good as large: it is solved in a process beside this one."""
     monkeypatch.setattr(backends, "_LARGE", 0)
 
 
-@pytest.mark.usefixtures("beside")
 @pytest.mark.parametrize("backend", ["highs-ipx", "clarabel"])
-def test_a_process_beside_this_one_says_the_same(
-    backend: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    problem = MCMP(MODEL, 0, failure_budget=0.1)
-    with_process = solve(problem, LinearProgramming(backend))
+def test_a_process_beside_this_one_says_the_same(backend, monkeypatch):
+    with_process = solve(PROBLEM, LinearProgramming(backend))
     monkeypatch.setattr(backends, "_LARGE", np.inf)
-    without = solve(problem, LinearProgramming(backend))
-    assert with_process.objective == without.objective
+    assert with_process.objective == solve(PROBLEM, LinearProgramming(backend)).objective
     assert backend in with_process.run.program
 
 
-@pytest.mark.usefixtures("beside")
-def test_what_a_backend_raises_there_is_raised_here() -> None:
+def test_what_a_backend_raises_there_is_raised_here():
     with pytest.raises(KeyError, match="no-such-solver"):
-        backends.run_backend(problem_program(), "no-such-solver", np.inf)
+        backends.run_backend(PROBLEM.program().linear, "no-such-solver", np.inf)
 
 
-def problem_program() -> Any:
-    """The linear program of a problem."""
-    return MCMP(MODEL, 0, failure_budget=0.1).program().linear
-
-
-@pytest.mark.usefixtures("beside")
-def test_a_solver_that_hears_nothing_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_solver_that_hears_nothing_is_ended(monkeypatch):
     monkeypatch.setattr(backends, "_SERVED", "import time; time.sleep(60)")
-    began = time.perf_counter()
+    program, began = PROBLEM.program(), time.perf_counter()
     with pytest.raises(Stop), until(began + 0.2):
-        backends.run_backend(problem_program(), "clarabel", np.inf)
+        backends.run_backend(program.linear, "clarabel", np.inf)
     assert time.perf_counter() - began < 20.0
     with pytest.raises(SolverError, match="no answer within"):
-        MCMP(MODEL, 0, failure_budget=0.1).program().solve("clarabel", time_limit=0.1)
+        program.solve("clarabel", time_limit=0.1)
 
 
-@pytest.mark.usefixtures("beside")
-def test_no_second_backend_is_asked_past_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_second_backend_is_asked_past_the_deadline(monkeypatch):
     """The first one is ended; an answer of case M, or that of least failure, comes back."""
-    asked: list[str] = []
-    run = backends.run_backend
+    asked, run = [], backends.run_backend
 
-    def listening(program: Any, backend: str, *rest: Any) -> Any:
+    def listening(program, backend, *rest):
         asked.append(backend)
         return run(program, backend, *rest)
 

@@ -1,11 +1,8 @@
 """Episodes: a policy is data, what is over stays over, and what cannot be is named."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +16,7 @@ from ssp_lp.io import Controller, write_controller
 TRYING = solve(S3P(TRIES, "door", failure_budget=0.125)).policy  # three tries, then it gives up
 
 
-def written(policy, folder: Path, *, world: str = "model") -> Controller:
+def written(policy, folder, *, world="model"):
     """A controller that has begun an episode of the policy."""
     write_controller(policy, folder / "controller.json")
     controller = Controller(folder / "controller.json")
@@ -27,7 +24,7 @@ def written(policy, folder: Path, *, world: str = "model") -> Controller:
     return controller
 
 
-def tries(episode, seed: int) -> int:
+def tries(episode, seed):
     """How often one tries until the episode is over, in a world of one's own."""
     rng, count = np.random.default_rng(seed), 0
     while (action := episode.action("door")) is not GIVE_UP:
@@ -39,15 +36,15 @@ def tries(episode, seed: int) -> int:
     return 3
 
 
-def test_one_policy_plays_in_many_threads() -> None:
-    def right(seed: int) -> bool:
+def test_one_policy_plays_in_many_threads():
+    def right(seed):
         return tries(TRYING.start(seed), seed) == tries(TRYING.start(seed), seed) <= 3
 
     with ThreadPoolExecutor(8) as pool:
         assert all(pool.map(right, range(2_400)))
 
 
-def test_a_policy_holds_nothing_of_an_episode() -> None:
+def test_a_policy_holds_nothing_of_an_episode():
     before = {name: id(value) for name, value in vars(TRYING).items()}
     stored = pickle.dumps(TRYING)
     episode = TRYING.start(0)
@@ -59,7 +56,7 @@ def test_a_policy_holds_nothing_of_an_episode() -> None:
     assert not {"reset", "action", "observe"} & set(dir(TRYING))
 
 
-def test_what_is_over_stays_over_at_a_goal_and_in_a_dead_end(tmp_path: Path) -> None:
+def test_what_is_over_stays_over_at_a_goal_and_in_a_dead_end(tmp_path):
     policy = DeterministicPolicy.from_actions(FIRST, {"depot": "alley"})
     for end in ("home", "wreck"):
         for player in (policy.start(), written(policy, tmp_path)):
@@ -77,7 +74,7 @@ def test_what_is_over_stays_over_at_a_goal_and_in_a_dead_end(tmp_path: Path) -> 
         assert batch.actions(["depot", "depot"]) == [None, None]
 
 
-def test_what_is_over_stays_over_after_giving_up(tmp_path: Path) -> None:
+def test_what_is_over_stays_over_after_giving_up(tmp_path):
     """A memory of the user's is not asked about a step that nobody took."""
     asked = []
 
@@ -115,7 +112,7 @@ def every_memory():
     yield solve(MCMP(hall(), START, failure_budget=0.7, horizon=6)).policy, START
 
 
-def test_every_memory_refuses_costs_that_are_none(tmp_path: Path) -> None:
+def test_every_memory_refuses_costs_that_are_none(tmp_path):
     for policy, start in every_memory():
         for player in (policy.start(0), written(policy, tmp_path)):
             action = player.action(start)
@@ -130,7 +127,7 @@ def test_every_memory_refuses_costs_that_are_none(tmp_path: Path) -> None:
             batch.observe([start], [np.nan])
 
 
-def test_steps_that_cannot_be_are_named_unless_the_world_is_another(tmp_path: Path) -> None:
+def test_steps_that_cannot_be_are_named_unless_the_world_is_another(tmp_path):
     policy = DeterministicPolicy.from_actions(hall(), {("hall", k): "fast" for k in range(3)})
     one, batch = policy.start(), policy.start_many(2)
     one.action(START)

@@ -1,4 +1,6 @@
-"""Closed forms of case M, one for each choice of semantics that changes the numbers."""
+"""Closed forms of case M, one for each choice of semantics, and of case S: a ratio of means."""
+
+from fractions import Fraction
 
 import pytest
 
@@ -13,26 +15,28 @@ from small_models import (
     each_method,
     model_of,
 )
-from ssp_lp import InfeasibleError, ModelError, evaluate, solve
+from ssp_lp import InfeasibleError, certify, evaluate, solve
+from written_models import written
+
+each_formulation = pytest.mark.parametrize("formulation", [MCMP, S3P])
 
 
 @each_method
 @each_meaning
 @pytest.mark.parametrize("charge", [True, False])
-def test_wandering_in_a_free_loop_is_failure_at_no_cost(method, give_up, charge):
+@pytest.mark.parametrize("budget", [0.0, 0.25, 0.5, 1.0])
+def test_wandering_in_a_free_loop_is_failure_at_no_cost(method, give_up, charge, budget):
     """A loop of cost 0 and a way out of cost 5: cost 5 (1 - budget), price 5, always."""
-    problem = MCMP(
-        model_of(FREE_LOOP),
-        start="x",
-        failure_budget=0.25,
-        give_up=give_up,
-        charge_failing_step=charge,
-    )
-    solution = solve(problem, method=method)
-    assert solution.objective == pytest.approx(3.75, **EXACT)
-    assert solution.failure_price == pytest.approx(5.0, **EXACT)
-    assert solution.failure_probability == pytest.approx(0.25, **EXACT)
-    assert evaluate(solution.policy, problem).objective == pytest.approx(3.75, **EXACT)
+    meaning = {"give_up": give_up, "charge_failing_step": charge}
+    solution = solve(MCMP(model_of(FREE_LOOP), "x", budget, **meaning), method=method)
+    assert solution.objective == pytest.approx(5 * (1 - budget), **EXACT)
+    assert solution.failure_probability == pytest.approx(budget, **EXACT)
+    assert certify(solution).accepted
+    found = evaluate(solution.policy, solution.problem).objective
+    assert found == pytest.approx(solution.objective, **EXACT)
+    if 0 < budget < 1:
+        assert solution.failure_price == pytest.approx(5.0, **EXACT)
+        assert solve(S3P(model_of(FREE_LOOP), "x", budget), method).objective == pytest.approx(5.0)
 
 
 @each_method
@@ -44,148 +48,158 @@ def test_a_free_component_of_two_states(method, give_up, budget, value):
     assert solve(problem, method=method).objective == pytest.approx(value, **EXACT)
 
 
+@each_meaning
+def test_an_end_component_that_never_pays(give_up):
+    """Toured for free; "out" is taken twice on average; failing with 0.1 saves a tenth of 4."""
+    model = written(
+        """
+        a on: b 0
+        b on: 0.5 c 0, 0.5 a 0
+        b back: a 0
+        c on: a 0
+        c out: 0.5 g 2, 0.5 a 2
+        """
+    )
+    solution = solve(MCMP(model, "a", 0.1, give_up=give_up))
+    assert [solution.objective, solution.evaluation.objective] == pytest.approx([3.6, 3.6])
+    assert solve(MCMP(model, "a", give_up=give_up)).objective == pytest.approx(4.0)
+    assert solve(S3P(model, "a")).objective == pytest.approx(4.0)
+    relaxed = solve(S3P(model, "a", 0.5))  # succeed at the first "out", else wander off
+    assert (relaxed.objective, relaxed.failure_probability) == pytest.approx((2.0, 0.5))
+
+
 @each_method
 @pytest.mark.parametrize(
-    ("give_up", "charge", "value"),
-    [
-        ("anywhere", True, 3.5),
-        ("attention", True, 3.5),
-        ("dead_ends", True, 5.0),
-        ("anywhere", False, 2.5),
-        ("attention", False, 2.5),
-        ("dead_ends", False, 5.0),
-    ],
+    ("give_up", "charged", "free"),
+    [("anywhere", 3.5, 2.5), ("attention", 3.5, 2.5), ("dead_ends", 5.0, 5.0)],
 )
-def test_a_paying_loop_charges_one_step_or_is_never_left(method, give_up, charge, value):
+def test_a_paying_loop_charges_one_step_or_is_never_left(method, give_up, charged, free):
     """Loop of cost 2, budget 1/2: giving up costs one stay or nothing, wandering has no end."""
-    problem = MCMP(
-        model_of(PAYING_LOOP),
-        start="x",
-        failure_budget=0.5,
-        give_up=give_up,
-        charge_failing_step=charge,
-    )
-    assert solve(problem, method=method).objective == pytest.approx(value, **EXACT)
+    for charge, value in ((True, charged), (False, free)):
+        meaning = {"give_up": give_up, "charge_failing_step": charge}
+        solution = solve(MCMP(model_of(PAYING_LOOP), "x", 0.5, **meaning), method=method)
+        assert solution.objective == pytest.approx(value, **EXACT)
 
 
 @each_method
 @pytest.mark.parametrize(("give_up", "value"), [("anywhere", 2.5), ("attention", 3.5)])
 def test_where_to_stop_and_which_action_is_charged(method, give_up, value):
     """At x only the costly action stays: anywhere charges the free one, 5/2 + 0; else 5/2 + 1."""
-    choices = {
-        "x": {
-            "stay": [(1.0, "x", 2)],
-            "go": [(1.0, "g", 5)],
-            "free": [(0.5, "x", 0), (0.5, "y", 0)],
-        },
-        "y": {"go": [(1.0, "g", 5)]},
-    }
-    problem = MCMP(model_of(choices), start="x", failure_budget=0.5, give_up=give_up)
+    model = written(
+        """
+        x stay: x 2
+        x go: g 5
+        x free: 0.5 x 0, 0.5 y 0
+        y go: g 5
+        """
+    )
+    problem = MCMP(model, start="x", failure_budget=0.5, give_up=give_up)
     assert solve(problem, method=method).objective == pytest.approx(value, **EXACT)
 
 
 @each_method
 def test_a_dead_end_charges_its_least_action_once(method):
     """Unlabelled dead-ends too, inside or at the start; discounted, one step after the action."""
-    choices = {
-        "x": {"go": [(0.5, "g", 1), (0.5, "d", 1)]},
-        "d": {"a": [(1.0, "e", 7)], "b": [(1.0, "d", 3)]},
-        "e": {"a": [(1.0, "d", 0)]},
-    }
-    model = model_of(choices)
-
-    def cost(start, **settings):
-        problem = MCMP(model, start=start, failure_budget=0.9, **settings)
-        return solve(problem, method=method).objective
-
-    assert cost("x") == pytest.approx(2.5, **EXACT)
-    assert cost("x", charge_failing_step=False) == pytest.approx(1.0, **EXACT)
-    assert cost("x", discount=0.5) == pytest.approx(1.75, **EXACT)
-    assert cost({"x": 0.25, "d": 0.5, "g": 0.25}) == pytest.approx(0.25 * 2.5 + 0.5 * 3, **EXACT)
-    with pytest.raises(InfeasibleError):
-        cost("d")
-
-
-@each_method
-def test_a_start_distribution_shares_one_budget(method):
-    """The budget goes where it saves most: all of it to y, whose failure saves 8 per unit."""
-    choices = {
-        "x": {"safe": [(1.0, "g", 4)], "drop": [(1.0, "d", 0)]},
-        "y": {"safe": [(1.0, "g", 8)], "drop": [(1.0, "d", 0)]},
-        "d": {},
-    }
-    problem = MCMP(model_of(choices), start={"x": 0.5, "y": 0.5}, failure_budget=0.25)
-    solution = solve(problem, method=method)
-    assert solution.objective == pytest.approx(6 - 0.25 * 8, **EXACT)
-    assert solution.failure_price == pytest.approx(8.0, **EXACT)
-
-
-@pytest.mark.parametrize("formulation", [MCMP, S3P])
-def test_least_failure_is_exact_only(formulation):
-    """failure_budget=None together with a discount is refused."""
-    with pytest.raises(ModelError):
-        solve(formulation(model_of(TWO_MOVES), start="x", failure_budget=None, discount=0.9))
-
-
-@each_method
-@pytest.mark.parametrize("formulation", [MCMP, S3P])
-def test_a_budget_within_rounding_of_the_least_failure(formulation, method):
-    """1e-11 below it counts as equal, 1e-6 below it is infeasible."""
-    model = model_of({"x": {"go": [(0.9, "g", 1), (0.1, "d", 1)]}, "d": {}})
-    solution = solve(formulation(model, start="x", failure_budget=0.1 - 1e-11), method=method)
-    assert solution.objective == pytest.approx(1.0, **EXACT)
-    with pytest.raises(InfeasibleError) as caught:
-        solve(formulation(model, start="x", failure_budget=0.1 - 1e-6), method=method)
-    assert caught.value.least_failure == pytest.approx(0.1, **EXACT)
-
-
-@each_method
-def test_a_start_at_the_goal(method):
-    """Nothing to do, nothing to pay."""
-    model = model_of({"x": {"go": [(1.0, "g", 1)]}})
-    for problem in (
-        MCMP(model, start="g", failure_budget=0.1),
-        S3P(model, start="g", failure_budget=0.1),
-        S3P(model, start="g", failure_budget=None),
-        MCMP(model, start="g", failure_budget=0.1, discount=0.9),
+    model = written("x go: 0.5 g 1, 0.5 d 1\n d a: e 7\n d b: d 3\n e a: d 0")
+    for start, settings, cost in (
+        ("x", {}, 2.5),
+        ("x", {"charge_failing_step": False}, 1.0),
+        ("x", {"discount": 0.5}, 1.75),
+        ({"x": 0.25, "d": 0.5, "g": 0.25}, {}, 0.25 * 2.5 + 0.5 * 3),
+        ("d", {"failure_budget": 1.0}, 3.0),
+        ("d", {"failure_budget": None}, 3.0),
+        ("d", {"failure_budget": None, "charge_failing_step": False}, 0.0),
     ):
-        solution = solve(problem, method=method)
-        assert (solution.objective, solution.failure_probability) == (0.0, 0.0)
-        assert solution.gap == 0.0
+        problem = MCMP(model, start, **{"failure_budget": 0.9, **settings})
+        assert solve(problem, method=method).objective == pytest.approx(cost, **EXACT)
+    for criterion, budgets in ((MCMP, (0.0, 0.05, 0.999)), (S3P, (None, 0.0, 0.5, 1.0))):
+        for budget in budgets:
+            with pytest.raises(InfeasibleError) as caught:
+                solve(criterion(model, "d", budget), method=method)
+            assert caught.value.least_failure == 1.0
 
 
-@pytest.mark.parametrize("formulation", [MCMP, S3P])
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"failure_budget": -0.1},
-        {"failure_budget": 1.5},
-        {"failure_budget": float("nan")},
-        {"discount": 0.0},
-        {"discount": 1.0},
-        {"discount": -0.5},
-        {"discount": float("nan")},
-        {"start": "nowhere"},
-        {"start": {"x": 0.5}},
-        {"start": {"x": 1.5, "d": -0.5}},
-    ],
-    ids=str,
-)
-def test_what_a_problem_refuses(formulation, wrong):
-    """Budgets outside [0, 1], discounts outside (0, 1), starts that are no distribution."""
-    settings = {"start": "x", "failure_budget": 0.1} | wrong
-    with pytest.raises(ModelError):
-        solve(formulation(model_of(TWO_MOVES), **settings))
+# Case S
 
 
 @each_method
-def test_slow_chains_stay_exact(method):
-    """A million steps on average: cost 1/p, or a gamble that costs 1 and fails half the time."""
-    p = 1e-6
-    choices = {
-        "x": {"slow": [(p, "g", 1), (1 - p, "x", 1)], "fast": [(0.5, "g", 1), (0.5, "d", 1)]},
-        "d": {},
-    }
-    solution = solve(MCMP(model_of(choices), start="x", failure_budget=0.125), method=method)
-    assert solution.objective == pytest.approx(0.75 / p + 0.25, rel=1e-9)
-    assert solution.gap <= 1e-8
+def test_discounted_s3p_charges_at_the_time_of_the_action(method):
+    """Success p, else again, cost 1 a try: E[gamma^(T-1) T] / E[gamma^T] in closed form."""
+    p, gamma = 0.25, 0.9
+    turn = gamma * (1 - p)
+    success = gamma * p / (1 - turn)
+    model = written(f"x try: {p} g 1, {1 - p} x 1")
+    solution = solve(S3P(model, start="x", failure_budget=0.5, discount=gamma), method=method)
+    assert solution.objective == pytest.approx(p / (1 - turn) ** 2 / success, **EXACT)
+    assert solution.discounted_failure == pytest.approx(1 - success, **EXACT)
+    assert solution.failure_probability == pytest.approx(0.0, abs=1e-12)
+    assert solution.conditional_cost == pytest.approx(4.0, **EXACT)
+
+
+@each_method
+def test_the_conditional_cost_of_a_lottery_is_a_ratio_of_means(method):
+    """79/49, not the mean of 2 and 1; the price and the slope follow from the two policies."""
+    problem = S3P(model_of(TWO_MOVES), start="x", failure_budget=0.02)
+    solution = solve(problem, method=method)
+    value = 79 / 49
+    assert solution.objective == pytest.approx(value, **EXACT)
+    assert solution.conditional_cost == pytest.approx(value, **EXACT)
+    assert solution.expected_cost == pytest.approx(0.6 * 2 + 0.4 * 1, **EXACT)
+    assert solution.failure_price == pytest.approx((2 - value) / 0.02, rel=1e-8)
+    assert solution.budget_slope == pytest.approx((2 - value) / 0.02 / 0.98, rel=1e-8)
+    assert sorted(solution.policy.weights) == pytest.approx([0.4, 0.6], **EXACT)
+
+
+@each_method
+@each_formulation
+def test_the_slope_is_the_derivative_and_the_weight_of_the_adversary_follows(method, formulation):
+    """alpha* = c*/(c* + price eps), or c*(1-eps)/(c*(1-eps) + (c* + price) eps) in case S."""
+    width, eps = 1e-4, 0.02
+    low, middle, high = (
+        solve(formulation(model_of(TWO_MOVES), "x", failure_budget=eps + shift), method=method)
+        for shift in (-width, 0.0, width)
+    )
+    slope = (low.objective - high.objective) / (2 * width)
+    assert middle.budget_slope == pytest.approx(slope, rel=1e-4)
+    value, price = middle.objective, middle.failure_price
+    if formulation is S3P:
+        expected = value * (1 - eps) / (value * (1 - eps) + (value + price) * eps)
+    else:
+        expected = value / (value + price * eps)
+    assert middle.adversary_weight == pytest.approx(expected, **EXACT)
+
+
+@each_method
+@pytest.mark.parametrize("unit", [Fraction(1, 3), Fraction(1, 7), 0.1, 0.25], ids=str)
+def test_the_cost_lattice_is_exact(unit, method):
+    """Fractions are taken as they are, a float means its shortest decimal."""
+
+    def lattice(one, three):
+        return model_of(
+            {
+                "x": {
+                    "slow": [(0.5, "g", 2 * one), (0.5, "x", three)],
+                    "fast": [(0.9, "g", one), (0.1, "d", one)],
+                    "wait": [(1.0, "x", one)],
+                }
+            }
+        )
+
+    model = lattice(unit, Fraction(3, 10) if unit == 0.1 else 3 * unit)
+    for budget in (0.05, 0.3):
+        scaled, whole = (solve(S3P(m, "x", budget), method) for m in (model, lattice(1, 3)))
+        assert scaled.objective == pytest.approx(whole.objective * float(unit), **EXACT)
+
+
+@pytest.mark.parametrize("cap", [1, 2, 4, 8])
+def test_a_cap_on_the_accumulated_cost_keeps_the_bounds_honest(cap):
+    """Whatever the cap, the policy is real and the bound is a bound: 79/49 lies between."""
+    problem = S3P(model_of(TWO_MOVES), start="x", failure_budget=0.02, cost_cap=cap)
+    solution = solve(problem)
+    assert solution.lower_bound <= 79 / 49 + 1e-12
+    assert solution.objective >= 79 / 49 - 1e-12
+    found = evaluate(solution.policy, problem)
+    assert found.objective == pytest.approx(solution.objective, **EXACT)
+    assert found.failure_probability <= 0.02 + 1e-12
+    if cap >= 2:
+        assert solution.objective == pytest.approx(79 / 49, **EXACT)

@@ -1,5 +1,6 @@
-"""Simulated episodes against exact evaluation, with a fixed seed and four standard errors."""
+"""Simulated episodes against exact evaluation; intervals that hold for rare dear events."""
 
+from dataclasses import replace
 from math import sqrt
 from statistics import NormalDist
 
@@ -10,10 +11,11 @@ from hypothesis import given, strategies as st
 from checks import library_model
 from drawn_policies import drawn_model, drawn_policy
 from formulations import MCMP, S3P, LeastQuantity, MaxProb, MinCost
-from small_models import model_of
+from small_models import TRIES
 from ssp_lp import (
     DeterministicPolicy,
     InfeasibleError,
+    ModelError,
     SSPError,
     end_probability,
     evaluate,
@@ -21,20 +23,23 @@ from ssp_lp import (
     solve,
     visits,
 )
+from ssp_lp.analysis.simulation import greatest_total, mean_estimate
 from strategies import budgets, often, problems
+from written_models import written
 
 SIGMAS = 4.0
-EPISODES = 4_000
-WALK = {
-    "a": {
-        "slow": [(0.5, "b", 1), (0.5, "a", 1)],
-        "fast": [(0.6, "G", 2), (0.3, "b", 1), (0.1, "pit", 1)],
-        "wait": [(1.0, "a", 1)],
-    },
-    "b": {"on": [(0.9, "G", 1), (0.1, "a", 2)], "jump": [(0.7, "G", 0), (0.3, "wall", 0)]},
-    "pit": {"stuck": [(1.0, "pit", 3)]},
-    "wall": {},
-}
+WALK = written(
+    """
+    a slow: 0.5 b 1, 0.5 a 1
+    a fast: 0.6 g 2, 0.3 b 1, 0.1 pit 1
+    a wait: a 1
+    b on: 0.9 g 1, 0.1 a 2
+    b jump: 0.7 g 0, 0.3 wall 0
+    pit stuck: pit 3
+    """,
+    labels={"wall": ["wall"]},
+)
+GO = DeterministicPolicy.from_actions(TRIES, {"door": "try"})
 
 
 def close_in_probability(count, episodes, probability):
@@ -45,23 +50,25 @@ def close_in_probability(count, episodes, probability):
 
 def close_to_estimate(estimate, value):
     """Whether a value lies within the interval, widened to four standard errors."""
-    normal = NormalDist().inv_cdf(0.5 + estimate.confidence / 2)
-    widen = SIGMAS / normal
+    widen = SIGMAS / NormalDist().inv_cdf(0.5 + estimate.confidence / 2)
     low = estimate.value - widen * (estimate.value - estimate.low)
     high = estimate.value + widen * (estimate.high - estimate.value)
     return low - 1e-9 <= value <= high + 1e-9
 
 
-def check_report(report, evaluation, episodes):
-    """Counts and estimates of a report against the exact evaluation."""
-    assert report.episodes == episodes
-    assert sum(report.ends.values()) == episodes
-    goals = report.ends.get("goal", 0)
+def simulated(problem, **asked):
+    """A report whose counts and estimates are those of the exact evaluation, and that."""
+    policy = solve(problem).policy
+    evaluation = evaluate(policy, problem)
+    report = simulate(policy, problem, **asked)
+    episodes, goals = asked["episodes"], report.ends.get("goal", 0)
+    assert report.episodes == sum(report.ends.values()) == episodes
     assert close_in_probability(goals, episodes, evaluation.goal_probability)
     assert report.goal_probability.value == pytest.approx(goals / episodes)
     assert close_to_estimate(report.goal_probability, evaluation.goal_probability)
     if goals > 100:
         assert close_to_estimate(report.conditional_cost, evaluation.conditional_cost)
+    return report, evaluation
 
 
 @pytest.mark.parametrize("formulation", [MCMP, S3P])
@@ -69,20 +76,8 @@ def check_report(report, evaluation, episodes):
 @pytest.mark.parametrize("budget", [0.15, 0.4])
 def test_ends_and_costs_of_a_lottery(formulation, discount, budget):
     """Ends by label; the cost estimates of a case-M solution that has an end to its episodes."""
-    model = model_of(WALK, "G", labels={"wall": ["wall"]})
-    problem = formulation(
-        model, start={"a": 0.75, "b": 0.25}, failure_budget=budget, discount=discount
-    )
-    solution = solve(problem)
-    evaluation = evaluate(solution.policy, problem)
-    report = simulate(
-        solution.policy,
-        problem,
-        episodes=20_000,
-        rng=np.random.default_rng(7),
-        max_steps=2_000,
-    )
-    check_report(report, evaluation, 20_000)
+    problem = formulation(WALK, {"a": 0.75, "b": 0.25}, failure_budget=budget, discount=discount)
+    report, evaluation = simulated(problem, episodes=20_000, rng=7, max_steps=2_000)
     for end in ("goal", "wall", "dead_end", "gave_up"):
         found, exact = report.ends.get(end, 0), evaluation.ends.get(end, 0.0)
         assert close_in_probability(found, 20_000, exact), end
@@ -97,18 +92,12 @@ def test_drawn_problems(drawn, formulation, place):
     budget = 0.5 if isinstance(place, str) else place
     problem = formulation(library_model(drawn), start=drawn.start, failure_budget=budget)
     try:
-        solution = solve(problem)
+        simulated(problem, episodes=4_000, rng=11, max_steps=300)
     except InfeasibleError:
         return
-    evaluation = evaluate(solution.policy, problem)
-    report = simulate(
-        solution.policy,
-        problem,
-        episodes=EPISODES,
-        rng=np.random.default_rng(11),
-        max_steps=300,
-    )
-    check_report(report, evaluation, EPISODES)
+
+
+# What is paid after failing
 
 
 def drawn_plain_policy(draw, model):
@@ -160,17 +149,19 @@ def test_costs_until_failing_and_after_it_are_one_number_each(seed):
 
 def test_what_is_paid_once_the_goal_is_lost_is_not_the_cost():
     """Three steps of 1 after the goal is lost: 1 until failing, 3 later where they count."""
-    moves = {"a": {"go": [(0.5, "g", 1), (0.5, "b", 1)]}, "d": {}}
-    moves |= {
-        "b": {"on": [(1.0, "c", 1)], "back": [(1.0, "a", 9)]},
-        "c": {"on": [(1.0, "d", 2)], "back": [(1.0, "a", 9)]},
-    }
-    model = model_of(moves, "g", labels={"pit": ["d"]})
+    model = written(
+        """
+        a go: 0.5 g 1, 0.5 b 1
+        b on: c 1
+        b back: a 9
+        c on: d 2
+        c back: a 9
+        """,
+        labels={"pit": ["d"]},
+    )
     policy = DeterministicPolicy.from_actions(model, {"a": "go", "b": "on", "c": "on"})
     plain = MCMP(model, "a", 1.0, charge_failing_step=False)
-    counted = MCMP(
-        model, "a", 1.0, charge_failing_step=False, constraints={"p": end_probability("pit") <= 0.5}
-    )
+    counted = replace(plain, constraints={"p": end_probability("pit") <= 0.5})
     for problem, later in ((plain, None), (counted, 1.5), (S3P(model, "a", 1.0), None)):
         exact = evaluate(policy, problem)
         report = simulate(policy, problem, episodes=1_000, rng=0)
@@ -178,3 +169,81 @@ def test_what_is_paid_once_the_goal_is_lost_is_not_the_cost():
         assert exact.cost_after_failing == later
         if later is not None:
             assert report.cost_after_failing.low < later < report.cost_after_failing.high
+
+
+# Intervals of mean costs
+
+LAWS = {
+    "rare and dear": ([1.0, 1000.0], [0.9997, 0.0003]),
+    "rare and free": ([0.0, 1000.0], [0.001, 0.999]),
+    "a toss": ([1.0, 3.0], [0.5, 0.5]),
+    "three kinds": ([0.0, 1.0, 200.0], [0.3, 0.69, 0.01]),
+    "always": ([2.0], [1.0]),
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("size", [20, 1000])
+def test_they_cover_the_mean_as_often_as_they_say(name, size):
+    """At least 95 % of 400 samples, less four deviations of such a count."""
+    values, shares = (np.array(part) for part in LAWS[name])
+    draw, held, truth = np.random.default_rng(7), 0, float(values @ shares)
+    for _ in range(400):
+        sample = draw.choice(values, size=size, p=shares)
+        found = mean_estimate(sample, 0.95, float(values.max()))
+        assert 0.0 <= found.low <= found.value <= found.high <= values.max()
+        held += found.low <= truth + 1e-9 and truth - 1e-9 <= found.high
+    assert held / 400 >= 0.95 - 4.0 * np.sqrt(0.95 * 0.05 / 400)
+
+
+def test_the_lower_end_asks_for_no_greatest_cost():
+    """It is the mean of the sample without so much of its upper tail as chance may have added."""
+    sample = np.random.default_rng(5).exponential(3.0, 2000)
+    found = [mean_estimate(sample, 0.95, most) for most in (100.0, 1e9)]
+    assert found[0].low == found[1].low > 2.5
+    without = np.sort(sample)[: -int(np.ceil(2000 * np.sqrt(np.log(40.0) / 4000.0)))]
+    assert 0.99 * without.sum() / 2000 <= found[0].low <= without.sum() / 2000 + sample.max() * 0.04
+
+
+def test_a_simulation_that_shows_no_rare_event_knows_of_it():
+    """One step, that is dear once in three thousand times."""
+    toll = written("gate cross: 0.9997 g 1, 0.0003 g 1000")
+    policy = DeterministicPolicy.from_actions(toll, {"gate": "cross"})
+    problem, held = MCMP(toll, "gate"), 0
+    for seed in range(60):
+        report = simulate(policy, problem, episodes=1000, rng=seed)
+        for found in (report.conditional_cost, report.expected_cost):
+            assert found.high < 40.0
+            held += found.low <= 1.2997 <= found.high
+    assert held >= 117
+
+
+def test_the_greatest_total_of_an_episode():
+    """A loop counts as often as there are steps; what is on the way counts once."""
+    rooms = """
+        a on: 0.5 b 2, 0.5 c 9
+        a skip: d 10
+        b on: d 3
+        c on: d 1
+        d on: 0.9 g 4, 0.1 pit 50
+        pit stay: pit 70
+        """
+    model = written(rooms)
+    assert greatest_total(model, 10_000) == 9.0 + 1.0 + 50.0
+    assert greatest_total(model, 1) == 50.0
+    assert greatest_total(TRIES, 100) == 100 * float(TRIES.costs.max())
+    assert greatest_total(written(rooms + "\n b back: b 0.25"), 100) == 25.0 + 60.0
+
+
+def test_costs_that_are_cut_say_so_and_too_many_episodes_are_refused():
+    problem = MCMP(TRIES, "door")
+    report = simulate(GO, problem, episodes=500, rng=0, max_steps=2)
+    cut = report.ends["unfinished"]
+    assert report.note == f"costs are cut: {cut} episodes were unfinished after 2 steps"
+    assert report.note in repr(report)
+    assert simulate(GO, problem, episodes=500, rng=0).note == ""
+    words = "episodes must be a whole number >= 1 and <= 100,000,000, not 1000000000000"
+    with pytest.raises(ModelError, match=words):
+        simulate(GO, problem, episodes=10**12, rng=0)
+    with pytest.raises(ModelError, match=words):
+        GO.start_many(10**12)
