@@ -9,30 +9,23 @@ from hypothesis import given, strategies as st
 from formulations import MCMP, S3P
 from games import RETRY, criteria, drawn_problem, hand_problem
 from references.chain import start_distribution
-from small_models import model_of
 from ssp_lp import evaluate
 from ssp_lp.analysis.evaluation import equivalent_randomised_policy
 from ssp_lp.game import bayes_adaptive, stationary_game
 from ssp_lp.policies import DeterministicPolicy, MixedPolicy
 from strategies import often, problems
+from written_models import written
 
 few = often(20)
-CAREFUL_FIRST = {
-    "x": {"a": [(0.5, "x", 1), (0.5, "g", 1)], "b": [(0.9, "x", 1), (0.1, "g", 1)]},
-}
-
-
-def _members(policy):
-    if isinstance(policy, MixedPolicy):
-        return list(zip(policy.policies, policy.weights.tolist(), strict=True))
-    return [(policy, 1.0)]
 
 
 def _distributions(policy, problem, steps):
     """Distribution of (state, total cost) at times 0 .. steps; giving up at s ends in -1 - s."""
-    model = problem.model
+    model, lottery = problem.model, [(policy, 1.0)]
+    if isinstance(policy, MixedPolicy):
+        lottery = list(zip(policy.policies, policy.weights.tolist(), strict=True))
     after = [defaultdict(float) for _ in range(steps + 1)]
-    for member, weight in _members(policy):
+    for member, weight in lottery:
         now = defaultdict(float)
         for state, mass in start_distribution(problem.start).items():
             at = model.index_of(state)
@@ -86,9 +79,8 @@ def test_a_stationary_lottery_and_its_stationary_policy_agree_in_total(criterion
     problem = hand_problem(criterion, RETRY, 0.13, 0.999)
     lottery = stationary_game(problem).policy
     assert len(lottery.policies) == 2
-    one, both = evaluate(equivalent_randomised_policy(lottery, problem), problem), evaluate(
-        lottery, problem
-    )  # fmt: skip
+    single = equivalent_randomised_policy(lottery, problem)
+    one, both = (evaluate(policy, problem) for policy in (single, lottery))
     assert one.objective == pytest.approx(both.objective, rel=1e-9)
     assert one.discounted_failure == pytest.approx(both.discounted_failure, rel=1e-9)
 
@@ -99,7 +91,7 @@ def test_no_stationary_policy_has_the_distribution_of_a_lottery_at_each_time():
     A stationary policy of the state alone has q^t. The equivalent one visits "x" as often, which
     is 1 / (1 - q) = (2 + 10) / 2 times.
     """
-    model = model_of(CAREFUL_FIRST)
+    model = written("x a: 0.5 x 1, 0.5 g 1\n x b: 0.9 x 1, 0.1 g 1")
     problem = MCMP(model, start="x", failure_budget=1.0)
     members = tuple(DeterministicPolicy.from_actions(model, {"x": u}) for u in "ab")
     lottery = MixedPolicy(members, np.array([0.5, 0.5]))

@@ -1,6 +1,4 @@
-"""Equations of policies: exact rational solutions, verified errors, chains that never leave."""
-
-from __future__ import annotations
+"""Equations of policies and bounds: exact rational solutions, verified errors, endless chains."""
 
 import gc
 from fractions import Fraction
@@ -9,12 +7,12 @@ from weakref import ref
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from scipy.sparse import linalg
 
 from ssp_lp import SolverError
 from ssp_lp.compiled import accelerator
 from ssp_lp.compiled.deadline import Stop, until
 from ssp_lp.dynamic_programming import equations, solvers
+from ssp_lp.dynamic_programming.dual_bound import dual_bound, shortfall, sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.equations import DIRECT_STATES, System, strong_components
 from ssp_lp.dynamic_programming.evaluation import acyclic_totals, advantage_bounds, evaluate_chain
@@ -27,7 +25,7 @@ from ssp_lp.dynamic_programming.solvers import factorised
 
 
 @pytest.fixture(params=[False, True], ids=["numpy", "numba"])
-def compiled(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool:
+def compiled(request, monkeypatch):
     """Run every loop compiled, or none."""
     if request.param:
         pytest.importorskip("numba")
@@ -35,7 +33,12 @@ def compiled(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
     return bool(request.param)
 
 
-def slow_chain(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def fractions(numbers):
+    """The floats as they are."""
+    return np.array([Fraction(x) for x in np.ravel(numbers).tolist()]).reshape(np.shape(numbers))
+
+
+def slow_chain(rng):
     """Transitions and exits of up to 6 states, left with probabilities down to 1e-14."""
     n = int(rng.integers(1, 7))
     steps = rng.random((n, n)) * (rng.random((n, n)) < 0.6) * (1.0 - np.eye(n))
@@ -45,28 +48,23 @@ def slow_chain(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return steps / total[:, None], exits / total
 
 
-def exact_totals(steps: np.ndarray, exits: np.ndarray, reward: np.ndarray) -> list[Fraction]:
+def exact_totals(steps, exits, rewards):
     """Gauss and Jordan in fractions; what departs is the sum of the steps and of the exit."""
-    n = len(exits)
-    rows = [
-        [-Fraction(float(p)) for p in steps[i]] + [Fraction(float(reward[i]))] for i in range(n)
-    ]
+    n, steps = len(exits), fractions(steps)
+    rows = np.hstack([-steps, fractions(rewards)])
     for i in range(n):
-        others = sum(Fraction(float(steps[i, j])) for j in range(n) if j != i)
-        rows[i][i] = Fraction(float(exits[i])) + others
+        rows[i, i] = Fraction(float(exits[i])) + steps[i].sum() - steps[i, i]
     for i in range(n):
-        pivot = next(k for k in range(i, n) if rows[k][i] != 0)
-        rows[i], rows[pivot] = rows[pivot], rows[i]
-        rows[i] = [value / rows[i][i] for value in rows[i]]
-        for k in range(n):
-            if k != i and rows[k][i] != 0:
-                factor = rows[k][i]
-                rows[k] = [a - factor * b for a, b in zip(rows[k], rows[i], strict=True)]
-    return [row[n] for row in rows]
+        pivot = next(k for k in range(i, n) if rows[k, i] != 0)
+        rows[[i, pivot]] = rows[[pivot, i]]
+        rows[i] /= rows[i, i]
+        for k in set(range(n)) - {i}:
+            rows[k] -= rows[k, i] * rows[i]
+    return rows[:, n:]
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_totals_are_as_wrong_as_they_say(compiled: bool, seed: int) -> None:
+def test_totals_are_as_wrong_as_they_say(compiled, seed):
     """Against fractions: the verified bound holds and is small, whatever the exits."""
     steps, exits = slow_chain(np.random.default_rng(seed))
     rewards = np.stack([np.ones(len(exits)), exits], axis=1)
@@ -75,29 +73,23 @@ def test_totals_are_as_wrong_as_they_say(compiled: bool, seed: int) -> None:
         with pytest.raises(SolverError, match="for ever"):
             evaluate_chain(system, rewards)
         return
-    totals = evaluate_chain(system, rewards)
-    for j in range(2):
-        exact = exact_totals(steps, exits, rewards[:, j])
-        largest = max(abs(value) for value in exact)
-        for i, value in enumerate(exact):
-            found = Fraction(float(totals.values[i, j])) + Fraction(float(totals.low[i, j]))
-            assert abs(found - value) <= Fraction(float(totals.error[i, j])) + largest / 2**52
-            assert abs(found - value) <= Fraction(1, 10**12) * largest
+    totals, exact = evaluate_chain(system, rewards), exact_totals(steps, exits, rewards)
+    wrong = abs(fractions(totals.values) + fractions(totals.low) - exact)
+    largest = abs(exact).max(axis=0)
+    assert (wrong <= fractions(totals.error) + largest / 2**52).all()
+    assert (wrong <= Fraction(1, 10**12) * largest).all()
 
 
-def test_a_loop_left_after_a_trillion_trillion_steps_is_exact(compiled: bool) -> None:
+def test_a_loop_left_after_a_trillion_trillion_steps_is_exact(compiled):
     """No residual verifies 1e24 steps; state reduction without subtractions still has them."""
-    nested = np.zeros((3, 3))
-    nested[0, 1], nested[0, 2] = 1.0 - 1e-12, 1e-12
-    nested[1, 0] = 1.0
-    nested[2, 0] = 1.0 - 1e-12
+    nested = np.array([[0.0, 1.0 - 1e-12, 1e-12], [1.0, 0.0, 0.0], [1.0 - 1e-12, 0.0, 0.0]])
     system = System(sp.csr_array(nested), np.array([0.0, 0.0, 1e-12]))
     runs = evaluate_chain(system, np.ones((3, 1))).values[:, 0]
     assert runs == pytest.approx(2e24, rel=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_components_come_after_all_that_they_lead_to(compiled: bool, seed: int) -> None:
+def test_components_come_after_all_that_they_lead_to(compiled, seed):
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 60))
     rows = sp.csr_array((rng.random((n, n)) < 1.2 / n).astype(np.float64))
@@ -110,7 +102,7 @@ def test_components_come_after_all_that_they_lead_to(compiled: bool, seed: int) 
     assert np.array_equal(found.label[:, None] == found.label[None, :], reach & reach.T)
 
 
-def random_dynamics(rng: np.random.Generator, backwards: int) -> tuple[Dynamics, np.ndarray]:
+def random_dynamics(rng, backwards):
     """A process of 30 states that lead at most so many states back; some entries come twice."""
     n, actions, outcomes = 30, 3, 3
     home = np.repeat(np.arange(n), actions * outcomes)
@@ -127,32 +119,27 @@ def random_dynamics(rng: np.random.Generator, backwards: int) -> tuple[Dynamics,
 
 @pytest.mark.parametrize("backwards", [0, 1, 4])
 @pytest.mark.parametrize("seed", range(3))
-def test_one_pass_over_components_is_the_optimum(compiled: bool, seed: int, backwards: int) -> None:
+def test_one_pass_over_components_is_the_optimum(compiled, seed, backwards):
     """Against value iteration; entries of one column that come twice count twice."""
     dynamics, cost = random_dynamics(np.random.default_rng(seed), backwards)
-    first = np.asarray(dynamics.pair_offsets[:-1])
+    first, values = np.asarray(dynamics.pair_offsets[:-1]), np.zeros(30)
     found = iterate_policy(dynamics, cost[:, None], np.ones(1), first)
-    values = np.zeros(30)
-    departs = dynamics.exits + np.asarray(dynamics.transitions.sum(axis=1)).ravel()
+    stays = 1.0 - dynamics.exits - np.asarray(dynamics.transitions.sum(axis=1)).ravel()
     for _ in range(20_000):
-        ahead = (
-            cost + dynamics.transitions @ values + (1.0 - departs) * values[first.repeat(3) // 3]
-        )
+        ahead = cost + dynamics.transitions @ values + stays * values.repeat(3)
         values = ahead.reshape(30, 3).min(axis=1)
     assert found.values == pytest.approx(values, rel=1e-9)
 
 
-def test_a_policy_that_never_leaves_is_no_policy(compiled: bool) -> None:
-    ring = sp.csr_array(np.roll(np.eye(50), 1, axis=1))
-    system = System(ring, np.zeros(50))
+def test_a_policy_that_never_leaves_is_no_policy(compiled):
+    system = System(sp.csr_array(np.roll(np.eye(50), 1, axis=1)), np.zeros(50))
     assert np.array_equal(system.closed, np.arange(50))
     with pytest.raises(SolverError, match="for ever"):
         evaluate_chain(system, np.ones((50, 1)))
 
 
-def test_a_passed_deadline_ends_policy_iteration() -> None:
-    rng = np.random.default_rng(0)
-    dynamics, cost = random_dynamics(rng, 8)
+def test_a_passed_deadline_ends_policy_iteration():
+    dynamics, cost = random_dynamics(np.random.default_rng(0), 8)
     plain = Dynamics(dynamics.pair_offsets, dynamics.transitions, dynamics.exits)
     with until(-10.0), pytest.raises(Stop):
         iterate_policy(plain, cost[:, None], np.ones(1), np.asarray(plain.pair_offsets[:-1]))
@@ -160,7 +147,7 @@ def test_a_passed_deadline_ends_policy_iteration() -> None:
 
 @pytest.mark.usefixtures("compiled")
 @pytest.mark.parametrize("compiled", [True], indirect=True)
-def test_passes_along_the_chain_only_improve_and_end_at_the_optimum() -> None:
+def test_passes_along_the_chain_only_improve_and_end_at_the_optimum():
     rng = np.random.default_rng(12)
     for _ in range(30):
         n, actions = int(rng.integers(2, 40)), 3
@@ -182,26 +169,20 @@ def test_passes_along_the_chain_only_improve_and_end_at_the_optimum() -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_bounds_of_advantages_hold_in_fractions(compiled: bool, seed: int) -> None:
+def test_bounds_of_advantages_hold_in_fractions(compiled, seed):
     rng = np.random.default_rng(seed)
     steps, exits = slow_chain(rng)
     cost, values = rng.normal(size=(2, len(exits))) * 10.0 ** rng.uniform(-3, 8)
-    home, rows = np.arange(len(exits), dtype=np.int32), sp.csr_array(steps)
-    lower, upper = advantage_bounds((home, rows, exits), cost, values)
-    exact = [
-        Fraction(float(cost[i]))
-        - Fraction(float(exits[i])) * Fraction(float(values[i]))
-        + sum(
-            Fraction(float(steps[i, j])) * (Fraction(float(values[j])) - Fraction(float(values[i])))
-            for j in range(len(exits))
-        )
-        for i in range(len(exits))
-    ]
+    home = np.arange(len(exits), dtype=np.int32)
+    lower, upper = advantage_bounds((home, sp.csr_array(steps), exits), cost, values)
+    v = fractions(values)
+    moved = (fractions(steps) * (v[None, :] - v[:, None])).sum(axis=1)
+    exact = fractions(cost) - fractions(exits) * v + moved
     assert all(low <= middle <= high for low, middle, high in zip(lower, exact, upper, strict=True))
     assert (upper - lower).max() <= 1e-13 * np.abs([*cost, *values]).max()
 
 
-def scattered_chain(n: int, *, leak: float = 0.01) -> System:
+def scattered_chain(n, *, leak=0.01):
     """A chain of 4 moves to anywhere from each state: its factors fill in, iterations converge."""
     rng = np.random.default_rng(n)
     rows, ahead = np.repeat(np.arange(n), 4), rng.integers(1, n, 4 * n)  # never to itself
@@ -211,14 +192,12 @@ def scattered_chain(n: int, *, leak: float = 0.01) -> System:
 
 
 @pytest.mark.parametrize("n", [300, 1_100, 2_400, 2_600])
-def test_no_factors_are_made_where_they_fill_in(
-    compiled: bool, n: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_factors_are_made_where_they_fill_in(compiled, n, monkeypatch):
     """Totals and visits of scattered chains of any size are iterated, and agree with dense LU."""
     if n <= DIRECT_STATES and not compiled:
         pytest.skip("sparse factors of few states take less than a look at the structure")
 
-    def small(equations: sp.csc_array, *, in_order: bool = False) -> linalg.SuperLU:
+    def small(equations, *, in_order=False):
         """Factors of states that do not hang together with all the others."""
         assert equations.shape[0] < n // 2
         return factorised(equations, in_order=in_order)
@@ -237,7 +216,7 @@ def test_no_factors_are_made_where_they_fill_in(
 
 
 @pytest.mark.parametrize("leak", [1e-2, 1e-6, 1e-9])
-def test_totals_are_had_however_seldom_a_chain_is_left(compiled: bool, leak: float) -> None:
+def test_totals_are_had_however_seldom_a_chain_is_left(compiled, leak):
     """Narrow or scattered: run lengths are 1 / leak, whether iterations get there or not."""
     n = 1_200
     here = np.arange(n)
@@ -249,9 +228,7 @@ def test_totals_are_had_however_seldom_a_chain_is_left(compiled: bool, leak: flo
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_one_pass_without_cycles_chooses_and_knows_its_errors(
-    seed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_pass_without_cycles_chooses_and_knows_its_errors(seed, monkeypatch):
     """Layers with self-loops: the values of numpy, and totals as wrong as they say, at most."""
     pytest.importorskip("numba")
     rng, depth, width, outcomes = np.random.default_rng(seed), 150, 8, 3
@@ -272,8 +249,6 @@ def test_one_pass_without_cycles_chooses_and_knows_its_errors(
     monkeypatch.setattr(accelerator, "least_entries", lambda: 0)
     settled = acyclic_totals(dynamics, held, rewards, priced)
     kept = acyclic_totals(dynamics, held, rewards)
-    assert settled is not None
-    assert kept is not None
     assert np.array_equal(kept[0], held)
     for choice, totals in (settled, kept):
         exact = evaluate_chain(dynamics.chain(choice), rewards[choice], accuracy=1e-24)
@@ -286,20 +261,74 @@ def test_one_pass_without_cycles_chooses_and_knows_its_errors(
     assert np.allclose(settled[1].values @ priced, least, rtol=1e-14)
 
 
-def test_the_equations_of_a_policy_are_let_go_at_once(compiled: bool) -> None:
+def test_the_equations_of_a_policy_are_let_go_at_once(compiled):
     """With them the arrays of a large component: nothing waits for rings of references."""
-    rng, n = np.random.default_rng(0), 2_000
-    rows, columns = np.repeat(np.arange(n), 4), rng.integers(0, n, 4 * n)
-    steps = sp.csr_array((rng.random(4 * n), (rows, columns)), shape=(n, n)) + sp.eye_array(n, k=1)
-    left = 1.0 / (np.asarray(steps.sum(axis=1)).ravel() + 0.1)
-    chain = System(sp.csr_array(sp.diags_array(left) @ steps), 0.1 * left)
+    chain = scattered_chain(2_000, leak=0.1)
     gc.disable()
     try:
-        chain.solve(np.ones(n))
-        chain.solve_transposed(np.ones(n))
+        chain.solve(np.ones(2_000))
+        chain.solve_transposed(np.ones(2_000))
         blocks = [ref(block) for block in chain._large.values()]
         del chain
         assert blocks
         assert [block() for block in blocks] == [None] * len(blocks)
     finally:
         gc.enable()
+
+
+# Checked lower bounds: never above the optimum, and near it even where many pairs tie
+
+
+def test_ties_between_a_cost_and_a_free_step_do_not_drop_the_bound():
+    """The first state's pairs: step on for free, or pay what stepping on leads to."""
+    total = 35.863654166323165
+    transitions = sp.csr_array(np.array([[0.0, 1.0], [0.0, 0.0], [0.0, 0.0]]))
+    cost = np.array([0.0, total - 5e-14, total - 5e-14])
+    offsets = np.array([0, 2, 3], dtype=np.int32)
+    dynamics = Dynamics(offsets, transitions, np.array([0.0, 1.0, 1.0]))
+    lowered = sub_solution(dynamics, cost, np.full(2, total))
+    assert lowered == pytest.approx([total, total], rel=1e-12)
+    assert not shortfall(dynamics, cost, lowered).any()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_passes_is_a_lower_bound(seed):
+    """Against value iteration to convergence, from values that are too high by chance."""
+    rng = np.random.default_rng(seed)
+    dense = rng.random((30, 10)) * (rng.random((30, 10)) < 0.3)
+    dense /= np.maximum(dense.sum(axis=1, keepdims=True), 1e-12) / rng.uniform(0.5, 0.95, (30, 1))
+    cost = np.round(rng.random(30), 1)
+    optimum = np.zeros(10)
+    for _ in range(2_000):
+        optimum = (cost + dense @ optimum).reshape(10, 3).min(axis=1)
+    guess = optimum * (1.0 + rng.normal(scale=1e-8, size=10))
+    offsets = np.arange(0, 31, 3, dtype=np.int32)
+    dynamics = Dynamics(offsets, sp.csr_array(dense), 1.0 - dense.sum(axis=1))
+    lowered = sub_solution(dynamics, cost, guess)
+    assert (lowered <= optimum * (1.0 + 1e-14) + 1e-14).all()
+    assert lowered == pytest.approx(optimum, rel=1e-5, abs=1e-6)
+
+
+def test_a_chain_of_waits_is_bounded_to_its_last_digits(compiled):
+    """Each of 400 states waits with probability 1 - p at cost c, or with 1 - q at cost d.
+
+    A row and its exits are the truth: the value is the sum of the least of c / p and d / q.
+    """
+    rng, n = np.random.default_rng(3), 400
+    on, cost = rng.uniform(0.01, 1.0, (n, 2)), rng.uniform(0.1, 10.0, (n, 2))
+    rows, home = np.repeat(np.arange(2 * n), 2), np.repeat(np.arange(n), 2)
+    columns = np.stack([home, home - 1], axis=1)
+    data = np.stack([1.0 - on.ravel(), on.ravel()], axis=1)
+    inside = columns.ravel() >= 0
+    entries = data.ravel()[inside], (rows[inside], columns.ravel()[inside])
+    exits = np.where(columns[:, 1] < 0, on.ravel(), 0.0)
+    dynamics = Dynamics(2 * np.arange(n + 1), sp.csr_array(entries, shape=(2 * n, n)), exits)
+    exact = fractions(cost) / fractions(on)
+    optimum = np.cumsum(exact.min(axis=1))
+    choice = 2 * np.arange(n) + (exact[:, 1] < exact[:, 0])
+    for noise in (0.0, 1e-15, 1e-14):
+        values = optimum.astype(np.float64) * (1.0 + noise * rng.standard_normal(n))
+        bound = dual_bound(dynamics, cost.ravel(), values, choice=choice)
+        proved = fractions(bound.values) + fractions(bound.low)
+        assert (proved <= optimum).all()
+        assert (proved >= optimum * (1 - Fraction(1, 10**11))).all()

@@ -12,6 +12,7 @@ from games import (
     RETRY,
     criteria,
     drawn_problem,
+    game_at,
     gammas,
     hand_problem,
     real_cost,
@@ -21,8 +22,18 @@ from games import (
 from references import mcmp, s3p
 from references.chain import start_distribution
 from references.frontier import Point, constrained_optimum, constrained_ratio
+from small_models import TWO_MOVES
 from ssp_lp import ModelError, evaluate, solve
-from ssp_lp.game import Game, bayes_adaptive, belief_at, play, posterior, stationary_game
+from ssp_lp.game import (
+    Game,
+    bayes_adaptive,
+    belief_at,
+    delta_mixture,
+    play,
+    posterior,
+    stationary_game,
+)
+from ssp_lp.game.optimum import stationary_player
 from strategies import Draw, acyclic_problems, often, problems
 
 few = often(30)
@@ -43,7 +54,7 @@ def test_the_belief_follows_one_trajectory(alpha, gamma, time):
     assert belief_at(alpha, gamma, np.array([time]))[0] == pytest.approx(belief, rel=1e-9)
 
 
-def test_beliefs_out_of_range_are_refused() -> None:
+def test_beliefs_out_of_range_are_refused():
     assert belief_at(0.0, 0.5, np.array([0, 5000])).tolist() == [0.0, 0.0]
     for alpha, gamma, time in ((1.1, 0.9, 1), ("x", 0.9, 1), (0.5, 1.0, 1), (0.5, 0.9, -1)):
         with pytest.raises(ModelError, match="must"):
@@ -129,35 +140,37 @@ def _timed(drawn):
     return Draw(choices, drawn.goals, begin)
 
 
+def _check_enumerated(problem, points, best):
+    """The least undiscounted cost within the discounted budget, over lotteries of two policies."""
+    real, faded = (points(discount) for discount in (None, problem.discount))
+    both = [Point(f.failure, r.cost) for f, r in zip(faded, real, strict=True)]
+    brute = best(both, problem.failure_budget)
+    found = bayes_adaptive(problem, tolerance=1e-8)
+    assert found.objective == pytest.approx(brute, rel=1e-6, abs=1e-9)
+
+
 @few
 @given(acyclic_problems(most_actions=2), st.sampled_from([0.5, 0.9]), shares)
 def test_t3_2_against_all_policies_of_state_and_time(drawn, gamma, share):
-    """t3-2 as stated: c* is the least undiscounted J_MCMP within the discounted budget.
-
-    Every policy of (state, time) is enumerated, and every lottery over two of them.
-    """
-    problem = drawn_problem(MCMP, drawn, share, gamma)
+    """t3-2 as stated: c* is the least undiscounted J_MCMP within the discounted budget."""
     timed = _timed(drawn)
-    real, faded = (mcmp.points(plain(timed), timed.start, discount=g) for g in (None, gamma))
-    points = [Point(f.failure, r.cost) for f, r in zip(faded, real, strict=True)]
-    brute = constrained_optimum(points, problem.failure_budget)
-    found = bayes_adaptive(problem, tolerance=1e-8)
-    assert found.objective == pytest.approx(brute, rel=1e-6, abs=1e-9)
+    _check_enumerated(
+        drawn_problem(MCMP, drawn, share, gamma),
+        lambda discount: mcmp.points(plain(timed), timed.start, discount=discount),
+        constrained_optimum,
+    )
 
 
 @few
 @given(acyclic_problems(most_live=2), st.sampled_from([0.5, 0.9]), shares)
 def test_t3_1_against_all_policies_of_state_cost_and_time(drawn, gamma, share):
     """t3-1 as stated: the least J^gamma_S3P within the discounted budget, by enumeration."""
-    problem = drawn_problem(S3P, drawn, share, gamma)
     timed = _timed(without_dead_choices(drawn))
-    real, faded = (
-        s3p.product_points(plain(timed), timed.start, 100, discount=g) for g in (None, gamma)
+    _check_enumerated(
+        drawn_problem(S3P, drawn, share, gamma),
+        lambda discount: s3p.product_points(plain(timed), timed.start, 100, discount=discount),
+        constrained_ratio,
     )
-    points = [Point(f.failure, r.cost) for f, r in zip(faded, real, strict=True)]
-    brute = constrained_ratio(points, problem.failure_budget)
-    found = bayes_adaptive(problem, tolerance=1e-8)
-    assert found.objective == pytest.approx(brute, rel=1e-6, abs=1e-9)
 
 
 def test_time_is_worth_remembering():
@@ -179,3 +192,84 @@ def test_time_is_worth_remembering():
     real, faded = (mcmp.points(plain(drawn), "x", discount=g) for g in (None, 0.5))
     points = [Point(f.failure, r.cost) for f, r in zip(faded, real, strict=True)]
     assert constrained_optimum(points, 0.825) == pytest.approx(4.5 - 2 / 3)
+
+
+# The nearly optimal lottery of section 3.4 (Theorem t3-4)
+
+
+def _check_limit(player, found):
+    """The excess over eta falls with delta and is at most delta times the steepest slope."""
+    game, alpha = found.threshold.game.game, found.alpha
+    room = 1e-9 * game.stake
+    excesses = []
+    for delta in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6):
+        lottery = delta_mixture(player, game, alpha, delta)
+        slope = max(abs(game.excess(lottery.minus)), abs(game.excess(lottery.plus)))
+        excesses.append(lottery.value - game.stake)
+        assert -room <= excesses[-1] <= delta * slope + room
+        assert lottery.objective <= lottery.value + room
+        assert lottery.condition <= lottery.value / game.scale * (1 + 1e-9)
+    assert all(later <= earlier + room for earlier, later in pairwise(excesses))
+    return lottery
+
+
+@criteria
+@few
+@given(problems(most_live=3), st.sampled_from([0.9, 0.5]), st.sampled_from([0.25, 0.1, 0.5]))
+def test_t3_4_the_lottery_tends_to_the_optimum(criterion, drawn, gamma, share):
+    """t3-4 for the game over stationary policies: what the lottery pays at worst tends to eta."""
+    problem = drawn_problem(criterion, drawn, share, gamma)
+    found = stationary_game(problem)
+    if found.objective < 1e-3:
+        return
+    _check_limit(found.player, found)
+
+
+@criteria
+def test_t3_4_for_the_unapproximated_game(criterion):
+    """t3-4 as stated: the members depend on time, and the lottery attains c* within the budget."""
+    problem = hand_problem(criterion, RETRY, 0.3, 0.95)
+    found = bayes_adaptive(problem, tolerance=1e-10)
+    lottery = _check_limit(found.player, found)
+    spent = found.spent
+    share = 1.0 - spent if problem.ratio else 1.0
+    assert lottery.objective / share == pytest.approx(found.objective, rel=1e-5)
+    assert lottery.condition <= spent * (1 + 1e-5)
+    real = evaluate(lottery.policy(found.player), problem)
+    paid = real.success_cost if problem.ratio else real.expected_cost
+    assert paid == pytest.approx(lottery.objective, rel=1e-9)
+    assert real.discounted_failure == pytest.approx(lottery.condition, rel=1e-9)
+
+
+def test_t3_4_holds_at_the_threshold_only():
+    """TWO_MOVES at 1.5 c*: the lottery equalises its two payoffs and costs more than it needs to.
+
+    The proof in the appendix supposes any c >= c*, which gives the value of the game but not the
+    least J_obj within the budget, as the theorem states it.
+    """
+    gamma, budget = 0.99, 0.03
+    problem = hand_problem(MCMP, TWO_MOVES, budget, gamma)
+    found, player = stationary_game(problem), stationary_player(problem)
+    game = game_at(problem, 1.5 * found.objective)
+    there = play(player, game)
+    lottery = delta_mixture(player, game, there.alpha, 1e-6)
+    assert lottery.value == pytest.approx(there.upper, rel=1e-9)
+    assert lottery.value < game.stake
+    assert lottery.objective > found.objective * 1.05
+    assert lottery.condition < budget * 0.9
+
+
+@criteria
+def test_t3_4_on_the_robot(criterion, robot):
+    """Delta = 1e-5 on the paper's robot: the cost within 1e-4 of c*, the failure within 5 %."""
+    model, start = robot
+    problem = criterion(model, start=start, failure_budget=0.05, discount=0.999)
+    found = stationary_game(problem, tolerance=1e-8)
+    game = found.threshold.game.game
+    lottery = delta_mixture(found.player, game, found.alpha, 1e-5)
+    share = 1.0 - found.spent if problem.ratio else 1.0
+    assert lottery.objective / share == pytest.approx(found.objective, rel=1e-4)
+    assert lottery.condition <= 0.05 * (1 + 1e-8)
+    real = evaluate(lottery.policy(found.player), problem)
+    assert real.objective == pytest.approx(found.objective, rel=1e-4)
+    assert real.discounted_failure <= 0.05 * (1 + 1e-8)

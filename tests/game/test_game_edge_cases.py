@@ -9,16 +9,16 @@ from ssp_lp.analysis.evaluation import equivalent_randomised_policy
 from ssp_lp.game import bayes_adaptive, stationary_game, thresholds
 from ssp_lp.policies import DeterministicPolicy
 from ssp_lp.policies.policy import Policy
+from written_models import written
 
-FOUR_MOVES = {
-    "x": {
-        "good": [(0.75, "g", 5), (0.25, "d", 0)],
-        "safe": [(0.87, "g", 20), (0.13, "d", 0)],
-        "rash": [(0.125, "g", 10), (0.875, "d", 0)],
-        "dear": [(0.49, "g", 25), (0.51, "d", 0)],
-    },
-    "d": {},
-}
+FOUR_MOVES = written(
+    """
+    x good: 0.75 g 5, 0.25 d 0
+    x safe: 0.87 g 20, 0.13 d 0
+    x rash: 0.125 g 10, 0.875 d 0
+    x dear: 0.49 g 25, 0.51 d 0
+    """
+)
 """The least cost given success, 5 / 0.99, is that of a move well within the budget."""
 
 CORRIDOR = {
@@ -29,7 +29,7 @@ CORRIDOR = {
 
 
 def ratio_problem(budget=0.73, **setting):
-    return S3P(model_of(FOUR_MOVES), start="x", failure_budget=budget, discount=0.99, **setting)
+    return S3P(FOUR_MOVES, start="x", failure_budget=budget, discount=0.99, **setting)
 
 
 def test_a_search_cut_short_claims_no_more_than_it_proved():
@@ -43,7 +43,7 @@ def test_a_search_cut_short_claims_no_more_than_it_proved():
 
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
 def test_at_the_goal_nothing_is_at_stake(criterion):
-    problem = criterion(model_of(FOUR_MOVES), start="g", failure_budget=0.5, discount=0.9)
+    problem = criterion(FOUR_MOVES, start="g", failure_budget=0.5, discount=0.9)
     assert solve(problem, method="game").objective == 0.0
     assert bayes_adaptive(problem).objective == 0.0
 
@@ -105,8 +105,7 @@ def test_a_policy_of_unknown_memory_has_no_equivalent():
     class Secretive(Policy):
         """A user's own policy, whose memory nobody else understands."""
 
-        def __init__(self, model):
-            self.model = model
+        model = FOUR_MOVES
 
         def start_memory(self, states):
             return 0 * states
@@ -119,7 +118,7 @@ def test_a_policy_of_unknown_memory_has_no_equivalent():
 
     problem = ratio_problem()
     plain = DeterministicPolicy.from_actions(problem.model, {"x": "good"})
-    lottery = MixedPolicy((plain, Secretive(problem.model)), [0.5, 0.5])
+    lottery = MixedPolicy((plain, Secretive()), [0.5, 0.5])
     with pytest.raises(ModelError, match="Secretive"):
         equivalent_randomised_policy(lottery, problem)
 

@@ -1,4 +1,4 @@
-"""Drawn problems, solved by every method and by enumeration: one answer."""
+"""Drawn problems, solved by every method and by enumeration or explicit programs: one answer."""
 
 import pytest
 from hypothesis import given, strategies as st
@@ -15,9 +15,11 @@ from checks import (
 )
 from formulations import MCMP, S3P
 from plain_policies import mcmp_point, s3p_point
-from references import mcmp, s3p, s3p_program
+from random_models import drawn_model
+from references import mcmp, mcmp_program, s3p, s3p_program
 from references.chain import start_distribution
 from references.frontier import constrained_optimum, least_failure, price_interval
+from small_models import each_meaning
 from ssp_lp import InfeasibleError, solve
 from ssp_lp.processes import goal_reach
 from strategies import acyclic_problems, budgets, discounts, often, problems, semantics
@@ -25,6 +27,9 @@ from strategies import acyclic_problems, budgets, discounts, often, problems, se
 METHODS = ("lp", "columns")
 NEAR_LEAST = 1e-9
 """Nearer to the least failure than this, the price is without bound and the program too tight."""
+
+NEAR = {"rel": 1e-7, "abs": 1e-8}
+"""The explicit program is solved by HiGHS to a tolerance of 1e-10, times the longest runs."""
 
 
 def check_infeasible(problem, method, least, discount):
@@ -34,6 +39,17 @@ def check_infeasible(problem, method, least, discount):
     error = caught.value
     found = error.least_failure if discount is None else error.least_discounted_failure
     assert found == pytest.approx(least, abs=1e-9)
+
+
+def checked(problem, method, budget):
+    """The solution within its budget, evaluated, and certified where it has one of its own."""
+    solution = solve(problem, method=method)
+    check_bounds(solution, budget)
+    check_evaluation(solution)
+    if problem.failure_budget is not None:
+        assert solution.method.startswith(method)
+        check_certificate(solution)
+    return solution
 
 
 @often(400)
@@ -49,13 +65,9 @@ def test_mcmp_is_the_best_lottery_over_all_policies(drawn, meaning, discount, pl
         if value is None:
             check_infeasible(problem, method, least_failure(points), discount)
             continue
-        solution = solve(problem, method=method)
-        assert solution.method.startswith(method)
+        solution = checked(problem, method, budget)
         assert solution.objective == pytest.approx(value, **CLOSE)
         assert solution.lower_bound <= value * (1 + 1e-9) + 1e-9
-        check_bounds(solution, budget)
-        check_evaluation(solution)
-        check_certificate(solution)
         check_price(solution.failure_price, *price_interval(points, budget, value))
         begin = start_distribution(drawn.start)
         failure, cost = mcmp_point(plain(drawn), begin, solution, discount, **meaning)
@@ -65,23 +77,29 @@ def test_mcmp_is_the_best_lottery_over_all_policies(drawn, meaning, discount, pl
 
 @often(150)
 @given(problems(), semantics)
-def test_mcmp_at_least_failure(drawn, meaning):
-    """Without a budget: the least failure first, then the least cost."""
-    charge = meaning["charge_failing_step"]
-    failure, cost = mcmp.at_least_failure(plain(drawn), drawn.start, charge_failing_step=charge)
-    model = library_model(drawn)
-    problem = MCMP(model, start=drawn.start, failure_budget=None, **meaning)
-    for method in METHODS:
-        solution = solve(problem, method=method)
-        assert solution.objective == pytest.approx(cost, **CLOSE)
-        assert solution.failure_probability == pytest.approx(failure, abs=1e-12)
-        check_bounds(solution, failure)
-        check_evaluation(solution)
+def test_least_failure_and_then_least_cost(drawn, meaning):
+    """Without a budget, in both cases."""
+    model, charge = library_model(drawn), meaning["charge_failing_step"]
+    known = mcmp.at_least_failure(plain(drawn), drawn.start, charge_failing_step=charge)
+    given_success = s3p.at_least_failure(plain(drawn), drawn.start)
+    for problem, (failure, value) in (
+        (MCMP(model, start=drawn.start, failure_budget=None, **meaning), known),
+        (S3P(model, start=drawn.start, failure_budget=None), given_success),
+    ):
+        for method in METHODS:
+            if value is None:
+                check_infeasible(problem, method, 1.0, None)
+                continue
+            solution = checked(problem, method, failure)
+            assert solution.objective == pytest.approx(value, **CLOSE)
+            assert solution.failure_probability == pytest.approx(failure, abs=1e-12)
+            if isinstance(problem, S3P):
+                assert solution.conditional_cost == pytest.approx(value, **CLOSE)
 
 
 @often(150)
-@given(problems(), discounts)
-def test_goal_probabilities(drawn, discount):
+@given(problems())
+def test_goal_probabilities(drawn):
     """MAXPROB and MINPROB of every state, by enumeration."""
     model = library_model(drawn)
     greatest = goal_reach.max_goal_probability(model)
@@ -108,13 +126,10 @@ def check_s3p(drawn, discount, place):
     else:
         low, high = s3p_program.ratio_bounds(reference, drawn.start, budget, discount=discount)
     for method in METHODS:
-        solution = solve(problem, method=method)
+        solution = checked(problem, method, budget)
         assert solution.objective >= low * (1 - 1e-7) - 1e-8
         assert solution.objective <= high * (1 + 1e-7) + 1e-8
         assert solution.lower_bound <= high * (1 + 1e-7) + 1e-8
-        check_bounds(solution, budget)
-        check_evaluation(solution)
-        check_certificate(solution)
         begin = start_distribution(drawn.start)
         failure, cost = s3p_point(reference, begin, solution, discount)
         assert cost / (1 - failure) == pytest.approx(solution.objective, **CLOSE)
@@ -159,19 +174,54 @@ def test_s3p_with_cycles_that_cannot_be_left(drawn, discount, place):
     check_s3p(drawn, discount, place)
 
 
-@often(150)
-@given(problems())
-def test_s3p_at_least_failure(drawn):
-    """Without a budget: the least failure first, then the least conditional cost."""
-    failure, value = s3p.at_least_failure(plain(drawn), drawn.start)
-    problem = S3P(library_model(drawn), start=drawn.start, failure_budget=None)
-    for method in METHODS:
-        if value is None:
-            check_infeasible(problem, method, 1.0, None)
-            continue
-        solution = solve(problem, method=method)
-        assert solution.objective == pytest.approx(value, **CLOSE)
-        assert solution.conditional_cost == pytest.approx(value, **CLOSE)
-        assert solution.failure_probability == pytest.approx(failure, abs=1e-12)
-        check_bounds(solution, failure)
-        check_evaluation(solution)
+# Some dozen states, from a start spread over all of them
+
+
+@pytest.mark.parametrize("discount", [None, 0.95])
+@pytest.mark.parametrize("charge", [True, False])
+@each_meaning
+@pytest.mark.parametrize("seed", range(3))
+def test_larger_models_against_the_explicit_program(seed, give_up, charge, discount):
+    """Optimum, least failure and price."""
+    model, reference = drawn_model(seed, 15 + 15 * seed)
+    start = {state: 1 / len(reference.choices) for state in reference.choices}
+    meaning = {"give_up": give_up, "charge_failing_step": charge, "discount": discount}
+    data = mcmp_program.program(reference, start, **meaning)
+    least = mcmp_program.least_failure(data)
+    for share in (0.1, 0.4):
+        budget = least + share * (1 - least)
+        value = mcmp_program.least_cost(data, budget)
+        for method in METHODS:
+            problem = MCMP(model, start=start, failure_budget=budget, **meaning)
+            solution = checked(problem, method, budget)
+            assert solution.objective == pytest.approx(value, **NEAR)
+            price = solution.failure_price
+            priced = mcmp_program.least_priced(data, price)
+            assert priced - price * budget == pytest.approx(value, rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("discount", [None, 0.95])
+@pytest.mark.parametrize("seed", [3, 4, 6])
+def test_programs_and_columns_agree_on_larger_models_of_case_s(seed, discount):
+    model, reference = drawn_model(100 + seed, 6 + 3 * seed)
+    start = {state: 1 / len(reference.choices) for state in reference.choices}
+    meaning = {"give_up": "dead_ends", "charge_failing_step": False, "discount": discount}
+    smallest = mcmp_program.least_failure(mcmp_program.program(reference, start, **meaning))
+    values = []
+    for share in (0.05, 0.4):
+        budget = smallest + share * (1 - smallest)
+        problem = S3P(model, start=start, failure_budget=budget, discount=discount)
+        one, other = (checked(problem, method, budget).objective for method in METHODS)
+        assert one == pytest.approx(other, rel=1e-8)
+        values.append(other)
+    assert values[0] >= values[1]
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("method", METHODS)
+def test_least_failure_of_case_s_by_enumeration_of_six_states(seed, method):
+    model, reference = drawn_model(200 + seed, 6)
+    failure, value = s3p.at_least_failure(reference, "s0")
+    solution = solve(S3P(model, start="s0", failure_budget=None), method=method)
+    assert solution.failure_probability == pytest.approx(failure, abs=1e-12)
+    assert solution.objective == pytest.approx(value, rel=1e-9)

@@ -1,29 +1,27 @@
 """Quantiles: one sweep answers all bounds, and the search ends at the first that is kept."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
 from examples.solver_comparison.instances.families import corridor, layered
 from formulations import EGUBS, CostBoundedReach, CostQuantile, CVaR
-from ssp_lp import SSP, certify, evaluate, solve, success_costs
+from ssp_lp import certify, evaluate, solve, success_costs
 from ssp_lp.accumulated_cost.charges import LateCharge
 from ssp_lp.methods import risk
 from ssp_lp.methods.risk import _Guess, question_of
 from ssp_lp.options import SolveOptions
+from written_models import written
 
-FREE_STEPS = SSP.from_transitions(
-    {
-        "a": {"in": [(0.5, "b", 0.0), (0.5, "G", 1.0)], "by": [(0.9, "G", 2.0), (0.1, "D", 0.0)]},
-        "b": {"in": [(0.7, "c", 1.0), (0.3, "D", 1.0)], "up": [(1.0, "a", 2.0)]},
-        "c": {"in": [(0.8, "G", 0.0), (0.2, "b", 0.0)], "up": [(1.0, "a", 0.0)]},
-        "D": {},
-    },
-    goal={"G"},
-    treat_actionless_as_dead_ends=True,
+FREE_STEPS = written(
+    """
+    a in: 0.5 b 0, 0.5 G 1
+    a by: 0.9 G 2, 0.1 D 0
+    b in: 0.7 c 1, 0.3 D 1
+    b up: a 2
+    c in: 0.8 G 0, 0.2 b 0
+    c up: a 0
+    """,
+    "G",
 )
 
 
@@ -38,9 +36,7 @@ FREE_STEPS = SSP.from_transitions(
         (FREE_STEPS, "a"),
     ],
 )
-def test_what_is_best_depends_on_what_is_left(
-    model: SSP, start: Any, budget: float | None, on: bool, accelerate: Any
-) -> None:
+def test_what_is_best_depends_on_what_is_left(model, start, budget, on, accelerate):
     """The bounds of one sweep at the greatest bound are those of a sweep at each."""
     accelerate(on)
     question = question_of(CostQuantile(model, start, 0.5, budget))
@@ -54,7 +50,7 @@ def test_what_is_best_depends_on_what_is_left(
 
 @pytest.mark.parametrize("level", [0.05, 0.5, 0.9, 0.99])
 @pytest.mark.parametrize("budget", [None, 0.011, 0.1, 1.0])
-def test_no_lesser_bound_is_kept_by_any_policy(level: float, budget: float | None) -> None:
+def test_no_lesser_bound_is_kept_by_any_policy(level, budget):
     """Bounded reach without a budget is known by itself: what fails more is no success."""
     model = corridor(9)
     solution = solve(CostQuantile(model, 0, level, budget))
@@ -70,7 +66,7 @@ def test_no_lesser_bound_is_kept_by_any_policy(level: float, budget: float | Non
             assert (within >= level * law.goal * (1.0 - 1e-12)) == kept
 
 
-def test_a_corridor_of_many_layers_takes_few_bounds() -> None:
+def test_a_corridor_of_many_layers_takes_few_bounds():
     """A walk of thousands of steps: every trial's prices refute nearly all that is too low."""
     problem = CostQuantile(corridor(50), 0, 0.9, 0.01)
     solution = solve(problem)
@@ -79,16 +75,14 @@ def test_a_corridor_of_many_layers_takes_few_bounds() -> None:
     assert evaluate(solution.policy, problem).objective == solution.objective > 2_000
 
 
-def test_layers_settled_together_or_one_by_one_are_the_same_law(accelerate: Any) -> None:
+def test_layers_settled_together_or_one_by_one_are_the_same_law(accelerate):
     """The compiled loop and its twin follow the same masses; costs leave layers out."""
-    model = SSP.from_transitions(
-        {
-            "a": {"go": [(0.2, "b", 3.0), (0.5, "a", 7.0), (0.3, "G", 5.0)]},
-            "b": {"go": [(0.6, "a", 1.0), (0.2, "G", 11.0), (0.1, "G", 0.0), (0.1, "D", 1.0)]},
-            "D": {},
-        },
-        goal={"G"},
-        treat_actionless_as_dead_ends=True,
+    model = written(
+        """
+        a go: 0.2 b 3, 0.5 a 7, 0.3 G 5
+        b go: 0.6 a 1, 0.2 G 11, 0.1 G 0, 0.1 D 1
+        """,
+        "G",
     )
     problem, atoms = CostQuantile(model, "a", 0.5), []
     policy = solve(problem).policy
@@ -99,21 +93,15 @@ def test_layers_settled_together_or_one_by_one_are_the_same_law(accelerate: Any)
     np.testing.assert_allclose(*(each.probabilities for each in atoms), rtol=1e-14)
 
 
-def test_masses_too_small_for_a_number_end_in_nothing(accelerate: Any) -> None:
+def test_masses_too_small_for_a_number_end_in_nothing(accelerate):
     """Steps of 1e-200 twice over: no list of places is met again."""
     accelerate(True)
-    model = SSP.from_transitions(
-        {
-            "a": {"go": [(1e-200, "b", 1.0), (0.5, "a", 1.0), (0.5, "G", 1.0)]},
-            "b": {"go": [(1e-200, "a", 1.0), (1e-200, "b", 1.0), (1.0, "G", 1.0)]},
-        },
-        goal={"G"},
-    )
+    model = written("a go: 1e-200 b 1, 0.5 a 1, 0.5 G 1\n b go: 1e-200 a 1, 1e-200 b 1, 1 G 1", "G")
     problem = CostQuantile(model, "a", 0.9)
     assert success_costs(solve(problem).policy, problem).quantile(0.9) == 4.0
 
 
-def test_bounds_that_no_price_refutes_are_doubled(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bounds_that_no_price_refutes_are_doubled(monkeypatch):
     """While no policy keeps to a bound the search does not creep from one to the next."""
     asked = CostQuantile(corridor(30), 0, 0.9999, 0.5)
     least = solve(asked).objective
@@ -124,27 +112,21 @@ def test_bounds_that_no_price_refutes_are_doubled(monkeypatch: pytest.MonkeyPatc
 
 
 RARE = 9e-7
-SELDOM_LEFT = SSP.from_transitions(
-    {
-        "a": {
-            "wait": [(1.0 - RARE, "a", 5.0387), (RARE, "G", 5.0387)],
-            "go": [(1.0 - 8e-6, "G", 3.0326), (8e-6, "D", 0.9154)],
-        },
-        "b": {
-            "on": [(0.9, "G", 4.8632), (0.1, "b", 4.8632)],
-            "by": [(0.7, "D", 8.2917), (0.1, "G", 8.2917), (0.2, "b", 8.2917)],
-            "back": [(0.9, "G", 6.6159), (0.05, "D", 6.6159), (0.05, "a", 6.6159)],
-        },
-        "D": {},
-    },
-    goal={"G"},
-    treat_actionless_as_dead_ends=True,
+SELDOM_LEFT = written(
+    f"""
+    a wait: {1.0 - RARE} a 5.0387, {RARE} G 5.0387
+    a go: {1.0 - 8e-6} G 3.0326, 8e-6 D 0.9154
+    b on: 0.9 G 4.8632, 0.1 b 4.8632
+    b by: 0.7 D 8.2917, 0.1 G 8.2917, 0.2 b 8.2917
+    b back: 0.9 G 6.6159, 0.05 D 6.6159, 0.05 a 6.6159
+    """,
+    "G",
 )
 """Few sums lie below some steps, far too many below the cost of the only sure way."""
 
 
 @pytest.mark.parametrize("level", [0.5, 0.75])
-def test_totals_without_room_leave_an_answer(level: float) -> None:
+def test_totals_without_room_leave_an_answer(level):
     """Waiting is the only sure way: its cost is geometric."""
     rounds = np.ceil(np.log1p(-level) / np.log1p(-RARE))
     for problem in (
@@ -163,7 +145,7 @@ def test_totals_without_room_leave_an_answer(level: float) -> None:
             assert solution.objective >= 5.0387 * rounds
 
 
-def test_tables_cut_for_want_of_room_are_certified() -> None:
+def test_tables_cut_for_want_of_room_are_certified():
     for problem in (
         EGUBS(SELDOM_LEFT, "a", -1e-6, 1.0),
         CostBoundedReach(SELDOM_LEFT, "a", 5e6, 0.0),

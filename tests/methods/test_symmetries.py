@@ -8,53 +8,41 @@ from hypothesis import given, strategies as st
 from checks import CLOSE, budget_of, library_model, plain
 from formulations import MCMP, S3P
 from references import mcmp
+from references.chain import start_distribution
 from ssp_lp import InfeasibleError, solve
 from strategies import Draw, budgets, discounts, meanings, often, problems
 
-drawn_settings = often(50)
+PROBLEM = problems(most_live=3)
+SETTING = st.fixed_dictionaries({"discount": discounts, "give_up": meanings})
 
 
-def answers(drawn, budget, discount, give_up):
+def answers(drawn, budget, setting):
     """The optimum of both cases, or the least failure where the budget is too small."""
     model, found = library_model(drawn), []
-    for formulation, extra in ((MCMP, {"give_up": give_up}), (S3P, {})):
-        problem = formulation(
-            model, start=drawn.start, failure_budget=budget, discount=discount, **extra
-        )
+    discounted = {"failure_budget": budget, "discount": setting["discount"]}
+    for problem in (MCMP(model, drawn.start, budget, **setting),
+                    S3P(model, drawn.start, **discounted)):  # fmt: skip
         try:
-            solution = solve(problem)
+            found.append(("optimum", solve(problem).objective))
         except InfeasibleError as error:
             found.append(("infeasible", error.least_failure))
-        else:
-            found.append(("optimum", solution.objective))
     return found
 
 
-def check_same(drawn, changed, place, discount, give_up, scale=1.0):
+def check_same(drawn, changed, place, setting, scale=1.0):
     """Both problems have the same answers, up to the scale of the costs."""
-    points = mcmp.points(plain(drawn), drawn.start, give_up=give_up, discount=discount)
-    budget = budget_of(place, points)
-    before = answers(drawn, budget, discount, give_up)
-    after = answers(changed, budget, discount, give_up)
+    budget = budget_of(place, mcmp.points(plain(drawn), drawn.start, **setting))
+    before, after = answers(drawn, budget, setting), answers(changed, budget, setting)
     for (kind, value), (changed_kind, changed_value) in zip(before, after, strict=True):
         assert kind == changed_kind
         factor = scale if kind == "optimum" else 1.0
         assert changed_value == pytest.approx(factor * value, **CLOSE)
 
 
-def with_outcomes(drawn, change):
-    """The same problem with every action's list of outcomes changed."""
-    choices = {
-        state: {action: change(outcomes) for action, outcomes in actions.items()}
-        for state, actions in drawn.choices.items()
-    }
-    return Draw(choices, drawn.goals, drawn.start)
-
-
-@drawn_settings
-@given(problems(most_live=3), budgets, discounts, meanings, st.randoms(use_true_random=False))
-def test_relabelled_and_reordered(drawn, place, discount, give_up, random):
-    """States renamed and listed in another order, actions too."""
+@often(50)
+@given(PROBLEM, budgets, SETTING, st.randoms(use_true_random=False))
+def test_relabelled_and_reordered_with_split_outcomes(drawn, place, setting, random):
+    """States renamed and listed in another order, actions too; outcomes in two halves."""
 
     def name(state):
         return ("state", sum(map(ord, state)), state)
@@ -63,72 +51,45 @@ def test_relabelled_and_reordered(drawn, place, discount, give_up, random):
     random.shuffle(order)
     choices = {
         name(state): {
-            (action, "new"): [(p, name(s), cost) for p, s, cost in reversed(outcomes)]
+            (action, "new"): [(p / 2, name(s), cost) for p, s, cost in reversed(outcomes * 2)]
             for action, outcomes in reversed(drawn.choices[state].items())
         }
         for state in order
     }
-    start = drawn.start
-    if isinstance(start, dict):
-        renamed = {name(state): weight for state, weight in start.items()}
-    else:
-        renamed = {name(start): 1.0}
-    goals = frozenset(name(state) for state in drawn.goals)
-    check_same(drawn, Draw(choices, goals, renamed), place, discount, give_up)
+    start = {name(state): weight for state, weight in start_distribution(drawn.start).items()}
+    changed = Draw(choices, frozenset(map(name, drawn.goals)), start)
+    check_same(drawn, changed, place, setting)
 
 
-@drawn_settings
-@given(
-    problems(most_live=3),
-    budgets,
-    discounts,
-    meanings,
-    st.sampled_from([0.1, 0.25, 3, 1000]),
-)
-def test_scaled_costs(drawn, place, discount, give_up, scale):
-    """Every cost times a positive number: the optimum times that number."""
-    changed = with_outcomes(
-        drawn, lambda outcomes: [(p, s, round(scale * cost, 6)) for p, s, cost in outcomes]
-    )
-    check_same(drawn, changed, place, discount, give_up, scale)
+@often(50)
+@given(PROBLEM, budgets, SETTING, st.sampled_from([0.1, 0.25, 3, 1000]))
+def test_scaled_costs_with_dominated_actions_and_states_that_nobody_visits(
+    drawn, place, setting, scale
+):
+    """The optimum times the same number; each action once more, one dearer; some off all paths."""
 
+    def scaled(outcomes, more=0):
+        return [(p, s, round(scale * (cost + more), 6)) for p, s, cost in outcomes]
 
-@drawn_settings
-@given(problems(most_live=3), budgets, discounts, meanings)
-def test_a_dominated_action(drawn, place, discount, give_up):
-    """Each action once more, one dearer: nothing changes."""
     choices = {
-        state: actions
-        | {
-            (action, "dearer"): [(p, s, cost + 1) for p, s, cost in outcomes]
+        state: {
+            (action, more): scaled(outcomes, more)
             for action, outcomes in actions.items()
+            for more in (0, 1)
         }
         for state, actions in drawn.choices.items()
-    }
-    check_same(drawn, Draw(choices, drawn.goals, drawn.start), place, discount, give_up)
+    } | {"far": {"back": [(1.0, "a", 1)], "end": [(1.0, "grave", 0)]}, "grave": {}}
+    check_same(drawn, Draw(choices, drawn.goals, drawn.start), place, setting, scale)
 
 
-@drawn_settings
-@given(problems(most_live=3), budgets, discounts, meanings)
-def test_split_outcomes_and_states_that_nobody_visits(drawn, place, discount, give_up):
-    """Outcomes in two halves, a second dead-end and a second live state off every path."""
-    changed = with_outcomes(
-        drawn, lambda outcomes: [(p / 2, s, cost) for p, s, cost in outcomes for _ in range(2)]
-    )
-    far = {"far": {"back": [(1.0, "a", 1)], "end": [(1.0, "grave", 0)]}, "grave": {}}
-    extended = Draw(changed.choices | far, drawn.goals, drawn.start)
-    check_same(drawn, extended, place, discount, give_up)
-
-
-@drawn_settings
-@given(problems(most_live=3), discounts, meanings)
-def test_a_larger_budget_costs_no_more(drawn, discount, give_up):
+@often(50)
+@given(PROBLEM, SETTING)
+def test_a_larger_budget_costs_no_more(drawn, setting):
     """The optimum falls with the budget, and case M is convex in it."""
-    points = mcmp.points(plain(drawn), drawn.start, give_up=give_up, discount=discount)
+    points = mcmp.points(plain(drawn), drawn.start, **setting)
     grid = [budget_of(share, points) for share in (0.0, 0.25, 0.5, 0.75)]
-    rows = [answers(drawn, budget, discount, give_up) for budget in grid]
-    for case in (0, 1):
-        column = [value for kind, value in (row[case] for row in rows) if kind == "optimum"]
+    for case, row in enumerate(zip(*(answers(drawn, b, setting) for b in grid), strict=True)):
+        column = [value for kind, value in row if kind == "optimum"]
         room = 1e-7 * (1 + max(column, default=0.0))
         assert all(a >= b - room for a, b in pairwise(column))
         if case == 0 and len(column) == 4:

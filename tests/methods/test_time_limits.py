@@ -1,25 +1,17 @@
 """A time limit and Ctrl-C: the best answer so far, its bound, and why the call ended."""
 
-from __future__ import annotations
-
 import _thread
 import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
-from functools import cache
-from typing import Any
 
 import pytest
 
 from examples.solver_comparison.instances.models import random_model
 from formulations import MCMP, S3P
 from ssp_lp import (
-    SSP,
-    Frontier,
     OutOfTimeError,
-    Solution,
     Status,
     certify,
     solve,
@@ -28,15 +20,16 @@ from ssp_lp import (
 )
 from ssp_lp.compiled import deadline
 
-COARSE = 1e-3
-"""Gap of a frontier of a few points."""
+COARSE = 1e-3  # gap of a frontier of a few points
+criteria = pytest.mark.parametrize("criterion", [MCMP, S3P])
+methods = pytest.mark.parametrize("method", ["columns", "game", "deterministic"])
 
 
-def interrupting(after: int) -> Any:
+def interrupting(after):
     """A progress report at whose k-th call somebody presses Ctrl-C."""
     calls = iter(range(10**9))
 
-    def progress(*_: float) -> None:
+    def progress(*_):
         if next(calls) >= after:
             raise KeyboardInterrupt
 
@@ -44,11 +37,9 @@ def interrupting(after: int) -> Any:
 
 
 @pytest.mark.parametrize("after", [0, 2])
-@pytest.mark.parametrize("method", ["columns", "game", "deterministic"])
-@pytest.mark.parametrize("criterion", [MCMP, S3P])
-def test_ctrl_c_hands_back_the_best_answer_so_far(
-    coarse_robot: tuple[SSP, int], criterion: Any, method: str, after: int
-) -> None:
+@methods
+@criteria
+def test_ctrl_c_hands_back_the_best_answer_so_far(coarse_robot, criterion, method, after):
     discount, budget = (0.99, 0.6) if method == "game" else (None, 0.3)
     problem = criterion(*coarse_robot, failure_budget=budget, discount=discount)
     best = solve(problem)
@@ -67,7 +58,7 @@ def test_ctrl_c_hands_back_the_best_answer_so_far(
     assert certificate.lower_bound <= best.objective * (1.0 + 1e-9)
 
 
-def test_ctrl_c_comes_through_where_nothing_was_asked_for_so_far() -> None:
+def test_ctrl_c_comes_through_where_nothing_was_asked_for_so_far():
     timer = threading.Timer(0.05, _thread.interrupt_main)
     timer.start()
     try:
@@ -82,7 +73,7 @@ def test_ctrl_c_comes_through_where_nothing_was_asked_for_so_far() -> None:
 
 
 @pytest.fixture
-def ctrl_c() -> Iterator[None]:
+def ctrl_c():
     """Ctrl-C is heard, also where the suite was begun in the background, which ignores it."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
@@ -91,11 +82,11 @@ def ctrl_c() -> Iterator[None]:
 
 @pytest.mark.usefixtures("ctrl_c")
 @pytest.mark.skipif(sys.platform == "win32", reason="no process sends itself this signal there")
-def test_a_signal_in_the_middle_of_a_long_loop_is_ctrl_c(robot: tuple[SSP, int]) -> None:
+def test_a_signal_in_the_middle_of_a_long_loop_is_ctrl_c(robot):
     """It comes a moment after the second pricing call, in whatever runs then, or by the third."""
-    signals: list[threading.Timer] = []
+    signals = []
 
-    def progress(calls: int, *_: float) -> None:
+    def progress(calls, *_):
         if calls >= 2 and not signals:
             signals.append(threading.Timer(0.01, os.kill, (os.getpid(), signal.SIGINT)))
             signals[0].start()
@@ -113,7 +104,7 @@ def test_a_signal_in_the_middle_of_a_long_loop_is_ctrl_c(robot: tuple[SSP, int])
 
 
 @pytest.fixture(name="hasty")
-def no_grace(monkeypatch: pytest.MonkeyPatch) -> None:
+def no_grace(monkeypatch):
     """Loops end at the deadline itself, however small the model."""
     monkeypatch.setattr(deadline, "_GRACE", 0.0)
     monkeypatch.setattr(deadline, "_CLOSING", 0.0)
@@ -121,11 +112,9 @@ def no_grace(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("hasty")
-@pytest.mark.parametrize("criterion", [MCMP, S3P])
-@pytest.mark.parametrize("method", ["columns", "game", "deterministic"])
-def test_no_policy_in_time_is_a_named_error(
-    coarse_robot: tuple[SSP, int], criterion: Any, method: str
-) -> None:
+@criteria
+@methods
+def test_no_policy_in_time_is_a_named_error(coarse_robot, criterion, method):
     discount = 0.99 if method == "game" else None
     problem = criterion(*coarse_robot, failure_budget=0.6, discount=discount)
     with pytest.raises(OutOfTimeError, match="allow more time"):
@@ -134,10 +123,10 @@ def test_no_policy_in_time_is_a_named_error(
         trace_frontier(problem, time_limit=0.0)
 
 
-@pytest.mark.parametrize("criterion", [MCMP, S3P])
+@criteria
 def test_before_the_search_has_a_policy_the_safest_one_comes_back(
-    coarse_robot: tuple[SSP, int], criterion: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    coarse_robot, criterion, monkeypatch
+):
     """Without grace no price is solved for; what is left over is enough for the least failure."""
     monkeypatch.setattr(deadline, "_GRACE", 0.0)
     monkeypatch.setattr(deadline, "_CLOSING", 60.0)
@@ -150,25 +139,21 @@ def test_before_the_search_has_a_policy_the_safest_one_comes_back(
     assert certify(solution).accepted
 
 
-@cache
-def whole_frontier(criterion: Any, model: SSP, start: int) -> Frontier:
-    """What every interrupted part is held against."""
-    return trace_frontier(criterion(model, start, failure_budget=0.3), gap=COARSE)
-
-
-@pytest.mark.parametrize("criterion", [MCMP, S3P])
-@pytest.mark.parametrize("after", [0, 3, 6])
-def test_an_interrupted_frontier_keeps_its_points(
-    coarse_robot: tuple[SSP, int], criterion: Any, after: int
-) -> None:
+@criteria
+def test_an_interrupted_frontier_keeps_its_points(coarse_robot, criterion):
     problem = criterion(*coarse_robot, failure_budget=0.3)
-    whole = whole_frontier(criterion, *coarse_robot)
-    part = trace_frontier(problem, gap=COARSE, progress=interrupting(after))
+    whole = trace_frontier(problem, gap=COARSE)
+    assert whole.status is Status.OPTIMAL
+    assert not whole.open_segments
+    for after in (0, 3, 6):
+        check_part(trace_frontier(problem, gap=COARSE, progress=interrupting(after)), whole)
+
+
+def check_part(part, whole):
+    """What was traced until it was interrupted, against the whole."""
     assert part.status is Status.INTERRUPTED
     assert part.open_segments
     assert "open: interrupted" in repr(part)
-    assert whole.status is Status.OPTIMAL
-    assert not whole.open_segments
     for budget in part.failure.tolist():
         low, high = part.bounds_at(budget)
         assert low <= whole.objective_at(budget) * (1.0 + 1e-9)
@@ -182,25 +167,17 @@ def test_an_interrupted_frontier_keeps_its_points(
             assert depth * share <= COARSE * float(part.cost[number])
 
 
-def test_limits_on_other_quantities_are_kept_by_what_comes_back(
-    coarse_robot: tuple[SSP, int],
-) -> None:
-    robot, start = coarse_robot
-    limited = MCMP(robot, start, failure_budget=0.3, constraints={"o": visits("obstacle") <= 0.25})
-    best, part = almost_solved(limited)
+def test_limits_on_other_quantities_are_kept_by_what_comes_back(coarse_robot):
+    limits, calls = {"o": visits("obstacle") <= 0.25}, []
+    limited = MCMP(*coarse_robot, failure_budget=0.3, constraints=limits)
+    best = solve(limited, progress=lambda call, *_: calls.append(call))
+    part = solve(limited, progress=interrupting(len(calls) - 2))
     assert part.status is Status.INTERRUPTED
     assert part.lower_bound <= best.objective * (1.0 + 1e-9)
     assert best.lower_bound <= part.objective * (1.0 + 1e-9)
     assert certify(part).accepted
 
 
-def almost_solved(problem: Any) -> tuple[Solution, Solution]:
-    """The solution, and what is known two pricing calls before it is found."""
-    calls: list[float] = []
-    best = solve(problem, progress=lambda call, *_: calls.append(call))
-    return best, solve(problem, progress=interrupting(len(calls) - 2))
-
-
-def test_a_tolerance_that_is_missed_is_no_interruption(coarse_robot: tuple[SSP, int]) -> None:
+def test_a_tolerance_that_is_missed_is_no_interruption(coarse_robot):
     capped = S3P(*coarse_robot, failure_budget=0.3, cost_cap=4.0)
     assert solve(capped).status is Status.TOLERANCE_MISSED
