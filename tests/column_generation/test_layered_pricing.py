@@ -1,0 +1,238 @@
+"""Pricing layer by layer: how it begins, what a stopped sweep is, and the process written out."""
+
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from examples.domains.navigation import navigation
+from examples.paper_robot.robot import RobotGrid, grid_model, start_state
+from formulations import GUBS, MCMP, S3P, CostBoundedReach, CostQuantile, CVaR
+from small_models import model_of
+from ssp_lp import (
+    SSP,
+    InfeasibleError,
+    certify,
+    evaluate,
+    goal_probability,
+    secondary_cost,
+    solve,
+    visits,
+)
+from ssp_lp.accumulated_cost import sweep
+from ssp_lp.accumulated_cost.sweep import PartOfSweep, Sweep
+from ssp_lp.accumulated_cost.written_out import OpenEnded
+from ssp_lp.arrays import weighted
+from ssp_lp.column_generation import compiled_problem
+from ssp_lp.column_generation.column import FailureRow, required
+from ssp_lp.column_generation.layered_pricing import OpenEndedPricing
+from ssp_lp.column_generation.search import _initial_column_within
+from ssp_lp.compiled.deadline import Stop, until
+from ssp_lp.problem import compiled_constrained
+from written_models import drawn_table, written
+
+FIELD = navigation(6, 5)
+
+
+# With a guess at the cap, which is no policy, and a bound at hand
+
+
+@pytest.fixture
+def guessing(monkeypatch, accelerate):
+    """Begin as with a large process."""
+    pytest.importorskip("numba")
+    monkeypatch.setattr(compiled_problem, "_LARGE", 0)
+    monkeypatch.setattr(Sweep, "one_pass", None)
+    accelerate(True)
+
+
+def test_a_guess_leads_to_the_same_optimum(request):
+    grid = RobotGrid(segments=8, headings=8)
+    problems = [S3P(*FIELD, 0.9), S3P(*FIELD, 0.6), S3P(grid_model(grid), start_state(grid), 0.3)]
+    before = [solve(problem) for problem in problems]
+    request.getfixturevalue("guessing")
+    for problem, known in zip(problems, before, strict=True):
+        problem = replace(problem)
+        assert problem.compile().pricing().first().policy is None
+        found = solve(problem)
+        assert found.objective == pytest.approx(known.objective, rel=1e-12)
+        certificate = certify(found)
+        assert certificate.accepted
+        assert max(found.gap, certificate.gap) <= 1e-9
+
+
+@pytest.mark.usefixtures("guessing")
+@pytest.mark.parametrize("budget", [0.6, 0.9])
+def test_a_guess_is_no_policy_to_stop_with(budget):
+    """What half a sweep found is taken, though the guess would seem to keep to the budget."""
+    pricing = S3P(*FIELD, 0.9).compile().pricing()
+    guess, half = pricing.first(), pricing.minimise(100.0)
+    row, swept = FailureRow(budget, ratio=True), required(half.choice)
+    part = PartOfSweep(swept, 100.0, 0, None)  # all layers, as it happens
+    found = _initial_column_within(pricing, row, Stop(part), guess)
+    assert (found.cost, found.failure, found.goal) == (half.cost, half.failure, half.goal)
+    assert found.policy is not None
+
+
+@pytest.mark.parametrize("cost", [1.0, 0.7, Fraction(1, 3)])
+def test_the_fewest_steps_are_a_bound(cost):
+    """Met where the way is sure, else below the optimum."""
+    line = {k: {"go": [(1.0, k + 1, cost)]} for k in range(4)}
+    sure = S3P(SSP.from_transitions(line, goal={4}), 0, 0.5)
+    assert sure.compile().lowest == pytest.approx(4 * float(cost), rel=1e-14)
+    assert solve(sure).lower_bound <= solve(sure).objective
+    for k in range(4):  # it may wait, for another cost, or fall
+        line[k] = {"go": [(0.6, k + 1, cost), (0.2, k, 2 * cost), (0.2, "pit", cost)]}
+    problem = S3P(model_of(line, 4), {0: 0.5, 1: 0.5}, 0.95)
+    lowest = problem.compile().lowest
+    assert lowest == pytest.approx(3 * float(cost), rel=1e-14)
+    assert lowest < solve(problem).objective
+    for discount in (None, 0.9):
+        at_goal = S3P(sure.model, {0: 0.5, 4: 0.5}, 0.5, discount=discount)
+        assert at_goal.compile().lowest == 0.0
+
+
+def test_a_first_policy_that_never_arrives_starts_the_search(monkeypatch):
+    """Dashing is nearest to the goal and arrives with 1e-400; who walks pays 800."""
+    length, budget = 400, 0.3
+    way = {}
+    for k in range(length):
+        on = k + 1 if k + 1 < length else "goal"
+        way[k] = {"dash": [(0.1, on, 1.0), (0.9, "pit", 1.0)], "walk": [(1.0, f"by {k}", 1.0)]}
+        way[f"by {k}"] = {"on": [(1.0, on, 1.0)]}
+
+    def never(*_):
+        raise AssertionError("the least failure is not needed")
+
+    monkeypatch.setattr("ssp_lp.methods.columns.checked_least_failure", never)
+    meaning = {"give_up": "anywhere", "charge_failing_step": False}
+    problem = MCMP(model_of(way, "goal"), 0, budget, **meaning)
+    assert solve(problem).objective == pytest.approx((1.0 - budget) * 2.0 * length, rel=1e-9)
+
+
+# A backward sweep that is stopped half-way is a whole sweep at a lower price of failure
+
+
+@pytest.mark.parametrize("discount", [None, 0.97])
+@pytest.mark.parametrize("layers", [0, 8, 25, 40])
+def test_layers_swept_by_then_are_an_optimum_at_a_lower_price(monkeypatch, discount, layers):
+    problem = S3P(*FIELD, 0.9, discount=discount, cost_cap=60.0)
+    pricing, looks = problem.compile().pricing(), iter(range(10**9))
+    monkeypatch.setattr(Sweep, "one_pass", None)
+
+    def end():
+        if next(looks) >= layers:
+            raise Stop
+
+    with monkeypatch.context() as patched, until(float("inf")):
+        patched.setattr(sweep, "check_time", end)
+        with pytest.raises(Stop) as stopped:
+            pricing.minimise(80.0)
+    found = pricing.incumbent(stopped.value.choice)
+    if layers == 0:
+        assert found is None
+        return
+    process = replace(pricing.process, totals=pricing.process.base.totals(layers))
+    paid = (pricing.process.cap - layers) * process.base.unit
+    same = replace(pricing, process=process).minimise(80.0 - paid / process.base.survival)
+    assert found.failure == pytest.approx(same.failure, rel=1e-13)
+    assert found.cost == pytest.approx(same.cost, rel=1e-12)
+    played = evaluate(found.policy, problem)
+    assert played.objective == pytest.approx(found.cost / found.goal, rel=1e-12)
+
+
+# Limits on accumulated costs: the same as on the process written out
+
+
+def limited(rng):
+    """Up to eight states with loops, each step for one, two or three; one to three limits."""
+    live = [f"s{k}" for k in range(int(rng.integers(2, 9)))]
+    choices = drawn_table(rng, live, ["g", "pit", "g"], [1.0, 2.0, 3.0])
+    choices["s0"]["go"] = [(0.6, "g", 2.0), (0.2, "pit", 1.0), (0.2, "s1", 1.0)]
+    model = model_of(choices)
+    fuel = np.round(rng.uniform(0.0, 2.0, model.n_pairs), 1)
+    limits = [
+        visits("s0") <= float(rng.uniform(1.0, 2.5)),
+        secondary_cost(fuel) <= float(rng.uniform(1.0, 8.0)),
+        goal_probability() >= float(rng.uniform(0.1, 0.6)),
+    ]
+    return model, {f"limit {k}": limits[k] for k in range(3) if k == 0 or rng.random() < 0.6}
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_pricing_by_layers_is_pricing_on_the_process_written_out(seed):
+    """Least priced totals, a policy's own totals and checked bounds, at prices some of them 0."""
+    rng = np.random.default_rng(seed)
+    model, limits = limited(rng)
+    compiled = compiled_constrained(S3P(model, "s0", 0.4, constraints=limits))
+    layered, written_out = compiled.augmented, compiled.explicit_pricing
+    assert isinstance(layered, OpenEnded)
+    counting = layered.counting()
+    swept = OpenEndedPricing(layered, False, tuple(row.at(counting) for row in compiled.side))
+    assert swept.value_shape == written_out.value_shape
+    assert swept.n_rewards == written_out.n_rewards
+    np.testing.assert_allclose(swept.first().figures, written_out.first().figures, rtol=1e-9)
+    for _ in range(6):
+        weights = rng.uniform(0.0, 30.0, swept.n_rewards) * (rng.random(swept.n_rewards) < 0.7)
+        weights[0] = float(rng.integers(2))
+        column, known = swept.minimise(weights), written_out.minimise(weights)
+        least = float(known.figures @ weights)
+        assert float(column.figures @ weights) == pytest.approx(least, rel=1e-9, abs=1e-9)
+        bound = swept.prove(weights, column).bound
+        assert bound <= least + 1e-12 * abs(least)
+        assert bound == pytest.approx(least, rel=1e-9, abs=1e-9)
+        again = swept.check(weights, swept.prove(weights, column).values).bound
+        assert again == pytest.approx(bound, rel=1e-9, abs=1e-9)
+        lowered = written_out.check(weights, weighted(known.totals, weights)).values - 1.0
+        assert swept.check(weights, lowered).bound <= least
+
+
+@pytest.mark.parametrize("seed", range(15))
+def test_optima_by_layers_are_those_on_the_process_written_out(seed, monkeypatch):
+    rng = np.random.default_rng(100 + seed)
+    (model, limits), budget = limited(rng), float(rng.choice([0.2, 0.4, 0.7, 1.0]))
+    discount = None if rng.random() < 0.7 else 0.95
+    level, bound = float(rng.choice([0.5, 0.8])), float(rng.integers(3, 9))
+    for problem in (
+        S3P(model, "s0", budget, discount=discount, constraints=limits),
+        CVaR(model, "s0", level, budget, constraints=limits),
+        CostQuantile(model, "s0", level, budget, constraints=limits),
+        GUBS(model, "s0", lambda cost: np.exp(-cost / 4.0), 0.5, constraints=limits),
+        CostBoundedReach(model, "s0", bound, budget, constraints=limits),
+    ):
+        found = []
+        for least in (0, 10**9):  # entries of a layer
+            monkeypatch.setattr(compiled_problem, "_WORTH_SWEEPING", least)
+            try:
+                found.append(solve(problem))
+            except InfeasibleError as error:
+                found.append(error.least_failure)
+        swept, known = found
+        if isinstance(known, float):
+            assert swept == known
+            continue
+        assert swept.objective == pytest.approx(known.objective, rel=1e-8, abs=1e-9)
+        proof = certify(swept)
+        assert proof.accepted
+        assert max(swept.gap, proof.gap) <= max(1e-9, 2.0 * known.gap)
+
+
+def test_the_open_end_of_a_slow_walk_is_bounded_by_a_constant():
+    """Where failing is best beyond the cap, its price bounds all values, however long a walk is.
+
+    Each step leads on with probability 1e-3 and back to the beginning else: 1e12 steps. The cost
+    given success at a budget of 0.5 is that of the short way.
+    """
+    model = written(
+        """
+        a short: 0.6 g 3, 0.4 pit 3
+        a walk: 0.001 b 1, 0.999 a 1
+        b walk: 0.001 c 1, 0.999 a 1
+        c walk: 0.001 d 1, 0.999 a 1
+        d walk: 0.001 g 1, 0.999 a 1
+        """
+    )
+    solution = solve(S3P(model, "a", 0.5, constraints={"start": visits("a") <= 10.0}))
+    assert solution.objective == pytest.approx(3.0, rel=1e-9)
+    assert solution.gap <= 1e-9
