@@ -6,7 +6,6 @@ equations written out; its two values enclose the truth but for rounding.
 
 import pickle
 import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -27,66 +26,58 @@ from ssp_lp import SSP, InfeasibleError, OutOfTimeError, Status, certify, evalua
 from ssp_lp.accumulated_cost.totals import Resolution, resolution_of_costs
 from ssp_lp.compiled.deadline import Stop
 from ssp_lp.dynamic_programming import extreme_reach
+from ssp_lp.model.graph import attention_states
 from ssp_lp.policies import DeterministicPolicy
 from ssp_lp.processes.goal_reach import greatest_goal_reach
+from ssp_lp.processes.quotient import build_quotient
+from ssp_lp.processes.rows import costless_pairs
 
 _ENDS = 60.0  # seconds; what is looked at here took for ever
 
 
-def enclosed(model: SSP, sweeps: int) -> tuple[float, float]:
+def enclosed(model, sweeps):
     """The greatest goal probability from state 0 by sweeps over all states, from 0 and from 1."""
     probability = model.probabilities.reshape(-1, model.outcome_offsets[1])
     successors = model.successors.reshape(probability.shape)
-    live, goal = (
-        int(np.count_nonzero(np.diff(model.pair_offsets))),
-        int(np.flatnonzero(model.goal_mask)[0]),
-    )
-    states, actions = np.arange(live), len(successors) // live
-    loops = np.where(successors == np.repeat(states, actions)[:, None], probability, 0.0).sum(
-        axis=1
-    )
-    away = np.where(successors == np.repeat(states, actions)[:, None], 0.0, probability)
+    live, goal = int(np.count_nonzero(np.diff(model.pair_offsets))), int(model.goal_mask.argmax())
+    home = np.repeat(np.arange(live), len(successors) // live)
+    stays = successors == home[:, None]
+    loops = np.where(stays, probability, 0.0).sum(axis=1)
+    away = np.where(stays, 0.0, probability)
     low, high = np.zeros(model.n_states), np.ones(model.n_states)
     low[goal], high[live:] = 1.0, np.arange(live, model.n_states) == goal
     for _ in range(sweeps):
         for values in (low, high):
             total = (away * values[successors]).sum(axis=1)
-            held = values[np.repeat(states, actions)]
-            ahead = np.where(loops < 1.0, total / np.maximum(1.0 - loops, 1e-300), held)
-            values[:live] = ahead.reshape(live, actions).max(axis=1)
+            ahead = np.where(loops < 1.0, total / np.maximum(1.0 - loops, 1e-300), values[home])
+            values[:live] = ahead.reshape(live, -1).max(axis=1)
     return float(low[0]), float(high[0])
 
 
-@pytest.mark.parametrize("compiled", [False, True])
-@pytest.mark.parametrize(("side", "slip", "share", "seed"), [(34, 0.3, 0.1, 2), (33, 0.1, 0.1, 4)])
-def test_the_greatest_probability_of_a_grid_with_holes(
-    side: int,
-    slip: float,
-    share: float,
-    seed: int,
-    compiled: bool,
-    accelerate: Callable[[bool], None],
-) -> None:
-    if compiled:
+@pytest.fixture(params=[False, True], ids=["numpy", "compiled"])
+def either_way(request, accelerate):
+    if request.param:
         pytest.importorskip("numba")
-    accelerate(compiled)
+    accelerate(request.param)
+
+
+@pytest.mark.usefixtures("either_way")
+@pytest.mark.parametrize(("side", "slip", "share", "seed"), [(34, 0.3, 0.1, 2), (33, 0.1, 0.1, 4)])
+def test_the_greatest_probability_of_a_grid_with_holes(side, slip, share, seed):
     model = holes(side, slip=slip, share=share, seed=seed)
     solution = solve(MaxProb(model, 0), time_limit=_ENDS)
     low, high = enclosed(model, 2_000)
     assert low - 1e-9 <= solution.objective <= high + 1e-9
     assert solution.gap <= 1e-9
-    assert evaluate(solution.policy, solution.problem).goal_probability == pytest.approx(
-        solution.objective, rel=1e-9
-    )
+    attained = evaluate(solution.policy, solution.problem).goal_probability
+    assert attained == pytest.approx(solution.objective, rel=1e-9)
     assert certify(solution).accepted
 
 
 @pytest.mark.parametrize(
     ("side", "slip", "share", "seed"), [(44, 0.3, 0.1, 1), (60, 0.1, 0.07, 7), (60, 0.05, 0.1, 9)]
 )
-def test_least_failure_of_a_large_grid_ends_and_criteria_agree(
-    side: int, slip: float, share: float, seed: int
-) -> None:
+def test_least_failure_of_a_large_grid_ends_and_criteria_agree(side, slip, share, seed):
     """Where hardly anything fails, cost until failure and cost given success are one."""
     pytest.importorskip("numba")
     model = holes(side, slip=slip, share=share, seed=seed)
@@ -104,7 +95,7 @@ def test_least_failure_of_a_large_grid_ends_and_criteria_agree(
 
 
 @pytest.mark.parametrize("budget", [0.05, 0.2])
-def test_a_cost_given_success_is_swept_as_far_as_the_price_asks(budget: float) -> None:
+def test_a_cost_given_success_is_swept_as_far_as_the_price_asks(budget):
     """From the price of failure on it is best to fail: totals beyond twice as much tell nothing."""
     pytest.importorskip("numba")
     model = holes(40, seed=3)
@@ -118,19 +109,18 @@ def test_a_cost_given_success_is_swept_as_far_as_the_price_asks(budget: float) -
     assert certify(solution).accepted
 
 
-def test_a_start_that_surely_reaches_the_goal_is_decided_on_the_graph() -> None:
+def test_a_start_that_surely_reaches_the_goal_is_decided_on_the_graph():
     model = river(100, 1000)
     solution = solve(MaxProb(model, 0), time_limit=_ENDS)
     assert solution.objective == 1.0
     assert solution.gap == 0.0
     cheapest = solve(MinCost(model, 0), time_limit=_ENDS)
     assert cheapest.gap <= 1e-9
-    assert solve(MCMP(model, 0), time_limit=_ENDS).objective == pytest.approx(
-        cheapest.objective, rel=1e-9
-    )
+    known = solve(MCMP(model, 0), time_limit=_ENDS).objective
+    assert known == pytest.approx(cheapest.objective, rel=1e-9)
 
 
-def test_a_racetrack_of_seventy_thousand_states_ends() -> None:
+def test_a_racetrack_of_seventy_thousand_states_ends():
     pytest.importorskip("numba")
     model = racetrack(38)
     assert model.n_states == 70_758
@@ -139,18 +129,24 @@ def test_a_racetrack_of_seventy_thousand_states_ends() -> None:
     assert certify(solution).accepted
 
 
-@pytest.mark.parametrize("compiled", [False, True])
+def test_a_small_grid_whose_runs_are_long_has_an_answer():
+    """Runs of 1e8 steps: a bound by state reduction took a minute where it was not compiled."""
+    pytest.importorskip("numba")
+    problem = MaxProb(holes(27, slip=0.01, share=0.2, seed=111), 0)
+    solution = solve(problem, time_limit=_ENDS)
+    assert solution.status is not Status.TIME_LIMIT
+    attained = evaluate(solution.policy, problem).goal_probability
+    assert attained == pytest.approx(solution.objective, rel=1e-9)
+    assert solution.objective <= (solution.upper_bound or 0.0)
+
+
+@pytest.mark.usefixtures("either_way")
 @pytest.mark.parametrize(
     "model",
     [holes(40, seed=3), racetrack(10), headings(20), tandem(40), sysadmin(11), corridor(1_200)],
     ids=["holes", "racetrack", "headings", "tandem", "sysadmin", "corridor"],
 )
-def test_sweeps_enclose_what_policy_iteration_settles(
-    model: SSP, compiled: bool, accelerate: Callable[[bool], None]
-) -> None:
-    if compiled:
-        pytest.importorskip("numba")
-    accelerate(compiled)
+def test_sweeps_enclose_what_policy_iteration_settles(model):
     start = np.zeros(model.n_states)
     start[0] = 1.0
     settled = greatest_goal_reach(model, start=start)
@@ -162,15 +158,9 @@ def test_sweeps_enclose_what_policy_iteration_settles(
     assert swept.goal[0] - 1e-12 <= attained.goal_probability <= swept.bound[0] + 1e-12
 
 
-@pytest.mark.parametrize("compiled", [False, True])
-def test_where_the_time_ends_a_policy_towards_the_goal_is_in_hand(
-    compiled: bool, accelerate: Callable[[bool], None], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if compiled:
-        pytest.importorskip("numba")
-    accelerate(compiled)
-
-    def late(*_: object) -> None:
+@pytest.mark.usefixtures("either_way")
+def test_where_the_time_ends_a_policy_towards_the_goal_is_in_hand(monkeypatch):
+    def late(*_):
         raise Stop
 
     monkeypatch.setattr(extreme_reach, "_settled_reach", late)
@@ -183,7 +173,7 @@ def test_where_the_time_ends_a_policy_towards_the_goal_is_in_hand(
     assert 0.0 < solution.objective <= attained + 1e-12
 
 
-def test_where_no_policy_is_sure_the_least_failure_is_worked_out_when_it_is_read() -> None:
+def test_where_no_policy_is_sure_the_least_failure_is_worked_out_when_it_is_read():
     problem = MinCost(headings(20), 0)
     with pytest.raises(InfeasibleError, match="surely from state 0") as caught:
         solve(problem)
@@ -194,10 +184,8 @@ def test_where_no_policy_is_sure_the_least_failure_is_worked_out_when_it_is_read
     assert str(copy) == str(caught.value)
 
 
-def test_a_share_of_a_greatest_probability_that_nobody_had_the_time_for_is_no_budget(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def late(*_: object) -> None:
+def test_a_share_of_a_greatest_probability_that_nobody_had_the_time_for_is_no_budget(monkeypatch):
+    def late(*_):
         time.sleep(0.3)
         raise Stop
 
@@ -208,7 +196,7 @@ def test_a_share_of_a_greatest_probability_that_nobody_had_the_time_for_is_no_bu
         _ = AlphaMCMP(headings(20), 0, 0.9).failure_budget
 
 
-def test_a_policy_whose_run_is_exponentially_long_is_evaluated() -> None:
+def test_a_policy_whose_run_is_exponentially_long_is_evaluated():
     """A walk against the wind, which loses nothing: whoever arrives chooses 0.6."""
     pytest.importorskip("numba")
     length, onward = 1_300, 0.48
@@ -224,19 +212,41 @@ def test_a_policy_whose_run_is_exponentially_long_is_evaluated() -> None:
     assert solution.expected_cost == pytest.approx(steps + 1.0, rel=1e-9)
 
 
-def test_a_grid_with_real_costs_has_too_many_sums_to_follow() -> None:
+def test_a_grid_with_real_costs_has_too_many_sums_to_follow():
     """So many kinds of steps that to number what each leads to from every sum filled the memory."""
     model = holes(39, slip=0.2, share=0.08, seed=4)
     costs = model.costs * np.random.default_rng(4).uniform(0.5, 2.0, model.n_outcomes)
     assert resolution_of_costs(replace(model, costs=costs)) == Resolution()
 
 
-def test_a_small_grid_whose_runs_are_long_has_an_answer() -> None:
-    """Runs of 1e8 steps: a bound by state reduction took a minute where it was not compiled."""
-    pytest.importorskip("numba")
-    problem = MaxProb(holes(27, slip=0.01, share=0.2, seed=111), 0)
-    solution = solve(problem, time_limit=_ENDS)
-    assert solution.status is not Status.TIME_LIMIT
-    attained = evaluate(solution.policy, problem).goal_probability
-    assert attained == pytest.approx(solution.objective, rel=1e-9)
-    assert solution.objective <= (solution.upper_bound or 0.0)
+def halls(seed):
+    """Three free rings of rooms, with ways out of some of them, and passages that cost."""
+    rng, ways = np.random.default_rng(seed), {}
+    for hall in range(3):
+        for room in range(4):
+            here = {"round": [(1.0, (hall, (room + 1) % 4), 0.0)]}
+            if rng.random() < 0.7 or room == 0:
+                to = "G" if hall == 2 else (hall + 1, int(rng.integers(4)))
+                here["out"] = [(0.8, to, 1.0), (0.2, (0, 0), 2.0)]
+            if rng.random() < 0.5:
+                here["across"] = [(0.5, (hall, (room + 2) % 4), 0.0), (0.5, (hall, 0), 0.0)]
+            ways[hall, room] = here
+    ways["lone"] = {"in": [(1.0, (0, 1), 1.0)], "far": [(1.0, (1, 1), 3.0)]}
+    return SSP.from_transitions(ways, goal={"G"})
+
+
+@pytest.mark.usefixtures("either_way")
+@pytest.mark.parametrize("seed", range(5))
+def test_all_layers_at_once_are_each_by_itself(seed):
+    """Decisions of many layers pulled back, where free components are one place."""
+    model = halls(seed)
+    quotient = build_quotient(model, free=costless_pairs(model), exits=attention_states(model))
+    assert quotient.merged.any()
+    rng, first = np.random.default_rng(seed), quotient.pair_offsets[:-1]
+    choice = rng.integers(0, np.diff(quotient.pair_offsets), (50, quotient.n_nodes))
+    found = quotient.positions(first, choice)
+    for layer, positions in zip(choice, found, strict=True):
+        pairs = quotient.pull_back(first + layer)
+        np.testing.assert_array_equal(
+            positions, np.where(pairs < 0, pairs, pairs - model.pair_offsets[:-1])
+        )
