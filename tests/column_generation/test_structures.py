@@ -57,7 +57,7 @@ def test_every_structure_is_solved_to_proof(family, monkeypatch):
         assert found[0] == pytest.approx(found[1], rel=1e-9)
 
 
-# Twelve thousand states: the answer's two sides worked out apart from the library
+# Four thousand states: the answer's two sides worked out apart from the library
 
 
 def transitions(model):
@@ -98,13 +98,13 @@ def least_advantage(model, solution):
 @pytest.mark.parametrize(
     ("family", "size", "more"),
     [
-        *(("layered", size, {}) for size in ((1_200, 10), (120, 100), (12, 1_000))),
-        ("scattered", (12_000,), {}),
-        *(("grid", (110,), {"wind": wind, "seed": 1}) for wind in (0.0, 0.1, 0.3)),
-        *(("river", size, {"current": 0.2}) for size in ((60, 201), (200, 61))),
-        *(("corridor", (12_000,), {"drift": drift}) for drift in (0.01, 0.06)),
-        *(("rooms", size, {}) for size in ((30, 20), (120, 10))),
-        *(("ring", (12_000,), {"leak": leak}) for leak in (1e-3, 1e-5, 1e-7)),
+        *(("layered", size, {}) for size in ((400, 10), (40, 100), (8, 500))),
+        ("scattered", (4_000,), {}),
+        *(("grid", (64,), {"wind": wind, "seed": 1}) for wind in (0.0, 0.1, 0.3)),
+        *(("river", size, {"current": 0.2}) for size in ((30, 133), (130, 31))),
+        *(("corridor", (4_000,), {"drift": drift}) for drift in (0.01, 0.06)),
+        *(("rooms", size, {}) for size in ((10, 20), (40, 10))),
+        *(("ring", (4_000,), {"leak": leak}) for leak in (1e-3, 1e-5, 1e-7)),
     ],
 )
 def test_both_sides_of_the_optimum(family, size, more):

@@ -1,10 +1,9 @@
 """Compiled loops and their numpy twins: the same numbers, bit by bit where sums are ordered."""
 
-from __future__ import annotations
-
 import sys
 import time
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
@@ -27,12 +26,12 @@ from ssp_lp.dynamic_programming.bellman import (
 from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.model import SSP
 from ssp_lp.processes.rows import RowChoice, live_rows
-from tests.support.compiled import Switch, assert_same, both
+from tests.support.compiled import assert_same, both
 
 pytest.importorskip("numba")
 
 
-def random_pairs(rng: np.random.Generator, states: int = 60) -> tuple[np.ndarray, sp.csr_array]:
+def random_pairs(rng, states=60):
     """Pairs of random numbers of successors, some empty; some states without pairs."""
     offsets = np.append(0, np.cumsum(rng.integers(0, 5, states))).astype(np.int32)
     lengths = rng.integers(0, 7, offsets[-1])
@@ -43,7 +42,7 @@ def random_pairs(rng: np.random.Generator, states: int = 60) -> tuple[np.ndarray
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_backups_are_the_same_to_the_last_bit(accelerate: Switch, seed: int) -> None:
+def test_backups_are_the_same_to_the_last_bit(accelerate, seed):
     rng = np.random.default_rng(seed)
     offsets, transitions = random_pairs(rng)
     values = rng.normal(size=60)
@@ -52,7 +51,7 @@ def test_backups_are_the_same_to_the_last_bit(accelerate: Switch, seed: int) -> 
     held = np.minimum(offsets[:-1], fixed.size - 1)
     some = np.diff(offsets) > 0
 
-    def work() -> tuple[np.ndarray, ...]:
+    def work():
         backup = best_pairs(offsets, transitions, cost, values, held)
         safe = safe_minima(offsets, transitions, cost, fixed, fixed, values)
         return backup.minima, backup.choice[some], backup.here[some], safe
@@ -61,16 +60,14 @@ def test_backups_are_the_same_to_the_last_bit(accelerate: Switch, seed: int) -> 
 
 
 @pytest.mark.parametrize("vectors", [1, 2, 3, 4])
-def test_chains_are_the_same(
-    accelerate: Switch, vectors: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_chains_are_the_same(accelerate, vectors, monkeypatch):
     monkeypatch.setattr(bellman, "_FEW_ENTRIES", 0)
     rng = np.random.default_rng(vectors)
     _, transitions = random_pairs(rng, 3_000)
     choice = rng.integers(0, transitions.shape[0], 3_000).astype(np.int32)
     reward = rng.random((3_000, vectors))
 
-    def work() -> tuple[np.ndarray, ...]:
+    def work():
         copied = chosen_rows(transitions, choice)
         return chosen_product(transitions, choice, reward), copied @ reward
 
@@ -85,7 +82,7 @@ def test_chains_are_the_same(
 
 
 @pytest.mark.parametrize("slow", [0.86, 0.99, 0.9999])
-def test_slowly_leaving_chains_are_solved_too(accelerate: Switch, slow: float) -> None:
+def test_slowly_leaving_chains_are_solved_too(accelerate, slow):
     """Beyond the reach of sweeps: a ring that leaks little; every total is 1 / (1 - slow)."""
     n = 2_000
     after = (np.arange(n) + 1) % n
@@ -99,7 +96,7 @@ def test_slowly_leaving_chains_are_solved_too(accelerate: Switch, slow: float) -
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("departing", [False, True])
-def test_rows_are_the_same(accelerate: Switch, seed: int, departing: bool) -> None:
+def test_rows_are_the_same(accelerate, seed, departing):
     rng = np.random.default_rng(seed)
     lengths = rng.integers(1, 6, 80)
     offsets = np.append(0, np.cumsum(lengths))
@@ -127,15 +124,10 @@ def test_rows_are_the_same(accelerate: Switch, seed: int, departing: bool) -> No
 
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
 @pytest.mark.parametrize("discount", [None, 0.999])
-def test_solutions_are_the_same_with_and_without(
-    accelerate: Switch, criterion: type, discount: float | None
-) -> None:
+def test_solutions_are_the_same_with_and_without(accelerate, criterion, discount):
     grid = RobotGrid(segments=12, headings=8)
     problem = criterion(grid_model(grid), start_state(grid), 0.12, discount=discount)
-    accelerate(False)
-    plain = solve(problem)
-    accelerate(True)
-    compiled = solve(problem)
+    compiled, plain = both(accelerate, lambda: solve(problem))
     assert compiled.objective == pytest.approx(plain.objective, rel=1e-12)
     assert max(compiled.gap, plain.gap) <= 1e-9
     assert compiled.failure_probability == pytest.approx(plain.failure_probability, abs=1e-12)
@@ -144,14 +136,14 @@ def test_solutions_are_the_same_with_and_without(
     if discount is None:  # the same loops once more, on all cores
         from ssp_lp.compiled.cores import on_all_cores
 
+        accelerate(True)
         with on_all_cores():
             everywhere = solve(problem)
         assert everywhere.objective == pytest.approx(plain.objective, rel=1e-12)
 
 
-def test_a_table_too_large_to_keep_is_proved_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    grid = RobotGrid(segments=10, headings=6)
-    problem = S3P(grid_model(grid), start_state(grid), 0.2)
+def test_a_table_too_large_to_keep_is_proved_again(monkeypatch, coarse_robot):
+    problem = S3P(*coarse_robot, 0.2)
     kept = solve(problem)
     monkeypatch.setattr(sweep, "KEPT_VALUES", 0)
     dropped = solve(problem)
@@ -161,7 +153,7 @@ def test_a_table_too_large_to_keep_is_proved_again(monkeypatch: pytest.MonkeyPat
     assert certify(dropped).gap == pytest.approx(certify(kept).gap, abs=1e-12)
 
 
-def test_the_switch_knows_its_words(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_switch_knows_its_words(monkeypatch):
     for word, on in (("none", False), ("numba", True), ("", True)):
         monkeypatch.setenv(accelerator.SWITCH, word)
         accelerator.has_accelerator.cache_clear()
@@ -175,9 +167,7 @@ def test_the_switch_knows_its_words(monkeypatch: pytest.MonkeyPatch) -> None:
     accelerator.has_accelerator.cache_clear()
 
 
-def test_nothing_is_compiled_for_the_first_time_in_a_short_call(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_nothing_is_compiled_for_the_first_time_in_a_short_call(monkeypatch):
     """Numba cannot be interrupted: a call of a second that compiled would end ten seconds late."""
     monkeypatch.setattr(accelerator, "_is_compiled_before", lambda: False)
     monkeypatch.setitem(sys.modules, "ssp_lp.compiled.cores", None)
@@ -188,7 +178,7 @@ def test_nothing_is_compiled_for_the_first_time_in_a_short_call(
             assert (accelerator.least_entries() <= accelerator._COLD) is compiles
 
 
-def test_rows_are_filled_within_their_arrays() -> None:
+def test_rows_are_filled_within_their_arrays():
     """As plain Python, where reading beyond an array's end is an error rather than luck."""
     from ssp_lp.compiled import rows
 
@@ -207,26 +197,23 @@ def test_rows_are_filled_within_their_arrays() -> None:
         np.testing.assert_array_equal(data, np.ones(n))
 
 
-@pytest.mark.parametrize("costs", [(1.0, 0.0), (1.0, 2.0**0.5), (2.0**0.5, 0.0, 1.0)])
-@pytest.mark.parametrize(("budget", "back"), [(0.3, 1.0), (0.6, 1.0), (0.6, 0.0)])
+@pytest.mark.parametrize(
+    ("n", "costs", "budget", "back"),
+    [
+        *((12, (1.0, 0.0), *case) for case in ((0.3, 1.0), (0.6, 1.0), (0.6, 0.0))),
+        (3, (1.0, 2.0**0.5), 0.6, 1.0),  # sums are many layers
+        *((3, (2.0**0.5, 0.0, 1.0), *case) for case in ((0.3, 1.0), (0.6, 0.0))),
+    ],
+)
 def test_all_layers_in_one_pass_are_as_layer_by_layer(
-    accelerate: Switch,
-    monkeypatch: pytest.MonkeyPatch,
-    costs: tuple[float, ...],
-    budget: float,
-    back: float,
-) -> None:
+    accelerate, monkeypatch, n, costs, budget, back
+):
     """Sums and multiples of a unit as layers, free steps in order or round within them."""
-    n = 12
-    choices = {
-        i: {
-            str(k): [(0.7, i + 1, cost), (0.2 - 0.1 * k / 3, max(i - 2, 0), back * (cost + 1.0)),
-                     (0.1 + 0.1 * k / 3, "d", 1.0)]
-            for k, cost in enumerate(costs)
-        }
-        for i in range(n)
-    }  # fmt: skip
-    choices["d"] = {"stuck": [(1.0, "d", 1.0)]}
+    choices = {"d": {"stuck": [(1.0, "d", 1.0)]}}
+    for i, (k, cost) in product(range(n), enumerate(costs)):
+        falls = 0.1 + 0.1 * k / 3
+        before = 0.3 - falls, max(i - 2, 0), back * (cost + 1.0)
+        choices.setdefault(i, {})[k] = [(0.7, i + 1, cost), before, (falls, "d", 1.0)]
     model = SSP.from_transitions(choices, goal={n})
     least = solve(MaxProb(model, start=0)).failure_probability
     problem = S3P(model, start=0, failure_budget=least + budget * (1.0 - least))
@@ -244,9 +231,7 @@ def test_all_layers_in_one_pass_are_as_layer_by_layer(
     assert passed.gap <= 1e-9
 
 
-def test_compiling_for_the_first_time_is_announced_once(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_compiling_for_the_first_time_is_announced_once(monkeypatch, caplog):
     monkeypatch.setattr(accelerator, "has_accelerator", lambda: True)
     monkeypatch.setattr(accelerator, "_is_compiled_before", lambda: False)
     monkeypatch.setattr(accelerator, "_is_announced", cache(accelerator._is_announced.__wrapped__))

@@ -1,16 +1,14 @@
 """Rows that share their numbers are the rows, and choices followed forwards are worth the same."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
 
 from examples.domains.navigation import navigation
 from formulations import S3P
-from ssp_lp.accumulated_cost.charges import TOTAL_COST, Charge, ExcessCharge
+from ssp_lp.accumulated_cost.charges import TOTAL_COST, ExcessCharge
 from ssp_lp.accumulated_cost.sweep import Sweep
-from ssp_lp.column_generation.compiled_problem import CompiledArrivalCost, CompiledProblem
+from ssp_lp.column_generation.compiled_problem import CompiledArrivalCost
 from ssp_lp.column_generation.layered_pricing import LayeredPricing
 from ssp_lp.dynamic_programming import bellman
 from ssp_lp.dynamic_programming.bellman import (
@@ -24,12 +22,12 @@ from ssp_lp.dynamic_programming.bellman import (
 from ssp_lp.model import SSP
 from ssp_lp.processes import rows as module
 from ssp_lp.processes.rows import RowChoice, live_rows, shared_live_rows
-from tests.support.compiled import Switch, assert_same, both
+from tests.support.compiled import assert_same, both
 
 pytest.importorskip("numba")
 
 
-def repeating_model(rng: np.random.Generator, states: int = 200, kinds: int = 7) -> SSP:
+def repeating_model(rng, states=200, kinds=7):
     """Each pair has one of a few laws; some of their outcomes are impossible, one is sure."""
     laws = [np.ones(1)]
     for _ in range(kinds - 1):
@@ -49,7 +47,7 @@ def repeating_model(rng: np.random.Generator, states: int = 200, kinds: int = 7)
 
 
 @pytest.fixture
-def sharing(monkeypatch: pytest.MonkeyPatch, accelerate: Switch) -> None:
+def sharing(monkeypatch, accelerate):
     """Let rows share their numbers in small models too."""
     monkeypatch.setattr(module, "_WORTH_SHARING", 0)
     monkeypatch.setattr(module, "_MOST_NUMBERS", 512)
@@ -59,7 +57,7 @@ def sharing(monkeypatch: pytest.MonkeyPatch, accelerate: Switch) -> None:
 @pytest.mark.usefixtures("sharing")
 @pytest.mark.parametrize("survival", [1.0, 0.9])
 @pytest.mark.parametrize("width", [1, 3])
-def test_shared_rows_are_the_rows(survival: float, width: int) -> None:
+def test_shared_rows_are_the_rows(survival, width):
     rng = np.random.default_rng(width)
     model = repeating_model(rng)
     node_of = np.where(rng.random(201) < 0.9, np.arange(201), -1).astype(np.int32)
@@ -75,7 +73,7 @@ def test_shared_rows_are_the_rows(survival: float, width: int) -> None:
 
 
 @pytest.mark.usefixtures("sharing")
-def test_compiled_loops_read_both_kinds_of_rows_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiled_loops_read_both_kinds_of_rows_alike(monkeypatch):
     monkeypatch.setattr(bellman, "_FEW_ENTRIES", 0)
     rng = np.random.default_rng(5)
     model = repeating_model(rng)
@@ -98,7 +96,7 @@ def test_compiled_loops_read_both_kinds_of_rows_alike(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.usefixtures("sharing")
-def test_rows_that_hardly_repeat_are_written_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_that_hardly_repeat_are_written_out(monkeypatch):
     """Whether too many numbers differ for sharing to gain, or there is no room for them."""
     model = repeating_model(np.random.default_rng(1))
     every, pairs = np.arange(201, dtype=np.int32), np.arange(400, dtype=np.int32)
@@ -110,7 +108,7 @@ def test_rows_that_hardly_repeat_are_written_out(monkeypatch: pytest.MonkeyPatch
     assert isinstance(shared_live_rows(rows), sp.csr_array)
 
 
-def navigation_at(costs: tuple[float, ...]) -> tuple[SSP, int]:
+def navigation_at(costs):
     """A small grid whose pairs cost the given numbers in turn."""
     model, start = navigation(6, 5)
     priced = SSP.from_arrays(
@@ -125,7 +123,7 @@ def navigation_at(costs: tuple[float, ...]) -> tuple[SSP, int]:
     return priced, model.index_of(start)
 
 
-def measured(compiled: CompiledProblem) -> tuple[float, ...]:
+def measured(compiled):
     """What the best choice at a price comes to, and the same with other tails."""
     pricing = compiled.pricing()
     assert isinstance(pricing, LayeredPricing)
@@ -139,11 +137,8 @@ def measured(compiled: CompiledProblem) -> tuple[float, ...]:
 @pytest.mark.parametrize("costs", [(1.0,), (1.0, 2.0, 3.0), (0.0, 1.0)])
 @pytest.mark.parametrize("discount", [None, 0.97])
 def test_a_choice_is_worth_the_same_forwards_and_backwards(
-    monkeypatch: pytest.MonkeyPatch,
-    accelerate: Switch,
-    costs: tuple[float, ...],
-    discount: float | None,
-) -> None:
+    monkeypatch, accelerate, costs, discount
+):
     model, start = navigation_at(costs)
     monkeypatch.setattr(Sweep, "one_pass", None)
     problem = S3P(model, start, 0.9, discount=discount, cost_cap=30.0)
@@ -153,9 +148,7 @@ def test_a_choice_is_worth_the_same_forwards_and_backwards(
 
 @pytest.mark.usefixtures("sharing")
 @pytest.mark.parametrize("charge", [TOTAL_COST, ExcessCharge(7.5, 0.8)])
-def test_sums_of_steps_are_followed_likewise(
-    monkeypatch: pytest.MonkeyPatch, accelerate: Switch, charge: Charge
-) -> None:
+def test_sums_of_steps_are_followed_likewise(monkeypatch, accelerate, charge):
     model, start = navigation_at((2.0**0.5, 1.0, 0.5))
     monkeypatch.setattr(Sweep, "one_pass", None)
     begins = np.zeros(model.n_states)
@@ -167,9 +160,7 @@ def test_sums_of_steps_are_followed_likewise(
 
 @pytest.mark.parametrize("price", [3.0, 12.0, 30.0])
 @pytest.mark.parametrize("cap", [12.0, 40.0])
-def test_a_followed_choice_says_what_the_cap_costs(
-    monkeypatch: pytest.MonkeyPatch, accelerate: Switch, price: float, cap: float
-) -> None:
+def test_a_followed_choice_says_what_the_cap_costs(monkeypatch, accelerate, price, cap):
     """Without a second sweep, and never less than the two sweeps find."""
     model, start = navigation(6, 5)
     monkeypatch.setattr(Sweep, "one_pass", None)

@@ -1,8 +1,6 @@
 """Of equal actions the first is taken, whether loops run compiled or not."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -10,20 +8,19 @@ import pytest
 import formulations as criteria
 from formulations import MCMP
 from small_models import model_of
-from ssp_lp import SSP, MixedPolicy, SSPError, evaluate, solve, visits
-from tests.support.compiled import Switch
+from ssp_lp import SSP, SSPError, evaluate, solve, visits
 
 pytest.importorskip("numba")
 
 Case = tuple[str, Callable[[], object]]
 
 
-def with_duplicates(seed: int) -> tuple[SSP, object]:
+def with_duplicates(seed):
     """A drawn model whose actions may stand twice, turned round or with other last digits."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(4, 12))
     least = seed % 2  # where steps are free
-    table: dict[object, dict[str, list[tuple[float, object, float]]]] = {"pit": {}}
+    table = {"pit": {}}
     for state in range(n):
         actions = []
         for _ in range(int(rng.integers(1, 4))):
@@ -44,7 +41,7 @@ def with_duplicates(seed: int) -> tuple[SSP, object]:
     return model, 0
 
 
-def mirrored_grid(seed: int) -> tuple[SSP, object]:
+def mirrored_grid(seed):
     """A slippery grid that is its own mirror image at the diagonal, with holes on both sides."""
     rng = np.random.default_rng(seed)
     n, slip = int(rng.integers(3, 6)), float(rng.choice([0.1, 0.2, 0.3]))
@@ -52,7 +49,7 @@ def mirrored_grid(seed: int) -> tuple[SSP, object]:
     for x, y in rng.integers(0, n, (int(rng.integers(0, 3)), 2)).tolist():
         holes |= {(x, y), (y, x)} if 0 < x + y < 2 * n - 2 else set()
     moves = {"east": (1, 0), "north": (0, 1), "west": (-1, 0), "south": (0, -1)}
-    table: dict[object, dict[str, list[tuple[float, object, float]]]] = {}
+    table = {}
     for x, y in np.ndindex(n, n):
         if (x, y) == (n - 1, n - 1) or (x, y) in holes:
             continue
@@ -70,7 +67,7 @@ def mirrored_grid(seed: int) -> tuple[SSP, object]:
     return model, (0, 0)
 
 
-def cases(model: SSP, start: object) -> Iterator[Case]:
+def cases(model, start):
     """Every criterion, at budgets between the least failure and none."""
     best = solve(criteria.MaxProb(model, start)).objective
     is_free = bool((model.costs == 0.0).any())  # steps may go round within a layer of totals
@@ -100,7 +97,7 @@ def cases(model: SSP, start: object) -> Iterator[Case]:
     yield "EGUBS", lambda: criteria.EGUBS(model, start, -0.1, 1.0)
 
 
-def decisions(policy: MixedPolicy) -> list[dict[str, np.ndarray]]:
+def decisions(policy):
     """The whole numbers that each member decides by."""
     return [
         {
@@ -114,9 +111,7 @@ def decisions(policy: MixedPolicy) -> list[dict[str, np.ndarray]]:
 
 @pytest.mark.parametrize("draw", [with_duplicates, mirrored_grid])
 @pytest.mark.parametrize("seed", range(12))
-def test_compiled_loops_return_the_policy_that_numpy_does(
-    accelerate: Switch, draw: Callable[[int], tuple[SSP, object]], seed: int
-) -> None:
+def test_compiled_loops_return_the_policy_that_numpy_does(accelerate, draw, seed):
     accelerate(False)
     model, start = draw(seed)
     for name, made in cases(model, start):
@@ -142,12 +137,12 @@ def test_compiled_loops_return_the_policy_that_numpy_does(
 @pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize(("rare", "run", "dearer"), [(1e-5, 1e7, 1e-8), (1e-9, 1e9, 1e-4)])
 def test_what_is_rarely_entered_and_hardly_left_is_not_equal_there(
-    rare: float, run: float, dearer: float, compiled: bool, accelerate: Switch
-) -> None:
+    rare, run, dearer, compiled, accelerate
+):
     """Twice the run length of steps there, each nearly equal, would add up at the start."""
     accelerate(compiled)
 
-    def going(cost: float) -> list[tuple[float, str, float]]:
+    def going(cost):
         return [(1.0 / run, "g", cost), (1.0 - 1.0 / run, "r", cost)]
 
     choices = {

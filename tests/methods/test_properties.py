@@ -52,7 +52,7 @@ def checked(problem, method, budget):
     return solution
 
 
-@often(400)
+@often(200)
 @given(problems(), semantics, discounts, budgets | st.sampled_from([1e-9, 1e-6]))
 def test_mcmp_is_the_best_lottery_over_all_policies(drawn, meaning, discount, place):
     """Both methods meet the enumerated optimum, its price and its infeasibility."""
@@ -75,7 +75,7 @@ def test_mcmp_is_the_best_lottery_over_all_policies(drawn, meaning, discount, pl
         assert failure <= budget + 1e-12
 
 
-@often(150)
+@often(80)
 @given(problems(), semantics)
 def test_least_failure_and_then_least_cost(drawn, meaning):
     """Without a budget, in both cases."""
@@ -97,7 +97,7 @@ def test_least_failure_and_then_least_cost(drawn, meaning):
                 assert solution.conditional_cost == pytest.approx(value, **CLOSE)
 
 
-@often(150)
+@often(100)
 @given(problems())
 def test_goal_probabilities(drawn):
     """MAXPROB and MINPROB of every state, by enumeration."""
@@ -153,21 +153,21 @@ def check_s3p_price(reference, start, budget, solution, discount):
         assert low >= -room
 
 
-@often(120)
+@often(80)
 @given(problems(most_live=3, attention=True), discounts, budgets)
 def test_s3p_where_every_state_can_wait(drawn, discount, place):
     """Every live state is an attention state: layers up to kappa are exact."""
     check_s3p(drawn, discount, place)
 
 
-@often(80)
+@often(60)
 @given(acyclic_problems(), discounts, budgets)
 def test_s3p_where_every_run_ends(drawn, discount, place):
     """Acyclic models: the layers are finitely many."""
     check_s3p(drawn, discount, place)
 
 
-@often(120)
+@often(80)
 @given(problems(most_live=3), discounts, budgets)
 def test_s3p_with_cycles_that_cannot_be_left(drawn, discount, place):
     """Cycles outside the attention states: the library's tail against growing horizons."""

@@ -1,10 +1,6 @@
 """Frontiers over any limit: closed forms, optima at thirty bounds, refusals."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,24 +18,24 @@ from ssp_lp import (
     trace_frontier,
     visits,
 )
+from written_models import written
 
-SKID = model_of(
-    {
-        "a": {
-            "fast": [(0.9, "g", 1.0), (0.1, "skid", 1.0)],
-            "mid": [(0.98, "g", 4.0), (0.02, "wreck", 4.0)],
-            "slow": [(1.0, "g", 10.0)],
-        },
-        "skid": {"slide": [(0.5, "wreck", 0.0), (0.5, "ash", 0.0)]},
-    },
+SKID = written(
+    """
+    a fast: 0.9 g 1, 0.1 skid 1
+    a mid: 0.98 g 4, 0.02 wreck 4
+    a slow: g 10
+    skid slide: 0.5 wreck 0, 0.5 ash 0
+    """,
     labels={"crash": ["wreck"], "fire": ["ash"]},
 )
+FUEL = secondary_cost({k: {0: 0.5, 1: 1.0, 2: 1.5} for k in range(6)})
 
 
 @cache
-def town(seed: int) -> Any:
+def town(seed):
     """Six places in a row with three ways on each, from dear and safe to cheap and risky."""
-    rng, choices = np.random.default_rng(seed), dict[Any, Any]()
+    rng, choices = np.random.default_rng(seed), {}
     for k in range(6):
         on, choices[k] = "g" if k == 5 else k + 1, {}
         for way in range(3):
@@ -52,16 +48,15 @@ def town(seed: int) -> Any:
     return model_of(choices, labels={"crash": ["pit"], "cold": ["ice"]})
 
 
-def fuel_of(model: Any) -> Any:
-    return secondary_cost({k: {0: 0.5, 1: 1.0, 2: 1.5} for k in range(6)})
+def ending(label, bound):
+    return {label: end_probability(label) <= bound}
 
 
-def crashes(bound: float, **more: Any) -> Any:
-    limits = {"crash": end_probability("crash") <= bound, "fire": end_probability("fire") <= 0.03}
-    return MCMP(SKID, "a", 0.1, constraints=limits, **more)
+def crashes(bound):
+    return MCMP(SKID, "a", 0.1, constraints=ending("crash", bound) | ending("fire", 0.03))
 
 
-def test_the_frontier_over_crashes_in_closed_form() -> None:
+def test_the_frontier_over_crashes_in_closed_form():
     """Slow, mid, and as much of fast as 3 % of fires leave: three points on two lines."""
     frontier = trace_frontier(crashes(1.0), over="crash")
     assert frontier.over == "crash"
@@ -76,56 +71,37 @@ def test_the_frontier_over_crashes_in_closed_form() -> None:
     assert repr(frontier).startswith("Frontier(3 points, crash 0 .. 0.038, objective 10 .. 2.2")
 
 
-def over_failure(b: float) -> Any:
-    return MCMP(town(1), 0, b, constraints={"cold": end_probability("cold") <= 0.06})
-
-
-def given_success(b: float) -> Any:
-    model = town(2)
-    return S3P(model, 0, 0.4, constraints={"crash": end_probability("crash") <= b})
-
-
-def failing_given_success(b: float) -> Any:
-    model = town(3)
-    return S3P(model, 0, b, constraints={"fuel": fuel_of(model) <= 9.0})
-
-
-def reaching(b: float) -> Any:
-    model = town(4)
-    limits = {"cost": expected_cost() <= b, "fuel": fuel_of(model) <= 9.0}
-    return MaxProb(model, 0, constraints=limits)
-
-
-def in_time(b: float) -> Any:
-    model = town(5)
-    return MCMP(model, 0, 0.6, horizon=12, constraints={"crash": end_probability("crash") <= b})
-
-
-def discounted(b: float) -> Any:
-    model = town(6)
-    return MCMP(model, 0, 0.5, discount=0.95, constraints={"few": visits(3) <= b})
-
-
-def least_failure(b: float) -> Any:
-    model = town(7)
-    return ConstrainedCost(model, 0, {"fuel": CostLimit(fuel_of(model).terms[0][1].cost, b)}, 0.5)
-
-
-FINE = 1e-9
-CASES: dict[str, tuple[Callable[[float], Any], str, float]] = {
-    "failure, cold held": (over_failure, "failure", FINE),
-    "crash given success": (given_success, "crash", 2e-2),
-    "failure given success, fuel held": (failing_given_success, "failure", 2e-2),
-    "cost of the greatest goal": (reaching, "cost", FINE),
-    "crash within a horizon": (in_time, "crash", FINE),
-    "visits under a discount": (discounted, "few", FINE),
-    "a limit of the criterion's own": (least_failure, "fuel", FINE),
+FINE, ROUGH = 1e-9, 2e-2
+FUELLED = {"fuel": FUEL <= 9.0}
+STATED = {
+    "cold held": lambda b: MCMP(town(1), 0, b, constraints=ending("cold", 0.06)),
+    "given success": lambda b: S3P(town(2), 0, 0.4, constraints=ending("crash", b)),
+    "given success, fuel held": lambda b: S3P(town(3), 0, b, constraints=FUELLED),
+    "greatest goal": lambda b: MaxProb(
+        town(4), 0, constraints=FUELLED | {"cost": expected_cost() <= b}
+    ),
+    "horizon": lambda b: MCMP(town(5), 0, 0.6, horizon=12, constraints=ending("crash", b)),
+    "discount": lambda b: MCMP(town(6), 0, 0.5, 0.95, constraints={"few": visits(3) <= b}),
+    "the criterion's own": lambda b: ConstrainedCost(
+        town(7), 0, {"fuel": CostLimit(FUEL.terms[0][1].cost, b)}, 0.5
+    ),
 }
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_no_optimum_lies_outside_the_bounds(case: str) -> None:
-    stated, over, gap = CASES[case]
+@pytest.mark.parametrize(
+    ("case", "over", "gap"),
+    [
+        ("cold held", "failure", FINE),
+        ("given success", "crash", ROUGH),
+        ("given success, fuel held", "failure", ROUGH),
+        ("greatest goal", "cost", FINE),
+        ("horizon", "crash", FINE),
+        ("discount", "few", FINE),
+        ("the criterion's own", "fuel", FINE),
+    ],
+)
+def test_no_optimum_lies_outside_the_bounds(case, over, gap):
+    stated = STATED[case]
     frontier = trace_frontier(stated(0.5), over, gap=gap)
     assert (np.diff(frontier.spent) > 0.0).all()
     assert frontier.gap <= gap * (1.0 + 1e-12)
@@ -149,30 +125,29 @@ def test_no_optimum_lies_outside_the_bounds(case: str) -> None:
     assert refused.value.least_failure <= 1.0
 
 
-def test_tracing_that_was_cut_short_bounds_the_rest() -> None:
-    whole = trace_frontier(over_failure(0.5))
-    part = trace_frontier(over_failure(0.5), point_limit=3)
+def test_tracing_that_was_cut_short_bounds_the_rest():
+    whole = trace_frontier(STATED["cold held"](0.5))
+    part = trace_frontier(STATED["cold held"](0.5), point_limit=3)
     assert len(part.open_segments) > 0
     for bound in np.linspace(float(whole.spent[0]), float(whole.spent[-1]), 20).tolist():
         low, high = part.bounds_at(bound)
         assert low * (1.0 - 1e-9) <= whole.objective_at(bound) <= high * (1.0 + 1e-9)
 
 
-def test_what_no_limit_or_no_program_is_is_refused() -> None:
+def test_what_no_limit_or_no_program_is_is_refused():
     with pytest.raises(ModelError, match="'crahs'; did you mean 'crash'"):
         trace_frontier(crashes(1.0), over="crahs")
     kept = {"fire": end_probability("fire") >= 0.01}
     with pytest.raises(ModelError, match="bounds from below"):
         trace_frontier(MCMP(SKID, "a", 0.1, constraints=kept), over="fire")
-    limits = {"crash": end_probability("crash") <= 0.1}
     with pytest.raises(ModelError, match="no linear program"):
-        trace_frontier(CVaR(SKID, "a", 0.9, 0.1, constraints=limits), over="crash")
+        trace_frontier(CVaR(SKID, "a", 0.9, 0.1, constraints=ending("crash", 0.1)), over="crash")
     with pytest.raises(ModelError, match="steepest_price"):
         trace_frontier(crashes(1.0), over="crash", steepest_price=10.0)
 
 
-def test_a_utility_over_a_limit() -> None:
-    limits = {"crash": end_probability("crash") <= 0.5}
+def test_a_utility_over_a_limit():
+    limits = ending("crash", 0.5)
     problem = GUBS(SKID, "a", lambda c: np.exp(-0.1 * c), 1.0, constraints=limits)
     frontier = trace_frontier(problem, over="crash")
     assert frontier.maximises
