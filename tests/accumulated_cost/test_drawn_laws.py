@@ -82,7 +82,7 @@ def test_randomised_policies_have_the_enumerated_law(drawn_and_decisions, parts)
     check_law(law, reference.law(model, start_distribution(drawn.start), moves, most), most)
 
 
-@often(60)
+@often(30)
 @given(problems(most_live=3), st.sampled_from([0.5, 0.25, 0.05]))
 def test_policies_that_remember_cost_have_the_enumerated_law(drawn, budget):
     """Members of S3P's lotteries, and their mixture."""
