@@ -207,6 +207,11 @@ def test_a_failure_of_one_in_a_trillion_is_not_one_minus_something():
     assert certify(solution).failure == pytest.approx(1e-12, rel=1e-14)
 
 
+def test_a_state_out_of_reach_that_hardly_leaves_its_loop_does_not_spoil_the_program():
+    model = written(f"x go: g 1\n u loop: {1 - 1e-9} u 1, 1e-9 g 1")
+    assert solve(MCMP(model, "x", 0.5), method="lp").objective == pytest.approx(1.0)
+
+
 def test_limits_that_two_policies_meet_to_the_ninth_digit():
     """HiGHS takes the master's rows to contradict each other; one policy keeps to them."""
     model = written(

@@ -16,6 +16,7 @@ from drawn_programs import (
     drawn,
     measures_of,
     problems_of,
+    with_room,
 )
 from examples.domains.river import river
 from examples.domains.windy_field import windy_field
@@ -29,6 +30,9 @@ from ssp_lp import (
     end_probability,
     evaluate,
     expected_cost,
+    failure_probability,
+    goal_probability,
+    secondary_cost,
     solve,
     visits,
 )
@@ -348,6 +352,56 @@ def test_any_visits_make_a_measure():
             program.measure(solved.visits[1:])
         with pytest.raises(ModelError, match="x must be numbers, not 'often'"):
             program.measure("often")
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_expressions_are_what_evaluation_says(seed):
+    start = {"a": 0.75, "b": 0.125, "g": 0.125}
+    if (found := with_room(seed, start)) is None:
+        return
+    fuel = np.random.default_rng([26, seed]).integers(0, 3, size=found[0].n_pairs).astype(float)
+    counted = {
+        "fuel": secondary_cost(fuel),
+        "end": end_probability("pit") + 0.25,
+        "b": 2.0 * visits("b"),
+        "failing": failure_probability() / 2.0,
+    }
+    limits = {name: quantity <= 1e6 for name, quantity in counted.items()}
+    counted["goal"] = goal_probability()
+    limits["goal"] = counted["goal"] >= 0.0
+    for criterion in (MCMP, S3P):
+        problem = criterion(found[0], start, min(found[1] + 0.3, 1.0), constraints=limits)
+        program = problem.program()
+        measure = program.solve()
+        spent = evaluate(measure.randomised_policy(), problem).secondary_costs
+        for name, quantity in counted.items():
+            coefficients, constant = program.expression(quantity)
+            value = float(coefficients @ measure.visits) + constant
+            assert spent[name] == pytest.approx(value, rel=1e-7, abs=1e-7)
+
+
+def test_whole_numbers_shared_budgets_and_horizons():
+    """One action in each state; two programs within one budget; visits within so many steps."""
+    convex = MCMP(DEPOT, "depot", 0.05).program().to_cvxpy()
+    chosen = cp.Variable(2, boolean=True)
+    for k, action in enumerate(("road", "alley")):
+        convex.constraints[f"open {action}"] = convex.visits("depot", action) <= chosen[k]
+    convex.constraints["one"] = cp.sum(chosen) == 1
+    measure = convex.solve(solver=cp.SCIPY)
+    assert measure.objective == pytest.approx(8.96)
+    assert len(measure.mixed_policy().weights) == 1
+    a, b = (MCMP(*posed, 1.0).program().to_cvxpy() for posed in ((DEPOT, "depot"), (SLIP, "s")))
+    shared = a.expression(failure_probability()) + b.expression(failure_probability()) <= 0.05
+    rows = [*a.constraints.values(), *b.constraints.values(), shared]
+    cp.Problem(cp.Minimize(a.objective + b.objective), rows).solve(solver=cp.CLARABEL)
+    assert a.measure().objective == pytest.approx(6.2222222, rel=1e-6)  # the budget all its own
+    assert b.measure().objective == pytest.approx(2.0, rel=1e-6)
+    program = MCMP(TURNS, "s", 1.0, give_up="dead_ends", horizon=3).program()
+    gone = program.visits("s", "go")
+    assert gone @ program.solve().visits == pytest.approx(1.0)
+    convex = program.to_cvxpy()
+    convex.constraints["later"] = convex.visits("s", "go") <= 0.5
+    assert gone @ convex.solve(solver=cp.CLARABEL).visits <= 0.5 + 1e-6
 
 
 @pytest.mark.parametrize("field", [river(5, 5), windy_field(8, diagonal=1)])
