@@ -37,13 +37,12 @@ from ssp_lp.game.optimum import stationary_player
 from strategies import Draw, acyclic_problems, often, problems
 
 few = often(30)
-hundred = often(100)
 
 
 @given(
     st.floats(0.0, 1.0, exclude_min=True), st.floats(0.1, 1.0, exclude_max=True), st.integers(0, 50)
 )
-@hundred
+@often(100)
 def test_the_belief_follows_one_trajectory(alpha, gamma, time):
     """Section 3.3: nu^t(alpha) = alpha / (alpha + gamma^t (1 - alpha)), whatever was observed."""
     belief = alpha
@@ -69,14 +68,14 @@ def test_beliefs_out_of_range_are_refused():
         play(None, Game(1.0, 0.1))
 
 
-@hundred
+@few
 @given(problems(most_live=3), gammas, shares)
 def test_the_true_value_lies_between_the_bounds_in_case_m(drawn, gamma, share):
     """The stationary game's lower bound <= c* <= what its own policy really pays."""
     _check_bracket(drawn_problem(MCMP, drawn, share, gamma))
 
 
-@hundred
+@few
 @given(problems(most_live=2, most_cost=2), st.sampled_from([0.5, 0.3]), shares)
 def test_the_true_value_lies_between_the_bounds_in_case_s(drawn, gamma, share):
     """The same for J_obj / (1 - J_cond); the policy really pays success_cost / (1 - L)."""
