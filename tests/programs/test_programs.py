@@ -70,7 +70,7 @@ def check(problem, backend, accuracy):
         assert len(mixed.weights) <= len(tight) + 1
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(20))
 def test_the_program_has_the_optimum_and_its_policies_attain_it(seed):
     for problem in problems_of(seed):
         check(problem, None, 1e-9)
