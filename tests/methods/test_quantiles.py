@@ -103,7 +103,7 @@ def test_masses_too_small_for_a_number_end_in_nothing(accelerate):
 
 def test_bounds_that_no_price_refutes_are_doubled(monkeypatch):
     """While no policy keeps to a bound the search does not creep from one to the next."""
-    asked = CostQuantile(corridor(30), 0, 0.9999, 0.5)
+    asked = CostQuantile(corridor(20), 0, 0.9999, 0.5)
     least = solve(asked).objective
     monkeypatch.setattr(risk, "_last_refuted", lambda *given: -1)
     found = risk.least_quantile(asked, question_of(asked), SolveOptions(), (1.0, 0.0))

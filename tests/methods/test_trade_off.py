@@ -80,7 +80,7 @@ STATED = {
     "greatest goal": lambda b: MaxProb(
         town(4), 0, constraints=FUELLED | {"cost": expected_cost() <= b}
     ),
-    "horizon": lambda b: MCMP(town(5), 0, 0.6, horizon=12, constraints=ending("crash", b)),
+    "horizon": lambda b: MCMP(town(5), 0, 0.6, horizon=9, constraints=ending("crash", b)),
     "discount": lambda b: MCMP(town(6), 0, 0.5, 0.95, constraints={"few": visits(3) <= b}),
     "the criterion's own": lambda b: ConstrainedCost(
         town(7), 0, {"fuel": CostLimit(FUEL.terms[0][1].cost, b)}, 0.5
