@@ -1,7 +1,5 @@
 """Every public object and error survives a pickle, a copy and a deep copy, used or not."""
 
-from __future__ import annotations
-
 import copy
 import enum
 import importlib
@@ -10,9 +8,6 @@ import multiprocessing
 import os
 import pickle
 import re
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +17,7 @@ import ssp_lp
 from small_models import model_of
 from ssp_lp import SSPError, errors, solve
 
-COPIES: dict[str, Callable[[Any], Any]] = {
+COPIES = {
     "pickle": lambda given: pickle.loads(pickle.dumps(given)),  # noqa: S301
     "copy": copy.copy,
     "deepcopy": copy.deepcopy,
@@ -44,23 +39,23 @@ LIMIT = {"fuel": ssp_lp.expected_cost() <= 6.0, "seldom": ssp_lp.visits("y") <= 
 START = "x"
 
 
-def turned(memory: int, state: object, action: object, successor: object, cost: float) -> int:
+def turned(memory, state, action, successor, cost):
     """A memory that counts to one."""
     return 1
 
 
-def joy(costs: Any) -> Any:
+def joy(costs):
     """The less it costs the better."""
     return np.exp(-0.3 * costs)
 
 
-def hop(at: Any, action: str, draws: Any) -> Any:
+def hop(at, action, draws):
     """One step of a world on a line."""
     moved = at[0] + draws[0]
     return (moved,), 1.0, np.where(moved > 3.0, 1, 0)
 
 
-def problems() -> Iterator[Any]:
+def problems():
     """Every criterion, and what bends one: limits, horizons, shares, discounts, memories."""
     start = MODEL, START
     yield criteria.MCMP(*start, failure_budget=0.2)
@@ -88,7 +83,7 @@ def problems() -> Iterator[Any]:
     yield criteria.MCMP(remembering, (START, 0), failure_budget=0.2)
 
 
-def of_solving() -> Iterator[Any]:
+def of_solving():
     """What the verbs make of every problem."""
     for problem in problems():
         solution = solve(problem)
@@ -114,7 +109,7 @@ def of_solving() -> Iterator[Any]:
     yield from (comparison, comparison.rows[0])
 
 
-def of_models() -> Iterator[Any]:
+def of_models():
     """Models of every origin, and what they were made of."""
     noise = ssp_lp.Distribution.discrete([0.0, 1.0, 2.0], [0.3, 0.5, 0.2])
     axis = ssp_lp.Axis(0.0, 3.0, 3)
@@ -143,7 +138,7 @@ def of_models() -> Iterator[Any]:
     yield from (ssp_lp.DeterministicPolicies(), ssp_lp.Status.OPTIMAL)
 
 
-def of_files(folder: Path) -> Iterator[Any]:
+def of_files(folder):
     """What the rim hands out."""
     from ssp_lp import io, plotting
 
@@ -160,7 +155,7 @@ def of_files(folder: Path) -> Iterator[Any]:
     yield io.StepLimitWarning("cut")
 
 
-def of_gymnasium() -> Iterator[Any]:
+def of_gymnasium():
     """An environment's model, and a rollout in it."""
     gymnasium = pytest.importorskip("gymnasium")
     from ssp_lp import io
@@ -172,7 +167,7 @@ def of_gymnasium() -> Iterator[Any]:
     yield io.rollout(env, solve(problem).policy, episodes=3, seed=0)
 
 
-def facts(made: object) -> dict[str, str]:
+def facts(made):
     """What an object says of itself, all that is worked out on demand included."""
     told = {"": repr(made)}
     for name in dir(type(made)) + list(getattr(made, "__dict__", ())):
@@ -187,13 +182,13 @@ def facts(made: object) -> dict[str, str]:
     return {name: re.sub(r" at 0x\w+|\w*tmp\w*", "", text) for name, text in told.items()}
 
 
-def writable(made: object) -> set[str]:
+def writable(made):
     """The fields whose arrays may be written to."""
     arrays = {k: v for k, v in getattr(made, "__dict__", {}).items() if isinstance(v, np.ndarray)}
     return {name for name, array in arrays.items() if array.flags.writeable}
 
 
-def check_copies(made: object) -> None:
+def check_copies(made):
     """Used or not it is copied, says the same, and is as read-only."""
     for way, copied in COPIES.items():
         fresh = copied(made)
@@ -203,14 +198,14 @@ def check_copies(made: object) -> None:
     assert type(fresh) is type(made)
 
 
-def public_names() -> Iterator[tuple[str, Any]]:
+def public_names():
     for package in PACKAGES:
         module = importlib.import_module(package)
         yield from ((name, getattr(module, name)) for name in module.__all__)
 
 
-def test_every_public_object_is_copied(tmp_path: Path) -> None:
-    seen: set[type] = set()
+def test_every_public_object_is_copied(tmp_path):
+    seen = set()
     for kind in (of_solving, of_models, lambda: of_files(tmp_path), of_gymnasium):
         for made in kind():
             check_copies(made)
@@ -222,11 +217,11 @@ def test_every_public_object_is_copied(tmp_path: Path) -> None:
             assert pickle.loads(pickle.dumps(public)) is public, name  # noqa: S301
 
 
-def test_every_error_says_the_same_after_a_pickle_and_a_copy() -> None:
+def test_every_error_says_the_same_after_a_pickle_and_a_copy():
     kinds = [kind for _, kind in inspect.getmembers(errors, inspect.isclass)]
     told = ("a limit", errors.Argument("failure_budget", 0.1))
     carried = {"failure_budget": 0.1, "least_failure": 0.3, "conflicting_rows": ("fuel",)}
-    made: list[BaseException] = [errors.MissingDependencyError("numba", "fast")]
+    made = [errors.MissingDependencyError("numba", "fast")]
     made += [errors.InfeasibleError(*told, **carried)]
     kinds = [kind for kind in kinds if issubclass(kind, SSPError)]
     made += [kind(*told) for kind in kinds if kind not in map(type, made)]
@@ -239,7 +234,7 @@ def test_every_error_says_the_same_after_a_pickle_and_a_copy() -> None:
             assert vars(fresh) == vars(error)
 
 
-def test_an_answer_is_certified_after_a_pickle() -> None:
+def test_an_answer_is_certified_after_a_pickle():
     for problem in problems():
         solution = COPIES["pickle"](solve(problem))
         assert solution.policy.model is solution.problem.model
@@ -248,7 +243,7 @@ def test_an_answer_is_certified_after_a_pickle() -> None:
         assert ssp_lp.certify(solution).accepted
 
 
-def test_a_pool_hands_on_that_a_problem_is_infeasible() -> None:
+def test_a_pool_hands_on_that_a_problem_is_infeasible():
     """It would wait for ever for an error that cannot be read."""
     asked = [criteria.MCMP(MODEL, START, failure_budget=budget) for budget in (0.2, 0.01)]
     with multiprocessing.get_context("spawn").Pool(1) as pool:

@@ -1,7 +1,5 @@
 """The code of the README and of the pages in docs runs, and prints what they say; links lead on."""
 
-from __future__ import annotations
-
 import importlib
 import io
 import re
@@ -46,21 +44,21 @@ BY_THEMSELVES = {"docs/tutorial.md", "docs/program.md", "docs/guides/own_simulat
 """Pages whose code needs nothing of the README's."""
 
 
-def text_of(page: str) -> str:
+def text_of(page):
     return (ROOT / page).read_text(encoding="utf-8")
 
 
-def blocks_of(text: str) -> list[tuple[str, str]]:
+def blocks_of(text):
     """Language and body of each fenced block."""
     return re.findall(r"^```(\w+)\n(.*?)^```$", text, flags=re.DOTALL | re.MULTILINE)
 
 
-def run_blocks(text: str, namespace: dict[str, object]) -> int:
+def run_blocks(text, namespace):
     """Run the code in order; what is shown after it is what it printed. How much is shown.
 
     Lines of a shell that begin with the command are run, and the first JSON is their model.
     """
-    printed: list[str] = []
+    printed = []
     namespace["print"] = lambda *told: printed.append(" ".join(map(str, told)))
     shown = 0
     for language, body in blocks_of(text):
@@ -77,7 +75,7 @@ def run_blocks(text: str, namespace: dict[str, object]) -> int:
     return shown
 
 
-def run_shell(line: str) -> str:
+def run_shell(line):
     """What a line of a shell prints; it ends well."""
     told = io.StringIO()
     with redirect_stdout(told):
@@ -86,14 +84,14 @@ def run_shell(line: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def after_the_readme() -> dict[str, object]:
+def after_the_readme():
     """The names that the README's code leaves behind, with which every page goes on."""
-    namespace: dict[str, object] = {}
+    namespace = {}
     assert run_blocks(README, namespace) == SHOWN["README.md"]
     return namespace
 
 
-def test_every_page_with_code_is_run() -> None:
+def test_every_page_with_code_is_run():
     with_code = {
         page
         for page in PAGES
@@ -103,23 +101,18 @@ def test_every_page_with_code_is_run() -> None:
 
 
 @pytest.mark.parametrize("page", [page for page in SHOWN if page != "README.md"])
-def test_the_blocks_run_in_order(
-    page: str,
-    after_the_readme: dict[str, object],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_blocks_run_in_order(page, after_the_readme, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     before = {} if page in BY_THEMSELVES else dict(after_the_readme)
     assert run_blocks(text_of(page), before) == SHOWN[page]
 
 
-def test_the_first_problem_is_the_shortest_example(after_the_readme: dict[str, object]) -> None:
+def test_the_first_problem_is_the_shortest_example(after_the_readme):
     first = next(body for language, body in blocks_of(README) if language == "text")
     check_the_same(first, run_first_problem())
 
 
-def check_the_same(shown: str, printed: str) -> None:
+def check_the_same(shown, printed):
     """Line by line, but for gaps, which are rounding; more may be printed than is shown."""
     told = printed.splitlines()
     assert shown.strip()
@@ -127,7 +120,7 @@ def check_the_same(shown: str, printed: str) -> None:
         assert mine.split("(relative")[0].rstrip() == (theirs or "").split("(relative")[0].rstrip()
 
 
-def run_first_problem() -> str:
+def run_first_problem():
     """What the shortest example prints: the README's first problem."""
     printed = io.StringIO()
     with redirect_stdout(printed):
@@ -136,7 +129,7 @@ def run_first_problem() -> str:
     return printed.getvalue()
 
 
-def test_there_are_two_commands() -> None:
+def test_there_are_two_commands():
     commands = re.findall(r"```bash\n(.*?)\n```", README, flags=re.DOTALL)
     assert len(commands) == 2
     assert all("\n" not in command for command in commands)
@@ -144,14 +137,14 @@ def test_there_are_two_commands() -> None:
     assert "pytest" in commands[1]
 
 
-def anchors_of(text: str) -> set[str]:
+def anchors_of(text):
     """What a link to a heading is called: its words in small letters, joined by dashes."""
     headings = re.findall(r"^#+ (.*)$", text, flags=re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_links_and_pictures_are_there(page: str) -> None:
+def test_links_and_pictures_are_there(page):
     for link in re.findall(r"\]\(([^)\s]+)\)", text_of(page)):
         if link.startswith("https://"):
             continue
@@ -162,13 +155,13 @@ def test_links_and_pictures_are_there(page: str) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_files_that_are_named_are_there(page: str) -> None:
+def test_files_that_are_named_are_there(page):
     folders = r"(?:ssp_lp|formulations|examples|tests|docs)"
     for name in re.findall(rf"`(?:python )?({folders}/[\w./-]+)", text_of(page)):
         assert "NAME" in name or (ROOT / name).exists(), name
 
 
-def test_the_reference_names_everything_public() -> None:
+def test_the_reference_names_everything_public():
     """Each name on its pages is there, and each public name is on one of them."""
     pages = [text_of(page) for page in DOCS if page.startswith("docs/reference/")]
     named = re.findall(r"^::: ([\w.]+)$", "\n".join(pages), flags=re.MULTILINE)
@@ -185,7 +178,7 @@ def test_the_reference_names_everything_public() -> None:
     assert public - set(named) == {"ssp_lp.GIVE_UP", "formulations.CostLimit", *by_module}
 
 
-def test_every_page_stands_in_the_site() -> None:
+def test_every_page_stands_in_the_site():
     menu = text_of("docs/site/mkdocs.yml").partition("\nnav:")[2]
     listed = set(re.findall(r"([\w/]+\.md)$", menu, flags=re.MULTILINE))
     elsewhere = {"index.md", "contributing.md", "changelog.md", "examples.md"}

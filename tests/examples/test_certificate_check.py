@@ -5,7 +5,7 @@ from collections import Counter
 from examples.checks.certificate_check import EXACT, check
 
 
-def test_certificates_and_changed_ones() -> None:
+def test_certificates_and_changed_ones():
     tally = Counter[str]()
     for seed in range(16 * len(EXACT)):
         assert list(check(seed, 1, tally)) == [], seed

@@ -1,11 +1,8 @@
 """The solver comparison: rows for all that can happen to a solver, and numbers that agree."""
 
-from __future__ import annotations
-
 import json
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
@@ -32,17 +29,17 @@ from examples.solver_comparison.solvers.catalogue import SOLVERS, Order, Solver
 SMALL = "random-400-M"
 
 
-def solved(solver: str, seconds: float, **more: object) -> SolverRun:
+def solved(solver, seconds, **more):
     entries = {"instance": SMALL, "solver": solver, "outcome": "solved", "time_limit": 60.0}
     return run_from_json({**entries, "seconds": seconds, "calls": 1, **more})
 
 
 @pytest.mark.parametrize("name", DEFAULT_INSTANCES)
-def test_names_of_instances_are_read_back(name: str) -> None:
+def test_names_of_instances_are_read_back(name):
     assert parse_instance(name).name == name
 
 
-def test_names_carry_caps_and_discounts() -> None:
+def test_names_carry_caps_and_discounts():
     assert parse_instance("robot-20x12-S80").cost_cap == 80.0
     assert parse_instance("robot-20x12-M@0.999") == Instance("robot", (20, 12), "M", None, 0.999)
     for name in ("robot-20-M", "random-5x5-M", "maze-20-M", "robot-20x12-X"):
@@ -50,7 +47,7 @@ def test_names_carry_caps_and_discounts() -> None:
             parse_instance(name)
 
 
-def test_criteria_without_a_budget_are_compared_with_storm(tmp_path: Path) -> None:
+def test_criteria_without_a_budget_are_compared_with_storm(tmp_path):
     pytest.importorskip("stormpy")
     asked = ["blocks-3-P", "blocks-3-C", "tandem-6-P", "tandem-6-C"]
     runs = compare_solvers.main(
@@ -61,12 +58,12 @@ def test_criteria_without_a_budget_are_compared_with_storm(tmp_path: Path) -> No
     assert [run.objective for run in runs[6:]] == [None, None]  # nobody is sure to get there
 
 
-def test_large_instances_are_warmed_up_on_a_small_one() -> None:
+def test_large_instances_are_warmed_up_on_a_small_one():
     assert parse_instance("robot-80x36-S80").warm_up.name == "robot-20x12-S80"
     assert parse_instance("robot-6x6-M").warm_up.name == "robot-6x6-M"
 
 
-def test_solvers_agree_each_in_a_process_of_its_own(tmp_path: Path) -> None:
+def test_solvers_agree_each_in_a_process_of_its_own(tmp_path):
     chosen = ["columns", "highs-ipx"]
     runs = compare_solvers.main(
         ["--instances", SMALL, "--solvers", *chosen, "--repeat", "2", "--output", str(tmp_path)]
@@ -88,7 +85,7 @@ def test_solvers_agree_each_in_a_process_of_its_own(tmp_path: Path) -> None:
     assert (tmp_path / "comparison.png").stat().st_size > 10_000
 
 
-def test_a_solver_that_hangs_is_ended_with_all_it_started(tmp_path: Path) -> None:
+def test_a_solver_that_hangs_is_ended_with_all_it_started(tmp_path):
     mark = tmp_path / "grandchild"
     late = f"import time; time.sleep(2); open({str(mark)!r}, 'w')"
     hanging = (
@@ -108,7 +105,7 @@ def test_a_solver_that_hangs_is_ended_with_all_it_started(tmp_path: Path) -> Non
     assert not mark.exists()
 
 
-def test_a_crash_is_a_row_with_its_reason() -> None:
+def test_a_crash_is_a_row_with_its_reason():
     order = Order(SMALL, "columns", time_limit=9.0, repeat=1, tolerance=1e-9)
     for code, reason in (
         ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "SIGSEGV"),
@@ -119,7 +116,7 @@ def test_a_crash_is_a_row_with_its_reason() -> None:
         assert run.note == reason
 
 
-def test_a_solver_that_is_refused_memory_ran_out_of_it() -> None:
+def test_a_solver_that_is_refused_memory_ran_out_of_it():
     order = Order(SMALL, "columns", time_limit=9.0, repeat=1, tolerance=1e-9)
     aborted = "import os, sys; print('std::bad_alloc', file=sys.stderr, flush=True); os.abort()"
     run = compare_solvers.run_solver(order, Limits(9.0, 9.0), [sys.executable, "-c", aborted])
@@ -128,13 +125,13 @@ def test_a_solver_that_is_refused_memory_ran_out_of_it() -> None:
 
 
 @pytest.mark.skipif(process_memory(1) is None, reason="the memory of others cannot be read here")
-def test_a_process_over_its_memory_is_ended() -> None:
+def test_a_process_over_its_memory_is_ended():
     greedy = "x = bytearray(200_000_000)\nimport time; time.sleep(30)"
     ending = watch([sys.executable, "-c", greedy], Limits(9.0, 9.0, memory=100e6))
     assert ending.outcome is Outcome.OUT_OF_MEMORY
 
 
-def test_what_is_not_installed_is_a_row(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_what_is_not_installed_is_a_row(monkeypatch, tmp_path):
     from examples.solver_comparison.measuring import worker
 
     absent = Solver("absent", "nowhere", package="a_package_nobody_has", pip="pip install it")
@@ -146,17 +143,17 @@ def test_what_is_not_installed_is_a_row(monkeypatch: pytest.MonkeyPatch, tmp_pat
     assert entries[-1] == {"outcome": "not installed", "note": "pip install it", "phase": "done"}
 
 
-def test_an_error_in_a_solver_is_a_row() -> None:
+def test_an_error_in_a_solver_is_a_row():
     order = Order(SMALL, "no-such-method", time_limit=9.0, repeat=1, tolerance=1e-9)
     run = compare_solvers.run_solver(order, Limits(60.0, 9.0))
     assert run.outcome is Outcome.FAILED
     assert run.note.startswith("ModelError: method must be one of")
 
 
-def test_larger_instances_are_left_out_after_a_time_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_larger_instances_are_left_out_after_a_time_out(monkeypatch):
     asked = []
 
-    def late(order: Order, limits: Limits) -> SolverRun:
+    def late(order, limits):
         asked.append(order.instance)
         return SolverRun(order.instance, order.solver, Outcome.TIME_OUT, limits.call_seconds)
 
@@ -168,7 +165,7 @@ def test_larger_instances_are_left_out_after_a_time_out(monkeypatch: pytest.Monk
     assert [run.outcome for run in runs] == ["time-out", "skipped", "time-out"]
 
 
-def test_the_table_has_a_row_per_run_and_ratios() -> None:
+def test_the_table_has_a_row_per_run_and_ratios():
     runs = [
         solved("columns", 0.5, objective=1.25, gap=1e-12),
         solved("storm", 2.0),
@@ -184,7 +181,7 @@ def test_the_table_has_a_row_per_run_and_ratios() -> None:
     assert rows[3].endswith("not installed: pip install hipo")
 
 
-def test_an_answer_far_from_the_certified_one_is_wrong() -> None:
+def test_an_answer_far_from_the_certified_one_is_wrong():
     near, far = 10.0 * (1 + 1e-5), 10.0 * (1 + 1e-3)
     runs = [solved("storm", 1.0, objective=far), solved("columns", 1.0, objective=10.0)]
     runs = judged([*runs, solved("lp-ipx", 1.0, objective=near)])
@@ -192,24 +189,24 @@ def test_an_answer_far_from_the_certified_one_is_wrong() -> None:
     assert runs[0].note == "off the certified value by 0.001"
 
 
-def test_rows_without_sizes_take_those_of_the_instance() -> None:
+def test_rows_without_sizes_take_those_of_the_instance():
     late = SolverRun(SMALL, "storm", Outcome.SKIPPED, 60.0)
     rows = completed([solved("columns", 1.0, states=3, pairs=4, transitions=5), late])
     assert (rows[1].states, rows[1].pairs, rows[1].transitions) == (3, 4, 5)
 
 
-def test_runs_survive_json() -> None:
+def test_runs_survive_json():
     run = solved("columns", 0.5, objective=1.25, gap=1e-12, backups=3, note="words")
     assert run_from_json(json.loads(json.dumps(run_to_json(run)))) == run
 
 
-def test_every_solver_says_how_it_is_installed() -> None:
+def test_every_solver_says_how_it_is_installed():
     assert all(solver.pip.startswith("pip install") for solver in SOLVERS)
     assert len({solver.name for solver in SOLVERS}) == len(SOLVERS)
 
 
-def test_growth_compares_a_refinement_with_the_one_before() -> None:
-    def member(name: str, transitions: int, backups: int, seconds: float) -> SolverRun:
+def test_growth_compares_a_refinement_with_the_one_before():
+    def member(name, transitions, backups, seconds):
         sizes = {"instance": name, "transitions": transitions, "states": 10, "pairs": 50}
         return solved("columns", seconds, **sizes, backups=backups, products=50)
 

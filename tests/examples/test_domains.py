@@ -7,7 +7,6 @@ import pytest
 
 from bisimulation import compare
 from cases import PUBLISHED
-from examples.domains.domain import Domain
 from examples.domains.navigation import GONE, navigation
 from examples.domains.rectangle_tireworld import WRECK, rectangle_tireworld
 from examples.domains.river import river
@@ -19,17 +18,17 @@ from ssp_lp import ModelError, solve
 from ssp_lp.processes.goal_reach import max_goal_probability, min_goal_probability
 
 
-def mcmp(domain: Domain, budget):
+def mcmp(domain, budget):
     """Least cost until success or failure within the budget; nothing is charged for failing."""
     return solve(MCMP(*domain, failure_budget=budget, **PUBLISHED))
 
 
-def s3p(domain: Domain, budget):
+def s3p(domain, budget):
     """Least cost of the runs that succeed, within the budget."""
     return solve(S3P(*domain, failure_budget=budget))
 
 
-def greatest(domain: Domain) -> float:
+def greatest(domain):
     """The greatest probability of success from the start."""
     return max_goal_probability(domain.model)[domain.model.index_of(domain.start)]
 

@@ -1,14 +1,12 @@
 """Draws of family and criterion: each is told in a line and counted."""
 
-from __future__ import annotations
-
 import pytest
 
 from examples.checks import family_draws
 from examples.solver_comparison.instances.families import FAMILIES
 
 
-def test_small_draws_are_closed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_small_draws_are_closed(capsys):
     small = ["--states", "60", "120", "--families", "blocks", "factored", "tandem"]
     asked = ["--criteria", "MCMP", "S3P least", "MaxProb", "--draws", "3", *small]
     assert family_draws.main(asked) == 0
@@ -17,7 +15,7 @@ def test_small_draws_are_closed(capsys: pytest.CaptureFixture[str]) -> None:
     assert all("proof" in line for line in lines)
 
 
-def test_sizes_are_those_of_known_families() -> None:
+def test_sizes_are_those_of_known_families():
     assert family_draws.SIZES.keys() <= FAMILIES.keys()
 
 
@@ -32,5 +30,5 @@ def test_sizes_are_those_of_known_families() -> None:
         ({"end": "cannot", "seconds": 1.0}, ["closed"]),
     ],
 )
-def test_verdicts(told: dict, words: list[str]) -> None:
+def test_verdicts(told, words):
     assert family_draws.verdict({**told, "hung": False}, 5.0) == words

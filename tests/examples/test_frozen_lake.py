@@ -1,7 +1,5 @@
 """The frozen lake: certified with the step limit, and misled without it."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import warnings
@@ -12,7 +10,7 @@ import pytest
 EXAMPLE = Path(__file__).parents[2] / "examples/formulating/frozen_lake.py"
 
 
-def test_the_example_tells_both_horizons(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_example_tells_both_horizons(capsys):
     pytest.importorskip("gymnasium")
     with warnings.catch_warnings():
         runpy.run_path(str(EXAMPLE))

@@ -3,7 +3,7 @@
 import pytest
 
 
-def test_every_picture_is_saved(tmp_path) -> None:
+def test_every_picture_is_saved(tmp_path):
     matplotlib = pytest.importorskip("matplotlib")
     matplotlib.use("Agg")
     from examples.formulating import gallery

@@ -1,7 +1,5 @@
 """Every script says what it does when asked for help, and does nothing else."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import sys
@@ -18,14 +16,12 @@ SCRIPTS = sorted(
 )
 
 
-def test_there_are_scripts() -> None:
+def test_there_are_scripts():
     assert len(SCRIPTS) >= 12
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
-def test_help_is_all_that_happens(
-    script: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_help_is_all_that_happens(script, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", [str(script), "--help"])
     with pytest.raises(SystemExit) as caught:
         runpy.run_path(str(script), run_name="__main__")

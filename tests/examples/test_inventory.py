@@ -6,7 +6,7 @@ from examples.domains.inventory import START, season, table
 from ssp_lp import WorldSimulator
 
 
-def test_the_model_keeps_to_its_budget_and_the_world_nearly() -> None:
+def test_the_model_keeps_to_its_budget_and_the_world_nearly():
     """The grid forgets where in its cell the stock was: what it claims of the world is no proof."""
     ((budget, cost, failure, low, high, world_cost),) = table(budgets=(0.05,), episodes=4000)
     assert abs(failure - budget) < 1e-6
@@ -14,7 +14,7 @@ def test_the_model_keeps_to_its_budget_and_the_world_nearly() -> None:
     assert abs(world_cost - cost) < 0.02 * cost
 
 
-def test_the_week_goes_on_and_the_stock_goes_down() -> None:
+def test_the_week_goes_on_and_the_stock_goes_down():
     world = season(cells=60)
     state = WorldSimulator(world, START)
     begin, cell = state.reset(500, np.random.default_rng(0))

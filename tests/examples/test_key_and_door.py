@@ -3,7 +3,7 @@
 import pytest
 
 
-def test_the_example_draws_a_task(tmp_path, capsys) -> None:
+def test_the_example_draws_a_task(tmp_path, capsys):
     pytest.importorskip("matplotlib")
     from examples.formulating import key_and_door
 

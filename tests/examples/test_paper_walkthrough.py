@@ -1,7 +1,5 @@
 """The walkthrough of the paper: every number agrees with its closed form, section by section."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -15,34 +13,34 @@ PAGE = (Path(__file__).parents[2] / "docs/robot.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("title", walkthrough.SECTIONS)
-def test_section(title: str) -> None:
+def test_section(title):
     rows = walkthrough.SECTIONS[title]()
     assert rows
     wrong = [row for row in rows if not row.agrees]
     assert not wrong
 
 
-def test_rows_tell_what_does_not_agree() -> None:
+def test_rows_tell_what_does_not_agree():
     assert Row("same", 2.0 + 1e-8, 2).agrees
     assert not Row("off", 2.0 + 1e-7, 2).agrees
     assert Row("near", 2.1, 2, bound=0.11).agrees
     assert not Row("far", 2.1, 2, bound=0.09).agrees
 
 
-def test_it_prints_all_sections(capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_prints_all_sections(capsys):
     walkthrough.main([])
     told = capsys.readouterr().out
     assert all(title in told for title in walkthrough.SECTIONS)
 
 
-def cells(text: str) -> list[list[str]]:
+def cells(text):
     """The table that is headed by c-hat, without its head and rule."""
     lines = [line for line in text.splitlines() if line.startswith("|")]
     first = next(i for i, line in enumerate(lines) if "c-hat" in line)
     return [[c.strip() for c in line.strip("|").split("|")] for line in lines[first + 2 :][:5]]
 
 
-def test_the_robots_table_is_that_of_its_page_and_closes() -> None:
+def test_the_robots_table_is_that_of_its_page_and_closes():
     found, told = cells(robot_text(RobotGrid())), cells(PAGE)
     exact = float(found[-1][1])
     widths = []

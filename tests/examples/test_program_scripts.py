@@ -1,7 +1,5 @@
 """The chapter "The program" as scripts: what each finds against brute force or the definition."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from dataclasses import replace
@@ -19,7 +17,7 @@ from examples.formulating import (
     sweep,
     two_robots,
 )
-from ssp_lp import SSP, DeterministicPolicies, evaluate, failure_probability, solve, trace_frontier
+from ssp_lp import DeterministicPolicies, evaluate, failure_probability, solve, trace_frontier
 
 PROBLEMS = list(files.problems())
 BY_CLARABEL = {"rel": 1e-6, "abs": 1e-6}
@@ -31,7 +29,7 @@ class Definition:
     Every step costs something, and nobody gives up: nothing else can happen.
     """
 
-    def __init__(self, model: SSP, start: object) -> None:
+    def __init__(self, model, start):
         self.model, rows = model, model.outcome_offsets[:-1]
         self.x = cp.Variable(model.n_pairs, nonneg=True)
         acting = np.unique(model.pair_state)
@@ -45,22 +43,22 @@ class Definition:
         begun = np.arange(model.n_states) == model.index_of(start)
         self.rows = [balance[acting] @ self.x == begun[acting].astype(float)]
 
-    def visits(self, state: object, action: object | None = None) -> cp.Expression:
+    def visits(self, state, action=None):
         """How often a state acts, or acts so."""
         pairs = np.flatnonzero(self.model.pair_state == self.model.index_of(state))
         return cp.sum(self.x[[k for k in pairs if action in (None, self.model.action_of(k))]])
 
-    def expression(self, quantity: object) -> cp.Expression:
+    def expression(self, quantity):
         """The probability of failing, the only quantity that the scripts ask for."""
         assert repr(quantity) == repr(failure_probability())
         return self.failing @ self.x
 
-    def least(self) -> float:
+    def least(self):
         """The optimum."""
         return float(cp.Problem(cp.Minimize(self.cost @ self.x), self.rows).solve(cp.CLARABEL))
 
 
-def test_rows_of_ones_own_are_those_of_the_definition() -> None:
+def test_rows_of_ones_own_are_those_of_the_definition():
     problem = rows_of_ones_own.crossing()
     defined = Definition(problem.model, problem.start)
     defined.rows.append(defined.failing @ defined.x <= problem.failure_budget)
@@ -79,7 +77,7 @@ def test_rows_of_ones_own_are_those_of_the_definition() -> None:
     assert np.all(np.diff(costs) > 1e-3)  # each of them matters
 
 
-def test_a_congested_fleet_has_equal_marginal_costs() -> None:
+def test_a_congested_fleet_has_equal_marginal_costs():
     measure, theory = convex_objectives.fleet()
     for road, share in theory.items():
         taken = measure.program.visits("depot", road) @ measure.visits
@@ -89,13 +87,13 @@ def test_a_congested_fleet_has_equal_marginal_costs() -> None:
     assert sum(theory.values()) == pytest.approx(1.0)
 
 
-def test_entropy_is_soft_value_iteration() -> None:
+def test_entropy_is_soft_value_iteration():
     measure, value = convex_objectives.robot()
     assert measure.minimised == pytest.approx(value, rel=1e-6)
     assert measure.activity["failure"] == pytest.approx(convex_objectives.LOST_ROBOTS, abs=1e-6)
 
 
-def test_the_stations_are_the_best_of_all_sets() -> None:
+def test_the_stations_are_the_best_of_all_sets():
     problem = stations.delivery(stations.PRICES)
     measure, chosen = stations.built(problem)
     costs = dict(stations.by_enumeration())
@@ -108,7 +106,7 @@ def test_the_stations_are_the_best_of_all_sets() -> None:
     assert found.objective + prices == pytest.approx(costs[chosen], rel=1e-7)
 
 
-def every_policy(problem: one_action.MCMP) -> tuple[np.ndarray, np.ndarray]:
+def every_policy(problem):
     """Cost and failure of every deterministic policy; infinite cost where it goes on for ever."""
     model, defined = problem.model, Definition(problem.model, problem.start)
     acting, n = np.unique(model.pair_state), model.n_states
@@ -129,7 +127,7 @@ def every_policy(problem: one_action.MCMP) -> tuple[np.ndarray, np.ndarray]:
     return cost, (times * defined.failing[choices]).sum(axis=1)
 
 
-def test_one_action_a_state_is_the_best_of_all_policies() -> None:
+def test_one_action_a_state_is_the_best_of_all_policies():
     model, start = one_action.river(4, 3)
     problem = one_action.MCMP(model, start, failure_budget=0.0, give_up="dead_ends")
     cost, failure = every_policy(problem)
@@ -143,7 +141,7 @@ def test_one_action_a_state_is_the_best_of_all_policies() -> None:
         assert len(way) == np.count_nonzero(measure.visits > one_action.TAKEN)
 
 
-def test_two_robots_share_as_their_frontiers_do() -> None:
+def test_two_robots_share_as_their_frontiers_do():
     problems = two_robots.robots()
     frontiers = trace_frontier(problems[0]), trace_frontier(problems[1])
     defined = [Definition(problem.model, problem.start) for problem in problems]
@@ -162,14 +160,14 @@ def test_two_robots_share_as_their_frontiers_do() -> None:
 
 
 @pytest.mark.parametrize("swept", [sweep.least_cost, sweep.cost_given_success])
-def test_a_sweep_walks_along_the_frontier(swept) -> None:
+def test_a_sweep_walks_along_the_frontier(swept):
     found = [(budget, measure.objective, known) for budget, measure, known in swept()]
     assert [budget for budget, _, _ in found] == list(sweep.BUDGETS)
     for _, objective, known in found:
         assert objective == pytest.approx(known, **BY_CLARABEL)
 
 
-def test_a_sweep_of_least_cost_is_that_of_the_definition() -> None:
+def test_a_sweep_of_least_cost_is_that_of_the_definition():
     defined, budget = Definition(*sweep.crossing()), cp.Parameter()
     defined.rows.append(defined.failing @ defined.x <= budget)
     for budget.value, measure, _ in sweep.least_cost():
@@ -180,7 +178,7 @@ def test_a_sweep_of_least_cost_is_that_of_the_definition() -> None:
 
 
 @pytest.mark.parametrize(("name", "problem"), PROBLEMS, ids=[name for name, _ in PROBLEMS])
-def test_files_are_solved_elsewhere_and_read_back(name: str, problem, tmp_path) -> None:
+def test_files_are_solved_elsewhere_and_read_back(name, problem, tmp_path):
     known = solve(problem).objective
     highs, clarabel = files.round_trip(problem, tmp_path)
     for measure in (highs, clarabel):
@@ -199,7 +197,7 @@ SCRIPTS = {
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.__name__)
-def test_the_script_prints_what_it_finds(script, capsys) -> None:
+def test_the_script_prints_what_it_finds(script, capsys):
     script.main()
     printed = capsys.readouterr().out
     assert SCRIPTS[script] in printed
@@ -207,7 +205,7 @@ def test_the_script_prints_what_it_finds(script, capsys) -> None:
     assert not re.search(r"\bnan\b", printed)
 
 
-def test_the_script_of_files_leaves_them(tmp_path, capsys) -> None:
+def test_the_script_of_files_leaves_them(tmp_path, capsys):
     files.main(["--output", str(tmp_path)])
     assert "CostBoundedReach" in capsys.readouterr().out
     assert len(list(tmp_path.glob("*/program.mps"))) == len(PROBLEMS)

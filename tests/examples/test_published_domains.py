@@ -3,13 +3,11 @@
 The published models are those of `cases`.
 """
 
-from fractions import Fraction
-
 import numpy as np
 import pytest
 
 from bisimulation import compare
-from cases import Case, load_case
+from cases import load_case
 from examples.domains.domain import Domain
 from examples.domains.navigation import navigation
 from examples.domains.rectangle_tireworld import rectangle_tireworld
@@ -20,7 +18,7 @@ from ssp_lp import SSP, solve
 from ssp_lp.processes.goal_reach import max_goal_probability
 
 
-def published(name: str) -> tuple[Case, Domain]:
+def published(name):
     """A published model, its states numbered breadth-first as the generators do."""
     case = load_case(name, "unit")
     model = SSP.from_successors(
@@ -29,7 +27,7 @@ def published(name: str) -> tuple[Case, Domain]:
     return case, Domain(model, case.start)
 
 
-def published_dangers(case: Case) -> list[Fraction]:
+def published_dangers(case):
     """The probability of disappearing in each of the 20 columns, read off the second row."""
     dangers = {}
     bottom = case.start
@@ -94,7 +92,7 @@ def test_published_models_and_their_smaller_equivalents(name):
     assert values(ours) == pytest.approx(values(theirs), rel=1e-9)
 
 
-def values(domain: Domain) -> list[float]:
+def values(domain):
     """The greatest probability of success, and costs at least failure and within budgets."""
     found = [max_goal_probability(domain.model)[domain.model.index_of(domain.start)]]
     for budget in (None, 0.05, 0.3):

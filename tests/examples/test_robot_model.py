@@ -22,28 +22,27 @@ from examples.paper_robot.robot import (
     robot_simulator,
     start_state,
 )
-from ssp_lp import SSP
 from terminal import Terminal
 
 SMALL = RobotGrid(segments=10, headings=8, quadrature=3)
 GRIDS = [RobotGrid(), SMALL, RobotGrid(quadrature=2, along_segment=True)]
 
 
-def outcomes(model: SSP, pair: int) -> dict[int, float]:
+def outcomes(model, pair):
     """One pair's successors with their probabilities."""
     some = slice(model.outcome_offsets[pair], model.outcome_offsets[pair + 1])
     return dict(zip(model.successors[some], model.probabilities[some], strict=True))
 
 
-def brute_force(grid: RobotGrid, pair: int) -> dict[int, Fraction]:
+def brute_force(grid, pair):
     """One pair's outcomes by loops over its sampled points, in exact fractions where it matters."""
     cell, action = divmod(pair, N_ACTIONS)
     position, heading = divmod(cell, grid.headings)
     column, row = divmod(position, grid.segments)
     parts = [Fraction(2 * k + 1, 2 * grid.quadrature) for k in range(grid.quadrature)]
     share = Fraction(1, 2 * grid.quadrature**4)
-    found: Counter[int] = Counter()
-    result: dict[int, Fraction] = {}
+    found = Counter()
+    result = {}
     for x, y, turn, error in itertools.product(parts, repeat=4):
         circles = (heading + turn - Fraction(1, 2)) / grid.headings
         circles += Fraction(action - 2, 12) + (2 * error - 1) / 24
@@ -65,12 +64,7 @@ def brute_force(grid: RobotGrid, pair: int) -> dict[int, Fraction]:
     return result
 
 
-def slow_place(
-    grid: RobotGrid,
-    begin: tuple[float, float],
-    motion: tuple[float, float],
-    end: tuple[float, float],
-) -> Place:
+def slow_place(grid, begin, motion, end):
     """What a step meets: at its end, or at the first of 2,000 points along it."""
     times = [k / 2000 for k in range(2001)] if grid.along_segment else [1.0]
     for time in times:
@@ -86,7 +80,7 @@ def slow_place(
     return Place.FREE
 
 
-def test_size_of_the_papers_model(robot: tuple[SSP, int]) -> None:
+def test_size_of_the_papers_model(robot):
     grid, model = RobotGrid(), robot[0]
     assert grid.n_cells == 4800
     assert model.n_states == 4803
@@ -96,7 +90,7 @@ def test_size_of_the_papers_model(robot: tuple[SSP, int]) -> None:
 
 
 @pytest.mark.parametrize("grid", GRIDS)
-def test_probabilities_are_counts_that_sum_to_one(grid: RobotGrid) -> None:
+def test_probabilities_are_counts_that_sum_to_one(grid):
     model = grid_model(grid)
     doubled = model.probabilities * (2 * grid.quadrature**4)
     assert np.abs(doubled - np.rint(doubled)).max() < 1e-9
@@ -105,7 +99,7 @@ def test_probabilities_are_counts_that_sum_to_one(grid: RobotGrid) -> None:
 
 
 @pytest.mark.parametrize("grid", GRIDS)
-def test_successors_are_distinct_and_ascend(grid: RobotGrid) -> None:
+def test_successors_are_distinct_and_ascend(grid):
     model = grid_model(grid)
     pairs = np.repeat(np.arange(model.n_pairs), np.diff(model.outcome_offsets))
     same_pair = pairs[1:] == pairs[:-1]
@@ -113,15 +107,15 @@ def test_successors_are_distinct_and_ascend(grid: RobotGrid) -> None:
 
 
 @pytest.mark.parametrize("grid", GRIDS)
-def test_random_pairs_against_plain_loops(grid: RobotGrid) -> None:
+def test_random_pairs_against_plain_loops(grid):
     model, rng = grid_model(grid), np.random.default_rng(5)
     for pair in rng.choice(N_ACTIONS * grid.n_cells, size=12, replace=False):
         expected = {s: float(p) for s, p in brute_force(grid, int(pair)).items()}
         assert outcomes(model, int(pair)) == pytest.approx(expected, abs=1e-12)
 
 
-def test_progress_rises_to_its_total_and_changes_nothing() -> None:
-    told: list[tuple[int, int]] = []
+def test_progress_rises_to_its_total_and_changes_nothing():
+    told = []
     model = grid_model(SMALL, lambda done, total: told.append((done, total)))
     total = told[0][1]
     done = [pairs for pairs, _ in told]
@@ -130,7 +124,7 @@ def test_progress_rises_to_its_total_and_changes_nothing() -> None:
     assert model.probabilities.tobytes() == grid_model(SMALL).probabilities.tobytes()
 
 
-def test_the_progress_bar_is_for_terminals() -> None:
+def test_the_progress_bar_is_for_terminals():
     file, terminal = io.StringIO(), Terminal()
     for stream in (file, terminal):
         model = grid_model(SMALL, progress=progress_bar("transitions", stream))
@@ -142,7 +136,7 @@ def test_the_progress_bar_is_for_terminals() -> None:
     assert len({len(line.split("]")[0]) for line in lines}) == 1
 
 
-def test_a_mirrored_arena_gives_the_mirrored_model() -> None:
+def test_a_mirrored_arena_gives_the_mirrored_model():
     """Swapping x with y turns heading h into quarter circle - h and action a into - a."""
     swapped = Arena(
         obstacles=tuple(Box(b.bottom, b.top, b.left, b.right) for b in Arena().obstacles),
@@ -151,7 +145,7 @@ def test_a_mirrored_arena_gives_the_mirrored_model() -> None:
     grid = RobotGrid(segments=20, headings=12)
     first, second = grid_model(grid), grid_model(replace(grid, arena=swapped))
 
-    def mirror(state: int) -> int:
+    def mirror(state):
         if state >= grid.n_cells:
             return state
         position, heading = divmod(state, grid.headings)
@@ -165,7 +159,7 @@ def test_a_mirrored_arena_gives_the_mirrored_model() -> None:
         assert outcomes(second, twin) == pytest.approx(mirrored, abs=1e-15)
 
 
-def test_steering_error_spreads_over_neighbouring_headings_as_a_triangle() -> None:
+def test_steering_error_spreads_over_neighbouring_headings_as_a_triangle():
     """Heading in the cell plus error is triangular: 1/8 beyond either side, 3/4 in the middle."""
     grid = RobotGrid(arena=Arena(obstacles=(), goal=Box(2.0, 3.0, 2.0, 3.0)))
     model = grid_model(grid)
@@ -176,7 +170,7 @@ def test_steering_error_spreads_over_neighbouring_headings_as_a_triangle() -> No
     assert chances[[-1, 0, 1]] == pytest.approx([1 / 8, 3 / 4, 1 / 8], abs=1e-15)
 
 
-def test_wall_cost_is_the_only_cost_that_changes(robot: tuple[SSP, int]) -> None:
+def test_wall_cost_is_the_only_cost_that_changes(robot):
     cheap = robot[0]
     dear = grid_model(RobotGrid(wall_cost=100.0))
     changed = np.flatnonzero(np.asarray(dear.costs) != np.asarray(cheap.costs))
@@ -185,7 +179,7 @@ def test_wall_cost_is_the_only_cost_that_changes(robot: tuple[SSP, int]) -> None
     assert dear.successors[-1] == RobotGrid().end_state(Place.WALL)
 
 
-def test_points_on_edges_belong_to_obstacles_and_wall_before_the_goal() -> None:
+def test_points_on_edges_belong_to_obstacles_and_wall_before_the_goal():
     arena = Arena()
     x = np.array([0.15, 0.7, 1.0, 1.0, 0.5, 0.75, 0.9, 0.7499, 0.3])
     y = np.array([0.3, 0.4, 0.7, 0.5, 0.0, 0.8, 0.95, 0.8, 0.3 - 1e-6])
@@ -194,7 +188,7 @@ def test_points_on_edges_belong_to_obstacles_and_wall_before_the_goal() -> None:
     assert places == [*collisions, "GOAL", "GOAL", "FREE", "FREE"]
 
 
-def test_first_contact_by_hand() -> None:
+def test_first_contact_by_hand():
     arena = Arena(obstacles=(Box(0.4, 0.6, 0.4, 0.6),), goal=Box(0.8, 0.9, 0.8, 0.9))
     begin = np.array([[0.3, 0.5], [0.35, 0.55], [0.3, 0.3], [0.95, 0.85], [0.05, 0.5], [0.5, 0.1]])
     motion = np.array([[0.4, 0.0], [0.1, 0.1], [0.0, 0.4], [-0.2, 0.0], [-0.1, 0.0], [0.0, 0.2]])
@@ -204,7 +198,7 @@ def test_first_contact_by_hand() -> None:
     assert time == pytest.approx([0.25, 0.5, 1.0, 0.25, 0.5, 1.0], abs=1e-8)
 
 
-def test_meeting_an_obstacle_and_the_wall_at_once_is_hitting_the_obstacle() -> None:
+def test_meeting_an_obstacle_and_the_wall_at_once_is_hitting_the_obstacle():
     """Askew into the corner (1, 0.75) of B and the wall: times equal to rounding are equal."""
     share, side = np.linspace(0.01, 0.99, 99), STEP_LENGTH * np.sqrt(0.5)
     begin_x, begin_y = 1.0 - share * side, 0.75 + share * side
@@ -213,7 +207,7 @@ def test_meeting_an_obstacle_and_the_wall_at_once_is_hitting_the_obstacle() -> N
     assert time == pytest.approx(share, abs=1e-7)
 
 
-def test_testing_along_the_segment_only_moves_mass_to_ends_on_a_thin_obstacle() -> None:
+def test_testing_along_the_segment_only_moves_mass_to_ends_on_a_thin_obstacle():
     """A wall thinner than a step can be jumped over; tested along the step it cannot."""
     arena = Arena(obstacles=(Box(0.5, 0.51, 0.0, 1.0),), goal=Box(2.0, 3.0, 2.0, 3.0))
     jumping = RobotGrid(segments=10, headings=12, arena=arena)
@@ -229,7 +223,7 @@ def test_testing_along_the_segment_only_moves_mass_to_ends_on_a_thin_obstacle() 
 
 
 @pytest.mark.parametrize("along_segment", [False, True])
-def test_continuous_steps_agree_with_the_grid(along_segment: bool) -> None:
+def test_continuous_steps_agree_with_the_grid(along_segment):
     """One-step frequencies from worlds uniform in a cell, against a fine quadrature of the cell.
 
     Width: 200,000 draws give a standard error of at most 0.0012 per successor, and 12 points
@@ -257,7 +251,7 @@ def test_continuous_steps_agree_with_the_grid(along_segment: bool) -> None:
         assert np.all(costs == 1.0)
 
 
-def test_continuous_runs_start_in_the_designs_cell() -> None:
+def test_continuous_runs_start_in_the_designs_cell():
     grid = RobotGrid()
     world, states = robot_simulator(grid).reset(10_000, np.random.default_rng(8))
     assert world.min(axis=0) == pytest.approx([0.1, 0.1, -NOISE], abs=1e-3)
@@ -265,7 +259,7 @@ def test_continuous_runs_start_in_the_designs_cell() -> None:
     assert set(states.tolist()) == {start_state(grid)}
 
 
-def test_actions_turn_by_thirty_degrees() -> None:
+def test_actions_turn_by_thirty_degrees():
     grid, rng = RobotGrid(), np.random.default_rng(9)
     world = np.tile([0.5, 0.5, 0.0], (5, 1))
     after, _, _ = robot_simulator(grid).step(world, np.arange(5), rng)

@@ -1,29 +1,26 @@
 """The paper's robot (section 4): the methods agree and the answers are certified."""
 
-from __future__ import annotations
-
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
 
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from formulations import MCMP, S3P
-from ssp_lp import SSP, LinearProgramming, Solution, certify, evaluate, simulate, solve
+from ssp_lp import LinearProgramming, certify, evaluate, simulate, solve
 
 BUDGET = 0.05
 
 
 @cache
-def solved(criterion: Any, model: SSP, start: int, discount: float | None = None) -> Solution:
+def solved(criterion, model, start, discount=None):
     """The robot within its budget, for all tests of one worker."""
     return solve(criterion(model, start, failure_budget=BUDGET, discount=discount))
 
 
 @pytest.mark.parametrize("discount", [None, 0.999])
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
-def test_answers_are_certified(robot: Any, criterion: Any, discount: float | None) -> None:
+def test_answers_are_certified(robot, criterion, discount):
     solution = solved(criterion, *robot, discount)
     certificate = certify(solution)
     assert certificate.accepted
@@ -40,7 +37,7 @@ def test_answers_are_certified(robot: Any, criterion: Any, discount: float | Non
 
 
 @pytest.mark.parametrize("discount", [None, 0.999])
-def test_the_full_linear_program_agrees_in_case_m(robot: Any, discount: float | None) -> None:
+def test_the_full_linear_program_agrees_in_case_m(robot, discount):
     by_columns = solved(MCMP, *robot, discount)
     by_program = solve(by_columns.problem, "lp")
     assert by_columns.method == "columns"
@@ -54,9 +51,7 @@ def test_the_full_linear_program_agrees_in_case_m(robot: Any, discount: float | 
 
 @pytest.mark.parametrize("backend", ["highs-ipx", "clarabel", "cvxpy"])
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
-def test_every_backend_agrees_on_a_coarse_robot(
-    small_robot: Any, criterion: Any, backend: str
-) -> None:
+def test_every_backend_agrees_on_a_coarse_robot(small_robot, criterion, backend):
     model, start = small_robot
     least = solve(criterion(model, start=start))
     budget = least.failure_probability + 0.1
@@ -69,7 +64,7 @@ def test_every_backend_agrees_on_a_coarse_robot(
 
 
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
-def test_the_equivalent_randomised_policy(robot: Any, criterion: Any) -> None:
+def test_the_equivalent_randomised_policy(robot, criterion):
     """Section 2.2: one randomised stationary policy does what the lottery does."""
     for discount in (None, 0.999):
         solution = solved(criterion, *robot, discount)
@@ -79,7 +74,7 @@ def test_the_equivalent_randomised_policy(robot: Any, criterion: Any) -> None:
         assert limited == pytest.approx(BUDGET, abs=1e-11)
 
 
-def test_simulation_agrees_with_evaluation(robot: Any) -> None:
+def test_simulation_agrees_with_evaluation(robot):
     solution = solved(MCMP, *robot)
     play = {"episodes": 40_000, "rng": np.random.default_rng(7), "confidence": 0.9999}
     report = simulate(solution.policy, solution.problem, **play)
@@ -90,7 +85,7 @@ def test_simulation_agrees_with_evaluation(robot: Any) -> None:
     assert sum(report.ends.values()) == report.episodes
 
 
-def test_a_dearer_wall_changes_only_case_m(robot: Any) -> None:
+def test_a_dearer_wall_changes_only_case_m(robot):
     grid = RobotGrid(wall_cost=100.0)
     dear = grid_model(grid), start_state(grid)
     values = [[solved(c, *one).objective for c in (MCMP, S3P)] for one in (robot, dear)]

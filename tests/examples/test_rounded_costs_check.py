@@ -3,7 +3,7 @@
 from examples.checks.rounded_costs_check import Tally, check
 
 
-def test_the_truth_lies_between_the_bounds_of_few_levels() -> None:
+def test_the_truth_lies_between_the_bounds_of_few_levels():
     tally = Tally()
     for seed in range(10):
         assert check(seed, tally) == []

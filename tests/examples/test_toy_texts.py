@@ -1,7 +1,5 @@
 """The toy texts: few lines each, and a simulated failure that agrees with the certified one."""
 
-from __future__ import annotations
-
 import inspect
 
 import pytest
@@ -11,7 +9,7 @@ from ssp_lp import certify
 
 
 @pytest.mark.parametrize("name", sorted(TASKS))
-def test_the_certified_failure_is_what_is_played(name: str) -> None:
+def test_the_certified_failure_is_what_is_played(name):
     solution, report = TASKS[name](100)
     assert certify(solution).accepted
     failure = report.failure_probability

@@ -1,9 +1,5 @@
 """The paper's robot with the length of its way and its turns as costs: totals without a unit."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
@@ -13,7 +9,7 @@ from ssp_lp import solve
 
 
 @pytest.mark.parametrize("turning_cost", [0.0, 0.05])
-def test_true_costs_are_proved_and_played_inside_their_intervals(turning_cost: float) -> None:
+def test_true_costs_are_proved_and_played_inside_their_intervals(turning_cost):
     grid = RobotGrid(
         segments=12, headings=12, quadrature=2, along_segment=True, turning_cost=turning_cost
     )
@@ -26,7 +22,7 @@ def test_true_costs_are_proved_and_played_inside_their_intervals(turning_cost: f
     assert failure.low <= BUDGET <= failure.high
 
 
-def test_sums_are_told_apart_on_the_whole_grid_of_the_paper() -> None:
+def test_sums_are_told_apart_on_the_whole_grid_of_the_paper():
     """Some 1,200 sums on 4,800 cells; a table cut short of them proves nothing."""
     grid = RobotGrid(along_segment=True, turning_cost=0.2)
     solution = solve(
@@ -36,9 +32,7 @@ def test_sums_are_told_apart_on_the_whole_grid_of_the_paper() -> None:
     assert solution.objective == pytest.approx(3.2077, abs=4e-4)
 
 
-def test_the_script_prints_a_line_for_a_price_and_draws(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_script_prints_a_line_for_a_price_and_draws(tmp_path, capsys):
     asked = ["--episodes", "500", "--segments", "12", "--turning-costs", "0"]
     main([*asked, "--output", str(tmp_path)])
     assert len(capsys.readouterr().out.splitlines()) == 3

@@ -1,7 +1,5 @@
 """Controllers act as the policies that they were written from, with the standard library alone."""
 
-from __future__ import annotations
-
 import ast
 import json
 import os
@@ -38,18 +36,12 @@ from ssp_lp.policies.policy import as_lottery
 SOURCE = Path(ssp_lp.io.controller.__file__)
 
 
-def written(policy: object, tmp_path: Path) -> Controller:
+def written(policy, tmp_path):
     write_controller(policy, tmp_path / "controller.json")
     return Controller(tmp_path / "controller.json")
 
 
-def acts_the_same(
-    policy: object,
-    controller: Controller,
-    start: object,
-    episodes: int = 60,
-    surprise: float = 20.0,
-) -> None:
+def acts_the_same(policy, controller, start, episodes=60, surprise=20.0):
     """Side by side, through random episodes of the model."""
     rng, model = np.random.default_rng(1), policy.model
     for _ in range(episodes):
@@ -69,19 +61,19 @@ def acts_the_same(
 
 
 @pytest.mark.parametrize("name", ["deterministic", "gives up", "cost aware", "tail table"])
-def test_deterministic_policies(name: str, tmp_path: Path) -> None:
+def test_deterministic_policies(name, tmp_path):
     policy = policies(hall())[name]
     acts_the_same(policy, written(policy, tmp_path), START)
 
 
-def test_every_member_of_a_solution(tmp_path: Path) -> None:
+def test_every_member_of_a_solution(tmp_path):
     for member in (*policies(hall())["solution"].policies,):
         acts_the_same(member, written(member, tmp_path), START)
     for member in level_policy(ferry()).policies:
         acts_the_same(member, written(member, tmp_path), "quay")
 
 
-def test_every_memory_of_a_cost_aware_policy(tmp_path: Path) -> None:
+def test_every_memory_of_a_cost_aware_policy(tmp_path):
     """Random decisions, thresholds and tails, so that nothing can be mixed up."""
     model, rng = hall(), np.random.default_rng(5)
     count = np.diff(model.pair_offsets)
@@ -102,7 +94,7 @@ def test_every_memory_of_a_cost_aware_policy(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
 @pytest.mark.parametrize("horizon", [3, 6])
-def test_policies_that_count_their_steps(criterion: type, horizon: int, tmp_path: Path) -> None:
+def test_policies_that_count_their_steps(criterion, horizon, tmp_path):
     solution = solve(criterion(hall(), START, failure_budget=0.7, horizon=horizon))
     for member in solution.policy.policies:
         acts_the_same(member, written(member, tmp_path), START, 100)
@@ -113,7 +105,7 @@ def dear(count, state, action, successor, cost):
     return min(count + (cost == 2.0), 1)
 
 
-def test_policies_that_carry_the_memory_of_a_task(tmp_path: Path) -> None:
+def test_policies_that_carry_the_memory_of_a_task(tmp_path):
     """By the action, by the cost, and one within the other, with a horizon around both."""
     counted = task(hall())
     for member in remembering(counted).policies:
@@ -126,7 +118,7 @@ def test_policies_that_carry_the_memory_of_a_task(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["mixed", "stochastic", "carried"])
-def test_random_policies_have_the_same_distribution(name: str, tmp_path: Path) -> None:
+def test_random_policies_have_the_same_distribution(name, tmp_path):
     """Frequencies of the first two actions, four standard deviations wide."""
     policy, runs = policies(hall())[name], 4000
     controller, rng = written(policy, tmp_path), np.random.default_rng(2)
@@ -147,7 +139,7 @@ def test_random_policies_have_the_same_distribution(name: str, tmp_path: Path) -
 
 
 @pytest.mark.parametrize("name", ["stochastic", "carried", "cost aware", "solution"])
-def test_the_file_holds_every_probability(name: str, tmp_path: Path) -> None:
+def test_the_file_holds_every_probability(name, tmp_path):
     """Decision by decision, against the policy's table."""
     policy = policies(hall())[name]
     write_controller(policy, tmp_path / "controller.json")
@@ -188,9 +180,7 @@ CLIFF = SSP.from_transitions(
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
 @pytest.mark.parametrize("horizon", [None, 5])
 @pytest.mark.parametrize("name", ["crash", "seen"])
-def test_policies_that_remember_having_failed(
-    criterion: type, horizon: int | None, name: str, tmp_path: Path
-) -> None:
+def test_policies_that_remember_having_failed(criterion, horizon, name, tmp_path):
     """Side by side after failing, too, and of those that act everywhere from every state."""
     counted = visits("seen", through_failure=True) if name == "seen" else end_probability("crash")
     limits = {name: counted <= 0.03}
@@ -204,14 +194,14 @@ def test_policies_that_remember_having_failed(
 
 
 @pytest.mark.parametrize("name", ["deterministic", "gives up", "cost aware", "tail table"])
-def test_policies_that_act_everywhere(name: str, tmp_path: Path) -> None:
+def test_policies_that_act_everywhere(name, tmp_path):
     policy = acting_everywhere(policies(hall())[name])
     controller = written(policy, tmp_path)
     for start in policy.model.states:
         acts_the_same(policy, controller, start)
 
 
-def test_one_seed_one_episode_and_controllers_side_by_side(tmp_path: Path) -> None:
+def test_one_seed_one_episode_and_controllers_side_by_side(tmp_path):
     one = written(policies(hall())["mixed"], tmp_path)
     other = Controller(tmp_path / "controller.json")
     for seed in range(40):
@@ -220,7 +210,7 @@ def test_one_seed_one_episode_and_controllers_side_by_side(tmp_path: Path) -> No
         assert one.action(START) == other.action(START)
 
 
-def test_the_file_runs_without_the_library(tmp_path: Path) -> None:
+def test_the_file_runs_without_the_library(tmp_path):
     """Copied into an empty folder, in a process that sees no installed package."""
     policy = policies(hall())["cost aware"]
     write_controller(policy, tmp_path / "controller.json")
@@ -243,14 +233,14 @@ def test_the_file_runs_without_the_library(tmp_path: Path) -> None:
     assert told[1] == "False False"
 
 
-def test_the_file_imports_the_standard_library_alone() -> None:
+def test_the_file_imports_the_standard_library_alone():
     for node in ast.walk(ast.parse(SOURCE.read_text(encoding="utf-8"))):
         names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
         names += [node.module] if isinstance(node, ast.ImportFrom) else []
         assert {name.split(".")[0] for name in names} <= sys.stdlib_module_names
 
 
-def test_what_a_controller_refuses(tmp_path: Path) -> None:
+def test_what_a_controller_refuses(tmp_path):
     controller = written(policies(hall())["cost aware"], tmp_path)
     with pytest.raises(RuntimeError, match="reset"):
         controller.action(START)
@@ -276,7 +266,7 @@ def test_what_a_controller_refuses(tmp_path: Path) -> None:
         Controller(tmp_path / "late.json")
 
 
-def test_what_cannot_be_written(tmp_path: Path) -> None:
+def test_what_cannot_be_written(tmp_path):
     path = tmp_path / "controller.json"
     with pytest.raises(ModelError, match="TimedPolicy"):
         write_controller(policies(hall())["timed"], path)
@@ -286,7 +276,7 @@ def test_what_cannot_be_written(tmp_path: Path) -> None:
             write_controller(DeterministicPolicy.from_actions(model, {state: action}), path)
 
 
-def test_labels_come_back_as_they_were(tmp_path: Path) -> None:
+def test_labels_come_back_as_they_were(tmp_path):
     labels = [("a", (1, 2.5)), 3, 0.1, "x", None, True]
     after = [*labels[1:], "end"]
     rows = {
@@ -303,7 +293,7 @@ def test_labels_come_back_as_they_were(tmp_path: Path) -> None:
     acts_the_same(plain, written(MixedPolicy((plain,), np.ones(1)), tmp_path), 0)
 
 
-def test_a_damaged_file_is_refused_with_the_reason(tmp_path: Path) -> None:
+def test_a_damaged_file_is_refused_with_the_reason(tmp_path):
     """Whatever is cut off, missing or changed, anywhere in it."""
     path = tmp_path / "controller.json"
     write_controller(policies(hall())["solution"], path)
@@ -329,7 +319,7 @@ def test_a_damaged_file_is_refused_with_the_reason(tmp_path: Path) -> None:
         Controller(path)
 
 
-def test_a_cost_beyond_all_layers_is_refused_as_by_the_policy(tmp_path: Path) -> None:
+def test_a_cost_beyond_all_layers_is_refused_as_by_the_policy(tmp_path):
     policy = policies(hall())["cost aware"]
     controller = written(policy, tmp_path)
     controller.reset()

@@ -1,7 +1,5 @@
 """Policies in files: read in another process beside a model built anew, they play the same."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import os
@@ -11,24 +9,13 @@ import sys
 from dataclasses import replace
 from enum import Enum
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import ssp_lp.policies
 from formulations import S3P
-from played import (
-    START,
-    everywhere,
-    ferry,
-    hall,
-    level_policy,
-    policies,
-    remembering,
-    task,
-    traces,
-)
+from played import START, everywhere, ferry, hall, level_policy, policies, remembering, task, traces
 from ssp_lp import SSP, MixedPolicy, ModelError, evaluate, product, solve
 from ssp_lp.io import fingerprint, load_policy, save_policy
 from ssp_lp.io.archives import _CLASSES
@@ -46,7 +33,7 @@ print(json.dumps([fingerprint(model), traces(policy, START, 7)]))
 """
 
 
-def elsewhere(code: str, *arguments: str) -> str:
+def elsewhere(code, *arguments):
     """What a new process prints."""
     env = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "PYTHONHASHSEED": "12345"}
     ran = subprocess.run(  # noqa: S603
@@ -60,7 +47,7 @@ def elsewhere(code: str, *arguments: str) -> str:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_policies_play_the_same_beside_a_model_built_anew(name: str, tmp_path: Path) -> None:
+def test_policies_play_the_same_beside_a_model_built_anew(name, tmp_path):
     policy, model = policies(hall())[name], hall()
     save_policy(policy, tmp_path / "policy.npz")
     found = load_policy(tmp_path / "policy.npz", model)
@@ -71,7 +58,7 @@ def test_policies_play_the_same_beside_a_model_built_anew(name: str, tmp_path: P
 
 
 @pytest.mark.parametrize("name", ["solution", "carried"])
-def test_a_new_process_plays_the_same(name: str, tmp_path: Path) -> None:
+def test_a_new_process_plays_the_same(name, tmp_path):
     model = hall()
     policy = policies(model)[name]
     save_policy(policy, tmp_path / "policy.npz")
@@ -80,7 +67,7 @@ def test_a_new_process_plays_the_same(name: str, tmp_path: Path) -> None:
     assert told == [fingerprint(model), played]
 
 
-def test_policies_by_cost_levels(tmp_path: Path) -> None:
+def test_policies_by_cost_levels(tmp_path):
     policy = level_policy(ferry())
     save_policy(policy, tmp_path / "policy.npz")
     found = load_policy(tmp_path / "policy.npz", ferry())
@@ -88,7 +75,7 @@ def test_policies_by_cost_levels(tmp_path: Path) -> None:
     assert traces(found, "quay", 5) == traces(policy, "quay", 5)
 
 
-def test_a_policy_that_carries_a_memory_is_read_beside_the_product(tmp_path: Path) -> None:
+def test_a_policy_that_carries_a_memory_is_read_beside_the_product(tmp_path):
     policy = remembering(task(hall()))
     save_policy(policy, tmp_path / "policy.npz")
     again = task(hall())
@@ -99,7 +86,7 @@ def test_a_policy_that_carries_a_memory_is_read_beside_the_product(tmp_path: Pat
         load_policy(tmp_path / "policy.npz", hall())
 
 
-def test_another_model_is_refused_unless_it_differs_on_purpose(tmp_path: Path) -> None:
+def test_another_model_is_refused_unless_it_differs_on_purpose(tmp_path):
     save_policy(everywhere(hall(), "fast"), tmp_path / "policy.npz")
     with pytest.raises(ModelError, match=r"fingerprint .* check=False"):
         load_policy(tmp_path / "policy.npz", hall(4.0))
@@ -110,7 +97,7 @@ def test_another_model_is_refused_unless_it_differs_on_purpose(tmp_path: Path) -
             load_policy(tmp_path / "policy.npz", ferry(), check=check)
 
 
-def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
+def test_files_that_are_none_are_refused(tmp_path):
     path = tmp_path / "policy.npz"
     path.write_text("no archive")
     with pytest.raises(ModelError, match="no ssp-lp policy file"):
@@ -133,7 +120,7 @@ def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
             load_policy(path, hall())
 
 
-def test_a_policy_of_a_class_of_its_own_is_refused_by_name(tmp_path: Path) -> None:
+def test_a_policy_of_a_class_of_its_own_is_refused_by_name(tmp_path):
     class Secretive(Policy):
         start_memory = branches = remember = None
 
@@ -144,7 +131,7 @@ def test_a_policy_of_a_class_of_its_own_is_refused_by_name(tmp_path: Path) -> No
     assert not (tmp_path / "policy.npz").exists()
 
 
-def test_a_policy_of_a_horizon_is_read_beside_the_model_as_stated(tmp_path: Path) -> None:
+def test_a_policy_of_a_horizon_is_read_beside_the_model_as_stated(tmp_path):
     problem = S3P(hall(), START, 0.7, horizon=3)
     solution = solve(problem)
     save_policy(solution.policy, tmp_path / "policy")
@@ -155,14 +142,14 @@ def test_a_policy_of_a_horizon_is_read_beside_the_model_as_stated(tmp_path: Path
         load_policy(tmp_path / "policy", with_labels("start"))
 
 
-def test_every_class_of_policies_can_be_saved() -> None:
+def test_every_class_of_policies_can_be_saved():
     for module in pkgutil.iter_modules(ssp_lp.policies.__path__):
         found = vars(importlib.import_module(f"ssp_lp.policies.{module.name}")).values()
         classes = {made for made in found if isinstance(made, type) and issubclass(made, Policy)}
         assert classes - {Policy} <= set(_CLASSES.values())
 
 
-def test_the_same_policy_gives_the_same_file_and_parts_are_kept_once(tmp_path: Path) -> None:
+def test_the_same_policy_gives_the_same_file_and_parts_are_kept_once(tmp_path):
     fast = everywhere(hall(), "fast")
     for name, count in (("one", 1), ("again", 1), ("many", 50)):
         save_policy(MixedPolicy((fast,) * count, np.ones(count) / count), tmp_path / name)
@@ -175,11 +162,11 @@ class Colour(Enum):
     RED = 1
 
 
-def with_labels(label: object) -> SSP:
+def with_labels(label):
     return SSP.from_transitions({label: {"go": [(1.0, "end", 1.0)]}}, goal={"end"})
 
 
-def test_the_fingerprint_is_of_the_content() -> None:
+def test_the_fingerprint_is_of_the_content():
     model = hall()
     twin = replace(
         model,
@@ -204,7 +191,7 @@ def test_the_fingerprint_is_of_the_content() -> None:
     assert fingerprint(plain) == fingerprint(stated)
 
 
-def test_whatever_differs_changes_the_fingerprint() -> None:
+def test_whatever_differs_changes_the_fingerprint():
     model = hall()
     nudged = model.costs.copy()
     nudged[0] = np.nextafter(nudged[0], 2.0)
@@ -224,7 +211,7 @@ def test_whatever_differs_changes_the_fingerprint() -> None:
     assert len({fingerprint(other) for other in (model, *others)}) == len(others) + 1
 
 
-def test_labels_of_many_kinds_can_be_stated_and_others_are_refused() -> None:
+def test_labels_of_many_kinds_can_be_stated_and_others_are_refused():
     labels = [frozenset({"a", "b"}), Colour.RED, Fraction(1, 3), ("x", (1, 2.5, None)), "RED"]
     prints = [fingerprint(with_labels(label)) for label in labels]
     assert len(set(prints)) == len(labels)
@@ -239,7 +226,7 @@ def test_labels_of_many_kinds_can_be_stated_and_others_are_refused() -> None:
             fingerprint(with_labels(label))
 
 
-def test_episodes_run_side_by_side() -> None:
+def test_episodes_run_side_by_side():
     """Each has a memory of its own."""
     policy = policies(hall())["cost aware"]
     one, other = (policy.start(world="other") for _ in range(2))

@@ -1,11 +1,8 @@
 """Tables and graphs of policies say what the policies do."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -21,11 +18,11 @@ from ssp_lp.processes.failure_semantics import start_distribution
 NAMES = sorted(policies(hall()))
 
 
-def table_of(policy: object) -> dict[tuple[object, ...], float]:
+def table_of(policy):
     return {(r.member, r.state, r.memory, r.action): r.probability for r in policy_table(policy)}
 
 
-def test_a_stationary_policy() -> None:
+def test_a_stationary_policy():
     assert table_of(policies(hall())["stochastic"]) == {
         (0, ("hall", 0), None, "fast"): 0.25,
         (0, ("hall", 0), None, ("slow", 1)): 0.75,
@@ -36,8 +33,8 @@ def test_a_stationary_policy() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_probabilities_sum_to_one(name: str) -> None:
-    sums: dict[tuple[object, ...], float] = {}
+def test_probabilities_sum_to_one(name):
+    sums = {}
     for row in policy_table(policies(hall())[name]):
         key = row.member, row.state, row.memory
         sums[key] = sums.get(key, 0.0) + row.probability
@@ -46,7 +43,7 @@ def test_probabilities_sum_to_one(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [*NAMES, "remembering", "levels"])
-def test_what_is_reached_stands_in_the_table(name: str) -> None:
+def test_what_is_reached_stands_in_the_table(name):
     """Every decision on the policy's chain, played by a person who keeps the memory in words."""
     if name == "levels":
         policy, start = level_policy(ferry()), "quay"
@@ -62,7 +59,7 @@ def test_what_is_reached_stands_in_the_table(name: str) -> None:
             assert (k, model.states[int(chain.state[node])], action) in rows
 
 
-def test_memories_in_words() -> None:
+def test_memories_in_words():
     model = hall()
     found = policies(model)
     aware = {row.memory for row in policy_table(found["cost aware"])}
@@ -76,7 +73,7 @@ def test_memories_in_words() -> None:
     assert table_of(both) == table_of(found["timed"])
 
 
-def test_a_frame_needs_pandas(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_frame_needs_pandas(monkeypatch):
     policy = everywhere(hall(), "fast")
     if importlib.util.find_spec("pandas") is None:
         with pytest.raises(MissingDependencyError, match=r"pip install 'ssp-lp\[frames\]'"):
@@ -88,7 +85,7 @@ def test_a_frame_needs_pandas(monkeypatch: pytest.MonkeyPatch) -> None:
     assert columns == ["state", "memory", "action", "probability", "member"]
 
 
-def test_a_graph_has_the_nodes_and_steps_of_the_chain(tmp_path: Path) -> None:
+def test_a_graph_has_the_nodes_and_steps_of_the_chain(tmp_path):
     model = hall()
     for name in NAMES:
         policy = policies(model)[name]
@@ -107,7 +104,7 @@ def test_a_graph_has_the_nodes_and_steps_of_the_chain(tmp_path: Path) -> None:
         assert ("doublecircle" in text) == any(chain.goal.any() for chain in chains)
 
 
-def test_a_small_graph_in_full(tmp_path: Path) -> None:
+def test_a_small_graph_in_full(tmp_path):
     write_dot(everywhere(hall(), "fast"), tmp_path / "policy.dot", ("hall", 2))
     lines = (tmp_path / "policy.dot").read_text().splitlines()
     assert [line.strip() for line in lines] == [
@@ -126,7 +123,7 @@ def test_a_small_graph_in_full(tmp_path: Path) -> None:
     ]
 
 
-def test_a_graph_too_large_is_refused(tmp_path: Path) -> None:
+def test_a_graph_too_large_is_refused(tmp_path):
     with pytest.raises(ModelError, match="5 nodes, more than 4"):
         write_dot(everywhere(hall(), "fast"), tmp_path / "policy.dot", START, most_nodes=4)
     assert not (tmp_path / "policy.dot").exists()

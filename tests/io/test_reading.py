@@ -1,10 +1,5 @@
 """The one door by which models of every format come in and go out: the optimum survives."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import pytest
 
 from cases import FOLDER, load_case
@@ -23,9 +18,7 @@ ENDINGS = ["json", "json.gz", "drn", "drn.gz", "tra", "npz", "umb"]
     ("model", "start"),
     [(AWKWARD, ("s", 1)), (ALONE, "g"), *((drawn_model(seed, 12)[0], "s0") for seed in range(3))],
 )
-def test_whatever_is_written_is_read_again(
-    ending: str, model: SSP, start: Any, tmp_path: Path
-) -> None:
+def test_whatever_is_written_is_read_again(ending, model, start, tmp_path):
     path = tmp_path / f"m.{ending}"
     write_any(model, path, {start: 1.0} if ending == "drn" else start)
     says_itself = ending == "npz" or ending.startswith("json")
@@ -39,7 +32,7 @@ def test_whatever_is_written_is_read_again(
 
 
 @pytest.mark.parametrize("name", ["gubs_river4x4", "storm_compromise_x1", "qcomp_cdrive.3"])
-def test_a_published_model_goes_through_storm(name: str, tmp_path: Path) -> None:
+def test_a_published_model_goes_through_storm(name, tmp_path):
     case = load_case(name, "unit")
     own = SSP.from_transitions(case.floats(), case.goal, treat_actionless_as_dead_ends=True)
     stated = read_any(FOLDER / "models" / f"{name}.json.gz", [], "unit")
@@ -52,7 +45,7 @@ def test_a_published_model_goes_through_storm(name: str, tmp_path: Path) -> None
     )
 
 
-def test_what_a_format_does_not_have_is_refused(tmp_path: Path) -> None:
+def test_what_a_format_does_not_have_is_refused(tmp_path):
     write_any(ALONE, tmp_path / "m.npz")
     write_any(ALONE, tmp_path / "m.drn", "g")
     with pytest.raises(ModelError, match=r"m\.drn has no constants: leave constants out"):

@@ -1,10 +1,7 @@
 """Solutions in files: read beside the problem stated again, their certificates are the same."""
 
-from __future__ import annotations
-
 import contextlib
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +12,7 @@ from ssp_lp import ModelError, certify, secondary_cost, solve, visits
 from ssp_lp.io import load_solution, save_policy, save_solution
 
 
-def fuel(bound: float) -> dict[str, object]:
+def fuel(bound):
     spent = {("hall", k): {"fast": 2.0, ("slow", 1): 0.5} for k in range(3)}
     return {"fuel": secondary_cost(spent) <= bound}
 
@@ -35,7 +32,7 @@ PROBLEMS = {
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
-def test_certificates_are_the_same(name: str, tmp_path: Path) -> None:
+def test_certificates_are_the_same(name, tmp_path):
     solution = solve(PROBLEMS[name]())
     save_solution(solution, tmp_path / "solution.npz")
     found = load_solution(tmp_path / "solution.npz", PROBLEMS[name]())
@@ -50,7 +47,7 @@ def test_certificates_are_the_same(name: str, tmp_path: Path) -> None:
     assert traces(found.policy, start, 1) == traces(solution.policy, start, 1)
 
 
-def test_the_saved_numbers_are_not_believed(tmp_path: Path) -> None:
+def test_the_saved_numbers_are_not_believed(tmp_path):
     """A file with a price that proves less than it says: the certificate's gap tells."""
     solution = solve(PROBLEMS["mcmp"]())
     object.__setattr__(solution, "failure_price", 0.5 * solution.failure_price)
@@ -78,13 +75,13 @@ def test_the_saved_numbers_are_not_believed(tmp_path: Path) -> None:
         (lambda: CostQuantile(hall(), START, 0.5, failure_budget=0.2), "criterion"),
     ],
 )
-def test_another_problem_is_refused(other: object, words: str, tmp_path: Path) -> None:
+def test_another_problem_is_refused(other, words, tmp_path):
     save_solution(solve(PROBLEMS["mcmp"]()), tmp_path / "solution.npz")
     with pytest.raises(ModelError, match=words):
         load_solution(tmp_path / "solution.npz", other())
 
 
-def test_another_bound_or_quantile_is_refused(tmp_path: Path) -> None:
+def test_another_bound_or_quantile_is_refused(tmp_path):
     save_solution(solve(PROBLEMS["limits"]()), tmp_path / "solution.npz")
     other = MCMP(hall(), START, failure_budget=0.2, constraints=fuel(7.5))
     with pytest.raises(ModelError, match=r"limits = .*7\.0.* has .*7\.5"):
@@ -95,14 +92,14 @@ def test_another_bound_or_quantile_is_refused(tmp_path: Path) -> None:
         load_solution(tmp_path / "solution.npz", quantile)
 
 
-def test_a_policy_file_is_no_solution(tmp_path: Path) -> None:
+def test_a_policy_file_is_no_solution(tmp_path):
     save_policy(solve(PROBLEMS["mcmp"]()).policy, tmp_path / "policy.npz")
     with pytest.raises(ModelError, match="no ssp-lp solution file"):
         load_solution(tmp_path / "policy.npz", PROBLEMS["mcmp"]())
 
 
 @pytest.mark.parametrize("junk", [None, 0, "x", [], {}, [7], 10**12])
-def test_a_file_that_says_what_cannot_be_is_damaged(junk: object, tmp_path: Path) -> None:
+def test_a_file_that_says_what_cannot_be_is_damaged(junk, tmp_path):
     """Each entry of the header in turn, and of what the policies are made of."""
     path, problem = tmp_path / "solution.npz", PROBLEMS["s3p"]()
     save_solution(solve(problem), path)

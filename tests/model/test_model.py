@@ -1,9 +1,6 @@
 """Building models: three builders that agree, and errors that name the place."""
 
-from __future__ import annotations
-
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,22 +8,22 @@ import pytest
 from formulations import MCMP, S3P
 from ssp_lp import SSP, ModelError, solve
 
-CHAIN: dict[Any, Any] = {
+CHAIN = {
     0: {"on": [(0.5, 1, 1.0), (0.5, 0, 2.0)]},
     1: {"on": [(0.5, 2, 1.0), (0.25, 2, 3.0), (0.25, 3, 0.0)], "back": [(1.0, 0, 0.5)]},
     3: {},
 }
 
 
-def from_transitions() -> SSP:
+def from_transitions():
     return SSP.from_transitions(CHAIN, goal={2}, treat_actionless_as_dead_ends=True)
 
 
-def from_successors() -> SSP:
+def from_successors():
     return SSP.from_successors(0, lambda s: CHAIN[s], goal={2}, treat_actionless_as_dead_ends=True)
 
 
-def from_arrays() -> SSP:
+def from_arrays():
     return SSP.from_arrays(
         pair_offsets=[0, 1, 3, 3, 3],
         outcome_offsets=[0, 2, 5, 6],
@@ -39,7 +36,7 @@ def from_arrays() -> SSP:
 
 
 @pytest.mark.parametrize("build", [from_transitions, from_successors, from_arrays])
-def test_the_builders_agree(build: Any) -> None:
+def test_the_builders_agree(build):
     model = build()
     assert (model.n_states, model.n_pairs, model.n_outcomes) == (4, 3, 6)
     # x = 1.5 + x / 2 + y / 2 and y = 1.25, failing with a quarter
@@ -47,8 +44,8 @@ def test_the_builders_agree(build: Any) -> None:
     assert solve(S3P(model, start=0)).objective == pytest.approx(3.0 + 5.0 / 3.0)
 
 
-def test_costs_per_pair_and_in_common() -> None:
-    parts: dict[str, Any] = {
+def test_costs_per_pair_and_in_common():
+    parts = {
         "pair_offsets": [0, 1, 2, 2],
         "outcome_offsets": [0, 1, 2],
         "successors": [1, 2],
@@ -61,7 +58,7 @@ def test_costs_per_pair_and_in_common() -> None:
         SSP.from_arrays(costs=[1.0, 2.0, 3.0], **parts)
 
 
-def test_arrays_are_read_only() -> None:
+def test_arrays_are_read_only():
     model = from_arrays()
     for array in (model.probabilities, model.costs, model.successors, model.pair_offsets):
         with pytest.raises(ValueError, match="read-only"):
@@ -84,14 +81,14 @@ def test_arrays_are_read_only() -> None:
         ([], "no outcomes"),
     ],
 )
-def test_errors_name_state_and_action(outcomes: Any, complaint: str) -> None:
+def test_errors_name_state_and_action(outcomes, complaint):
     with pytest.raises(ModelError, match=complaint) as caught:
         SSP.from_transitions({"s": {"go": outcomes}}, goal={"g"})
     assert "'go'" in str(caught.value)
     assert "'s'" in str(caught.value)
 
 
-def test_errors_about_states() -> None:
+def test_errors_about_states():
     with pytest.raises(ModelError, match="treat_actionless_as_dead_ends"):
         SSP.from_transitions({"s": {"go": [(1.0, "g", 1.0)]}, "d": {}}, goal={"g"})
     with pytest.raises(ModelError, match="no goal"):
@@ -102,8 +99,8 @@ def test_errors_about_states() -> None:
         )
 
 
-def test_exploration_stops_at_the_limit_and_reports_progress() -> None:
-    seen: list[int] = []
+def test_exploration_stops_at_the_limit_and_reports_progress():
+    seen = []
     model = SSP.from_successors(
         0, lambda s: {"on": [(1.0, s + 1, 1.0)]}, lambda s: s == 50, progress=seen.append
     )
@@ -115,7 +112,7 @@ def test_exploration_stops_at_the_limit_and_reports_progress() -> None:
         )
 
 
-def test_actions_at_a_goal_are_left_out() -> None:
+def test_actions_at_a_goal_are_left_out():
     model = SSP.from_transitions(
         {"s": {"go": [(1.0, "g", 1.0)]}, "g": {"on": [(1.0, "s", 5.0)]}}, goal={"g"}
     )
@@ -123,7 +120,7 @@ def test_actions_at_a_goal_are_left_out() -> None:
     assert solve(MCMP(model, start="s")).objective == 1.0
 
 
-def test_the_lattice_of_costs_is_exact() -> None:
+def test_the_lattice_of_costs_is_exact():
     """Costs 1/3 and 1/7 as fractions have the unit 1/21; 0.1 and 0.3 as floats 1/10."""
     third, seventh = Fraction(1, 3), Fraction(1, 7)
     for costs, layers in (((third, seventh), (7, 3)), ((0.1, 0.3), (1, 3))):
@@ -134,7 +131,7 @@ def test_the_lattice_of_costs_is_exact() -> None:
             },
             goal={"g"},
         )
-        base: Any = S3P(model, start="s", failure_budget=0.5).compile()
+        base = S3P(model, start="s", failure_budget=0.5).compile()
         unit = base.base.unit
         assert float(costs[0]) / unit == pytest.approx(layers[0])
         assert float(costs[1]) / unit == pytest.approx(layers[1])
@@ -143,7 +140,7 @@ def test_the_lattice_of_costs_is_exact() -> None:
         assert solution.objective == pytest.approx(float(costs[0] + 2 * costs[1]))
 
 
-def test_outcomes_of_probability_zero_do_not_exist() -> None:
+def test_outcomes_of_probability_zero_do_not_exist():
     model = SSP.from_transitions(
         {"s": {"go": [(1.0, "d", 1.0), (0.0, "g", 1.0)], "out": [(1.0, "g", 4.0)]}, "d": {}},
         goal={"g"},
@@ -161,8 +158,8 @@ def test_outcomes_of_probability_zero_do_not_exist() -> None:
         ({"state_labels": {"gave_up": ["s"]}}, "taken"),
     ],
 )
-def test_names_that_would_be_misread(changed: dict[str, Any], complaint: str) -> None:
-    parts: dict[str, Any] = {"transitions": {"s": {"go": [(1.0, "goal", 1.0)]}}, "goal": {"goal"}}
+def test_names_that_would_be_misread(changed, complaint):
+    parts = {"transitions": {"s": {"go": [(1.0, "goal", 1.0)]}}, "goal": {"goal"}}
     with pytest.raises(ModelError, match=complaint):
         SSP.from_transitions(**(parts | changed))
 
@@ -179,8 +176,8 @@ def test_names_that_would_be_misread(changed: dict[str, Any], complaint: str) ->
         ({"pair_offsets": [0, 1, 1]}, "run from 0"),
     ],
 )
-def test_arrays_that_do_not_fit(changed: dict[str, Any], complaint: str) -> None:
-    parts: dict[str, Any] = {
+def test_arrays_that_do_not_fit(changed, complaint):
+    parts = {
         "pair_offsets": [0, 2, 2],
         "outcome_offsets": [0, 1, 2],
         "successors": [0, 1],

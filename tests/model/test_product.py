@@ -1,7 +1,5 @@
 """Products with a memory: each task equal to a model built by hand, and played on the original."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import binomtest
@@ -36,11 +34,11 @@ HOUSE = {
 }
 
 
-def house() -> SSP:
+def house():
     return model_of(HOUSE, "door", labels={"below": ["cellar"]})
 
 
-def unrolled(start, step, accepted, failed) -> SSP:
+def unrolled(start, step, accepted, failed):
     """The product written out by hand, from a worklist of (state, memory)."""
     choices, open_states, goals = {}, [(state, start) for state in [*HOUSE, "door"]], set()
     while open_states:
@@ -90,7 +88,7 @@ each_task = pytest.mark.parametrize("memory", TASKS.values(), ids=TASKS.keys())
 
 
 @each_task
-def test_a_task_equals_the_model_built_by_hand(memory: Memory) -> None:
+def test_a_task_equals_the_model_built_by_hand(memory):
     made = product(house(), memory)
     by_hand = unrolled(memory.start, memory.update, memory.accepts, memory.fails)
     assert isinstance(made, ProductSSP)
@@ -106,7 +104,7 @@ def test_a_task_equals_the_model_built_by_hand(memory: Memory) -> None:
 
 
 @each_task
-def test_its_policy_plays_on_the_original_model(memory: Memory) -> None:
+def test_its_policy_plays_on_the_original_model(memory):
     model = house()
     made = product(model, memory)
     least = solve(MaxProb(made, made.start("hall"))).failure_probability
@@ -132,7 +130,7 @@ def test_its_policy_plays_on_the_original_model(memory: Memory) -> None:
     assert interval.low <= solution.goal_probability <= interval.high
 
 
-def test_the_original_evaluates_it_where_reaching_the_goal_is_all_that_counts() -> None:
+def test_the_original_evaluates_it_where_reaching_the_goal_is_all_that_counts():
     """The key is fetched anyway: what the product's policy does is measured on both alike."""
     model = house()
     made = product(model, TASKS["at most two visits of the ward"])
@@ -144,7 +142,7 @@ def test_the_original_evaluates_it_where_reaching_the_goal_is_all_that_counts() 
     assert found.expected_cost == pytest.approx(solution.expected_cost, rel=1e-12)
 
 
-def test_many_episodes_are_simulated_at_once() -> None:
+def test_many_episodes_are_simulated_at_once():
     model = house()
     made = product(model, TASKS["the key before the door"])
     solution = solve(MCMP(made, made.start("hall"), failure_budget=0.3))
@@ -155,7 +153,7 @@ def test_many_episodes_are_simulated_at_once() -> None:
     assert played.goal_probability.low <= exact.goal_probability <= played.goal_probability.high
 
 
-def test_cost_aware_policies_carry_both_memories() -> None:
+def test_cost_aware_policies_carry_both_memories():
     made = product(house(), TASKS["never hide twice"])
     solution = solve(S3P(made, made.start("hall"), failure_budget=0.2))
     policy = on_original(solution.policy)
@@ -165,7 +163,7 @@ def test_cost_aware_policies_carry_both_memories() -> None:
     assert episode.action("ward") in HOUSE["ward"]
 
 
-def test_labels_of_the_model_are_kept_and_new_ones_say_why() -> None:
+def test_labels_of_the_model_are_kept_and_new_ones_say_why():
     made = product(house(), TASKS["the key before the door"])
     ends = solve(MCMP(made, made.start("hall"), failure_budget=0.5)).evaluation.ends
     assert {"goal", "below", "goal not accepted", "memory fails"} <= set(ends)
@@ -173,7 +171,7 @@ def test_labels_of_the_model_are_kept_and_new_ones_say_why() -> None:
     assert made.start({"hall": 0.5, "key": 0.5}) == {("hall", False): 0.5, ("key", False): 0.5}
 
 
-def test_a_product_of_a_product_keeps_both_reasons() -> None:
+def test_a_product_of_a_product_keeps_both_reasons():
     """At most two visits, then the key: labels of the two memories do not hide each other."""
     inner = product(house(), TASKS["at most two visits of the ward"])
     both = product(inner, Memory(
@@ -193,7 +191,7 @@ def test_a_product_of_a_product_keeps_both_reasons() -> None:
     assert evaluate(twice, problem).goal_probability >= solution.goal_probability - 1e-12
 
 
-def test_what_is_refused() -> None:
+def test_what_is_refused():
     model = house()
     counting = Memory(start=0, update=lambda n, *step: n + 1)
     with pytest.raises(ModelError, match="more than state_limit=50 states"):

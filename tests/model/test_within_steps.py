@@ -1,7 +1,5 @@
 """The finite horizon: equal to the product with its memory, and to backward induction."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -42,11 +40,11 @@ HOUSE = {
 }
 
 
-def house() -> SSP:
+def house():
     return model_of(HOUSE, "out", labels={"below": ["cellar"], LATE: ["ward"]})
 
 
-def by_name(model: SSP) -> dict[object, object]:
+def by_name(model):
     """A model as nested dicts, whatever the order of its states."""
     told = {}
     for s, name in enumerate(model.states):
@@ -67,7 +65,7 @@ def by_name(model: SSP) -> dict[object, object]:
 
 @pytest.mark.parametrize("start", [None, ["hall"], ["ward", "attic"]])
 @pytest.mark.parametrize("steps", [1, 2, 5])
-def test_it_is_the_product_with_its_memory(steps: int, start: list[str] | None) -> None:
+def test_it_is_the_product_with_its_memory(steps, start):
     model = house()
     fast = within_steps(model, steps, start=start)
     slow = product(model, fast.memory, start=start)
@@ -85,7 +83,7 @@ def test_it_is_the_product_with_its_memory(steps: int, start: list[str] | None) 
     assert fast.original_state.tolist() == [model.index_of(state) for state, _ in fast.states]
 
 
-def test_the_step_counts_are_a_memory_written_by_hand() -> None:
+def test_the_step_counts_are_a_memory_written_by_hand():
     """A counter that fails one step later has the same failure, goals in time being accepted."""
     model, steps = house(), 4
     counter = Memory(
@@ -103,7 +101,7 @@ def test_the_step_counts_are_a_memory_written_by_hand() -> None:
 
 
 @pytest.mark.parametrize("steps", [1, 3, 7])
-def test_the_greatest_probability_is_backward_induction(steps: int) -> None:
+def test_the_greatest_probability_is_backward_induction(steps):
     value = {name: float(name == "out") for name in [*HOUSE, "out"]}
     for _ in range(steps):
         value = {
@@ -122,7 +120,7 @@ def test_the_greatest_probability_is_backward_induction(steps: int) -> None:
 
 
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
-def test_policies_act_on_the_model_and_carry_the_count(criterion: type[MCMP] | type[S3P]) -> None:
+def test_policies_act_on_the_model_and_carry_the_count(criterion):
     model = house()
     horizon = within_steps(model, 5, start=["hall"])
     solution = solve(criterion(horizon, ("hall", 0), failure_budget=0.3))
@@ -137,7 +135,7 @@ def test_policies_act_on_the_model_and_carry_the_count(criterion: type[MCMP] | t
     assert report.goal_probability.high >= 1.0 - solution.failure_probability
 
 
-def test_where_too_few_steps_are_left_the_policy_gives_up() -> None:
+def test_where_too_few_steps_are_left_the_policy_gives_up():
     walk = {"far": {"go": [(0.5, "near", 1.0), (0.5, "far", 1.0)]}}
     walk["near"] = {"go": [(0.9, "out", 1.0), (0.1, "far", 1.0)]}
     model = SSP.from_transitions(walk, goal={"out"})
@@ -150,7 +148,7 @@ def test_where_too_few_steps_are_left_the_policy_gives_up() -> None:
     assert episode.action("far") is GIVE_UP
 
 
-def test_being_late_is_a_way_to_end() -> None:
+def test_being_late_is_a_way_to_end():
     model = SSP.from_transitions(
         {"lock": {"try": [(0.5, "open", 1.0), (0.5, "lock", 1.0)]}}, goal={"open"}
     )
@@ -161,7 +159,7 @@ def test_being_late_is_a_way_to_end() -> None:
     assert solution.objective == pytest.approx(0.875)
 
 
-def test_a_large_horizon_is_made_without_a_loop_over_states() -> None:
+def test_a_large_horizon_is_made_without_a_loop_over_states():
     rng, states, wide = np.random.default_rng(0), 2_000, 3
     pairs = 4 * (states - 1)
     model = SSP.from_arrays(
@@ -178,7 +176,7 @@ def test_a_large_horizon_is_made_without_a_loop_over_states() -> None:
     assert horizon.states[horizon.index_of((7, 60))] == (7, 60)
 
 
-def test_what_cannot_be_is_told() -> None:
+def test_what_cannot_be_is_told():
     model = house()
     for steps in (0, -1, 2.0, True, "many"):
         with pytest.raises(ModelError, match="whole number"):

@@ -1,10 +1,7 @@
 """Pictures: what is drawn is what is computed, on axes that come in and go out."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -32,7 +29,6 @@ matplotlib = pytest.importorskip("matplotlib")
 matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt  # noqa: E402
-from matplotlib.axes import Axes  # noqa: E402
 from matplotlib.quiver import Quiver  # noqa: E402
 
 from small_models import model_of  # noqa: E402
@@ -52,7 +48,7 @@ MOVES = {"east": (1, 0), "south": (0, -1)}
 CELLS = row_major(2, 3)
 
 
-def field() -> SSP:
+def field():
     """Cells 0 1 2 over 3 4 5: the goal is 5; south of 0 is safe, east is quick, 4 is a pit."""
     return model_of(
         {
@@ -71,12 +67,12 @@ PROBLEM = MCMP(field(), 0, failure_budget=0.05)
 
 
 @pytest.fixture(autouse=True)
-def closed() -> Iterator[None]:
+def closed():
     yield
     plt.close("all")
 
 
-def arrows(ax: Axes) -> dict[tuple[float, float], tuple[float, float]]:
+def arrows(ax):
     """Cell -> direction, of the pictures with an arrow each."""
     (found,) = [one for one in ax.collections if isinstance(one, Quiver)]
     ways = np.column_stack([found.U, found.V])
@@ -85,23 +81,23 @@ def arrows(ax: Axes) -> dict[tuple[float, float], tuple[float, float]]:
     return {tuple(m): tuple(w.round(9)) for m, w in zip(middles.tolist(), unit, strict=True)}
 
 
-def words(ax: Axes) -> list[str]:
+def words(ax):
     legend = ax.get_legend()
     return [] if legend is None else [text.get_text() for text in legend.get_texts()]
 
 
-def test_the_library_does_not_import_matplotlib() -> None:
+def test_the_library_does_not_import_matplotlib():
     code = "import sys, ssp_lp, ssp_lp.plotting; assert 'matplotlib' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)  # noqa: S603
 
 
-def test_without_matplotlib_the_pip_line_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_matplotlib_the_pip_line_is_said(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
     with pytest.raises(MissingDependencyError, match=r"pip install 'ssp-lp\[plot\]'"):
         trace_frontier(PROBLEM).plot()
 
 
-def test_visits_of_pairs_balance() -> None:
+def test_visits_of_pairs_balance():
     """What flows in, with the start, flows out or ends; costs and failure are linear in it."""
     solution = solve(PROBLEM)
     model, (pairs, gave_up) = PROBLEM.model, pair_visits(solution.policy, PROBLEM)
@@ -117,7 +113,7 @@ def test_visits_of_pairs_balance() -> None:
     assert pairs @ cost == pytest.approx(solution.objective)
 
 
-def test_arrows_and_shades_are_the_policy() -> None:
+def test_arrows_and_shades_are_the_policy():
     model = PROBLEM.model
     safe = DeterministicPolicy.from_actions(model, {0: "south", 3: "east"})
     ax = plt.figure().subplots()
@@ -132,11 +128,10 @@ def test_arrows_and_shades_are_the_policy() -> None:
     ]  # fmt: skip
 
 
-def test_several_actions_in_a_cell_are_marked() -> None:
+def test_several_actions_in_a_cell_are_marked():
     model = PROBLEM.model
     coin = StochasticPolicy.from_actions(
-        model,
-        {0: {"east": 0.5, "south": 0.5}, 1: {"east": 1}, 2: {"south": 1}, 3: {"east": 1}},
+        model, {0: {"east": 0.5, "south": 0.5}, 1: {"east": 1}, 2: {"south": 1}, 3: {"east": 1}}
     )
     lottery = solve(PROBLEM).policy
     assert len(lottery.policies) == 2
@@ -149,7 +144,7 @@ def test_several_actions_in_a_cell_are_marked() -> None:
     assert all(len(arrows(ax)) in {2, 3} for ax in axes)
 
 
-def test_a_memory_is_added_up_or_left_out() -> None:
+def test_a_memory_is_added_up_or_left_out():
     model = PROBLEM.model
     memory = Memory(start=0, update=lambda n, state, action, to, cost: min(n + 1, 1))
     made = product(model, memory, start=[0])
@@ -166,7 +161,7 @@ def test_a_memory_is_added_up_or_left_out() -> None:
         plot_grid_policy(policy, problem, lambda label: (1, 2, 3), MOVES)
 
 
-def test_a_cell_is_a_dead_end_where_all_its_states_are() -> None:
+def test_a_cell_is_a_dead_end_where_all_its_states_are():
     """Within three steps one may be late anywhere; only the pit is a dead-end at every time."""
     made = within_steps(PROBLEM.model, 3, start=[0])
     problem = MCMP(made, made.start(0), failure_budget=1.0, give_up="dead_ends")
@@ -177,12 +172,12 @@ def test_a_cell_is_a_dead_end_where_all_its_states_are() -> None:
     assert hatched == [(0.5, -0.5)]
 
 
-def test_cells_are_numbered_by_rows_from_above() -> None:
+def test_cells_are_numbered_by_rows_from_above():
     place = row_major(8, 8)
     assert [place(k) for k in (0, 1, 8, 63)] == [(0, 7), (1, 7), (0, 6), (7, 0)]
 
 
-def test_episodes_are_those_of_the_seed() -> None:
+def test_episodes_are_those_of_the_seed():
     policy = solve(PROBLEM).policy
     first, again, other = (
         plot_episodes(policy, PROBLEM, CELLS, episodes=60, rng=seed) for seed in (1, 1, 2)
@@ -197,7 +192,7 @@ def test_episodes_are_those_of_the_seed() -> None:
 
 
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
-def test_the_frontier_is_drawn_between_its_bounds(criterion: type[MCMP] | type[S3P]) -> None:
+def test_the_frontier_is_drawn_between_its_bounds(criterion):
     whole = trace_frontier(criterion(steep(), "s"))
     part = trace_frontier(criterion(steep(), "s"), point_limit=3)
     ax = whole.plot(look=1)
@@ -220,14 +215,14 @@ def test_the_frontier_is_drawn_between_its_bounds(criterion: type[MCMP] | type[S
 
 
 @pytest.mark.parametrize(("gap", "digits"), [(1e-9, 5), (1e-3, 3), (0.1, 2)])
-def test_a_coarse_frontier_shows_no_digit_that_is_not_sure(gap: float, digits: int) -> None:
+def test_a_coarse_frontier_shows_no_digit_that_is_not_sure(gap, digits):
     frontier = trace_frontier(MCMP(steep(), "s"), gap=gap)
     value = float(f"{frontier.objective_at(0.123):.{digits}g}")
     assert f"budget 0.123: {value:.5g}" in words(frontier.plot(0.123))
 
 
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
-def test_the_tangent_has_the_slope_of_the_optimum(criterion: type[MCMP] | type[S3P]) -> None:
+def test_the_tangent_has_the_slope_of_the_optimum(criterion):
     frontier = trace_frontier(criterion(steep(), "s"))
     budget = float(frontier.failure[3:5].mean())
     solution = solve(criterion(steep(), "s", failure_budget=budget))
@@ -243,7 +238,7 @@ def test_the_tangent_has_the_slope_of_the_optimum(criterion: type[MCMP] | type[S
     assert any(word.startswith("tangents: failure price") for word in words(kink))
 
 
-def steep() -> SSP:
+def steep():
     """One state whose actions lie on a convex curve, so that there are many turning points."""
     pairs = {k: (0.05 * k, 1.0 + 9.0 * (1.0 - 0.05 * k) ** 3) for k in range(12)}
     return model_of(
@@ -251,7 +246,7 @@ def steep() -> SSP:
     )
 
 
-def test_bars_are_the_law() -> None:
+def test_bars_are_the_law():
     model = model_of({"s": {"try": [(0.5, "g", 1.0), (0.4, "s", 1.0), (0.1, "d", 1.0)]}, "d": {}})
     problem = S3P(model, "s", failure_budget=0.5)
     policy = DeterministicPolicy.from_actions(model, {"s": "try"})
@@ -276,7 +271,7 @@ def test_bars_are_the_law() -> None:
         )
 
 
-def test_many_costs_are_counted_in_intervals() -> None:
+def test_many_costs_are_counted_in_intervals():
     rare = SSP.from_transitions({"s": {"try": [(0.01, "g", 1.0), (0.99, "s", 1.0)]}}, goal={"g"})
     problem = S3P(rare, "s", failure_budget=0.5)
     law = success_costs(DeterministicPolicy.from_actions(rare, {"s": "try"}), problem)
@@ -285,7 +280,7 @@ def test_many_costs_are_counted_in_intervals() -> None:
     assert 0.999 <= sum(bar.get_height() for bar in ax.patches) <= 1.0
 
 
-def test_bounds_close_in_on_the_optimum() -> None:
+def test_bounds_close_in_on_the_optimum():
     for criterion in (MCMP, S3P):
         record = BoundsRecord()
         problem = criterion(steep(), "s", failure_budget=0.12)

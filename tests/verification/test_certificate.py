@@ -1,7 +1,5 @@
 """A certificate trusts nothing: corrupt each part of a solution in turn."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,8 +7,7 @@ import pytest
 
 from formulations import MCMP, S3P
 from small_models import model_of
-from ssp_lp import DeterministicPolicy, MixedPolicy, ModelError, Solution, certify, solve
-from ssp_lp.problem import Problem
+from ssp_lp import DeterministicPolicy, MixedPolicy, ModelError, certify, solve
 
 MAZE = model_of(
     {
@@ -30,7 +27,7 @@ MAZE = model_of(
     "goal",
 )
 
-PROBLEMS: list[Problem] = [
+PROBLEMS = [
     MCMP(MAZE, start="start", failure_budget=0.07),
     MCMP(MAZE, start="start", failure_budget=0.07, discount=0.99),
     MCMP(MAZE, start="start", failure_budget=0.07, give_up="dead_ends"),
@@ -40,11 +37,11 @@ PROBLEMS: list[Problem] = [
 
 
 @pytest.fixture(params=PROBLEMS, ids=lambda p: f"{type(p).__name__}-{p.discount}")
-def solution(request: pytest.FixtureRequest) -> Solution:
+def solution(request):
     return solve(request.param)
 
 
-def test_a_true_solution_is_certified(solution: Solution) -> None:
+def test_a_true_solution_is_certified(solution):
     certificate = certify(solution)
     assert certificate.accepted
     assert certificate.gap <= 1e-8
@@ -53,7 +50,7 @@ def test_a_true_solution_is_certified(solution: Solution) -> None:
     assert certificate.lower_bound <= certificate.objective
 
 
-def test_a_policy_that_breaks_the_budget_is_refused(solution: Solution) -> None:
+def test_a_policy_that_breaks_the_budget_is_refused(solution):
     riskiest = max(
         solution.policy.policies,
         key=lambda p: certify(replace(solution, policy=MixedPolicy((p,), np.ones(1)))).failure,
@@ -67,7 +64,7 @@ def test_a_policy_that_breaks_the_budget_is_refused(solution: Solution) -> None:
 @pytest.mark.parametrize(
     "problem", [p for p in PROBLEMS if p.discount is None], ids=lambda p: type(p).__name__
 )
-def test_a_worse_policy_has_an_honest_gap(problem: Problem) -> None:
+def test_a_worse_policy_has_an_honest_gap(problem):
     solution = solve(problem)
     detour = DeterministicPolicy.from_actions(MAZE, {"start": "detour", "town": "walk"})
     certificate = certify(replace(solution, policy=MixedPolicy((detour,), np.ones(1))))
@@ -78,7 +75,7 @@ def test_a_worse_policy_has_an_honest_gap(problem: Problem) -> None:
 
 
 @pytest.mark.parametrize("factor", [0.0, 0.5, 0.999, 1.001, 2.0, 100.0])
-def test_a_wrong_price_never_lifts_the_bound(solution: Solution, factor: float) -> None:
+def test_a_wrong_price_never_lifts_the_bound(solution, factor):
     assert solution.failure_price is not None
     certificate = certify(replace(solution, failure_price=factor * solution.failure_price))
     assert certificate.lower_bound <= solution.objective * (1.0 + 1e-12)
@@ -86,12 +83,12 @@ def test_a_wrong_price_never_lifts_the_bound(solution: Solution, factor: float) 
 
 
 @pytest.mark.parametrize("price", [-1.0, float("nan"), float("inf")])
-def test_an_impossible_price_is_refused(solution: Solution, price: float) -> None:
+def test_an_impossible_price_is_refused(solution, price):
     assert not certify(replace(solution, failure_price=price)).accepted
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_wrong_value_function_never_lifts_the_bound(solution: Solution, seed: int) -> None:
+def test_a_wrong_value_function_never_lifts_the_bound(solution, seed):
     rng = np.random.default_rng(seed)
     values = solution.value_function
     assert values is not None
@@ -109,14 +106,14 @@ def test_a_wrong_value_function_never_lifts_the_bound(solution: Solution, seed: 
         assert certificate.lower_bound <= solution.objective * (1.0 + 1e-12)
 
 
-def test_a_value_function_of_another_shape_is_an_error(solution: Solution) -> None:
+def test_a_value_function_of_another_shape_is_an_error(solution):
     with pytest.raises(ModelError):
         certify(replace(solution, value_function=np.zeros(1)))
     with pytest.raises(ModelError):
         certify(replace(solution, value_function=None))
 
 
-def test_least_failure_is_certified_too() -> None:
+def test_least_failure_is_certified_too():
     for criterion in (MCMP, S3P):
         certificate = certify(solve(criterion(MAZE, start="start", failure_budget=None)))
         assert certificate.accepted
@@ -124,7 +121,7 @@ def test_least_failure_is_certified_too() -> None:
         assert certificate.failure == 0.0
 
 
-def test_the_cap_of_case_s_is_reported() -> None:
+def test_the_cap_of_case_s_is_reported():
     exact = certify(solve(S3P(MAZE, start="start", failure_budget=0.07)))
     assert exact.tail_gap <= 1e-9
     tight = certify(solve(S3P(MAZE, start="start", failure_budget=0.07, cost_cap=3.0)))

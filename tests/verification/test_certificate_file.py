@@ -1,7 +1,5 @@
 """Certificates in files: exact intervals, and files that were tampered with."""
 
-from __future__ import annotations
-
 import ast
 import gzip
 import json
@@ -38,7 +36,6 @@ from formulations.command_line import main
 from references.stated import optimum
 from small_models import FIRST, FREE_LOOP, FREE_PAIR, PAYING_LOOP, TRIES, TWO_MOVES, model_of
 from ssp_lp import (
-    Checked,
     DeterministicPolicy,
     MixedPolicy,
     ModelError,
@@ -53,16 +50,12 @@ from ssp_lp import (
     visits,
     write_certificate,
 )
-from ssp_lp.problem import Problem
 from ssp_lp.processes import failure_label, failure_semantics
 from ssp_lp.verification import checker
 
 ROAD = model_of(
     {
-        "road": {
-            "fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)],
-            "safe": [(1.0, "home", 3.0)],
-        },
+        "road": {"fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)], "safe": [(1.0, "home", 3.0)]},
         "ditch": {},
     },
     "home",
@@ -83,7 +76,7 @@ RARE = model_of({"x": {"go": [(1e-6, "g", 1.0), (0.999999, "x", 1.0)]}})
 LATE = model_of({"x": {"go": [(0.5, "g", 1.0), (0.5, "x", 1.0)]}})
 FUEL = {"road": {"fast": 4.0, "safe": 1.0}}
 
-KNOWN: list[tuple[Problem, Fraction]] = [
+KNOWN = [
     (MCMP(ROAD, "road", 0.05), Fraction(2)),
     (MCMP(ROAD, "road"), Fraction(3)),
     (MCMP(FIRST, "depot", 0.05), Fraction(20, 3)),
@@ -139,7 +132,7 @@ KNOWN: list[tuple[Problem, Fraction]] = [
 
 
 @pytest.mark.parametrize("number", range(len(KNOWN)))
-def test_the_interval_holds_what_is_known(number: int, tmp_path: Path) -> None:
+def test_the_interval_holds_what_is_known(number, tmp_path):
     problem, known = KNOWN[number]
     written = write_certificate(solve(problem), tmp_path / "one")
     assert written.accepted
@@ -151,7 +144,7 @@ def test_the_interval_holds_what_is_known(number: int, tmp_path: Path) -> None:
     assert optimum(lines[: len(lines) // 2]) == pytest.approx(float(known), rel=1e-8)
 
 
-def test_fractions_are_what_they_are(tmp_path: Path) -> None:
+def test_fractions_are_what_they_are(tmp_path):
     """A third of a cost is a third; probabilities are divided by their exact sum."""
     written = write_certificate(
         solve(MCMP(THIRDS, "x", 1.0, give_up="dead_ends")), tmp_path / "one"
@@ -162,9 +155,7 @@ def test_fractions_are_what_they_are(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("give_up", "charged", "known"), ROBOT_VALUES)
-def test_published_values_of_giving_up(
-    give_up: str, charged: bool, known: Fraction, tmp_path: Path
-) -> None:
+def test_published_values_of_giving_up(give_up, charged, known, tmp_path):
     model, start = published("prism_robot_goal1", "time")
     problem = MCMP(model, start, 0.75, give_up=give_up, charge_failing_step=charged)
     written = write_certificate(solve(problem), tmp_path / "one")
@@ -172,14 +163,14 @@ def test_published_values_of_giving_up(
     assert abs(written.upper - known) < 1e-9
 
 
-def test_a_start_that_is_an_end(tmp_path: Path) -> None:
+def test_a_start_that_is_an_end(tmp_path):
     written = write_certificate(solve(MCMP(ROAD, "home", 0.1)), tmp_path / "one")
     assert written.lower == written.upper == 0
     written = write_certificate(solve(MaxProb(ROAD, "ditch")), tmp_path / "one")
     assert written.lower == written.upper == 0
 
 
-def test_the_members_of_another_policy(tmp_path: Path) -> None:
+def test_the_members_of_another_policy(tmp_path):
     """What is proved is the lottery that is handed over, however far from the best."""
     solution = solve(MCMP(ROAD, "road", 0.05))
     safe = DeterministicPolicy.from_actions(ROAD, {"road": "safe"})
@@ -195,9 +186,7 @@ def test_the_members_of_another_policy(tmp_path: Path) -> None:
     assert not (tmp_path / "x").exists()
 
 
-def test_a_wrong_reading_of_the_model_is_seen(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wrong_reading_of_the_model_is_seen(tmp_path, monkeypatch):
     """The solver's rooms broken on purpose: a file does not read what they read."""
     with monkeypatch.context() as broken:  # whatever is no goal counts as avoiding it
         broken.setattr(failure_semantics, "attention_states", lambda model: ~model.goal_mask)
@@ -223,7 +212,7 @@ def test_a_wrong_reading_of_the_model_is_seen(
 
 
 @pytest.mark.parametrize("price", [0.0, 5.0, 20.0, 1000.0])
-def test_any_price_proves_something_true(price: float, tmp_path: Path) -> None:
+def test_any_price_proves_something_true(price, tmp_path):
     solution = replace(solve(MCMP(ROAD, "road", 0.05)), prices={"failure": price})
     solution = replace(solution, failure_price=price)
     written = write_certificate(solution, tmp_path / "one")
@@ -238,12 +227,12 @@ def test_any_price_proves_something_true(price: float, tmp_path: Path) -> None:
         (CVaR(ROAD, "road", 0.9, 0.05), "CVaR: its cost counts by the total"),
     ],
 )
-def test_what_is_not_covered_is_named(problem: Problem, words: str, tmp_path: Path) -> None:
+def test_what_is_not_covered_is_named(problem, words, tmp_path):
     with pytest.raises(ModelError, match=f"no certificate of {words}"):
         write_certificate(solve(problem), tmp_path / "one")
 
 
-def test_certificates_end_where_the_goal_is_lost(tmp_path: Path) -> None:
+def test_certificates_end_where_the_goal_is_lost(tmp_path):
     """A crash may come after the skid that loses the goal: what the file would ask is another."""
     table = {
         "a": {"fast": [(0.9, "g", 1.0), (0.1, "skid", 1.0)], "slow": [(1.0, "g", 10.0)]},
@@ -260,7 +249,7 @@ def test_certificates_end_where_the_goal_is_lost(tmp_path: Path) -> None:
     assert written.accepted
 
 
-def test_the_checker_stands_alone(tmp_path: Path) -> None:
+def test_the_checker_stands_alone(tmp_path):
     """It imports the standard library alone, and runs where it was copied to."""
     source = Path(checker.__file__)
     imported = {
@@ -284,7 +273,7 @@ def test_the_checker_stands_alone(tmp_path: Path) -> None:
     assert done.stdout.startswith("refused: the file is damaged")
 
 
-def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line(tmp_path, capsys):
     path = tmp_path / "road.cert"
     write_certificate(solve(MCMP(ROAD, "road", 0.05)), path)
     assert main(["check", str(path)]) == 0
@@ -295,7 +284,7 @@ def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert main(["check", str(tmp_path / "none")]) == 2
 
 
-def lines_of(path: Path) -> list[bytes]:
+def lines_of(path):
     """The lines of a file."""
     return gzip.decompress(path.read_bytes()).splitlines()
 
@@ -318,7 +307,7 @@ MAZE = model_of(
     "goal",
     {"hurt": ["pit"]},
 )
-TAMPERED: dict[str, Problem] = {
+TAMPERED = {
     "budget": MCMP(MAZE, "start", 0.07),
     "limit": MCMP(
         MAZE,
@@ -340,10 +329,10 @@ QUESTION, FIRST_STATE, HEAD, PROOF = 0, 1, -5, -4
 Edit = Callable[[Any], None]
 
 
-def _set(*where: Any, to: Any) -> Edit:
+def _set(*where, to):
     """Put something in a place."""
 
-    def edit(content: Any) -> None:
+    def edit(content):
         for key in where[:-1]:
             content = content[key]
         content[where[-1]] = to
@@ -351,7 +340,7 @@ def _set(*where: Any, to: Any) -> Edit:
     return edit
 
 
-CHANGES: list[tuple[str, str, int, Edit, str]] = [
+CHANGES = [
     ("a bound", "budget", QUESTION, _set("failure", to="0.06"), "bound of row failure"),
     ("a bound", "limit", QUESTION, _set("rows", 0, "at_most", to="0.01"), "bound of row hurt"),
     ("a share", "share", QUESTION, _set("failure", "share", to="0.99"), "bound of row failure"),
@@ -378,20 +367,20 @@ CHANGES: list[tuple[str, str, int, Edit, str]] = [
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     where = tmp_path_factory.mktemp("certificates")
     for name, problem in TAMPERED.items():
         assert write_certificate(solve(problem), where / name).accepted
     return where
 
 
-def read(lines: list[bytes], path: Path) -> Checked:
+def read(lines, path):
     """What is said of a file of these lines."""
     path.write_bytes(gzip.compress(b"\n".join(lines)))
     return check_certificate(path)
 
 
-def signed(lines: list[bytes]) -> list[bytes]:
+def signed(lines):
     """The same lines with the SHA-256 made anew."""
     head = json.loads(lines[HEAD]) | {"sha256": sha256(b"\n".join(lines[:HEAD])).hexdigest()}
     return [*lines[:HEAD], json.dumps(head).encode(), *lines[PROOF:]]
@@ -400,9 +389,7 @@ def signed(lines: list[bytes]) -> list[bytes]:
 @pytest.mark.parametrize(
     ("what", "name", "line", "edit", "words"), CHANGES, ids=[c[0] for c in CHANGES]
 )
-def test_a_change_is_refused_by_name_or_still_true(
-    folder: Path, tmp_path: Path, what: str, name: str, line: int, edit: Edit, words: str
-) -> None:
+def test_a_change_is_refused_by_name_or_still_true(folder, tmp_path, what, name, line, edit, words):
     lines = lines_of(folder / name)
     content = json.loads(lines[line])
     edit(content)
@@ -423,7 +410,7 @@ def test_a_change_is_refused_by_name_or_still_true(
 
 
 @pytest.mark.parametrize("name", TAMPERED)
-def test_lines_that_are_dropped_or_exchanged(folder: Path, tmp_path: Path, name: str) -> None:
+def test_lines_that_are_dropped_or_exchanged(folder, tmp_path, name):
     lines = lines_of(folder / name)
     for k in range(1, len(lines)):
         assert (
@@ -439,7 +426,7 @@ def test_lines_that_are_dropped_or_exchanged(folder: Path, tmp_path: Path, name:
         assert "fails" in checked.reason or "decides" in checked.reason
 
 
-def test_two_members_exchanged_in_one_state(folder: Path, tmp_path: Path) -> None:
+def test_two_members_exchanged_in_one_state(folder, tmp_path):
     lines = lines_of(folder / "budget")
     content = json.loads(lines[PROOF])
     assert len(content["members"]) == 2
@@ -464,7 +451,7 @@ def test_two_members_exchanged_in_one_state(folder: Path, tmp_path: Path) -> Non
         {"failure": {"share": "2"}},
     ],
 )
-def test_questions_that_are_not_known(folder: Path, tmp_path: Path, question: dict) -> None:
+def test_questions_that_are_not_known(folder, tmp_path, question):
     lines = lines_of(folder / "budget")
     lines[0] = json.dumps(json.loads(lines[0]) | question).encode()
     assert not read(signed(lines), tmp_path / "x").accepted

@@ -9,7 +9,7 @@ from formulations import MCMP, S3P, MaxProb
 from ssp_lp import SSP, certify, solve
 
 
-def drawn(seed: int, leaving: float = 1.0) -> SSP:
+def drawn(seed, leaving=1.0):
     """A small model of whole costs; half of its pairs are left with a small probability only."""
     rng = np.random.default_rng(seed)
     states, table = int(rng.integers(3, 8)), {}
@@ -33,7 +33,7 @@ def drawn(seed: int, leaving: float = 1.0) -> SSP:
 
 @pytest.mark.parametrize("seed", [11, 12, 17, 24, 30, 57, 94, 105])
 @pytest.mark.parametrize("criterion", [S3P, MCMP])
-def test_a_budget_just_above_the_least_failure_is_proved_by_both(seed, criterion) -> None:
+def test_a_budget_just_above_the_least_failure_is_proved_by_both(seed, criterion):
     model = drawn(seed)
     budget = 1.0 - solve(MaxProb(model, 0)).objective
     for units in range(8):
@@ -44,7 +44,7 @@ def test_a_budget_just_above_the_least_failure_is_proved_by_both(seed, criterion
         budget = np.nextafter(budget, 2.0)
 
 
-def test_a_lottery_that_beats_the_least_failure_by_rounding_keeps_the_proof() -> None:
+def test_a_lottery_that_beats_the_least_failure_by_rounding_keeps_the_proof():
     """Hardly any mass passes by 1, where failing early saves much: 1e-14 of it tells nothing."""
     onward, back = 0.003391633322673214, 0.22417694165728505
     table = {
@@ -67,7 +67,7 @@ def test_a_lottery_that_beats_the_least_failure_by_rounding_keeps_the_proof() ->
         assert certify(solution).gap <= max(1e-9, 10.0 * solution.gap), budget
 
 
-def rare(seed: int) -> SSP:
+def rare(seed):
     """A small model whose probabilities are 1 down to 1e-10, and costs whole."""
     rng = np.random.default_rng(seed)
     states, table = int(rng.integers(1, 6)), {}
@@ -86,7 +86,7 @@ def rare(seed: int) -> SSP:
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_a_budget_below_a_rare_least_failure_by_rounding_is_accepted(seed) -> None:
+def test_a_budget_below_a_rare_least_failure_by_rounding_is_accepted(seed):
     """A budget that counts as the least failure is that one, in the proof as in the search."""
     model = rare(seed)
     least = solve(MCMP(model, 0, failure_budget=None)).failure_probability
@@ -96,7 +96,7 @@ def test_a_budget_below_a_rare_least_failure_by_rounding_is_accepted(seed) -> No
             assert certificate.accepted, certificate
 
 
-def test_a_policy_that_breaks_a_budget_no_policy_keeps_is_refused() -> None:
+def test_a_policy_that_breaks_a_budget_no_policy_keeps_is_refused():
     solution = solve(MCMP(drawn(11), 0, failure_budget=None))
     assert solution.failure_probability > 0.01
     least = solve(MCMP(drawn(11), 0, failure_budget=solution.failure_probability))

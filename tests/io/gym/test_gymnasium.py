@@ -1,7 +1,5 @@
 """Gymnasium's toy-text environments: from the table to a certified policy, played back there."""
 
-from __future__ import annotations
-
 import sys
 import time
 import warnings
@@ -23,8 +21,7 @@ from ssp_lp import (
     product,
     solve,
 )
-from ssp_lp.io import RolloutReport, StepLimitWarning, from_gymnasium, rollout
-from ssp_lp.solution import Solution
+from ssp_lp.io import StepLimitWarning, from_gymnasium, rollout
 
 gym = pytest.importorskip("gymnasium")
 
@@ -33,14 +30,14 @@ CONFIDENCE = 0.999
 END_OF_CLIFF = 47
 
 
-def check_agreement(solution: Solution, report: RolloutReport) -> None:
+def check_agreement(solution, report):
     """The solution's failure probability lies in the interval of the simulated one."""
     failure = report.failure_probability
     assert failure.low <= solution.failure_probability <= failure.high
     assert report.goal + report.failed + report.gave_up + report.truncated == report.episodes
 
 
-def least_failure(env, steps: int, goal=None) -> float:
+def least_failure(env, steps, goal=None):
     """By backward induction on the environment's own table."""
     table, start = env.unwrapped.P, env.unwrapped.initial_state_distrib
 
@@ -60,13 +57,13 @@ def least_failure(env, steps: int, goal=None) -> float:
     return 1.0 - float(np.asarray(start) @ value)
 
 
-def environment(*rows, start=(1.0,)) -> SimpleNamespace:
+def environment(*rows, start=(1.0,)):
     """A table that is no environment of Gymnasium's."""
     inside = SimpleNamespace(P=dict(enumerate(rows)), initial_state_distrib=np.array(start))
     return SimpleNamespace(unwrapped=inside)
 
 
-def test_frozen_lake_in_eight_lines() -> None:
+def test_frozen_lake_in_eight_lines():
     env = gym.make("FrozenLake-v1")
     world = from_gymnasium(env)
     solution = solve(MCMP(world.model, world.start, failure_budget=0.3))
@@ -87,7 +84,7 @@ def test_frozen_lake_in_eight_lines() -> None:
         ("Taxi-v4", {"max_episode_steps": 14, "is_rainy": True}, 14),
     ],
 )
-def test_the_least_failure_is_backward_induction(name: str, options: dict, steps: int) -> None:
+def test_the_least_failure_is_backward_induction(name, options, steps):
     env = gym.make(name, **options)
     world = from_gymnasium(env)
     solution = solve(MCMP(world.model, world.start, failure_budget=None))
@@ -97,7 +94,7 @@ def test_the_least_failure_is_backward_induction(name: str, options: dict, steps
     check_agreement(solution, report)
 
 
-def test_without_the_horizon_the_step_limit_is_told() -> None:
+def test_without_the_horizon_the_step_limit_is_told():
     env = gym.make("FrozenLake-v1", map_name="8x8")
     world = from_gymnasium(env, horizon=None)
     assert (world.step_limit, world.horizon, world.start) == (100, None, {0: 1.0})
@@ -113,7 +110,7 @@ def test_without_the_horizon_the_step_limit_is_told() -> None:
     )
 
 
-def test_a_horizon_beyond_the_limit_is_told_and_one_below_it_is_kept() -> None:
+def test_a_horizon_beyond_the_limit_is_told_and_one_below_it_is_kept():
     env = gym.make("FrozenLake-v1", map_name="8x8", max_episode_steps=60)
     long = from_gymnasium(env, horizon=150)
     solution = solve(MCMP(long.model, long.start, failure_budget=0.3))
@@ -127,7 +124,7 @@ def test_a_horizon_beyond_the_limit_is_told_and_one_below_it_is_kept() -> None:
 
 
 @pytest.mark.parametrize("name", ["CliffWalking-v1", "CliffWalkingSlippery-v1"])
-def test_cliff_walking_needs_a_goal(name: str) -> None:
+def test_cliff_walking_needs_a_goal(name):
     env = gym.make(name)
     with pytest.raises(ModelError, match="say which states are goals"):
         from_gymnasium(env)
@@ -143,7 +140,7 @@ def test_cliff_walking_needs_a_goal(name: str) -> None:
     )
 
 
-def test_the_cliff_costs_what_the_rewards_say() -> None:
+def test_the_cliff_costs_what_the_rewards_say():
     env = gym.make("CliffWalking-v1")
     world = from_gymnasium(env, goal=lambda state: state == END_OF_CLIFF, cost="reward")
     assert set(world.model.costs.tolist()) == {1.0, 100.0}
@@ -151,7 +148,7 @@ def test_the_cliff_costs_what_the_rewards_say() -> None:
     assert solution.objective == pytest.approx(13.0)
 
 
-def test_a_fall_may_be_a_failure_by_a_memory() -> None:
+def test_a_fall_may_be_a_failure_by_a_memory():
     """The table sends who falls back to the start; a memory of the cost makes it a failure."""
     env = gym.make("CliffWalkingSlippery-v1")
     world = from_gymnasium(env, goal=lambda state: state == END_OF_CLIFF, cost="reward")
@@ -167,7 +164,7 @@ def test_a_fall_may_be_a_failure_by_a_memory() -> None:
     check_agreement(solution, report)
 
 
-def test_taxi_ends_in_states_of_their_own() -> None:
+def test_taxi_ends_in_states_of_their_own():
     env = gym.make("Taxi-v4", max_episode_steps=20)
     world = from_gymnasium(env, cost="reward")
     solution = solve(S3P(world.model, world.start, failure_budget=0.05))
@@ -180,7 +177,7 @@ def test_taxi_ends_in_states_of_their_own() -> None:
     assert world.model.costs.max() == 10.0
 
 
-def test_taxi_under_its_own_limit() -> None:
+def test_taxi_under_its_own_limit():
     env = gym.make("Taxi-v4")
     world = from_gymnasium(env)
     solution = solve(MCMP(world.model, world.start, failure_budget=0.05))
@@ -189,7 +186,7 @@ def test_taxi_under_its_own_limit() -> None:
     check_agreement(solution, report)
 
 
-def test_a_table_that_does_not_tell_all_is_found_out() -> None:
+def test_a_table_that_does_not_tell_all_is_found_out():
     env = gym.make("Taxi-v4", fickle_passenger=True)
     world = from_gymnasium(env, horizon=None)
     solution = solve(MCMP(world.model, world.start, failure_budget=0.0))
@@ -197,10 +194,10 @@ def test_a_table_that_does_not_tell_all_is_found_out() -> None:
         rollout(env, solution.policy, episodes=100, seed=0)
 
 
-def test_a_cost_of_the_users_own_and_its_lottery() -> None:
+def test_a_cost_of_the_users_own_and_its_lottery():
     env = gym.make("FrozenLake-v1", is_slippery=False)
 
-    def push(state: int, action: int, next_state: int, reward: float) -> float:
+    def push(state, action, next_state, reward):
         return 3.0 if action == 1 else 1.0  # down
 
     world = from_gymnasium(env, cost=push)
@@ -210,7 +207,7 @@ def test_a_cost_of_the_users_own_and_its_lottery() -> None:
     assert set(report.success_costs.tolist()) == {12.0}
 
 
-def test_the_goal_predicate_may_name_a_state_on_the_way() -> None:
+def test_the_goal_predicate_may_name_a_state_on_the_way():
     env = gym.make("FrozenLake-v1")
     world = from_gymnasium(env, goal=lambda state: state == 8, horizon=None)
     solution = solve(MCMP(world.model, world.start, failure_budget=0.1))
@@ -222,7 +219,7 @@ def test_the_goal_predicate_may_name_a_state_on_the_way() -> None:
     check_agreement(solution, report)
 
 
-def test_giving_up_ends_the_episode() -> None:
+def test_giving_up_ends_the_episode():
     env = gym.make("FrozenLake-v1")
     model = from_gymnasium(env, horizon=None).model
     acting = np.flatnonzero(np.diff(model.pair_offsets))
@@ -233,7 +230,7 @@ def test_giving_up_ends_the_episode() -> None:
     assert np.isnan(report.conditional_cost.value)
 
 
-def test_what_comes_after_failing_is_played() -> None:
+def test_what_comes_after_failing_is_played():
     """Who gave up walks on to an end or the limit, and has given up all the same."""
     env = gym.make("FrozenLake-v1")
     model = from_gymnasium(env, horizon=None).model
@@ -246,7 +243,7 @@ def test_what_comes_after_failing_is_played() -> None:
     assert report.mean_steps > 2.0
 
 
-def test_seeds_repeat_and_steps_are_limited() -> None:
+def test_seeds_repeat_and_steps_are_limited():
     env = gym.make("FrozenLake-v1")
     world = from_gymnasium(env)
     policy = solve(MCMP(world.model, world.start, failure_budget=0.3)).policy
@@ -259,14 +256,14 @@ def test_seeds_repeat_and_steps_are_limited() -> None:
             rollout(env, policy, **{"episodes": 1, "seed": 0, **wrong})
 
 
-def test_a_policy_of_another_model_is_refused() -> None:
+def test_a_policy_of_another_model_is_refused():
     model = SSP.from_transitions({0: {0: [(1.0, 1, 1.0)]}}, goal={1})
     policy = solve(MCMP(model, 0, failure_budget=0.0)).policy
     with pytest.raises(ModelError, match="of no environment"):
         rollout(gym.make("FrozenLake-v1"), policy, episodes=1, seed=0)
 
 
-def test_single_precision_is_rounding_and_more_is_not() -> None:
+def test_single_precision_is_rounding_and_more_is_not():
     third = np.float32(1.0 / 3.0)
     ends = [(third, np.int64(s), np.float32(s == 2), s > 0) for s in range(3)]
     world = from_gymnasium(environment({0: ends}, {}, {}))
@@ -276,7 +273,7 @@ def test_single_precision_is_rounding_and_more_is_not() -> None:
         from_gymnasium(environment({0: [(0.9, 1, 1.0, True)]}, {}))
 
 
-def test_a_million_outcomes_are_listed_in_little_time() -> None:
+def test_a_million_outcomes_are_listed_in_little_time():
     """Walks on a ring of lists: as exact as small ones, a microsecond for each outcome at most."""
     size, third = 20_000, 1.0 / 3.0
     table = [
@@ -293,7 +290,7 @@ def test_a_million_outcomes_are_listed_in_little_time() -> None:
     assert set(model.probabilities.tolist()) == {third}
 
 
-def test_tables_that_cannot_be_read_are_told() -> None:
+def test_tables_that_cannot_be_read_are_told():
     with pytest.raises(ModelError, match="an outcome in the table must be"):
         from_gymnasium(environment({0: [(1.0, 1, 1.0)]}, {}))
     fine = environment({0: [(1.0, 1, 1.0, True)], 1: [(1.0, 0, 0.0, False)]}, {})
@@ -318,9 +315,7 @@ def test_tables_that_cannot_be_read_are_told() -> None:
 
 
 @pytest.mark.parametrize("accelerator", ["none", "numba"])
-def test_least_failure_where_success_is_rare(
-    accelerator: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_least_failure_where_success_is_rare(accelerator, monkeypatch):
     """Late states hardly ever succeed; exact fractions with 1/3 give the cost."""
     monkeypatch.setenv("SSP_LP_ACCELERATOR", accelerator)
     world = from_gymnasium(gym.make("FrozenLake-v1", map_name="8x8"))
@@ -331,7 +326,7 @@ def test_least_failure_where_success_is_rare(
     assert certificate.gap < 1e-9
 
 
-def test_the_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_missing_package_is_named(monkeypatch):
     env = gym.make("FrozenLake-v1")
     monkeypatch.setitem(sys.modules, "gymnasium", None)
     with pytest.raises(MissingDependencyError, match=r"pip install 'ssp-lp\[gym\]'"):

@@ -1,16 +1,12 @@
 """A sample of `examples/checks/damaged_files.py`: damaged files are read, or refused by name."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 
 from examples.checks.damaged_files import READ, REFUSED, damaged, verdict
 
 
 @pytest.mark.parametrize("ending", ["json", "json.gz", "nested.json", "explicit.json", "prism"])
-def test_damaged_files_are_read_or_refused_by_name(ending: str, tmp_path: Path) -> None:
+def test_damaged_files_are_read_or_refused_by_name(ending, tmp_path):
     found = {
         number: verdict(ending, tmp_path / f"m.{ending}")
         for number, _ in damaged(ending, tmp_path, range(40))
@@ -29,7 +25,7 @@ CLAIMS = [
 
 
 @pytest.mark.parametrize(("ending", "text"), CLAIMS)
-def test_a_claim_of_many_states_takes_no_memory(ending: str, text: str, tmp_path: Path) -> None:
+def test_a_claim_of_many_states_takes_no_memory(ending, text, tmp_path):
     path = tmp_path / f"m.{ending}"
     path.write_text(text, encoding="utf-8")
     assert verdict(ending, path) in (READ, REFUSED)

@@ -1,13 +1,9 @@
 """Models in JSON: three forms, read and written; what is broken is refused by name."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import random
 from fractions import Fraction
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -28,11 +24,11 @@ ROADS = {
 DOCUMENT = {"goal": ["end"], "start": "depot", "labels": {"end": ["home"], "crash": ["wreck"]}}
 
 
-def stated(table: Any, *goal: str, cost: str | None = None) -> Any:
+def stated(table, *goal, cost=None):
     return parse_json(json.dumps(table), "roads", goal, cost)
 
 
-def test_a_table_and_a_document_say_the_same() -> None:
+def test_a_table_and_a_document_say_the_same():
     table = stated(ROADS, "home", cost="cost")
     document = stated({**DOCUMENT, "transitions": ROADS}, cost="cost")
     assert (table.start, document.start) == (None, "depot")
@@ -41,7 +37,7 @@ def test_a_table_and_a_document_say_the_same() -> None:
         assert np.array_equal(getattr(table.model, name), getattr(document.model, name))
 
 
-def test_costs_by_name() -> None:
+def test_costs_by_name():
     roads = {"depot": {"alley": [[1, "home", {"cost": 4, "fuel": "1/3"}]]}}
     fuel = stated(roads, "home", cost="fuel").model
     assert fuel.exact_costs == {1 / 3: Fraction(1, 3)}
@@ -51,7 +47,7 @@ def test_costs_by_name() -> None:
             stated(roads, "home", cost=wrong)
 
 
-def test_a_published_case_names_its_costs() -> None:
+def test_a_published_case_names_its_costs():
     path = FOLDER / "models" / "prism_attacktree.json.gz"
     for cost, hint in ((None, "each step$"), ("sucess", "not 'sucess'; did you mean 'success'")):
         with pytest.raises(ModelError, match=rf"gz: choose .*'cost', 'success', or 'unit'.*{hint}"):
@@ -60,7 +56,7 @@ def test_a_published_case_names_its_costs() -> None:
 
 
 @pytest.mark.parametrize("name", ["prism_robot_goal1", "prism_attacktree"])
-def test_published_cases_are_read(name: str) -> None:
+def test_published_cases_are_read(name):
     cost = {"prism_robot_goal1": "time", "prism_attacktree": "unit"}[name]
     case = load_case(name, cost)
     own = SSP.from_transitions(case.choices, goal=case.goal, treat_actionless_as_dead_ends=True)
@@ -72,7 +68,7 @@ def test_published_cases_are_read(name: str) -> None:
     assert theirs == pytest.approx(mine, rel=1e-12)
 
 
-def test_what_is_written_is_read_again(tmp_path: Path) -> None:
+def test_what_is_written_is_read_again(tmp_path):
     model = model_of(
         {(0, "a"): {1: [(0.25, "x", 0.1), (0.75, (0, "a"), Fraction(1, 3))]}},
         "x",
@@ -88,7 +84,7 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
     assert list(again.model.states) == [str(state) for state in model.states]
 
 
-def test_names_that_read_the_same_are_refused() -> None:
+def test_names_that_read_the_same_are_refused():
     twice = SSP.from_transitions({1: {"a": [(1.0, "1", 1.0)]}}, goal=["1"])
     with pytest.raises(ModelError, match="two states"):
         list(model_in_json(twice))
@@ -121,13 +117,13 @@ EXPLICIT = {"format": "explicit-mdp-v1", "init": 0, "goal": [1]}
         ({**EXPLICIT, "choices": [[{"name": "a", "to": [[1]], "rewards": {}}]]}, "is no explicit"),
     ],
 )
-def test_what_is_broken_is_refused(table: Any, complaint: str) -> None:
+def test_what_is_broken_is_refused(table, complaint):
     text = table if isinstance(table, str) else json.dumps(table)
     with pytest.raises(ModelError, match=complaint):
         parse_json(text, "roads", ["home"] if "format" not in table else ())
 
 
-def test_no_goals_and_no_text(tmp_path: Path) -> None:
+def test_no_goals_and_no_text(tmp_path):
     with pytest.raises(ModelError, match="does not say which states are goals"):
         stated(ROADS)
     for name, content in (
@@ -140,7 +136,7 @@ def test_no_goals_and_no_text(tmp_path: Path) -> None:
             read_json(tmp_path / name, ["home"])
 
 
-def test_mutated_files_give_named_errors() -> None:
+def test_mutated_files_give_named_errors():
     rng = random.Random(0)
     text = json.dumps({**DOCUMENT, "transitions": ROADS})
     parts = [

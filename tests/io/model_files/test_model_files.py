@@ -1,14 +1,10 @@
 """Model files: round trips keep the optimum, texts read as they should, broken files are named."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import json
 import zipfile
-from collections.abc import Callable
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -31,10 +27,10 @@ from ssp_lp.io import (
 )
 
 
-def _grid() -> SSP:
+def _grid():
     """A robot in a corridor: tuples as states, two ends, labels with spaces."""
 
-    def successors(cell: tuple[int, int]) -> dict[object, list[tuple[float, object, float]]]:
+    def successors(cell):
         x, y = cell
         if cell == (1, 0):
             return {}
@@ -54,7 +50,7 @@ def _grid() -> SSP:
     )
 
 
-def _published(name: str, cost: str) -> SSP:
+def _published(name, cost):
     case = load_case(name, cost)
     return SSP.from_transitions(case.floats(), case.goal, treat_actionless_as_dead_ends=True)
 
@@ -76,7 +72,7 @@ each_case = pytest.mark.parametrize("name", sorted(CASES))
 
 @each_case
 @pytest.mark.parametrize("way", ["npz", "drn", "drn.gz", "prism"])
-def test_a_round_trip_keeps_the_optimum(name: str, way: str, tmp_path: Path) -> None:
+def test_a_round_trip_keeps_the_optimum(name, way, tmp_path):
     model, start, budget = CASES[name]
     path = tmp_path / f"model.{way}"
     if way == "npz":
@@ -97,7 +93,7 @@ def test_a_round_trip_keeps_the_optimum(name: str, way: str, tmp_path: Path) -> 
 
 
 @each_case
-def test_an_archive_is_the_same_model(name: str, tmp_path: Path) -> None:
+def test_an_archive_is_the_same_model(name, tmp_path):
     model, _, _ = CASES[name]
     save_model(model, tmp_path / "model")
     again = load_model(tmp_path / "model")
@@ -114,7 +110,7 @@ def test_an_archive_is_the_same_model(name: str, tmp_path: Path) -> None:
     }
 
 
-def test_an_archive_keeps_fractions_and_odd_names(tmp_path: Path) -> None:
+def test_an_archive_keeps_fractions_and_odd_names(tmp_path):
     third = Fraction(1, 3)
     model = model_of(
         {("é", 1.5): {1: [(0.5, "g", third), (0.5, (0, (True, "x")), 2)]}, (0, (True, "x")): {}}
@@ -125,7 +121,7 @@ def test_an_archive_keeps_fractions_and_odd_names(tmp_path: Path) -> None:
     assert again.states == [("é", 1.5), (0, (True, "x")), "g"]
 
 
-def test_an_archive_of_arrays_keeps_what_is_left_out(tmp_path: Path) -> None:
+def test_an_archive_of_arrays_keeps_what_is_left_out(tmp_path):
     arrays = {"pair_offsets": [0, 1, 1], "outcome_offsets": [0, 2], "successors": [0, 1]}
     model = SSP.from_arrays(**arrays, probabilities=[0.5, 0.5], costs=1.0, goal_states=[1])
     save_model(model, tmp_path / "m.npz")
@@ -136,13 +132,13 @@ def test_an_archive_of_arrays_keeps_what_is_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", [frozenset({1}), (1, b"x"), 2j])
-def test_a_name_that_cannot_be_kept_is_named(name: object, tmp_path: Path) -> None:
+def test_a_name_that_cannot_be_kept_is_named(name, tmp_path):
     model = SSP.from_transitions({name: {"a": [(1.0, "g", 1)]}}, goal={"g"})
     with pytest.raises(ModelError, match=r"the label .* cannot be written"):
         save_model(model, tmp_path / "m.npz")
 
 
-def changed(path: Path, **arrays: np.ndarray | None) -> Path:
+def changed(path, **arrays):
     """The archive with other arrays, or without some."""
     with np.load(path, allow_pickle=False) as found:
         kept = {**found, **arrays}
@@ -151,13 +147,13 @@ def changed(path: Path, **arrays: np.ndarray | None) -> Path:
     return other
 
 
-def with_texts(path: Path, **entries: object) -> Path:
+def with_texts(path, **entries):
     with np.load(path, allow_pickle=False) as found:
         texts = json.loads(found["header"].tobytes()) | entries
     return changed(path, header=np.frombuffer(json.dumps(texts).encode(), dtype=np.uint8))
 
 
-def test_archives_that_are_none_are_refused_by_name(tmp_path: Path) -> None:
+def test_archives_that_are_none_are_refused_by_name(tmp_path):
     path = tmp_path / "m.npz"
     save_model(FIRST, path)
     with pytest.raises(ModelError, match="costs is missing"):
@@ -181,7 +177,7 @@ def test_archives_that_are_none_are_refused_by_name(tmp_path: Path) -> None:
         load_model(path)
 
 
-def test_an_array_cannot_claim_more_than_is_there(tmp_path: Path) -> None:
+def test_an_array_cannot_claim_more_than_is_there(tmp_path):
     path = tmp_path / "m.npz"
     save_model(FIRST, path)
     head = io.BytesIO()
@@ -227,13 +223,13 @@ state 3
 """
 
 
-def drn(tmp_path: Path, text: str) -> Path:
+def drn(tmp_path, text):
     path = tmp_path / "hand.drn"
     path.write_text(text, encoding="utf-8", newline="\n")
     return path
 
 
-def test_a_drn_text_reads_as_it_should(tmp_path: Path) -> None:
+def test_a_drn_text_reads_as_it_should(tmp_path):
     found = read_drn(drn(tmp_path, DRN), goal="done", cost="time")
     model = found.model
     assert found.start == 0
@@ -279,15 +275,13 @@ def test_a_drn_text_reads_as_it_should(tmp_path: Path) -> None:
         ("@model", "@modle", "is no section"),
     ],
 )
-def test_an_error_in_a_drn_text_names_its_line(
-    old: str, new: str, message: str, tmp_path: Path
-) -> None:
+def test_an_error_in_a_drn_text_names_its_line(old, new, message, tmp_path):
     assert old in DRN
     with pytest.raises(ModelError, match=message):
         read_drn(drn(tmp_path, DRN.replace(old, new, 1)), goal="done", cost="time")
 
 
-def test_a_drn_cost_must_be_chosen(tmp_path: Path) -> None:
+def test_a_drn_cost_must_be_chosen(tmp_path):
     path = drn(tmp_path, DRN)
     with pytest.raises(ModelError, match=r"choose one of the reward models.*'time', 'coins'"):
         read_drn(path, goal="done")
@@ -324,14 +318,14 @@ PRISM = {
 }
 
 
-def prism(tmp_path: Path, **changes: str | None) -> Path:
+def prism(tmp_path, **changes):
     for ending, text in (PRISM | changes).items():
         if text is not None:
             (tmp_path / f"hand.{ending}").write_text(text, encoding="utf-8", newline="\n")
     return tmp_path / "hand"
 
 
-def test_prism_texts_read_as_they_should(tmp_path: Path) -> None:
+def test_prism_texts_read_as_they_should(tmp_path):
     found = read_prism(prism(tmp_path), goal="done", cost="energy")
     model = found.model
     assert model.states == [(0, True), (1, False), (2, True), (3, True), (-4, True)]
@@ -347,7 +341,7 @@ def test_prism_texts_read_as_they_should(tmp_path: Path) -> None:
     assert read_prism(tmp_path / "hand.tra.gz", goal="done").model.n_outcomes == 6
 
 
-def test_a_prism_structure_is_chosen_by_name(tmp_path: Path) -> None:
+def test_a_prism_structure_is_chosen_by_name(tmp_path):
     base = prism(tmp_path, srew=None, trew=None, sta=None, srew1=None)
     assert set(read_prism(base, goal="done").model.costs) == {1.0}
     (tmp_path / "hand1.srew").write_text('# Reward structure "time"\n5 1\n0 3\n')
@@ -358,7 +352,7 @@ def test_a_prism_structure_is_chosen_by_name(tmp_path: Path) -> None:
     assert read_prism(base, goal="done", cost="coins").model.costs.tolist() == [0, 0, 0, 0, 0, 7]
 
 
-def test_a_markov_chain_of_prism(tmp_path: Path) -> None:
+def test_a_markov_chain_of_prism(tmp_path):
     texts = {"tra": "3 4\n0 1 0.5\n0 2 0.5\n1 1 1\n2 2 1\n", "sta": None}
     rewards = {"srew": "3 1\n0 2\n", "trew": "3 1\n0 2 5\n"}
     labels = '0="init" 1="done"\n1: 1\n'
@@ -388,14 +382,12 @@ def test_a_markov_chain_of_prism(tmp_path: Path) -> None:
         ("trew", "5 6 1\n0 0 1 -1\n", "negative cost"),
     ],
 )
-def test_an_error_in_a_prism_text_names_its_file(
-    ending: str, text: str, message: str, tmp_path: Path
-) -> None:
+def test_an_error_in_a_prism_text_names_its_file(ending, text, message, tmp_path):
     with pytest.raises(ModelError, match=message):
         read_prism(prism(tmp_path, **{ending: text}), goal="done")
 
 
-def test_outcomes_of_several_costs_keep_their_totals(tmp_path: Path) -> None:
+def test_outcomes_of_several_costs_keep_their_totals(tmp_path):
     model = model_of(
         {
             "s": {"a": [(0.25, "g", 0.1), (0.25, "g", 0.3), (0.5, "t", 0.3)]},
@@ -418,7 +410,7 @@ def test_outcomes_of_several_costs_keep_their_totals(tmp_path: Path) -> None:
     assert (tmp_path / "n.drn").read_text() == (tmp_path / "m.drn").read_text()
 
 
-def test_what_cannot_be_exported_is_named(tmp_path: Path) -> None:
+def test_what_cannot_be_exported_is_named(tmp_path):
     with pytest.raises(ModelError, match="'nowhere' is not a state"):
         write_drn(FIRST, tmp_path / "m.drn", start="nowhere")
     with pytest.raises(ModelError, match="begin in one state"):
@@ -430,7 +422,7 @@ def test_what_cannot_be_exported_is_named(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def loads_or_is_refused(load: Callable[..., object], path: Path, **options: str) -> bool:
+def loads_or_is_refused(load, path, **options):
     """Whether nothing worse happens than an error that names the file."""
     try:
         load(path, **options)
@@ -440,7 +432,7 @@ def loads_or_is_refused(load: Callable[..., object], path: Path, **options: str)
 
 
 @pytest.mark.parametrize("seed", range(100))
-def test_damaged_files_load_or_are_refused(seed: int, tmp_path: Path) -> None:
+def test_damaged_files_load_or_are_refused(seed, tmp_path):
     rng = np.random.default_rng(seed)
     path = drn(tmp_path, DRN)
     path.write_bytes(mutated(path.read_bytes(), rng))
@@ -460,15 +452,12 @@ def test_damaged_files_load_or_are_refused(seed: int, tmp_path: Path) -> None:
 
 
 MATRICES = np.array(
-    [
-        [[0.0, 0.9, 0.1], [0, 1, 0], [0, 0, 1]],
-        [[0.0, 0.99, 0.01], [0, 1, 0], [0, 0, 0]],
-    ]
+    [[[0.0, 0.9, 0.1], [0, 1, 0], [0, 0, 1]], [[0.0, 0.99, 0.01], [0, 1, 0], [0, 0, 0]]]
 )
 
 
 @pytest.mark.parametrize("sparse", [False, True])
-def test_matrices_make_the_model(sparse: bool) -> None:
+def test_matrices_make_the_model(sparse):
     matrices = [sp.csr_matrix(m) for m in MATRICES] if sparse else MATRICES
     by_outcome = np.zeros((2, 3, 3))
     by_outcome[:, 0, 1], by_outcome[:, 0, 2] = [4, 9], [2, 5]
@@ -494,14 +483,14 @@ def test_matrices_make_the_model(sparse: bool) -> None:
         ({"goal": [1], "costs": [0, 0, 0], "actions": ["a"]}, "1 names for 2 actions"),
     ],
 )
-def test_matrices_that_do_not_fit_are_named(options: dict[str, object], message: str) -> None:
+def test_matrices_that_do_not_fit_are_named(options, message):
     with pytest.raises(ModelError, match=message):
         from_matrices(MATRICES, **options)
     with pytest.raises(ModelError, match="square"):
         from_matrices([np.ones((2, 3))], [0], costs=[1, 1])
 
 
-def test_what_is_paid_until_a_failure_survives_a_round_trip(tmp_path: Path) -> None:
+def test_what_is_paid_until_a_failure_survives_a_round_trip(tmp_path):
     """A step that fails is paid in full, though its file pays in two steps."""
     write_drn(FIRST, tmp_path / "m.drn", start="depot")
     found = read_drn(tmp_path / "m.drn", goal="goal")
@@ -510,7 +499,7 @@ def test_what_is_paid_until_a_failure_survives_a_round_trip(tmp_path: Path) -> N
     assert solve(dear).objective == pytest.approx(solve(told).objective, rel=1e-15)
 
 
-def test_a_state_that_merely_bears_the_name_is_kept(tmp_path: Path) -> None:
+def test_a_state_that_merely_bears_the_name_is_kept(tmp_path):
     """A state labelled "paying" is the model's own if it may do anything but pay."""
     model = model_of(
         {
@@ -526,7 +515,7 @@ def test_a_state_that_merely_bears_the_name_is_kept(tmp_path: Path) -> None:
     assert found.state_labels["paying"].tolist() == [1, 2]
 
 
-def test_a_negative_payment_is_not_hidden_by_a_sum(tmp_path: Path) -> None:
+def test_a_negative_payment_is_not_hidden_by_a_sum(tmp_path):
     write_drn(FIRST, tmp_path / "m.drn", start="depot")
     text = (tmp_path / "m.drn").read_text(encoding="utf-8")
     assert "action pay [2.0]" in text

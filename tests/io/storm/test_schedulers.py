@@ -1,10 +1,6 @@
 """Storm on our policies: what it says of their chains, and its schedulers written and read."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,24 +9,12 @@ import stormpy
 from cases import published
 from formulations import MCMP, S3P
 from small_models import AWKWARD, FIRST, model_of
-from ssp_lp import (
-    GIVE_UP,
-    SSP,
-    DeterministicPolicy,
-    ModelError,
-    StochasticPolicy,
-    evaluate,
-    solve,
-)
-from ssp_lp.io import (
-    induced_chain,
-    to_stormpy,
-    write_scheduler,
-)
+from ssp_lp import GIVE_UP, SSP, DeterministicPolicy, ModelError, StochasticPolicy, evaluate, solve
+from ssp_lp.io import induced_chain, to_stormpy, write_scheduler
 from storm_values import value
 
 
-def checked(policy: Any, start: object) -> tuple[float, float]:
+def checked(policy, start):
     """Failure and expected cost of a policy, as Storm finds them on its chain."""
     found = induced_chain(policy, start)
     chain = to_stormpy(found.model, start=found.start)
@@ -40,9 +24,7 @@ def checked(policy: Any, start: object) -> tuple[float, float]:
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
 @pytest.mark.parametrize("kind", ["policy", "randomised_policy"])
 @pytest.mark.parametrize(("model", "start"), [(FIRST, "depot"), (AWKWARD, ("s", 1))])
-def test_storm_finds_what_we_say_of_a_policy(
-    criterion: Any, kind: str, model: SSP, start: str
-) -> None:
+def test_storm_finds_what_we_say_of_a_policy(criterion, kind, model, start):
     problem = criterion(model, start, failure_budget=0.3)
     policy = getattr(solve(problem), kind)
     told = evaluate(policy, MCMP(model, start, failure_budget=0.3, charge_failing_step=False))
@@ -51,7 +33,7 @@ def test_storm_finds_what_we_say_of_a_policy(
     assert cost == pytest.approx(told.expected_cost, abs=1e-8)
 
 
-def test_a_chain_ends_where_failure_is_certain() -> None:
+def test_a_chain_ends_where_failure_is_certain():
     """Waiting for ever costs without end, but the policy had failed before."""
     model = model_of(
         {
@@ -65,7 +47,7 @@ def test_a_chain_ends_where_failure_is_certain() -> None:
     assert told.expected_cost == pytest.approx(2.0)
 
 
-def test_a_start_may_be_drawn() -> None:
+def test_a_start_may_be_drawn():
     model, _ = published("prism_robot_goal1", "time")
     first = {0: 0.25, 1: 0.75}
     solution = solve(MCMP(model, first, failure_budget=0.6))
@@ -73,12 +55,12 @@ def test_a_start_may_be_drawn() -> None:
     assert failure == pytest.approx(solution.failure_probability, abs=1e-8)
 
 
-def scheduler(policy: Any, start: object, tmp_path: Path) -> list[dict[str, Any]]:
+def scheduler(policy, start, tmp_path):
     write_scheduler(policy, tmp_path / "s.json", start=start)
     return json.loads((tmp_path / "s.json").read_text(encoding="utf-8"))
 
 
-def test_a_scheduler_is_written_as_storm_writes_it(tmp_path: Path) -> None:
+def test_a_scheduler_is_written_as_storm_writes_it(tmp_path):
     """Storm's own scheduler, made a policy of ours, comes out as it came in."""
     model, start = published("prism_robot_goal1", "time")
     theirs = to_stormpy(model, start=start)
@@ -92,7 +74,7 @@ def test_a_scheduler_is_written_as_storm_writes_it(tmp_path: Path) -> None:
     assert scheduler(policy, start, tmp_path) == json.loads(found.to_json_str(theirs))
 
 
-def applied(entries: list[dict[str, Any]], theirs: Any) -> Any:
+def applied(entries, theirs):
     """Storm's chain of a scheduler without memory that chooses one action in each state."""
     asked = stormpy.parse_properties('Pmax=? [F "goal"]')[0]
     whole = stormpy.model_checking(theirs, asked, extract_scheduler=True).get_scheduler()
@@ -106,7 +88,7 @@ def applied(entries: list[dict[str, Any]], theirs: Any) -> Any:
 
 
 @pytest.mark.parametrize("name", ["alley", "road"])
-def test_a_scheduler_applied_by_storm_fails_and_costs_as_ours(name: str, tmp_path: Path) -> None:
+def test_a_scheduler_applied_by_storm_fails_and_costs_as_ours(name, tmp_path):
     policy = DeterministicPolicy.from_actions(FIRST, {"depot": name})
     told = evaluate(policy, MCMP(FIRST, "depot", failure_budget=0.3, charge_failing_step=False))
     chain = applied(scheduler(policy, "depot", tmp_path), to_stormpy(FIRST, start="depot"))
@@ -114,7 +96,7 @@ def test_a_scheduler_applied_by_storm_fails_and_costs_as_ours(name: str, tmp_pat
     assert value(chain, 'R{"cost"}=? [C]') == pytest.approx(told.expected_cost)
 
 
-def followed(entries: list[dict[str, Any]], theirs: Any) -> tuple[float, float]:
+def followed(entries, theirs):
     """Failure and cost of a scheduler with memory, as its file says and by Storm's own rows."""
     rule = {(entry["s"], entry.get("m", 0)): entry["c"] for entry in entries}
     position = {key: k for k, key in enumerate(sorted(rule))}
@@ -142,9 +124,7 @@ def followed(entries: list[dict[str, Any]], theirs: Any) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize(("model", "start"), [(FIRST, "depot"), (AWKWARD, ("s", 1))])
-def test_a_scheduler_with_memory_says_what_the_policy_does(
-    model: SSP, start: str, tmp_path: Path
-) -> None:
+def test_a_scheduler_with_memory_says_what_the_policy_does(model, start, tmp_path):
     solution = solve(S3P(model, start, failure_budget=0.3))
     policy = solution.randomised_policy
     told = evaluate(policy, MCMP(model, start, failure_budget=0.3, charge_failing_step=False))
@@ -155,7 +135,7 @@ def test_a_scheduler_with_memory_says_what_the_policy_does(
         assert cost == pytest.approx(told.expected_cost, abs=1e-12)
 
 
-def test_the_robots_memory_of_costs_is_a_scheduler(tmp_path: Path) -> None:
+def test_the_robots_memory_of_costs_is_a_scheduler(tmp_path):
     model, start = published("prism_robot_goal1", "time")
     solution = solve(S3P(model, start, failure_budget=0.75))
     told = solution.evaluation
@@ -165,7 +145,7 @@ def test_the_robots_memory_of_costs_is_a_scheduler(tmp_path: Path) -> None:
     assert failure == pytest.approx(told.failure_probability, abs=1e-9)
 
 
-def test_giving_up_is_an_action_that_avoids_the_goal(tmp_path: Path) -> None:
+def test_giving_up_is_an_action_that_avoids_the_goal(tmp_path):
     """A policy that by chance gives up or goes on from its start."""
     model, start = published("prism_robot_goal1", "time")
     solution = solve(MCMP(model, start, failure_budget=0.75))
@@ -175,7 +155,7 @@ def test_giving_up_is_an_action_that_avoids_the_goal(tmp_path: Path) -> None:
     assert failure == pytest.approx(solution.failure_probability, abs=1e-12)
 
 
-def test_memory_stands_in_a_scheduler_as_storm_writes_it(tmp_path: Path) -> None:
+def test_memory_stands_in_a_scheduler_as_storm_writes_it(tmp_path):
     """The fields of an entry are those of a scheduler with memory that Storm made."""
     ring = "mdp\nmodule m\n s : [0..1];\n [a] true -> 0.5:(s'=0)+0.5:(s'=1);\nendmodule\n"
     (tmp_path / "ring.prism").write_text(ring, encoding="utf-8")
@@ -196,7 +176,7 @@ def test_memory_stands_in_a_scheduler_as_storm_writes_it(tmp_path: Path) -> None
     assert sorted(mine["c"][0]["memory-updates"][0]) == ["m'", "s'"]
 
 
-def test_what_a_scheduler_cannot_say_is_named(tmp_path: Path) -> None:
+def test_what_a_scheduler_cannot_say_is_named(tmp_path):
     lottery = solve(MCMP(FIRST, "depot", failure_budget=0.05)).policy
     with pytest.raises(ModelError, match=r"solution\.randomised_policy"):
         scheduler(lottery, "depot", tmp_path)

@@ -1,11 +1,7 @@
 """Storm's door: its programs and models read, ours given to it, and what it says of them."""
 
-from __future__ import annotations
-
 import json
 import sys
-from pathlib import Path
-from typing import Any
 
 import pytest
 import stormpy
@@ -14,19 +10,8 @@ from cases import load_case
 from checks import optima
 from formulations import MCMP, MaxProb
 from small_models import ALONE, AWKWARD, FIRST
-from ssp_lp import (
-    SSP,
-    MissingDependencyError,
-    ModelError,
-    solve,
-)
-from ssp_lp.io import (
-    from_stormpy,
-    read_with_storm,
-    to_stormpy,
-    write_drn,
-    write_umb,
-)
+from ssp_lp import SSP, MissingDependencyError, ModelError, solve
+from ssp_lp.io import from_stormpy, read_with_storm, to_stormpy, write_drn, write_umb
 from ssp_lp.model.graph import dead_end_labels
 from storm_values import value
 
@@ -52,7 +37,7 @@ endrewards
 label "done" = x = N;
 """
 
-JANI: dict[str, Any] = {
+JANI = {
     "jani-version": 1,
     "name": "walker",
     "type": "mdp",
@@ -107,13 +92,13 @@ JANI: dict[str, Any] = {
 }
 
 
-def written(tmp_path: Path, text: str, name: str = "walker.prism") -> Path:
+def written(tmp_path, text, name="walker.prism"):
     path = tmp_path / name
     path.write_text(text, encoding="utf-8")
     return path
 
 
-def test_a_program_of_prism(tmp_path: Path) -> None:
+def test_a_program_of_prism(tmp_path):
     found = read_with_storm(
         written(tmp_path, PROGRAM), goal="done", cost="time", constants="N=2,p=0.25"
     )
@@ -133,7 +118,7 @@ def test_a_program_of_prism(tmp_path: Path) -> None:
     assert solve(MCMP(named.model, named.start, failure_budget=0.0)).objective == 0.0
 
 
-def test_a_goal_may_be_a_condition(tmp_path: Path) -> None:
+def test_a_goal_may_be_a_condition(tmp_path):
     path = written(tmp_path, PROGRAM)
     options = {"cost": "time", "constants": "N=4,p=0.1"}
     for goal in ("x = N - 1 & !broken", '!("deadlock" | x < 3)'):
@@ -174,9 +159,7 @@ def test_a_goal_may_be_a_condition(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_what_is_wrong_with_a_program_is_named(
-    old: str, new: str, options: dict[str, Any], message: str, tmp_path: Path
-) -> None:
+def test_what_is_wrong_with_a_program_is_named(old, new, options, message, tmp_path):
     path = written(tmp_path, PROGRAM.replace(old, new, 1) if old else PROGRAM)
     asked = {"goal": "done", "cost": "time", "constants": "N=2,p=0.1"} | options
     with pytest.raises(ModelError, match=message) as found:
@@ -199,10 +182,10 @@ label "done" = s = 2;
 
 
 @pytest.mark.parametrize("ending", ["prism", "jani"])
-def test_decimals_that_sum_to_one_are_probabilities(tmp_path: Path, ending: str) -> None:
+def test_decimals_that_sum_to_one_are_probabilities(tmp_path, ending):
     """As floats 0.8 + 0.1 + 0.1 is a little less than 1: rounding, up to 1e-9."""
 
-    def read(probability: str, text: str = TENTHS) -> SSP:
+    def read(probability, text=TENTHS):
         path = written(tmp_path, text.replace("P :", f"{probability} :"), "tenths.prism")
         if ending == "jani":
             stormpy = pytest.importorskip("stormpy")
@@ -223,12 +206,12 @@ def test_decimals_that_sum_to_one_are_probabilities(tmp_path: Path, ending: str)
             read("0.8", TENTHS.replace("(s' = 1)", update))
 
 
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+def test_a_file_that_is_not_there(tmp_path):
     with pytest.raises(FileNotFoundError):
         read_with_storm(tmp_path / "no.prism", goal="done")
 
 
-def test_a_markov_chain_and_a_partly_observed_model(tmp_path: Path) -> None:
+def test_a_markov_chain_and_a_partly_observed_model(tmp_path):
     chain = "dtmc\nmodule m\n s : [0..2];\n [] s=0 -> 0.5:(s'=1)+0.5:(s'=2);\nendmodule\n"
     found = read_with_storm(written(tmp_path, chain), goal="s=1")
     assert solve(MaxProb(found.model, found.start)).objective == 0.5
@@ -238,7 +221,7 @@ def test_a_markov_chain_and_a_partly_observed_model(tmp_path: Path) -> None:
         read_with_storm(written(tmp_path, hidden), goal="s=1")
 
 
-def test_jani_rewards_of_edges_are_read_and_those_of_outcomes_refused(tmp_path: Path) -> None:
+def test_jani_rewards_of_edges_are_read_and_those_of_outcomes_refused(tmp_path):
     path = written(tmp_path, json.dumps(JANI), "walker.jani")
     found = read_with_storm(path, goal="done", cost="toll", constants="p=0.2")
     least = solve(MCMP(found.model, found.start, failure_budget=0.0)).objective
@@ -252,7 +235,7 @@ def test_jani_rewards_of_edges_are_read_and_those_of_outcomes_refused(tmp_path: 
         )
 
 
-def _transitions(rows: list[dict[int, float]], groups: list[int]) -> Any:
+def _transitions(rows, groups):
     builder = stormpy.datastructures.SparseMatrixBuilder[float](
         has_custom_row_grouping=True, row_groups=len(groups)
     )
@@ -264,7 +247,7 @@ def _transitions(rows: list[dict[int, float]], groups: list[int]) -> Any:
     return builder.build()
 
 
-def _hand_made(**rewards: Any) -> Any:
+def _hand_made(**rewards):
     """Two states: one action to the goal or back."""
     labels = stormpy.models.StateLabeling(2)
     for label, state in (("init", 0), ("end", 1), ("the pit", 0)):
@@ -278,7 +261,7 @@ def _hand_made(**rewards: Any) -> Any:
     return stormpy.models.SparseMdp[float](parts)
 
 
-def test_rewards_of_states_actions_and_transitions_add_up() -> None:
+def test_rewards_of_states_actions_and_transitions_add_up():
     by_state = _hand_made(optional_state_reward_vector=[0.1, 5.0])
     assert set(from_stormpy(by_state, goal="end").model.costs) == {0.1}
     paid = _transitions([{0: 0.5, 1: 1.0}, {}], [0, 1])
@@ -294,7 +277,7 @@ def test_rewards_of_states_actions_and_transitions_add_up() -> None:
         from_stormpy(_hand_made(optional_state_reward_vector=[-1.0, 0.0]), goal="end")
 
 
-def test_models_that_are_no_decision_processes_in_floats_are_refused(tmp_path: Path) -> None:
+def test_models_that_are_no_decision_processes_in_floats_are_refused(tmp_path):
     program = stormpy.parse_prism_program(str(written(tmp_path, PROGRAM)))
     ready, _ = stormpy.instantiate_constants(program, "N=2")
     open_one = stormpy.build_model[stormpy.RationalFunction](ready)
@@ -313,9 +296,7 @@ def test_models_that_are_no_decision_processes_in_floats_are_refused(tmp_path: P
 
 @pytest.mark.parametrize("way", ["memory", "umb", "drn"])
 @pytest.mark.parametrize(("model", "start"), [(FIRST, "depot"), (AWKWARD, ("s", 1)), (ALONE, "g")])
-def test_a_round_trip_through_storm_keeps_the_optimum(
-    way: str, model: SSP, start: str, tmp_path: Path
-) -> None:
+def test_a_round_trip_through_storm_keeps_the_optimum(way, model, start, tmp_path):
     if way == "memory":
         found = from_stormpy(to_stormpy(model, start=start), goal="goal")
     elif way == "umb":
@@ -341,7 +322,7 @@ def test_a_round_trip_through_storm_keeps_the_optimum(
         ("prism_rewpoliter", "cost"),
     ],
 )
-def test_storm_agrees_on_published_models(name: str, cost: str) -> None:
+def test_storm_agrees_on_published_models(name, cost):
     """The greatest goal probability, and the least cost where three tenths of it may be lost."""
     case = load_case(name, cost)
     choices = case.floats()
@@ -358,7 +339,7 @@ def test_storm_agrees_on_published_models(name: str, cost: str) -> None:
     assert least == pytest.approx(solve(problem).objective, rel=1e-6, abs=1e-6)
 
 
-def test_the_missing_package_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_the_missing_package_is_named(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "stormpy", None)
     with pytest.raises(MissingDependencyError, match=r"pip install 'ssp-lp\[storm\]'"):
         to_stormpy(FIRST, start="depot")

@@ -1,7 +1,5 @@
 """Continuous worlds: what samples say, episodes played in the world, and answers that cannot be."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -11,7 +9,6 @@ import pytest
 from formulations import MCMP
 from ssp_lp import (
     GIVE_UP,
-    SSP,
     Axis,
     ContinuousModel,
     DeterministicPolicy,
@@ -31,7 +28,7 @@ HOPS = Distribution.discrete([-1.0, 1.0, 2.0], [0.35, 0.4, 0.25])
 SURE = Distribution.discrete([1.0], [1.0])
 
 
-def walk(hops: Distribution = HOPS) -> ContinuousModel:
+def walk(hops=HOPS):
     """Whole hops on a line of six cells: the goal beyond the right end, a pit beyond the left."""
 
     def step(at, action, draws):
@@ -41,7 +38,7 @@ def walk(hops: Distribution = HOPS) -> ContinuousModel:
     return ContinuousModel(Grid([Axis(0.0, 6.0, 6)]), ["hop", "creep"], step, [hops], {"pit": 0.0})
 
 
-def always(model: SSP, action: str) -> DeterministicPolicy:
+def always(model, action):
     """The policy of one action."""
     return DeterministicPolicy.from_actions(model, dict.fromkeys(range(6), action))
 
@@ -49,14 +46,14 @@ def always(model: SSP, action: str) -> DeterministicPolicy:
 # ------------------------------------------------------------------ samples
 
 
-def test_a_seed_is_a_model() -> None:
+def test_a_seed_is_a_model():
     first, again, other = (discretise(walk(), Samples(20, rng)) for rng in (3, 3, 4))
     assert fingerprint(first) == fingerprint(again) != fingerprint(other)
     generator = np.random.default_rng(3)
     assert fingerprint(discretise(walk(), Samples(20, generator))) == fingerprint(first)
 
 
-def test_the_deviation_is_weissmans_bound() -> None:
+def test_the_deviation_is_weissmans_bound():
     """Two outcomes: (2^2 - 2) exp(-n d^2 / 2) = 5 %; several pairs share what may be lost."""
     samples = Samples(1000, 0)
     assert samples.deviation(1, 2) == pytest.approx(math.sqrt(2 * math.log(2 / 0.05) / 1000))
@@ -67,7 +64,7 @@ def test_the_deviation_is_weissmans_bound() -> None:
     assert samples.deviation(5, 10**6) == 2.0  # says nothing, and cannot be more
 
 
-def test_samples_are_as_near_as_stated_and_so_is_failing() -> None:
+def test_samples_are_as_near_as_stated_and_so_is_failing():
     """Whole hops make the true grid model known: that of its discrete noise."""
     true = discretise(walk(), Quadrature(1))
     missed = 0
@@ -82,7 +79,7 @@ def test_samples_are_as_near_as_stated_and_so_is_failing() -> None:
     assert missed <= 4  # at most a fifth; the bound is generous
 
 
-def distance(true: SSP, drawn: SSP, pair: int) -> float:
+def distance(true, drawn, pair):
     """The sum of absolute differences of a pair's probabilities."""
     chances = np.zeros((2, true.n_states))
     for k, model in enumerate((true, drawn)):
@@ -91,7 +88,7 @@ def distance(true: SSP, drawn: SSP, pair: int) -> float:
     return float(np.abs(chances[0] - chances[1]).sum())
 
 
-def played(model: SSP) -> tuple[float, float]:
+def played(model):
     """Failure probability and expected steps of hopping from cell 2."""
     exact = evaluate(always(model, "hop"), MCMP(model, 2, 1.0))
     return exact.failure_probability, exact.expected_cost
@@ -100,7 +97,7 @@ def played(model: SSP) -> tuple[float, float]:
 # ------------------------------------------------------------------ episodes in the world
 
 
-def test_where_cells_are_exact_so_is_the_interval() -> None:
+def test_where_cells_are_exact_so_is_the_interval():
     """Whole hops from cell to cell: the world is the chain, whatever the point in the cell."""
     world = walk()
     model = discretise(world, Quadrature(3))
@@ -116,7 +113,7 @@ def test_where_cells_are_exact_so_is_the_interval() -> None:
     assert report.expected_cost.low < exact.expected_cost < report.expected_cost.high
 
 
-def test_giving_up_ends_an_episode_as_a_failure() -> None:
+def test_giving_up_ends_an_episode_as_a_failure():
     world = walk(SURE)
     model = discretise(world, Quadrature(1))
     decisions = {cell: "hop" if cell < 4 else GIVE_UP for cell in range(6)}
@@ -130,7 +127,7 @@ def test_giving_up_ends_an_episode_as_a_failure() -> None:
     assert report.paths[0].ravel().tolist() == [2.5, 3.5, 4.5]
 
 
-def test_a_step_of_the_world_is_a_step_of_the_model() -> None:
+def test_a_step_of_the_world_is_a_step_of_the_model():
     """Frequencies from points uniform in a cell, both actions; the axis wraps."""
     axis = Axis(-0.5, 7.5, 8, periodic=True)
     noise = Distribution.uniform(0.0, 1.5)
@@ -153,7 +150,7 @@ def test_a_step_of_the_world_is_a_step_of_the_model() -> None:
         assert (cost == 2.0).all()
 
 
-def test_reprs_are_short() -> None:
+def test_reprs_are_short():
     assert repr(walk()) == (
         "ContinuousModel(the box [0, 6], 6 cells, 2 actions, 1 random numbers; ends: goal, pit)"
     )
@@ -164,7 +161,7 @@ def test_reprs_are_short() -> None:
 # ------------------------------------------------------------------ what cannot be
 
 
-def with_step(step: object, **changes: object) -> ContinuousModel:
+def with_step(step, **changes):
     """The walk with another step function."""
     return replace(walk(), step=step, **changes)
 
@@ -185,12 +182,12 @@ def with_step(step: object, **changes: object) -> ContinuousModel:
         (lambda at, a, d: ((at[0] + 9.0,), 1.0, 0), r"to \[9\..*outside the box \[0, 6\]"),
     ],
 )
-def test_wrong_answers_are_named(step: object, words: str) -> None:
+def test_wrong_answers_are_named(step, words):
     with pytest.raises(ModelError, match=words):
         discretise(with_step(step))
 
 
-def test_leaving_the_box_may_be_an_end() -> None:
+def test_leaving_the_box_may_be_an_end():
     world = with_step(lambda at, a, d: ((at[0] + 9.0,), 1.0, 0), outside="pit")
     model = discretise(world)
     assert (model.successors == world.end_state("pit")).all()
@@ -235,12 +232,12 @@ def test_leaving_the_box_may_be_an_end() -> None:
         (lambda: WorldSimulator(walk(), [7.0]).reset(3, np.random.default_rng(0)), "outside"),
     ],
 )
-def test_what_cannot_be_is_refused(build: object, words: str) -> None:
+def test_what_cannot_be_is_refused(build, words):
     with np.errstate(divide="ignore", invalid="ignore"), pytest.raises(ModelError, match=words):
         build()
 
 
-def test_alike_pairs_cost_alike() -> None:
+def test_alike_pairs_cost_alike():
     """Two cells with one successor and two costs: a claim that they are alike is refused."""
     world = with_step(lambda at, a, d: ((at[0] * 0.0,), at[0], 1))
     assert len(np.unique(discretise(world).costs)) > 1
@@ -248,7 +245,7 @@ def test_alike_pairs_cost_alike() -> None:
         discretise(replace(world, alike=lambda cells, action: cells * 0))
 
 
-def test_a_world_of_another_grid_is_no_simulator() -> None:
+def test_a_world_of_another_grid_is_no_simulator():
     model = discretise(walk())
     problem = MCMP(model, 3, failure_budget=1.0)
     other = replace(walk(), grid=Grid([Axis(0.0, 6.0, 12)]))

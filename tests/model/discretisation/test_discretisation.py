@@ -1,7 +1,5 @@
 """Truths about grid models of continuous worlds: closed forms, symmetries, what is left alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +9,6 @@ from scipy.stats import norm
 from examples.paper_robot.robot import RobotGrid, continuous_robot
 from formulations import MCMP
 from ssp_lp import (
-    SSP,
     Axis,
     ContinuousModel,
     Distribution,
@@ -28,14 +25,14 @@ from ssp_lp.io import fingerprint
 from ssp_lp.model import discretise as building
 
 
-def row(model: SSP, state: int, action: int = 0) -> dict[int, float]:
+def row(model, state, action=0):
     """The successors of a pair with their probabilities."""
     pair = int(model.pair_offsets[state]) + action
     some = slice(model.outcome_offsets[pair], model.outcome_offsets[pair + 1])
     return dict(zip(model.successors[some].tolist(), model.probabilities[some], strict=True))
 
 
-def ring(shift: float, noise: Distribution, **axis: bool) -> ContinuousModel:
+def ring(shift, noise, **axis):
     """Ten cells of width 1 in a ring; each step shifts, adds noise and costs 1."""
     line = Axis(0.0, 10.0, 10, periodic=True, **axis)
     return ContinuousModel(
@@ -44,7 +41,7 @@ def ring(shift: float, noise: Distribution, **axis: bool) -> ContinuousModel:
 
 
 @pytest.mark.parametrize("points", [2, 4, 10])
-def test_uniform_noise_of_a_cells_width_is_a_triangle_on_a_ring(points: int) -> None:
+def test_uniform_noise_of_a_cells_width_is_a_triangle_on_a_ring(points):
     """A uniform point plus uniform noise of the same width: 1/8, 3/4, 1/8, across the seam too."""
     noise = Distribution.uniform(-0.5, 0.5)
     model = discretise(ring(0.0, noise, split_edges=True), Quadrature(points))
@@ -54,7 +51,7 @@ def test_uniform_noise_of_a_cells_width_is_a_triangle_on_a_ring(points: int) -> 
 
 
 @pytest.mark.parametrize("shift", [-0.4, 0.1, 0.5, 2.3])
-def test_a_shift_divides_its_mass_by_the_cells_it_covers(shift: float) -> None:
+def test_a_shift_divides_its_mass_by_the_cells_it_covers(shift):
     """Ten midpoints are exact for a kernel that is linear between tenths."""
     model = discretise(ring(shift, Distribution.discrete([0.0], [1.0])), Quadrature(10))
     whole = int(np.floor(shift))
@@ -63,7 +60,7 @@ def test_a_shift_divides_its_mass_by_the_cells_it_covers(shift: float) -> None:
     assert row(model, 5) == pytest.approx(expected, abs=1e-15)
 
 
-def test_discrete_noise_takes_its_own_values_and_normal_noise_is_even() -> None:
+def test_discrete_noise_takes_its_own_values_and_normal_noise_is_even():
     steps = Distribution.discrete([-1.0, 2.0, 7.0], [0.3, 0.7, 0.0])
     assert row(discretise(ring(0.0, steps)), 4) == pytest.approx({3: 0.3, 6: 0.7}, abs=1e-15)
     bell = discretise(ring(0.0, Distribution(norm(0.0, 1.0).ppf)), Quadrature((20, 200)))
@@ -74,7 +71,7 @@ def test_discrete_noise_takes_its_own_values_and_normal_noise_is_even() -> None:
     assert chance[5] == pytest.approx(stays, abs=2e-3)
 
 
-def test_gauss_and_legendre_average_a_cubic_cost_exactly() -> None:
+def test_gauss_and_legendre_average_a_cubic_cost_exactly():
     """Two nodes integrate x^3 from k to k + 1, ((k + 1)^4 - k^4) / 4; midpoints miss (2k+1)/32."""
     world = ContinuousModel(
         Grid([Axis(0.0, 5.0, 5)]), ["pay"], lambda at, _, __: (at, at[0] ** 3, 0)
@@ -86,7 +83,7 @@ def test_gauss_and_legendre_average_a_cubic_cost_exactly() -> None:
     assert missed == pytest.approx((2 * np.arange(5) + 1) / 32, abs=1e-12)
 
 
-def drift() -> ContinuousModel:
+def drift():
     """A plane with a goal, two ways to fail, costs that vary, and an axis that wraps."""
 
     def step(at, action, draws):
@@ -101,7 +98,7 @@ def drift() -> ContinuousModel:
 
 
 @pytest.mark.parametrize("points", [Quadrature(3), Quadrature(2, "gauss-legendre"), Samples(9, 0)])
-def test_what_comes_out_is_a_model_in_order(points: Quadrature | Samples) -> None:
+def test_what_comes_out_is_a_model_in_order(points):
     model = discretise(drift(), points)
     assert list(model.states) == list(range(38))
     assert tuple(model.action_names) == (-1, 1, 2)
@@ -115,13 +112,13 @@ def test_what_comes_out_is_a_model_in_order(points: Quadrature | Samples) -> Non
     assert (np.diff(model.successors)[np.diff(pair) == 0] > 0).all()
 
 
-def test_pieces_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pieces_change_nothing(monkeypatch):
     whole = fingerprint(discretise(drift(), Quadrature(3)))
     robot = continuous_robot(RobotGrid(segments=5, headings=4, quadrature=2))
     shared = discretise(robot, Quadrature(2))
     monkeypatch.setattr(building, "TRIALS", 200)
     monkeypatch.setattr(building, "PAIRS", 3)
-    told: list[tuple[int, int]] = []
+    told = []
     again = discretise(drift(), Quadrature(3), progress=lambda *done: told.append(done))
     assert fingerprint(again) == whole
     assert told[-1] == (105, 105)
@@ -131,7 +128,7 @@ def test_pieces_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert fingerprint(discretise(replace(robot, alike=None), Quadrature(2))) == fingerprint(shared)
 
 
-def test_equal_costs_stay_what_they_are_to_the_last_bit() -> None:
+def test_equal_costs_stay_what_they_are_to_the_last_bit():
     world = drift()
 
     def step(at, action, draws):
@@ -142,7 +139,7 @@ def test_equal_costs_stay_what_they_are_to_the_last_bit() -> None:
     assert (model.costs[:-2] == np.where(np.isin(model.successors[:-2], [35, 36]), 0.7, 0.1)).all()
 
 
-def test_a_mirrored_world_gives_the_mirrored_model() -> None:
+def test_a_mirrored_world_gives_the_mirrored_model():
     """X -> 2 - x, angle -> -angle: cells and actions are renumbered, nothing else changes."""
     world = drift()
 
@@ -153,7 +150,7 @@ def test_a_mirrored_world_gives_the_mirrored_model() -> None:
     first = discretise(world, Quadrature(3))
     second = discretise(replace(world, step=mirrored), Quadrature(3))
 
-    def twin(state: int) -> int:
+    def twin(state):
         column, angle = divmod(state, 5)
         return state if state >= 35 else (6 - column) * 5 + 4 - angle
 
@@ -163,7 +160,7 @@ def test_a_mirrored_world_gives_the_mirrored_model() -> None:
             assert row(second, twin(cell), action) == pytest.approx(expected, abs=1e-14)
 
 
-def test_coordinates_in_another_order_relabel_the_states() -> None:
+def test_coordinates_in_another_order_relabel_the_states():
     world = drift()
 
     def swapped(at, action, draws):
@@ -173,7 +170,7 @@ def test_coordinates_in_another_order_relabel_the_states() -> None:
     other = replace(world, grid=Grid(world.grid.axes[::-1]), step=swapped)
     first, second = discretise(world, Quadrature(2)), discretise(other, Quadrature(2))
 
-    def twin(state: int) -> int:
+    def twin(state):
         return state if state >= 35 else state % 5 * 7 + state // 5
 
     for cell in range(35):
@@ -181,7 +178,7 @@ def test_coordinates_in_another_order_relabel_the_states() -> None:
         assert row(second, twin(cell), 2) == pytest.approx(expected, abs=1e-15)
 
 
-def test_every_centre_lies_in_its_cell() -> None:
+def test_every_centre_lies_in_its_cell():
     grid = drift().grid
     cells = np.arange(grid.n_cells)
     assert (grid.cell_of(grid.centre(cells)) == cells).all()
@@ -189,7 +186,7 @@ def test_every_centre_lies_in_its_cell() -> None:
     assert grid.cell_of((0.0, -0.1)) == 4 == grid.cell_of((0.0, 4 * np.pi - 0.1))
 
 
-def corridor(**more: object) -> ContinuousModel:
+def corridor(**more):
     """Six cells and a goal behind them; hopping takes two cells, creeping one."""
 
     def hop(at, action, noise):
@@ -200,11 +197,11 @@ def corridor(**more: object) -> ContinuousModel:
     return ContinuousModel(Grid([axis]), ("creep", "hop"), hop, **more)
 
 
-def no_hopping_beyond(limit: float) -> object:
+def no_hopping_beyond(limit):
     return lambda middle, action: (middle[0] < limit) | (action == "creep")
 
 
-def test_actions_that_are_allowed_in_some_cells_only() -> None:
+def test_actions_that_are_allowed_in_some_cells_only():
     """The model is that of all actions without the pairs that are not there."""
     whole, some = discretise(corridor()), discretise(corridor(allowed=no_hopping_beyond(3.0)))
     assert (whole.n_pairs, some.n_pairs) == (12, 9)
@@ -219,7 +216,7 @@ def test_actions_that_are_allowed_in_some_cells_only() -> None:
     assert fingerprint(discretise(alike)) == fingerprint(some)
 
 
-def test_the_world_takes_the_actions_that_its_cells_allow() -> None:
+def test_the_world_takes_the_actions_that_its_cells_allow():
     world = corridor(allowed=no_hopping_beyond(3.0))
     model = discretise(world)
     problem = MCMP(model, 0, failure_budget=0.0)
@@ -238,6 +235,6 @@ def test_the_world_takes_the_actions_that_its_cells_allow() -> None:
         (lambda middle: True, "allowed must be a function of 2 arguments"),
     ],
 )
-def test_what_allows_nothing_or_says_no_truth_is_refused(allowed: object, words: str) -> None:
+def test_what_allows_nothing_or_says_no_truth_is_refused(allowed, words):
     with pytest.raises(ModelError, match=words):
         discretise(corridor(allowed=allowed))
