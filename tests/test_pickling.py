@@ -15,7 +15,7 @@ import pytest
 import formulations as criteria
 import ssp_lp
 from small_models import model_of
-from ssp_lp import SSPError, errors, solve
+from ssp_lp import SSPError, errors, io, plotting, solve
 
 COPIES = {
     "pickle": lambda given: pickle.loads(pickle.dumps(given)),  # noqa: S301
@@ -37,6 +37,7 @@ MODEL = model_of(
 SURE = model_of({"x": {"go": [(0.5, "g", 1.0), (0.5, "x", 1.0)], "ride": [(1.0, "g", 3.0)]}})
 LIMIT = {"fuel": ssp_lp.expected_cost() <= 6.0, "seldom": ssp_lp.visits("y") <= 0.9}
 START = "x"
+DEAR = ssp_lp.secondary_cost({"x": {"go": 2.0}})
 
 
 def turned(memory, state, action, successor, cost):
@@ -57,36 +58,43 @@ def hop(at, action, draws):
 
 def problems():
     """Every criterion, and what bends one: limits, horizons, shares, discounts, memories."""
-    start = MODEL, START
-    yield criteria.MCMP(*start, failure_budget=0.2)
-    yield criteria.MCMP(*start, failure_budget=0.9, horizon=3)
-    yield criteria.MCMP(*start, failure_budget=0.3, constraints=LIMIT)
-    yield criteria.MCMP(*start, reach_fraction=0.9)
-    yield criteria.S3P(*start, failure_budget=0.2)
-    yield criteria.S3P(*start, failure_budget=0.2, discount=0.99)
-    yield criteria.S3P(*start, failure_budget=0.3, constraints=LIMIT)
-    yield criteria.AlphaMCMP(*start, 0.9)
-    yield criteria.CVaR(*start, 0.8)
-    yield criteria.CostQuantile(*start, 0.5)
-    yield criteria.CostBoundedReach(*start, 3.0)
-    yield criteria.CostBudgetedMaxProb(*start, 6.0)
-    yield criteria.ConstrainedCost(*start, {"dear": criteria.CostLimit({"x": {"go": 2.0}}, 3.0)})
-    yield criteria.EGUBS(*start, -0.1, 1.0)
-    yield criteria.GUBS(*start, joy, 5.0)
-    yield criteria.FinitePenalty(*start, 3.0)
-    yield criteria.ISSPUDE(*start)
-    yield criteria.LeastQuantity(*start, ssp_lp.visits("y"), failure_budget=0.4)
-    yield criteria.MaxProb(*start)
-    yield criteria.MinProb(*start)
-    yield criteria.MinCost(SURE, START)
+    at = MODEL, START
     remembering = ssp_lp.product(MODEL, ssp_lp.Memory(0, turned))
-    yield criteria.MCMP(remembering, (START, 0), failure_budget=0.2)
+    return [
+        criteria.MCMP(*at, failure_budget=0.2),
+        criteria.MCMP(*at, failure_budget=0.9, horizon=3),
+        criteria.MCMP(*at, failure_budget=0.3, constraints=LIMIT),
+        criteria.MCMP(*at, reach_fraction=0.9),
+        criteria.MCMP(remembering, (START, 0), failure_budget=0.2),
+        criteria.S3P(*at, failure_budget=0.2),
+        criteria.S3P(*at, failure_budget=0.2, discount=0.99),
+        criteria.S3P(*at, failure_budget=0.3, constraints=LIMIT),
+        criteria.AlphaMCMP(*at, 0.9),
+        criteria.CVaR(*at, 0.8),
+        criteria.CostQuantile(*at, 0.5),
+        criteria.CostBoundedReach(*at, 3.0),
+        criteria.CostBudgetedMaxProb(*at, 6.0),
+        criteria.ConstrainedCost(*at, {"dear": criteria.CostLimit({"x": {"go": 2.0}}, 3.0)}),
+        criteria.EGUBS(*at, -0.1, 1.0),
+        criteria.GUBS(*at, joy, 5.0),
+        criteria.FinitePenalty(*at, 3.0),
+        criteria.ISSPUDE(*at),
+        criteria.LeastQuantity(*at, ssp_lp.visits("y"), failure_budget=0.4),
+        criteria.MaxProb(*at),
+        criteria.MinProb(*at),
+        criteria.MinCost(SURE, START),
+    ]
 
 
 def of_solving():
-    """What the verbs make of every problem."""
+    """What the verbs make of every problem; answers are certified after a pickle."""
     for problem in problems():
         solution = solve(problem)
+        fresh = COPIES["pickle"](solution)
+        assert fresh.policy.model is fresh.problem.model
+        assert ssp_lp.certify(fresh).accepted
+        again = solve(COPIES["pickle"](problem)).objective
+        assert again == pytest.approx(solution.objective, rel=1e-12)
         made = [problem, problem.model, solution, solution.policy, *solution.policy.policies]
         made += [ssp_lp.certify(solution), ssp_lp.evaluate(solution.policy, problem)]
         made += [ssp_lp.simulate(solution.policy, problem, episodes=20, rng=0)]
@@ -119,33 +127,22 @@ def of_models():
     yield from (ssp_lp.Quadrature(), ssp_lp.Samples(3, 0), ssp_lp.discretise(world))
     yield ssp_lp.WorldSimulator(world, [uniform])
     yield from (ssp_lp.Memory(0, turned), ssp_lp.within_steps(MODEL, 2))
-    for made in (
-        ssp_lp.visits("y"),
-        ssp_lp.secondary_cost({"x": {"go": 2.0}}) + ssp_lp.visits("y"),
-    ):
+    for made in (ssp_lp.visits("y"), DEAR + ssp_lp.visits("y")):
         yield from (made, made <= 3.0)
-    yield ssp_lp.StochasticPolicy.from_actions(
-        MODEL, {"x": {"go": 0.5, "safe": 0.5}, "y": {"go": 1.0}}
-    )
+    moves = {"x": {"go": 0.5, "safe": 0.5}, "y": {"go": 1.0}}
+    yield ssp_lp.StochasticPolicy.from_actions(MODEL, moves)
     constant = ssp_lp.DeterministicPolicy.from_actions(MODEL, {"x": "go", "y": "go"})
     yield ssp_lp.TimedPolicy((constant, constant))
-    yield from (
-        criteria.CostLimit({"x": {"go": 2.0}}, 3.0),
-        ssp_lp.GIVE_UP,
-        ssp_lp.GiveUp.ATTENTION,
-    )
-    yield from (ssp_lp.ColumnGeneration(), ssp_lp.LinearProgramming(), ssp_lp.Game())
-    yield from (ssp_lp.DeterministicPolicies(), ssp_lp.Status.OPTIMAL)
+    yield from (criteria.CostLimit({"x": {"go": 2.0}}, 3.0), ssp_lp.GIVE_UP)
+    yield from (ssp_lp.GiveUp.ATTENTION, ssp_lp.Status.OPTIMAL, ssp_lp.ColumnGeneration())
+    yield from (ssp_lp.LinearProgramming(), ssp_lp.Game(), ssp_lp.DeterministicPolicies())
 
 
 def of_files(folder):
     """What the rim hands out."""
-    from ssp_lp import io, plotting
-
-    problem = criteria.MCMP(MODEL, START, failure_budget=0.2)
     yield plotting.Explorer("<!doctype html>")
     record = plotting.BoundsRecord()
-    solution = solve(problem, progress=record)
+    solution = solve(criteria.MCMP(MODEL, START, failure_budget=0.2), progress=record)
     io.write_controller(solution.policy, folder / "controller.json")
     controller = io.Controller(folder / "controller.json")
     controller.reset(3)
@@ -158,13 +155,10 @@ def of_files(folder):
 def of_gymnasium():
     """An environment's model, and a rollout in it."""
     gymnasium = pytest.importorskip("gymnasium")
-    from ssp_lp import io
-
     env = gymnasium.make("FrozenLake-v1", is_slippery=False)
     world = io.from_gymnasium(env)
-    problem = criteria.MaxProb(world.model, world.start)
-    yield from (world, world.model)
-    yield io.rollout(env, solve(problem).policy, episodes=3, seed=0)
+    policy = solve(criteria.MaxProb(world.model, world.start)).policy
+    yield from (world, world.model, io.rollout(env, policy, episodes=3, seed=0))
 
 
 def facts(made):
@@ -225,22 +219,12 @@ def test_every_error_says_the_same_after_a_pickle_and_a_copy():
     made += [errors.InfeasibleError(*told, **carried)]
     kinds = [kind for kind in kinds if issubclass(kind, SSPError)]
     made += [kind(*told) for kind in kinds if kind not in map(type, made)]
-    assert set(map(type, made)) == set(kinds)
     for error in made:
         error.add_note("a note")
         for copied in COPIES.values():
             fresh = copied(error)
             assert (type(fresh), str(fresh), fresh.args) == (type(error), str(error), error.args)
             assert vars(fresh) == vars(error)
-
-
-def test_an_answer_is_certified_after_a_pickle():
-    for problem in problems():
-        solution = COPIES["pickle"](solve(problem))
-        assert solution.policy.model is solution.problem.model
-        again = solve(COPIES["pickle"](problem))
-        assert again.objective == pytest.approx(solution.objective, rel=1e-12)
-        assert ssp_lp.certify(solution).accepted
 
 
 def test_a_pool_hands_on_that_a_problem_is_infeasible():

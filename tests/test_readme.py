@@ -77,8 +77,7 @@ def run_blocks(text, namespace):
 
 def run_shell(line):
     """What a line of a shell prints; it ends well."""
-    told = io.StringIO()
-    with redirect_stdout(told):
+    with redirect_stdout(io.StringIO()) as told:
         assert main(shlex.split(line)[1:]) == 0, line
     return told.getvalue()
 
@@ -92,12 +91,8 @@ def after_the_readme():
 
 
 def test_every_page_with_code_is_run():
-    with_code = {
-        page
-        for page in PAGES
-        if any(language in ("python", "text", "json") for language, _ in blocks_of(text_of(page)))
-    }
-    assert with_code == set(SHOWN)
+    languages = {page: {language for language, _ in blocks_of(text_of(page))} for page in PAGES}
+    assert {page for page in PAGES if languages[page] & {"python", "text", "json"}} == set(SHOWN)
 
 
 @pytest.mark.parametrize("page", [page for page in SHOWN if page != "README.md"])
@@ -107,9 +102,12 @@ def test_the_blocks_run_in_order(page, after_the_readme, tmp_path, monkeypatch):
     assert run_blocks(text_of(page), before) == SHOWN[page]
 
 
-def test_the_first_problem_is_the_shortest_example(after_the_readme):
+def test_the_first_problem_is_the_shortest_example(after_the_readme, capsys):
     first = next(body for language, body in blocks_of(README) if language == "text")
-    check_the_same(first, run_first_problem())
+    runpy.run_path(str(ROOT / "examples/quickstart/first_problem.py"))
+    printed = capsys.readouterr().out
+    assert "first action: " in printed
+    check_the_same(first, printed)
 
 
 def check_the_same(shown, printed):
@@ -118,15 +116,6 @@ def check_the_same(shown, printed):
     assert shown.strip()
     for mine, theirs in zip_longest(shown.splitlines(), told[: len(shown.splitlines())]):
         assert mine.split("(relative")[0].rstrip() == (theirs or "").split("(relative")[0].rstrip()
-
-
-def run_first_problem():
-    """What the shortest example prints: the README's first problem."""
-    printed = io.StringIO()
-    with redirect_stdout(printed):
-        runpy.run_path(str(ROOT / "examples/quickstart/first_problem.py"))
-    assert "first action: " in printed.getvalue()
-    return printed.getvalue()
 
 
 def test_there_are_two_commands():
@@ -144,20 +133,15 @@ def anchors_of(text):
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_links_and_pictures_are_there(page):
-    for link in re.findall(r"\]\(([^)\s]+)\)", text_of(page)):
-        if link.startswith("https://"):
-            continue
+def test_links_pictures_and_files_that_are_named_are_there(page):
+    text = text_of(page)
+    for link in re.findall(r"\]\(([^)\s]+)\)", text):
         path, _, anchor = link.partition("#")
         target = (ROOT / page).parent / path if path else ROOT / page
-        assert target.exists(), link
+        assert link.startswith("https://") or target.exists(), link
         assert not anchor or anchor in anchors_of(target.read_text(encoding="utf-8")), link
-
-
-@pytest.mark.parametrize("page", PAGES)
-def test_files_that_are_named_are_there(page):
     folders = r"(?:ssp_lp|formulations|examples|tests|docs)"
-    for name in re.findall(rf"`(?:python )?({folders}/[\w./-]+)", text_of(page)):
+    for name in re.findall(rf"`(?:python )?({folders}/[\w./-]+)", text):
         assert "NAME" in name or (ROOT / name).exists(), name
 
 

@@ -13,8 +13,11 @@ from ssp_lp import solve
 STOPS = list(criteria_tour.tour())
 
 
-@pytest.mark.parametrize(("name", "domain"), STOPS, ids=[name for name, _ in STOPS])
-def test_every_criterion_lies_on_the_frontier(name, domain):
+each_domain = pytest.mark.parametrize("domain", [domain for _, domain in STOPS], ids=dict(STOPS))
+
+
+@each_domain
+def test_every_criterion_lies_on_the_frontier(domain):
     """Alpha-MCMP walks along it, and the finite penalty D is its tangent of slope D."""
     frontier = criteria_tour.free_frontier(domain)
     rows = criteria_tour.shares(domain, frontier) + criteria_tour.tangents(domain, frontier)
@@ -23,8 +26,8 @@ def test_every_criterion_lies_on_the_frontier(name, domain):
         assert found == pytest.approx(theory, rel=1e-8, abs=1e-12), what
 
 
-@pytest.mark.parametrize(("name", "domain"), STOPS, ids=[name for name, _ in STOPS])
-def test_the_cost_of_a_share_is_linear_up_to_the_best_ratio(name, domain):
+@each_domain
+def test_the_cost_of_a_share_is_linear_up_to_the_best_ratio(domain):
     """Giving up at the start is free: linear up to the least cost per probability, then convex."""
     model, start = domain
     frontier = criteria_tour.free_frontier(domain)
@@ -34,15 +37,14 @@ def test_the_cost_of_a_share_is_linear_up_to_the_best_ratio(name, domain):
     ratio = float(ratios.min())
     reach = float(goal[goal > 1e-9][ratios <= ratio * (1.0 + 1e-9)].max())
     shares = np.append(np.linspace(0.0, 1.0, 21), reach / greatest)
-    for share in shares:
-        cost = solve(AlphaMCMP(model, start, float(min(share, 1.0)))).objective
+    costs = [solve(AlphaMCMP(model, start, float(min(s, 1.0)))).objective for s in shares]
+    for share, cost in zip(shares, costs, strict=True):
         line = ratio * share * greatest
         if share * greatest <= reach * (1.0 + 1e-12):
             assert cost == pytest.approx(line, rel=1e-8, abs=1e-12)
         else:
             assert cost > line
-    costs = [solve(AlphaMCMP(model, start, float(share))).objective for share in shares[:-1]]
-    assert (np.diff(costs, 2) >= -1e-9 * max(costs)).all()
+    assert (np.diff(costs[:-1], 2) >= -1e-9 * max(costs)).all()
 
 
 def test_the_tour_prints_a_table_for_each_domain(capsys):

@@ -7,15 +7,15 @@ from types import SimpleNamespace
 
 import pytest
 
-from played import START, everywhere, ferry, hall, level_policy, policies, remembering, task
-from ssp_lp import GIVE_UP, MissingDependencyError, ModelError
+from everyone import EVERY, HALL, made, start_of
+from played import START, everywhere, hall
+from refusing import refused
+from ssp_lp import GIVE_UP, MissingDependencyError
 from ssp_lp.io import policy_table, to_frame, write_dot
 from ssp_lp.policies.chain import policy_chain
 from ssp_lp.policies.policy import as_lottery
 from ssp_lp.policies.remembering import common_memory
 from ssp_lp.processes.failure_semantics import start_distribution
-
-NAMES = sorted(policies(hall()))
 
 
 def table_of(policy):
@@ -23,7 +23,7 @@ def table_of(policy):
 
 
 def test_a_stationary_policy():
-    assert table_of(policies(hall())["stochastic"]) == {
+    assert table_of(made()["stochastic"]) == {
         (0, ("hall", 0), None, "fast"): 0.25,
         (0, ("hall", 0), None, ("slow", 1)): 0.75,
         (0, ("hall", 1), None, "fast"): 0.5,
@@ -32,52 +32,39 @@ def test_a_stationary_policy():
     }
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_probabilities_sum_to_one(name):
-    sums = {}
-    for row in policy_table(policies(hall())[name]):
-        key = row.member, row.state, row.memory
-        sums[key] = sums.get(key, 0.0) + row.probability
-    assert sums
-    assert all(total == pytest.approx(1.0) for total in sums.values())
-
-
-@pytest.mark.parametrize("name", [*NAMES, "remembering", "levels"])
+@pytest.mark.parametrize("name", EVERY)
 def test_what_is_reached_stands_in_the_table(name):
     """Every decision on the policy's chain, played by a person who keeps the memory in words."""
-    if name == "levels":
-        policy, start = level_policy(ferry()), "quay"
-    else:
-        policy = remembering(task(hall())) if name == "remembering" else policies(hall())[name]
-        start = START
-    model = policy.model
-    rows = {(row.member, row.state, row.action) for row in policy_table(policy)}
+    policy, model = made()[name], made()[name].model
+    rows, sums = set(), {}
+    for row in policy_table(policy):
+        rows.add((row.member, row.state, row.action))
+        key = row.member, row.state, row.memory
+        sums[key] = sums.get(key, 0.0) + row.probability
+    assert all(total == pytest.approx(1.0) for total in sums.values())
     for k, member in enumerate(as_lottery(policy).policies):
-        chain = policy_chain(model, member, start_distribution(model, start))
+        chain = policy_chain(model, member, start_distribution(model, start_of(name)))
         for node, pair in zip(chain.branch_node, chain.branch_pair, strict=True):
             action = GIVE_UP if pair < 0 else model.action_of(int(pair))
             assert (k, model.states[int(chain.state[node])], action) in rows
 
 
 def test_memories_in_words():
-    model = hall()
-    found = policies(model)
-    aware = {row.memory for row in policy_table(found["cost aware"])}
-    cap = found["cost aware"].cap
+    told = {name: {row.memory for row in policy_table(made()[name])} for name in EVERY}
+    aware, cap = told["cost aware"], made()["cost aware"].cap
     assert {k for k in aware if not isinstance(k, str)} <= {float(k) for k in range(cap)}
     assert {k for k in aware if isinstance(k, str)} <= {"tail 0", "tail 1"}
-    assert {row.memory for row in policy_table(found["timed"])} == {0, 1, 2}
-    assert {row.memory for row in policy_table(found["carried"])} <= aware
-    assert {row.memory for row in policy_table(remembering(task(model)))} == {0, 1, 2}
-    both = common_memory(as_lottery(found["timed"])).followed_by(found["timed"])
-    assert table_of(both) == table_of(found["timed"])
+    assert told["timed"] == told["remembering"] == {0, 1, 2}
+    assert told["carried"] <= aware
+    timed = made()["timed"]
+    assert table_of(common_memory(as_lottery(timed)).followed_by(timed)) == table_of(timed)
 
 
 def test_a_frame_needs_pandas(monkeypatch):
     policy = everywhere(hall(), "fast")
     if importlib.util.find_spec("pandas") is None:
-        with pytest.raises(MissingDependencyError, match=r"pip install 'ssp-lp\[frames\]'"):
-            to_frame(policy)
+        words = r"pip install 'ssp-lp\[frames\]'"
+        refused(words, to_frame, policy, error=MissingDependencyError)
     made = SimpleNamespace(DataFrame=lambda rows, columns: (rows, columns))
     monkeypatch.setitem(sys.modules, "pandas", made)
     rows, columns = to_frame(policy)
@@ -85,23 +72,20 @@ def test_a_frame_needs_pandas(monkeypatch):
     assert columns == ["state", "memory", "action", "probability", "member"]
 
 
-def test_a_graph_has_the_nodes_and_steps_of_the_chain(tmp_path):
-    model = hall()
-    for name in NAMES:
-        policy = policies(model)[name]
-        write_dot(policy, tmp_path / "policy.dot", START, most_nodes=2000)
-        text = (tmp_path / "policy.dot").read_text()
-        chains = [
-            policy_chain(model, member, start_distribution(model, START))
-            for member in as_lottery(policy).policies
-        ]
-        nodes = re.findall(r"^ *n(\d+_\d+) \[label", text, flags=re.MULTILINE)
-        steps = re.findall(r'n\d+_\d+ -> n\d+_\d+ \[label="([\d.e-]+)"\]', text)
-        assert len(nodes) == len(set(nodes)) == sum(chain.n_nodes for chain in chains)
-        moving = sum(float((chain.matrix.sum(axis=1))[()].sum()) for chain in chains)
-        assert sum(map(float, steps)) == pytest.approx(moving, rel=1e-4)
-        assert text.count("{") == text.count("}")
-        assert ("doublecircle" in text) == any(chain.goal.any() for chain in chains)
+@pytest.mark.parametrize("name", HALL)
+def test_a_graph_has_the_nodes_and_steps_of_the_chain(name, tmp_path):
+    policy, path = made()[name], tmp_path / "policy.dot"
+    write_dot(policy, path, START, most_nodes=2000)
+    text, start = path.read_text(), start_distribution(policy.model, START)
+    members = as_lottery(policy).policies
+    chains = [policy_chain(policy.model, member, start) for member in members]
+    nodes = re.findall(r"^ *n(\d+_\d+) \[label", text, flags=re.MULTILINE)
+    steps = re.findall(r'n\d+_\d+ -> n\d+_\d+ \[label="([\d.e-]+)"\]', text)
+    assert len(nodes) == len(set(nodes)) == sum(chain.n_nodes for chain in chains)
+    moving = sum(float((chain.matrix.sum(axis=1))[()].sum()) for chain in chains)
+    assert sum(map(float, steps)) == pytest.approx(moving, rel=1e-4)
+    assert text.count("{") == text.count("}")
+    assert ("doublecircle" in text) == any(chain.goal.any() for chain in chains)
 
 
 def test_a_small_graph_in_full(tmp_path):
@@ -124,6 +108,6 @@ def test_a_small_graph_in_full(tmp_path):
 
 
 def test_a_graph_too_large_is_refused(tmp_path):
-    with pytest.raises(ModelError, match="5 nodes, more than 4"):
-        write_dot(everywhere(hall(), "fast"), tmp_path / "policy.dot", START, most_nodes=4)
-    assert not (tmp_path / "policy.dot").exists()
+    path, policy = tmp_path / "policy.dot", everywhere(hall(), "fast")
+    refused("5 nodes, more than 4", write_dot, policy, path, START, most_nodes=4)
+    assert not path.exists()

@@ -3,18 +3,20 @@
 import subprocess
 import sys
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.quiver import Quiver
 
 from formulations import MCMP, S3P
+from refusing import refused
+from small_models import model_of
 from ssp_lp import (
     GIVE_UP,
-    SSP,
     DeterministicPolicy,
     InfeasibleError,
     Memory,
     MissingDependencyError,
-    ModelError,
     StochasticPolicy,
     expected_cost,
     product,
@@ -24,15 +26,7 @@ from ssp_lp import (
     within_steps,
 )
 from ssp_lp.analysis.evaluation import pair_visits
-
-matplotlib = pytest.importorskip("matplotlib")
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt  # noqa: E402
-from matplotlib.quiver import Quiver  # noqa: E402
-
-from small_models import model_of  # noqa: E402
-from ssp_lp.plotting import (  # noqa: E402
+from ssp_lp.plotting import (
     BoundsRecord,
     plot_bounds,
     plot_cost_law,
@@ -44,26 +38,33 @@ from ssp_lp.plotting import (  # noqa: E402
     row_major,
 )
 
+plt.switch_backend("Agg")
+
 MOVES = {"east": (1, 0), "south": (0, -1)}
 CELLS = row_major(2, 3)
 
 
-def field():
-    """Cells 0 1 2 over 3 4 5: the goal is 5; south of 0 is safe, east is quick, 4 is a pit."""
-    return model_of(
-        {
-            0: {"east": [(0.9, 1, 1.0), (0.1, 4, 1.0)], "south": [(0.5, 3, 1.0), (0.5, 0, 1.0)]},
-            1: {"east": [(1.0, 2, 1.0)]},
-            2: {"south": [(1.0, 5, 1.0)]},
-            3: {"east": [(1.0, 5, 7.0)]},
-            4: {},
-        },
-        5,
-        labels={"pit": [4]},
-    )
+FIELD = model_of(
+    {
+        0: {"east": [(0.9, 1, 1.0), (0.1, 4, 1.0)], "south": [(0.5, 3, 1.0), (0.5, 0, 1.0)]},
+        1: {"east": [(1.0, 2, 1.0)]},
+        2: {"south": [(1.0, 5, 1.0)]},
+        3: {"east": [(1.0, 5, 7.0)]},
+        4: {},
+    },
+    5,
+    labels={"pit": [4]},
+)
+"""Cells 0 1 2 over 3 4 5: the goal is 5; south of 0 is safe, east is quick, 4 is a pit."""
 
+CURVE = {k: (0.05 * k, 1.0 + 9.0 * (1.0 - 0.05 * k) ** 3) for k in range(12)}
+STEEP = model_of(
+    {"s": {k: [(1.0 - f, "g", c), (f, "d", c)] for k, (f, c) in CURVE.items()}, "d": {}}
+)
+"""One state whose actions lie on a convex curve, so that there are many turning points."""
 
-PROBLEM = MCMP(field(), 0, failure_budget=0.05)
+PROBLEM = MCMP(FIELD, 0, failure_budget=0.05)
+each_criterion = pytest.mark.parametrize("criterion", [MCMP, S3P])
 
 
 @pytest.fixture(autouse=True)
@@ -93,14 +94,14 @@ def test_the_library_does_not_import_matplotlib():
 
 def test_without_matplotlib_the_pip_line_is_said(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
-    with pytest.raises(MissingDependencyError, match=r"pip install 'ssp-lp\[plot\]'"):
-        trace_frontier(PROBLEM).plot()
+    plot = trace_frontier(PROBLEM).plot
+    refused(r"pip install 'ssp-lp\[plot\]'", plot, error=MissingDependencyError)
 
 
 def test_visits_of_pairs_balance():
     """What flows in, with the start, flows out or ends; costs and failure are linear in it."""
     solution = solve(PROBLEM)
-    model, (pairs, gave_up) = PROBLEM.model, pair_visits(solution.policy, PROBLEM)
+    model, (pairs, gave_up) = FIELD, pair_visits(solution.policy, PROBLEM)
     spread = np.repeat(pairs, np.diff(model.outcome_offsets)) * model.probabilities
     arriving = np.bincount(model.successors, spread, model.n_states)
     arriving[model.index_of(0)] += 1.0
@@ -114,25 +115,21 @@ def test_visits_of_pairs_balance():
 
 
 def test_arrows_and_shades_are_the_policy():
-    model = PROBLEM.model
-    safe = DeterministicPolicy.from_actions(model, {0: "south", 3: "east"})
+    safe = DeterministicPolicy.from_actions(FIELD, {0: "south", 3: "east"})
     ax = plt.figure().subplots()
     assert plot_grid_policy(safe, PROBLEM, CELLS, MOVES, ax=ax) is ax
     assert arrows(ax) == {(0.0, 1.0): (0.0, -1.0), (0.0, 0.0): (1.0, 0.0)}
     (shades,) = [c for c in ax.collections if not isinstance(c, Quiver)]
     assert sorted(shades.get_array()) == pytest.approx([1.0, 2.0])  # half of the steps stay at 0
     assert words(ax) == ["dead-end", "goal", "start"]
-    quits = DeterministicPolicy.from_actions(model, {0: "east", 1: GIVE_UP})
-    assert words(plot_grid_policy(quits, PROBLEM, CELLS, MOVES)) == [
-        "dead-end", "goal", "start", "gives up",
-    ]  # fmt: skip
+    quits = DeterministicPolicy.from_actions(FIELD, {0: "east", 1: GIVE_UP})
+    ax = plot_grid_policy(quits, PROBLEM, CELLS, MOVES)
+    assert words(ax) == ["dead-end", "goal", "start", "gives up"]
 
 
 def test_several_actions_in_a_cell_are_marked():
-    model = PROBLEM.model
-    coin = StochasticPolicy.from_actions(
-        model, {0: {"east": 0.5, "south": 0.5}, 1: {"east": 1}, 2: {"south": 1}, 3: {"east": 1}}
-    )
+    sure = {1: {"east": 1}, 2: {"south": 1}, 3: {"east": 1}}
+    coin = StochasticPolicy.from_actions(FIELD, {0: {"east": 0.5, "south": 0.5}, **sure})
     lottery = solve(PROBLEM).policy
     assert len(lottery.policies) == 2
     for policy in (coin, lottery):
@@ -144,32 +141,27 @@ def test_several_actions_in_a_cell_are_marked():
     assert all(len(arrows(ax)) in {2, 3} for ax in axes)
 
 
-def test_a_memory_is_added_up_or_left_out():
-    model = PROBLEM.model
-    memory = Memory(start=0, update=lambda n, state, action, to, cost: min(n + 1, 1))
-    made = product(model, memory, start=[0])
+def plotted(made, cells, **options):
+    """The picture of the cheapest policy of a product, whose labels are (cell, memory)."""
     problem = MCMP(made, made.start(0), failure_budget=1.0, give_up="dead_ends")
-    policy = solve(problem).policy
-    whole = plot_grid_policy(policy, problem, lambda label: CELLS(label[0]), MOVES)
-    later = plot_grid_policy(
-        policy, problem, lambda label: CELLS(label[0]) if label[1] else None, MOVES
-    )
+    return plot_grid_policy(solve(problem).policy, problem, cells, MOVES, **options)
+
+
+def test_a_memory_is_added_up_or_left_out():
+    memory = Memory(start=0, update=lambda n, state, action, to, cost: min(n + 1, 1))
+    made = product(FIELD, memory, start=[0])
+    whole = plotted(made, lambda label: CELLS(label[0]))
+    later = plotted(made, lambda label: CELLS(label[0]) if label[1] else None)
     assert len(arrows(whole)) == len(arrows(later)) + 1
-    with pytest.raises(ModelError, match="no state has a point"):
-        plot_grid_policy(policy, problem, {}, MOVES)
-    with pytest.raises(ModelError, match="must lie at a point"):
-        plot_grid_policy(policy, problem, lambda label: (1, 2, 3), MOVES)
+    refused("no state has a point", plotted, made, {})
+    refused("must lie at a point", plotted, made, lambda label: (1, 2, 3))
 
 
 def test_a_cell_is_a_dead_end_where_all_its_states_are():
     """Within three steps one may be late anywhere; only the pit is a dead-end at every time."""
-    made = within_steps(PROBLEM.model, 3, start=[0])
-    problem = MCMP(made, made.start(0), failure_budget=1.0, give_up="dead_ends")
-    ax = plot_grid_policy(
-        solve(problem).policy, problem, lambda label: CELLS(label[0]), MOVES, walls=[(7, 7)]
-    )
-    hatched = [patch.get_xy() for patch in ax.patches if patch.get_hatch()]
-    assert hatched == [(0.5, -0.5)]
+    made = within_steps(FIELD, 3, start=[0])
+    ax = plotted(made, lambda label: CELLS(label[0]), walls=[(7, 7)])
+    assert [patch.get_xy() for patch in ax.patches if patch.get_hatch()] == [(0.5, -0.5)]
 
 
 def test_cells_are_numbered_by_rows_from_above():
@@ -191,10 +183,10 @@ def test_episodes_are_those_of_the_seed():
     assert words(ax) == ["2 a", "1 b"]
 
 
-@pytest.mark.parametrize("criterion", [MCMP, S3P])
+@each_criterion
 def test_the_frontier_is_drawn_between_its_bounds(criterion):
-    whole = trace_frontier(criterion(steep(), "s"))
-    part = trace_frontier(criterion(steep(), "s"), point_limit=3)
+    whole = trace_frontier(criterion(STEEP, "s"))
+    part = trace_frontier(criterion(STEEP, "s"), point_limit=3)
     ax = whole.plot(look=1)
     assert words(ax) == ["least cost, gap 1.0e-09"]
     line = ax.lines[0].get_xydata()
@@ -210,26 +202,25 @@ def test_the_frontier_is_drawn_between_its_bounds(criterion):
         if high - low > 1e-3:
             assert inside.contains_point((budget, 0.5 * (low + high)))
             assert not inside.contains_point((budget, low - 0.1))
-    with pytest.raises(InfeasibleError):
-        plot_frontier(whole, float(whole.failure[0]) - 1e-3)
+    below = float(whole.failure[0]) - 1e-3
+    refused(None, plot_frontier, whole, below, error=InfeasibleError)
 
 
 @pytest.mark.parametrize(("gap", "digits"), [(1e-9, 5), (1e-3, 3), (0.1, 2)])
 def test_a_coarse_frontier_shows_no_digit_that_is_not_sure(gap, digits):
-    frontier = trace_frontier(MCMP(steep(), "s"), gap=gap)
+    frontier = trace_frontier(MCMP(STEEP, "s"), gap=gap)
     value = float(f"{frontier.objective_at(0.123):.{digits}g}")
     assert f"budget 0.123: {value:.5g}" in words(frontier.plot(0.123))
 
 
-@pytest.mark.parametrize("criterion", [MCMP, S3P])
+@each_criterion
 def test_the_tangent_has_the_slope_of_the_optimum(criterion):
-    frontier = trace_frontier(criterion(steep(), "s"))
+    frontier = trace_frontier(criterion(STEEP, "s"))
     budget = float(frontier.failure[3:5].mean())
-    solution = solve(criterion(steep(), "s", failure_budget=budget))
+    solution = solve(criterion(STEEP, "s", failure_budget=budget))
     ax = frontier.plot(budget)
-    (tangent,) = [
-        line for line in ax.lines if line.get_linestyle() == "-." and len(line.get_xdata())
-    ]
+    dashed = [line for line in ax.lines if line.get_linestyle() == "-."]
+    (tangent,) = [line for line in dashed if len(line.get_xdata())]
     (x0, y0), (x1, y1) = tangent.get_xydata()[[0, -1]]
     assert (y1 - y0) / (x1 - x0) == pytest.approx(-solution.budget_slope, rel=1e-6)
     price = f"{solution.failure_price:.4g}"
@@ -238,60 +229,47 @@ def test_the_tangent_has_the_slope_of_the_optimum(criterion):
     assert any(word.startswith("tangents: failure price") for word in words(kink))
 
 
-def steep():
-    """One state whose actions lie on a convex curve, so that there are many turning points."""
-    pairs = {k: (0.05 * k, 1.0 + 9.0 * (1.0 - 0.05 * k) ** 3) for k in range(12)}
-    return model_of(
-        {"s": {k: [(1.0 - f, "g", c), (f, "d", c)] for k, (f, c) in pairs.items()}, "d": {}}
-    )
-
-
 def test_bars_are_the_law():
     model = model_of({"s": {"try": [(0.5, "g", 1.0), (0.4, "s", 1.0), (0.1, "d", 1.0)]}, "d": {}})
     problem = S3P(model, "s", failure_budget=0.5)
-    policy = DeterministicPolicy.from_actions(model, {"s": "try"})
-    law = success_costs(policy, problem)
+    law, never = (
+        success_costs(DeterministicPolicy.from_actions(model, {"s": action}), problem)
+        for action in ("try", GIVE_UP)
+    )
     ax = plot_cost_law(law, 0.8)
     body, tail = np.zeros(20), np.zeros(20)
     for bar in ax.patches:
-        (tail if bar.get_hatch() else body)[round(bar.get_x() + 0.5 * bar.get_width())] += (
-            bar.get_height()
-        )
+        place = round(bar.get_x() + 0.5 * bar.get_width())
+        (tail if bar.get_hatch() else body)[place] += bar.get_height()
     shown = np.flatnonzero(body + tail)
     assert (body + tail)[shown] == pytest.approx(0.6 * 0.4 ** (shown - 1.0))
     assert 0.999 <= (body + tail).sum() <= 1.0
     assert body[:3] == pytest.approx([0.0, 0.6, 0.2])  # of the 0.24 that cost 2, 0.04 are the tail
     assert tail.sum() == pytest.approx(0.2, abs=1e-3)
-    assert [round(line.get_xdata()[0], 9) for line in ax.lines] == [
-        round(law.conditional_mean, 9), 2.0, round(law.tail_mean(0.8), 9),
-    ]  # fmt: skip
-    with pytest.raises(ModelError, match="never reaches"):
-        plot_cost_law(
-            success_costs(DeterministicPolicy.from_actions(model, {"s": GIVE_UP}), problem)
-        )
-
-
-def test_many_costs_are_counted_in_intervals():
-    rare = SSP.from_transitions({"s": {"try": [(0.01, "g", 1.0), (0.99, "s", 1.0)]}}, goal={"g"})
-    problem = S3P(rare, "s", failure_budget=0.5)
-    law = success_costs(DeterministicPolicy.from_actions(rare, {"s": "try"}), problem)
-    ax = plot_cost_law(law)
-    assert len({round(bar.get_x(), 6) for bar in ax.patches}) == 150
+    marks = [law.conditional_mean, 2.0, law.tail_mean(0.8)]
+    assert [line.get_xdata()[0] for line in ax.lines] == pytest.approx(marks, rel=0.0, abs=5e-10)
+    refused("never reaches", plot_cost_law, never)
+    rare = model_of({"s": {"try": [(0.01, "g", 1.0), (0.99, "s", 1.0)]}})
+    policy = DeterministicPolicy.from_actions(rare, {"s": "try"})
+    ax = plot_cost_law(success_costs(policy, S3P(rare, "s", failure_budget=0.5)))
+    assert len({round(bar.get_x(), 6) for bar in ax.patches}) == 150  # counted in intervals
     assert 0.999 <= sum(bar.get_height() for bar in ax.patches) <= 1.0
 
 
-def test_bounds_close_in_on_the_optimum():
-    for criterion in (MCMP, S3P):
-        record = BoundsRecord()
-        problem = criterion(steep(), "s", failure_budget=0.12)
-        solution = solve(problem, progress=record)
-        ax = plot_bounds(record, solution)
-        upper, lower = (line.get_ydata() for line in ax.lines)
-        assert (np.diff(upper) <= 0.0).all()
-        assert (np.diff(lower) >= 0.0).all()
-        assert lower[-1] <= upper[-1] == pytest.approx(solution.objective)
-        assert (lower <= solution.objective * (1 + 1e-9)).all()
-        assert lower[-2] == pytest.approx(solution.lower_bound, rel=1e-6)  # its price proves it
-    limited = MCMP(steep(), "s", failure_budget=0.12, constraints={"cost": expected_cost() <= 9.0})
+@each_criterion
+def test_bounds_close_in_on_the_optimum(criterion):
     record = BoundsRecord()
-    assert len(plot_bounds(record, solve(limited, progress=record)).lines[1].get_ydata()) == 1
+    solution = solve(criterion(STEEP, "s", failure_budget=0.12), progress=record)
+    upper, lower = (line.get_ydata() for line in plot_bounds(record, solution).lines)
+    assert (np.diff(upper) <= 0.0).all()
+    assert (np.diff(lower) >= 0.0).all()
+    assert lower[-1] <= upper[-1] == pytest.approx(solution.objective)
+    assert (lower <= solution.objective * (1 + 1e-9)).all()
+    assert lower[-2] == pytest.approx(solution.lower_bound, rel=1e-6)  # its price proves it
+
+
+def test_bounds_within_limits_have_one_point_each():
+    cheap = {"cost": expected_cost() <= 9.0}
+    record = BoundsRecord()
+    solution = solve(MCMP(STEEP, "s", 0.12, constraints=cheap), progress=record)
+    assert len(plot_bounds(record, solution).lines[1].get_ydata()) == 1

@@ -1,215 +1,363 @@
-"""The comparison of the methods: who is named, and for what."""
+"""The comparison of the methods: one answer on drawn problems; who is named, and for what."""
 
+import time
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
+from hypothesis import given, strategies as st
 
+from checks import library_model
 from formulations import MCMP, S3P
-from small_models import FIRST
+from refusing import refused
+from small_models import FIRST, model_of
 from ssp_lp import (
-    SSP,
-    CrossCheck,
     Game,
     InfeasibleError,
     LinearProgramming,
     MixedPolicy,
-    ModelError,
+    certify,
     cross_check,
+    evaluate,
     solve,
 )
 from ssp_lp.errors import SolverError
 from ssp_lp.verification import cross_check as checking
 from ssp_lp.verification.cross_check import METHODS, compare_methods, result_of
+from strategies import acyclic_problems, often, problems, semantics
 
-PROBLEM = MCMP(FIRST, start="depot", failure_budget=0.05, discount=0.999)
-
-
-def results():
-    """The rows of the three methods."""
-    return {name: result_of(name, solve(PROBLEM, name)) for name in METHODS}
+discounts = st.sampled_from([0.9, 0.99, 0.5, 0.999])
+shares = st.sampled_from([0.25, 0.02, 0.1, 0.5, 0.75, 0.95, 1.0])
+"""Where the budget lies between the least discounted failure (0) and 1."""
 
 
-def judged(**changed):
-    """Compare the rows with some fields of some methods changed."""
-    rows = results()
-    rows |= {name: replace(rows[name], **fields) for name, fields in changed.items()}
-    return compare_methods(list(rows.values()), PROBLEM)
+def first(criterion=MCMP, budget=0.05, discount=0.999, **options):
+    return criterion(FIRST, "depot", failure_budget=budget, discount=discount, **options)
+
+
+@cache
+def answer(name, budget=0.05):
+    """One method's row, maybe of another budget."""
+    return result_of(name, solve(first(budget=budget), name))
+
+
+def judged(**others):
+    """Compare the rows of the three methods, some of them replaced or with other fields."""
+    rows = {name: answer(name) for name in METHODS}
+    for name, other in others.items():
+        rows[name] = replace(rows[name], **other) if isinstance(other, dict) else other
+    return compare_methods(list(rows.values()), first())
 
 
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
 def test_three_roads_agree(criterion):
-    problem = criterion(FIRST, start="depot", failure_budget=0.05, discount=0.999)
+    problem = first(criterion)
     found = cross_check(problem)
-    assert isinstance(found, CrossCheck)
-    assert found.agrees
-    assert found.failed == ()
+    assert (found.agrees, found.failed, found.budget_overrun) == (True, (), 0.0)
     assert [method.name for method in found.methods] == list(METHODS)
     assert all(method.answered for method in found.methods)
     assert max(found.objective_distance, found.evaluated_distance) <= 1e-9
     assert found.weight_distance <= 1e-9
-    assert found.budget_overrun == 0.0
     for method in found.methods:
-        assert sum(m.weight for m in method.members) == pytest.approx(1.0)
-        spent = sum(m.weight * m.failure for m in method.members)
-        cost = sum(m.weight * m.cost for m in method.members)
-        assert spent == pytest.approx(0.05)
-        assert cost / (1.0 - spent if problem.ratio else 1.0) == pytest.approx(method.objective)
-
-
-def test_the_summary_is_an_aligned_table_with_a_verdict():
-    text = cross_check(PROBLEM).summary()
-    lines = text.splitlines()
+        weights, failures, costs = np.transpose(
+            [(member.weight, member.failure, member.cost) for member in method.members]
+        )
+        assert (weights.sum(), weights @ failures) == pytest.approx((1.0, 0.05))
+        success = 1.0 - 0.05 if problem.ratio else 1.0
+        assert weights @ costs / success == pytest.approx(method.objective)
+    lines = found.summary().splitlines()
     assert lines[0].split()[:3] == ["method", "c*", "lower"]
     assert len({len(line) for line in lines[:4]}) == 1
     assert lines[-1].startswith("3 methods agree: c* within ")
 
 
-def test_an_exact_problem_has_two_results():
-    found = cross_check(MCMP(FIRST, start="depot", failure_budget=0.05))
+SAFE = model_of({"a": {"go": [(1.0, "g", 1.0)]}})
+
+
+@pytest.mark.parametrize(
+    ("problem", "answered", "note", "verdict"),
+    [
+        (first(discount=None), "110", "not asked: the game needs a discount", "2 methods agree"),
+        (MCMP(SAFE, "a", failure_budget=0.0), "110", "", "2 methods agree"),
+        (first(budget=None, discount=None), "010", "", "nothing to compare: one method answered"),
+        (
+            first(S3P, cost_cap=50.0),
+            "110",
+            "not asked: the game chooses its own cap M: leave cost_cap out",
+            "2 methods agree",
+        ),
+    ],
+    ids=["exact", "a budget of zero", "least failure", "a cap"],
+)
+def test_roads_that_are_not_asked(problem, answered, note, verdict):
+    found = cross_check(problem)
     assert found.agrees
-    game = found.methods[2]
-    assert not game.answered
-    assert not game.failed
-    assert game.note.startswith("not asked: the game needs a discount")
-    assert found.summary().splitlines()[-1].startswith("2 methods agree")
-
-
-def test_a_budget_of_zero_has_two_results():
-    safe = SSP.from_transitions({"a": {"go": [(1.0, "home", 1.0)]}}, goal={"home"})
-    found = cross_check(MCMP(safe, start="a", failure_budget=0.0))
-    assert found.agrees
-    assert [method.answered for method in found.methods] == [True, True, False]
-
-
-def test_at_least_failure_there_is_one_road():
-    found = cross_check(MCMP(FIRST, start="depot", failure_budget=None))
-    assert [method.answered for method in found.methods] == [False, True, False]
-    assert found.agrees
-    assert found.summary().endswith("nothing to compare: one method answered")
+    assert [method.answered for method in found.methods] == [one == "1" for one in answered]
+    assert not any(method.failed for method in found.methods)
+    assert found.methods[2].note.startswith(note)
+    assert found.summary().splitlines()[-1].startswith(verdict)
 
 
 def test_a_large_program_is_not_asked(monkeypatch):
     monkeypatch.setattr(checking, "MOST_COLUMNS", 1)
-    found = cross_check(PROBLEM)
+    found = cross_check(first())
     assert found.methods[0].note.startswith("not asked: ")
     assert "columns are too many" in found.methods[0].note
     assert found.agrees
-    assert cross_check(PROBLEM, lp_backend="highs").methods[0].answered
+    assert cross_check(first(), lp_backend="highs").methods[0].answered
 
 
-def test_a_cap_of_the_users_leaves_the_game_out():
-    problem = S3P(FIRST, start="depot", failure_budget=0.05, discount=0.999, cost_cap=50.0)
-    found = cross_check(problem)
-    assert found.agrees
-    assert found.methods[2].note == "not asked: the game chooses its own cap M: leave cost_cap out"
+def planted(monkeypatch, method, error):
+    """The comparison where one method ends in an error."""
+
+    def failing(problem, asked, **rest):
+        if asked == method:
+            raise error
+        return solve(problem, asked, **rest)
+
+    monkeypatch.setattr(checking, "solve", failing)
+    return cross_check(first())
 
 
 def test_a_road_that_fails_is_listed(monkeypatch):
-    def failing(problem, method, **rest):
-        if method == LinearProgramming():
-            raise SolverError("no backend")
-        return solve(problem, method, **rest)
-
-    monkeypatch.setattr(checking, "solve", failing)
-    found = cross_check(PROBLEM)
-    assert found.failed == ("lp",)
+    found = planted(monkeypatch, LinearProgramming(), SolverError("no backend"))
+    assert (found.agrees, found.failed) == (True, ("lp",))
     assert found.methods[0].note == "failed: no backend"
-    assert found.agrees
-
-
-def test_infeasible_for_all_is_raised():
-    with pytest.raises(InfeasibleError) as caught:
-        cross_check(MCMP(FIRST, start="depot", failure_budget=0.005, discount=0.999))
-    assert caught.value.least_discounted_failure == pytest.approx(0.01099)
 
 
 @pytest.mark.parametrize(("above", "named"), [(1e-3, ("game",)), (5e-10, ())])
 def test_infeasible_for_one_road_alone(monkeypatch, above, named):
     """A disagreement, except within rounding of the least failure."""
-
-    def refusing(problem, method, **rest):
-        if method == Game():
-            least = problem.failure_budget + above
-            raise InfeasibleError(
-                "no", failure_budget=0.05, least_failure=0.0, least_discounted_failure=least
-            )
-        return solve(problem, method, **rest)
-
-    monkeypatch.setattr(checking, "solve", refusing)
-    found = cross_check(PROBLEM)
-    assert found.disagreeing == named
-    assert found.failed == ("game",)
+    least = {"least_failure": 0.0, "least_discounted_failure": 0.05 + above}
+    found = planted(monkeypatch, Game(), InfeasibleError("no", failure_budget=0.05, **least))
+    assert (found.disagreeing, found.failed) == (named, ("game",))
     assert found.methods[2].note == "infeasible: no"
 
 
+def test_what_is_infeasible_for_all_or_asked_wrongly_is_raised():
+    with pytest.raises(InfeasibleError) as caught:
+        cross_check(first(budget=0.005))
+    assert caught.value.least_discounted_failure == pytest.approx(0.01099)
+    for wrong in ({"tolerance": 0.0}, {"weight_tolerance": 2.0}):
+        refused("toler", cross_check, first(), **wrong)
+
+
 @pytest.mark.parametrize("name", METHODS)
-def test_another_optimum_is_outvoted(name):
-    """One method solved a problem with a smaller budget: it keeps to ours, but costs more."""
-    other = replace(PROBLEM, failure_budget=0.04)
-    rows = results() | {name: result_of(name, solve(other, name))}
-    found = compare_methods(list(rows.values()), PROBLEM)
-    assert name in found.disagreeing
-    assert set(found.disagreeing) == {name}
+def test_an_answer_to_another_budget_is_named(name):
+    """With a smaller one it keeps to ours, but costs more: it is outvoted."""
+    found = judged(**{name: answer(name, 0.04)})
+    assert found.disagreeing == (name,)
     assert found.objective_distance > 1e-2
     assert found.summary().splitlines()[-1].startswith(f"DISAGREEMENT of {name}: ")
-
-
-@pytest.mark.parametrize("name", METHODS)
-def test_a_policy_over_budget_is_named(name):
-    """One method solved a problem with a larger budget."""
-    other = solve(replace(PROBLEM, failure_budget=0.06), name)
-    found = compare_methods(list((results() | {name: result_of(name, other)}).values()), PROBLEM)
+    found = judged(**{name: answer(name, 0.06)})
     assert found.disagreeing == (name,)
     assert found.budget_overrun == pytest.approx(0.01)
 
 
 def test_a_policy_that_does_not_attain_what_is_stated_is_named():
-    solution = solve(PROBLEM, "columns")
-    safe = int(np.argmax(solution.policy.weights))
-    wrong = MixedPolicy((solution.policy.policies[safe],), np.ones(1))
-    planted = replace(solution, policy=wrong)
-    rows = results() | {"columns": result_of("columns", planted)}
-    found = compare_methods(list(rows.values()), PROBLEM)
+    solution = solve(first(), "columns")
+    safe = solution.policy.policies[int(np.argmax(solution.policy.weights))]
+    wrong = replace(solution, policy=MixedPolicy((safe,), np.ones(1)))
+    found = judged(columns=result_of("columns", wrong))
     assert found.disagreeing == ("columns",)
     assert found.evaluated_distance > 1e-2
 
 
 def test_two_roads_that_differ_are_both_named():
-    problem = MCMP(FIRST, start="depot", failure_budget=0.05)
-    rows = [result_of(name, solve(problem, name)) for name in ("lp", "columns")]
-    dearer = result_of("columns", solve(replace(problem, failure_budget=0.04)))
-    found = compare_methods([rows[0], dearer], problem)
+    rows = [answer("lp"), answer("columns")]
+    assert compare_methods(rows, first()).agrees
+    found = compare_methods([rows[0], answer("columns", 0.04)], first())
     assert set(found.disagreeing) == {"lp", "columns"}
-    assert compare_methods(rows, problem).agrees
-
-
-def test_a_bound_above_what_is_attained_is_named():
-    found = judged(lp={"lower_bound": 7.0})
-    assert found.disagreeing == ("lp",)
-    assert "one of the two is wrong" in found.remarks[0]
 
 
 def test_several_prices_at_a_kink_are_no_disagreement():
     """At a kink each price with a bound that meets c* is optimal."""
     found = judged(game={"adversary_weight": 0.6, "failure_price": 90.0})
-    assert found.agrees
-    assert found.remarks == ("several prices are optimal",)
+    assert (found.agrees, found.remarks) == (True, ("several prices are optimal",))
     assert found.weight_distance == pytest.approx(0.1, abs=2e-3)
 
 
-def test_a_price_that_no_bound_proves_is_named():
-    bound = 0.9 * solve(PROBLEM).objective
-    found = judged(game={"adversary_weight": 0.6, "lower_bound": bound, "gap": 0.1})
-    assert found.disagreeing == ("game",)
+@pytest.mark.parametrize(
+    ("name", "changed"),
+    [
+        ("lp", {"lower_bound": 7.0}),
+        ("game", {"adversary_weight": 0.6, "lower_bound": 6.0, "gap": 0.1}),
+        ("game", {"objective": float("nan")}),
+    ],
+    ids=["a bound above what is attained", "a price that no bound proves", "no number"],
+)
+def test_what_cannot_be_true_is_named(name, changed):
+    found = judged(**{name: changed})
+    assert found.disagreeing == (name,)
+    assert name == "game" or "one of the two is wrong" in found.remarks[0]
 
 
-def test_a_number_that_is_none_is_no_agreement():
-    found = judged(game={"objective": float("nan")})
-    assert found.disagreeing == ("game",)
+def least_failure(problem):
+    """The least discounted failure."""
+    return problem.compile().least_failure().column.failure
 
 
-@pytest.mark.parametrize("wrong", [{"tolerance": 0.0}, {"weight_tolerance": 2.0}])
-def test_wrong_tolerances(wrong):
-    with pytest.raises(ModelError):
-        cross_check(PROBLEM, **wrong)
+def check_agreement(problem):
+    """No disagreement; the solutions."""
+    solutions = {name: solve(problem, name) for name in METHODS}
+    found = compare_methods([result_of(name, s) for name, s in solutions.items()], problem)
+    assert found.agrees, found.summary()
+    return solutions, found
+
+
+def check_roads(problem):
+    """No disagreement, and the game's own proof holds."""
+    solutions, found = check_agreement(problem)
+    assert found.objective_distance <= 1e-7
+    game = solutions["game"]
+    certificate = certify(game)
+    assert certificate.accepted, certificate.reason
+    assert max(certificate.gap, game.gap) <= 1e-8
+    objective = evaluate(game.policy, problem).objective
+    assert objective == pytest.approx(game.objective, rel=1e-9, abs=1e-12)
+
+
+def check_infeasible(problem):
+    """Every method says so, with the same least failure."""
+    least = []
+    for name in METHODS:
+        with pytest.raises(InfeasibleError) as caught:
+            solve(problem, name)
+        least.append(caught.value.least_discounted_failure)
+    assert max(least) - min(least) <= 1e-9
+
+
+def check_at(criterion, model, start, discount, share, **meaning):
+    """At a share of the way from the least discounted failure to 1."""
+    loose = criterion(model, start, failure_budget=1.0, discount=discount, **meaning)
+    least = least_failure(loose)
+    if criterion is S3P and least >= 1.0 - 1e-12:
+        check_infeasible(loose)
+    else:
+        check_roads(replace(loose, failure_budget=min(least + share * (1.0 - least), 1.0)))
+
+
+@often(560)
+@given(problems(), semantics, discounts, shares)
+def test_three_roads_agree_on_mcmp(drawn, meaning, discount, share):
+    """Ties, free cycles, sure failure, every semantics, starts on goals and dead-ends."""
+    check_at(MCMP, library_model(drawn), drawn.start, discount, share, **meaning)
+
+
+layered = [problems(most_live=3, attention=True), acyclic_problems(), problems(most_live=3)]
+"""Every live state can wait; every run ends; cycles, where what follows beyond M matters."""
+
+
+@pytest.mark.parametrize("drawing", layered, ids=["waiting", "acyclic", "cycles"])
+@often(150)
+@given(data=st.data(), discount=discounts, share=shares)
+def test_three_roads_agree_on_s3p(drawing, data, discount, share):
+    drawn = data.draw(drawing)
+    check_at(S3P, library_model(drawn), drawn.start, discount, share)
+
+
+@often(60)
+@given(problems(), discounts, st.sampled_from([0.5, 0.9, 0.999]), st.sampled_from([MCMP, S3P]))
+def test_three_roads_agree_that_nothing_is_feasible(drawn, discount, part, criterion):
+    """A budget clearly below the least discounted failure."""
+    loose = criterion(library_model(drawn), drawn.start, failure_budget=1.0, discount=discount)
+    least = least_failure(loose)
+    if least > 1e-6:
+        check_infeasible(replace(loose, failure_budget=part * least))
+
+
+@often(60)
+@given(problems(most_live=3), discounts, st.sampled_from([MCMP, S3P]))
+def test_three_roads_agree_at_the_least_failure(drawn, discount, criterion):
+    """The budget equal to the least discounted failure: the cheapest policy of least failure."""
+    loose = criterion(library_model(drawn), drawn.start, failure_budget=1.0, discount=discount)
+    least = least_failure(loose)
+    if 0.0 < least < 1.0 - 1e-12:
+        solutions, _ = check_agreement(replace(loose, failure_budget=least))
+        assert certify(solutions["game"]).accepted
+
+
+def walk(cost=1.0, wait=None, slip=0.1):
+    """A corridor of three cells with a risky short cut; `wait` adds free or paid waiting."""
+    choices = {"wreck": {}}
+    for state, ahead in {"a": "b", "b": "c", "c": "home"}.items():
+        choices[state] = {
+            "step": [(0.5, ahead, cost), (0.5, state, cost)],
+            "jump": [(1.0 - slip, "home", cost), (slip, "wreck", cost)],
+        }
+        if wait is not None:
+            choices[state]["wait"] = [(1.0, state, wait)]
+    return model_of(choices, "home")
+
+
+@pytest.mark.parametrize("give_up", ["anywhere", "dead_ends"])
+def test_a_slow_loop_takes_few_sweeps(give_up):
+    """Improving the greedy policy by its own values spares the 1 / (1 - gamma) sweeps."""
+    crawl, dash = [(1e-5, "g", 3.0), (1.0 - 1e-5, "a", 0.0)], [(0.5, "g", 1.0), (0.5, "d", 0.0)]
+    model = model_of({"a": {"crawl": crawl, "dash": dash}, "d": {}})
+    problem = MCMP(model, "a", failure_budget=0.3, discount=0.999999, give_up=give_up)
+    game = solve(problem, "game")
+    assert game.gap <= 1e-9
+    assert game.run.backups <= 5_000
+    check_roads(problem)
+
+
+def test_free_steps_within_a_layer_take_no_time():
+    """The choice of the layer after it is improved, no iteration begins at 0."""
+    rng, choices = np.random.default_rng(5), {"wreck": {}}
+    for i in range(20):
+        moves = [f"s{int(j)}" for j in rng.integers(0, 20, 4)]
+        choices[f"s{i}"] = {
+            "free": [(0.5, moves[0], 0.0), (0.5, moves[1], 0.0)],
+            "paid": [(0.5, moves[2], 1.0), (0.5, moves[3], 0.0)],
+            "end": [(0.4, "home", 3.0), (0.6, "wreck" if i % 3 else moves[0], 1.0)],
+        }
+    problem = S3P(model_of(choices, "home"), "s0", failure_budget=0.4, discount=0.999)
+    began = time.perf_counter()
+    check_roads(problem)
+    assert time.perf_counter() - began <= 5.0
+
+
+@pytest.mark.parametrize("discount", [0.5, 0.9, 0.999])
+@pytest.mark.parametrize("wait", [None, 0.0, 1.0])
+@pytest.mark.parametrize("slip", [0.1, 0.3, 1.0 / 3.0, 0.82])
+def test_a_slack_budget_in_case_s_is_proved(slip, wait, discount):
+    """Sure failure counts 0 in the bound of the least ratio, at budget 1 too."""
+    check_roads(S3P(walk(wait=wait, slip=slip), "a", failure_budget=1.0, discount=discount))
+
+
+def test_a_start_whose_probabilities_sum_to_almost_one():
+    """0.1 + 0.2 + 0.7 < 1 in floating point, and no mass lies on goals."""
+    check_roads(MCMP(walk(), {"a": 0.1, "b": 0.2, "c": 0.7}, failure_budget=0.2, discount=0.99))
+
+
+def test_a_bracket_that_rounding_holds_open_is_left():
+    """Just above the least failure the price is steep; the games do not repeat themselves."""
+    choices = {
+        "safe": [(0.9, "home", 2.0), (0.1, "wreck", 0.0)],
+        "near": [(0.9 - 2e-7, "home", 1.0), (0.1 + 2e-7, "wreck", 0.0)],
+        "rash": [(0.1, "home", 0.0), (0.9, "wreck", 0.0)],
+    }
+    model = model_of({"a": choices, "wreck": {}}, "home")
+    loose = MCMP(model, "a", failure_budget=1.0, discount=0.9)
+    problem = replace(loose, failure_budget=least_failure(loose) + 4e-10)
+    assert solve(problem, "game", tolerance=1e-13).run.pricing_calls <= 40
+    check_agreement(problem)
+
+
+@pytest.mark.parametrize("criterion", [MCMP, S3P])
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_the_least_failure_at_any_unit_of_cost(scale, criterion):
+    """Steep prices are multiples of what the goal costs."""
+    model = walk(cost=scale, wait=scale, slip=0.05)
+    loose = criterion(model, "a", failure_budget=1.0, discount=0.9)
+    check_roads(replace(loose, failure_budget=least_failure(loose)))
+
+
+def test_a_free_optimum():
+    """c* = 0: the game has no stake."""
+    model = walk(cost=0.0, wait=0.0)
+    problem = MCMP(model, "a", failure_budget=0.5, discount=0.9, give_up="anywhere")
+    assert solve(problem, "game").objective == 0.0
+    check_roads(problem)

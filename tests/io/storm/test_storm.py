@@ -1,17 +1,17 @@
 """Storm's door: its programs and models read, ours given to it, and what it says of them."""
 
-import json
 import sys
 
 import pytest
 import stormpy
 
 from cases import load_case
-from checks import optima
+from examples.checks.damaged_files import JANI
 from formulations import MCMP, MaxProb
-from small_models import ALONE, AWKWARD, FIRST
-from ssp_lp import SSP, MissingDependencyError, ModelError, solve
-from ssp_lp.io import from_stormpy, read_with_storm, to_stormpy, write_drn, write_umb
+from refusing import refused
+from small_models import FIRST
+from ssp_lp import SSP, MissingDependencyError, solve
+from ssp_lp.io import from_stormpy, read_with_storm, to_stormpy
 from ssp_lp.model.graph import dead_end_labels
 from storm_values import value
 
@@ -37,59 +37,8 @@ endrewards
 label "done" = x = N;
 """
 
-JANI = {
-    "jani-version": 1,
-    "name": "walker",
-    "type": "mdp",
-    "actions": [{"name": "go"}],
-    "constants": [{"name": "p", "type": "real"}],
-    "variables": [
-        {
-            "name": "x",
-            "type": {"kind": "bounded", "base": "int", "lower-bound": 0, "upper-bound": 3},
-            "initial-value": 0,
-        },
-        {"name": "toll", "type": "real", "transient": True, "initial-value": 0},
-        {"name": "done", "type": "bool", "transient": True, "initial-value": False},
-    ],
-    "properties": [],
-    "automata": [
-        {
-            "name": "a",
-            "locations": [
-                {
-                    "name": "l",
-                    "transient-values": [
-                        {"ref": "done", "value": {"op": "=", "left": "x", "right": 3}}
-                    ],
-                }
-            ],
-            "initial-locations": ["l"],
-            "edges": [
-                {
-                    "location": "l",
-                    "action": "go",
-                    "guard": {"exp": {"op": "<", "left": "x", "right": 3}},
-                    "assignments": [{"ref": "toll", "value": 5}],
-                    "destinations": [
-                        {
-                            "location": "l",
-                            "probability": {"exp": {"op": "-", "left": 1, "right": "p"}},
-                            "assignments": [
-                                {"ref": "x", "value": {"op": "+", "left": "x", "right": 1}}
-                            ],
-                        },
-                        {"location": "l", "probability": {"exp": "p"}},
-                    ],
-                }
-            ],
-        }
-    ],
-    "system": {
-        "elements": [{"automaton": "a"}],
-        "syncs": [{"synchronise": ["go"], "result": "go"}],
-    },
-}
+
+GO = r"action 'go' of state \(False, 0\)"
 
 
 def written(tmp_path, text, name="walker.prism"):
@@ -98,34 +47,33 @@ def written(tmp_path, text, name="walker.prism"):
     return path
 
 
+def least(found, budget=0.0):
+    return solve(MCMP(found.model, found.start, failure_budget=budget))
+
+
 def test_a_program_of_prism(tmp_path):
-    found = read_with_storm(
-        written(tmp_path, PROGRAM), goal="done", cost="time", constants="N=2,p=0.25"
-    )
+    path, constants = written(tmp_path, PROGRAM), {"N": 2, "p": 0.25}
+    found = read_with_storm(path, goal="done", cost="time", constants="N=2,p=0.25")
     model = found.model
     assert found.start == (False, 0)  # broken, x
     assert set(model.states) == {(b, x) for b in (False, True) for x in (0, 1, 2)} - {(True, 2)}
-    solution = solve(MCMP(model, found.start, failure_budget=0.25))
+    solution = least(found, 0.25)
     # walk or go at x = 0, then at x = 1 for 0.1 more: one of the two may be risked
     assert solution.failure_probability == pytest.approx(0.25)
     assert solution.objective == pytest.approx(min(3.0 + 1.1, 1.0 + 0.75 * 3.1))
     pair = int(model.pair_offsets[model.index_of((False, 1))])
     assert [model.action_of(k) for k in (pair, pair + 1)] == ["go", "walk"]
     assert model.costs[model.outcome_offsets[pair + 1]] == 3.1  # in decimals
-    named = read_with_storm(
-        written(tmp_path, PROGRAM), goal="done", cost="coins", constants={"N": 2, "p": 0.25}
-    )
-    assert solve(MCMP(named.model, named.start, failure_budget=0.0)).objective == 0.0
+    coins = read_with_storm(path, goal="done", cost="coins", constants=constants)
+    assert least(coins).objective == 0.0
 
 
-def test_a_goal_may_be_a_condition(tmp_path):
+@pytest.mark.parametrize("goal", ["x = N - 1 & !broken", '!("deadlock" | x < 3)'])
+def test_a_goal_may_be_a_condition(goal, tmp_path):
     path = written(tmp_path, PROGRAM)
-    options = {"cost": "time", "constants": "N=4,p=0.1"}
-    for goal in ("x = N - 1 & !broken", '!("deadlock" | x < 3)'):
-        found = read_with_storm(path, goal=goal, **options)
-        least = solve(MCMP(found.model, found.start, failure_budget=0.0)).objective
-        assert least == pytest.approx(3 * 3.0 + 0.1)
-        assert all(not name.startswith("(") for name in found.model.state_labels)
+    found = read_with_storm(path, goal=goal, cost="time", constants="N=4,p=0.1")
+    assert least(found).objective == pytest.approx(3 * 3.0 + 0.1)
+    assert all(not name.startswith("(") for name in found.model.state_labels)
 
 
 @pytest.mark.parametrize(
@@ -145,26 +93,14 @@ def test_a_goal_may_be_a_condition(tmp_path):
         ("mdp\n", "ctmc\n", {}, "is a CTMC: only MDPs and DTMCs"),
         ("mdp\n", "mpd\n", {}, "Storm refuses it"),
         ("x' = x + 1", "x' = x + y", {}, "Storm refuses it"),
-        (
-            "x' = x + 1",
-            "x' = x + 1000",
-            {},
-            r"action 'go' of state \(False, 0\): a variable leaves its bounds",
-        ),
-        (
-            "1 - p : (x'",
-            "0.9 - p : (x'",
-            {},
-            r"action 'go' of state \(False, 0\): probabilities sum to 0.9, not to 1",
-        ),
+        ("x + 1", "x + 1000", {}, rf"{GO}: a variable leaves its bounds"),
+        ("1 - p : (x'", "0.9 - p : (x'", {}, rf"{GO}: probabilities sum to 0.9, not to 1"),
     ],
 )
 def test_what_is_wrong_with_a_program_is_named(old, new, options, message, tmp_path):
     path = written(tmp_path, PROGRAM.replace(old, new, 1) if old else PROGRAM)
     asked = {"goal": "done", "cost": "time", "constants": "N=2,p=0.1"} | options
-    with pytest.raises(ModelError, match=message) as found:
-        read_with_storm(path, **asked)
-    assert "walker.prism" in str(found.value)
+    assert "walker.prism" in refused(message, read_with_storm, path, **asked)
 
 
 TENTHS = """
@@ -188,27 +124,19 @@ def test_decimals_that_sum_to_one_are_probabilities(tmp_path, ending):
     def read(probability, text=TENTHS):
         path = written(tmp_path, text.replace("P :", f"{probability} :"), "tenths.prism")
         if ending == "jani":
-            stormpy = pytest.importorskip("stormpy")
             program, _ = stormpy.parse_prism_program(str(path)).to_jani([])
             path = tmp_path / "tenths.jani"
             stormpy.io.export_jani_to_file(str(path), program)
-        goal = "done" if ending == "prism" else "s = 2"
-        return read_with_storm(path, goal=goal).model
+        return read_with_storm(path, goal="done" if ending == "prism" else "s = 2").model
 
     model = read("0.8")
     assert model.probabilities[:3].tolist() == pytest.approx([0.8, 0.1, 0.1], abs=1e-15)
     assert read("0.8000000001").n_outcomes == model.n_outcomes
-    with pytest.raises(ModelError, match=r"action 'a' of .*: probabilities sum to 1.00000001,"):
-        read("0.80000001")
+    refused(r"action 'a' of .*: probabilities sum to 1.00000001,", read, "0.80000001")
     # one bit more than two would hold: Storm by itself goes on from 0 again
     for update in ("(s' = s + 4)", "(s' = s - 1)"):
-        with pytest.raises(ModelError, match="a variable leaves its bounds"):
-            read("0.8", TENTHS.replace("(s' = 1)", update))
-
-
-def test_a_file_that_is_not_there(tmp_path):
-    with pytest.raises(FileNotFoundError):
-        read_with_storm(tmp_path / "no.prism", goal="done")
+        wrong = TENTHS.replace("(s' = 1)", update)
+        refused("a variable leaves its bounds", read, "0.8", wrong)
 
 
 def test_a_markov_chain_and_a_partly_observed_model(tmp_path):
@@ -217,44 +145,39 @@ def test_a_markov_chain_and_a_partly_observed_model(tmp_path):
     assert solve(MaxProb(found.model, found.start)).objective == 0.5
     assert found.model.n_pairs == 1  # states 1 and 2 are deadlocks
     hidden = "pomdp\nobservables s endobservables\n" + chain.removeprefix("dtmc\n")
-    with pytest.raises(ModelError, match="is a POMDP"):
-        read_with_storm(written(tmp_path, hidden), goal="s=1")
+    refused("is a POMDP", read_with_storm, written(tmp_path, hidden), goal="s=1")
 
 
 def test_jani_rewards_of_edges_are_read_and_those_of_outcomes_refused(tmp_path):
-    path = written(tmp_path, json.dumps(JANI), "walker.jani")
+    open_one = JANI.replace(', "value": 0.25', "")
+    path = written(tmp_path, open_one, "walker.jani")
     found = read_with_storm(path, goal="done", cost="toll", constants="p=0.2")
-    least = solve(MCMP(found.model, found.start, failure_budget=0.0)).objective
-    assert least == pytest.approx(3 * 5.0 / 0.8)
+    assert least(found).objective == pytest.approx(3 * 5.0 / 0.8)
     assert read_with_storm(path, goal="x = 3", constants={"p": 0.2}).model.n_states == 4
-    text = json.dumps(JANI).replace('{"exp": "p"}', '{"exp": "p"}, "assignments": '
-                                    '[{"ref": "toll", "value": 7}]')  # fmt: skip
-    with pytest.raises(ModelError, match="only average"):
-        read_with_storm(
-            written(tmp_path, text, "walker.jani"), goal="done", cost="toll", constants="p=0.2"
-        )
+    toll = '{"exp": "p"}, "assignments": [{"ref": "toll", "value": 7}]'
+    path = written(tmp_path, open_one.replace('{"exp": "p"}', toll), "walker.jani")
+    refused("only average", read_with_storm, path, goal="done", cost="toll", constants="p=0.2")
 
 
-def _transitions(rows, groups):
+def rows_of(rows):
     builder = stormpy.datastructures.SparseMatrixBuilder[float](
-        has_custom_row_grouping=True, row_groups=len(groups)
+        has_custom_row_grouping=True, row_groups=len(rows)
     )
     for row, entries in enumerate(rows):
-        if row in groups:
-            builder.new_row_group(row)
+        builder.new_row_group(row)
         for column, chance in entries.items():
             builder.add_next_value(row, column, chance)
     return builder.build()
 
 
-def _hand_made(**rewards):
+def hand_made(**rewards):
     """Two states: one action to the goal or back."""
     labels = stormpy.models.StateLabeling(2)
     for label, state in (("init", 0), ("end", 1), ("the pit", 0)):
         labels.add_label(label)
         labels.add_label_to_state(label, state)
     parts = stormpy.models.SparseModelComponents[float](
-        transition_matrix=_transitions([{0: 0.5, 1: 0.5}, {1: 1.0}], [0, 1]),
+        transition_matrix=rows_of([{0: 0.5, 1: 0.5}, {1: 1.0}]),
         state_labeling=labels,
         reward_models={"r": stormpy.models.SparseRewardModel[float](**rewards)},
     )
@@ -262,54 +185,33 @@ def _hand_made(**rewards):
 
 
 def test_rewards_of_states_actions_and_transitions_add_up():
-    by_state = _hand_made(optional_state_reward_vector=[0.1, 5.0])
-    assert set(from_stormpy(by_state, goal="end").model.costs) == {0.1}
-    paid = _transitions([{0: 0.5, 1: 1.0}, {}], [0, 1])
-    all_three = _hand_made(
-        optional_state_reward_vector=[0.1, 5.0],
+    by_state = {"optional_state_reward_vector": [0.1, 5.0]}
+    assert set(from_stormpy(hand_made(**by_state), goal="end").model.costs) == {0.1}
+    all_three = hand_made(
+        **by_state,
         optional_state_action_reward_vector=[0.2, 7.0],
-        optional_transition_reward_matrix=paid,
+        optional_transition_reward_matrix=rows_of([{0: 0.5, 1: 1.0}, {}]),
     )
     model = from_stormpy(all_three, goal='"end" & !"init"', cost="r").model
     assert model.costs.tolist() == [0.8, 1.3]
     assert list(model.state_labels) == ["end", "the pit"]
-    with pytest.raises(ModelError, match="cost 'r': action 0 of state 0 has a negative cost"):
-        from_stormpy(_hand_made(optional_state_reward_vector=[-1.0, 0.0]), goal="end")
+    negative = hand_made(optional_state_reward_vector=[-1.0, 0.0])
+    words = "cost 'r': action 0 of state 0 has a negative cost"
+    refused(words, from_stormpy, negative, goal="end")
 
 
 def test_models_that_are_no_decision_processes_in_floats_are_refused(tmp_path):
     program = stormpy.parse_prism_program(str(written(tmp_path, PROGRAM)))
-    ready, _ = stormpy.instantiate_constants(program, "N=2")
-    open_one = stormpy.build_model[stormpy.RationalFunction](ready)
-    with pytest.raises(ModelError, match="has parameters for numbers"):
-        from_stormpy(open_one, goal="done", cost="time")
+    with_p, _ = stormpy.instantiate_constants(program, "N=2")
     ready, _ = stormpy.instantiate_constants(program, "N=2,p=0.5")
-    with pytest.raises(ModelError, match="has fractions for numbers"):
-        from_stormpy(stormpy.build_model[stormpy.Rational](ready), goal="done", cost="time")
-    with pytest.raises(ModelError, match="is symbolic"):
-        from_stormpy(stormpy.build_symbolic_model(ready), goal="done", cost="time")
-    with pytest.raises(ModelError, match="must be a model of stormpy, not dict"):
-        from_stormpy({}, goal="done")
-    with pytest.raises(ModelError, match="no state has the label 'doen'"):
-        from_stormpy(stormpy.build_model(ready), goal="doen", cost="time")
-
-
-@pytest.mark.parametrize("way", ["memory", "umb", "drn"])
-@pytest.mark.parametrize(("model", "start"), [(FIRST, "depot"), (AWKWARD, ("s", 1)), (ALONE, "g")])
-def test_a_round_trip_through_storm_keeps_the_optimum(way, model, start, tmp_path):
-    if way == "memory":
-        found = from_stormpy(to_stormpy(model, start=start), goal="goal")
-    elif way == "umb":
-        write_umb(model, tmp_path / "m.umb", start=start)
-        found = read_with_storm(tmp_path / "m.umb", goal="goal")
-    else:
-        write_drn(model, tmp_path / "m.drn", start=start)
-        theirs = stormpy.build_model_from_drn(str(tmp_path / "m.drn"))
-        found = from_stormpy(theirs, goal="goal", cost="cost")
-    assert optima(found.model, found.start, 0.3) == pytest.approx(
-        optima(model, start, 0.3), rel=1e-12, abs=1e-12
-    )
-    assert set(found.model.state_labels) - {"paying"} == set(model.state_labels)
+    for words, model, goal in (
+        ("parameters for numbers", stormpy.build_model[stormpy.RationalFunction](with_p), "done"),
+        ("has fractions for numbers", stormpy.build_model[stormpy.Rational](ready), "done"),
+        ("is symbolic", stormpy.build_symbolic_model(ready), "done"),
+        ("must be a model of stormpy, not dict", {}, "done"),
+        ("no state has the label 'doen'", stormpy.build_model(ready), "doen"),
+    ):
+        refused(words, from_stormpy, model, goal=goal, cost="time")
 
 
 @pytest.mark.parametrize(
@@ -334,14 +236,16 @@ def test_storm_agrees_on_published_models(name, cost):
     best = solve(MaxProb(model, case.start)).objective
     assert value(theirs, 'Pmax=? [F "goal"]') == pytest.approx(best, abs=1e-6)
     wanted = 0.7 * best
-    least = value(theirs, f'multi(R{{"cost"}}min=? [C], P>={wanted!r} [F "goal"])')
+    cheapest = value(theirs, f'multi(R{{"cost"}}min=? [C], P>={wanted!r} [F "goal"])')
     problem = MCMP(model, case.start, failure_budget=1.0 - wanted, give_up="dead_ends")
-    assert least == pytest.approx(solve(problem).objective, rel=1e-6, abs=1e-6)
+    assert cheapest == pytest.approx(solve(problem).objective, rel=1e-6, abs=1e-6)
 
 
-def test_the_missing_package_is_named(monkeypatch, tmp_path):
+def test_what_is_missing_is_named(monkeypatch, tmp_path):
+    refused(
+        "no.prism", read_with_storm, tmp_path / "no.prism", goal="done", error=FileNotFoundError
+    )
     monkeypatch.setitem(sys.modules, "stormpy", None)
-    with pytest.raises(MissingDependencyError, match=r"pip install 'ssp-lp\[storm\]'"):
-        to_stormpy(FIRST, start="depot")
-    with pytest.raises(MissingDependencyError):
-        read_with_storm(written(tmp_path, PROGRAM), goal="done")
+    missing = {"error": MissingDependencyError}
+    refused(r"pip install 'ssp-lp\[storm\]'", to_stormpy, FIRST, start="depot", **missing)
+    refused("storm", read_with_storm, written(tmp_path, PROGRAM), goal="done", **missing)

@@ -64,9 +64,10 @@ def members(mask):
 
 
 SEEDS = [(seed, n) for seed in range(8) for n in (3, 8, 25)]
+each_model = pytest.mark.parametrize(("seed", "n_states"), SEEDS)
 
 
-@pytest.mark.parametrize(("seed", "n_states"), SEEDS)
+@each_model
 def test_predecessors_turn_the_graph_round(path, seed, n_states):
     model, _ = drawn_model(seed, n_states)
     before = model.predecessors
@@ -80,28 +81,19 @@ def test_predecessors_turn_the_graph_round(path, seed, n_states):
     assert not before.pairs.flags.writeable
 
 
-@pytest.mark.parametrize(("seed", "n_states"), SEEDS)
-def test_dead_ends_reach_no_goal(path, seed, n_states):
-    model, _ = drawn_model(seed, n_states)
-    steps = steps_of(model)
+@each_model
+def test_dead_ends_attention_states_and_pairs_that_lead_somewhere(path, seed, n_states):
+    model, rng = drawn_model(seed, n_states)
+    steps, goals = steps_of(model), members(model.goal_mask)
     ahead = [{s}.union(*(steps[p] for p in pairs_of(model, s))) for s in range(n_states)]
     for _ in range(n_states):
         ahead = [set().union(*(ahead[t] for t in known)) for known in ahead]
-    goals = members(model.goal_mask)
     assert members(graph.dead_ends(model)) == {s for s in range(n_states) if not ahead[s] & goals}
-
-
-@pytest.mark.parametrize(("seed", "n_states"), SEEDS)
-def test_attention_states_and_pairs_that_lead_somewhere(path, seed, n_states):
-    model, rng = drawn_model(seed, n_states)
-    steps = steps_of(model)
-    kept = set(range(n_states)) - members(model.goal_mask)
-    while True:
+    kept, stay = None, set(range(n_states)) - goals
+    while stay != kept:
+        kept = stay
         stay = {s for s in kept if any(steps[p] <= kept for p in pairs_of(model, s))}
         stay |= {s for s in kept if not pairs_of(model, s)}
-        if stay == kept:
-            break
-        kept = stay
     attention = graph.attention_states(model)
     assert members(attention) == kept
     staying = {p for p in range(model.n_pairs) if steps[p] | {int(model.pair_state[p])} <= kept}
@@ -111,45 +103,43 @@ def test_attention_states_and_pairs_that_lead_somewhere(path, seed, n_states):
     assert members(graph.pairs_into(model, some)) == expected
 
 
-@pytest.mark.parametrize(("seed", "n_states"), SEEDS)
+@each_model
 def test_states_from_which_the_goal_is_sure(path, seed, n_states):
     model, _ = drawn_model(seed, n_states)
-    steps, goals = steps_of(model), members(model.goal_mask)
-    kept = set(range(n_states))
-    while True:
+    steps, kept, near = steps_of(model), None, set(range(n_states))
+    while near != kept:
+        kept, near = near, members(model.goal_mask)
         pairs = [p for p in range(model.n_pairs) if steps[p] | {int(model.pair_state[p])} <= kept]
-        near = set(goals)
         for _ in range(n_states):
             near |= {int(model.pair_state[p]) for p in pairs if steps[p] & near}
-        if near == kept:
-            break
-        kept &= near
+        near &= kept
     states, staying, _ = graph.surely_reaching(model)
     assert members(states) == kept
     assert members(staying) == set(pairs)
 
 
 @pytest.mark.parametrize("everything", [True, False])
-@pytest.mark.parametrize(("seed", "n_states"), SEEDS)
+@each_model
 def test_approach_takes_the_first_of_the_nearest_pairs(path, seed, n_states, everything):
     model, rng = drawn_model(seed, n_states)
     steps = steps_of(model)
     leaving = rng.random(model.n_pairs) < 0.15
-    usable = None if everything else rng.random(model.n_pairs) < 0.7
-    free = [everything or bool(usable[p]) for p in range(model.n_pairs)]
-    choice = graph.nearer_pairs(model, leaving, usable)
-    expected, near = {}, set()
-    while True:
-        found = {}
-        for state in set(range(n_states)) - set(expected):
-            pairs = [p for p in pairs_of(model, state) if free[p]]
-            useful = [p for p in pairs if (steps[p] & near if expected else leaving[p])]
-            if useful:
-                found[state] = useful[0]
-        if not found:
-            break
-        near = set(found)
-        expected |= found
+    usable = np.full(model.n_pairs, True) if everything else rng.random(model.n_pairs) < 0.7
+    choice = graph.nearer_pairs(model, leaving, None if everything else usable)
+    expected, near = {}, None
+    while near is None or near:
+        near = {
+            state: useful[0]
+            for state in set(range(n_states)) - set(expected)
+            if (
+                useful := [
+                    p
+                    for p in pairs_of(model, state)
+                    if usable[p] and (leaving[p] if near is None else steps[p] & set(near))
+                ]
+            )
+        }
+        expected |= near
     assert choice.tolist() == [expected.get(s, -1) for s in range(n_states)]
 
 
@@ -166,7 +156,7 @@ def test_scipy_is_given_numbers_of_32_bits(accelerate, monkeypatch):
 
 
 @pytest.mark.parametrize("share", [0.0, 0.6, 1.0])
-@pytest.mark.parametrize(("seed", "n_states"), SEEDS)
+@each_model
 def test_end_components_are_the_maximal_ones(path, seed, n_states, share):
     model, rng = drawn_model(seed, n_states)
     allowed = rng.random(model.n_pairs) < share

@@ -1,4 +1,4 @@
-"""Truths about the robot example's grid model and about its continuous world."""
+"""The paper's robot (section 4): its grid model and world, and answers that are proved."""
 
 import io
 import itertools
@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from dataclasses import replace
 from fractions import Fraction
+from functools import cache
 
 import numpy as np
 import pytest
@@ -22,10 +23,15 @@ from examples.paper_robot.robot import (
     robot_simulator,
     start_state,
 )
+from examples.paper_robot.true_costs import TOLERANCE as TRUE_GAP, designed, main as true_costs
+from formulations import MCMP, S3P
+from ssp_lp import certify, evaluate, solve
 from terminal import Terminal
 
+BUDGET = 0.05
 SMALL = RobotGrid(segments=10, headings=8, quadrature=3)
-GRIDS = [RobotGrid(), SMALL, RobotGrid(quadrature=2, along_segment=True)]
+each_case = pytest.mark.parametrize("criterion", [MCMP, S3P])
+each_discount = pytest.mark.parametrize("discount", [None, 0.999])
 
 
 def outcomes(model, pair):
@@ -42,7 +48,6 @@ def brute_force(grid, pair):
     parts = [Fraction(2 * k + 1, 2 * grid.quadrature) for k in range(grid.quadrature)]
     share = Fraction(1, 2 * grid.quadrature**4)
     found = Counter()
-    result = {}
     for x, y, turn, error in itertools.product(parts, repeat=4):
         circles = (heading + turn - Fraction(1, 2)) / grid.headings
         circles += Fraction(action - 2, 12) + (2 * error - 1) / 24
@@ -52,16 +57,14 @@ def brute_force(grid, pair):
         end = begin[0] + motion[0], begin[1] + motion[1]
         place = slow_place(grid, begin, motion, end)
         if place is not Place.FREE:
-            found[grid.end_state(place)] += 2
+            found[grid.end_state(place)] += 2 * share
             continue
         spot = [math.floor(z * grid.segments + TOLERANCE) for z in end]
         for side in (math.ceil, math.floor):
             sign = 1 if side is math.floor else -1
             new = side(circles * grid.headings + sign * Fraction(1, 2)) % grid.headings
-            found[(spot[0] * grid.segments + spot[1]) * grid.headings + new] += 1
-    for state, count in found.items():
-        result[state] = count * share
-    return result
+            found[(spot[0] * grid.segments + spot[1]) * grid.headings + new] += share
+    return found
 
 
 def slow_place(grid, begin, motion, end):
@@ -82,92 +85,39 @@ def slow_place(grid, begin, motion, end):
 
 def test_size_of_the_papers_model(robot):
     grid, model = RobotGrid(), robot[0]
-    assert grid.n_cells == 4800
-    assert model.n_states == 4803
-    assert model.n_pairs == 24_000 + 2
-    assert model.n_outcomes == 219_480 + 2
-    assert start_state(grid) == 504
+    assert (grid.n_cells, model.n_states, start_state(grid)) == (4800, 4803, 504)
+    assert (model.n_pairs, model.n_outcomes) == (24_000 + 2, 219_480 + 2)
 
 
-@pytest.mark.parametrize("grid", GRIDS)
-def test_probabilities_are_counts_that_sum_to_one(grid):
-    model = grid_model(grid)
+@pytest.mark.parametrize("grid", [RobotGrid(), SMALL, RobotGrid(quadrature=2, along_segment=True)])
+def test_probabilities_are_counts_and_those_of_plain_loops(grid):
+    model, rng = grid_model(grid), np.random.default_rng(5)
     doubled = model.probabilities * (2 * grid.quadrature**4)
     assert np.abs(doubled - np.rint(doubled)).max() < 1e-9
     sums = np.add.reduceat(model.probabilities, model.outcome_offsets[:-1])
     assert np.abs(sums - 1.0).max() < 1e-12
-
-
-@pytest.mark.parametrize("grid", GRIDS)
-def test_successors_are_distinct_and_ascend(grid):
-    model = grid_model(grid)
     pairs = np.repeat(np.arange(model.n_pairs), np.diff(model.outcome_offsets))
-    same_pair = pairs[1:] == pairs[:-1]
-    assert np.all(np.diff(model.successors)[same_pair] > 0)
-
-
-@pytest.mark.parametrize("grid", GRIDS)
-def test_random_pairs_against_plain_loops(grid):
-    model, rng = grid_model(grid), np.random.default_rng(5)
+    assert np.all(np.diff(model.successors)[np.diff(pairs) == 0] > 0)
     for pair in rng.choice(N_ACTIONS * grid.n_cells, size=12, replace=False):
         expected = {s: float(p) for s, p in brute_force(grid, int(pair)).items()}
         assert outcomes(model, int(pair)) == pytest.approx(expected, abs=1e-12)
 
 
-def test_progress_rises_to_its_total_and_changes_nothing():
+def test_progress_rises_to_its_total_and_is_shown_on_terminals():
     told = []
-    model = grid_model(SMALL, lambda done, total: told.append((done, total)))
-    total = told[0][1]
+    model = grid_model(SMALL, lambda *done: told.append(done))
     done = [pairs for pairs, _ in told]
     assert done == sorted(set(done))
-    assert done[-1] == total
-    assert model.probabilities.tobytes() == grid_model(SMALL).probabilities.tobytes()
-
-
-def test_the_progress_bar_is_for_terminals():
+    assert done[-1] == told[0][1]
     file, terminal = io.StringIO(), Terminal()
     for stream in (file, terminal):
-        model = grid_model(SMALL, progress=progress_bar("transitions", stream))
-        assert model.n_states == SMALL.n_cells + 3
+        again = grid_model(SMALL, progress=progress_bar("transitions", stream))
+        assert again.probabilities.tobytes() == model.probabilities.tobytes()
     assert file.getvalue() == ""
     lines = terminal.getvalue().split("\r")[1:]
     assert lines[-1].endswith("\n")
     assert all(line.startswith("transitions [") for line in lines)
     assert len({len(line.split("]")[0]) for line in lines}) == 1
-
-
-def test_a_mirrored_arena_gives_the_mirrored_model():
-    """Swapping x with y turns heading h into quarter circle - h and action a into - a."""
-    swapped = Arena(
-        obstacles=tuple(Box(b.bottom, b.top, b.left, b.right) for b in Arena().obstacles),
-        goal=Box(0.8, 0.95, 0.75, 0.9),
-    )
-    grid = RobotGrid(segments=20, headings=12)
-    first, second = grid_model(grid), grid_model(replace(grid, arena=swapped))
-
-    def mirror(state):
-        if state >= grid.n_cells:
-            return state
-        position, heading = divmod(state, grid.headings)
-        column, row = divmod(position, grid.segments)
-        return (row * grid.segments + column) * grid.headings + (3 - heading) % 12
-
-    for pair in np.random.default_rng(6).choice(N_ACTIONS * grid.n_cells, size=200):
-        cell, action = divmod(int(pair), N_ACTIONS)
-        twin = mirror(cell) * N_ACTIONS + (N_ACTIONS - 1 - action)
-        mirrored = {mirror(int(s)): p for s, p in outcomes(first, int(pair)).items()}
-        assert outcomes(second, twin) == pytest.approx(mirrored, abs=1e-15)
-
-
-def test_steering_error_spreads_over_neighbouring_headings_as_a_triangle():
-    """Heading in the cell plus error is triangular: 1/8 beyond either side, 3/4 in the middle."""
-    grid = RobotGrid(arena=Arena(obstacles=(), goal=Box(2.0, 3.0, 2.0, 3.0)))
-    model = grid_model(grid)
-    middle = (10 * grid.segments + 10) * grid.headings  # far from the wall, heading 0
-    chances = np.zeros(grid.headings)
-    for state, chance in outcomes(model, middle * N_ACTIONS + 2).items():
-        chances[state % grid.headings] += chance
-    assert chances[[-1, 0, 1]] == pytest.approx([1 / 8, 3 / 4, 1 / 8], abs=1e-15)
 
 
 def test_wall_cost_is_the_only_cost_that_changes(robot):
@@ -222,48 +172,93 @@ def test_testing_along_the_segment_only_moves_mass_to_ends_on_a_thin_obstacle():
     assert beyond == []
 
 
-@pytest.mark.parametrize("along_segment", [False, True])
-def test_continuous_steps_agree_with_the_grid(along_segment):
-    """One-step frequencies from worlds uniform in a cell, against a fine quadrature of the cell.
-
-    Width: 200,000 draws give a standard error of at most 0.0012 per successor, and 12 points
-    per dimension an error of at most some 0.004; 0.01 covers both.
-    """
-    grid = RobotGrid(quadrature=12, along_segment=along_segment)
-    model, rng = grid_model(grid), np.random.default_rng(7)
-    robot, draws = robot_simulator(grid), 200_000
-    for column, row, heading, action in [
-        (10, 10, 3, 2),
-        (4, 4, 2, 2),
-        (18, 17, 6, 1),
-        (1, 9, 5, 4),
-    ]:
-        cell = (column * grid.segments + row) * grid.headings + heading
-        low = np.array([column / 20, row / 20, (heading - 0.5) * np.pi / 6])
-        world = low + rng.uniform(size=(draws, 3)) * [0.05, 0.05, np.pi / 6]
-        pair = cell * N_ACTIONS + action
-        _, states, costs = robot.step(world, np.full(draws, pair), rng)
-        frequency = np.bincount(states, minlength=grid.n_cells + 3) / draws
-        expected = np.zeros(grid.n_cells + 3)
-        for state, chance in outcomes(model, pair).items():
-            expected[state] = chance
-        assert np.abs(frequency - expected).max() < 0.01
-        assert np.all(costs == 1.0)
-
-
-def test_continuous_runs_start_in_the_designs_cell():
+def test_continuous_runs_start_in_the_designs_cell_and_turn_by_thirty_degrees():
     grid = RobotGrid()
     world, states = robot_simulator(grid).reset(10_000, np.random.default_rng(8))
     assert world.min(axis=0) == pytest.approx([0.1, 0.1, -NOISE], abs=1e-3)
     assert world.max(axis=0) == pytest.approx([0.15, 0.15, NOISE], abs=1e-3)
     assert set(states.tolist()) == {start_state(grid)}
-
-
-def test_actions_turn_by_thirty_degrees():
-    grid, rng = RobotGrid(), np.random.default_rng(9)
+    rng = np.random.default_rng(9)
     world = np.tile([0.5, 0.5, 0.0], (5, 1))
     after, _, _ = robot_simulator(grid).step(world, np.arange(5), rng)
     turned = (after[:, 2] + np.pi) % (2 * np.pi) - np.pi
     assert np.all(np.abs(turned - TURN_STEP * np.arange(-2, 3)) <= NOISE)
     assert np.hypot(*(after[:, :2] - world[:, :2]).T) == pytest.approx(STEP_LENGTH)
     assert START_POINT[:2] == (0.125, 0.125)
+
+
+@cache
+def solved(criterion, model, start, discount=None):
+    """The robot within its budget, for all tests of one worker."""
+    return solve(criterion(model, start, failure_budget=BUDGET, discount=discount))
+
+
+@each_discount
+@each_case
+def test_answers_are_certified_and_one_randomised_policy_does_as_much(robot, criterion, discount):
+    """Section 2.2: one randomised stationary policy does what the lottery does."""
+    solution = solved(criterion, *robot, discount)
+    certificate = certify(solution)
+    assert certificate.accepted
+    assert max(certificate.gap, solution.gap) <= 1e-8
+    assert len(solution.policy.policies) <= 2
+    limited = solution.discounted_failure if discount else solution.failure_probability
+    assert solution.failure_probability - 1e-12 <= limited <= BUDGET + 1e-12  # t2-2
+    objective = evaluate(solution.policy, solution.problem).objective
+    assert objective == pytest.approx(solution.objective, rel=1e-10)
+    found = evaluate(solution.randomised_policy, solution.problem)
+    assert found.objective == pytest.approx(solution.objective, rel=1e-9)
+    limited = found.discounted_failure if discount else found.failure_probability
+    assert limited == pytest.approx(BUDGET, abs=1e-11)
+
+
+@each_discount
+def test_the_full_linear_program_agrees_in_case_m(robot, discount):
+    columns = solved(MCMP, *robot, discount)
+    program = solve(columns.problem, "lp")
+    assert (columns.method, program.method) == ("columns", "lp")
+    assert program.objective == pytest.approx(columns.objective, rel=1e-7)
+    assert program.failure_price == pytest.approx(columns.failure_price, rel=1e-6)
+    printed = float(program.run.program.split()[1].rstrip(","))
+    assert printed == pytest.approx(columns.objective, rel=1e-7)
+
+
+def test_a_dearer_wall_changes_only_case_m(robot):
+    grid = RobotGrid(wall_cost=100.0)
+    dear = grid_model(grid), start_state(grid)
+    (cost, conditional), (dearer, same) = (
+        [solved(criterion, *one).objective for criterion in (MCMP, S3P)] for one in (robot, dear)
+    )
+    assert same == pytest.approx(conditional, rel=1e-12)
+    assert dearer > cost + 0.1
+
+
+@pytest.mark.parametrize("turning_cost", [0.0, 0.05])
+def test_true_costs_are_proved_and_played_inside_their_intervals(turning_cost):
+    grid = RobotGrid(
+        segments=12, headings=12, quadrature=2, along_segment=True, turning_cost=turning_cost
+    )
+    found = designed(grid, episodes=20_000, seed=1)
+    assert found.certificate.accepted
+    assert found.certificate.gap <= TRUE_GAP
+    assert found.certificate.objective == pytest.approx(found.solution.objective, rel=1e-9)
+    cost, failure = found.chain.conditional_cost, found.chain.failure_probability
+    assert cost.low <= found.solution.objective <= cost.high
+    assert failure.low <= BUDGET <= failure.high
+
+
+def test_sums_are_told_apart_on_the_whole_grid_of_the_paper():
+    """Some 1,200 sums on 4,800 cells; a table cut short of them proves nothing."""
+    grid = RobotGrid(along_segment=True, turning_cost=0.2)
+    solution = solve(
+        S3P(grid_model(grid), start=start_state(grid), failure_budget=BUDGET), tolerance=TRUE_GAP
+    )
+    assert solution.gap <= TRUE_GAP
+    assert solution.objective == pytest.approx(3.2077, abs=4e-4)
+
+
+def test_the_script_prints_a_line_for_a_price_and_draws(tmp_path, capsys):
+    asked = ["--episodes", "500", "--segments", "12", "--turning-costs", "0"]
+    true_costs([*asked, "--output", str(tmp_path)])
+    assert len(capsys.readouterr().out.splitlines()) == 3
+    assert [path.name for path in tmp_path.iterdir()] == ["turning_cost_0.png"]

@@ -1,0 +1,110 @@
+"""Scripts of `examples`: what each says and draws, and that help is all that happens if asked."""
+
+import inspect
+import re
+import runpy
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from examples.domains.inventory import START, season, table
+from examples.formulating.real_costs import LAWS, LEVELS, main as real_costs
+from examples.formulating.toy_texts import TASKS
+from examples.paper_walkthrough import cross_check
+from ssp_lp import WorldSimulator, certify
+
+ROOT = Path(__file__).parents[2]
+RUN_BY = re.compile(r"^ *python examples/\S+\.py|__name__ == .__main__.", re.MULTILINE)
+SCRIPTS = sorted(
+    path
+    for path in (ROOT / "examples").rglob("*.py")
+    if path.name != "__init__.py" and RUN_BY.search(path.read_text(encoding="utf-8"))
+)
+assert len(SCRIPTS) >= 12
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+def test_help_is_all_that_happens(script, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", [str(script), "--help"])
+    with pytest.raises(SystemExit) as caught:
+        runpy.run_path(str(script), run_name="__main__")
+    assert not caught.value.code
+    printed = capsys.readouterr()
+    assert len(printed.out.split()) >= 10
+    assert printed.err == ""
+
+
+def test_the_season_keeps_to_its_budget_and_the_world_nearly():
+    """The grid forgets where in its cell the stock was: what it claims of the world is no proof."""
+    ((budget, cost, failure, low, high, world_cost),) = table(budgets=(0.05,), episodes=4000)
+    assert abs(failure - budget) < 1e-6
+    assert low - 0.01 < failure < high + 0.01
+    assert abs(world_cost - cost) < 0.02 * cost
+
+
+def test_the_week_goes_on_and_the_stock_goes_down():
+    world = season(cells=60)
+    state = WorldSimulator(world, START)
+    begin, cell = state.reset(500, np.random.default_rng(0))
+    assert set(cell.tolist()) == {25 * 8}
+    after, where, cost = state.step(begin, 4 * cell + 1, np.random.default_rng(1))
+    assert (after[:, 1] == 1.5).all()
+    assert (after[:, 0] < 35.0).all()
+    assert (cost >= 30.0).all()
+    assert (where[after[:, 0] < 0.0] == world.end_state("sold out")).all()
+
+
+def test_the_key_and_the_door_and_the_gallery_are_drawn(tmp_path, capsys):
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg")
+    from examples.formulating import gallery, key_and_door
+
+    key_and_door.main(["--output", str(tmp_path / "plan.png")])
+    assert "ends at D" in capsys.readouterr().out
+    gallery.main(["--output", str(tmp_path)])
+    sizes = [path.stat().st_size for path in tmp_path.glob("*.png")]
+    assert len(sizes) == 1 + 7
+    assert min(sizes) > 10_000
+    matplotlib.pyplot.close("all")
+
+
+def test_the_three_methods_agree_on_a_coarse_robot(capsys):
+    cross_check.main(["--segments", "5", "--headings", "5", "--budget", "0.9"])
+    printed = capsys.readouterr().out
+    assert printed.count("3 methods agree") == 2
+    pairs = re.findall(r"alpha\* = ([\d.]+), from c\* and the price ([\d.]+)", printed)
+    assert len(pairs) == 2
+    assert all(abs(float(weight) - float(identity)) <= 1e-9 for weight, identity in pairs)
+
+
+def test_the_frozen_lake_tells_both_horizons(capsys):
+    pytest.importorskip("gymnasium")
+    with warnings.catch_warnings():
+        runpy.run_path(str(ROOT / "examples/formulating/frozen_lake.py"))
+    printed = capsys.readouterr().out
+    assert printed.count("certified failure 0.4000") == 2
+    with_limit, without = re.findall(r"failure \d\.\d+ \[(\d\.\d+), (\d\.\d+)\]", printed)
+    assert float(with_limit[0]) <= 0.4 <= float(with_limit[1])
+    assert float(without[0]) > 0.4
+
+
+@pytest.mark.parametrize("name", sorted(TASKS))
+def test_the_certified_failure_of_a_toy_text_is_what_is_played(name):
+    solution, report = TASKS[name](100)
+    assert certify(solution).accepted
+    failure = report.failure_probability
+    assert failure.low <= solution.failure_probability <= failure.high
+    body = inspect.getsource(TASKS[name]).split('"""')[-1].strip().splitlines()
+    assert len(body) <= 8
+
+
+def test_every_law_of_real_costs_and_every_number_of_levels_has_its_line(capsys):
+    real_costs(["--sizes", "4", "--time-limit", "2"])
+    laws, levels = capsys.readouterr().out.strip().split("\n\n")
+    assert [line[:17].strip().split(maxsplit=1)[1] for line in laws.splitlines()[2:]] == list(LAWS)
+    rows = [line.split() for line in levels.splitlines()[2:]]
+    assert [int(row[0].replace(",", "")) for row in rows] == list(LEVELS)
+    assert all(float(lower) <= float(upper) for _, lower, upper, *_ in rows)
