@@ -349,10 +349,18 @@ def test_leaving_the_box_may_be_an_end():
     assert (model.successors == world.end_state("pit")).all()
     nowhere = replace(walk(), step=lambda at, a, d: ((np.nan * at[0],), 1.0, 1))
     assert (discretise(nowhere).successors[:-1] == world.end_state("goal")).all()
+    assert len(np.unique(discretise(TWO_COSTS).costs)) > 1
 
 
 def allowing(allowed):
     return discretise(corridor(allowed=allowed))
+
+
+TWO_COSTS = replace(walk(), step=lambda at, a, d: ((at[0] * 0.0,), at[0], 1))
+"""Two cells with one successor: a claim that they are alike is refused."""
+
+MODEL, FINE = discretise(walk()), replace(walk(), grid=Grid([Axis(0.0, 6.0, 12)]))
+FINER = {"episodes": 10, "simulator": WorldSimulator(FINE, start=(3.5,))}
 
 
 @pytest.mark.parametrize(
@@ -397,22 +405,10 @@ def allowing(allowed):
         (lambda: allowing(lambda at, action: 1.0), "allowed must return a truth value"),
         (lambda: allowing(lambda at, action: [True]), "allowed must return a truth value"),
         (lambda: allowing(lambda at: True), "allowed must be a function of 2 arguments"),
+        (lambda: discretise(replace(TWO_COSTS, alike=lambda c, a: c * 0)), "alike"),
+        (lambda: simulate(always(MODEL, "hop"), MCMP(MODEL, 3, 1.0), rng=0, **FINER), "14 states"),
     ],
 )
 def test_what_cannot_be_is_refused(build, words):
     with np.errstate(divide="ignore", invalid="ignore"):
         refused(words, build)
-
-
-def test_alike_pairs_cost_alike():
-    """Two cells with one successor and two costs: a claim that they are alike is refused."""
-    world = replace(walk(), step=lambda at, a, d: ((at[0] * 0.0,), at[0], 1))
-    assert len(np.unique(discretise(world).costs)) > 1
-    refused("alike", discretise, replace(world, alike=lambda cells, action: cells * 0))
-
-
-def test_a_world_of_another_grid_is_no_simulator():
-    model = discretise(walk())
-    other = replace(walk(), grid=Grid([Axis(0.0, 6.0, 12)]))
-    played = {"episodes": 10, "rng": 0, "simulator": WorldSimulator(other, start=(3.5,))}
-    refused("14 states", simulate, always(model, "hop"), MCMP(model, 3, 1.0), **played)

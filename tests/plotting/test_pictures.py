@@ -87,12 +87,9 @@ def words(ax):
     return [] if legend is None else [text.get_text() for text in legend.get_texts()]
 
 
-def test_the_library_does_not_import_matplotlib():
+def test_matplotlib_is_imported_by_pictures_alone(monkeypatch):
     code = "import sys, ssp_lp, ssp_lp.plotting; assert 'matplotlib' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)  # noqa: S603
-
-
-def test_without_matplotlib_the_pip_line_is_said(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
     plot = trace_frontier(PROBLEM).plot
     refused(r"pip install 'ssp-lp\[plot\]'", plot, error=MissingDependencyError)
@@ -162,11 +159,8 @@ def test_a_cell_is_a_dead_end_where_all_its_states_are():
     made = within_steps(FIELD, 3, start=[0])
     ax = plotted(made, lambda label: CELLS(label[0]), walls=[(7, 7)])
     assert [patch.get_xy() for patch in ax.patches if patch.get_hatch()] == [(0.5, -0.5)]
-
-
-def test_cells_are_numbered_by_rows_from_above():
-    place = row_major(8, 8)
-    assert [place(k) for k in (0, 1, 8, 63)] == [(0, 7), (1, 7), (0, 6), (7, 0)]
+    cell = row_major(8, 8)  # numbered by rows from above
+    assert [cell(k) for k in (0, 1, 8, 63)] == [(0, 7), (1, 7), (0, 6), (7, 0)]
 
 
 def test_episodes_are_those_of_the_seed():
@@ -256,20 +250,23 @@ def test_bars_are_the_law():
     assert 0.999 <= sum(bar.get_height() for bar in ax.patches) <= 1.0
 
 
-@each_criterion
-def test_bounds_close_in_on_the_optimum(criterion):
+CHEAP = {"cost": expected_cost() <= 9.0}
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [MCMP(STEEP, "s", 0.12), S3P(STEEP, "s", 0.12), MCMP(STEEP, "s", 0.12, constraints=CHEAP)],
+    ids=["mcmp", "s3p", "within limits"],
+)
+def test_bounds_close_in_on_the_optimum(problem):
     record = BoundsRecord()
-    solution = solve(criterion(STEEP, "s", failure_budget=0.12), progress=record)
+    solution = solve(problem, progress=record)
     upper, lower = (line.get_ydata() for line in plot_bounds(record, solution).lines)
     assert (np.diff(upper) <= 0.0).all()
     assert (np.diff(lower) >= 0.0).all()
     assert lower[-1] <= upper[-1] == pytest.approx(solution.objective)
     assert (lower <= solution.objective * (1 + 1e-9)).all()
-    assert lower[-2] == pytest.approx(solution.lower_bound, rel=1e-6)  # its price proves it
-
-
-def test_bounds_within_limits_have_one_point_each():
-    cheap = {"cost": expected_cost() <= 9.0}
-    record = BoundsRecord()
-    solution = solve(MCMP(STEEP, "s", 0.12, constraints=cheap), progress=record)
-    assert len(plot_bounds(record, solution).lines[1].get_ydata()) == 1
+    if problem.constraints:
+        assert len(lower) == 1
+    else:
+        assert lower[-2] == pytest.approx(solution.lower_bound, rel=1e-6)  # its price proves it

@@ -3,6 +3,7 @@
 import time
 from dataclasses import replace
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
@@ -319,17 +320,21 @@ def test_free_steps_within_a_layer_take_no_time():
     assert time.perf_counter() - began <= 5.0
 
 
-@pytest.mark.parametrize("discount", [0.5, 0.9, 0.999])
-@pytest.mark.parametrize("wait", [None, 0.0, 1.0])
-@pytest.mark.parametrize("slip", [0.1, 0.3, 1.0 / 3.0, 0.82])
-def test_a_slack_budget_in_case_s_is_proved(slip, wait, discount):
-    """Sure failure counts 0 in the bound of the least ratio, at budget 1 too."""
-    check_roads(S3P(walk(wait=wait, slip=slip), "a", failure_budget=1.0, discount=discount))
+ALMOST_ONE = {"a": 0.1, "b": 0.2, "c": 0.7}
+FREE = MCMP(walk(cost=0.0, wait=0.0), "a", failure_budget=0.5, discount=0.9, give_up="anywhere")
+EDGES = [
+    S3P(walk(wait=wait, slip=slip), "a", failure_budget=1.0, discount=discount)
+    for discount, wait, slip in product([0.5, 0.9, 0.999], [None, 0, 1], [0.1, 0.3, 1 / 3, 0.82])
+]
+EDGES += [MCMP(walk(), ALMOST_ONE, failure_budget=0.2, discount=0.99), FREE]
+"""Slack budgets in case S: sure failure counts 0 in the bound of the least ratio, at budget 1 too.
+0.1 + 0.2 + 0.7 < 1 in floating point, and no mass lies on goals. c* = 0: the game has no stake."""
 
 
-def test_a_start_whose_probabilities_sum_to_almost_one():
-    """0.1 + 0.2 + 0.7 < 1 in floating point, and no mass lies on goals."""
-    check_roads(MCMP(walk(), {"a": 0.1, "b": 0.2, "c": 0.7}, failure_budget=0.2, discount=0.99))
+@pytest.mark.parametrize("problem", EDGES)
+def test_three_roads_agree_at_the_edges(problem):
+    check_roads(problem)
+    assert problem is not FREE or solve(problem, "game").objective == 0.0
 
 
 def test_a_bracket_that_rounding_holds_open_is_left():
@@ -353,11 +358,3 @@ def test_the_least_failure_at_any_unit_of_cost(scale, criterion):
     model = walk(cost=scale, wait=scale, slip=0.05)
     loose = criterion(model, "a", failure_budget=1.0, discount=0.9)
     check_roads(replace(loose, failure_budget=least_failure(loose)))
-
-
-def test_a_free_optimum():
-    """c* = 0: the game has no stake."""
-    model = walk(cost=0.0, wait=0.0)
-    problem = MCMP(model, "a", failure_budget=0.5, discount=0.9, give_up="anywhere")
-    assert solve(problem, "game").objective == 0.0
-    check_roads(problem)
