@@ -11,8 +11,6 @@ from small_models import EXACT, TWO_MOVES, model_of
 from ssp_lp import solve
 
 STOPS = list(criteria_tour.tour())
-
-
 each_domain = pytest.mark.parametrize("domain", [domain for _, domain in STOPS], ids=dict(STOPS))
 
 
@@ -54,15 +52,38 @@ def test_the_tour_prints_a_table_for_each_domain(capsys):
 
 
 def test_the_comparison_has_a_row_for_each_question():
-    """Slow costs 2 for sure; fast costs 1 and fails with 1/20."""
+    """Slow costs 2 and burns 4 for sure; fast costs 1, burns 1 and fails with 1/20."""
     compared = compare_criteria(
-        model_of(TWO_MOVES), "x", failure_budgets=(0.02, 0.05), penalties=(10.0, 30.0)
+        model_of(TWO_MOVES),
+        "x",
+        failure_budgets=(0.02, 0.05),
+        penalties=(10.0, 30.0),
+        cost_bounds=(1,),
+        levels=(0.9,),
+        exponential_utilities=((-1.0, 1.0),),
+        limits={"fuel": CostLimit({"x": {"slow": 4.0, "fast": 1.0}}, bound=2.5)},
     )
-    assert compared["MCMP, failure budget 0.02"].solution.objective == pytest.approx(1.6, **EXACT)
+    utility = max(math.exp(-2.0) + 1.0, 0.95 * (math.exp(-1.0) + 1.0))
+    for name, value in {
+        "MCMP, failure budget 0.02": 1.6,
+        "FinitePenalty, penalty 10": 1.5,
+        "FinitePenalty, penalty 30": 2.0,
+        "CostBoundedReach, cost 1": 0.95,
+        "CostBoundedReach, cost 1, failure budget 0.05": 0.95,
+        "EGUBS, risk factor -1, goal bonus 1": utility,
+        "ConstrainedCost, failure budget 0.05": 1.0,
+    }.items():
+        assert compared[name].numbers[0] == pytest.approx(value, **EXACT), name
+        assert compared[name].solution.objective == compared[name].numbers[0]
+    cvar = compared["CVaR 0.9, failure budget 0.05"].numbers[0]
+    assert cvar == pytest.approx(1.0, rel=1e-8)
     assert compared["S3P, failure budget 0.02"].numbers[2] == pytest.approx(79 / 49, rel=1e-9)
-    assert compared["FinitePenalty, penalty 10"].numbers[0] == pytest.approx(1.5, **EXACT)
-    assert compared["FinitePenalty, penalty 30"].numbers[0] == pytest.approx(2.0, **EXACT)
     assert compared["MaxProb"].numbers[0] == 1.0
+    assert compared["CostQuantile 0.9, least failure"].numbers[0] == 2.0
+    assert compared["CostQuantile 0.9, failure budget 0.05"].numbers[0] == 1.0
+    limited = compared["ConstrainedCost, least failure"]
+    assert limited.numbers[0] is None
+    assert "'fuel' is at least 4" in limited.note
     with pytest.raises(KeyError):
         compared["no such criterion"]
 
@@ -75,29 +96,3 @@ def test_what_nobody_can_do_stays_in_the_table():
     assert row.numbers == (None,) * 5
     assert "0.5" in row.note
     assert row.note in compared.summary()
-
-
-def test_the_comparison_asks_for_risk_utility_and_limits():
-    """Slow costs 2 and burns 4 for sure; fast costs 1, burns 1 and fails with 1/20."""
-    fuel = CostLimit({"x": {"slow": 4.0, "fast": 1.0}}, bound=2.5)
-    compared = compare_criteria(
-        model_of(TWO_MOVES),
-        "x",
-        failure_budgets=(0.05,),
-        cost_bounds=(1,),
-        levels=(0.9,),
-        exponential_utilities=((-1.0, 1.0),),
-        limits={"fuel": fuel},
-    )
-    objectives = {row.criterion: row.numbers[0] for row in compared.rows}
-    assert objectives["CostBoundedReach, cost 1"] == pytest.approx(0.95, **EXACT)
-    assert objectives["CostBoundedReach, cost 1, failure budget 0.05"] == pytest.approx(0.95)
-    assert objectives["CostQuantile 0.9, least failure"] == 2.0
-    assert objectives["CostQuantile 0.9, failure budget 0.05"] == 1.0
-    assert objectives["CVaR 0.9, failure budget 0.05"] == pytest.approx(1.0, rel=1e-8)
-    utility = max(math.exp(-2.0) + 1.0, 0.95 * (math.exp(-1.0) + 1.0))
-    name = "EGUBS, risk factor -1, goal bonus 1"
-    assert objectives[name] == pytest.approx(utility, **EXACT)
-    assert objectives["ConstrainedCost, least failure"] is None
-    assert "'fuel' is at least 4" in compared["ConstrainedCost, least failure"].note
-    assert objectives["ConstrainedCost, failure budget 0.05"] == pytest.approx(1.0, **EXACT)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import ssp_lp.io.controller
-from everyone import made, start_of
 from formulations import MCMP, S3P
+from named_policies import made, start_of
 from played import START, hall, step, task
 from refusing import refused
 from ssp_lp import (

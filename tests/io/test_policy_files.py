@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 import ssp_lp.policies
-from everyone import EVERY, made, start_of
 from formulations import S3P
+from named_policies import EVERY, made, start_of
 from played import START, everywhere, ferry, hall, task, traces
 from refusing import refused
 from ssp_lp import SSP, MixedPolicy, evaluate, product, solve

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from everyone import EVERY, HALL, made, start_of
+from named_policies import EVERY, HALL, made, start_of
 from played import START, everywhere, hall
 from refusing import refused
 from ssp_lp import GIVE_UP, MissingDependencyError

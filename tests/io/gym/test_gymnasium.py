@@ -70,31 +70,39 @@ def environment(*rows, start=(1.0,)):
     return SimpleNamespace(unwrapped=inside)
 
 
-def test_frozen_lake_in_eight_lines():
-    env = gym.make("FrozenLake-v1")
-    world = from_gymnasium(env)
-    report = check(env, solved(world, 0.3), episodes=1000)
-    assert world.step_limit == world.horizon == report.step_limit == 100
-    assert "goal" in report.summary()
+SMALL_TAXI, ICE = {"max_episode_steps": 14}, {"map_name": "8x8"}
+CLIFF = {"goal": at_the_end, "horizon": 100}
 
 
 @pytest.mark.parametrize(
-    ("name", "options", "steps"),
+    ("name", "made", "read", "budget", "steps"),
     [
-        ("FrozenLake-v1", {}, 100),
-        ("FrozenLake-v1", {"map_name": "8x8"}, 100),
-        ("FrozenLake8x8-v1", {}, 200),
-        ("Taxi-v4", {"max_episode_steps": 14}, 14),
-        ("Taxi-v4", {"max_episode_steps": 14, "is_rainy": True}, 14),
+        ("FrozenLake-v1", {}, {}, 0.3, 100),
+        ("FrozenLake-v1", {}, {}, None, 100),
+        ("FrozenLake-v1", ICE, {}, None, 100),
+        ("FrozenLake-v1", ICE | {"max_episode_steps": 60}, {"horizon": 40}, None, 40),
+        ("FrozenLake8x8-v1", {}, {}, None, 200),
+        ("Taxi-v4", SMALL_TAXI, {}, None, 14),
+        ("Taxi-v4", SMALL_TAXI | {"is_rainy": True}, {}, None, 14),
+        ("Taxi-v4", {}, {}, 0.05, 200),
+        ("CliffWalking-v1", {}, CLIFF, 0.1, 100),
+        ("CliffWalkingSlippery-v1", {}, CLIFF, 0.1, 100),
     ],
 )
-def test_the_least_failure_is_backward_induction(name, options, steps):
-    env = gym.make(name, **options)
-    world = from_gymnasium(env)
+def test_the_least_failure_is_backward_induction(name, made, read, budget, steps):
+    env = gym.make(name, **made)
+    world = from_gymnasium(env, **read)
     assert world.horizon == steps
-    solution = solved(world, None)
-    assert solution.failure_probability == pytest.approx(least_failure(env, steps), abs=1e-10)
-    check(env, solution, seed=1)
+    least = least_failure(env, steps, read.get("goal"))
+    if budget is None:
+        found = solved(world, None).failure_probability
+    else:
+        found = 1.0 - solve(MaxProb(world.model, world.start)).objective
+    assert found == pytest.approx(least, abs=1e-10)
+    report = check(env, solved(world, budget), episodes=500)
+    assert (report.success_costs <= steps).all()
+    assert "goal" in report.summary()
+    assert read or world.step_limit == report.step_limit == steps
 
 
 def test_without_the_horizon_the_step_limit_is_told():
@@ -111,27 +119,17 @@ def test_without_the_horizon_the_step_limit_is_told():
     check(endless, solution)
 
 
-def test_a_horizon_beyond_the_limit_is_told_and_one_below_it_is_kept():
+def test_a_horizon_beyond_the_limit_is_told():
     env = gym.make("FrozenLake-v1", map_name="8x8", max_episode_steps=60)
     long = solved(from_gymnasium(env, horizon=150), 0.3)
     with pytest.warns(StepLimitWarning):
         rollout(env, long.policy, episodes=100, seed=0)
-    short = solved(from_gymnasium(env, horizon=40), None)
-    assert check(env, short, episodes=500).success_costs.max() <= 40.0
-
-
-@pytest.mark.parametrize("name", ["CliffWalking-v1", "CliffWalkingSlippery-v1"])
-def test_cliff_walking_needs_a_goal(name):
-    env = gym.make(name)
-    refused("say which states are goals", from_gymnasium, env)
-    world = from_gymnasium(env, goal=at_the_end, horizon=100)
-    least = 1.0 - solve(MaxProb(world.model, world.start)).objective
-    assert least == pytest.approx(least_failure(env, 100, at_the_end), abs=1e-10)
-    check(env, solved(world, 0.1), episodes=500)
 
 
 def test_the_cliff_costs_what_the_rewards_say():
-    world = from_gymnasium(gym.make("CliffWalking-v1"), goal=at_the_end, cost="reward")
+    env = gym.make("CliffWalking-v1")
+    refused("say which states are goals", from_gymnasium, env)
+    world = from_gymnasium(env, goal=at_the_end, cost="reward")
     assert set(world.model.costs.tolist()) == {1.0, 100.0}
     assert solved(world, 0.0).objective == pytest.approx(13.0)
 
@@ -157,8 +155,6 @@ def test_taxi_ends_in_states_of_their_own():
     plain = from_gymnasium(env, horizon=None).model
     ends = [plain.states[k] for k in np.flatnonzero(plain.goal_mask)]
     assert ends == [("end", 0), ("end", 85), ("end", 410), ("end", 475)]
-    env = gym.make("Taxi-v4")  # under its own limit
-    check(env, solved(from_gymnasium(env), 0.05))
     env = gym.make("Taxi-v4", fickle_passenger=True)
     solution = solved(from_gymnasium(env, horizon=None), 0.0)
     refused("does not list", rollout, env, solution.policy, episodes=100, seed=0)
