@@ -12,6 +12,7 @@ from examples.solver_comparison.instances.instance import (
     Instance,
     parse_instance,
 )
+from examples.solver_comparison.measuring import worker
 from examples.solver_comparison.measuring.memory import process_memory
 from examples.solver_comparison.measuring.process import Limits, watch
 from examples.solver_comparison.reporting.growth import growth_text
@@ -120,15 +121,14 @@ def test_a_process_over_its_memory_is_ended():
 
 
 def test_what_is_not_installed_is_a_row(monkeypatch, tmp_path):
-    from examples.solver_comparison.measuring import worker
-
+    assert all(solver.pip.startswith("pip install") for solver in SOLVERS)
+    assert len({solver.name for solver in SOLVERS}) == len(SOLVERS)
     absent = Solver("absent", "nowhere", package="a_package_nobody_has", pip="pip install it")
     monkeypatch.setattr(worker, "solver_named", lambda name: absent)
-    report = tmp_path / "report"
-    order = {"instance": SMALL, "solver": "absent", "time_limit": 1.0, "repeat": 1}
-    worker.main([json.dumps({**order, "tolerance": 1e-9}), str(report)])
-    entries = [json.loads(line) for line in report.read_text(encoding="utf-8").splitlines()]
-    assert entries[-1] == {"outcome": "not installed", "note": "pip install it", "phase": "done"}
+    asked = {"instance": SMALL, "solver": "absent", "time_limit": 1.0, "repeat": 1}
+    worker.main([json.dumps({**asked, "tolerance": 1e-9}), str(tmp_path / "report")])
+    *_, last = (tmp_path / "report").read_text(encoding="utf-8").splitlines()
+    assert json.loads(last) == {"outcome": "not installed", "note": absent.pip, "phase": "done"}
 
 
 def test_an_error_in_a_solver_is_a_row():
@@ -168,25 +168,17 @@ def test_the_table_has_a_row_per_run_and_ratios():
     assert rows[3].endswith("not installed: pip install hipo")
 
 
-def test_an_answer_far_from_the_certified_one_is_wrong():
+def test_rows_are_judged_completed_and_survive_json():
     near, far = 10.0 * (1 + 1e-5), 10.0 * (1 + 1e-3)
     runs = [solved("storm", 1.0, objective=far), solved("columns", 1.0, objective=10.0)]
     runs = judged([*runs, solved("lp-ipx", 1.0, objective=near)])
     assert [run.outcome for run in runs] == ["wrong", "solved", "solved"]
     assert runs[0].note == "off the certified value by 0.001"
-
-
-def test_rows_without_sizes_take_those_of_the_instance_and_survive_json():
-    late = SolverRun(SMALL, "storm", Outcome.SKIPPED, 60.0)
+    late = SolverRun(SMALL, "storm", Outcome.SKIPPED, 60.0)  # takes the sizes of the instance
     rows = completed([solved("columns", 1.0, states=3, pairs=4, transitions=5), late])
     assert (rows[1].states, rows[1].pairs, rows[1].transitions) == (3, 4, 5)
     run = solved("columns", 0.5, objective=1.25, gap=1e-12, backups=3, note="words")
     assert run_from_json(json.loads(json.dumps(run_to_json(run)))) == run
-
-
-def test_every_solver_says_how_it_is_installed():
-    assert all(solver.pip.startswith("pip install") for solver in SOLVERS)
-    assert len({solver.name for solver in SOLVERS}) == len(SOLVERS)
 
 
 def test_growth_compares_a_refinement_with_the_one_before():

@@ -74,25 +74,13 @@ def test_every_memory_of_a_cost_aware_policy(tmp_path):
     count = np.diff(model.pair_offsets)
     drawn = rng.integers(-1, 2, size=(6, model.n_states))
     tails = rng.integers(0, 2, size=(2, model.n_states)) + model.pair_offsets[:-1]
-    policy = CostAwarePolicy(
-        model,
-        0.5,
-        np.where(count > 0, drawn, -2),
-        np.where(count > 0, tails, -2),
-        np.where(rng.random(model.n_states) < 0.5, 7.0, np.inf),
-    )
+    drawn, tails = (np.where(count > 0, choice, -2) for choice in (drawn, tails))
+    thresholds = np.where(rng.random(model.n_states) < 0.5, 7.0, np.inf)
+    policy = CostAwarePolicy(model, 0.5, drawn, tails, thresholds)
     table = replace(policy, tail_table=rng.integers(0, 2, size=(4, model.n_states)))
     only_tails = replace(policy, decision=np.zeros((0, model.n_states), dtype=np.int64))
     for some in (policy, table, only_tails):
         acts_the_same(some, tmp_path, episodes=300)
-
-
-@pytest.mark.parametrize("criterion", [MCMP, S3P])
-@pytest.mark.parametrize("horizon", [3, 6])
-def test_policies_that_count_their_steps(criterion, horizon, tmp_path):
-    solution = solve(criterion(hall(), START, failure_budget=0.7, horizon=horizon))
-    for member in solution.policy.policies:
-        acts_the_same(member, tmp_path, episodes=100)
 
 
 def dear(count, state, action, successor, cost):
@@ -100,8 +88,12 @@ def dear(count, state, action, successor, cost):
     return min(count + (cost == 2.0), 1)
 
 
-def test_policies_that_carry_memories_of_tasks(tmp_path):
+def test_policies_that_count_steps_and_carry_memories_of_tasks(tmp_path):
     """By the action and by the cost, one within the other, with a horizon around both."""
+    for criterion in (MCMP, S3P):
+        solution = solve(criterion(hall(), START, failure_budget=0.7, horizon=3))
+        for member in solution.policy.policies:
+            acts_the_same(member, tmp_path, episodes=100)
     both = product(task(hall()), Memory(start=0, update=dear))
     start = both.start((START, 0))
     inner = solve(S3P(both, start, failure_budget=0.6, horizon=6)).policy

@@ -78,27 +78,28 @@ def test_another_model_is_refused_unless_it_differs_on_purpose(tmp_path):
         refused("other pairs", load_policy, path, ferry(), check=check)
 
 
+def stated(format="ssp-lp policy", **entries):
+    header = json.dumps({"format": format, **entries}).encode()
+    return {"header": np.frombuffer(header, dtype=np.uint8)}
+
+
 @pytest.mark.parametrize(
-    ("header", "words"),
+    ("arrays", "words"),
     [
-        (None, "no ssp-lp policy file"),
-        ({"format": "ssp-lp solution", "version": 1}, "no ssp-lp policy file"),
-        ({"format": "ssp-lp policy", "version": 99}, "version 99, .* newer ssp-lp"),
-        ({"format": "ssp-lp policy", "version": 0}, "version 0, .*: write the policy anew"),
-        ({"format": "ssp-lp model", "version": 1}, "no ssp-lp policy file: it says 'ssp-lp model'"),
-        ([1], "no ssp-lp policy file"),
+        ({"decision": np.zeros(3)}, "no ssp-lp policy file"),
+        ({"header": np.array([{"a": 1}], dtype=object)}, "no ssp-lp policy file"),  # never opened
+        ({"header": np.frombuffer(b"[1]", dtype=np.uint8)}, "no ssp-lp policy file"),
+        (stated("ssp-lp solution", version=1), "no ssp-lp policy file"),
+        (stated("ssp-lp model", version=1), "no ssp-lp policy file: it says 'ssp-lp model'"),
+        (stated(version=99), "version 99, .* newer ssp-lp"),
+        (stated(version=0), "version 0, .*: write the policy anew"),
     ],
 )
-def test_files_that_are_none_are_refused(header, words, tmp_path):
+def test_files_that_are_none_are_refused(arrays, words, tmp_path):
     path = tmp_path / "policy.npz"
-    if header is None:
-        path.write_text("no archive")
-        refused(words, load_policy, path, hall())
-        np.savez(path, decision=np.zeros(3))
-        refused(words, load_policy, path, hall())
-        np.savez(path, header=np.array([{"a": 1}], dtype=object))  # pickled: never opened
-    else:
-        np.savez(path, header=np.frombuffer(json.dumps(header).encode(), dtype=np.uint8))
+    path.write_text("no archive")
+    refused("no ssp-lp policy file", load_policy, path, hall())
+    np.savez(path, **arrays)
     refused(words, load_policy, path, hall())
 
 

@@ -244,12 +244,13 @@ def test_a_prism_structure_is_chosen_by_name(tmp_path):
     refused(r"choose one .* 'time', 'coins'", read_prism, base, goal="done")
     for cost, paid in (("time", [3, 3, 3, 0, 0, 0]), ("coins", [0, 0, 0, 0, 0, 7])):
         assert read_prism(base, goal="done", cost=cost).model.costs.tolist() == paid
+
+
+def test_a_markov_chain_of_prism(tmp_path):
     chain = {"tra": "3 4\n0 1 0.5\n0 2 0.5\n1 1 1\n2 2 1\n", "lab": '0="init" 1="done"\n1: 1\n'}
     chain |= {"srew": "3 1\n0 2\n", "trew": "3 1\n0 2 5\n", "sta": None}
-    for path in tmp_path.iterdir():
-        path.unlink()
-    chain = read_prism(prism(tmp_path, **chain), goal="done").model
-    assert chain.costs.tolist() == [2.0, 7.0, 0.0]
+    found = read_prism(prism(tmp_path, **chain), goal="done")
+    assert found.model.costs.tolist() == [2.0, 7.0, 0.0]
 
 
 @pytest.mark.parametrize(
