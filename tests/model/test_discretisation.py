@@ -383,7 +383,6 @@ FINER = {"episodes": 10, "simulator": WorldSimulator(FINE, start=(3.5,))}
         (lambda: discretise(walk(Distribution(lambda u: u / 0.0))), "finite number"),
         (lambda: replace(walk(), actions=[]), "needs actions"),
         (lambda: replace(walk(), actions=["hop", "hop"]), "needs actions"),
-        (lambda: replace(walk(), noise=[0.1]), r"noise\[0\] must be a Distribution"),
         (lambda: replace(walk(), outside="hole"), "none of the dead-ends"),
         (lambda: walk().end_state("hole"), "goal, pit"),
         (lambda: walk().end_state(3), r"1 \.\. 2"),
@@ -396,7 +395,6 @@ FINER = {"episodes": 10, "simulator": WorldSimulator(FINE, start=(3.5,))}
         (lambda: Samples(5, 0).deviation(1, 0), "reachable"),
         (lambda: discretise(replace(walk(), alike=lambda c, a: a * 0.5)), "whole numbers"),
         (lambda: discretise(replace(walk(), alike=lambda c, a: c[0])), "'creep' in cell 0"),
-        (lambda: WorldSimulator(walk(), [1.0, 2.0]).reset(3, np.random.default_rng(0)), "1 coord"),
         (lambda: WorldSimulator(walk(), [7.0]).reset(3, np.random.default_rng(0)), "outside"),
         (
             lambda: allowing(lambda at, action: at[0] < 3.0),
