@@ -10,13 +10,15 @@ from checks import optima
 from formulations import MaxProb
 from random_models import drawn_model
 from refusing import refused
-from small_models import ALONE, AWKWARD, FIRST
+from small_models import ALONE, AWKWARD, FIRST, model_of
 from ssp_lp import solve
 from ssp_lp.io import from_stormpy, read_any, to_stormpy, write_any
 
 PUBLISHED = ["gubs_river-alt1", "gubs_river4x4", "prism_robot_goal1", "qcomp_cdrive.3"]
 PUBLISHED += ["qcomp_elevators.a-3-3", "qcomp_triangle-tireworld.9", "storm_compromise_x1"]
 MODELS = {"first": (FIRST, "depot"), "awkward": (AWKWARD, ("s", 1)), "alone": (ALONE, "g")}
+CELLS = {(0, True): {"on": [(0.75, (1, False), 2.0), (0.25, (2, True), 2.0)]}, (2, True): {}}
+MODELS["cells"] = model_of(CELLS, (1, False)), (0, True)
 MODELS |= {f"drawn {seed}": (drawn_model(seed, 12)[0], "s0") for seed in (0, 2)}
 MODELS |= {name: published(name) for name in PUBLISHED}
 ENDINGS = ["json", "drn", "tra", "npz", "umb"]
@@ -53,6 +55,7 @@ def test_whatever_is_written_is_read_again(name, way, tmp_path):
     begin = start if way == "npz" else found.start
     budget, known = kept(name)
     assert optima(found.model, begin, budget) == known
+    assert (name, way) != ("cells", "tra") or found.model.states == model.states
     assert set(found.model.state_labels) - {"paying"} == set(model.state_labels)
 
 

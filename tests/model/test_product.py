@@ -13,6 +13,7 @@ from ssp_lp import (
     HorizonSSP,
     Memory,
     ProductSSP,
+    end_probability,
     evaluate,
     on_original,
     product,
@@ -209,6 +210,14 @@ def test_where_too_few_steps_are_left_the_policy_gives_up():
         assert episode.action("far") == "go"
         episode.observe("far", 1.0)
     assert episode.action("far") is GIVE_UP
+
+
+def test_being_late_is_a_way_to_end():
+    lock = model_of({"lock": {"try": [(0.5, "g", 1.0), (0.5, "lock", 1.0)]}})
+    three, late = within_steps(lock, 3, start=["lock"]), {"late": end_probability(LATE) <= 0.125}
+    solution = solve(MaxProb(three, ("lock", 0), constraints=late))
+    assert solution.secondary_costs["late"] == pytest.approx(0.125)
+    assert solution.objective == pytest.approx(0.875)
 
 
 def test_a_large_horizon_is_made_without_a_loop_over_states():

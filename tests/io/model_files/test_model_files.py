@@ -175,6 +175,7 @@ def test_a_drn_text_reads_as_it_should(tmp_path):
         ("\taction 0\n", "", "line 24: it stands before"),
         ("\t\t0 : 1\nstate 1", "state 1", "action 'go#2' of state 0 has no outcomes"),
         ("@model", "@modle", "is no section"),
+        (DRN[DRN.index("@model") :], "", "the file ends before @model"),
     ],
 )
 def test_an_error_in_a_drn_text_names_its_line(old, new, message, tmp_path):
