@@ -2,6 +2,7 @@
 
 import sys
 import time
+import warnings
 from types import SimpleNamespace
 
 import numpy as np
