@@ -1,21 +1,18 @@
 """Several costs by name: in the builders, in limits, on products, in files and back."""
 
-from __future__ import annotations
-
 import json
 from fractions import Fraction
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from formulations import MCMP, S3P
 from formulations.command_line import main
+from refusing import refused
+from small_models import model_of
 from ssp_lp import (
     SSP,
     Memory,
-    ModelError,
     end_probability,
     evaluate,
     product,
@@ -26,14 +23,17 @@ from ssp_lp import (
 from ssp_lp.io import (
     fingerprint,
     load_model,
+    read_any,
     read_drn,
     read_prism,
     save_model,
+    write_any,
     write_drn,
     write_prism,
 )
-from ssp_lp.io.any_format import read_any, write_any
 
+END = {"treat_actionless_as_dead_ends": True}
+FRUGAL = {"fuel": secondary_cost("fuel") <= 0.7}
 ROWS = [
     ("depot", "alley", 0.90, "home", 4.0, 1.0),
     ("depot", "alley", 0.10, "wreck", 2.0, 1.0),
@@ -42,116 +42,81 @@ ROWS = [
 ]
 COLUMNS = ("state", "action", "probability", "successor", "time", "fuel")
 TABLE = dict(zip(COLUMNS, map(list, zip(*ROWS, strict=True)), strict=True))
+NESTED = {"depot": {"alley": [], "road": []}}
+for _, action, chance, successor, time, fuel in ROWS:
+    NESTED["depot"][action].append((chance, successor, {"time": time, "fuel": fuel}))
 
 
-def roads(**changed: Any) -> SSP:
+def roads(**changed):
     return SSP.from_frame(TABLE | changed, {"home"}, cost=["time", "fuel"])
 
 
-def nested() -> dict[str, dict[str, list[tuple[Any, str, Any]]]]:
-    table: dict[str, dict[str, list[tuple[Any, str, Any]]]] = {}
-    for state, action, chance, successor, time, fuel in ROWS:
-        outcomes = table.setdefault(state, {}).setdefault(action, [])
-        outcomes.append((chance, successor, {"time": time, "fuel": fuel}))
-    return table
+def solved(model, start="depot", budget=0.05, **options):
+    return solve(MCMP(model, start, budget, **options))
 
 
-def same(one: SSP, other: SSP) -> bool:
+def same(one, other):
     names = ("pair_offsets", "outcome_offsets", "successors", "probabilities", "costs")
-    fits = all(np.array_equal(getattr(one, name), getattr(other, name)) for name in names)
-    named, others = one.named_costs, other.named_costs
-    return (
-        fits
-        and list(named) == list(others)
-        and all(np.array_equal(named[name], others[name]) for name in named)
-    )
+    kept, known = ({n: getattr(m, n) for n in names} | {**m.named_costs} for m in (one, other))
+    return list(kept) == list(known) and all(np.array_equal(kept[n], known[n]) for n in kept)
 
 
-def test_every_builder_takes_them() -> None:
-    pandas, table = pytest.importorskip("pandas"), nested()
-    model = roads()
-    assert same(
-        model,
-        SSP.from_transitions(table, {"home"}, cost="time", treat_actionless_as_dead_ends=True),
-    )
+def test_every_builder_takes_them():
+    pandas, model = pytest.importorskip("pandas"), roads()
+    assert same(model, SSP.from_transitions(NESTED, {"home"}, cost="time", **END))
     assert same(model, SSP.from_frame(pandas.DataFrame(TABLE), {"home"}, cost=["time", "fuel"]))
-    shuffled = {name: cells[::-1] for name, cells in TABLE.items()}
-    again = SSP.from_frame(shuffled, {"home"}, cost=["time", "fuel"])
-    assert (
-        solve(MCMP(again, "depot", 0.05)).objective == solve(MCMP(model, "depot", 0.05)).objective
-    )
-    explored = SSP.from_successors(
-        "depot", lambda state: table.get(state, {}), {"home"}, cost="fuel",
-        treat_actionless_as_dead_ends=True,
-    )  # fmt: skip
-    assert explored.costs_by_name.keys() == {"fuel", "time"}
+    shuffled = roads(**{name: cells[::-1] for name, cells in TABLE.items()})
+    assert solved(shuffled).objective == solved(model).objective
+    moves = {"wreck": {}} | NESTED
+    explored = SSP.from_successors("depot", moves.__getitem__, {"home"}, cost="fuel", **END)
     assert list(explored.costs_by_name) == ["fuel", "time"]
     assert sorted(explored.costs) == sorted(model.with_cost("fuel").costs)
 
 
-def test_tuples_of_columns_are_states() -> None:
-    table = {
-        "x": [0, 0],
-        "y": [0, 0],
-        "do": "rr",
-        "u": [1, 0],
-        "v": [0, 1],
-        "p": [0.5] * 2,
-        "c": [1, 1],
-    }
-    model = SSP.from_frame(
-        table,
-        {(1, 0)},
-        state=("x", "y"),
-        successor=("u", "v"),
-        action="do",
-        probability="p",
-        cost="c",
-    )
+def test_tuples_of_columns_are_states():
+    table = {"x": [0, 0], "y": [0, 0], "do": "rr", "u": [1, 0], "v": [0, 1], "p": [0.5] * 2}
+    columns = {"state": ("x", "y"), "successor": ("u", "v"), "action": "do", "probability": "p"}
+    model = SSP.from_frame(table | {"c": [1, 1]}, {(1, 0)}, cost="c", **columns)
     assert list(model.states) == [(0, 0), (1, 0), (0, 1)]
-    assert solve(MCMP(model, (0, 0))).failure_probability == pytest.approx(0.5)
+    assert solved(model, (0, 0), None).failure_probability == pytest.approx(0.5)
+
+
+SHARE = (0.7 - 0.4975) / (1.0 - 0.4975)
+"""Of the alley: its fuel is 1, the road's 0.99 * 0.5 + 0.01 * 0.25, and 0.7 is to be burnt."""
 
 
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
 @pytest.mark.parametrize("horizon", [None, 3])
-def test_a_limit_by_name_is_one_by_array(criterion: Any, horizon: int | None) -> None:
-    model, told = roads(), {"horizon": horizon}
-    named, listed = (
-        solve(criterion(model, "depot", 0.05, constraints={"fuel": limit}, **told))
-        for limit in (
-            secondary_cost("fuel") <= 0.7,
-            secondary_cost(model.named_costs["fuel"]) <= 0.7,
-        )
-    )
-    assert named.objective == pytest.approx(listed.objective)
-    assert named.secondary_costs["fuel"] == pytest.approx(0.7)
-    # the share a of the alley: fuel a + (1 - a) (0.99 * 0.5 + 0.01 * 0.25) = 0.7
-    share = (0.7 - 0.4975) / (1.0 - 0.4975)
-    assert named.failure_probability == pytest.approx(0.1 * share + 0.01 * (1.0 - share))
-
-
-def test_products_keep_them() -> None:
+def test_a_limit_by_name_is_one_by_array(criterion, horizon):
     model = roads()
-    counting = within_steps(model, 3, start={"depot"})
-    tired = product(model, Memory(0, lambda kept, *_: min(kept + 1, 2)), start={"depot"})
-    for made, start in ((counting, counting.start("depot")), (tired, tired.start("depot"))):
-        answer = solve(MCMP(made, start, 0.05, constraints={"fuel": secondary_cost("fuel") <= 0.7}))
+    listed = {"fuel": secondary_cost(model.named_costs["fuel"]) <= 0.7}
+    named, known = (
+        solve(criterion(model, "depot", 0.05, constraints=limits, horizon=horizon))
+        for limits in (FRUGAL, listed)
+    )
+    assert named.objective == pytest.approx(known.objective)
+    assert named.secondary_costs["fuel"] == pytest.approx(0.7)
+    assert named.failure_probability == pytest.approx(0.1 * SHARE + 0.01 * (1.0 - SHARE))
+
+
+def test_products_keep_them():
+    tired = Memory(0, lambda kept, *_: min(kept + 1, 2))
+    at = {"start": {"depot"}}
+    for made in (within_steps(roads(), 3, **at), product(roads(), tired, **at)):
+        answer = solved(made, made.start("depot"), constraints=FRUGAL)
         assert answer.secondary_costs["fuel"] == pytest.approx(0.7)
         assert "fuel" in made.named_costs
 
 
-def test_after_failing_they_count_on() -> None:
-    table = nested()
-    table["wreck"] = {"tow": [(1, "yard", {"time": 0, "fuel": 2})]}
-    model = SSP.from_transitions(
-        {**table, "yard": {}}, {"home"}, cost="time", state_labels={"towed": ["yard"]},
-        treat_actionless_as_dead_ends=True,
-    )  # fmt: skip
+def test_after_failing_they_count_on():
+    towing = {"wreck": {"tow": [(1, "yard", {"time": 0, "fuel": 2})]}, "yard": {}}
+    labels = {"state_labels": {"towed": ["yard"]}}
+    model = SSP.from_transitions(NESTED | towing, {"home"}, cost="time", **labels, **END)
     limits = {
         "towed": end_probability("towed") >= 0.05,
         "fuel": secondary_cost("fuel", through_failure=True) <= 5.0,
     }
-    answer = solve(MCMP(model, "depot", 0.05, constraints=limits))
+    answer = solved(model, constraints=limits)
     assert answer.failure_probability == pytest.approx(0.05)
     share = (0.05 - 0.01) / 0.09
     burnt = share + (1.0 - share) * 0.4975 + 2.0 * 0.05
@@ -159,44 +124,39 @@ def test_after_failing_they_count_on() -> None:
 
 
 @pytest.mark.parametrize("ending", [".json", ".npz", ".drn", ".drn.gz", ".tra", ".umb"])
-def test_files_keep_them(ending: str, tmp_path: Path) -> None:
+def test_files_keep_them(ending, tmp_path):
     if ending == ".umb":
         pytest.importorskip("stormpy")
     model, path = roads(), tmp_path / f"roads{ending}"
     write_any(model, path, "depot")
-    goal = {".json": ["home"], ".npz": []}.get(ending, ["goal"])
+    limits = FRUGAL | {"time": secondary_cost("time") <= 1e3}
     for cost in ("time", "fuel", "*"):
-        read = read_any(path, goal, cost)
+        read = read_any(path, {".json": ["home"], ".npz": []}.get(ending, ["goal"]), cost)
         name = next(iter(read.model.costs_by_name))
         assert cost in (name, "*")
-        begin = read.start if read.start is not None else "depot"
         assert {*read.model.named_costs} == {"time", "fuel"}
-        limits = {"fuel": secondary_cost("fuel") <= 0.7, "time": secondary_cost("time") <= 1e3}
-        again = solve(MCMP(read.model, begin, 0.05, constraints=limits))
-        wanted = solve(MCMP(model.with_cost(name), "depot", 0.05, constraints=limits))
-        assert again.secondary_costs["fuel"] == pytest.approx(wanted.secondary_costs["fuel"])
-        assert again.objective == pytest.approx(wanted.objective)
+        begin = read.start if read.start is not None else "depot"
+        again = solved(read.model, begin, constraints=limits)
+        known = solved(model.with_cost(name), constraints=limits)
+        assert again.secondary_costs["fuel"] == pytest.approx(known.secondary_costs["fuel"])
+        assert again.objective == pytest.approx(known.objective)
 
 
-def test_the_librarys_own_file_is_the_same(tmp_path: Path) -> None:
+def test_the_librarys_own_file_is_the_same(tmp_path):
     third = {"a": {"go": [(1, "home", {"toll": Fraction(1, 3), "km": 2})]}}
     model = SSP.from_transitions(third, {"home"}, cost="toll")
-    assert model.exact_costs == {1 / 3: Fraction(1, 3)}
     save_model(model, tmp_path / "m.npz")
     again = load_model(tmp_path / "m.npz")
     assert same(model, again)
-    assert again.exact_costs == model.exact_costs
+    assert again.exact_costs == model.exact_costs == {1 / 3: Fraction(1, 3)}
 
 
-def test_dearer_outcomes_pay_on_the_way(tmp_path: Path) -> None:
+def test_dearer_outcomes_pay_on_the_way(tmp_path):
     """Written, each cost of an outcome is the least of its action and a rest; read, whole again."""
-    generator = np.random.default_rng(7)
+    rng = np.random.default_rng(7)
     table = {
         k: {
-            a: [
-                (0.25, int(to), {"x": float(x), "y": float(y)})
-                for to, x, y in generator.integers(0, 6, (4, 3))
-            ]
+            a: [(0.25, to, {"x": x, "y": y}) for to, x, y in rng.integers(0, 6, (4, 3)).tolist()]
             for a in ("l", "r")
         }
         for k in range(5)
@@ -204,26 +164,19 @@ def test_dearer_outcomes_pay_on_the_way(tmp_path: Path) -> None:
     model = SSP.from_transitions(table, {5}, cost="x")
     write_drn(model, tmp_path / "m.drn", start=0)
     write_prism(model, tmp_path / "m", start=0)
-    for read in (
-        read_drn(tmp_path / "m.drn", goal="goal", cost="x"),
-        read_prism(tmp_path / "m", goal="goal", cost="x"),
-    ):
-        for name in ("x", "y"):
-            costs = [
-                solve(MCMP(each.with_cost(name), 0, give_up="dead_ends")).objective
-                for each in (model, read.model)
-            ]
-            assert costs[0] == pytest.approx(costs[1])
+    asked = {"goal": "goal", "cost": "x"}
+    drn, prism = read_drn(tmp_path / "m.drn", **asked), read_prism(tmp_path / "m", **asked)
+    for name in ("x", "y"):
+        known, *found = (
+            solved(each.with_cost(name), 0, None, give_up="dead_ends").objective
+            for each in (model, drn.model, prism.model)
+        )
+        assert found == pytest.approx([known, known])
 
 
-def test_the_command_line_converts_all_and_limits_by_name(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_line_converts_all_and_limits_by_name(tmp_path, capsys):
     path, target = tmp_path / "roads.json", tmp_path / "roads.drn"
-    table = {
-        s: {a: [list(o) for o in some] for a, some in acts.items()} for s, acts in nested().items()
-    }
-    path.write_text(json.dumps(table), encoding="utf-8")
+    path.write_text(json.dumps(NESTED), encoding="utf-8")
     asked = [str(path), "--goal", "home", "--start", "depot"]
     assert main(["convert", str(path), str(target), *asked[1:]]) == 0
     assert "time fuel" in target.read_text(encoding="utf-8")
@@ -240,7 +193,7 @@ def test_the_command_line_converts_all_and_limits_by_name(
 @pytest.mark.parametrize(
     ("table", "cost", "complaint"),
     [
-        ({"t": 1, "u": 2}, None, "say which cost counts (cost): 't', 'u'"),
+        ({"t": 1, "u": 2}, None, r"say which cost counts \(cost\): 't', 'u'"),
         ({"t": 1, "u": 2}, "v", "not 'v'"),
         ({"t": 1, "u": -1}, "t", "a negative cost 'u'"),
         ({"t": 1, "u": float("nan")}, "t", "a cost 'u' that is NaN"),
@@ -250,51 +203,38 @@ def test_the_command_line_converts_all_and_limits_by_name(
         ({}, None, "no costs"),
     ],
 )
-def test_wrong_costs(table: Any, cost: str | None, complaint: str) -> None:
-    with pytest.raises(ModelError) as refused:
-        SSP.from_transitions({"a": {"go": [(1.0, "home", table)]}}, {"home"}, cost=cost)
-    assert complaint in str(refused.value)
-
-
-def test_mixed_names() -> None:
-    for first, second in ((1.0, {"t": 1}), ({"t": 1}, 1.0), ({"t": 1}, {"u": 1})):
-        with pytest.raises(ModelError, match=r"everywhere|elsewhere"):
-            SSP.from_transitions(
-                {"a": {"x": [(1, "home", first)], "y": [(1, "home", second)]}}, {"home"}
-            )
+def test_wrong_costs(table, cost, complaint):
+    going = {"a": {"go": [(1.0, "home", table)]}}
+    refused(complaint, SSP.from_transitions, going, {"home"}, cost=cost)
 
 
 @pytest.mark.parametrize(
     ("changed", "complaint"),
     [
-        (
-            {"fuel": [1, 1, 0.5, float("nan")]},
-            "row 3 of the table has nothing in the column 'fuel'",
-        ),
+        ({"fuel": [1, 1, 0.5, float("nan")]}, "row 3 of the table has nothing .* column 'fuel'"),
         ({"action": ["alley", None, "road", "road"]}, "row 1"),
         ({"time": [1, 2]}, "different lengths"),
         ({"probability": [0.9, 0.2, 1, 0]}, "sum to 1.1"),
     ],
 )
-def test_wrong_tables(changed: dict[str, Any], complaint: str) -> None:
-    with pytest.raises(ModelError) as refused:
-        roads(**changed)
-    assert complaint in str(refused.value)
+def test_wrong_tables(changed, complaint):
+    refused(complaint, roads, **changed)
 
 
-def test_what_is_not_there() -> None:
-    model = roads()
-    with pytest.raises(ModelError, match="did you mean 'time'"):
-        SSP.from_frame(TABLE, {"home"}, cost="tim")
-    with pytest.raises(ModelError, match="did you mean 'fuel'"):
-        solve(MCMP(model, "depot", 0.05, constraints={"f": secondary_cost("ful") <= 1}))
-    with pytest.raises(ModelError, match="none by name"):
-        SSP.from_frame(TABLE, {"home"}, cost="time").with_cost("fuel")
-    answer = solve(MCMP(model, "depot", 0.05))
+def test_names_that_are_mixed_or_not_there():
+    for first, second in ((1.0, {"t": 1}), ({"t": 1}, 1.0), ({"t": 1}, {"u": 1})):
+        moves = {"x": [(1, "home", first)], "y": [(1, "home", second)]}
+        refused(r"everywhere|elsewhere", model_of, {"a": moves}, "home")
+    refused("did you mean 'time'", SSP.from_frame, TABLE, {"home"}, cost="tim")
+    unknown = {"f": secondary_cost("ful") <= 1}
+    refused("did you mean 'fuel'", solved, roads(), constraints=unknown)
+    alone = SSP.from_frame(TABLE, {"home"}, cost="time")
+    refused("none by name", alone.with_cost, "fuel")
+    answer = solved(roads())
     assert evaluate(answer.policy, answer.problem).objective == pytest.approx(answer.objective)
 
 
-def test_a_reward_model_without_a_name_moves_no_other(tmp_path: Path) -> None:
+def test_a_reward_model_without_a_name_moves_no_other(tmp_path):
     write_drn(roads(), tmp_path / "m.drn", start="depot")
     text = (tmp_path / "m.drn").read_text(encoding="utf-8").replace("time fuel", '"" fuel')
     (tmp_path / "m.drn").write_text(text, encoding="utf-8")
@@ -304,7 +244,7 @@ def test_a_reward_model_without_a_name_moves_no_other(tmp_path: Path) -> None:
     assert set(read.costs.tolist()) == {4.0, 2.0, 9.0, 5.0}
 
 
-def test_named_costs_are_part_of_the_fingerprint() -> None:
+def test_named_costs_are_part_of_the_fingerprint():
     assert fingerprint(roads()) == fingerprint(roads())
-    assert fingerprint(roads()) != fingerprint(roads(fuel=[1.0, 1.0, 0.5, 0.5]))
-    assert fingerprint(roads()) != fingerprint(roads().with_cost("fuel"))
+    others = roads(fuel=[1.0, 1.0, 0.5, 0.5]), roads().with_cost("fuel")
+    assert fingerprint(roads()) not in map(fingerprint, others)
