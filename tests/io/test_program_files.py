@@ -1,17 +1,15 @@
 """Models as programs, in PRISM's language and in JANI, read back by Storm."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from formulations import MCMP, MaxProb
-from ssp_lp import SSP, ModelError, end_probability, solve
-from ssp_lp.io import write_jani, write_prism_program
-from ssp_lp.io.any_format import read_any, write_any
+from refusing import refused
+from small_models import model_of
+from ssp_lp import SSP, end_probability, solve
+from ssp_lp.io import read_any, write_any, write_jani, write_prism_program
 
 AWKWARD = {
     "depot": {
@@ -24,73 +22,62 @@ AWKWARD = {
         "7": [(1 / 3, "home", {"time": 1, "fuel": 9}), (2 / 3, "depot", {"time": 1, "fuel": 9})],
     },
 }
+each_ending = pytest.mark.parametrize("ending", [".prism", ".jani"])
 
 
-@pytest.mark.parametrize("ending", [".prism", ".jani"])
-def test_storm_reads_the_same_model(ending: str, tmp_path: Path) -> None:
+@each_ending
+def test_storm_reads_the_same_model(ending, tmp_path):
     pytest.importorskip("stormpy")
     model = SSP.from_transitions(
         AWKWARD, {"home"}, cost="time", state_labels={"crash": ["wreck"], "none": []},
         treat_actionless_as_dead_ends=True,
     )  # fmt: skip
     write_any(model, tmp_path / f"m{ending}", "depot")
+    limits = {"crash": end_probability("crash") <= 0.004}
     for cost in ("time", "fuel"):
         read = read_any(tmp_path / f"m{ending}", ["goal"], cost)
-        limits = {"crash": end_probability("crash") <= 0.004}
         again = solve(MCMP(read.model, read.start, 0.05, constraints=limits))
-        wanted = solve(MCMP(model.with_cost(cost), "depot", 0.05, constraints=limits))
-        assert again.objective == pytest.approx(wanted.objective, rel=1e-12)
-        assert again.secondary_costs["crash"] == pytest.approx(wanted.secondary_costs["crash"])
+        known = solve(MCMP(model.with_cost(cost), "depot", 0.05, constraints=limits))
+        assert again.objective == pytest.approx(known.objective, rel=1e-12)
+        assert again.secondary_costs["crash"] == pytest.approx(known.secondary_costs["crash"])
 
 
 @pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize("ending", [".prism", ".jani"])
-def test_drawn_models_keep_their_optima(ending: str, seed: int, tmp_path: Path) -> None:
+@each_ending
+def test_drawn_models_keep_their_optima(ending, seed, tmp_path):
     pytest.importorskip("stormpy")
-    generator = np.random.default_rng(seed)
-    table = {
-        k: {
-            a: [
-                (p, int(to), int(cost))
-                for p, to, cost in zip(
-                    generator.multinomial(8, [0.25] * 4) / 8,
-                    generator.integers(0, 8, 4),
-                    generator.integers(0, 4, 4),
-                    strict=True,
-                )
-                if p
-            ]
-            for a in range(3)
-        }
-        for k in range(6)
-    }
-    model = SSP.from_transitions(table, {7}, treat_actionless_as_dead_ends=True)
+    rng = np.random.default_rng(seed)
+
+    def drawn():
+        """An action to three of eight states at most; 6 acts no more, and 7 is the goal."""
+        chances, ends = rng.multinomial(8, [0.25] * 4) / 8, rng.integers(0, 8, 4).tolist()
+        outcomes = zip(chances.tolist(), ends, rng.integers(0, 4, 4).tolist(), strict=True)
+        return [outcome for outcome in outcomes if outcome[0]]
+
+    model = model_of({k: {a: drawn() for a in range(3)} for k in range(6)}, 7)
     write_any(model, tmp_path / f"m{ending}", 0)
     read = read_any(tmp_path / f"m{ending}", ["goal"])
-    most = [solve(MaxProb(m, s)).objective for m, s in ((model, 0), (read.model, read.start))]
-    assert most[0] == pytest.approx(most[1], rel=1e-12)
-    budget = 1.0 - 0.9 * most[0]
-    costs = [
-        solve(MCMP(m, s, budget, give_up="dead_ends")).objective
-        for m, s in ((model, 0), (read.model, read.start))
-    ]
-    assert costs[0] == pytest.approx(costs[1], rel=1e-9)
+    most, found = (solve(MaxProb(*one)).objective for one in ((model, 0), (read.model, read.start)))
+    assert found == pytest.approx(most, rel=1e-12)
+    cost, found = (
+        solve(MCMP(*one, 1.0 - 0.9 * most, give_up="dead_ends")).objective
+        for one in ((model, 0), (read.model, read.start))
+    )
+    assert found == pytest.approx(cost, rel=1e-9)
 
 
-def test_labels_of_many_states(tmp_path: Path) -> None:
+def test_labels_of_many_states(tmp_path):
     table = {k: {"on": [(1.0, k + 1, 1.0)]} for k in range(3_000)}
     model = SSP.from_transitions(table, {3_000}, state_labels={"odd": range(1, 3_000, 2)})
     write_prism_program(model, tmp_path / "m.prism", start=0)
-    text = (tmp_path / "m.prism").read_text(encoding="utf-8")
-    assert text.count("s=") >= 1_500
-    write_jani(model, tmp_path / "m.jani.gz", start=0)
-    write_jani(model, tmp_path / "m.jani", start=0)
+    assert (tmp_path / "m.prism").read_text(encoding="utf-8").count("s=") >= 1_500
+    for name in ("m.jani.gz", "m.jani"):
+        write_jani(model, tmp_path / name, start=0)
     document = json.loads((tmp_path / "m.jani").read_text(encoding="utf-8"))
     assert len(document["automata"][0]["edges"]) == 3_001
 
 
-def test_what_is_no_word_of_prisms(tmp_path: Path) -> None:
-    for name in ("a b", "max", "1st"):
-        model = SSP.from_transitions({0: {"on": [(1.0, 1, 1.0)]}}, {1}, state_labels={name: [0]})
-        with pytest.raises(ModelError, match="no word of PRISM's"):
-            write_prism_program(model, tmp_path / "m.prism", start=0)
+@pytest.mark.parametrize("name", ["a b", "max", "1st"])
+def test_what_is_no_word_of_prisms(name, tmp_path):
+    model = model_of({0: {"on": [(1.0, 1, 1.0)]}}, 1, {name: [0]})
+    refused("no word of PRISM's", write_prism_program, model, tmp_path / "m.prism", start=0)
