@@ -1,6 +1,7 @@
 """Scripts of `examples`: what each says and draws, and that help is all that happens if asked."""
 
 import inspect
+import json
 import re
 import runpy
 import sys
@@ -10,11 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import ssp_lp.io
 from examples.domains.inventory import START, season, table
+from examples.formulating import drone
 from examples.formulating.real_costs import LAWS, LEVELS, main as real_costs
 from examples.formulating.toy_texts import TASKS
 from examples.paper_walkthrough import cross_check
-from ssp_lp import WorldSimulator, certify
+from ssp_lp import WorldSimulator, certify, evaluate, simulate
+from ssp_lp.analysis.simulation import proportion_estimate
 
 ROOT = Path(__file__).parents[2]
 RUN_BY = re.compile(r"^ *python examples/\S+\.py|__name__ == .__main__.", re.MULTILINE)
@@ -24,6 +28,7 @@ SCRIPTS = sorted(
     if path.name != "__init__.py" and RUN_BY.search(path.read_text(encoding="utf-8"))
 )
 assert len(SCRIPTS) >= 12
+NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
@@ -72,7 +77,8 @@ def test_the_key_and_the_door_and_the_gallery_are_drawn(tmp_path, capsys):
 
 
 def test_the_three_methods_agree_on_a_coarse_robot(capsys):
-    cross_check.main(["--segments", "5", "--headings", "5", "--budget", "0.9"])
+    grid = ["--segments", "4", "--headings", "3"]
+    cross_check.main([*grid, "--budget", "0.98", "--discount", "0.9"])
     printed = capsys.readouterr().out
     assert printed.count("3 methods agree") == 2
     pairs = re.findall(r"alpha\* = ([\d.]+), from c\* and the price ([\d.]+)", printed)
@@ -80,8 +86,10 @@ def test_the_three_methods_agree_on_a_coarse_robot(capsys):
     assert all(abs(float(weight) - float(identity)) <= 1e-9 for weight, identity in pairs)
 
 
-def test_the_frozen_lake_tells_both_horizons(capsys):
+def test_the_frozen_lake_tells_both_horizons(capsys, monkeypatch):
     pytest.importorskip("gymnasium")
+    rollout = ssp_lp.io.rollout
+    monkeypatch.setattr(ssp_lp.io, "rollout", lambda *a, **b: rollout(*a, **b | {"episodes": 250}))
     with warnings.catch_warnings():
         runpy.run_path(str(ROOT / "examples/formulating/frozen_lake.py"))
     printed = capsys.readouterr().out
@@ -108,3 +116,53 @@ def test_every_law_of_real_costs_and_every_number_of_levels_has_its_line(capsys)
     rows = [line.split() for line in levels.splitlines()[2:]]
     assert [int(row[0].replace(",", "")) for row in rows] == list(LEVELS)
     assert all(float(lower) <= float(upper) for _, lower, upper, *_ in rows)
+
+
+SUBURB = (
+    "..m...H",
+    "...#...",
+    ".#.....",
+    "...m.#.",
+    "S....m.",
+)
+
+
+def test_the_drones_limits_hold_when_its_plan_is_flown(monkeypatch, tmp_path):
+    pytest.importorskip("matplotlib")
+    monkeypatch.setattr(drone, "PLAN", SUBURB)
+    monkeypatch.setattr(drone, "CHARGE", 13)
+    model, start = drone.town()
+    rash, careful = drone.plan(model, start), drone.plan(model, start, **drone.LIMITS)
+    assert careful.objective > rash.objective
+    ends = evaluate(careful.policy, careful.problem).ends
+    for name, most in drone.LIMITS.items():
+        assert ends[name] == pytest.approx(careful.secondary_costs[name], abs=1e-9)
+        assert ends[name] <= most + 1e-9
+    assert certify(careful).gap <= 1e-7
+    flights = simulate(careful.policy, careful.problem, episodes=5_000, rng=3)
+    for name in (*drone.LIMITS, "landed"):
+        flown = proportion_estimate(flights.ends[name], 5_000, 0.9999)
+        assert flown.low <= ends[name] <= flown.high
+    drone.draw({"rash": rash, "careful": careful}, tmp_path / "drone.png")
+    assert (tmp_path / "drone.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs_in_at_most_forty_lines_and_says_what_it_shows(path, monkeypatch):
+    plt = pytest.importorskip("matplotlib.pyplot")
+    pytest.importorskip("pandas")
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    monkeypatch.chdir(path.parent)
+    plt.switch_backend("agg")
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    cells = [cell for cell in cells if cell["cell_type"] == "code"]
+    assert sum(len(re.findall(r"\S.*", "".join(cell["source"]))) for cell in cells) <= 40
+    names = {}
+    for cell in cells:
+        printed = []
+        names["print"] = lambda *told, to=printed: to.append(" ".join(map(str, told)))
+        exec("".join(cell["source"]), names)
+        shown = "".join("".join(out.get("text", ())) for out in cell["outputs"])
+        for told in re.findall(r"objective c\*\s+\S+", "\n".join(printed)):
+            assert told in shown
+    plt.close("all")

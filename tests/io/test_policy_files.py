@@ -30,8 +30,8 @@ import json, sys
 from played import START, hall, traces
 from ssp_lp.io import fingerprint, load_policy
 model = hall()
-policy = load_policy(sys.argv[1], model)
-print(json.dumps([fingerprint(model), traces(policy, START, 7)]))
+played = [traces(load_policy(path, model), START, 7) for path in sys.argv[1:]]
+print(json.dumps([fingerprint(model), *played]))
 """
 
 
@@ -43,9 +43,9 @@ def elsewhere(code, *arguments):
     return ran.stdout
 
 
-def saved(policy, tmp_path):
-    save_policy(policy, tmp_path / "policy.npz")
-    return tmp_path / "policy.npz"
+def saved(policy, tmp_path, name="policy"):
+    save_policy(policy, tmp_path / f"{name}.npz")
+    return tmp_path / f"{name}.npz"
 
 
 @pytest.mark.parametrize("name", EVERY)
@@ -62,11 +62,11 @@ def test_policies_play_the_same_beside_a_model_built_anew(name, tmp_path):
         refused("load it beside product", load_policy, path, hall())
 
 
-@pytest.mark.parametrize("name", ["solution", "carried"])
-def test_a_new_process_plays_the_same(name, tmp_path):
-    policy = made()[name]
-    told = json.loads(elsewhere(READER, str(saved(policy, tmp_path))))
-    assert told == [fingerprint(hall()), json.loads(json.dumps(traces(policy, START, 7)))]
+def test_a_new_process_plays_the_same(tmp_path):
+    policies = [made()[name] for name in ("solution", "carried")]
+    paths = [str(saved(policy, tmp_path, k)) for k, policy in enumerate(policies)]
+    known = [fingerprint(hall()), *(traces(policy, START, 7) for policy in policies)]
+    assert json.loads(elsewhere(READER, *paths)) == json.loads(json.dumps(known))
 
 
 def test_another_model_is_refused_unless_it_differs_on_purpose(tmp_path):

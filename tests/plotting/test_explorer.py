@@ -1,28 +1,18 @@
 """The explorer: its page in a browser, the slider moved, numbers equal to the library's."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import sys
-from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
+from functools import cache
 
 import pytest
 
 from formulations import MCMP, S3P
 from formulations.command_line import main
+from refusing import refused
 from small_models import model_of
-from ssp_lp import (
-    MissingDependencyError,
-    ModelError,
-    end_probability,
-    evaluate,
-    solve,
-    trace_frontier,
-)
+from ssp_lp import MissingDependencyError, end_probability, evaluate, solve, trace_frontier
 from ssp_lp.analysis.evaluation import pair_visits
 from ssp_lp.plotting import Explorer, explore
 
@@ -54,15 +44,20 @@ FIELD = model_of(
     (2, 0),
     labels={"pit": [(1, 0)]},
 )
-PROBLEMS: dict[str, tuple[Any, str]] = {
+PROBLEMS = {
     "crash": (MCMP(SKID, "a", 0.1, constraints=HELD), "crash"),
     "given success": (S3P(FIELD, (0, 1), 0.05), "failure"),
     "field": (MCMP(FIELD, (0, 1), 0.05), "failure"),
 }
 
 
+@cache
+def traced(case):
+    return trace_frontier(*PROBLEMS[case])
+
+
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
+def browser():
     """Chromium without a screen."""
     webdriver = pytest.importorskip("selenium.webdriver")
     chromium = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -79,15 +74,12 @@ def browser() -> Iterator[Any]:
     found.quit()
 
 
-Page = Callable[[Path], Any]
-
-
 @pytest.fixture
-def opened(browser: Any) -> Page:
+def opened(browser):
     """Opens a page and waits until it is drawn."""
     from selenium.webdriver.support.ui import WebDriverWait
 
-    def open_page(path: Path) -> Any:
+    def open_page(path):
         browser.get(path.as_uri())
         ready = "return document.body.dataset.ready === 'yes'"
         WebDriverWait(browser, 60).until(lambda page: page.execute_script(ready))
@@ -96,7 +88,7 @@ def opened(browser: Any) -> Page:
     return open_page
 
 
-def numbers(page: Any) -> dict[str, float]:
+def numbers(page):
     """What the table on the page says, with all digits."""
     told = (
         "[...document.querySelectorAll('#numbers td')].map((c) => [c.dataset.key, c.dataset.value])"
@@ -104,7 +96,7 @@ def numbers(page: Any) -> dict[str, float]:
     return {key: float(value) for key, value in page.execute_script(f"return {told}") if value}
 
 
-def typed(page: Any, bound: float) -> dict[str, float]:
+def typed(page, bound):
     """The numbers once a bound has been typed in."""
     page.execute_script(
         "const box = document.getElementById('bound'); box.value = arguments[0];"
@@ -115,9 +107,8 @@ def typed(page: Any, bound: float) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("case", PROBLEMS)
-def test_numbers_on_the_page_are_the_library_s(case: str, opened: Page, tmp_path: Path) -> None:
-    problem, over = PROBLEMS[case]
-    frontier = trace_frontier(problem, over)
+def test_numbers_on_the_page_are_the_library_s(case, opened, tmp_path):
+    problem, frontier = PROBLEMS[case][0], traced(case)
     assert isinstance(explore(frontier, tmp_path / "page.html", seed=3), Explorer)
     assert (tmp_path / "page.html").stat().st_size < 3_000_000
     page = opened(tmp_path / "page.html")
@@ -138,11 +129,10 @@ def test_numbers_on_the_page_are_the_library_s(case: str, opened: Page, tmp_path
     assert severe == []
 
 
-def test_the_slider_moves_everything(opened: Page, tmp_path: Path) -> None:
+def test_the_slider_moves_everything(opened, tmp_path):
     from selenium.webdriver.common.keys import Keys
 
-    problem, _ = PROBLEMS["field"]
-    frontier = trace_frontier(problem)
+    problem, frontier = PROBLEMS["field"][0], traced("field")
     explore(frontier, tmp_path / "page.html")
     page = opened(tmp_path / "page.html")
     before, slider = numbers(page), page.find_element("id", "budget")
@@ -170,16 +160,15 @@ def test_the_slider_moves_everything(opened: Page, tmp_path: Path) -> None:
     assert numbers(page)["objective"] == pytest.approx(frontier.objective_at(1.0))
 
 
-def test_the_price_is_the_failure_price(opened: Page, tmp_path: Path) -> None:
+def test_the_price_is_the_failure_price(opened, tmp_path):
     for case in ("given success", "field"):
-        problem, _ = PROBLEMS[case]
-        explore(trace_frontier(problem), tmp_path / "page.html", episodes=0)
+        explore(traced(case), tmp_path / "page.html", episodes=0)
         told = typed(opened(tmp_path / "page.html"), 0.03)  # no turning point
-        price = solve(replace(problem, failure_budget=0.03)).failure_price
+        price = solve(replace(PROBLEMS[case][0], failure_budget=0.03)).failure_price
         assert told["price"] == pytest.approx(price, rel=1e-7)
 
 
-def test_a_page_stands_alone_and_in_a_notebook() -> None:
+def test_a_page_stands_alone_and_in_a_notebook():
     problem = MCMP(SKID, "a", 0.1, constraints={"</script>": end_probability("crash") <= 0.1})
     page = explore(trace_frontier(problem, "</script>"))
     head, told = page.page.rsplit("<body>", 1)
@@ -191,18 +180,16 @@ def test_a_page_stands_alone_and_in_a_notebook() -> None:
     assert "bytes of HTML" in repr(page)
 
 
-def test_what_cannot_be_explored_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ModelError, match="takes a frontier"):
-        explore(solve(PROBLEMS["field"][0]))  # type: ignore[arg-type]
+def test_what_cannot_be_explored_is_refused(monkeypatch):
+    frontier = traced("field")
+    refused("takes a frontier", explore, solve(PROBLEMS["field"][0]))
     monkeypatch.setattr("ssp_lp.plotting.explorer.LARGEST", 1_000)
-    with pytest.raises(ModelError, match="point_limit"):
-        explore(trace_frontier(PROBLEMS["field"][0]))
+    refused("point_limit", explore, frontier)
     monkeypatch.setitem(sys.modules, "bokeh.plotting", None)
-    with pytest.raises(MissingDependencyError, match=r"pip install 'ssp-lp\[explore\]'"):
-        explore(trace_frontier(PROBLEMS["field"][0]))
+    refused(r"pip install 'ssp-lp\[explore\]'", explore, frontier, error=MissingDependencyError)
 
 
-def test_a_page_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_page_from_the_command_line(tmp_path, capsys):
     pytest.importorskip("gymnasium")
     out = tmp_path / "lake.html"
     asked = ["explore", "gym:FrozenLake-v1", "--horizon", "none", "--point-limit", "5"]

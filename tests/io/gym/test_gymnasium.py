@@ -31,7 +31,7 @@ def at_the_end(state):
     return state == 47
 
 
-def check(env, solution, episodes=300, seed=0):
+def check(env, solution, episodes=150, seed=0):
     """Certified, and the failure probability lies in the interval of the simulated one."""
     assert certify(solution).accepted
     report = rollout(env, solution.policy, episodes=episodes, seed=seed, confidence=0.999)
@@ -79,7 +79,6 @@ CLIFF = {"goal": at_the_end, "horizon": 100}
     ("name", "made", "read", "budget", "steps"),
     [
         ("FrozenLake-v1", {}, {}, 0.3, 100),
-        ("FrozenLake-v1", {}, {}, None, 100),
         ("FrozenLake-v1", ICE, {}, None, 100),
         ("FrozenLake-v1", ICE | {"max_episode_steps": 60}, {"horizon": 40}, None, 40),
         ("FrozenLake8x8-v1", {}, {}, None, 200),
@@ -100,7 +99,7 @@ def test_the_least_failure_is_backward_induction(name, made, read, budget, steps
     else:
         found = 1.0 - solve(MaxProb(world.model, world.start)).objective
     assert found == pytest.approx(least, abs=1e-10)
-    report = check(env, solved(world, budget), episodes=500)
+    report = check(env, solved(world, budget))
     assert (report.success_costs <= steps).all()
     assert "goal" in report.summary()
     assert read or world.step_limit == report.step_limit == steps
@@ -145,14 +144,14 @@ def test_a_fall_may_be_a_failure_by_a_memory():
         fails=lambda fallen: fallen,
     )
     task = product(world.model, fell, start=world.start)
-    check(env, solve(MCMP(task, task.start(world.start), failure_budget=0.3)), episodes=500)
+    check(env, solve(MCMP(task, task.start(world.start), failure_budget=0.3)))
 
 
 def test_taxi_ends_in_states_of_their_own():
     env = gym.make("Taxi-v4", max_episode_steps=20)
     world = from_gymnasium(env, cost="reward")
     assert world.model.costs.max() == 10.0
-    check(env, solved(world, 0.05, S3P), episodes=500)
+    check(env, solved(world, 0.05, S3P))
     plain = from_gymnasium(env, horizon=None).model
     ends = [plain.states[k] for k in np.flatnonzero(plain.goal_mask)]
     assert ends == [("end", 0), ("end", 85), ("end", 410), ("end", 475)]
@@ -175,7 +174,7 @@ def test_the_goal_predicate_may_name_a_state_on_the_way():
     env = gym.make("FrozenLake-v1")
     world = from_gymnasium(env, goal=lambda state: state == 8, horizon=None)
     assert [world.model.states[k] for k in np.flatnonzero(world.model.goal_mask)] == [8]
-    check(env, solved(world, 0.1), episodes=500)
+    check(env, solved(world, 0.1))
 
 
 def test_giving_up_ends_the_episode():
