@@ -212,9 +212,8 @@ def test_answers_are_certified_and_one_randomised_policy_does_as_much(robot, cri
     assert limited == pytest.approx(BUDGET, abs=1e-11)
 
 
-@each_discount
-def test_the_full_linear_program_agrees_in_case_m(robot, discount):
-    columns = solved(MCMP, *robot, discount)
+def test_the_full_linear_program_agrees_in_case_m(robot):
+    columns = solved(MCMP, *robot)
     program = solve(columns.problem, "lp")
     assert (columns.method, program.method) == ("columns", "lp")
     assert program.objective == pytest.approx(columns.objective, rel=1e-7)
