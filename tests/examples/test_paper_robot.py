@@ -235,7 +235,7 @@ def test_a_dearer_wall_changes_only_case_m(robot):
 @pytest.mark.parametrize("turning_cost", [0.0, 0.05])
 def test_true_costs_are_proved_and_played_inside_their_intervals(turning_cost):
     grid = RobotGrid(
-        segments=12, headings=12, quadrature=2, along_segment=True, turning_cost=turning_cost
+        segments=8, headings=12, quadrature=2, along_segment=True, turning_cost=turning_cost
     )
     found = designed(grid, episodes=20_000, seed=1)
     assert found.certificate.accepted
