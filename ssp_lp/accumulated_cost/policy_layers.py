@@ -31,7 +31,7 @@ from ssp_lp.arrays import (
     read_only,
 )
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.compiled.deadline import check_time
+from ssp_lp.compiled.deadline import backward, check_time
 from ssp_lp.dynamic_programming.equations import System, strong_components
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
@@ -166,7 +166,7 @@ class LayerMoves:
             stream_hope(decision[begin:end].size)(*own, *self._outcomes, *rest)
             return
         everywhere = np.arange(model.n_states)
-        for layer in reversed(range(begin, end)):
+        for layer in backward(end, begin):
             pairs = self.pairs(layer, everywhere)
             source, outcome, step = self._taken(pairs, leads >= 0)
             met = hopeful[layer + leads[step], model.successors[outcome]]

@@ -20,12 +20,11 @@ import numpy as np
 
 from ssp_lp.accumulated_cost.process import LayeredProcess
 from ssp_lp.accumulated_cost.sweep import KEPT_VALUES, PartOfSweep, Sweep
-from ssp_lp.accumulated_cost.totals import Window
+from ssp_lp.accumulated_cost.totals import Window, sweep_backward
 from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import MACHINE_EPSILON, TIED, FloatArray, IntArray, least_integer_type, weighted
 from ssp_lp.column_generation import explicit_pricing
 from ssp_lp.column_generation.column import Column, PricingProblem, Proof, required
-from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming import bellman
 from ssp_lp.dynamic_programming.dual_bound import DualBound
 from ssp_lp.policies.policy import DeterministicPolicy, Policy
@@ -230,24 +229,21 @@ class OpenEndedPricing(PricingProblem):
         """The policy that leaves the open end, whatever has been paid: nearer to the goal."""
         beyond = self._beyond.first()
         last = required(beyond.choice) - self.augmented.base.pair_offsets[:-1]
-        return self._swept(beyond, lambda charged, ahead: last)
+        return self._swept(beyond, lambda charged, ahead: last, np.zeros(self.n_rewards))
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
         """A policy of least priced cost, measured exactly."""
         weights, base = explicit_pricing.pricing_weights(price), self.augmented.base
         owed = self._counted @ weights[1:]
         last = self._beyond.minimise(weights, *map(self._last, warm))
-        values = self._window(weighted(required(last.totals), weights))
 
-        def best(charged: FloatArray, totals: FloatArray | None) -> IntArray:
-            """The best position of each node in a layer, from the totals of the layer after it."""
-            if totals is not None:
-                values.push(weighted(totals, weights))
+        def best(charged: FloatArray, ahead: FloatArray) -> IntArray:
+            """The best position of each node in a layer, from the priced totals ahead of it."""
             cost = bellman.PairCost(weights[0] * charged + owed)
-            backup = bellman.best_pairs(base.pair_offsets, base.later, cost, values.flat, tied=TIED)
+            backup = bellman.best_pairs(base.pair_offsets, base.later, cost, ahead, tied=TIED)
             return np.asarray(backup.choice - base.pair_offsets[:-1])
 
-        return self._swept(last, best)
+        return self._swept(last, best, weights)
 
     def _last(self, column: Column | None) -> Column | None:
         """What a column does beyond the cap."""
@@ -257,32 +253,41 @@ class OpenEndedPricing(PricingProblem):
         return Column(0.0, 0.0, 0.0, choice.astype(np.int32))
 
     def _swept(
-        self, last: Column, position_of: Callable[[FloatArray, FloatArray | None], IntArray]
+        self,
+        last: Column,
+        position_of: Callable[[FloatArray, FloatArray], IntArray],
+        weights: FloatArray,
     ) -> Column:
         """A policy with its totals from the start, found layer by layer.
 
         Args:
             last: what is done beyond the cap, with its totals.
             position_of: the position of each node's pair in a layer, [nodes], from the charges of
-                arriving from it, [pairs], and the totals of the layer after it, None for those
-                beyond the cap.
+                arriving from it, [pairs], and the priced totals of what its steps lead to.
+            weights: at which totals are priced, [rewards].
         """
         layered, base = self.augmented, self.augmented.base
         most = int(np.diff(base.pair_offsets).max(initial=1))
         choice = np.empty((layered.cap + 1, base.n_nodes), dtype=least_integer_type(most))
         choice[-1] = required(last.choice) - base.pair_offsets[:-1]
-        totals, window = None, self._window(required(last.totals))
-        for layer in reversed(range(layered.cap)):
-            check_time()
+
+        def follow(
+            layer: int, ahead: FloatArray, priced: FloatArray
+        ) -> tuple[FloatArray, FloatArray]:
+            """The totals of a layer's choice, which is written, and what they come to."""
             charged = self._cost_from(layer)
-            choice[layer] = position_of(charged, totals)
+            choice[layer] = position_of(charged, priced)
             chosen = base.pair_offsets[:-1] + choice[layer]
             totals = np.empty((base.n_nodes, self.n_rewards))
             totals[:, 0], totals[:, 1:] = charged[chosen], self._counted[chosen]
-            totals += bellman.chosen_product(base.later, chosen, window.flat)
-            window.push(totals)
-        begun = required(last.totals) if totals is None else totals
-        figures = base.start @ begun + self._at_source
+            totals += bellman.chosen_product(base.later, chosen, ahead)
+            return totals, weighted(totals, weights)
+
+        totals = required(last.totals)
+        windows = self._window(totals), self._window(weighted(totals, weights))
+        for _, (swept, _) in sweep_backward(follow, layered.cap, *windows):
+            totals = swept
+        figures = base.start @ totals + self._at_source
         return Column.of_figures(figures, choice, work=last.work + bellman.Work(1, 1))
 
     def _window(self, last: FloatArray) -> Window:
@@ -372,22 +377,24 @@ class OpenEndedPricing(PricingProblem):
             floor: a constant that is known to be a sub-solution.
         """
         layered, base, n = self.augmented, self.augmented.base, self.augmented.n_nodes
-        given, lowest = values[:-1].reshape(layered.cap + 1, n), beyond.rounded
-        window = self._window(lowest)
+        given, last = values[:-1].reshape(layered.cap + 1, n), beyond.rounded
         is_kept = values.size <= KEPT_VALUES
         kept = np.empty(values.shape) if is_kept else np.broadcast_to(np.inf, values.shape)
         if is_kept:
-            kept[layered.cap * n : -1] = lowest
-        for layer in reversed(range(layered.cap)):
-            check_time()
+            kept[layered.cap * n : -1] = last
+
+        def lower(layer: int, ahead: FloatArray) -> tuple[FloatArray]:
+            """Lower bounds of a layer."""
             cost = priced(layer)
             size = np.abs(cost)
-            lowest = bellman.safe_minima(
-                base.pair_offsets, base.later, bellman.PairCost(cost), size, size, window.flat
+            least = bellman.safe_minima(
+                base.pair_offsets, base.later, bellman.PairCost(cost), size, size, ahead
             )
             ceiling = np.nan_to_num(given[layer], nan=floor, posinf=np.inf)
-            lowest = np.minimum(lowest, np.maximum(ceiling, floor))
-            window.push(lowest)
+            return (np.minimum(least, np.maximum(ceiling, floor)),)
+
+        lowest = last
+        for layer, (lowest,) in sweep_backward(lower, layered.cap, self._window(last)):
             if is_kept:
                 kept[layer * n : (layer + 1) * n] = lowest
         entries = np.flatnonzero(base.start)

@@ -277,6 +277,13 @@ class WithIncumbent:
         return True
 
 
+def backward(end: int, begin: int = 0) -> Iterator[int]:
+    """Layers or points in time, the last first, with a look at the time before each."""
+    for layer in reversed(range(begin, end)):
+        check_time()
+        yield layer
+
+
 def pieces(length: int, entries: int) -> Iterable[slice]:
     """A long loop in pieces, with a look at the time, and at Ctrl-C, before each.
 

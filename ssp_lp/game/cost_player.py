@@ -14,6 +14,7 @@ from ssp_lp.accumulated_cost.process import AccumulatedCost, LayeredProcess, Lay
 from ssp_lp.accumulated_cost.sweep import Sweep
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, Totals, step_costs, sums_in
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
+from ssp_lp.compiled.deadline import backward
 from ssp_lp.errors import ModelError
 from ssp_lp.game.best_response import BestResponse, Discounted, iterate_values
 from ssp_lp.policies.cost_aware import CostAwarePolicy
@@ -363,7 +364,7 @@ class BayesCostPlayer:
         stage, worth = self._stage(totals), price * gamma * base.gain[:, None]
         weights, beyond_cap = np.array([1.0, price]), totals.beyond
         lowest = self._surplus(totals.with_beyond, weights * [1.0, gamma**horizon]).T
-        for time in reversed(range(horizon)):
+        for time in backward(horizon):
             saved = gamma**time * worth
             size = stage + saved + self._ahead(np.abs(lowest), totals)
             below = self._least(stage - saved + self._ahead(lowest, totals) - self._lost * size)[1]
@@ -440,7 +441,7 @@ class BayesCostPlayer:
         stage = self._stage(totals)
         most = int(np.diff(base.pair_offsets).max(initial=1))
         choice = np.empty((horizon, cap, base.n_nodes), dtype=least_integer_type(most))
-        for time in reversed(range(horizon)):
+        for time in backward(horizon):
             now = weights * [1.0, gamma**time]
             priced = now[0] * stage + now[1] * base.failure[:, None]
             best, below = self._least(priced + self._ahead(lowest, totals))

@@ -17,6 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray
+from ssp_lp.compiled.deadline import backward
 from ssp_lp.dynamic_programming.bellman import best_pairs, chosen_product
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
@@ -304,7 +305,7 @@ class BayesLabelPlayer:
         weights = np.array([objective_weight, condition_weight])
         lowest = self._beyond(weights * [1.0, gamma**horizon])
         totals, choice = last.totals, np.empty((horizon, models.n_nodes), dtype=np.int32)
-        for time in reversed(range(horizon)):
+        for time in backward(horizon):
             priced = costs @ (weights * [1.0, gamma**time])
             backup = best_pairs(offsets, models.dynamics.transitions, priced, lowest)
             choice[time], lowest = backup.choice, backup.minima
