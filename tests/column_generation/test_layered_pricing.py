@@ -20,7 +20,7 @@ from ssp_lp import (
     solve,
     visits,
 )
-from ssp_lp.accumulated_cost import sweep
+from ssp_lp.compiled import deadline
 from ssp_lp.accumulated_cost.sweep import PartOfSweep, Sweep
 from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import weighted
@@ -126,7 +126,7 @@ def test_layers_swept_by_then_are_an_optimum_at_a_lower_price(monkeypatch, disco
             raise Stop
 
     with monkeypatch.context() as patched, until(float("inf")):
-        patched.setattr(sweep, "check_time", end)
+        patched.setattr(deadline, "check_time", end)
         with pytest.raises(Stop) as stopped:
             pricing.minimise(80.0)
     found = pricing.incumbent(stopped.value.choice)
