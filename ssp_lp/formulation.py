@@ -244,7 +244,7 @@ class Formulation(_Inherited):
     @cached_property
     def objective_condition(self) -> Condition | None:
         """What is minimised in place of the cost, looked up in the model; None: the cost."""
-        if self.quantity is None or self.semantics.measure is not None:
+        if self.quantity is None or self.semantics.counts_law:
             return None
         if self.horizon is not None:
             return self.unrolled.objective_condition
@@ -294,7 +294,7 @@ class Formulation(_Inherited):
             return self.unrolled.compile()
         model, start, semantics = self.model, self._begun, self.semantics
         _COMPILING.info("%r", self)
-        if semantics.measure is not None or requirements(self).totals is TotalScale.SUMS:
+        if semantics.counts_law or requirements(self).totals is TotalScale.SUMS:
             return compiled_totals(self)
         if self.ratio:
             cap = self.cost_cap

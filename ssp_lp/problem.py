@@ -10,7 +10,7 @@ from typing import Any, Protocol, cast
 
 import numpy as np
 
-from ssp_lp.accumulated_cost.charges import TOTAL_COST, ExponentialUtility, Measure
+from ssp_lp.accumulated_cost.charges import TOTAL_COST, ExponentialUtility
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, Resolution, resolution_for, sums_in
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.column_generation.compiled_problem import (
@@ -101,14 +101,13 @@ def resolution_of(problem: Problem) -> Resolution | None:
     """What is asked of the totals that are told apart; None where multiples of a unit serve."""
     asked: int | None = getattr(problem, "cost_levels", None)
     cap: float | None = getattr(problem, "cost_cap", None)
-    measure = problem.semantics.measure
-    of_law = measure is not None
+    of_law = problem.semantics.counts_law
     if not of_law and not problem.ratio:
         return None
     if not of_law and asked is None and problem.failure_budget is None and not has_rows(problem):
         return None  # at least failure no cost has to be remembered
     resolution = resolution_for(problem.model, asked, cap, of_law=of_law)
-    charge = None if measure is None else measure.charge
+    charge = problem.semantics.charge(problem.ratio)
     if resolution is None or not isinstance(charge, ExponentialUtility) or has_rows(problem):
         return resolution
     # do few totals lie below the cost from which a stationary policy is optimal?
@@ -133,7 +132,8 @@ class TotalScale(StrEnum):
 class Requirements:
     """What a problem asks of a method, whatever its criterion is called."""
 
-    measure: Measure | None  # of the law of the total cost; None: its mean, or the goal
+    law: bool  # a measure of the law of the total cost, not its mean or the goal
+    is_risk: bool  # no single program answers it: a quantile or a tail mean
     aim: Aim
     ratio: bool  # given success
     rows: bool  # limits beside the failure budget, or a quantity of its own as the objective
@@ -150,25 +150,20 @@ class Requirements:
         """Whether what is asked depends on the total cost of a run that succeeds."""
         return self.totals is not TotalScale.NONE
 
-    @property
-    def is_risk(self) -> bool:
-        """Whether no single program answers it: a quantile or a tail mean."""
-        return self.measure is not None and not self.measure.is_expectation
-
 
 def requirements(problem: Problem) -> Requirements:
     """What a problem asks of a method."""
-    semantics, rows = problem.semantics, has_rows(problem)
-    measure, totals = semantics.measure, TotalScale.NONE
-    if measure is not None or problem.ratio:
+    semantics, rows, totals = problem.semantics, has_rows(problem), TotalScale.NONE
+    law, is_risk = semantics.counts_law, semantics.risk is not None
+    if law or problem.ratio:
         is_cut = problem.discount is not None or getattr(problem, "cost_cap", None) is not None
         resolution, totals = resolution_of(problem), TotalScale.UNITS
         if resolution is not None:
-            whole = not rows and not (is_cut and measure is None)
+            whole = not rows and not (is_cut and not law)
             by_sums = whole and resolution.most == MOST_SUMS
             totals = TotalScale.SUMS if by_sums else TotalScale.GRID
     least = problem.failure_budget is None
-    return Requirements(measure, semantics.aim, problem.ratio, rows, totals, least)
+    return Requirements(law, is_risk, semantics.aim, problem.ratio, rows, totals, least)
 
 
 def compiled_constrained(problem: Problem) -> CompiledExplicit:

@@ -227,7 +227,7 @@ class Solution(ReadOnlyCopies):
         limits or a measure of the law of costs counts, which the game does not know.
         """
         price, budget = self._multiplier, self.problem.failure_budget
-        unknown = has_rows(self.problem) or self.problem.semantics.measure is not None
+        unknown = has_rows(self.problem) or self.problem.semantics.counts_law
         if price is None or budget is None or unknown:
             return None
         mine, other = self.objective, price * budget

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from ssp_lp.accumulated_cost.charges import Measure
 from ssp_lp.accumulated_cost.cost_law import CostLaw
 from ssp_lp.accumulated_cost.law import ChainProspect
 from ssp_lp.accumulated_cost.policy_layers import chains_of_law
@@ -12,7 +11,7 @@ from ssp_lp.arrays import FloatArray
 from ssp_lp.policies.chain import Chain
 from ssp_lp.policies.policy import MixedPolicy, Policy
 from ssp_lp.problem import NEEDED, Problem, on_one_model
-from ssp_lp.processes.failure_semantics import start_distribution
+from ssp_lp.processes.failure_semantics import FailureSemantics, start_distribution
 
 
 def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> CostLaw:
@@ -52,18 +51,17 @@ def measured_costs(policy: MixedPolicy, problem: Problem) -> CostLaw:
     Members may round costs up. A measure that is one of the totals goes by costs as they are paid,
     where such a law is soon followed.
     """
-    start, measure = start_distribution(problem.model, problem.start), problem.semantics.measure
-    used = policy.weights > 0.0
+    start, used = start_distribution(problem.model, problem.start), policy.weights > 0.0
     members = [member for member, counts in zip(policy.policies, used, strict=True) if counts]
     chains = [chains_of_law(problem.model, member, start, soon=True) for member in members]
-    return measured_law(chains, policy.weights[used], measure)
+    return measured_law(chains, policy.weights[used], problem.semantics)
 
 
 def measured_law(
-    chains: Iterable[tuple[Chain, Chain]], weights: FloatArray, measure: Measure | None
+    chains: Iterable[tuple[Chain, Chain]], weights: FloatArray, semantics: FailureSemantics
 ) -> CostLaw:
     """The law of :func:`measured_costs` from its members' chains, as :func:`law_of_chains`."""
-    if measure is not None and measure.is_a_total:
+    if semantics.risk is not None and semantics.risk.is_a_total:
         return law_of_chains(chains, weights)
     return law_of_chains(((counted, counted) for _, counted in chains), weights)
 

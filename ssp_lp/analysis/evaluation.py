@@ -134,7 +134,7 @@ def evaluate_each(
     """
     lottery, problem = on_one_model(policy, problem, "evaluate")
     start = start_distribution(problem.model, problem.start)
-    measure = problem.semantics.measure
+    semantics = problem.semantics
     members, chains = [], []
     for member, weight in zip(lottery.policies, lottery.weights, strict=True):
         found, chain = layered_measures(member, problem, start), None
@@ -142,14 +142,14 @@ def evaluate_each(
             chain = policy_chain(problem.model, member, start)
             found = _evaluated_measures(chain, problem, declared=member.declares_failing)
         members.append(found)
-        if measure is not None and weight > 0.0:  # the law needs it as well
+        if semantics.counts_law and weight > 0.0:  # the law needs it as well
             chains.append(chains_of_law(problem.model, member, start, chain, soon=True))
     evaluation = _evaluation_of(mean_of(members, lottery.weights), problem)
     each = [_evaluation_of(member, problem) for member in members]
-    if measure is None:
+    if not semantics.counts_law:
         return evaluation, each
-    law = measured_law(chains, lottery.weights[lottery.weights > 0.0], measure)
-    return replace(evaluation, objective=measure.of(law)), each
+    law = measured_law(chains, lottery.weights[lottery.weights > 0.0], semantics)
+    return replace(evaluation, objective=semantics.worth_of(law)), each
 
 
 def _evaluation_of(sums: _Measures, problem: Problem) -> Evaluation:

@@ -393,7 +393,7 @@ def traced_over_failure(problem: Problem, limits: TraceLimits) -> Frontier:
         Stop: the time ended before there was a point.
     """
     name, asked = type(problem).__name__, requirements(problem)
-    if asked.measure is not None:
+    if asked.law:
         raise ModelError(f"{name} is no mean of costs to trace: trace S3P's")
     if asked.several_rows:
         raise ModelError(

@@ -994,7 +994,7 @@ class CompiledExplicit(CompiledProblem):
             self.model,
             self.start,
             self.discount,
-            arrivals=self.semantics.measure is not None,
+            arrivals=self.semantics.counts_law,
             usable=None if self.budget is not None else self.greatest.usable,
             side=self.side,
             by_steps=self.resolution is not None,

@@ -84,7 +84,7 @@ def _is_on_rounded_costs(case: Case) -> bool:
     """A criterion of the law of a cost whose sums are too many, failure alone limited."""
     asks, on_grid = case.asks, case.asks.totals is TotalScale.GRID
     written_out = asks.rows or case.by_program or case.on_levels
-    return asks.measure is not None and on_grid and not written_out
+    return asks.law and on_grid and not written_out
 
 
 def _is_split(case: Case) -> bool:
@@ -117,7 +117,7 @@ def refusal(problem: Problem, method: options.Method) -> ModelError | None:
     asks, named = requirements(problem), Argument("method", method.name)
     name = f"{type(problem).__name__}{' with limits' if conditions_of(problem) else ''}"
     if isinstance(method, options.DeterministicPolicies) and (
-        asks.several_rows or asks.totals is TotalScale.SUMS or asks.measure is not None
+        asks.several_rows or asks.totals is TotalScale.SUMS or asks.law
     ):
         return ModelError(named, f" is not available for {name}")
     if not isinstance(method, options.Game):

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import csgraph
 
-from ssp_lp.accumulated_cost.charges import CostQuantileOf, TailMeanOf
+from ssp_lp.accumulated_cost.charges import TOTAL_COST
 from ssp_lp.accumulated_cost.law import ChainProspect
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.arrays import LEAST_BUDGET
@@ -75,7 +75,7 @@ class Incumbent:
                 policy = self.policies[at_least_failure]
                 if policy is not None and not (self.deterministic and len(policy.policies) > 1):
                     room = LEAST_BUDGET if at_least_failure else 0.0
-                    if problem.semantics.measure is not None:  # while its law is not known
+                    if problem.semantics.counts_law:  # while its law is not known
                         self.solution = _judged(problem, policy, room, by_moments)
                     self.solution = _judged(problem, policy, room)
             if self.solution is not None:
@@ -170,7 +170,7 @@ def by_moments(policy: MixedPolicy, problem: Problem) -> Evaluation:
         policy: a lottery on the problem's model.
         problem: with a measure of the law of costs.
     """
-    model, semantics, measure = problem.model, problem.semantics, problem.semantics.measure
+    model, semantics, risk = problem.model, problem.semantics, problem.semantics.risk
     asked = problem.start, True, problem.failure_budget, replace(semantics, measure=None)
     evaluation = evaluate(policy, Restated(model, *asked, conditions_of(problem)))
     start, squares = start_distribution(model, problem.start), 0.0
@@ -181,13 +181,13 @@ def by_moments(policy: MixedPolicy, problem: Problem) -> Evaluation:
         square = chain.accumulate(chain.per_node(chain.cost * later), ahead.alive)
         squares += weight * float(chain.start @ square)
     goal, mean = evaluation.goal_probability, evaluation.conditional_cost
-    if measure is None or goal == 0.0:
+    if goal == 0.0:
         return replace(evaluation, objective=np.nan)
     spread = sqrt(max(squares / goal - mean**2, 0.0) + (_VARIANCE * mean) ** 2)
-    match measure:
-        case CostQuantileOf(level) | TailMeanOf(level):
-            return replace(evaluation, objective=mean + spread * sqrt(level / (1.0 - level)))
-    charge = measure.charge
+    if risk is not None:
+        odds = risk.level / (1.0 - risk.level)
+        return replace(evaluation, objective=mean + spread * sqrt(odds))
+    charge = semantics.charge(problem.ratio) or TOTAL_COST
     if charge.slope > 0.0:  # at most what the line's beginning costs, and what lies beyond it
         line = charge.settled or 0.0
         beyond = 0.5 * (hypot(spread, line - mean) - (line - mean))
@@ -232,20 +232,18 @@ def worth_bound(problem: Problem) -> float:
     Args:
         problem: its cost is counted given success, or something is made of its law.
     """
-    start, measure = start_distribution(problem.model, problem.start), problem.semantics.measure
+    model, semantics = problem.model, problem.semantics
+    start = start_distribution(model, problem.start)
     # the least cost of a way from the start to the goal; 0 where there is none
-    model = problem.model
     begins = np.asarray(model.outcome_offsets)[model.pair_offsets].astype(np.int32)
     ways = model.costs, model.successors.astype(np.int32), begins
     graph = sp.csr_array(ways, shape=(model.n_states, model.n_states))
     totals = csgraph.dijkstra(graph, indices=np.flatnonzero(start > 0.0), min_only=True)
     least = _DEAREST * float(totals[model.goal_mask].min(initial=np.inf))
     least = least if np.isfinite(least) else 0.0
-    if measure is None or not measure.is_expectation:
-        return least
-    charge = float(measure.charge.at(np.array([least]))[0])
-    if not measure.maximised:
+    charge = float((semantics.charge(problem.ratio) or TOTAL_COST).at(np.array([least]))[0])
+    if not semantics.maximises:
         return charge
     charge = min(charge, 0.0)
-    greatest = float(start @ greatest_goal_reach(problem.model).bound)
-    return problem.semantics.failing_worth - charge * min(greatest, 1.0)
+    greatest = float(start @ greatest_goal_reach(model).bound)
+    return semantics.failing_worth - charge * min(greatest, 1.0)

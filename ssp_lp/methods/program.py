@@ -130,7 +130,7 @@ def _objective_word(problem: Problem, compiled: CompiledExplicit) -> str:
         return "objective"
     if semantics.aim is not Aim.LEAST_COST:
         return "failure" if semantics.aim is Aim.GREATEST_GOAL else "goal"
-    if semantics.measure is not None:
+    if semantics.counts_law:
         return "arrival cost"
     if 0.0 < semantics.penalty < np.inf:
         return f"cost + {semantics.penalty:g} failure"

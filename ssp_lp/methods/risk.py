@@ -100,8 +100,8 @@ def least_risk(
     """
     has_answer()
     question = question_of(problem) if question is None else question
-    measure = _measure_of(problem)
-    search = least_quantile if isinstance(measure, CostQuantileOf) else least_tail_mean
+    is_quantile = isinstance(problem.semantics.risk, CostQuantileOf)
+    search = least_quantile if is_quantile else least_tail_mean
     return search(problem, question, options, near)
 
 
@@ -114,10 +114,10 @@ def prove_risk(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
             one below it.
     """
     problem, value, bound = solution.problem, evaluation.objective, 0.0
-    question, measure = question_of(problem), _measure_of(problem)
-    level = measure.level
+    question, risk = question_of(problem), _risk_of(problem)
+    level = risk.level
     try:
-        if isinstance(measure, TailMeanOf):
+        if isinstance(risk, TailMeanOf):
             bound = _TailMeanSearch(problem, question, level, CERTIFYING).run()[1]
         elif (number := question.thresholds.number(value)) > 0:
             trial = question.attempt(LateCharge(question.thresholds.total(number - 1)), CERTIFYING)
@@ -128,9 +128,9 @@ def prove_risk(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
     return Proved(value, bound, question.allowed)
 
 
-def _measure_of(problem: Problem) -> CostQuantileOf | TailMeanOf:
+def _risk_of(problem: Problem) -> CostQuantileOf | TailMeanOf:
     """The measure of a problem of risk (``requirements(problem).is_risk``)."""
-    return cast("CostQuantileOf | TailMeanOf", problem.semantics.measure)
+    return cast("CostQuantileOf | TailMeanOf", problem.semantics.risk)
 
 
 @dataclass(frozen=True)
@@ -448,7 +448,7 @@ def least_quantile(
         ModelError: the quantile lies beyond the largest table of costs.
         Stop: the time ended before some policy kept to a bound.
     """
-    level = _measure_of(problem).level
+    level = _risk_of(problem).level
     places, (total, kappa) = question.thresholds, near or (question.typical, 0.0)
     incumbent, calls, number = None, 0, places.number(total)
     low, refuted, high, tried = -1, -1, 0, 0  # too low, proved so; kept to; and bounds tried
@@ -730,7 +730,7 @@ def least_tail_mean(
         options: method, tolerance and limits.
         near: where the best threshold may be; None: unknown.
     """
-    search = _TailMeanSearch(problem, question, _measure_of(problem).level, options)
+    search = _TailMeanSearch(problem, question, _risk_of(problem).level, options)
     best, bound = search.run(near)
     sweeps = f", {search.sweeps} sweeps over intervals" if search.sweeps else ""
     reason = f"{len(search.tried)} thresholds, {search.calls} pricing calls{sweeps}"

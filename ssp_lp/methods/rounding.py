@@ -30,7 +30,7 @@ from typing import cast
 
 import numpy as np
 
-from ssp_lp.accumulated_cost.charges import CostQuantileOf, TailMeanOf, WithinBound
+from ssp_lp.accumulated_cost.charges import CostQuantileOf, WithinBound
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, step_costs, sums_in, totals_of
 from ssp_lp.analysis.cost_law import measured_costs
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
@@ -152,7 +152,7 @@ def prove_by_units(solution: Solution, evaluation: Evaluation, _: float) -> Prov
     problem, attained = solution.problem, evaluation.objective
     rough = replace(CERTIFYING, tolerance=max(CERTIFYING.tolerance, _SHARE * solution.gap))
     enough = max(CERTIFYING.tolerance, (1.0 + _SHARE) * solution.gap)
-    if problem.semantics.measure is None:
+    if not problem.semantics.counts_law:
         return refine(_split_proofs(problem, attained, enough, rough), enough)
     return refine(_rounded_proofs(problem, attained, rough), enough)
 
@@ -291,7 +291,7 @@ def is_split(problem: Problem, asked: Requirements, seconds: float = np.inf) -> 
         seconds: that are left.
     """
     on_grid = asked.totals is TotalScale.GRID
-    is_mean = asked.ratio and asked.measure is None and not (asked.rows or asked.least_failure)
+    is_mean = asked.ratio and not (asked.law or asked.rows or asked.least_failure)
     is_timed = np.isfinite(seconds) and asked.totals is TotalScale.SUMS
     if not (is_mean and (on_grid or is_timed)) or getattr(problem, "cost_cap", None) is not None:
         return False
@@ -425,12 +425,12 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
         Stop: the time ended before one that does was found.
     """
     best = refine(_rounded_attempts(problem, options), options.tolerance)
-    maximised, measure = problem.semantics.maximises, problem.semantics.measure
+    maximised, charge = problem.semantics.maximises, problem.semantics.charge(problem.ratio)
     attained, note = best.objective, best.note
     bound = best.lower_bound if best.upper_bound is None else best.upper_bound
-    if measure is not None and measure.charge.settled is None and not is_late():
-        with WithIncumbent():
-            attained = measure.of(measured_costs(best.policy, problem))  # beyond its table, too
+    if charge is not None and charge.settled is None and not is_late():
+        with WithIncumbent():  # beyond its table, too
+            attained = problem.semantics.worth_of(measured_costs(best.policy, problem))
     if two_sided_gap(attained, bound) > options.tolerance and not is_late():
         unit = cast("CostAwarePolicy", best.policy.policies[0]).unit
         more = "no room for more levels"
@@ -449,28 +449,26 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
 
 def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solution]:
     """The best policy, by costs rounded up, with the best bound of all, after each unit."""
-    best, semantics, measure = None, problem.semantics, problem.semantics.measure
+    best, semantics, risk = None, problem.semantics, problem.semantics.risk
     sign = -1.0 if semantics.maximises else 1.0
     bound, span = _trivial_bound(problem), span_of_totals(problem)
     for unit in rounding_units(problem, span):
         rough = float(unit) / span if best is None else _SHARE * best.gap
         finer = replace(options, tolerance=max(options.tolerance, rough))
         near = None  # where a risk's search may begin, from the policy of coarser costs
-        if best is not None and isinstance(measure, CostQuantileOf | TailMeanOf):
-            quantile, price = (
-                measured_costs(best.policy, problem).quantile(measure.level),
-                best.failure_price,
-            )
+        if best is not None and risk is not None:
+            quantile = measured_costs(best.policy, problem).quantile(risk.level)
+            price = best.failure_price
             near = quantile, 0.0 if price is None else price + best.objective
         # the best policy of costs rounded up, on the model itself
         solution = _solved_on_lattice(_with_rounded_costs(problem, unit, up=True), finer, near)
         members = tuple(_rounding_up(p, problem.model, unit) for p in solution.policy.policies)
         policy = MixedPolicy(members, solution.policy.weights)
         solution = replace(solution, policy=policy, value_function=None)
-        if measure is not None and measure.is_a_total:
+        if risk is not None and risk.is_a_total:
             law = measured_costs(policy, problem)
             if law.is_finer:
-                attained = min(measure.of(law), solution.objective)
+                attained = min(risk.of(law), solution.objective)
                 solution = replace(solution, objective=attained)
         if best is None or sign * solution.objective < sign * best.objective:
             best = solution
@@ -509,10 +507,10 @@ def lattice_bound(
         near: where a search may begin; None: unknown.
     """
     rounded, budget = _with_rounded_costs(problem, unit, up=False), problem.failure_budget
-    measure = problem.semantics.measure
-    if isinstance(measure, CostQuantileOf):
+    risk = problem.semantics.risk
+    if isinstance(risk, CostQuantileOf):
         question = question_of_compiled(rounded.compile(), budget)
-        bound = exactly_refuted(question, problem.model, measure.level, attained)
+        bound = exactly_refuted(question, problem.model, risk.level, attained)
         if bound > 0.0:
             return bound, question.allowed
     solution = _solved_on_lattice(rounded, options, near)
@@ -544,9 +542,9 @@ def _with_rounded_costs(problem: Problem, unit: Fraction, *, up: bool) -> Restat
     kinds, kind = np.unique(model.costs, return_inverse=True)
     units = kinds / float(unit)
     whole = np.ceil(units * (1.0 - SAME_TOTAL)) if up else np.floor(units * (1.0 + SAME_TOTAL))
-    measure = problem.semantics.measure
-    if isinstance(measure, WithinBound):  # one step beyond the bound is as late as any
-        whole = np.minimum(whole, np.ceil(float(measure.bound) / float(unit)) + 2.0)
+    charge = problem.semantics.charge(problem.ratio)
+    if isinstance(charge, WithinBound):  # one step beyond the bound is as late as any
+        whole = np.minimum(whole, np.ceil(float(charge.bound) / float(unit)) + 2.0)
     costs = totals_of(whole.astype(np.int64), unit)[kind]
     rounded = replace(model, costs=read_only(costs), exact_costs={})
     return Restated(
@@ -608,10 +606,10 @@ def span_of_totals(problem: Problem, dearest: float | None = None) -> float:
         problem: the problem.
         dearest: the greatest cost of a single step to be remembered; None: of any step.
     """
-    measure = problem.semantics.measure
+    charge = problem.semantics.charge(problem.ratio)
     dearest = float(problem.model.costs.max(initial=0.0)) if dearest is None else dearest
-    if isinstance(measure, WithinBound) and measure.bound > 0.0:
-        return float(measure.bound)
+    if isinstance(charge, WithinBound) and charge.bound > 0.0:
+        return float(charge.bound)
     typical = _TYPICAL * compiled_constrained(problem).typical_cost
-    settled = 0.0 if measure is None else measure.charge.settled or 0.0
+    settled = 0.0 if charge is None else charge.settled or 0.0
     return max(typical, dearest / _RARE, settled) or 1.0

@@ -261,7 +261,7 @@ def plot_bounds(record: BoundsRecord, solution: Any, *, ax: Axes | None = None) 
     """
     if not hasattr(solution, "lower_bound"):
         raise ModelError(f"plot_bounds takes a solution after its record, not {in_short(solution)}")
-    if solution.problem.semantics.measure is not None:
+    if solution.problem.semantics.counts_law:
         name = type(solution.problem).__name__
         raise ModelError(f"{name} is solved as a search over problems: nothing to draw but its end")
     ax = axes_or_new(ax)

@@ -9,11 +9,17 @@ import enum
 from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass
 from numbers import Real
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from ssp_lp.accumulated_cost.charges import TOTAL_COST, Charge, Measure
+from ssp_lp.accumulated_cost.charges import (
+    TOTAL_COST,
+    Charge,
+    CostQuantileOf,
+    Measure,
+    TailMeanOf,
+)
 from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON, BoolArray, FloatArray, segment_minima
 from ssp_lp.errors import (
     Argument,
@@ -30,6 +36,7 @@ from ssp_lp.processes.quotient import Quotient
 from ssp_lp.processes.rows import cost_means, costless_pairs, successor_means
 
 if TYPE_CHECKING:
+    from ssp_lp.accumulated_cost.cost_law import CostLaw
     from ssp_lp.processes.conditions import UpperRow
 
 
@@ -78,6 +85,22 @@ class FailureSemantics:
         return self.penalty == np.inf
 
     @property
+    def counts_law(self) -> bool:
+        """Whether a measure of the law of the total cost counts, in place of its mean."""
+        return self.measure is not None
+
+    @property
+    def risk(self) -> CostQuantileOf | TailMeanOf | None:
+        """The measure of the law that only a search answers; None: a single program does."""
+        if self.measure is None or self.measure.is_expectation:
+            return None
+        return cast("CostQuantileOf | TailMeanOf", self.measure)
+
+    def worth_of(self, law: CostLaw) -> float:
+        """What a law of success costs is worth, by the measure or its mean."""
+        return law.conditional_mean if self.measure is None else self.measure.of(law)
+
+    @property
     def failing_worth(self) -> float:
         """What a run that fails is worth by the measure; 0 without one."""
         return 0.0 if self.measure is None else self.measure.failing
@@ -103,7 +126,7 @@ class FailureSemantics:
     @property
     def counts_cost_alone(self) -> bool:
         """Whether only a budget can keep a policy from failing: no penalty, aim or measure."""
-        return self.penalty == 0.0 and self.aim is Aim.LEAST_COST and self.measure is None
+        return self.penalty == 0.0 and self.aim is Aim.LEAST_COST and not self.counts_law
 
 
 _ROUNDED = 2e-14  # of what a difference is taken from, sums along a process included

@@ -99,7 +99,7 @@ def _check_covered(problem: Problem) -> None:
     if problem.discount is not None and getattr(problem, "reach_fraction", None) is not None:
         shares = Argument("reach_fraction"), " and ", Argument("discount")
         raise ModelError(f"no certificate of {name} with ", *shares)
-    if asks.ratio or asks.measure is not None or asks.counts_totals:
+    if asks.counts_totals:
         raise ModelError(f"no certificate of {name}: its cost counts by the total of a run that "
                          "succeeds, which certificates do not tell apart yet")  # fmt: skip
     if problem.model.failure_label is not None:

@@ -80,7 +80,7 @@ def _evaluated(solution: Solution) -> tuple[Evaluation, list[Evaluation]]:
     try:
         return evaluate_each(solution.policy, problem)
     except ModelError:
-        if problem.semantics.measure is None:
+        if not problem.semantics.counts_law:
             raise
         lottery, problem = on_one_model(solution.policy, problem, "certify")
         each = [by_moments(as_lottery(member), problem) for member in lottery.policies]

@@ -253,7 +253,7 @@ def cross_check(
     check_between_0_and_1("tolerance", tolerance)
     check_between_0_and_1("weight_tolerance", weight_tolerance)
     asks = requirements(problem)
-    if asks.measure is not None:
+    if asks.law:
         raise ModelError(
             f"the game knows costs only, not {type(problem).__name__}: method='lp' compares the "
             "linear program with column generation"
