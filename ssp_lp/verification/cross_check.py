@@ -67,6 +67,11 @@ class MethodResult:
         surrogate = self.discounted_failure
         return self.failure_probability if surrogate is None else surrogate
 
+    def overrun(self, budget: float) -> float:
+        """By how much its policy breaks a budget; 0 if it keeps to it."""
+        spent = self.spent
+        return 0.0 if spent is None or spent <= budget + LEAST_BUDGET else spent - budget
+
 
 def result_of(name: str, solution: Solution) -> MethodResult:
     """The row of a solution, its policy and each member evaluated on the model."""
@@ -299,11 +304,6 @@ def compare_methods(
             return inf
         return 0.0 if one == other else abs(one - other) / max(abs(one), abs(other), smallest)
 
-    def overrun(method: MethodResult) -> float:
-        """By how much a method's policy breaks the budget; 0 if it keeps to it."""
-        spent = method.spent
-        return 0.0 if spent is None or spent <= budget + LEAST_BUDGET else spent - budget
-
     def agree(one: float | None, other: float | None) -> bool:
         """Whether two costs are one."""
         return distance(one, other) <= tolerance
@@ -315,8 +315,8 @@ def compare_methods(
     answered = [method for method in methods if method.answered]
     findings = {}  # what is held against a method, by its name
     for method in answered:  # wrong by itself, whatever others say
-        if overrun(method) > 0.0:
-            findings[method.name] = f"its policy breaks the budget by {overrun(method):.1e}"
+        if (overrun := method.overrun(budget)) > 0.0:
+            findings[method.name] = f"its policy breaks the budget by {overrun:.1e}"
         elif not agree(method.objective, method.evaluated):
             stated, attained = f"{method.objective:.12g}", f"{method.evaluated:.12g}"
             findings[method.name] = f"it states c* = {stated}, but its policy attains {attained}"
@@ -339,7 +339,7 @@ def compare_methods(
         objective_distance=max((distance(r.objective, s.objective) for r, s in pairs), default=0.0),
         weight_distance=_spread(answered),
         evaluated_distance=max((distance(r.evaluated, s.evaluated) for r, s in pairs), default=0.0),
-        budget_overrun=max(map(overrun, answered), default=0.0),
+        budget_overrun=max((method.overrun(budget) for method in answered), default=0.0),
         disagreeing=named,
         remarks=tuple(remarks),
     )
