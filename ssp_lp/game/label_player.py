@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
 from ssp_lp.compiled.deadline import backward
 from ssp_lp.dynamic_programming.bellman import best_pairs, chosen_product
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
@@ -25,7 +25,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.game.best_response import BestResponse, Discounted, Iterated, iterate_values
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import attention_states, end_components, goal_pairs
-from ssp_lp.policies.policy import GIVE_UP_CODE, DeterministicPolicy
+from ssp_lp.policies.policy import DeterministicPolicy
 from ssp_lp.policies.remembering import TimedPolicy
 from ssp_lp.processes.failure_semantics import (
     FailureSemantics,
@@ -81,15 +81,10 @@ class LabelModels:
         return Dynamics(real.pair_offsets, sp.csr_array(gamma * real.transitions), exits)
 
     @property
-    def gives_up(self) -> BoolArray:
-        """Pairs (u, f) that declare failure, [pairs]."""
-        return np.asarray(self.quotient.pair_at == GIVE_UP_CODE)
-
-    @property
     def condition(self) -> FloatArray:
         """E[G_{d,gamma}] of each pair, with all that follows an entered dead-end, [pairs]."""
         gamma = self.discount
-        return np.where(self.gives_up, 1.0, (1.0 - gamma) + gamma * self.lost)
+        return np.where(self.quotient.gives_up, 1.0, (1.0 - gamma) + gamma * self.lost)
 
     @property
     def discounted_objective(self) -> FloatArray:

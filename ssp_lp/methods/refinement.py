@@ -31,7 +31,7 @@ class Proved:
         return two_sided_gap(self.attained, self.bound)
 
 
-class Attempt(Protocol):
+class _WithGap(Protocol):
     """An answer, or a proof, as far as one process gives it."""
 
     @property
@@ -40,7 +40,7 @@ class Attempt(Protocol):
         ...
 
 
-_Attempt = TypeVar("_Attempt", bound=Attempt)
+_Attempt = TypeVar("_Attempt", bound=_WithGap)
 
 
 def refine(attempts: Iterable[_Attempt], tolerance: float) -> _Attempt:

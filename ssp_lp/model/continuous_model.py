@@ -392,7 +392,7 @@ class ContinuousModel:
         return self.grid.n_cells + number - 1
 
 
-class Taken(NamedTuple):
+class _Taken(NamedTuple):
     """What a step came to; every array has the points' dimensions and broadcasts to them."""
 
     point: Coordinates
@@ -407,7 +407,7 @@ def take_step_in_world(
     action: int,
     noise: Coordinates,
     shape: tuple[int, ...],
-) -> Taken:
+) -> _Taken:
     """Take a step of a continuous model from many points.
 
     Args:
@@ -451,7 +451,7 @@ def take_step_in_world(
             end = np.where(lost, np.int64(failed), end)
         axes = zip(grid.axes, heights, strict=True)
         heights = tuple(np.where(axis.misses(h), 0.0, h) for axis, h in axes)
-    return Taken(moved, heights, cost, end)
+    return _Taken(moved, heights, cost, end)
 
 
 def _read_world(

@@ -228,7 +228,7 @@ _ROOM: Final = 1 << 16  # outcomes
 _GROWTH: Final = 8  # by an eighth: large arrays grow without being copied
 
 
-class OutcomeStore:
+class _OutcomeStore:
     """A growing list of rows; their costs are one number as long as they are all the same."""
 
     def __init__(self, room: int = _ROOM) -> None:
@@ -316,7 +316,7 @@ def discretise(
     trials = points.trials(world)
     n_all = world.grid.n_cells * len(world.actions)
     distinct, row_of_pair = _distinct_pairs(world, n_all)
-    store = OutcomeStore()
+    store = _OutcomeStore()
     n_distinct = n_all if distinct is None else len(distinct)
     size = max(1, TRIALS // math.prod(trials.shape))
     for begin in range(0, n_distinct, size):
@@ -405,7 +405,7 @@ def _distinct_pairs(world: ContinuousModel, n_all: int) -> tuple[IntArray | None
 
 def _repeated_rows(
     world: ContinuousModel, trials: Trials, found: Outcomes, row_of_pair: IntArray
-) -> OutcomeStore:
+) -> _OutcomeStore:
     """The rows of all discretised pairs, from those of the distinct ones.
 
     Raises:
@@ -426,13 +426,13 @@ def _repeated_rows(
                 "of another pair; it has others"
             )
     lengths = np.diff(found.outcome_offsets)
-    store = OutcomeStore(int(lengths[row_of_pair].sum()) + len(world.dead_ends))
+    store = _OutcomeStore(int(lengths[row_of_pair].sum()) + len(world.dead_ends))
     for begin in range(0, len(row_of_pair), PAIRS):
         store.append(found.rows(row_of_pair[begin : begin + PAIRS]))
     return store
 
 
-def _discretised_model(world: ContinuousModel, store: OutcomeStore) -> SSP:
+def _discretised_model(world: ContinuousModel, store: _OutcomeStore) -> SSP:
     """The model of all pairs of the cells, with the ends added."""
     n_cells, n_actions, pairs = world.grid.n_cells, len(world.actions), world.allowed_pairs
     goal = world.end_state("goal")

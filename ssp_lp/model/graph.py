@@ -37,7 +37,7 @@ Fact = TypeVar("Fact")
 
 
 @dataclass(frozen=True, eq=False)
-class Predecessors:
+class _Predecessors:
     """The pairs that lead to each state with positive probability, ascending.
 
     A pair is listed once for each of its outcomes that goes there.
@@ -77,7 +77,7 @@ class Graph:
         return read_only(segment_ids(self.pair_offsets))
 
     @cached_property
-    def predecessors(self) -> Predecessors:
+    def predecessors(self) -> _Predecessors:
         """For each state the pairs that may lead to it; found at first use, then kept."""
         arrays = self.outcome_offsets, self.successors, self.probabilities
         if accelerated(self.n_outcomes):
@@ -91,7 +91,7 @@ class Graph:
             shape = self.n_pairs, self.n_states
             rows = sp.csr_array((present, columns, narrow(ends)), shape=shape).tocsc()
             offsets, pairs = rows.indptr.astype(np.int64), rows.indices.astype(np.int32, copy=False)
-        return Predecessors(read_only(offsets), read_only(pairs))
+        return _Predecessors(read_only(offsets), read_only(pairs))
 
 
 def possible_steps(

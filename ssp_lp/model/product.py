@@ -527,9 +527,7 @@ def _reached_within_steps(model: SSP, begin: Sequence[int] | None, steps: int) -
             Argument("horizon", None),
             ", or make the model smaller",
         )
-    possible = model.probabilities > 0.0
-    source = model.pair_state[segment_ids(model.outcome_offsets)][possible]
-    target = model.successors[possible]
+    source, target = _possible_steps(model)
     reached = np.zeros((steps + 1, model.n_states), dtype=np.bool_)
     reached[0, slice(None) if begin is None else begin] = True
     for step in range(steps):
@@ -538,11 +536,17 @@ def _reached_within_steps(model: SSP, begin: Sequence[int] | None, steps: int) -
     return reached
 
 
+def _possible_steps(model: SSP) -> tuple[IntArray, IntArray]:
+    """From which state to which one every possible outcome leads, [possible outcomes] each."""
+    possible = model.probabilities > 0.0
+    return model.pair_state[segment_ids(model.outcome_offsets)][possible], model.successors[
+        possible
+    ]
+
+
 def _steps_needed(model: SSP, steps: int) -> IntArray:
     """Fewest steps to a goal, ``steps + 1`` for more than ``steps``, -1 for none, [states]."""
-    possible = model.probabilities > 0.0
-    source = model.pair_state[segment_ids(model.outcome_offsets)][possible]
-    target = model.successors[possible]
+    source, target = _possible_steps(model)
     needed = np.where(dead_ends(model), -1, np.where(model.goal_mask, 0, steps + 1))
     for step in range(1, steps + 1):
         nearer = source[needed[target] == step - 1]

@@ -317,8 +317,24 @@ class RememberingPolicy(Policy):
         return f"RememberingPolicy({len(self.product.memories):,} memories, {self.inner!r})"
 
 
+class _GoingOn(Policy):
+    """A policy that acts as an inner one does, and goes on where that ends."""
+
+    inner: Policy
+
+    @property
+    def step_limit(self) -> int | None:
+        """The inner policy's."""
+        return self.inner.step_limit
+
+    @property
+    def goes_on(self) -> bool:
+        """Yes."""
+        return True
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class LabelledPolicy(Policy):
+class LabelledPolicy(_GoingOn):
     """A policy of (state, label of failing) that acts on states, also after failing.
 
     It gives up as others do, and goes on with :meth:`after_giving_up`; in a dead-end from which its
@@ -336,16 +352,6 @@ class LabelledPolicy(Policy):
     def model(self) -> SSP:  # type: ignore[override]
         """The original model."""
         return self.product.original
-
-    @property
-    def step_limit(self) -> int | None:
-        """The inner policy's."""
-        return self.inner.step_limit
-
-    @property
-    def goes_on(self) -> bool:
-        """Yes."""
-        return True
 
     @property
     def ended(self) -> BoolArray:
@@ -428,7 +434,7 @@ class _Label(enum.IntEnum):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CompletePolicy(Policy):
+class CompletePolicy(_GoingOn):
     """A policy that acts wherever there is anything to do, as another one as far as that says.
 
     Its memory is ``3 * inner``; one more from where on that policy is over, having given up or from
@@ -451,16 +457,6 @@ class CompletePolicy(Policy):
     def model(self) -> SSP:  # type: ignore[override]
         """The model of the inner policy."""
         return self.inner.model
-
-    @property
-    def step_limit(self) -> int | None:
-        """The inner policy's."""
-        return self.inner.step_limit
-
-    @property
-    def goes_on(self) -> bool:
-        """Yes."""
-        return True
 
     @property
     def ended(self) -> BoolArray:

@@ -47,7 +47,7 @@ _RATIOS = 4  # steps of Dinkelbach's iteration, which begins at a solver's optim
 
 
 @dataclass(frozen=True, eq=False)
-class Reduction:
+class _Reduction:
     """A program as methods solve it, and the way between its pairs and those that are stated."""
 
     program: OccupationProgram
@@ -104,7 +104,7 @@ class OccupationProgram:
     sense: ObjectiveSense = AS_ASKED  # how <objective, x> stands for what is asked
     wants_ends: bool = False  # a row asks for an end that is not the goal
     at_least: bool = False  # over the actions that attain the greatest goal probability
-    reduced: Reduction | None = None  # what is solved; None: itself
+    reduced: _Reduction | None = None  # what is solved; None: itself
     remade: Callable[..., OccupationProgram] | None = None  # by the problem: bounds, start
 
     @property
@@ -178,7 +178,7 @@ class OccupationProgram:
         spread = spread_out(self.augmented.quotient, self.augmented.departs)
         if spread is None:
             return self
-        reduction = Reduction(self, spread)
+        reduction = _Reduction(self, spread)
         augmented = self.augmented.spread(spread)
         rows = (replace(row, coefficients=reduction.row(row.coefficients)) for row in self.rows)
         return replace(self, augmented=augmented, rows=tuple(rows), reduced=reduction)
