@@ -8,18 +8,16 @@ second (Freire, Delgado and Reis, ICAPS 2019: the cost horizon C_max of eGUBS).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.accumulated_cost.charges import TailValues
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_sums
+from ssp_lp.arrays import BoolArray, FloatArray, segment_sums
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics, approach_leaving, leaving_chain
 from ssp_lp.dynamic_programming.policy_iteration import first_of_equals, iterate_policy
 from ssp_lp.model import SSP
-from ssp_lp.processes.goal_reach import GoalReach
+from ssp_lp.processes.goal_reach import GoalReach, ReachPolicy
 from ssp_lp.processes.quotient import Quotient, build_quotient
 from ssp_lp.processes.rows import costless_pairs, successor_means
 
@@ -30,23 +28,7 @@ farther than it need, and no rounding matters."""
 _ONE = np.ones(1)
 
 
-@dataclass(frozen=True, eq=False)
-class MomentReach:
-    """A policy of greatest E[exp(rate * C); goal] among those allowed."""
-
-    decision: IntArray  # [states]
-    goal: FloatArray  # [states] Pr(goal)
-    moment: FloatArray  # [states] E[exp(rate * C); goal], 1 at goals
-    bound: FloatArray  # [states] checked upper bound of the moment of every allowed policy
-
-    @property
-    def values(self) -> TailValues:
-        """What following the policy from each state on attains, [states] each; costs are not."""
-        nothing = np.zeros_like(self.goal)
-        return TailValues(self.goal, 1.0 - self.goal, self.goal, nothing, self.moment)
-
-
-def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> MomentReach:
+def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> ReachPolicy:
     """Maximise E[exp(rate * C); goal] over the policies that use some pairs only.
 
     Every step that costs something shrinks what is to come, so that this is an ordinary problem
@@ -70,17 +52,15 @@ def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> Moment
     choice = np.where(moment > 0.0, equal, settled.choice)
     chain, choice = leaving_chain(plain, choice, settled.choice)
     reached = chain.solve(hit[choice])
-    at_goal = model.goal_mask
-    return MomentReach(
-        decision=quotient.pull_back(choice),
-        goal=np.where(at_goal, 1.0, quotient.lift(reached)),
-        moment=np.where(at_goal, 1.0, quotient.lift(moment)),
-        bound=np.where(at_goal, 1.0, quotient.lift(bound)),
+    goal, moment, bound = (
+        np.where(model.goal_mask, 1.0, quotient.lift(each)) for each in (reached, moment, bound)
     )
+    values = TailValues(goal, 1.0 - goal, goal, cost=np.zeros_like(goal), moment=moment)
+    return ReachPolicy(quotient.pull_back(choice), values, bound)
 
 
 def cost_horizon(
-    model: SSP, greatest: GoalReach, tail: MomentReach, rate: float, bonus: float
+    model: SSP, greatest: GoalReach, tail: ReachPolicy, rate: float, bonus: float
 ) -> float:
     """Accumulated cost from which a tail of exponential utility is optimal: C_max of eGUBS.
 
@@ -101,8 +81,8 @@ def cost_horizon(
     losing = ~greatest.usable & (greatest.goal > 0.0)[model.pair_state]
     losing &= ~model.goal_mask[model.pair_state]
     lost = greatest.goal[model.pair_state] - successor_means(model, greatest.goal)
-    ahead = _shrunk_arrivals(model, rate, np.where(model.goal_mask, 1.0, tail.moment))
-    gained = ahead - tail.moment[model.pair_state]
+    ahead = _shrunk_arrivals(model, rate, np.where(model.goal_mask, 1.0, tail.values.moment))
+    gained = ahead - tail.values.moment[model.pair_state]
     tempting = losing & (gained > 0.0)
     if not tempting.any():
         return 0.0

@@ -18,7 +18,7 @@ import numpy as np
 
 from ssp_lp.accumulated_cost import written_out
 from ssp_lp.accumulated_cost.charges import TOTAL_COST, Charge, ExponentialUtility, TailValues
-from ssp_lp.accumulated_cost.exponential_utility import MomentReach, cost_horizon, greatest_moment
+from ssp_lp.accumulated_cost.exponential_utility import cost_horizon, greatest_moment
 from ssp_lp.accumulated_cost.process import (
     AccumulatedCost,
     LayeredProcess,
@@ -272,8 +272,8 @@ class _CompiledLayered(CompiledProblem):
 
     def _tails_of(
         self,
-        first: goal_reach.ReachPolicy | MomentReach,
-        last: goal_reach.ReachPolicy | MomentReach,
+        first: goal_reach.ReachPolicy,
+        last: goal_reach.ReachPolicy,
         greatest: FloatArray,
         least: FloatArray,
         **more: Any,
@@ -405,8 +405,8 @@ class CompiledAccumulatedCost(_CompiledLayered):
         if self._guess is not None:
             cost, goal = self._guess[0], self._guess[1] + self.base.start_goal
         else:
-            cost = float(self.start @ self._directed.cost)
-            goal = float(self.start @ self._directed.goal)
+            directed = self._directed.values
+            cost, goal = float(self.start @ directed.cost), float(self.start @ directed.goal)
         steps = _FIRST_LAYERS * cost / max(goal, 1e-300) / (self.base.unit * self.base.width)
         return steps > _MOST_STEPS
 
@@ -431,12 +431,12 @@ class CompiledAccumulatedCost(_CompiledLayered):
         At least failure the accumulated cost is not needed: a transition to x' is priced
         ``g * Pmax(x')`` (mathematics, section 4).
         """
-        safest = self.safest_policy
-        cost, goal = float(self.start @ safest.cost), float(self.start @ safest.goal)
+        safest, values = self.safest_policy, self.safest_policy.values
+        cost, goal = float(self.start @ values.cost), float(self.start @ values.goal)
         policy = DeterministicPolicy(self.model, safest.decision)
-        column = Column(cost, float(self.start @ safest.failure), goal, None, policy=policy)
+        column = Column(cost, float(self.start @ values.failure), goal, None, policy=policy)
         greatest = float(self.start @ self.greatest.bound)
-        ratio = float(self.start @ safest.cost_bound) / greatest if greatest > 0 else 0.0
+        ratio = float(self.start @ safest.bound) / greatest if greatest > 0 else 0.0
         return LeastFailure(policy, column, min(ratio, cost / goal if goal > 0.0 else np.inf))
 
     @cached_property
@@ -561,7 +561,7 @@ class CompiledArrivalCost(_CompiledLayered):
         )
 
     @cached_property
-    def _moments(self) -> MomentReach | None:
+    def _moments(self) -> goal_reach.ReachPolicy | None:
         """The tail of an exponential utility."""
         if not isinstance(self.charge, ExponentialUtility):
             return None
@@ -620,7 +620,7 @@ class CompiledArrivalCost(_CompiledLayered):
     def _first_guess(self) -> float:
         """As many layers as are surely needed, and some more where that is not enough."""
         if self.is_trial:
-            directed = goal_reach.goal_directed(self.model)
+            directed = goal_reach.goal_directed(self.model).values
             cost, goal = float(self.start @ directed.cost), float(self.start @ directed.goal)
             return self._settled_units() + _NEARLY * cost / max(goal, 1e-300)
         goal = float(self.base.start @ self._tails.goal[0])
@@ -638,13 +638,11 @@ class CompiledArrivalCost(_CompiledLayered):
     def _tails(self) -> LayeredTails:
         """The tail policies that are followed, and charged, beyond the cap."""
         at, moments = self.base.quotient.least_over_members, self._moments
-        first: goal_reach.ReachPolicy | MomentReach = (
-            self.safest_policy if moments is None else moments
-        )
+        first = self.safest_policy if moments is None else moments
         last, least, least_cost = first, np.zeros(self.model.n_states), None
         if self.safest_only:
             least = self.greatest.goal * (1.0 - _LEAST)
-            least_cost = at(self.safest_policy.cost_bound)
+            least_cost = at(self.safest_policy.bound)
         elif self.ratio:  # else an arrival is never worse than failing
             least, last = self.riskiest[0].bound, self.riskiest[1]
         greatest_moment = None if moments is None else -at(-moments.bound)
@@ -1003,7 +1001,7 @@ class CompiledExplicit(CompiledProblem):
     @cached_property
     def typical_cost(self) -> float:
         """The cost given success of the policy that fails least."""
-        safest = goal_reach.cheapest_reach(self.model, self.greatest, self.survival)
+        safest = goal_reach.cheapest_reach(self.model, self.greatest, self.survival).values
         return float(self.start @ safest.cost) / max(float(self.start @ safest.goal), 1e-300)
 
     @cached_property
@@ -1065,11 +1063,7 @@ class CompiledExplicit(CompiledProblem):
 
     def bounded(self, budget: float | None, side: tuple[UpperRow, ...]) -> CompiledExplicit:
         """The same rows with other bounds: all else that is known of the process is handed on."""
-        other, least = replace(self, budget=budget, side=side), {"least", "least_goal"}
-        vars(other).update(
-            (k, v) for k, v in vars(self).items() if k not in vars(other).keys() | least
-        )
-        return other
+        return self._handing_on(replace(self, budget=budget, side=side), "least", "least_goal")
 
     def charging(self, charge: Charge) -> CompiledExplicit:
         """The same with another charge, if its arrivals lie on the lattice of costs."""

@@ -51,20 +51,11 @@ class GoalReach:
 
 @dataclass(frozen=True, eq=False)
 class ReachPolicy:
-    """A stationary policy of extreme goal probability, the cheapest in E[cost; goal]."""
+    """A stationary policy of extreme goal probability, or moment, with what it attains."""
 
     decision: IntArray  # [states]
-    goal: FloatArray  # [states] E[gamma^T; goal]
-    failure: FloatArray  # [states] 1 - goal, summed by itself
-    early: FloatArray  # [states] E[gamma^(T - 1); goal], 0 at goals
-    cost: FloatArray  # [states] E[gamma^(T - 1) * cost; goal]
-    cost_bound: FloatArray  # [states] checked lower bound of it
-
-    @property
-    def values(self) -> TailValues:
-        """What following the policy from each state on attains, [states] each."""
-        nothing = np.zeros_like(self.goal)
-        return TailValues(self.goal, self.failure, self.early, self.cost, nothing)
+    values: TailValues  # [states] each, of following it from there on
+    bound: FloatArray  # [states] checked, of all that may be followed: least cost, greatest moment
 
 
 def greatest_goal_reach(
@@ -216,14 +207,14 @@ def cheapest_reach(model: SSP, reach: GoalReach, survival: float = 1.0) -> Reach
     first = first_of_equals(dynamics, rewards, settled.choice, settled.totals, settled.runs)
     early_goal = np.clip(quotient.lift(settled.totals[:, 1]), 0.0, 1.0)
     surely = reach.goal == 1.0  # decided on the graph
-    return ReachPolicy(
-        decision=quotient.pull_back(first),
+    values = TailValues(
         goal=np.where(surely, 1.0, survival * early_goal),
         failure=_failing_to_reach(model, surely, quotient.node_of, settled.totals[:, 2]),
         early=np.where(surely & ~model.goal_mask, 1.0, early_goal),
         cost=quotient.lift(settled.totals[:, 0]),
-        cost_bound=quotient.lift(bound),
+        moment=np.zeros(model.n_states),
     )
+    return ReachPolicy(quotient.pull_back(first), values, quotient.lift(bound))
 
 
 def _failing_to_reach(
@@ -266,14 +257,10 @@ def goal_directed(model: SSP, survival: float = 1.0) -> ReachPolicy:
     goal = np.where(model.goal_mask, 1.0, survival * early)
     cost = np.zeros(model.n_states)
     cost[live] = chain.solve(cost_means(model, goal)[taken] / departs)
-    return ReachPolicy(
-        decision=np.where(decision >= 0, decision, UNDECIDED),
-        goal=goal,
-        failure=_failing_to_reach(model, model.goal_mask, node_of, solved[:, 1]),
-        early=early,
-        cost=cost,
-        cost_bound=np.zeros(model.n_states),
-    )
+    nothing = np.zeros(model.n_states)
+    failure = _failing_to_reach(model, model.goal_mask, node_of, solved[:, 1])
+    values = TailValues(goal, failure, early, cost, moment=nothing)
+    return ReachPolicy(np.where(decision >= 0, decision, UNDECIDED), values, nothing)
 
 
 def max_goal_probability(model: SSP) -> FloatArray:
