@@ -31,6 +31,7 @@ from ssp_lp.dynamic_programming.solvers import (
     LargeComponent,
     Solver,
     dense_solver,
+    departures,
     equations,
     factor_solver,
     factorised,
@@ -209,12 +210,7 @@ class System:
 
         It is of how often each state is departed from, in that order.
         """
-        found, entry = self.components, self.matrix.tocoo()
-        away = (entry.row != entry.col) & (entry.data > 0.0)
-        row, column, data = entry.row[away], entry.col[away], entry.data[away]
-        departs = self.exits + np.bincount(row, weights=data, minlength=self.size)
-        if (departs <= 0.0).any():
-            raise SolverError(HOLDS_MASS)
+        found, (row, column, data, departs) = self.components, departures(self.matrix, self.exits)
         order, place = found.order[::-1], np.empty(self.size, dtype=np.int32)
         place[order] = np.arange(self.size)
         to_from = place[column], place[row]

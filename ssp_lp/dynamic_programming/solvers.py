@@ -151,11 +151,8 @@ class LargeComponent:
         size, states = len(self._states), self._states
         if not self._is_compiled:
             rows = self._chain[states]
-            entry = sp.csr_array(rows[:, states]).tocoo()
-            away = (entry.row != entry.col) & (entry.data > 0.0)
-            row, column, data = entry.row[away], entry.col[away], entry.data[away]
             leaving = exits[states] + rows @ (self._place < 0).astype(np.float64)
-            departs = leaving + np.bincount(row, weights=data, minlength=size)
+            row, column, data, departs = departures(sp.csr_array(rows[:, states]), leaving)
             own = sp.csr_array((data / departs[row], (row, column)), shape=(size, size))
             return own, departs, leaving
         from ssp_lp.compiled.equations import gather_inside
@@ -447,6 +444,30 @@ def _solved_in_place(ordered: FloatArray, order: IntArray | None) -> FloatArray:
     return result
 
 
+def departures(
+    matrix: sp.csr_array, exits: FloatArray
+) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+    """Moves of a chain to other states, and the probability of departing, summed, never 1 - p.
+
+    Args:
+        matrix: [states, states].
+        exits: [states].
+
+    Returns:
+        From where, where to, and how likely, [moves] each; and [states].
+
+    Raises:
+        SolverError: some state is never departed from.
+    """
+    entry = matrix.tocoo()
+    away = (entry.row != entry.col) & (entry.data > 0.0)
+    row, column, data = entry.row[away], entry.col[away], entry.data[away]
+    departs = exits + np.bincount(row, weights=data, minlength=len(exits))
+    if (departs <= 0.0).any():
+        raise SolverError(HOLDS_MASS)
+    return row, column, data, departs
+
+
 def equations(
     matrix: sp.csr_array, exits: FloatArray, order: IntArray | None = None
 ) -> sp.csc_array:
@@ -460,13 +481,7 @@ def equations(
     Raises:
         SolverError: some state is never departed from.
     """
-    n = len(exits)
-    entry = matrix.tocoo()
-    away = (entry.row != entry.col) & (entry.data != 0.0)
-    row, column, data = entry.row[away], entry.col[away], entry.data[away]
-    departs = exits + np.bincount(row, weights=data, minlength=n)
-    if (departs <= 0.0).any():
-        raise SolverError(HOLDS_MASS)
+    n, (row, column, data, departs) = len(exits), departures(matrix, exits)
     place = np.arange(n)
     if order is not None:
         place = np.empty(n, dtype=np.int64)
