@@ -491,7 +491,7 @@ def sweep_backward(
         The layer, and its numbers, [nodes, ...] each.
     """
     for layer in backward(layers):
-        swept = step(layer, *(window.flat for window in windows))
+        swept = step(layer, *[window.flat for window in windows])
         for window, numbers in zip(windows, swept, strict=True):
             window.push(numbers)
         yield layer, swept

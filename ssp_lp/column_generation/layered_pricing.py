@@ -25,6 +25,7 @@ from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import MACHINE_EPSILON, TIED, FloatArray, IntArray, least_integer_type, weighted
 from ssp_lp.column_generation import explicit_pricing
 from ssp_lp.column_generation.column import Column, PricingProblem, Proof, required
+from ssp_lp.compiled.deadline import backward
 from ssp_lp.dynamic_programming import bellman
 from ssp_lp.dynamic_programming.dual_bound import DualBound
 from ssp_lp.policies.policy import DeterministicPolicy, Policy
@@ -270,23 +271,17 @@ class OpenEndedPricing(PricingProblem):
         most = int(np.diff(base.pair_offsets).max(initial=1))
         choice = np.empty((layered.cap + 1, base.n_nodes), dtype=least_integer_type(most))
         choice[-1] = required(last.choice) - base.pair_offsets[:-1]
-
-        def follow(
-            layer: int, ahead: FloatArray, priced: FloatArray
-        ) -> tuple[FloatArray, FloatArray]:
-            """The totals of a layer's choice, which is written, and what they come to."""
+        totals = required(last.totals)
+        window, values = self._window(totals), self._window(weighted(totals, weights))
+        for layer in backward(layered.cap):
             charged = self._cost_from(layer)
-            choice[layer] = position_of(charged, priced)
+            choice[layer] = position_of(charged, values.flat)
             chosen = base.pair_offsets[:-1] + choice[layer]
             totals = np.empty((base.n_nodes, self.n_rewards))
             totals[:, 0], totals[:, 1:] = charged[chosen], self._counted[chosen]
-            totals += bellman.chosen_product(base.later, chosen, ahead)
-            return totals, weighted(totals, weights)
-
-        totals = required(last.totals)
-        windows = self._window(totals), self._window(weighted(totals, weights))
-        for _, (swept, _) in sweep_backward(follow, layered.cap, *windows):
-            totals = swept
+            totals += bellman.chosen_product(base.later, chosen, window.flat)
+            window.push(totals)
+            values.push(weighted(totals, weights))
         figures = base.start @ totals + self._at_source
         return Column.of_figures(figures, choice, work=last.work + bellman.Work(1, 1))
 
