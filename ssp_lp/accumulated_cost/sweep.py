@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias, cast
 import numpy as np
 
 from ssp_lp.accumulated_cost.process import AccumulatedCost, LayeredProcess
-from ssp_lp.accumulated_cost.totals import Totals, Window, sweep_backward
+from ssp_lp.accumulated_cost.totals import Totals, Window
 from ssp_lp.arrays import MACHINE_EPSILON, TIED, FloatArray, IntArray, least_integer_type, unsigned
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.compiled.deadline import STOPS, Stop, check_time, end_with_incumbent, pieces
+from ssp_lp.compiled.deadline import STOPS, Stop, backward, check_time, end_with_incumbent, pieces
 from ssp_lp.dynamic_programming.bellman import (
     PairCost,
     backup_rounding,
@@ -342,9 +342,21 @@ class Sweep:
     def _backward(
         self, step: Callable[..., tuple[FloatArray, ...]], *beyond: FloatArray
     ) -> Iterator[tuple[int, tuple[FloatArray, ...]]]:
-        """What a step makes of each layer, from numbers beyond the cap on, [beyond, nodes, ...]."""
-        windows = (Window(numbers, self.process.totals) for numbers in beyond)
-        return sweep_backward(step, self.process.cap, *windows)
+        """Layer by layer, the last first, what a step makes of what the layer leads to.
+
+        Args:
+            step: of a layer and the numbers of what its steps lead to, [layers * nodes, ...] each.
+            beyond: those beyond the cap, [layers beyond, nodes, ...] each.
+
+        Yields:
+            The layer, and its numbers, [nodes, ...] each.
+        """
+        windows = [Window(numbers, self.process.totals) for numbers in beyond]
+        for layer in backward(self.process.cap):
+            swept = step(layer, *(window.flat for window in windows))
+            for window, numbers in zip(windows, swept, strict=True):
+                window.push(numbers)
+            yield layer, swept
 
     def _measures(self, layer: int, chosen: IntArray, ahead: FloatArray) -> FloatArray:
         """(charge, failure, goal) of a layer's choice, [nodes, 3].

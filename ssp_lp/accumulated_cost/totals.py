@@ -12,7 +12,7 @@ total of its own, at which a tail takes over.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
@@ -23,7 +23,6 @@ from types import MappingProxyType
 import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, chunks, concatenated_ranges, read_only
-from ssp_lp.compiled.deadline import backward
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends, kept
@@ -475,26 +474,6 @@ class Window:
             self._front = back
         self._front -= 1
         self._buffer[self._front] = layer
-
-
-def sweep_backward(
-    step: Callable[..., tuple[FloatArray, ...]], layers: int, *windows: Window
-) -> Iterator[tuple[int, tuple[FloatArray, ...]]]:
-    """Layer by layer, the last first, what a step makes of what the layer leads to.
-
-    Args:
-        step: of a layer and the numbers of what its steps lead to, [layers * nodes, ...] each.
-        layers: how many there are.
-        windows: what the last of them leads to, of each number.
-
-    Yields:
-        The layer, and its numbers, [nodes, ...] each.
-    """
-    for layer in backward(layers):
-        swept = step(layer, *[window.flat for window in windows])
-        for window, numbers in zip(windows, swept, strict=True):
-            window.push(numbers)
-        yield layer, swept
 
 
 _MOST_ON_GRID = 1600  # of a grid, unless more are asked for

@@ -20,7 +20,7 @@ import numpy as np
 
 from ssp_lp.accumulated_cost.process import LayeredProcess
 from ssp_lp.accumulated_cost.sweep import KEPT_VALUES, PartOfSweep, Sweep
-from ssp_lp.accumulated_cost.totals import Window, sweep_backward
+from ssp_lp.accumulated_cost.totals import Window
 from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import MACHINE_EPSILON, TIED, FloatArray, IntArray, least_integer_type, weighted
 from ssp_lp.column_generation import explicit_pricing
@@ -372,24 +372,21 @@ class OpenEndedPricing(PricingProblem):
             floor: a constant that is known to be a sub-solution.
         """
         layered, base, n = self.augmented, self.augmented.base, self.augmented.n_nodes
-        given, last = values[:-1].reshape(layered.cap + 1, n), beyond.rounded
+        given, lowest = values[:-1].reshape(layered.cap + 1, n), beyond.rounded
+        window = self._window(lowest)
         is_kept = values.size <= KEPT_VALUES
         kept = np.empty(values.shape) if is_kept else np.broadcast_to(np.inf, values.shape)
         if is_kept:
-            kept[layered.cap * n : -1] = last
-
-        def lower(layer: int, ahead: FloatArray) -> tuple[FloatArray]:
-            """Lower bounds of a layer."""
+            kept[layered.cap * n : -1] = lowest
+        for layer in backward(layered.cap):
             cost = priced(layer)
             size = np.abs(cost)
-            least = bellman.safe_minima(
-                base.pair_offsets, base.later, bellman.PairCost(cost), size, size, ahead
+            lowest = bellman.safe_minima(
+                base.pair_offsets, base.later, bellman.PairCost(cost), size, size, window.flat
             )
             ceiling = np.nan_to_num(given[layer], nan=floor, posinf=np.inf)
-            return (np.minimum(least, np.maximum(ceiling, floor)),)
-
-        lowest = last
-        for layer, (lowest,) in sweep_backward(lower, layered.cap, self._window(last)):
+            lowest = np.minimum(lowest, np.maximum(ceiling, floor))
+            window.push(lowest)
             if is_kept:
                 kept[layer * n : (layer + 1) * n] = lowest
         entries = np.flatnonzero(base.start)
