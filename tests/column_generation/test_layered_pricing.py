@@ -20,7 +20,6 @@ from ssp_lp import (
     solve,
     visits,
 )
-from ssp_lp.compiled import deadline
 from ssp_lp.accumulated_cost.sweep import PartOfSweep, Sweep
 from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import weighted
@@ -28,6 +27,7 @@ from ssp_lp.column_generation import compiled_problem
 from ssp_lp.column_generation.column import FailureRow, required
 from ssp_lp.column_generation.layered_pricing import OpenEndedPricing
 from ssp_lp.column_generation.search import _initial_column_within
+from ssp_lp.compiled import deadline
 from ssp_lp.compiled.deadline import Stop, until
 from ssp_lp.problem import compiled_constrained
 from written_models import drawn_table, written
