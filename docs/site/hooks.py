@@ -2,14 +2,17 @@
 
 Pages outside of docs/ become pages of the site, links between pages lead to where those are in it,
 and links to other files of the repository become plain words. A page that would fetch a script, a
-style, a font or a picture from elsewhere is warned of, which is an error under ``--strict``.
+style, a font or a picture from elsewhere is warned of, which is an error under ``--strict``. So is
+a formula that cannot be drawn: formulas become MathML, which browsers draw themselves.
 """
 
+import html as markup
 import logging
 import posixpath
 import re
 from pathlib import Path
 
+from math_core import LatexError, LatexToMathML
 from mkdocs.structure.files import File
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -27,6 +30,11 @@ _FETCHED = re.compile(
     r"<(?:script|img|iframe|source)[^>]*\ssrc=\"(https?:|//)|<link(?![^>]*rel=\"canonical\")[^>]*"
     r"\shref=\"(https?:|//)|@import|url\((?:\"|')?(?:https?:|//)"
 )
+_FORMULA = re.compile(
+    r"<(?P<tag>span|div) class=\"arithmatex\">\\[(\[](?P<latex>.*?)\\[)\]]</(?P=tag)>", re.DOTALL
+)
+_CODE = re.compile(r"<(code|pre|math)\b.*?</\1>", re.DOTALL)
+_CONVERTER = LatexToMathML(fancy_error=False)
 
 _log = logging.getLogger("mkdocs.hooks")
 
@@ -65,10 +73,25 @@ def _led(found, here, source, files):
 
 
 def on_page_content(html, page, config, files):
-    """Refuse what a browser would take for a tag: <goal, x>."""
+    """Draw formulas; refuse what a browser would take for a tag, <goal, x>, and a lone $."""
+    here = page.file.src_uri
     for found in re.finditer(r"<[a-z_ ]+,[^<]{0,20}", html):
-        _log.warning("%s: %s stands outside of code", page.file.src_uri, found[0])
+        _log.warning("%s: %s stands outside of code", here, found[0])
+    html = _FORMULA.sub(lambda found: _drawn(found["latex"], found["tag"] == "div", here), html)
+    for found in re.finditer(r".{0,30}\$.{0,30}", _CODE.sub("", html)):
+        _log.warning("%s: no formula begins or ends at the $ of %r", here, found[0])
     return html
+
+
+def _drawn(escaped, displayed, here):
+    """A formula as MathML, in a box of its own where it is displayed."""
+    latex = markup.unescape(escaped).strip()
+    try:
+        drawn = _CONVERTER.convert_with_local_state(latex, displaystyle=displayed)
+    except LatexError as error:
+        _log.warning("%s: the formula %s cannot be drawn: %s", here, latex, error)
+        return f"<code>{escaped}</code>"
+    return f'<div class="formula">{drawn}</div>' if displayed else drawn
 
 
 def on_post_page(output, page, config):
