@@ -145,11 +145,8 @@ def test_links_pictures_and_files_that_are_named_are_there(page):
         assert "NAME" in name or (ROOT / name).exists(), name
 
 
-<<<<<<< HEAD
-def test_the_reference_names_everything_public():
-=======
 @pytest.mark.parametrize("page", PAGES)
-def test_formulas_survive_every_reader_of_markdown(page: str) -> None:
+def test_formulas_survive_every_reader_of_markdown(page):
     """Nothing in them can be taken for emphasis, an escape, a tag or the end of a table's cell.
 
     Longer ones stand in blocks named math, which are left as they are.
@@ -160,8 +157,7 @@ def test_formulas_survive_every_reader_of_markdown(page: str) -> None:
     assert text.count("$") % 2 == 0
 
 
-def test_the_reference_names_everything_public() -> None:
->>>>>>> 0509acb (The pages' mathematics is written as formulas, drawn when the site is built)
+def test_the_reference_names_everything_public():
     """Each name on its pages is there, and each public name is on one of them."""
     pages = [text_of(page) for page in DOCS if page.startswith("docs/reference/")]
     named = re.findall(r"^::: ([\w.]+)$", "\n".join(pages), flags=re.MULTILINE)
