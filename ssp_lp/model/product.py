@@ -477,17 +477,14 @@ def unroll_steps(
     count = np.where(over, steps + 1, step).astype(least_integer_type(steps + 1))
     table = np.full((model.n_states, steps + 2), -1, dtype=np.int64)
     table[state, count] = np.arange(len(state))
-    is_goal, marked = model.goal_mask[state], dict[str, BoolArray]()
-    if survive is None:
-        marked[LATE] = _steps_needed(model, steps)[state] > steps - step
-    else:
-        lost = np.zeros(model.n_states, dtype=np.bool_)
-        for name in survive:
-            lost[model.state_labels[name]] = True
-        is_goal |= over & ~lost[state]
+    marked = (
+        {} if survive is not None else {LATE: _steps_needed(model, steps)[state] > steps - step}
+    )
     for name, members in model.state_labels.items():
         among = np.isin(state, members)
         marked[name] = among | marked[name] if name in marked else among
+    lost = np.concatenate([[], *(model.state_labels[name] for name in survive or ())])
+    survived = over & ~np.isin(state, lost) & (survive is not None)
     horizon = HorizonSSP(
         states=_StepLabels(model.states, (*range(steps + 1), LATE), read_only(state), count),
         action_names=model.action_names,
@@ -497,7 +494,7 @@ def unroll_steps(
         successors=read_only(successors, np.int32),
         probabilities=read_only(model.probabilities[outcomes]),
         costs=read_only(model.costs[outcomes]),
-        goal_mask=read_only(is_goal),
+        goal_mask=read_only(model.goal_mask[state] | survived),
         state_labels={name: read_only(np.flatnonzero(mask)) for name, mask in marked.items()},
         exact_costs=model.exact_costs,
         named_costs={n: read_only(costs[outcomes]) for n, costs in model.named_costs.items()},

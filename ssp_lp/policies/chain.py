@@ -142,15 +142,14 @@ def policy_chain(
     memory = np.where(ended[first], 0, policy.start_memory(first))
     start_key = memory * model.n_states + first
     visited, found, reached = np.zeros(model.n_states, dtype=np.bool_), list[_Step](), 0
+    few = _FEW_NODES // max(model.n_pairs, 1)
     frontier = sorted_unique(start_key)
-    if policy.is_stationary:
+    if (size := policy.memory_size) == 1:
         frontier = _reachable_nodes(model, policy, frontier, ended, 1)
-    size = policy.memory_size
     while frontier.size:
         check_time()
-        if len(found) == _MANY_ROUNDS and size and size * model.n_pairs <= _FEW_NODES:
-            room = max(size * model.n_states - visited.size, 0)
-            visited = np.append(visited, np.zeros(room, dtype=np.bool_))
+        if len(found) == _MANY_ROUNDS and size is not None and size <= few:
+            visited = _with_room(visited, size * model.n_states)
             frontier = _reachable_nodes(model, policy, frontier, ended, size)
             frontier = frontier[~visited[frontier]]
         reached += frontier.size
@@ -158,12 +157,10 @@ def policy_chain(
             raise ModelError(f"the policy's chain has more than {most_nodes:,} nodes")
         step = _expand_chain(model, policy, frontier, ended)
         found.append(step)
-        last = max(int(frontier[-1]), int(step[1].max(initial=0)))
-        if last >= _MOST_KEYS:
+        if (last := max(int(frontier[-1]), int(step[1].max(initial=0)))) >= _MOST_KEYS:
             raise ModelError("the policy's chain is too large: its memory does not settle")
-        if last >= visited.size:  # make room for so many keys
-            room = max(last + 1 - visited.size, visited.size)
-            visited = np.append(visited, np.zeros(room, dtype=np.bool_))
+        if last >= visited.size:
+            visited = _with_room(visited, max(last + 1, 2 * visited.size))
         visited[frontier] = True
         frontier = sorted_unique(step[1][~visited[step[1]]])
 
@@ -195,6 +192,11 @@ def policy_chain(
         branch_pair=pair,
         branch_probability=weight,
     )
+
+
+def _with_room(visited: BoolArray, size: int) -> BoolArray:
+    """Marks of visited keys, with room for at least so many."""
+    return np.append(visited, np.zeros(max(size - visited.size, 0), dtype=np.bool_))
 
 
 def _reachable_nodes(

@@ -182,7 +182,7 @@ class Policy(Playable):
     @property
     def memory_size(self) -> int | None:
         """How many values its memory takes, numbered from 0; None: nothing bounds them."""
-        return None
+        return 1 if self.is_stationary else None
 
     @property
     def step_limit(self) -> int | None:
