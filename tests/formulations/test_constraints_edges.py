@@ -292,7 +292,11 @@ def test_who_begins_at_an_end_is_counted_there(method: str) -> None:
         assert solution.objective == pytest.approx(value, rel=1e-9)
         assert solution.secondary_costs["g"] == pytest.approx(0.625, rel=1e-9)
         assert certify(solution).gap < 1e-9
-        assert problem.program().solve().objective == pytest.approx(value, rel=1e-9)
+        program = problem.program()
+        measure = program.solve()
+        assert measure.objective == pytest.approx(value, rel=1e-9)
+        coefficients, constant = program.expression(goal_probability())
+        assert coefficients @ measure.visits + constant == pytest.approx(0.625, rel=1e-9)
 
 
 def test_the_least_goal_mass_follows_from_all_rows() -> None:
