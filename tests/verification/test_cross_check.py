@@ -239,7 +239,7 @@ def check_at(criterion, model, start, discount, share, **meaning):
         check_roads(replace(loose, failure_budget=min(least + share * (1.0 - least), 1.0)))
 
 
-@often(560)
+@often(280)
 @given(problems(), semantics, discounts, shares)
 def test_three_roads_agree_on_mcmp(drawn, meaning, discount, share):
     """Ties, free cycles, sure failure, every semantics, starts on goals and dead-ends."""
@@ -251,14 +251,14 @@ layered = [problems(most_live=3, attention=True), acyclic_problems(), problems(m
 
 
 @pytest.mark.parametrize("drawing", layered, ids=["waiting", "acyclic", "cycles"])
-@often(150)
+@often(80)
 @given(data=st.data(), discount=discounts, share=shares)
 def test_three_roads_agree_on_s3p(drawing, data, discount, share):
     drawn = data.draw(drawing)
     check_at(S3P, library_model(drawn), drawn.start, discount, share)
 
 
-@often(60)
+@often(40)
 @given(problems(), discounts, st.sampled_from([0.5, 0.9, 0.999]), st.sampled_from([MCMP, S3P]))
 def test_three_roads_agree_that_nothing_is_feasible(drawn, discount, part, criterion):
     """A budget clearly below the least discounted failure."""
@@ -268,7 +268,7 @@ def test_three_roads_agree_that_nothing_is_feasible(drawn, discount, part, crite
         check_infeasible(replace(loose, failure_budget=part * least))
 
 
-@often(60)
+@often(40)
 @given(problems(most_live=3), discounts, st.sampled_from([MCMP, S3P]))
 def test_three_roads_agree_at_the_least_failure(drawn, discount, criterion):
     """The budget equal to the least discounted failure: the cheapest policy of least failure."""
@@ -315,9 +315,9 @@ def test_free_steps_within_a_layer_take_no_time():
             "end": [(0.4, "home", 3.0), (0.6, "wreck" if i % 3 else moves[0], 1.0)],
         }
     problem = S3P(model_of(choices, "home"), "s0", failure_budget=0.4, discount=0.999)
-    began = time.perf_counter()
+    began = time.process_time()
     check_roads(problem)
-    assert time.perf_counter() - began <= 5.0
+    assert time.process_time() - began <= 5.0
 
 
 ALMOST_ONE = {"a": 0.1, "b": 0.2, "c": 0.7}
