@@ -26,6 +26,7 @@ SHOWN = {
     "README.md": 3,
     "docs/checks.md": 0,
     "docs/criteria.md": 6,
+    "docs/gallery.md": 0,
     "docs/guides/big_models.md": 1,
     "docs/guides/certificate.md": 5,
     "docs/guides/command_line.md": 2,
@@ -40,7 +41,12 @@ SHOWN = {
 }
 """Pages with code, and how often each shows what it prints."""
 
-BY_THEMSELVES = {"docs/tutorial.md", "docs/program.md", "docs/guides/own_simulator.md"}
+BY_THEMSELVES = {
+    "docs/gallery.md",
+    "docs/guides/own_simulator.md",
+    "docs/program.md",
+    "docs/tutorial.md",
+}
 """Pages whose code needs nothing of the README's."""
 
 

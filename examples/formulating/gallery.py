@@ -1,23 +1,40 @@
-"""A gallery: everything that `ssp_lp.plotting` draws, on one warehouse.
+"""A gallery: everything that `ssp_lp.plotting` draws, on a warehouse and a channel.
 
 The robot of `key_and_door.py` goes straight to the door and may fail in 5 % of the runs. Saves
 the frontier of cost against failure (traced to the end, and cut short), the members of its lottery,
-what it does in all, simulated episodes, the bounds while it was solved, and the law of its cost.
+what it does in all, simulated episodes, the law of its cost, and the bounds while it was solved;
+and of a boat, which may run aground as often, its courses in the continuous world. They are the
+pictures of docs/gallery.md, which shows the lines that draw each.
 
-    python examples/formulating/gallery.py --output gallery
+    python examples/formulating/gallery.py --output docs/gallery
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
+from io import BytesIO
 from pathlib import Path
 
+import numpy as np
 from matplotlib.axes import Axes
+from PIL import Image
 
 from examples.formulating.key_and_door import DIRECTIONS, WALLS, found, place, warehouse
 from formulations import MCMP, S3P
-from ssp_lp import solve, success_costs, trace_frontier
+from ssp_lp import (
+    Axis,
+    ContinuousModel,
+    Distribution,
+    Grid,
+    Quadrature,
+    WorldSimulator,
+    discretise,
+    simulate,
+    solve,
+    success_costs,
+    trace_frontier,
+)
 from ssp_lp.plotting import (
     BoundsRecord,
     plot_bounds,
@@ -25,9 +42,11 @@ from ssp_lp.plotting import (
     plot_episodes,
     plot_grid_policy,
     plot_lottery,
+    plot_paths,
 )
 
 BUDGET = 0.05
+COLOURS = 64
 
 
 def pictures() -> Iterator[tuple[str, Axes]]:
@@ -42,10 +61,38 @@ def pictures() -> Iterator[tuple[str, Axes]]:
     yield "lottery", plot_lottery(solution.policy, problem, place, DIRECTIONS, walls=WALLS)[0]
     yield "policy", plot_grid_policy(solution.policy, problem, place, DIRECTIONS, walls=WALLS)
     yield "episodes", plot_episodes(solution.policy, problem, place, walls=WALLS, rng=1)
+    given_success = S3P(model, start, failure_budget=BUDGET)
+    law = success_costs(solve(given_success).policy, given_success)
+    yield "cost_law", plot_cost_law(law, level=0.9)
     record = BoundsRecord()
-    ratio = solve(S3P(model, start, failure_budget=BUDGET), progress=record)
-    yield "bounds", plot_bounds(record, ratio)
-    yield "cost_law", plot_cost_law(success_costs(ratio.policy, ratio.problem), level=0.9)
+    yield "bounds", plot_bounds(record, solve(given_success, progress=record))
+    yield "paths", courses()
+
+
+def courses() -> Axes:
+    """Twenty courses of a boat in gusts, planned on cells and sailed in coordinates."""
+
+    def sail(point, turn, noise):
+        (x, y), (gust,) = point, noise
+        x, y = x + 0.5, y + turn + gust
+        end = np.where(abs(y) > 1.0, 2, np.where(x > 5.0, 1, 0))  # 0 goes on, 1 goal, 2 aground
+        return (x, y), 1.0 + 5.0 * abs(turn), end
+
+    sea = ContinuousModel(
+        Grid([Axis(0.0, 5.0, cells=10), Axis(-1.0, 1.0, cells=40)]),
+        actions=(-0.2, 0.0, 0.2),
+        step=sail,
+        noise=[Distribution.uniform(-0.3, 0.3)],
+        dead_ends={"aground": 0.0},
+    )
+    start = sea.grid.cell_of((0.25, 0.0))
+    channel = MCMP(discretise(sea, Quadrature(8)), start, failure_budget=BUDGET)
+    boat = WorldSimulator(sea, start=(0.25, 0.0))
+    report = simulate(
+        solve(channel).policy, channel, episodes=20, rng=11, simulator=boat, record=20
+    )
+    ends = ["through" if path[-1, 0] > 5.0 else "aground" for path in report.paths]
+    return plot_paths(report.paths, ends, order=["through", "aground"])
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -55,8 +102,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     folder = parser.parse_args(arguments).output
     folder.mkdir(parents=True, exist_ok=True)
     for name, axes in pictures():
-        axes.get_figure(root=True).savefig(folder / f"{name}.png", dpi=150)
+        save(axes, folder / f"{name}.png")
         print(f"{folder / name}.png")
+
+
+def save(axes: Axes, path: Path) -> None:
+    """Save a picture in few colours: pages are to be light."""
+    drawn = BytesIO()
+    axes.get_figure(root=True).savefig(drawn, dpi=150)
+    Image.open(drawn).convert("RGB").quantize(COLOURS).save(path, optimize=True)
 
 
 if __name__ == "__main__":

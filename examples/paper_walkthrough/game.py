@@ -87,8 +87,8 @@ def section_3_1() -> list[Row]:
         ]
     return [
         Row("M: live states labelled s", models.n_nodes, 4),
-        Row("M: pairs, (wait, f) among them", len(models.gives_up), 7),
-        Row("M: pairs labelled f", models.gives_up.sum(), 1),
+        Row("M: pairs, (wait, f) among them", len(models.quotient.gives_up), 7),
+        Row("M: pairs labelled f", models.quotient.gives_up.sum(), 1),
         Row("M: J_obj", m.expected_cost, cost(THRICE)),
         Row("M: J_cond", m.discounted_failure or 0.0, condition),
         Row("S: J_obj", s.success_cost, success_cost(THRICE)),

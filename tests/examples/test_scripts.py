@@ -21,6 +21,7 @@ from ssp_lp import WorldSimulator, certify, evaluate, simulate
 from ssp_lp.analysis.simulation import proportion_estimate
 
 ROOT = Path(__file__).parents[2]
+GALLERY = ROOT / "docs" / "gallery"
 RUN_BY = re.compile(r"^ *python examples/\S+\.py|__name__ == .__main__.", re.MULTILINE)
 SCRIPTS = sorted(
     path
@@ -70,9 +71,12 @@ def test_the_key_and_the_door_and_the_gallery_are_drawn(tmp_path, capsys):
     key_and_door.main(["--output", str(tmp_path / "plan.png")])
     assert "ends at D" in capsys.readouterr().out
     gallery.main(["--output", str(tmp_path)])
-    sizes = [path.stat().st_size for path in tmp_path.glob("*.png")]
-    assert len(sizes) == 1 + 7
-    assert min(sizes) > 10_000
+    sizes = {path.stem: path.stat().st_size for path in tmp_path.glob("*.png")}
+    shown = {path.stem: path.stat().st_size for path in GALLERY.iterdir()}
+    assert set(sizes) == {"plan", *shown}
+    assert min(sizes.values()) > 10_000
+    assert max(shown.values()) < 80_000
+    assert sum(shown.values()) < 500_000
     matplotlib.pyplot.close("all")
 
 
