@@ -163,10 +163,9 @@ CLIFF = SSP.from_transitions(
 )
 
 
-@pytest.mark.parametrize(
-    ("criterion", "horizon", "name"),
-    [(MCMP, None, "crash"), (MCMP, 5, "seen"), (S3P, None, "seen"), (S3P, 5, "crash")],
-)
+@pytest.mark.parametrize("criterion", [MCMP, S3P])
+@pytest.mark.parametrize("horizon", [None, 5])
+@pytest.mark.parametrize("name", ["crash", "seen"])
 def test_policies_that_remember_having_failed(criterion, horizon, name, tmp_path):
     """Side by side after failing, too, and of those that act everywhere from every state."""
     counted = visits("seen", through_failure=True) if name == "seen" else end_probability("crash")
@@ -174,10 +173,10 @@ def test_policies_that_remember_having_failed(criterion, horizon, name, tmp_path
     problem = criterion(CLIFF, "a", 0.1, constraints=limits, horizon=horizon)
     solution = solve(problem)
     for member in solution.policy.policies:
-        acts_the_same(member, tmp_path, "a", 60, surprise=0.0)
+        acts_the_same(member, tmp_path, "a", 200, surprise=0.0)
     for member in solution.policy_everywhere({"cave": "sit"}).policies:
         for start in CLIFF.states:
-            acts_the_same(member, tmp_path, start, 10, surprise=0.0)
+            acts_the_same(member, tmp_path, start, 20, surprise=0.0)
 
 
 @pytest.mark.parametrize("name", ["deterministic", "gives up", "cost aware", "tail table"])
