@@ -1,5 +1,6 @@
 """The walkthrough of the paper: every number agrees with its closed form, section by section."""
 
+import re
 from functools import cache, partial
 from pathlib import Path
 
@@ -44,7 +45,7 @@ def test_it_prints_all_sections(capsys, monkeypatch):
 def cells(text):
     """The table that is headed by c-hat, without its head and rule."""
     lines = [line for line in text.splitlines() if line.startswith("|")]
-    first = next(i for i, line in enumerate(lines) if "c-hat" in line)
+    first = next(i for i, line in enumerate(lines) if "c-hat" in line or r"\hat c" in line)
     return [[c.strip() for c in line.strip("|").split("|")] for line in lines[first + 2 :][:5]]
 
 
@@ -55,7 +56,8 @@ def test_the_robots_table_is_that_of_its_page_and_closes():
     for mine, theirs in zip(found, told, strict=True):
         assert mine[0] == theirs[0]
         if "infeasible" in mine[1]:
-            assert mine == theirs
+            bound = [re.findall(r"0\.\d+", row[1]) for row in (mine, theirs)]
+            assert bound[0] == bound[1] != []
             continue
         low, star, true = (float(c) for c in mine[1:])
         # c* is computed to a relative 1e-7.
