@@ -61,6 +61,6 @@ def __getattr__(name: str) -> object:
     """Import a page when it is first asked for, so that the command line begins at once."""
     if name not in _ON_DEMAND:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(import_module(_ON_DEMAND[name]), name)
-    globals()[name] = found
-    return found
+    member = getattr(import_module(_ON_DEMAND[name]), name)
+    globals()[name] = member
+    return member

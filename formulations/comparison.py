@@ -25,7 +25,7 @@ from ssp_lp import SSP, InfeasibleError, Solution, progress_shown, solve
 from ssp_lp.errors import did_you_mean
 from ssp_lp.formulation import CostLimit, Problem
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.naming import Summarised, html_table, text_table
+from ssp_lp.model.text_tables import Summarised, html_table, text_table
 from ssp_lp.problem import as_stated
 
 _HEAD = ["criterion", "objective", "cost", "given success", "failure", "price"]
@@ -34,7 +34,7 @@ _LOG = logging.getLogger("ssp_lp.comparison")
 
 @dataclass(frozen=True)
 class CriterionRow:
-    """What one criterion's optimal policy attains; without a solution only the note says why."""
+    """One criterion's optimum in the comparison; without a solution only the note says why."""
 
     criterion: str  # the formulation and what was asked of it
     solution: Solution | None
@@ -42,21 +42,21 @@ class CriterionRow:
 
     @property
     def numbers(self) -> tuple[float | None, ...]:
-        """Objective, cost until failure, cost given success, failure probability, and price.
+        """A compared criterion's numbers: objective, costs, failure probability and price.
 
         Each under the criterion's own semantics: by default ``MCMP`` and ``ConstrainedCost`` charge
         the failing step, the others do not, so that the same policy may cost less in their rows.
         ``FinitePenalty`` and ``AlphaMCMP`` let a policy give up anywhere.
         """
-        found = self.solution
-        if found is None:
+        solution = self.solution
+        if solution is None:
             return (None,) * 5
         return (
-            found.objective,
-            found.expected_cost,
-            found.conditional_cost,
-            found.failure_probability,
-            found.failure_price,
+            solution.objective,
+            solution.expected_cost,
+            solution.conditional_cost,
+            solution.failure_probability,
+            solution.failure_price,
         )
 
 
@@ -81,26 +81,26 @@ class CriteriaComparison(Summarised):
     def __repr__(self) -> str:
         """One line: how many criteria there are; :meth:`summary` is the table."""
         unmet = sum(row.solution is None for row in self.rows)
-        told = f", {unmet} that no policy meets" if unmet else ""
-        return f"CriteriaComparison({len(self.rows)} criteria{told})"
+        infeasible = f", {unmet} that no policy meets" if unmet else ""
+        return f"CriteriaComparison({len(self.rows)} criteria{infeasible})"
 
     def _repr_html_(self) -> str:
-        """The table, for notebooks."""
+        """The comparison's table, for notebooks."""
         return html_table("Criteria", self._cells(), _HEAD, self._notes())
 
     def _cells(self) -> list[list[str]]:
-        """Each criterion's name and numbers."""
+        """Name and numbers of each compared criterion."""
         return [
             [row.criterion, *("-" if v is None else f"{v:.6g}" for v in row.numbers)]
             for row in self.rows
         ]
 
     def _notes(self) -> list[str]:
-        """Why some criteria have no numbers."""
+        """Notes on compared criteria without numbers."""
         return [f"{row.criterion}: {row.note}" for row in self.rows if row.note]
 
     def summary(self) -> str:
-        """The rows as an aligned table; what has no number says why."""
+        """The comparison as an aligned table; criteria without numbers say why."""
         return "\n".join([*text_table([_HEAD, *self._cells()]), *self._notes()])
 
 
@@ -159,20 +159,20 @@ def compare_criteria(
         AlphaMCMP, reach fraction 0.9          1     1              1      0.1  1.11111
         FinitePenalty, penalty 10              2     1              1      0.1       10
     """
-    asked = [
+    problems = [
         *_compared_problems(model, start, failure_budgets, penalties, reach_fractions),
         *_compared_risks(model, start, failure_budgets, cost_bounds, levels),
     ]
     for budget, words in _compared_budgets(failure_budgets) if limits else ():
         problem = ConstrainedCost(model, start, limits or {}, failure_budget=budget)
-        asked.append((f"ConstrainedCost, {words}", problem))
+        problems.append((f"ConstrainedCost, {words}", problem))
     for factor, bonus in exponential_utilities:
         name = f"EGUBS, risk factor {float(factor):g}, goal bonus {float(bonus):g}"
-        asked.append((name, EGUBS(model, start, factor, bonus)))
+        problems.append((name, EGUBS(model, start, factor, bonus)))
     rows = []
     with progress_shown(verbose):
-        for number, (name, question) in enumerate(asked, 1):
-            _LOG.info("%d of %d: %s", number, len(asked), name)
+        for number, (name, question) in enumerate(problems, 1):
+            _LOG.info("%d of %d: %s", number, len(problems), name)
             rows.append(_criterion_row(name, question, horizon))
     return CriteriaComparison(tuple(rows))
 

@@ -88,5 +88,5 @@ class ConstrainedCost(Formulation):
 
     @property
     def own_constraints(self) -> Mapping[str, Constraint]:
-        """The limits."""
+        """Constraints of least cost within limits on secondary costs."""
         return constraints_of(self.limits)

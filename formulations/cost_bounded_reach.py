@@ -88,6 +88,6 @@ class CostBoundedReach(Formulation):
 
     @cached_property
     def semantics(self) -> FailureSemantics:
-        """Arriving in time is what counts."""
+        """Semantics of reaching the goal within a cost bound: only arriving in time counts."""
         measure = WithinBound(self.cost_bound)
         return FailureSemantics(measure=measure)

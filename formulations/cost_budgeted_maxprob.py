@@ -100,10 +100,10 @@ class CostBudgetedMaxProb(Formulation):
 
     @property
     def own_constraints(self) -> Mapping[str, Constraint]:
-        """The budget."""
+        """Constraint of MAXPROB within a budget of expected cost."""
         return {COST_BUDGET: expected_cost() <= self.cost_budget}
 
     @cached_property
     def semantics(self) -> FailureSemantics:
-        """Only the goal counts, and giving up is free where it is allowed."""
+        """Semantics of MAXPROB within a cost budget: only the goal counts, giving up is free."""
         return FailureSemantics(GiveUp(self.give_up), aim=Aim.GREATEST_GOAL)

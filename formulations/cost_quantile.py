@@ -88,6 +88,6 @@ class CostQuantile(Formulation):
 
     @cached_property
     def semantics(self) -> FailureSemantics:
-        """The quantile is what counts."""
+        """Semantics of the cost quantile: it is the measure of the total cost."""
         measure = CostQuantileOf(float(self.level))
         return FailureSemantics(measure=measure)

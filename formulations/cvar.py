@@ -87,6 +87,6 @@ class CVaR(Formulation):
 
     @cached_property
     def semantics(self) -> FailureSemantics:
-        """The mean of the tail is what counts."""
+        """Semantics of CVaR: the measure is the mean of the total cost's tail."""
         measure = TailMeanOf(float(self.level))
         return FailureSemantics(measure=measure)

@@ -86,11 +86,11 @@ class EGUBS(Formulation):
 
     @property
     def cost_horizon(self) -> float:
-        """Accumulated cost from which a stationary policy is optimal (C_max)."""
+        """C_max of eGUBS: accumulated cost from which a stationary policy is optimal."""
         return self.compile().cost_horizon
 
     @cached_property
     def semantics(self) -> FailureSemantics:
-        """The utility is what counts."""
+        """Semantics of eGUBS: the exponential utility is the measure of the total cost."""
         measure = ExponentialUtility(float(self.risk_factor), float(self.goal_bonus))
         return FailureSemantics(measure=measure)

@@ -85,5 +85,5 @@ class FinitePenalty(Formulation):
 
     @cached_property
     def semantics(self) -> FailureSemantics:
-        """What a failing episode costs, penalty included."""
+        """Semantics of a finite penalty: a failing episode costs the penalty as well."""
         return FailureSemantics(GiveUp(self.give_up), self.charge_failing_step, float(self.penalty))

@@ -96,11 +96,11 @@ class GUBS(Formulation):
 
     @property
     def _numbers(self) -> tuple[float, float]:
-        """Bonus and limit as floats, whatever numbers were given."""
+        """Bonus and limit of GUBS as floats, whatever numbers were given."""
         return float(self.goal_bonus), float(self.utility_at_infinity)
 
     @cached_property
     def semantics(self) -> FailureSemantics:
-        """The utility is what counts."""
+        """Semantics of GUBS: the expected utility is the measure of the total cost."""
         measure = ExpectedUtility(self.utility, *self._numbers)
         return FailureSemantics(measure=measure)

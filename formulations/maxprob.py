@@ -70,10 +70,10 @@ class MaxProb(Formulation):
 
     @property
     def dead_ends(self) -> frozenset[Hashable]:
-        """States from which no policy reaches the goal, X_{d,all}: the probability is 0."""
+        """Dead-ends, where MAXPROB is 0: no policy reaches the goal, X_{d,all}."""
         return dead_end_labels(self.model)
 
     @cached_property
     def semantics(self) -> FailureSemantics:
-        """Only the goal counts."""
+        """Semantics of MAXPROB: only reaching the goal counts, as surely as can be."""
         return FailureSemantics(aim=Aim.GREATEST_GOAL)

@@ -72,5 +72,5 @@ class MinCost(Formulation):
 
     @cached_property
     def semantics(self) -> FailureSemantics:
-        """Failing is forbidden."""
+        """Semantics of the least cost without failure: failing is forbidden."""
         return FailureSemantics(GiveUp.DEAD_ENDS, charge_failing_step=False, penalty=float("inf"))

@@ -70,10 +70,10 @@ class MinProb(Formulation):
 
     @property
     def attention_states(self) -> frozenset[Hashable]:
-        """States from which some policy surely avoids the goal, X_{d,or}: the probability is 0."""
+        """Attention states, where MINPROB is 0: some policy surely avoids the goal, X_{d,or}."""
         return attention_labels(self.model)
 
     @cached_property
     def semantics(self) -> FailureSemantics:
-        """Only the goal counts."""
+        """Semantics of MINPROB: only reaching the goal counts, as rarely as can be."""
         return FailureSemantics(aim=Aim.LEAST_GOAL)

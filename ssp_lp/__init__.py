@@ -4,8 +4,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from ssp_lp.accumulated_cost.cost_law import CostLaw as CostLaw
-from ssp_lp.analysis.cost_law import success_costs as success_costs
 from ssp_lp.analysis.evaluation import Evaluation as Evaluation, evaluate as evaluate
+from ssp_lp.analysis.success_costs import success_costs as success_costs
 from ssp_lp.errors import (
     InfeasibleError as InfeasibleError,
     MissingDependencyError as MissingDependencyError,
@@ -119,6 +119,6 @@ def __getattr__(name: str) -> object:
                 f"from formulations import {name}"
             )
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(import_module(_ON_DEMAND[name]), name)
-    globals()[name] = found
-    return found
+    member = getattr(import_module(_ON_DEMAND[name]), name)
+    globals()[name] = member
+    return member

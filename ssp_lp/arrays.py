@@ -105,20 +105,20 @@ def least_integer_type(most: int) -> npt.DTypeLike:
 
 
 def narrow(offsets: IntArray) -> IntArray:
-    """Offsets in 32 bits where they fit, to match the columns of scipy's matrices."""
+    """An array of offsets in 32 bits where they fit, to match scipy's columns."""
     fits = int(offsets[-1]) <= np.iinfo(np.int32).max
     return offsets.astype(np.int32, copy=False) if fits else offsets
 
 
 def unsigned(indices: IntArray) -> npt.NDArray[Any]:
-    """A view of non-negative whole numbers as unsigned ones."""
+    """An array of non-negative whole numbers viewed as unsigned ones."""
     return indices.view(np.uint32 if indices.dtype.itemsize == 4 else np.uint64)
 
 
 def csr_of(
     data: FloatArray, indices: IntArray, indptr: IntArray, shape: tuple[int, int]
 ) -> sp.csr_array:
-    """Scipy's matrix of three arrays that fit, which it would take longer to check than to use."""
+    """Scipy's sparse matrix of three arrays that fit, without scipy's checks of them."""
     matrix = copy(_NO_ROWS)
     vars(matrix).update(data=data, indices=indices, indptr=indptr, _shape=shape)
     return matrix
@@ -147,14 +147,14 @@ def entries_of(offsets: IntArray, segments: IntArray) -> tuple[npt.NDArray[np.in
 
 
 def offsets_of(lengths: IntArray) -> IntArray:
-    """Where each of several segments in a row begins, and the end, [segments + 1]."""
+    """An array of offsets: where each of several segments in a row begins, and the end."""
     offsets = np.zeros(len(lengths) + 1, dtype=np.int64)
     np.add.accumulate(lengths, out=offsets[1:])
     return offsets
 
 
 def sorted_unique(values: IntArray) -> IntArray:
-    """The distinct non-negative values in increasing order, by sorting."""
+    """The distinct non-negative entries of an array in increasing order, by sorting."""
     ordered = np.sort(values)
     return ordered[np.flatnonzero(np.diff(ordered, prepend=-1))]
 
@@ -255,7 +255,7 @@ def segment_chunks(offsets: IntArray) -> Iterator[slice]:
 
 
 def pieces_of_chunks(offsets: IntArray) -> Iterator[_Piece]:
-    """The chunks of segments with what is needed to work on their entries, [segments + 1]."""
+    """Chunks of an array's segments, with what is needed to work on their entries."""
     for segments in segment_chunks(offsets):
         ends = offsets[segments.start : segments.stop + 1]
         yield _Piece(

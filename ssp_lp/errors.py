@@ -84,7 +84,7 @@ class InfeasibleError(SSPError):
 
     @property
     def least_failure(self) -> float:
-        """The least failure probability that any policy attains."""
+        """The least failure probability of any policy, which the error carries."""
         least = self._least_failure
         self._least_failure = least() if callable(least) else least
         return self._least_failure
@@ -118,7 +118,7 @@ class MissingDependencyError(SSPError, ImportError):
 
 
 def optional_module(name: str, extra: str) -> ModuleType:
-    """Import a module of an optional package.
+    """Import an optional package's module, or raise the error with the pip line.
 
     Args:
         name: of the module, with that of the package in front ("matplotlib.pyplot").
@@ -179,17 +179,17 @@ def in_short(value: Any) -> str:
     if isinstance(value, np.generic):
         return repr(value.item())
     if isinstance(value, Mapping) and len(value) <= _LISTED:
-        told = ", ".join(f"{in_short(k)}: {in_short(v)}" for k, v in value.items())
-        return f"{{{told}}}"
+        text = ", ".join(f"{in_short(k)}: {in_short(v)}" for k, v in value.items())
+        return f"{{{text}}}"
     if callable(value) and hasattr(value, "__name__"):
         return f"<{value.__name__}>".replace("<<lambda>>", "<lambda>")
     if isinstance(value, Sized) and not isinstance(value, str) and len(value) > _LISTED:
         return f"<{type(value).__name__} of {len(value):,}>"
     if type(value) in (list, tuple):
-        told = ", ".join(map(in_short, value))
-        return f"[{told}]" if isinstance(value, list) else f"({told}{',' * (len(value) == 1)})"
-    told = repr(value)
-    return told if len(told) <= _LONGEST or value is None else f"{told[: _LONGEST - 3]}..."
+        text = ", ".join(map(in_short, value))
+        return f"[{text}]" if isinstance(value, list) else f"({text}{',' * (len(value) == 1)})"
+    text = repr(value)
+    return text if len(text) <= _LONGEST or value is None else f"{text[: _LONGEST - 3]}..."
 
 
 def did_you_mean(unknown: Hashable, names: Iterable[Hashable]) -> str:
@@ -199,11 +199,11 @@ def did_you_mean(unknown: Hashable, names: Iterable[Hashable]) -> str:
     """
     some = list(islice(names, _LOOKED_AT))
     plain = _as_read_for_error(unknown)
-    found = next((name for name in some if _as_read_for_error(name) == plain), None)
-    if found is None and isinstance(unknown, str):
+    meant = next((name for name in some if _as_read_for_error(name) == plain), None)
+    if meant is None and isinstance(unknown, str):
         words = [name for name in some if isinstance(name, str)]
-        found = next(iter(get_close_matches(unknown, words, n=1)), None)
-    return "" if found is None else f"; did you mean {found!r}?"
+        meant = next(iter(get_close_matches(unknown, words, n=1)), None)
+    return "" if meant is None else f"; did you mean {meant!r}?"
 
 
 def _as_read_for_error(name: Hashable) -> str:

@@ -101,7 +101,7 @@ _NUMBER_OR_NONE = ("float | None", float | None)
 
 
 class _Inherited(ReadOnlyCopies):
-    """What a formulation that does not say otherwise asks: exact, failing free and unlimited."""
+    """Defaults of a formulation: exact, failing free and unlimited."""
 
     model: SSP
     start: Start
@@ -150,7 +150,7 @@ class Formulation(_Inherited):
 
     def __repr__(self) -> str:
         """One line: the class, the model, the start, and what is not left to the default."""
-        told = []
+        arguments = []
         for part in sorted(fields(self), key=lambda part: part.kw_only is True):
             is_budget = part.name in (stated := as_stated(self))
             value = stated[part.name] if is_budget else getattr(self, part.name)
@@ -161,10 +161,10 @@ class Formulation(_Inherited):
             if part.name in _PAPER and default is None:
                 default = _PAPER[part.name]
             if part.name == "model":
-                told.append(repr(value))
+                arguments.append(repr(value))
             elif needed or (value is not default and in_short(value) != in_short(default)):
-                told.append(f"{part.name}={in_short(value)}")
-        return f"{type(self).__name__}({', '.join(told)})"
+                arguments.append(f"{part.name}={in_short(value)}")
+        return f"{type(self).__name__}({', '.join(arguments)})"
 
     def __post_init__(self) -> None:
         """Check what pages have in common: start, budget, discount, giving up, limits.
@@ -204,7 +204,7 @@ class Formulation(_Inherited):
 
     @cached_property
     def unrolled(self) -> Self:
-        """The problem that is solved: itself, or that on (state, steps taken), or with a label.
+        """The formulation on the model that is solved: on (state, steps) or labelled, if need be.
 
         With a horizon its model is that of :func:`~ssp_lp.model.product.within_steps`; a goal that
         is too far away is out of reach in it. Where something counts that may come after failing,
@@ -232,18 +232,18 @@ class Formulation(_Inherited):
         return self._on(label, {label.states[k]: float(self._begun[k]) for k in begin.tolist()})
 
     def _on(self, model: SSP, start: Mapping[Hashable, float]) -> Self:
-        """The problem restated on another model, within no horizon."""
+        """The formulation restated on another model, within no horizon."""
         on_it: dict[str, Any] = {"model": model, "start": start, "horizon": None}
         return replace(self, **on_it, **as_stated(self))
 
     @property
     def own_constraints(self) -> Mapping[str, Constraint]:
-        """Constraints that a criterion has by itself; there are none unless a page says so."""
+        """Constraints that a formulation has by itself; none unless its page says so."""
         return {}
 
     @cached_property
     def objective_condition(self) -> Condition | None:
-        """What is minimised in place of the cost, looked up in the model; None: the cost."""
+        """A formulation's objective in place of the cost, looked up; None: the cost."""
         if self.quantity is None or self.semantics.counts_law:
             return None
         if self.horizon is not None:
@@ -252,7 +252,7 @@ class Formulation(_Inherited):
 
     @cached_property
     def conditions(self) -> tuple[Condition, ...]:
-        """The constraints, checked, with their costs by outcome."""
+        """The formulation's constraints, checked, with their costs by outcome."""
         if self.horizon is not None and (self.constraints or self.own_constraints):
             return self.unrolled.conditions
         own, stated = self.own_constraints, self.constraints
@@ -265,26 +265,26 @@ class Formulation(_Inherited):
 
     @cached_property
     def semantics(self) -> FailureSemantics:
-        """Failing is free but for a step that is charged, and happens where one may give up.
+        """A formulation's semantics by default: failing is free but for a charged step.
 
         Raises:
             ModelError: an arrival cost is not counted given success, or is discounted.
         """
         measure = None if self.quantity is None else arrival_measure(self.quantity)
         if measure is not None and (self.discount is not None or not self.ratio):
-            told = "has no discount" if self.ratio else "is counted given success: say ratio = True"
-            raise ModelError(f"{type(self).__name__}: an arrival cost {told}")
+            flaw = "has no discount" if self.ratio else "is counted given success: say ratio = True"
+            raise ModelError(f"{type(self).__name__}: an arrival cost {flaw}")
         give_up, charged = GiveUp(str(self.give_up)), bool(self.charge_failing_step)
         return FailureSemantics(give_up, charged, measure=measure)
 
     @cached_property
     def _begun(self) -> FloatArray:
-        """The distribution in which an episode begins, [states]."""
-        found: FloatArray = read_only(start_distribution(self.model, self.start))
-        return found
+        """The formulation's start as a distribution, [states]."""
+        start: FloatArray = read_only(start_distribution(self.model, self.start))
+        return start
 
     def compile(self) -> CompiledProblem:
-        """The augmented process, ready for a method.
+        """The compiled problem of a formulation: its augmented process, ready for a method.
 
         Costs given success, and whatever is made of the total cost, need the accumulated cost
         (paper, section 3.1.1); everything else the failure label (section 3.1.2). A horizon is
@@ -302,12 +302,12 @@ class Formulation(_Inherited):
         return CompiledExplicit(model, start, semantics, self.discount)
 
     def program(self) -> OccupationProgram:
-        """The linear program over expected visits whose optimum is the problem's.
+        """The formulation's linear program over expected visits, whose optimum is the problem's.
 
         Raises:
             ModelError: the criterion is no linear program.
             InfeasibleError: the failure budget is below the least failure.
         """
-        from ssp_lp.methods.program import program_of
+        from ssp_lp.methods.labelled_program import program_of
 
         return program_of(self)

@@ -66,8 +66,8 @@ class LinearProgramming:
 
     def __post_init__(self) -> None:
         if self.backend is not None and self.backend not in BACKENDS:
-            known = ", ".join(BACKENDS)
-            raise wrong_argument("backend", f"be one of {known}", self.backend)
+            backends = ", ".join(BACKENDS)
+            raise wrong_argument("backend", f"be one of {backends}", self.backend)
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ _BY_NAME: dict[str, Method] = {
 
 
 def parse_method(method: Method | str | None) -> Method:
-    """A method, by itself or by its name; None: column generation.
+    """A method option, by itself or by its name; None: column generation.
 
     Raises:
         ModelError: it is neither.
@@ -115,14 +115,14 @@ def parse_method(method: Method | str | None) -> Method:
         return method
     if isinstance(method, str) and method in _BY_NAME:
         return _BY_NAME[method]
-    known = ", ".join(repr(name) for name in _BY_NAME)
-    wanted = f"be one of {known}, or a value such as LinearProgramming()"
+    names = ", ".join(repr(name) for name in _BY_NAME)
+    wanted = f"be one of {names}, or a value such as LinearProgramming()"
     raise wrong_argument("method", wanted, method)
 
 
 @dataclass(frozen=True)
 class SolveOptions:
-    """How exactly to search, by what, and for how long."""
+    """Options of a search: how exact, by what, and for how long."""
 
     tolerance: float = RELATIVE_GAP
     deadline: float = float("inf")  # on the clock of time.perf_counter
@@ -132,11 +132,11 @@ class SolveOptions:
 
     @property
     def method(self) -> str:
-        """The name of the method."""
+        """The name of the method in the solve options."""
         return ColumnGeneration.name if self.program is None else self.program.name
 
     def after(self, calls: int) -> SolveOptions:
-        """The same, where so many pricing calls have been made before."""
+        """Solve options after so many pricing calls."""
         progress = self.progress
         if progress is None:
             return self
@@ -154,7 +154,7 @@ def options_of(
     time_limit: float | None,
     progress: Progress | None,
 ) -> SolveOptions:
-    """Check tolerance and time limit.
+    """Solve options from tolerance and time limit, checked.
 
     Args:
         method: says whether the full linear program is solved first.
@@ -185,7 +185,7 @@ def options_of(
 
 
 def deadline_of(time_limit: float | None, began: float) -> float:
-    """When a time limit ends, on the clock of ``time.perf_counter``.
+    """End of the time limit option, on the clock of ``time.perf_counter``.
 
     Raises:
         ModelError: a limit that is no number of seconds.
@@ -245,7 +245,7 @@ class _ProgressLines(logging.Handler):
         self._told, self._under_way = 0.0, False
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write one line, over that of what was under way."""
+        """Write a line of progress over the one that was under way."""
         now, done = time.perf_counter(), record.levelno > logging.DEBUG
         if not self._lasting and now - self._began < _PATIENCE:
             return
@@ -262,7 +262,7 @@ class _ProgressLines(logging.Handler):
         self._told, self._under_way = (self._told, False) if done else (now, True)
 
     def close(self) -> None:
-        """Leave no line of what was under way."""
+        """End the lines of progress, leaving none that was under way."""
         self._clear()
         super().close()
 

@@ -31,7 +31,7 @@ from ssp_lp.policies.remembering import (
 )
 from ssp_lp.processes.conditions import Condition
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, start_distribution
-from ssp_lp.processes.goal_reach import greatest_from
+from ssp_lp.processes.goal_reach import greatest_goal_from
 
 
 class Problem(Protocol):
@@ -44,30 +44,30 @@ class Problem(Protocol):
 
     @property
     def model(self) -> SSP:
-        """The model."""
+        """The problem's model."""
 
     @property
     def start(self) -> Hashable | Mapping[Hashable, float]:
-        """A state, or a distribution over states."""
+        """The problem's start: a state, or a distribution over states."""
 
     @property
     def failure_budget(self) -> float | None:
-        """Allowed failure probability; None: as low as possible."""
+        """The problem's allowed failure probability; None: as low as possible."""
 
     @property
     def discount(self) -> float | None:
-        """None: exact; a number: the surrogate of section 3.5 of the paper."""
+        """The problem's discount; None: exact; a number: the surrogate of section 3.5."""
 
     @property
     def ratio(self) -> bool:
-        """Whether cost is counted given success (case S)."""
+        """Whether the problem counts its cost given success (case S)."""
 
     @property
     def semantics(self) -> FailureSemantics:
-        """What an episode is worth: what is counted and what failing costs."""
+        """The problem's worth of an episode: which cost counts and what failing costs."""
 
     def compile(self) -> CompiledProblem:
-        """The augmented process, ready for a method."""
+        """The problem compiled: its augmented process, ready for a method."""
 
 
 NEEDED = cast("Problem", None)
@@ -83,7 +83,7 @@ def unrolled(problem: Problem) -> Problem:
 
 
 def conditions_of(problem: Problem) -> tuple[Condition, ...]:
-    """The constraints of a problem beside its failure budget; a class of your own may have none."""
+    """A problem's constraints beside its failure budget; a class of one's own may have none."""
     return cast("tuple[Condition, ...]", getattr(problem, "conditions", ()))
 
 
@@ -98,29 +98,29 @@ def has_rows(problem: Problem) -> bool:
 
 
 def resolution_of(problem: Problem) -> Resolution | None:
-    """What is asked of the totals that are told apart; None where multiples of a unit serve."""
-    asked: int | None = getattr(problem, "cost_levels", None)
+    """Resolution of totals that a problem asks for; None where multiples of a unit serve."""
+    levels: int | None = getattr(problem, "cost_levels", None)
     cap: float | None = getattr(problem, "cost_cap", None)
     of_law = problem.semantics.counts_law
     if not of_law and not problem.ratio:
         return None
-    if not of_law and asked is None and problem.failure_budget is None and not has_rows(problem):
+    if not of_law and levels is None and problem.failure_budget is None and not has_rows(problem):
         return None  # at least failure no cost has to be remembered
-    resolution = resolution_for(problem.model, asked, cap, of_law=of_law)
+    resolution = resolution_for(problem.model, levels, cap, of_law=of_law)
     charge = problem.semantics.charge(problem.ratio)
     if resolution is None or not isinstance(charge, ExponentialUtility) or has_rows(problem):
         return resolution
     # do few totals lie below the cost from which a stationary policy is optimal?
-    most, known = min(asked or MOST_SUMS, MOST_SUMS), problem.model.kept_facts
-    if (key := f"{most} sums: {charge}") not in known:
+    most, facts = min(levels or MOST_SUMS, MOST_SUMS), problem.model.kept_facts
+    if (key := f"{most} sums: {charge}") not in facts:
         start = start_distribution(problem.model, problem.start)
         horizon = CompiledArrivalCost(problem.model, start, charge).cost_horizon
-        known[key] = sums_in(problem.model, horizon, most) is not None
-    return Resolution(most=MOST_SUMS) if known[key] else resolution
+        facts[key] = sums_in(problem.model, horizon, most) is not None
+    return Resolution(most=MOST_SUMS) if facts[key] else resolution
 
 
 class TotalScale(StrEnum):
-    """How the totals of a cost are told apart."""
+    """Scales by which the totals of a cost are told apart."""
 
     NONE = "no total is counted"
     UNITS = "multiples of a unit"
@@ -130,7 +130,7 @@ class TotalScale(StrEnum):
 
 @dataclass(frozen=True)
 class Requirements:
-    """What a problem asks of a method, whatever its criterion is called."""
+    """Requirements of a problem to a method, whatever its criterion is called."""
 
     law: bool  # a measure of the law of the total cost, not its mean or the goal
     is_risk: bool  # no single program answers it: a quantile or a tail mean
@@ -142,17 +142,17 @@ class Requirements:
 
     @property
     def several_rows(self) -> bool:
-        """Whether only a process that is written out, with its rows, answers it."""
+        """Whether the problem requires a process written out, with rows."""
         return self.rows or self.totals is TotalScale.GRID
 
     @property
     def counts_totals(self) -> bool:
-        """Whether what is asked depends on the total cost of a run that succeeds."""
+        """Whether the problem requires the total cost of a run that succeeds."""
         return self.totals is not TotalScale.NONE
 
 
 def requirements(problem: Problem) -> Requirements:
-    """What a problem asks of a method."""
+    """Requirements of a problem to a method."""
     semantics, rows, totals = problem.semantics, has_rows(problem), TotalScale.NONE
     law, is_risk = semantics.counts_law, semantics.risk is not None
     if law or problem.ratio:
@@ -167,7 +167,7 @@ def requirements(problem: Problem) -> Requirements:
 
 
 def compiled_constrained(problem: Problem) -> CompiledExplicit:
-    """The process of a problem with constraints, and its rows."""
+    """Compile a problem with constraints: its process and its rows."""
     logging.getLogger("ssp_lp.compiling").info("%r, with its rows", problem)
     objective, model = objective_of(problem), problem.model
     start = start_distribution(model, problem.start)
@@ -176,7 +176,7 @@ def compiled_constrained(problem: Problem) -> CompiledExplicit:
             "what is counted after failing grows without end under every policy",
             failure_budget=problem.failure_budget,
             least_failure=lambda: max(
-                1.0 - greatest_from(label.original, start[: label.n_original]), 0.0
+                1.0 - greatest_goal_from(label.original, start[: label.n_original]), 0.0
             ),
         )
     return CompiledExplicit(
@@ -195,7 +195,7 @@ def compiled_constrained(problem: Problem) -> CompiledExplicit:
 
 
 def compiled_totals(problem: Problem, *, may_sum: bool = True) -> CompiledArrivalCost:
-    """The process of a problem that counts totals, failure alone being limited.
+    """Compile a problem that counts totals, failure alone being limited.
 
     Args:
         problem: the problem.
@@ -221,7 +221,7 @@ class Restated:
     objective_condition: Condition | None = None  # minimised in place of the cost
 
     def compile(self) -> CompiledArrivalCost:
-        """The process on the lattice of its costs."""
+        """Compile the restated problem on the lattice of its costs."""
         return compiled_totals(self, may_sum=False)
 
 
@@ -248,14 +248,14 @@ class FailureBudget:
         """The budget; asked of the class, the default: least failure."""
         if problem is None:
             return None
-        known, key, share = vars(problem), "_stated_budget", problem.reach_fraction
+        fields, key, share = vars(problem), "_stated_budget", problem.reach_fraction
         if share is not None:
             if (asked := unrolled(problem)) is not problem:
                 return asked.failure_budget  # kept in one place, whoever asks
-            if (key := "_budget") not in known:
+            if (key := "_budget") not in fields:
                 with limited(None if is_within_call() else READING, _FOLLOWS):
-                    known[key] = _Shared(budget_of_share(asked.model, asked.start, share))
-        return cast("float | None", known[key])
+                    fields[key] = _Shared(budget_of_share(asked.model, asked.start, share))
+        return cast("float | None", fields[key])
 
 
 BUDGET_OR_SHARE = FailureBudget()
@@ -263,15 +263,15 @@ BUDGET_OR_SHARE = FailureBudget()
 
 
 def as_stated(problem: object) -> dict[str, Any]:
-    """The argument ``failure_budget`` as a problem was given it, for a copy; empty if none was."""
-    known = vars(problem)
-    return {"failure_budget": known["_stated_budget"]} if "_stated_budget" in known else {}
+    """A problem's argument ``failure_budget`` as it was given, for a copy; empty if none was."""
+    fields = vars(problem)
+    return {"failure_budget": fields["_stated_budget"]} if "_stated_budget" in fields else {}
 
 
 def budget_of_share(
     model: SSP, start: Hashable | Mapping[Hashable, float], reach_fraction: float
 ) -> float:
-    """The failure budget that asks for a share of the greatest goal probability.
+    """A problem's failure budget by a share of the greatest goal probability.
 
     Args:
         model: the model.
@@ -279,11 +279,11 @@ def budget_of_share(
         reach_fraction: the share, in [0, 1].
     """
     begun = start_distribution(model, start)
-    return min(max(1.0 - reach_fraction * greatest_from(model, begun), 0.0), 1.0)
+    return min(max(1.0 - reach_fraction * greatest_goal_from(model, begun), 0.0), 1.0)
 
 
 def check_problem(problem: object, verb: str) -> None:
-    """Check that what should be a problem has a start and says what is asked.
+    """Check that a problem has a start and a statement of what is asked.
 
     Raises:
         ModelError: a model alone, or something else; ``verb`` is what was to be done with it.
@@ -298,7 +298,7 @@ def check_problem(problem: object, verb: str) -> None:
 def on_one_model(
     policy: Policy | MixedPolicy, problem: Problem, verb: str
 ) -> tuple[MixedPolicy, Problem]:
-    """Check that a policy and a problem are what they should be, on one model.
+    """Check that a policy and a problem are on one model.
 
     Returns:
         The policy as a lottery, and the problem that is solved, both on its model: with a horizon
@@ -316,26 +316,26 @@ def on_one_model(
             f"model, {{state: action}}), not {in_short(policy)}"
         )
     theirs = policy.model
-    asked = unrolled(problem)
-    if theirs is asked.model:
-        return until_failing(as_lottery(policy)), asked
+    solved = unrolled(problem)
+    if theirs is solved.model:
+        return until_failing(as_lottery(policy)), solved
     if theirs is not problem.model:
         of_product = getattr(theirs, "original", None) is problem.model
-        told = "; on_original(policy) acts on the original model" if of_product else ""
-        raise ModelError(f"the policy was made for another model object{told}")
-    lottery = on_product(policy, check_product(asked.model))
-    return lottery if asked.model.failure_label is not None else until_failing(lottery), asked
+        hint = "; on_original(policy) acts on the original model" if of_product else ""
+        raise ModelError(f"the policy was made for another model object{hint}")
+    lottery = on_product(policy, check_product(solved.model))
+    return lottery if solved.model.failure_label is not None else until_failing(lottery), solved
 
 
 def pulled_back(policy: MixedPolicy, problem: Problem) -> MixedPolicy:
-    """A policy of the problem that is solved, acting on the states of the problem as stated."""
+    """A policy of the problem that is solved, on the states of the problem as stated."""
     while policy.model is not problem.model:
         policy = on_original(policy)
     return policy
 
 
 def as_float(value: Any) -> Any:
-    """A fraction, or a number of numpy's, as a float; anything else as it is."""
+    """A problem's argument as a float, if a fraction or a number of numpy's; else as it is."""
     plain = isinstance(value, (int, float)) or not is_number(value)
     return value if plain else float(value)
 
@@ -359,48 +359,48 @@ class _InProduct(Policy):
     model: ProductSSP
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """The inner policy's, [episodes]."""
+        """Start memory of a policy restated on a problem's product, [episodes]."""
         return self.inner.start_memory(self.model.original_state[states])
 
     @property
     def goes_on(self) -> bool:
-        """Whether the inner policy does, the product having no label of its own."""
+        """Whether the inner policy goes on after failing, a problem's product having no label."""
         return self.inner.goes_on and self.model.failure_label is None
 
     @property
     def declares_failing(self) -> bool:
-        """Whether the inner policy does: one that goes on after failing."""
+        """Whether the policy restated on a problem's product declares failing."""
         return self.inner.goes_on
 
     def after_giving_up(self, states: IntArray, memory: IntArray) -> IntArray:
-        """As the inner policy goes on, [episodes]."""
+        """Memory after giving up of a policy restated on a problem's product, [episodes]."""
         if not self.goes_on:
             return super().after_giving_up(states, memory)
         return self.inner.after_giving_up(self.model.original_state[states], memory)
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """The inner policy's decisions, as pairs of the product."""
+        """Decisions of a policy restated on a problem's product, as pairs of that."""
         product, here = self.model, self.model.original_state[states]
         label = product.failure_label
         if label is None:
-            found = self.inner.branches(here, memory)
+            branches = self.inner.branches(here, memory)
         else:  # what another problem's policy does after giving up, it does here
-            found, kept = self.inner.played(here, memory)
-        pair, there = np.maximum(found.pair, 0), states[found.situation]
+            branches, kept = self.inner.played(here, memory)
+        pair, there = np.maximum(branches.pair, 0), states[branches.situation]
         taken = product.placed(there, pair)
         if label is not None:
-            quits = (kept != memory[found.situation]) & ~label.after[there]
+            quits = (kept != memory[branches.situation]) & ~label.after[there]
             taken = np.where(quits, label.giving_up_by(pair), taken)
-        pair = np.where(found.pair >= 0, taken, found.pair)
+        pair = np.where(branches.pair >= 0, taken, branches.pair)
         if label is not None:  # it may have nothing to say there
             beyond = label.is_open[label.original_state] & (label.after | label.lost)
             pair = np.where(beyond[there] & (pair < 0), GIVE_UP_CODE, pair)
-        return Branches(found.situation, pair, found.probability)
+        return Branches(branches.situation, pair, branches.probability)
 
     def remember(
         self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
     ) -> IntArray:
-        """The inner policy's, [episodes]."""
+        """Memory after a step of a policy restated on a problem's product, [episodes]."""
         product = self.model
         here = product.original_state[product.pair_state[pairs]]
         if (label := product.failure_label) is not None:
@@ -418,33 +418,33 @@ class _UntilFailing(Policy):
 
     @property
     def model(self) -> SSP:  # type: ignore[override]
-        """The model that the inner policy acts on."""
+        """The model of a problem's policy that ends with failing."""
         return self.inner.model
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """The inner policy's, [episodes]."""
+        """Start memory of a problem's policy that ends with failing, [episodes]."""
         return self.inner.start_memory(states)
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """The inner policy's decisions."""
+        """Decisions of a problem's policy that ends with failing."""
         return self.inner.branches(states, memory)
 
     def remember(
         self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
     ) -> IntArray:
-        """The inner policy's, [episodes]."""
+        """Memory after a step of a problem's policy that ends with failing, [episodes]."""
         return self.inner.remember(memory, pairs, successors, costs)
 
 
 def until_failing(lottery: MixedPolicy) -> MixedPolicy:
-    """The same policies, none of which goes on after failing."""
+    """A problem's policies, none of which goes on after failing."""
     if not any(member.goes_on for member in lottery.policies):
         return lottery
     return replace(lottery, policies=tuple(map(_UntilFailing, lottery.policies)))
 
 
 def on_product(policy: Policy | MixedPolicy, product: ProductSSP) -> MixedPolicy:
-    """A policy of the original model as one of a product; what carries its memory is unwrapped.
+    """A policy of a problem's original model on a product; a carrier of its memory is unwrapped.
 
     Args:
         policy: such as one of :func:`on_original`, or one that knows nothing of the memory.

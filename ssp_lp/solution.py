@@ -23,7 +23,7 @@ from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends
-from ssp_lp.model.naming import ByName, html_table
+from ssp_lp.model.text_tables import ByName, html_table
 from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
 from ssp_lp.policies.policy import UNDECIDED, Policy, as_lottery
@@ -46,7 +46,7 @@ _LEAST_LIMIT = 1.0  # seconds that numbers have which are worked out after a sho
 
 @dataclass(frozen=True)
 class Run:
-    """Which method ran, why, and what it did."""
+    """The run of a method: which one, why, and its work."""
 
     method: str  # "columns", "lp" or "game"
     reason: str  # why this method, and what it had to do
@@ -58,12 +58,12 @@ class Run:
 
     @property
     def backups(self) -> int:
-        """Bellman sweeps: backups of all pairs of a process, or of one of its layers."""
+        """Bellman sweeps of the run: backups of all pairs of a process, or of one layer."""
         return self.work.backups
 
     @property
     def products(self) -> int:
-        """Products with the rows of one policy, a share of a sweep each."""
+        """Products with a policy's rows in the run, a share of a sweep each."""
         return self.work.products
 
 
@@ -93,7 +93,7 @@ class Solution(ReadOnlyCopies):
 
     @cached_property
     def evaluation(self) -> Evaluation:
-        """The policy evaluated on the model, within the time limit of its call, or a second.
+        """Evaluation of the solution's policy on the model, within the call's time or a second.
 
         Raises:
             OutOfTimeError: it takes longer; ``evaluate(policy, problem)`` has all the time.
@@ -104,7 +104,7 @@ class Solution(ReadOnlyCopies):
 
     @cached_property
     def values(self) -> StateValues:
-        """The least that can follow in each state, rows charged at ``prices``: ``values["depot"]``.
+        """The solution's state values, rows charged at ``prices``: ``values["depot"]``.
 
         Those of the problem's program (:meth:`ssp_lp.formulation.Formulation.program`), which is
         made for it; actions have values and advantages, too.
@@ -161,44 +161,44 @@ class Solution(ReadOnlyCopies):
 
     @property
     def gap(self) -> float:
-        """Relative gap between the objective and its bound on the other side."""
+        """The solution's relative gap between objective and bound."""
         if self.upper_bound is not None:
             return relative_gap(self.upper_bound, self.objective)
         return relative_gap(self.objective, self.lower_bound)
 
     @property
     def failure_probability(self) -> float:
-        """Exact, undiscounted probability of never reaching the goal."""
+        """The solution's exact, undiscounted probability of never reaching the goal."""
         return self.evaluation.failure_probability
 
     @property
     def goal_probability(self) -> float:
-        """Exact, undiscounted probability of reaching the goal."""
+        """The solution's exact, undiscounted probability of reaching the goal."""
         return self.evaluation.goal_probability
 
     @property
     def secondary_costs(self) -> Mapping[str, float]:
-        """Exact value of each constrained quantity, discounted where the problem is, by name."""
+        """The solution's constrained quantities by name, discounted if the problem is."""
         return self.evaluation.secondary_costs
 
     @property
     def discounted_failure(self) -> float | None:
-        """The surrogate of section 2.5 of the paper; None in the exact setting."""
+        """The solution's surrogate of failure, section 2.5 of the paper; None if exact."""
         return self.evaluation.discounted_failure
 
     @property
     def expected_cost(self) -> float:
-        """Undiscounted expected cost until failure is declared or the goal is reached."""
+        """The solution's undiscounted expected cost until failing or the goal."""
         return self.evaluation.expected_cost
 
     @property
     def conditional_cost(self) -> float:
-        """Undiscounted expected cost given that the goal is reached."""
+        """The solution's undiscounted expected cost given that the goal is reached."""
         return self.evaluation.conditional_cost
 
     @property
     def budget_slope(self) -> float | None:
-        """-d c* / d budget: the price in case M, price / (1 - budget) in case S.
+        """The solution's -d c* / d budget: the price in case M, price / (1 - budget) in case S.
 
         Of what is to be large, how much it gains.
 
@@ -212,7 +212,7 @@ class Solution(ReadOnlyCopies):
 
     @property
     def _multiplier(self) -> float | None:
-        """The multiplier of the failure row: the price beyond the penalty."""
+        """The solution's multiplier of the failure row: the price beyond the penalty."""
         penalty = self.problem.semantics.penalty
         if self.failure_price is None or penalty == float("inf"):
             return None
@@ -220,7 +220,7 @@ class Solution(ReadOnlyCopies):
 
     @property
     def adversary_weight(self) -> float | None:
-        """alpha*: the weight of the objective MDP in the paper's game (section 3.2).
+        """The solution's alpha*, weight of the objective MDP in the paper's game (section 3.2).
 
         Case M: c* / (c* + price * budget). Case S: c* (1 - e) / (c* (1 - e) + (c* + price) e) at
         the failure e that attains the minimum. None where ``budget_slope`` is, and where there are
@@ -241,26 +241,26 @@ class Solution(ReadOnlyCopies):
 
     @property
     def method(self) -> str:
-        """Name of the method that ran."""
+        """Name of the method that found the solution."""
         return self.run.method
 
     @property
     def seconds(self) -> float:
-        """Wall-clock seconds of the call to ``solve``."""
+        """Wall-clock seconds in which ``solve`` found the solution."""
         return self.run.seconds
 
     @cached_property
     def randomised_policy(self) -> StochasticPolicy | MixedPolicy:
-        """The stationary randomised policy equivalent to the lottery (paper, section 2.2).
+        """The stationary randomised policy equivalent to the solution's lottery (section 2.2).
 
         It lives on the augmented states: the model's states in case M, (state, accumulated cost)
         in case S, and spends the same expected time in each. Where totals are rounded to levels,
         its cost differs from the lottery's by rounding. With a horizon it carries the time besides.
         """
-        found = equivalent_randomised_policy(self.policy, self.problem)
-        if found.model is self.problem.model:
-            return found
-        return pulled_back(as_lottery(found), self.problem)
+        policy = equivalent_randomised_policy(self.policy, self.problem)
+        if policy.model is self.problem.model:
+            return policy
+        return pulled_back(as_lottery(policy), self.problem)
 
     def __repr__(self) -> str:
         """One line: what was asked, the objective with its gap, the failure, and the method."""
@@ -271,17 +271,17 @@ class Solution(ReadOnlyCopies):
         )
 
     def _repr_html_(self) -> str:
-        """The summary as a table, for notebooks."""
+        """The solution's summary as a table, for notebooks."""
         return html_table(self._title, self._rows())
 
     def summary(self) -> str:
-        """The answer in a few lines for a person."""
+        """The solution in a few lines for a person."""
         body = "\n".join(f"  {label:<20} {value}" for label, value in self._rows())
         return f"{self._title}\n{body}"
 
     @property
     def _title(self) -> str:
-        """The criterion, what is asked about failing, and whether it is discounted."""
+        """Title of a solution's summary: criterion, failure asked about, discount."""
         discount = self.problem.discount
         setting = "exact" if discount is None else f"discount {discount:g}"
         horizon = getattr(self.problem, "horizon", None)
@@ -289,7 +289,7 @@ class Solution(ReadOnlyCopies):
         return f"{type(self.problem).__name__}, {self._asked}{within}, {setting}"
 
     def _rows(self) -> list[tuple[str, str]]:
-        """What the summary says, by name; how the policy fails, if it does."""
+        """Rows of a solution's summary, by name; how the policy fails, if it does."""
         at_start = giving_up_at_start(self.policy, self.problem)
         failing = failing_in_words(self.evaluation.ends, at_start)
         budget, gave_up = self.problem.failure_budget, self.evaluation.ends.get("gave_up", 0.0)
@@ -327,7 +327,7 @@ class Solution(ReadOnlyCopies):
 
     @property
     def _asked(self) -> str:
-        """What is asked about failing, in words."""
+        """The solution's limit on failing, in words."""
         budget, semantics = self.problem.failure_budget, self.problem.semantics
         limit = "least failure" if budget is None else f"failure budget {budget:g}"
         if semantics.measure is not None:
@@ -374,7 +374,7 @@ _GIVING_UP = "most of the budget: give_up='dead_ends' fails where the goal is lo
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a method found, in what it minimises."""
+    """A method's answer, in terms of what it minimises."""
 
     policy: MixedPolicy | Policy
     value: float
@@ -440,14 +440,14 @@ CUT_SHORT = "stopped before the tolerance was met; the gap is honest"
 
 
 def remarks(problem: Problem, granted: float, finished: bool) -> str:
-    """What a reader should know: a budget that was raised to the least failure, a cut search."""
-    found = []
+    """Remarks on a solution: a budget raised to the least failure, a search cut short."""
+    notes = []
     budget = problem.failure_budget
     if budget is not None and granted > budget:
-        found.append(
+        notes.append(
             f"the budget lies {granted - budget:.1e} below the least failure and counts as equal "
             "to it"
         )
     if not finished:
-        found.append(CUT_SHORT)
-    return "; ".join(found)
+        notes.append(CUT_SHORT)
+    return "; ".join(notes)

@@ -7,7 +7,7 @@ import time
 from dataclasses import replace
 from math import isfinite
 
-from ssp_lp.accumulated_cost.policy_layers import stopping_where_lost
+from ssp_lp.accumulated_cost.policy_layers import giving_up_where_lost
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP
 from ssp_lp.compiled.deadline import Deadline, Stop, WithIncumbent, closing, until
 from ssp_lp.errors import ModelError, OutOfTimeError, SolverError
@@ -93,7 +93,7 @@ def solve(
 def _solved_with_proof(
     problem: Problem, method: Method, options: SolveOptions
 ) -> tuple[Solution, Status]:
-    """The answer to the problem that is solved, checked, and why the search ended."""
+    """Answer of ``solve`` to the problem that is solved, checked, and why its search ended."""
     solution: Solution | None = None
     too_large: ModelError | None = None
     incumbent = Incumbent(problem, options.deterministic)
@@ -116,10 +116,10 @@ def _solved_with_proof(
         if solution is None and too_large is not None:
             raise too_large
         if solution is None:
-            raise _unsolved(problem, deadline, search.stop) from None
+            raise _error_without_answer(problem, deadline, search.stop) from None
         if not has_rows(problem) and problem.semantics.give_up is not GiveUp.DEAD_ENDS:
             with WithIncumbent():
-                solution = replace(solution, policy=stopping_where_lost(solution.policy))
+                solution = replace(solution, policy=giving_up_where_lost(solution.policy))
     if deadline.was_met:
         solution = incumbent.improving(solution)
     _check_solution(solution)
@@ -130,8 +130,10 @@ def _solved_with_proof(
     return solution, deadline.status(solution.gap, options.tolerance)
 
 
-def _unsolved(problem: Problem, deadline: Deadline, stop: BaseException | None) -> BaseException:
-    """What to raise where the time ended before there was an answer."""
+def _error_without_answer(
+    problem: Problem, deadline: Deadline, stop: BaseException | None
+) -> BaseException:
+    """The error of ``solve`` where the time ended before there was an answer."""
     progress = stop.told if isinstance(stop, Stop) else ""
     if deadline.is_interrupted:
         return KeyboardInterrupt(progress)

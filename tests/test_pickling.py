@@ -97,7 +97,7 @@ def of_solving():
         assert again == pytest.approx(solution.objective, rel=1e-12)
         made = [problem, problem.model, solution, solution.policy, *solution.policy.policies]
         made += [ssp_lp.certify(solution), ssp_lp.evaluate(solution.policy, problem)]
-        made += [ssp_lp.simulate(solution.policy, problem, episodes=20, rng=0)]
+        made += [ssp_lp.simulate(solution.policy, problem, episodes=20, seed=0)]
         made += [ssp_lp.success_costs(solution.policy, problem), solution.policy.start(0)]
         if type(problem).__name__ not in ("CVaR", "CostQuantile"):
             program = problem.program()

@@ -50,7 +50,7 @@ def table(budgets=(0.01, 0.05, 0.1), episodes: int = 20_000) -> list[tuple[float
     for budget in budgets:
         problem = MCMP(model, world.grid.cell_of(START), budget)
         found = solve(problem)
-        played = simulate(found.policy, problem, episodes=episodes, rng=0, simulator=real)
+        played = simulate(found.policy, problem, episodes=episodes, seed=0, simulator=real)
         there = *played.failure_probability[1:3], played.expected_cost.value
         rows.append((budget, found.objective, found.failure_probability, *there))
     return rows

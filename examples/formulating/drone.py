@@ -117,7 +117,7 @@ def draw(plans: dict[str, Solution], path: Path) -> None:
             solution.problem,
             lambda state: AT_LAST.get(state) if isinstance(state, str) else state[:2],
             episodes=60,
-            rng=5,
+            seed=5,
             walls=[place for place in places if mark_at(*place) == "#"],
             ax=axes,
         )
@@ -138,7 +138,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     plans = {"failure at most 10 %": plan(model, start)}
     plans["crash at most 2 %, battery at most 1 %"] = plan(model, start, **LIMITS)
     for title, solution in plans.items():
-        flights = simulate(solution.policy, solution.problem, episodes=100_000, rng=1).ends
+        flights = simulate(solution.policy, solution.problem, episodes=100_000, seed=1).ends
         ended = ", ".join(
             f"{name} {count / 1000:.2f} %" for name, count in flights.items() if count
         )

@@ -60,7 +60,7 @@ def pictures() -> Iterator[tuple[str, Axes]]:
         yield name, axes
     yield "lottery", plot_lottery(solution.policy, problem, place, DIRECTIONS, walls=WALLS)[0]
     yield "policy", plot_grid_policy(solution.policy, problem, place, DIRECTIONS, walls=WALLS)
-    yield "episodes", plot_episodes(solution.policy, problem, place, walls=WALLS, rng=1)
+    yield "episodes", plot_episodes(solution.policy, problem, place, walls=WALLS, seed=1)
     given_success = S3P(model, start, failure_budget=BUDGET)
     law = success_costs(solve(given_success).policy, given_success)
     yield "cost_law", plot_cost_law(law, level=0.9)
@@ -89,7 +89,7 @@ def courses() -> Axes:
     channel = MCMP(discretise(sea, Quadrature(8)), start, failure_budget=BUDGET)
     boat = WorldSimulator(sea, start=(0.25, 0.0))
     report = simulate(
-        solve(channel).policy, channel, episodes=20, rng=11, simulator=boat, record=20
+        solve(channel).policy, channel, episodes=20, seed=11, simulator=boat, record=20
     )
     ends = ["through" if path[-1, 0] > 5.0 else "aground" for path in report.paths]
     return plot_paths(report.paths, ends, order=["through", "aground"])

@@ -63,12 +63,12 @@ def try_out(design: Design, grid: RobotGrid, episodes: int, seed: list[int]) -> 
     return Trial(
         design=design,
         solution=solution,
-        chain=simulate(policy, problem, episodes=episodes, rng=chain_rng),
+        chain=simulate(policy, problem, episodes=episodes, seed=chain_rng),
         world=simulate(
             policy,
             problem,
             episodes=episodes,
-            rng=world_rng,
+            seed=world_rng,
             simulator=robot_simulator(grid),
             record=RECORDED,
         ),

@@ -45,12 +45,12 @@ def designed(grid: RobotGrid, episodes: int, seed: int) -> TrueCosts:
     return TrueCosts(
         solution,
         certify(solution),
-        simulate(solution.policy, problem, episodes=episodes, rng=chain),
+        simulate(solution.policy, problem, episodes=episodes, seed=chain),
         simulate(
             solution.policy,
             problem,
             episodes=episodes,
-            rng=world,
+            seed=world,
             simulator=robot_simulator(grid),
             record=RECORDED,
         ),

@@ -18,7 +18,7 @@ from formulations import MCMP, S3P
 from ssp_lp import GIVE_UP, MixedPolicy, StochasticPolicy, evaluate, solve
 from ssp_lp.model.graph import attention_states, dead_ends
 from ssp_lp.processes.goal_reach import max_goal_probability, min_goal_probability
-from ssp_lp.processes.rows import cost_means, successor_means
+from ssp_lp.processes.live_rows import cost_means, successor_means
 
 GOING, STAYING = Plan(True, FOR_EVER), Plan(True, 0)
 GAMMAS = tuple(1 - Fraction(1, 10**k) for k in (1, 2, 4, 6))

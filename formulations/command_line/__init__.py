@@ -24,7 +24,7 @@ FAILED, WRONG_INPUT, INFEASIBLE, INTERRUPTED, UNREAD = 1, 2, 3, 130, 141
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; the exit code.
+    """Run the command line; the exit code.
 
     Args:
         arguments: those of the command line, if left out.
@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run_command(asked: Namespace) -> int:
-    """Run the command that was asked for; its exit code."""
+    """Run the command that the command line asks for; its exit code."""
     from formulations.command_line.commands import with_options
     from ssp_lp import progress_shown
     from ssp_lp.errors import InfeasibleError, MissingDependencyError, SolverError, SSPError
@@ -58,8 +58,8 @@ def _run_command(asked: Namespace) -> int:
         code = INFEASIBLE if isinstance(error, InfeasibleError) else failed
         return _tell(with_options(error), code)
     except OSError as error:
-        told = f"{error.filename}: {error.strerror}" if error.filename else str(error)
-        return _tell(told, WRONG_INPUT)
+        message = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+        return _tell(message, WRONG_INPUT)
     return 0
 
 
@@ -69,6 +69,6 @@ def _warn_on_command_line(message: Warning | str, *_: object, **__: object) -> N
 
 
 def _tell(words: str, code: int = 0) -> int:
-    """Say something that is no answer; the exit code that goes with it."""
+    """Print a message that is no answer on the command line; its exit code."""
     print(f"ssp-lp: {words}", file=sys.stderr)
     return code

@@ -31,7 +31,7 @@ _NO_PROGRAM = {"cost-quantile", "cvar"}
 
 
 class Parameter(NamedTuple):
-    """What a criterion may take, an argument of its class."""
+    """A command-line argument of a criterion, an argument of its class."""
 
     help: str
     type: Callable[[str], Any] = bool  # bool: the flag, or the flag after --no-
@@ -64,7 +64,7 @@ def _float_argument(text: str) -> float:
 
 
 def _number_or_none(text: str) -> float | None:
-    """A number, or what None is for Python."""
+    """A command-line argument that is a number, or none."""
     return None if text == "none" else _float_argument(text)
 
 
@@ -75,7 +75,7 @@ def _criterion_argument(text: str) -> str:
 
 
 def _steps_argument(text: str) -> int | str | None:
-    """A horizon: a number of steps, none, or "env", the environment's own."""
+    """The command-line argument for a horizon: a number of steps, none, or "env"."""
     if text in ("env", "none"):
         return text if text == "env" else None
     if text.isdecimal():
@@ -84,7 +84,7 @@ def _steps_argument(text: str) -> int | str | None:
 
 
 def option(name: str, value: object = ...) -> str:
-    """The option that is an argument of Python's: ``--discount 0.9``, ``--no-check``."""
+    """The command-line argument of a Python argument: ``--discount 0.9``, ``--no-check``."""
     flag = name.replace("_", "-")
     if isinstance(value, bool):
         return f"--{flag}" if value else f"--no-{flag}"
@@ -204,7 +204,7 @@ class _OneLineParser(ArgumentParser):
 
 
 def argument_parser() -> ArgumentParser:
-    """The parser of the whole command line; what it parses has the command's name."""
+    """The parser of the command line's arguments; what it parses has the command's name."""
     whole = _OneLineParser(
         prog="ssp-lp",
         formatter_class=RawDescriptionHelpFormatter,
@@ -243,11 +243,11 @@ def argument_parser() -> ArgumentParser:
 
 
 def _add_check(commands: Any) -> None:
-    """Add the command ``check``, which takes no model: a certificate has its own."""
-    told = "check a certificate by exact inequalities"
+    """Add the command-line arguments of ``check``, which takes no model."""
+    aim = "check a certificate by exact inequalities"
     one = commands.add_parser(
-        "check", help=told, formatter_class=RawDescriptionHelpFormatter,
-        description=f"{told[0].upper()}{told[1:]}: what the optimum lies between, as fractions.",
+        "check", help=aim, formatter_class=RawDescriptionHelpFormatter,
+        description=f"{aim[0].upper()}{aim[1:]}: what the optimum lies between, as fractions.",
         epilog=f"examples:\n{EXAMPLES['check']}",
     )  # fmt: skip
     _add_file(one, "certificate", metavar="FILE", help="of solve --certificate-out")
@@ -260,7 +260,7 @@ def _add_file(one: Any, *names: str, **told: Any) -> None:
 
 
 def _add_model(one: ArgumentParser) -> None:
-    """Add the arguments that name a model."""
+    """Add the command-line arguments that name a model."""
     model = one.add_argument_group("the model")
     model.add_argument(
         "--goal", nargs="+", default=[], metavar="STATE", help="goal states, or their label"
@@ -278,7 +278,7 @@ def _add_model(one: ArgumentParser) -> None:
 
 
 def _add_question(one: ArgumentParser, criteria: list[str]) -> None:
-    """Add the arguments that ask a criterion."""
+    """Add the command-line arguments that ask a criterion."""
     question = one.add_argument_group("the question")
     question.add_argument(
         "--criterion", type=_criterion_argument, choices=criteria, default="mcmp", metavar="NAME",
@@ -289,12 +289,12 @@ def _add_question(one: ArgumentParser, criteria: list[str]) -> None:
         help='the same in PRISM\'s words: multi(R{"time"}min=? [F "ok"], P>=0.95 [F "ok"])',
     )  # fmt: skip
     for name, parameter in PARAMETERS.items():
-        told: dict[str, Any] = {"help": parameter.help, "default": SUPPRESS}
+        settings: dict[str, Any] = {"help": parameter.help, "default": SUPPRESS}
         if parameter.type is bool:
-            question.add_argument(option(name), action=BooleanOptionalAction, **told)
+            question.add_argument(option(name), action=BooleanOptionalAction, **settings)
         else:
-            told |= {"type": parameter.type, "metavar": parameter.metavar}
-            question.add_argument(option(name), **told)
+            settings |= {"type": parameter.type, "metavar": parameter.metavar}
+            question.add_argument(option(name), **settings)
     question.add_argument(
         "--limit", action="append", default=[], metavar="WORDS",
         help='such as "fuel <= 3", "visits(ward) <= 2", "end(crash) <= 0.01", "goal >= 0.9", '
@@ -304,7 +304,7 @@ def _add_question(one: ArgumentParser, criteria: list[str]) -> None:
 
 
 def _add_solve(one: ArgumentParser) -> None:
-    """Add the arguments of ``solve``."""
+    """Add the command-line arguments of ``solve``."""
     _add_question(one, list(CRITERIA))
     search = one.add_argument_group("the search")
     methods = ("columns", "lp", "game", "deterministic")
@@ -345,7 +345,7 @@ def _add_explore(one: ArgumentParser) -> None:
 
 
 def _add_frontier(one: ArgumentParser) -> None:
-    """Add the arguments of ``frontier``."""
+    """Add the command-line arguments of ``frontier``."""
     _add_tracing(one)
     _add_forms(one)
     _add_file(one, "--plot", metavar="FILE", help="draw it, with the budget and its tangent")
@@ -359,7 +359,7 @@ def _add_forms(one: ArgumentParser) -> None:
 
 
 def _add_simulate(one: ArgumentParser) -> None:
-    """Add the arguments of ``simulate``."""
+    """Add the command-line arguments of ``simulate``."""
     _add_file(one, "--policy", required=True, metavar="FILE", help="of solve --policy-out")
     one.add_argument("--episodes", type=int, default=10_000, metavar="N", help="10,000")
     one.add_argument("--seed", type=int, default=0, metavar="N", help="0")
@@ -372,16 +372,16 @@ def _add_simulate(one: ArgumentParser) -> None:
 
 
 def _add_compare(one: ArgumentParser) -> None:
-    """Add the arguments of ``compare``, each of which takes several values."""
+    """Add the command-line arguments of ``compare``, each of which takes several values."""
     for name, several in SEVERAL.items():
         said = PARAMETERS[name]
-        told: dict[str, Any] = {"type": said.type, "metavar": said.metavar, "help": said.help}
-        one.add_argument(option(name), dest=several, nargs="+", default=[], **told)
+        settings: dict[str, Any] = {"type": said.type, "metavar": said.metavar, "help": said.help}
+        one.add_argument(option(name), dest=several, nargs="+", default=[], **settings)
     _add_forms(one)
 
 
 def _add_program(one: ArgumentParser) -> None:
-    """Add the arguments of ``program``."""
+    """Add the command-line arguments of ``program``."""
     _add_question(one, [name for name in CRITERIA if name not in _NO_PROGRAM])
     _add_file(one, "--out", metavar="FILE", help="write it: .mps or .lp")
 

@@ -36,8 +36,8 @@ from ssp_lp.errors import Argument, SolverError, check_whole, optional_module
 from ssp_lp.formulation import Problem, attention_labels, dead_end_labels
 from ssp_lp.io.model_files.json_model import model_in_json, parse_json
 from ssp_lp.io.model_files.raw_model import FIRST_COST
-from ssp_lp.methods.program import program_of
-from ssp_lp.model.naming import text_table
+from ssp_lp.methods.labelled_program import program_of
+from ssp_lp.model.text_tables import text_table
 from ssp_lp.options import Status
 from ssp_lp.plotting import explore, plot_cost_law, plot_frontier, row_major
 from ssp_lp.policies.policy import Policy
@@ -63,7 +63,7 @@ class _CommandModel:
 
     @property
     def start(self) -> Start:
-        """Where an episode of the command's model begins.
+        """Start of an episode in a command's model.
 
         Raises:
             ModelError: neither the model nor the user says so.
@@ -74,13 +74,13 @@ class _CommandModel:
 
     @property
     def only_start(self) -> Start | None:
-        """The start; where it is one state for sure, that state, as most formats have it."""
+        """Start of a command's model; where it is one state for sure, that state."""
         start = self.stated_start
         return next(iter(start)) if isinstance(start, Mapping) and len(start) == 1 else start
 
     @property
     def written_out(self) -> tuple[SSP, Start | None]:
-        """A model that needs no horizon beside it, its states counting the steps, and its start.
+        """A command's model with its states counting the horizon's steps, and its start.
 
         Raises:
             ModelError: a horizon without a start.
@@ -92,7 +92,7 @@ class _CommandModel:
         return counting, counting.start(begin)
 
     def model_with_cost(self, name: str) -> SSP:
-        """The same model with another of its costs.
+        """A command's model with another of its costs.
 
         Raises:
             ModelError: it has no such cost.
@@ -125,7 +125,7 @@ def command_model(asked: Namespace) -> _CommandModel:
 
 @cache
 def _model_from_standard_input() -> str:
-    """All that is read there, once for all the costs of a model."""
+    """Text of a command's model on the standard input, once for all of its costs."""
     return sys.stdin.read()
 
 
@@ -151,7 +151,7 @@ def _model_of_environment(asked: Namespace) -> _CommandModel:
 
 
 def _value_for_model(word: str) -> Any:
-    """A word as what it means in Python or JSON: a number, a tuple, true; else itself."""
+    """A word of a command as its value in Python or JSON: a number, a tuple, true; else itself."""
     for read in (literal_eval, json.loads):
         with suppress(ValueError, SyntaxError):
             return read(word)
@@ -159,7 +159,7 @@ def _value_for_model(word: str) -> Any:
 
 
 def state_named(model: SSP, word: str) -> Hashable:
-    """The state that prints as a word; the word itself where there is none, to be told of."""
+    """The state that a word of a command names; the word itself where there is none."""
     return next((state for state in model.states if str(state) == word), word)
 
 
@@ -175,7 +175,7 @@ _SIGNS: dict[str, Callable[..., ssp_lp.Constraint]] = {"<=": le, ">=": ge, "==":
 
 
 def problem_of(asked: Namespace, of: _CommandModel) -> Problem:
-    """The problem that a command asks about.
+    """The problem that a command states.
 
     Raises:
         ModelError: the criterion does not take, or lacks, an argument; or it refuses one.
@@ -185,8 +185,8 @@ def problem_of(asked: Namespace, of: _CommandModel) -> Problem:
     given = {name: getattr(asked, name) for name in PARAMETERS if name in vars(asked)}
     for name in given:
         if name not in takes:
-            known = ", ".join(map(option, takes)) or "none"
-            raise ModelError(f"{asked.criterion} takes no {option(name)}; its options: {known}")
+            options = ", ".join(map(option, takes)) or "none"
+            raise ModelError(f"{asked.criterion} takes no {option(name)}; its options: {options}")
     for name, field in takes.items():
         if name not in given and field.default is MISSING and name != "failure_budget":
             raise ModelError(f"{asked.criterion} needs {option(name)}: {PARAMETERS[name].help}")
@@ -201,20 +201,20 @@ def problem_of(asked: Namespace, of: _CommandModel) -> Problem:
 
 
 def _problem_limit(words: str, of: _CommandModel) -> tuple[str, ssp_lp.Constraint]:
-    """A limit and its name, the words of its quantity.
+    """A limit in a command's words, by its name: a quantity and a bound.
 
     Raises:
         ModelError: no quantity, sign and number.
     """
-    found = _LIMIT.fullmatch(words.strip())
-    if found is None:
+    match = _LIMIT.fullmatch(words.strip())
+    if match is None:
         raise ModelError(f'a limit is a quantity, <=, >= or ==, and a number, not "{words}"')
-    measured, bound = _problem_quantity(found["words"], of), _problem_number(found["bound"], words)
-    return found["words"], _SIGNS[found["sign"]](measured, bound)
+    measured, bound = _problem_quantity(match["words"], of), _problem_number(match["bound"], words)
+    return match["words"], _SIGNS[match["sign"]](measured, bound)
 
 
 def _problem_quantity(words: str, of: _CommandModel) -> ssp_lp.Quantity:
-    """A sum of quantities, " + " between them.
+    """A sum of quantities in a command's words, " + " between them.
 
     Raises:
         ModelError: what is no quantity of this model.
@@ -224,26 +224,26 @@ def _problem_quantity(words: str, of: _CommandModel) -> ssp_lp.Quantity:
 
 
 def _problem_term(words: str, whole: str, of: _CommandModel) -> ssp_lp.Quantity:
-    """A term of the sum of quantities that the command's problem limits."""
-    found = _TERM.fullmatch(words)
-    if found is None:
+    """A term in a command's words of a sum of quantities."""
+    match = _TERM.fullmatch(words)
+    if match is None:
         raise ModelError(f'"{whole}" is no sum of quantities: cost + 2 * visits(ward)')
-    word, states = found["word"], found["of"]
+    word, states = match["word"], match["of"]
     if word in _OF_STATES and states:
-        known = states in of.model.state_labels
-        measured = _OF_STATES[word](states if known else state_named(of.model, states))
+        is_label = states in of.model.state_labels
+        measured = _OF_STATES[word](states if is_label else state_named(of.model, states))
     elif word in _PLAIN:
         measured = _PLAIN[word]()
     elif word in of.model.named_costs:
         measured = ssp_lp.secondary_cost(word)
     else:
         measured = ssp_lp.secondary_cost(of.model_with_cost(word).costs)
-    factor = found["factor"]
+    factor = match["factor"]
     return measured if factor is None else _problem_number(factor, whole) * measured
 
 
 def _problem_number(word: str, whole: str) -> float:
-    """A number in the words of a problem's limit."""
+    """A number in a command's words of a limit."""
     try:
         return float(number_argument(word))
     except ArgumentTypeError as error:
@@ -359,7 +359,7 @@ def _operators_in(words: str) -> list[_Operator]:
 
 
 def json_answer(answer: Any) -> list[str]:
-    """The lines of an answer in JSON; what is no finite number is null."""
+    """A command's answer in lines of JSON; a number that is not finite is null."""
     finite = json.loads(json.dumps(answer), parse_constant=lambda _: None)
     return [json.dumps(finite, indent=2, ensure_ascii=False)]
 
@@ -375,12 +375,12 @@ def _csv_answer(path: str, head: Sequence[str], rows: Iterable[Sequence[Any]]) -
 
 
 def with_options(error: ssp_lp.SSPError) -> str:
-    """An error's message, in which options of the command line stand for Python's arguments."""
+    """An error's message with a command's options in place of Python's arguments."""
     return "".join(option(*one) if isinstance(one, Argument) else str(one) for one in error.args)
 
 
 def figure_for(path: str | None) -> Figure | None:
-    """A figure that can be saved there, known before anything is solved; None: none is asked for.
+    """A figure for a command, known to be writable before anything is solved; None: none.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
@@ -390,9 +390,9 @@ def figure_for(path: str | None) -> Figure | None:
         return None
     module = optional_module("matplotlib.figure", "plot")
     figure: Figure = module.Figure(figsize=(6.4, 4.2), layout="constrained")  # needs no screen
-    known = figure.canvas.get_supported_filetypes()
-    if Path(path).suffix.removeprefix(".") not in known:
-        raise ModelError(f"a picture is written as {', '.join(sorted(known))}, not {path!r}")
+    formats = figure.canvas.get_supported_filetypes()
+    if Path(path).suffix.removeprefix(".") not in formats:
+        raise ModelError(f"a picture is written as {', '.join(sorted(formats))}, not {path!r}")
     return figure
 
 
@@ -400,7 +400,7 @@ PolicyWriter = Callable[[Solution, _CommandModel, str], None]
 
 
 def policy_writer(path: str | None) -> PolicyWriter | None:
-    """What writes a policy to a file, by the ending of its name; known before anything is solved.
+    """Writer of a command's policy by the file name's ending, known before anything is solved.
 
     Raises:
         ModelError: another ending.
@@ -414,7 +414,7 @@ def policy_writer(path: str | None) -> PolicyWriter | None:
 
 
 def _write_answer_table(solution: Solution, of: _CommandModel, path: str) -> None:
-    """Write the policy of an answer as a table."""
+    """Write the policy of a command's answer as a table."""
     head = ("state", "memory", "action", "probability", "member")
     _csv_answer(path, head, io.policy_table(solution.policy))
 
@@ -435,20 +435,20 @@ def _solve_command(asked: Namespace) -> Iterable[str]:
     """The command ``solve``."""
     write, figure = policy_writer(asked.policy_out), figure_for(asked.plot)
     asked = with_property(asked)
-    found = command_model(asked)
+    of = command_model(asked)
     tolerance = {} if asked.tolerance is None else {"tolerance": asked.tolerance}
-    problem = problem_of(asked, found)
+    problem = problem_of(asked, of)
     solution = ssp_lp.solve(problem, asked.method, time_limit=asked.time_limit, **tolerance)
     if write is not None:
         policy = solution.policy_everywhere() if asked.everywhere else solution.policy
-        write(replace(solution, policy=policy), found, asked.policy_out)
+        write(replace(solution, policy=policy), of, asked.policy_out)
     if asked.certificate_out is not None:
         ssp_lp.write_certificate(solution, asked.certificate_out)
     if figure is not None:
         level = {"level": asked.level} if "level" in asked else {}
         plot_cost_law(ssp_lp.success_costs(solution.policy, problem), ax=figure.subplots(), **level)
         figure.savefig(asked.plot)
-    return json_answer(_told_by_command(solution)) if asked.json else [solution.summary()]
+    return json_answer(_solution_table_of_command(solution)) if asked.json else [solution.summary()]
 
 
 def _check_command(asked: Namespace) -> Iterable[str]:
@@ -463,7 +463,7 @@ def _check_command(asked: Namespace) -> Iterable[str]:
     return [str(checked)]
 
 
-def _told_by_command(solution: Solution) -> dict[str, Any]:
+def _solution_table_of_command(solution: Solution) -> dict[str, Any]:
     """A command's solution as a table for other programs."""
     members = zip(solution.policy.weights.tolist(), solution.policy.policies, strict=True)
     names = ("goal_probability", "failure_probability", "conditional_cost", "expected_cost")
@@ -486,7 +486,7 @@ def _told_by_command(solution: Solution) -> dict[str, Any]:
 
 
 def _decisions(policy: Policy) -> dict[str, Any]:
-    """The decisions that a command prints, by state; of a policy with memory what it is."""
+    """Decisions that a command prints, by state; of a policy with memory, its words."""
     inner = getattr(policy, "inner", policy)
     if not isinstance(inner, ssp_lp.DeterministicPolicy):
         return {"kind": repr(policy)}
@@ -578,23 +578,23 @@ def _simulate_command(asked: Namespace) -> Iterable[str]:
         report = io.rollout(found.environment, policy, seed=asked.seed, **settings)
         ends = {name: getattr(report, name) for name in ("goal", "failed", "gave_up", "truncated")}
     else:
-        report = ssp_lp.simulate(policy, problem, rng=asked.seed, **settings)
+        report = ssp_lp.simulate(policy, problem, seed=asked.seed, **settings)
         ends, names = dict(report.ends), names | {"expected_cost": "cost_until_failure"}
     names |= {"mean_steps": "mean_steps", "note": "note"}
     numbers = {name: getattr(report, of, "") for of, name in names.items()}
-    told = {
+    table = {
         "episodes": asked.episodes,
         "ends": ends,
         **{k: v for k, v in numbers.items() if v != ""},
     }
     if asked.json:
-        plain = {k: v._asdict() if isinstance(v, Estimate) else v for k, v in told.items()}
+        plain = {k: v._asdict() if isinstance(v, Estimate) else v for k, v in table.items()}
         return json_answer(plain)
-    return [f"{name.replace('_', ' '):<20} {_in_words(value)}" for name, value in told.items()]
+    return [f"{name.replace('_', ' '):<20} {_in_words(value)}" for name, value in table.items()]
 
 
 def _in_words(value: Any) -> str:
-    """What a command found, in words."""
+    """A command's result in words."""
     if isinstance(value, list):
         return ", ".join(value)
     if isinstance(value, int):

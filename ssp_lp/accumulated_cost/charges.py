@@ -30,7 +30,7 @@ Utility = Callable[[FloatArray], FloatArray]
 
 
 def utilities(utility: Utility, costs: FloatArray, name: str = "utility") -> FloatArray:
-    """The utility of each cost, like ``costs``; errors say what it is called.
+    """The utility of each total cost, like ``costs``; errors call the function by its name.
 
     Raises:
         ModelError: the function does not take an array, or does not return as many finite numbers.
@@ -45,14 +45,14 @@ def utilities(utility: Utility, costs: FloatArray, name: str = "utility") -> Flo
 
 
 def _check_monotone(worth: FloatArray, growth: FloatArray, costs: FloatArray, rule: str) -> None:
-    """Raise :class:`ModelError` where a function of costs, or its growth onwards, is below 0."""
+    """Raise :class:`ModelError` where a charge of total costs, or its growth, is below 0."""
     wrong = (worth < 0.0) | np.append(growth < 0.0, False)
     if wrong.any():
         raise ModelError(f"{rule}: it does at cost {float(costs[int(np.argmax(wrong))]):g}")
 
 
 class TailValues(NamedTuple):
-    """What a stationary policy attains from some nodes on, arrays of one shape."""
+    """Values of a stationary policy followed as a tail from some nodes on, arrays of one shape."""
 
     goal: FloatArray  # E[gamma^T; goal]
     failure: FloatArray  # 1 - goal, summed by itself: each is exact where it is small
@@ -64,17 +64,17 @@ class TailValues(NamedTuple):
     def stacked(
         cls, policies: Sequence[TailValues], seen: Callable[[FloatArray], FloatArray]
     ) -> TailValues:
-        """Several policies' values to be charged, one row each, seen by some other index."""
+        """The tail values of several policies, a row each, read by some other index."""
         return cls(
             *(np.array([seen(each) for each in same]) for same in zip(*policies, strict=True))
         )
 
     def row(self, number: int) -> TailValues:
-        """The values to be charged of one policy of several, whose number is the first index."""
+        """The tail values of one policy among several, by its number in the first index."""
         return TailValues(*(each[number] for each in self))
 
     def chosen(self, last: BoolArray) -> TailValues:
-        """Those of the last policy where ``last``, of the first elsewhere, like ``last``."""
+        """Tail values of the last policy where ``last``, of the first elsewhere, like ``last``."""
         return TailValues(*(np.where(last, each[-1], each[0]) for each in self))
 
 
@@ -85,31 +85,31 @@ class Charge(ABC):
 
     @property
     def offset(self) -> float:
-        """``offset + slope * cost`` is the charge from ``settled`` on."""
+        """Intercept of the charge's line, ``offset + slope * cost``, at total cost 0."""
         return 0.0
 
     @property
     def slope(self) -> float:
-        """Charge per unit of cost from ``settled`` on."""
+        """Charge of arriving per unit of total cost, from ``settled`` on."""
         return 0.0
 
     @property
     def lowest(self) -> float:
-        """No charge is less; at most 0."""
+        """The least charge of arriving at any total cost; at most 0."""
         return 0.0
 
     @property
     def is_concave(self) -> bool:
-        """Whether interpolating the charge never exceeds it."""
+        """Whether interpolating the charge of arriving between two totals never exceeds it."""
         return False
 
     @abstractmethod
     def at(self, totals: FloatArray) -> FloatArray:
-        """The charge of total costs, like ``totals``."""
+        """The charge of arriving at total costs, like ``totals``."""
 
     @property
     def settled(self) -> float | None:
-        """Total beyond which the charge is affine; None: never."""
+        """Total cost beyond which the charge of arriving is affine; None: never."""
         return 0.0
 
     def is_affine_beyond(self, total: float) -> bool:
@@ -118,11 +118,11 @@ class Charge(ABC):
         return bool(np.isclose(float(self.at(np.array([total]))[0]), line, rtol=1e-9))
 
     def lossless(self, price: float) -> float:
-        """Total from which on failing is best at a price of it; 0 where the charge is settled."""
+        """Total from which on failing at its price is cheaper than arriving; 0: a flat charge."""
         return max((price - self.offset) / self.slope, 0.0) if self.slope > 0.0 else 0.0
 
     def beyond(self, paid: FloatArray, tail: TailValues) -> FloatArray:
-        """E[charge; goal] of following a tail after so much has been paid."""
+        """E[charge; goal] of following a tail after some cost has been paid."""
         linear = self.slope * (tail.cost + paid * tail.early)
         return np.asarray(linear + self.offset * tail.goal if self.offset else linear)
 
@@ -135,7 +135,7 @@ class TotalCostCharge(Charge):
     slope = 1.0
 
     def at(self, totals: FloatArray) -> FloatArray:
-        """The costs themselves."""
+        """The charge of case S: the total costs themselves."""
         return np.asarray(totals)
 
 
@@ -155,12 +155,12 @@ class LateCharge(Charge):
     offset = 1.0  # of an arrival beyond the bound
 
     def at(self, totals: FloatArray) -> FloatArray:
-        """The charge of arriving in time or beyond the bound."""
+        """The charge of arriving within the bound on the total cost, or beyond it."""
         return np.where(np.asarray(totals) <= self.settled, self.lowest, self.offset)
 
     @property
     def settled(self) -> float:
-        """The bound, with room for rounding."""
+        """The bound from which on arriving is charged as late, with room for rounding."""
         return float(self.bound) * (1.0 + SAME_TOTAL)
 
 
@@ -178,23 +178,23 @@ class ExcessCharge(Charge):
 
     @property
     def offset(self) -> float:
-        """Where the line beyond z meets cost 0."""
+        """Intercept at total cost 0 of the line of the charge for an excess over z."""
         return self.threshold * (1.0 - self.slope)
 
     @property
     def slope(self) -> float:
-        """The slope of the line beyond z."""
+        """Slope of the charge for an excess over the threshold z."""
         return 1.0 / self.share
 
     def at(self, totals: FloatArray) -> FloatArray:
-        """The integrand."""
+        """The charge of arriving by Rockafellar and Uryasev's integrand, like ``totals``."""
         late = np.maximum(np.asarray(totals) - self.threshold, 0.0)
         first = self.threshold if self.first is None else self.first
         return np.asarray(np.clip(totals, first, self.threshold) + late * self.slope)
 
     @property
     def settled(self) -> float:
-        """The threshold."""
+        """The threshold of the charge for an excess: from there on it is a line."""
         return self.threshold
 
 
@@ -207,22 +207,22 @@ class Measure(ABC):
 
     @property
     def failing(self) -> float:
-        """What a run that fails is worth, where the measure is an expectation."""
+        """Worth of a run that fails, where the measure of the total cost is an expectation."""
         return float("inf")
 
     @property
     @abstractmethod
     def words(self) -> str:
-        """What is asked, in words."""
+        """The measure of the law of the total cost in words, for summaries and errors."""
 
     @property
     def charge(self) -> Charge:
-        """What arriving at the goal is charged in the process; of a search, to begin with."""
+        """The charge of arriving whose expectation the measure is; of a search, the first one."""
         return TOTAL_COST
 
     @abstractmethod
     def of(self, law: CostLaw) -> float:
-        """The measure of a law of costs."""
+        """The measure's value on a policy's law of the total cost."""
 
 
 class Reward(Charge, Measure):
@@ -232,12 +232,12 @@ class Reward(Charge, Measure):
 
     @property
     def failing(self) -> float:
-        """Nothing is earned by failing."""
+        """Worth of a run that fails under a reward for arriving: none."""
         return 0.0
 
     @property
     def charge(self) -> Charge:
-        """Itself."""
+        """The reward for arriving, itself the charge."""
         return self
 
 
@@ -250,11 +250,11 @@ class WithinBound(LateCharge, Reward):
 
     @property
     def words(self) -> str:
-        """What is asked."""
+        """The measure Pr(C <= bound) of the law of the total cost, in words."""
         return f"goal within cost {float(self.bound):g}"
 
     def of(self, law: CostLaw) -> float:
-        """The probability."""
+        """The measure Pr(C <= bound) of a law of the total cost."""
         return law.within(self.bound)
 
 
@@ -272,26 +272,26 @@ class ExpectedUtility(Reward):
 
     @property
     def failing(self) -> float:
-        """The utility of an infinite cost."""
+        """The utility of an infinite total cost, which a run that fails has."""
         return self.at_infinity
 
     @property
     def words(self) -> str:
-        """What is asked."""
+        """The measure E[utility of the total cost] in words."""
         return f"expected utility, goal bonus {self.bonus:g}"
 
     @property
     def offset(self) -> float:
-        """Minus the bonus."""
+        """Minus the bonus for arriving: the charge where no utility is left."""
         return -self.bonus
 
     @property
     def lowest(self) -> float:
-        """Minus what arriving at no cost is worth."""
+        """The least charge of arriving by utility: minus the worth of arriving at no cost."""
         return float(self.at(np.zeros(1))[0])
 
     def at(self, totals: FloatArray) -> FloatArray:
-        """Minus (utility + bonus - utility of failing).
+        """Charge of arriving by utility: minus (utility + bonus - utility of failing).
 
         Raises:
             ModelError: the utility is no non-increasing function with this limit.
@@ -305,7 +305,7 @@ class ExpectedUtility(Reward):
         return np.asarray(-(worth + self.bonus))[back].reshape(np.shape(totals))
 
     def of(self, law: CostLaw) -> float:
-        """The expected utility."""
+        """The measure E[utility] of a law of the total cost."""
         reached = law.expectation(self.utility, self.at_infinity) + self.bonus * law.goal
         return reached + self.at_infinity * (1.0 - law.goal)
 
@@ -323,29 +323,29 @@ class ExponentialUtility(Reward):
 
     @property
     def words(self) -> str:
-        """What is asked."""
+        """The measure E[exponential utility of the total cost] in words."""
         return f"utility exp({self.rate:g} cost), goal bonus {self.bonus:g}"
 
     @property
     def offset(self) -> float:
-        """Minus the bonus, which is what is left in the limit."""
+        """Minus the bonus for arriving, the charge's limit under exponential utility."""
         return -self.bonus
 
     @property
     def lowest(self) -> float:
-        """Minus what arriving at no cost is worth."""
+        """The least charge by exponential utility: minus the worth of arriving at no cost."""
         return -(1.0 + self.bonus)
 
     def at(self, totals: FloatArray) -> FloatArray:
-        """Minus utility and bonus."""
+        """Charge of arriving by exponential utility: minus utility and bonus."""
         return np.asarray(-(np.exp(self.rate * np.asarray(totals)) + self.bonus))
 
     def beyond(self, paid: FloatArray, tail: TailValues) -> FloatArray:
-        """``-(exp(rate * paid) * E[exp(rate * cost); goal] + bonus * goal)``."""
+        """Charge of a tail, ``-(exp(rate * paid) * E[exp(rate * cost)] + bonus * goal)``."""
         return np.asarray(-(np.exp(self.rate * paid) * tail.moment + self.bonus * tail.goal))
 
     def of(self, law: CostLaw) -> float:
-        """The expected utility."""
+        """The measure E[exponential utility] of a law of the total cost."""
         return law.exponential(self.rate) + self.bonus * law.goal
 
 
@@ -359,32 +359,32 @@ class ExpectedArrivalCost(Charge, Measure):
 
     @property
     def charge(self) -> Charge:
-        """Itself."""
+        """The function f of the total cost, itself the charge of arriving."""
         return self
 
     @property
     def words(self) -> str:
-        """What is asked."""
+        """The measure E[f(C) | goal] of the law of the total cost, in words."""
         return "arrival cost given success"
 
     @property
     def is_concave(self) -> bool:
-        """Whether it is a line from no cost on."""
+        """Whether the arrival cost f is a line from total cost 0 on."""
         return self.affine_from == 0.0
 
     @property
     def slope(self) -> float:
-        """The slope of the line."""
+        """Slope of the charge f where it has become a line."""
         first, last = self.at(self.affine_from + np.array([0.0, max(self.affine_from, 1.0)]))
         return float(last - first) / max(self.affine_from, 1.0)
 
     @property
     def offset(self) -> float:
-        """Where the line meets cost 0."""
+        """Intercept of the charge f's line at total cost 0."""
         return float(self.at(np.array([self.affine_from]))[0]) - self.slope * self.affine_from
 
     def at(self, totals: FloatArray) -> FloatArray:
-        """The function.
+        """The charge f of arriving at total costs, like ``totals``.
 
         Raises:
             ModelError: it does not take an array, falls as the cost grows, or is below 0.
@@ -397,11 +397,11 @@ class ExpectedArrivalCost(Charge, Measure):
 
     @property
     def settled(self) -> float:
-        """Where the line begins."""
+        """Total cost at which the line of the charge f begins."""
         return self.affine_from
 
     def of(self, law: CostLaw) -> float:
-        """The mean of what arrivals cost; nan if none succeeds."""
+        """The measure E[f(C) | goal] of a law of the total cost; nan if no run succeeds."""
         if law.goal == 0.0:
             return float("nan")
         line = self.affine_from
@@ -420,11 +420,11 @@ class CostQuantileOf(Measure):
 
     @property
     def words(self) -> str:
-        """What is asked."""
+        """The measure "quantile of the total cost" in words."""
         return f"{self.level:g}-quantile of the cost given success"
 
     def of(self, law: CostLaw) -> float:
-        """The least B with Pr(C <= B | goal) >= level."""
+        """The quantile of a law of the total cost: the least B with Pr(C <= B | goal) >= level."""
         return law.quantile(self.level)
 
 
@@ -440,9 +440,9 @@ class TailMeanOf(Measure):
 
     @property
     def words(self) -> str:
-        """What is asked."""
+        """The measure "mean of the tail of the total cost" in words."""
         return f"conditional value at risk {self.level:g} given success"
 
     def of(self, law: CostLaw) -> float:
-        """The mean of the worst ``1 - level`` of the runs that succeed; nan if none does."""
+        """The measure "tail mean" of a law: of its costliest ``1 - level``; nan without success."""
         return law.tail_mean(self.level)

@@ -11,8 +11,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ssp_lp.accumulated_cost.charges import Utility, utilities
-from ssp_lp.accumulated_cost.law import (
+from ssp_lp.accumulated_cost.arrivals import (
     Arrivals,
     ChainProspect,
     FollowedSums,
@@ -20,6 +19,7 @@ from ssp_lp.accumulated_cost.law import (
     TooManySumsError,
     cost_of,
 )
+from ssp_lp.accumulated_cost.charges import Utility, utilities
 from ssp_lp.arrays import QUANTILE, FloatArray
 from ssp_lp.errors import ModelError, in_short, wrong_argument
 from ssp_lp.model.arguments import explained
@@ -62,27 +62,27 @@ class CostLaw:
 
     @property
     def is_finer(self) -> bool:
-        """Whether it is of costs as they are paid, and members round them up."""
+        """Whether the law is of costs as they are paid, while members round them up."""
         return bool(self._rounded)
 
     @cached_property
     def goal(self) -> float:
-        """The probability of reaching the goal."""
+        """Mass of the cost law: the probability of reaching the goal."""
         return self._mean(lambda p: float(p.chain.start @ p.goal))
 
     @cached_property
     def cost(self) -> float:
-        """E[C; goal]."""
+        """E[C; goal] of the cost law."""
         return self._mean(lambda p: float(p.chain.start @ p.cost))
 
     @property
     def conditional_mean(self) -> float:
-        """E[C | goal]; nan where the goal is never reached."""
+        """Mean E[C | goal] of the cost law; nan where the goal is never reached."""
         return self.cost / self.goal if self.goal > 0.0 else nan
 
     @explained
     def within(self, bound: float | Fraction) -> float:
-        """Pr(goal, C <= bound).
+        """Distribution function of the cost law: Pr(goal, C <= bound).
 
         A float means its shortest decimal (three steps of 0.1 are within 0.3), or the total of
         whole layers that it is the float of (2/3, where the unit is 1/3); fractions are exact.
@@ -105,7 +105,7 @@ class CostLaw:
 
     @explained
     def excess(self, threshold: float) -> float:
-        """E[(C - threshold)^+; goal]; what lies far out is not lost to cancellation."""
+        """E[(C - threshold)^+; goal] of the cost law; its far tail is not lost to cancellation."""
         _check_cost_number(threshold, "threshold")
         if threshold == inf:
             return 0.0
@@ -130,7 +130,7 @@ class CostLaw:
 
     @explained
     def quantile(self, level: float) -> float:
-        """The least B with Pr(C <= B | goal) >= level; nan where the goal is never reached.
+        """Quantile of the cost law: the least B with Pr(C <= B | goal) >= level; nan: no success.
 
         The comparison has a relative slack of 1e-12 (``arrays.QUANTILE``), so that an atom at
         which the mass reaches the level exactly is not missed. Level 0 asks for the least cost.
@@ -161,7 +161,7 @@ class CostLaw:
 
     @explained
     def tail_mean(self, level: float) -> float:
-        """The mean of the costliest ``1 - level`` of the runs that succeed; level 0: of them all.
+        """Tail mean (CVaR) of the cost law, over the costliest ``1 - level`` of the successes.
 
         The conditional value at risk (Rockafellar and Uryasev 2000), where an atom at the quantile
         counts for as much of it as belongs to the share; nan where the goal is never reached.
@@ -174,7 +174,7 @@ class CostLaw:
 
     @explained
     def exponential(self, rate: float) -> float:
-        """E[exp(rate * C); goal], rate <= 0, by a linear solve; no lattice is needed.
+        """E[exp(rate * C); goal] of the cost law, rate <= 0, by a linear solve without a lattice.
 
         Raises:
             ModelError: a rate above 0, for which the expectation need not be finite.
@@ -185,7 +185,7 @@ class CostLaw:
 
     @explained
     def expectation(self, utility: Utility, at_infinity: float) -> float:
-        """E[utility(C); goal], followed until the rest cannot matter.
+        """E[utility(C); goal] of the cost law, followed until the rest cannot matter.
 
         Args:
             utility: a non-increasing function of the total cost, on arrays.
@@ -218,7 +218,7 @@ class CostLaw:
 
     @explained
     def upto(self, bound: float | Fraction) -> Atoms:
-        """All atoms of a total cost of at most ``bound``, as :meth:`within` compares."""
+        """Atoms of the cost law up to a total cost ``bound``, compared as :meth:`within` does."""
         if bound == inf:
             raise ModelError("give a finite bound, or all_but(mass)")
         _check_cost_number(bound, "bound")
@@ -237,7 +237,7 @@ class CostLaw:
 
     @explained
     def all_but(self, mass: float) -> Atoms:
-        """The least costs that leave out a mass of at most ``mass`` of the runs that succeed.
+        """Least atoms of the cost law that leave out a mass of at most ``mass`` of the successes.
 
         Raises:
             ModelError: the mass is not above 0.
@@ -258,12 +258,12 @@ class CostLaw:
         return self._answer(atoms)
 
     def _mean(self, of: Callable[[ChainProspect], float]) -> float:
-        """The lottery's mean of a number of each member."""
+        """A lottery's mean, in the cost law, of a number of each member."""
         numbers = zip(self._prospects, self._weights, strict=True)
         return sum((float(w) * of(p) for p, w in numbers), start=0.0)
 
     def _answer(self, question: Callable[[Arrivals], _Answer]) -> _Answer:
-        """The answer to a question: exact, or of rounded costs where it needs too many sums.
+        """A question to the cost law answered exactly, or by rounded costs where sums are too many.
 
         The sweeps over the chain's total cost are begun when a question needs them.
         """
@@ -276,12 +276,12 @@ class CostLaw:
 
     @cached_property
     def _live(self) -> LiveChain:
-        """The members' chains side by side."""
+        """Live chains of the cost law's members, side by side."""
         return LiveChain.of(self._prospects, self._weights)
 
     @cached_property
     def _sweep(self) -> Arrivals:
-        """The sums that costs make as they are, or layers of a common unit."""
+        """Arrivals of the cost law: at the sums that costs make, or in layers of a common unit."""
         exact = self._prospects[0].chain.model.exact_costs
         try:
             return Arrivals(self._live, exact)
@@ -291,10 +291,10 @@ class CostLaw:
 
     @cached_property
     def _rounded_sweep(self) -> Arrivals:
-        """Every cost rounded up to a multiple of a small unit, the smaller of two."""
+        """Arrivals of the cost law, costs rounded up to multiples of the smaller of two units."""
         most = max(min(_MOST_UNITS, _MOST_ROUNDED // len(self._live.start)), 1)
-        least = float(self._live.paid.max(initial=0.0)) / most
-        unit = Fraction(max(self.conditional_mean / _FINE, least))
+        least_unit = float(self._live.paid.max(initial=0.0)) / most
+        unit = Fraction(max(self.conditional_mean / _FINE, least_unit))
         if self._rounded:
             exact = self._prospects[0].chain.model.exact_costs
             counted = Arrivals(LiveChain.of(self._rounded, self._weights), exact)

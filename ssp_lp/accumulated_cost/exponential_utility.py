@@ -18,8 +18,8 @@ from ssp_lp.dynamic_programming.dynamics import Dynamics, approach_leaving, leav
 from ssp_lp.dynamic_programming.policy_iteration import first_of_equals, iterate_policy
 from ssp_lp.model import SSP
 from ssp_lp.processes.goal_reach import GoalReach, ReachPolicy
+from ssp_lp.processes.live_rows import costless_pairs, successor_means
 from ssp_lp.processes.quotient import Quotient, build_quotient
-from ssp_lp.processes.rows import costless_pairs, successor_means
 
 _ROUNDING = 2.0
 """A pair's loss of goal probability may be half of what is computed: the horizon then lies a little
@@ -29,7 +29,7 @@ _ONE = np.ones(1)
 
 
 def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> ReachPolicy:
-    """Maximise E[exp(rate * C); goal] over the policies that use some pairs only.
+    """Maximise the moment E[exp(rate * C); goal] over the policies that use some pairs only.
 
     Every step that costs something shrinks what is to come, so that this is an ordinary problem
     on a substochastic process; loops that cost nothing are collapsed, and a policy leaves them.
@@ -40,8 +40,8 @@ def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> ReachP
         usable: pairs, [model pairs], such as those of greatest goal probability; None: all.
     """
     quotient = build_quotient(model, usable=usable, free=costless_pairs(model))
-    shrinking = _shrunk_by_utility(quotient, rate)
-    gain = quotient.at_pairs(_shrunk_arrivals(model, rate))
+    shrinking = _tilted_process(quotient, rate)
+    gain = quotient.at_pairs(_tilted_arrivals(model, rate))
     hit = quotient.at_pairs(successor_means(model, model.goal_mask))
     plain, _ = quotient.dynamics(1.0, departing=False)
     first = approach_leaving(plain, hit > 0)
@@ -62,7 +62,7 @@ def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> ReachP
 def cost_horizon(
     model: SSP, greatest: GoalReach, tail: ReachPolicy, rate: float, bonus: float
 ) -> float:
-    """Accumulated cost from which a tail of exponential utility is optimal: C_max of eGUBS.
+    """C_max of eGUBS: accumulated cost from which a tail of exponential utility is optimal.
 
     At (s, r) the tail is optimal if no pair is better: bonus * (P(s) - Q_P(s, a)) >= exp(rate * r)
     * (Q_V(s, a) - V(s)) for all pairs, with P the greatest goal probability and V the tail's
@@ -81,7 +81,7 @@ def cost_horizon(
     losing = ~greatest.usable & (greatest.goal > 0.0)[model.pair_state]
     losing &= ~model.goal_mask[model.pair_state]
     lost = greatest.goal[model.pair_state] - successor_means(model, greatest.goal)
-    ahead = _shrunk_arrivals(model, rate, np.where(model.goal_mask, 1.0, tail.values.moment))
+    ahead = _tilted_arrivals(model, rate, np.where(model.goal_mask, 1.0, tail.values.moment))
     gained = ahead - tail.values.moment[model.pair_state]
     tempting = losing & (gained > 0.0)
     if not tempting.any():
@@ -91,14 +91,14 @@ def cost_horizon(
         return float(max(np.log(share).min() / rate, 0.0))
 
 
-def _shrunk_arrivals(model: SSP, rate: float, values: FloatArray | None = None) -> FloatArray:
+def _tilted_arrivals(model: SSP, rate: float, values: FloatArray | None = None) -> FloatArray:
     """Exponential utility of stage cost and successor: E[exp(rate * cost) * value], [pairs]."""
     worth = model.goal_mask.astype(np.float64) if values is None else values
     terms = model.probabilities * np.exp(rate * model.costs) * worth[model.successors]
     return segment_sums(terms, model.outcome_offsets)
 
 
-def _shrunk_by_utility(quotient: Quotient, rate: float) -> Dynamics:
+def _tilted_process(quotient: Quotient, rate: float) -> Dynamics:
     """The process whose transitions are weighted by exp(rate * stage cost)."""
     model = quotient.model
     node = quotient.node_of[model.successors]

@@ -61,7 +61,7 @@ class Staying:
     onward: FloatArray  # [k] probability of moving to a later layer
 
     def closed(self, among: BoolArray) -> BoolArray:
-        """States of classes that no move ever leaves, [k].
+        """States within a layer whose classes no move of the policy ever leaves, [k].
 
         Args:
             among: states outside of which every move leaves, [k].
@@ -105,12 +105,12 @@ class LayerMoves:
 
     @cached_property
     def acting(self) -> BoolArray:
-        """States at which episodes go on, [states]."""
+        """States at which episodes of the layered policy go on, [states]."""
         return ~(dead_ends(self.model) | self.model.goal_mask)
 
     @cached_property
     def classes(self) -> IntArray:
-        """Class of each outcome's cost, [outcomes]; empty where there is one class."""
+        """Class of each outcome's cost in the policy's layers, [outcomes]; empty: one class."""
         costs, model = self.layers.costs, self.model
         if len(costs) == 1:
             return _NO_CLASSES
@@ -121,17 +121,17 @@ class LayerMoves:
 
     @property
     def room(self) -> int:
-        """Layers in a ring that holds all to which a step may lead."""
+        """Layers in a ring that holds all to which a step of the policy may lead."""
         return max(self.layers.width - 1, 1)
 
     def pairs(self, layer: int, states: IntArray) -> IntArray:
-        """Pairs of acting states in a layer; codes stay, -3 elsewhere, like ``states``."""
+        """Pairs that the policy takes in a layer; codes stay, -3 elsewhere, like ``states``."""
         decision = self.layers.decision[layer][states]
         pair = np.where(decision < 0, decision, self.model.pair_offsets[states] + decision)
         return np.where(self.acting[states], pair, ENDED)
 
     def ring(self, layer: int) -> IntArray:
-        """Rows of the ring to which a layer's classes of steps lead, -1: they stay, [classes]."""
+        """Rows of the ring of layers to which classes of steps lead, -1: they stay, [classes]."""
         leads, room = self.layers.leads(layer), self.room
         ring = leads + layer % room
         ring[ring >= room] -= room  # no step leads beyond the ring
@@ -140,14 +140,14 @@ class LayerMoves:
 
     @cached_property
     def free_order(self) -> IntArray:
-        """States, each after those that its free moves lead to, as far as may be, [states]."""
+        """States of a layer, each after those that the policy's free moves lead to, [states]."""
         model = self.model
         staying = (self.layers.leads(0) <= 0)[self.classes if self.classes.size else [0]]
         begins = model.outcome_offsets[model.pair_offsets]
         return strong_components(begins, model.successors, model.probabilities * staying).order
 
     def meet(self, begin: int, end: int, hopeful: BoolArray) -> None:
-        """Mark where decisions of layers may lead to what is marked in them or later, in place.
+        """Mark where a policy's layers may lead to what is marked in them or later, in place.
 
         Args:
             begin: the first of the layers, which pass equally many with each class of steps.
@@ -159,11 +159,11 @@ class LayerMoves:
         if not model.n_outcomes:
             return
         if accelerated(model.n_outcomes * (end - begin)):
-            from ssp_lp.compiled.layers import stream_hope
+            from ssp_lp.compiled.layers import stream_marks
 
             own = decision[begin:end], self.acting, model.pair_offsets
             rest = leads, self.free_order, hopeful[begin:]
-            stream_hope(decision[begin:end].size)(*own, *self._outcomes, *rest)
+            stream_marks(decision[begin:end].size)(*own, *self._outcomes, *rest)
             return
         everywhere = np.arange(model.n_states)
         for layer in backward(end, begin):
@@ -249,7 +249,7 @@ class LayerMoves:
         np.add.at(waiting, place, moved * self.model.probabilities[outcome, None])
 
     def within(self, pairs: IntArray, ring: IntArray, begins: IntArray) -> IntArray:
-        """States to which moves that stay lead from some, these included, increasing.
+        """States reached by the policy within a layer, from some and with these, increasing.
 
         Args:
             pairs: of all states, [states].
@@ -263,7 +263,7 @@ class LayerMoves:
         return np.flatnonzero(reached_along(self.model.successors[outcome], offsets, begins))
 
     def staying(self, states: IntArray, pairs: IntArray, ring: IntArray) -> Staying | None:
-        """Moves within the layer; None: there are none.
+        """The policy's moves within a layer; None: there are none.
 
         Args:
             states: increasing, from which all such moves lead to one of them, [k].
@@ -285,13 +285,13 @@ class LayerMoves:
 
     @property
     def _outcomes(self) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
-        """What a compiled pass reads of a layer's moves."""
+        """Arrays of a policy's moves by layer for a compiled pass."""
         model = self.model
         successors = model.successors.view(np.uint32)
         return model.outcome_offsets, successors, model.probabilities, self.classes
 
     def _taken(self, pairs: IntArray, wanted: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
-        """Position among the pairs, outcome and class of each possible move of wanted classes."""
+        """Position, outcome and class of each possible move of the policy by wanted classes."""
         where = np.flatnonzero(pairs >= 0)
         begin = self.model.outcome_offsets[pairs[where]]
         counts = self.model.outcome_offsets[pairs[where] + 1] - begin
@@ -308,17 +308,17 @@ class LayerMoves:
 _AT_ONCE = 1_000_000  # decisions between two looks at the time
 
 
-def stopping_where_lost(policy: MixedPolicy) -> MixedPolicy:
-    """The same policy, but that members that remember their cost give up once the goal is lost.
+def giving_up_where_lost(policy: MixedPolicy) -> MixedPolicy:
+    """A lottery whose members, layer by layer of cost, give up once the goal is lost.
 
     Raises:
         Stop: the time ended.
     """
-    return replace(policy, policies=tuple(_stopping(member) for member in policy.policies))
+    return replace(policy, policies=tuple(_giving_up_layers(member) for member in policy.policies))
 
 
-def _stopping(policy: Policy) -> Policy:
-    """A member that gives up where it has lost the goal; others are left as they are."""
+def _giving_up_layers(policy: Policy) -> Policy:
+    """A member that gives up in the layers where it has lost the goal; others as they are."""
     layers = policy.layers()
     if not isinstance(policy, CostAwarePolicy) or layers is None:
         return policy
@@ -386,7 +386,7 @@ _FEW_NODES = 1_000
 def chain_of_law(
     model: SSP, policy: Policy, start: FloatArray, *, least_nodes: int = LARGE
 ) -> Chain:
-    """A chain with the law of a policy's total cost: its own, or a smaller one where that is large.
+    """Chain with the law of a layered policy's total cost: its own, or a smaller one by layers.
 
     The smaller one of a policy that rounds costs up has the law of the rounded costs.
 
@@ -403,14 +403,14 @@ def chain_of_law(
     if layers is not None and layers.count * model.n_states >= least_nodes:
         law = _law_forwards(LayerMoves(model, layers), start)
         if law is not None:
-            return _spine_of_law(model, layers, *law)
+            return _block_chain_of_law(model, layers, *law)
     return policy_chain(model, policy, start)
 
 
 def chains_of_law(
     model: SSP, policy: Policy, start: FloatArray, chain: Chain | None = None, *, soon: bool = False
 ) -> tuple[Chain, Chain]:
-    """Chains with the law of a policy's total cost as it is paid, and as the policy counts it.
+    """Chains with the law of a layered policy's total cost: as paid, and as its layers count it.
 
     Both are one where it rounds nothing up, and where it may remember much and comes to many nodes.
 
@@ -438,7 +438,7 @@ def chains_of_law(
 
 
 def _law_forwards(moves: LayerMoves, start: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Follow the law's mass layer by layer.
+    """Follow a layered policy's mass forwards, layer by layer, to its law.
 
     None where a decision is missing, or a cost is no whole number of layers but as a float, and is
     not rounded up to one.
@@ -467,8 +467,10 @@ def _law_forwards(moves: LayerMoves, start: FloatArray) -> tuple[FloatArray, Flo
     return goal, landed
 
 
-def _spine_of_law(model: SSP, layers: CostLayers, reached: FloatArray, landed: FloatArray) -> Chain:
-    """One node of the law's chain per block of layers below the cap, then the goal and the tails.
+def _block_chain_of_law(
+    model: SSP, layers: CostLayers, reached: FloatArray, landed: FloatArray
+) -> Chain:
+    """Chain of a layered policy's law: a node per block of layers, then the goal and the tails.
 
     A node goes on to the next block, or to the goal at the cost of each layer of its own; the last
     one to where the mass lands beyond the cap. Mass that fails below the cap never starts.

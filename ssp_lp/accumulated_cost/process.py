@@ -38,14 +38,14 @@ from ssp_lp.processes.failure_semantics import (
     giving_up_states,
     survival_of,
 )
-from ssp_lp.processes.quotient import Quotient, Spread, build_quotient
-from ssp_lp.processes.rows import (
+from ssp_lp.processes.live_rows import (
     RowChoice,
     cost_means,
     live_rows,
     shared_live_rows,
     successor_means,
 )
+from ssp_lp.processes.quotient import Quotient, Spread, build_quotient
 
 _MOST_TURNS = 300  # to bound the steps within a layer
 _LAST_STEP = 0.4  # what another one adds by then; a half would do but for rounding
@@ -72,17 +72,17 @@ class AccumulatedCost:
 
     @property
     def exact_unit(self) -> Fraction:
-        """Cost of one layer."""
+        """Cost of one layer of the process, as a fraction."""
         return self.step_classes.unit
 
     @cached_property
     def unit(self) -> float:
-        """The same as a float."""
+        """Cost of one layer of the process, as a float."""
         return float(self.step_classes.unit)
 
     @property
     def by_steps(self) -> bool:
-        """Whether classes of steps are their distinct costs, not multiples of a common unit."""
+        """Whether the process tells steps apart by distinct costs, not by multiples of a unit."""
         return self.last_steps is not None
 
     @property
@@ -91,29 +91,29 @@ class AccumulatedCost:
         return self.step_classes.width
 
     def totals(self, cap: int) -> Totals:
-        """The multiples of the unit, as many as layers below a cap."""
+        """Totals of the accumulated-cost process: the multiples of its unit below a cap."""
         return Totals.of_unit(self.exact_unit, cap, self.width)
 
     @property
     def n_nodes(self) -> int:
-        """States of one layer."""
+        """States of one layer of the accumulated-cost process."""
         return self.quotient.n_nodes
 
     @property
     def pair_offsets(self) -> IntArray:
-        """Pairs of each node, [nodes + 1]."""
+        """Offsets of the pairs of each node in a layer of the process, [nodes + 1]."""
         return self.quotient.pair_offsets
 
     @cached_property
     def instant_dynamics(self) -> Dynamics:
-        """Steps that cost nothing; whatever goes on to a later layer leaves."""
+        """Free steps of the process within a layer; whatever goes on to a later layer leaves."""
         onward = np.asarray(written_out(self.later).sum(axis=1)).ravel()
         exits = onward + self.survival * self.gain + self.failure
         return Dynamics(self.pair_offsets, self.instant, exits, is_reused=True)
 
     @cached_property
     def steps_within(self) -> FloatArray | None:
-        """At least one more than after the free steps of any pair, [nodes]; None: it is large.
+        """Bound on the process's steps within a layer, [nodes]; None: it is large.
 
         So it bounds the steps that a policy takes before it leaves a layer. Where another step
         adds at most half a one, twice as many do.
@@ -129,7 +129,7 @@ class AccumulatedCost:
 
     @property
     def steps(self) -> sp.csr_array:
-        """All steps, [pairs, width * nodes]; column = layers ahead * nodes + node."""
+        """Steps of the process, [pairs, width * nodes]; column = layers ahead * nodes + node."""
         later, n = written_out(self.later), self.n_nodes
         if len(self.instant.indices):
             return sp.csr_array(sp.hstack([self.instant, later]))
@@ -138,7 +138,7 @@ class AccumulatedCost:
 
     @cached_property
     def steps_by_class(self) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-        """Rows of all steps, the class of each entry (0: free), where it leads, and its share.
+        """Steps of the process as rows: each entry's class (0: free), target and share.
 
         [pairs + 1], and [entries] each.
         """
@@ -149,7 +149,7 @@ class AccumulatedCost:
 
 
 def spread_layer(base: AccumulatedCost, spread: Spread, start: FloatArray) -> AccumulatedCost:
-    """One layer of the states themselves, nothing collapsed and every self-loop in its place.
+    """One layer of the accumulated-cost process with nothing collapsed and every self-loop kept.
 
     Args:
         base: the layer as methods take it, without discount.
@@ -185,7 +185,7 @@ def accumulate_cost(
     side: Iterable[UpperRow] = (),
     by_steps: bool = False,
 ) -> AccumulatedCost:
-    """Build the process of case S.
+    """Build the process of case S: the states with the accumulated cost.
 
     Args:
         model: the model.
@@ -239,7 +239,7 @@ def accumulate_cost(
 
 
 def _departing(base: AccumulatedCost) -> AccumulatedCost:
-    """Pairs of accumulated cost seen on departing only: waiting for free changes no total."""
+    """Pairs of the accumulated-cost process on departing only: free waiting changes no total."""
     later = written_out(base.later)
     leak = base.gain + base.failure + np.asarray(later.sum(axis=1)).ravel()
     instant = base.instant.copy()
@@ -261,7 +261,7 @@ def _departing(base: AccumulatedCost) -> AccumulatedCost:
 
 
 def _scaled_rows(matrix: sp.csr_array, factor: FloatArray) -> sp.csr_array:
-    """A matrix with each row multiplied by a factor, [rows]."""
+    """Steps of the process with each row multiplied by a factor, [rows]."""
     data = matrix.data * np.repeat(factor, np.diff(matrix.indptr))
     return sp.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
 
@@ -269,7 +269,7 @@ def _scaled_rows(matrix: sp.csr_array, factor: FloatArray) -> sp.csr_array:
 def _steps_by_cost(
     quotient: Quotient, classes: StepClasses, survival: float
 ) -> tuple[sp.csr_array, SparseRows]:
-    """Steps that cost nothing, and steps that add to the accumulated cost; one is often empty."""
+    """Steps of the process that cost nothing, and those that add to the accumulated cost."""
     model, n, width = quotient.model, quotient.n_nodes, classes.width
     rows = RowChoice(model, quotient.node_of, n, quotient.pair_at)
     if classes.least > 0:  # no step stays in its layer
@@ -296,12 +296,12 @@ class ChargedLayers:
 
     @property
     def cap(self) -> int:
-        """Number of layers below the last total."""
+        """Number of layers of the process below the last total."""
         return self.totals.size
 
     @property
     def grows_evenly(self) -> bool:
-        """Whether the charge is the total cost itself, so that a layer adds the same everywhere."""
+        """Whether the process charges the total cost itself: each layer adds the same."""
         return self.charge.is_the_total
 
     def charged(self, layer: int) -> PairCost:
@@ -321,17 +321,17 @@ class ChargedLayers:
 
     @cached_property
     def _blocks(self) -> dict[int, FloatArray]:
-        """Charges of a block of layers, kept: [layers, pairs] by the number of the block."""
+        """Charges of arriving from a block of the process's layers, kept: [layers, pairs]."""
         return {}
 
     @cached_property
     def arriving(self) -> IntArray:
-        """Pairs by which the goal can be reached, [arriving]."""
+        """Pairs of a layer of the process by which the goal can be reached, [arriving]."""
         arrivals = self.base.arrivals
         return (self.base.gain if arrivals is None else np.diff(arrivals.indptr)).nonzero()[0]
 
     def charged_arriving(self, some: slice) -> FloatArray:
-        """Expected charge of arriving by the pairs that may, from some layers, [some, arriving]."""
+        """Expected charge by the arriving pairs from some layers, [some, arriving]."""
         base, arrivals, paid = self.base, self.base.arrivals, self.totals.values[some, None]
         if arrivals is None:
             return base.gain_cost[self.arriving] + paid * base.gain[self.arriving]
@@ -348,7 +348,7 @@ class ChargedLayers:
 
     @property
     def start_charge(self) -> float:
-        """Charge of the start mass that lies on goals."""
+        """Charge of the process's start mass that lies on goals."""
         return self.base.start_goal * float(self.charge.at(np.zeros(1))[0])
 
 
@@ -371,22 +371,22 @@ class LayeredTails:
 
     @property
     def goal(self) -> FloatArray:
-        """E[gamma^T; goal], [tails, nodes]."""
+        """E[gamma^T; goal] of the tails of the layered process, [tails, nodes]."""
         return self.values.goal
 
     def bounding(self, goal: FloatArray) -> TailValues:
-        """As if one policy had a goal probability and the greatest moment, like ``goal``."""
+        """Tail values of an ideal policy, of best goal probability and moment: they bound all."""
         nothing = np.zeros_like(goal)
         moment = nothing if self.greatest_moment is None else nothing + self.greatest_moment
         return TailValues(goal, 1.0 - goal, nothing, nothing, moment)
 
     @property
     def first(self) -> TailValues:
-        """The values of row 0, [nodes] each."""
+        """Values of the first tail of the layered process, [nodes] each."""
         return self.values.row(0)
 
     def threshold(self, failure_price: float, charge: Charge) -> FloatArray:
-        """Total from which the last tail is no worse than the first at this price, [nodes].
+        """Total from which the layered process's last tail is no worse than the first, [nodes].
 
         The value of tail k at accumulated cost r is price * (1 - goal_k) + slope * (r * early_k +
         cost_k) + offset * goal_k.
@@ -411,18 +411,18 @@ class LayeredProcess(ChargedLayers):
 
     @property
     def end(self) -> float:
-        """The total at which the table ends, in units."""
+        """The total at which the table of the layered process ends, in units."""
         return float(self.totals.values[-1]) if self.base.by_steps else self.cap
 
     @property
     def beyond_units(self) -> FloatArray:
-        """The totals at which tails take over, in units, [layers, 1]."""
+        """Totals at which the layered process's tails take over, in units, [layers, 1]."""
         if not self.base.by_steps:
             return self.cap + np.arange(self.base.width - 1.0)[:, None]
         return self.totals.beyond[:, None]
 
     def threshold(self, price: float) -> FloatArray:
-        """Total, in units, from which the last tail is followed at a price of failure, [nodes].
+        """Total, in units, from which a price follows the layered process's last tail, [nodes].
 
         -infinity where it is followed from the cap on, so that equal rules compare equal.
         """
@@ -431,7 +431,7 @@ class LayeredProcess(ChargedLayers):
         return np.where(total <= self.end, -np.inf, total)
 
     def beyond(self, price: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(charge, failure, goal) of the tails that a price chooses beyond the cap.
+        """(charge, failure, goal) of the layered process's tails, chosen at a price.
 
         Returns:
             3 x [layers, nodes].
@@ -441,11 +441,11 @@ class LayeredProcess(ChargedLayers):
         return self.charge.beyond(paid, chosen), chosen.failure, chosen.goal
 
     def measures_beyond(self, price: float) -> FloatArray:
-        """The same, [layers, nodes, 3]."""
+        """Charge, failure and goal of the layered process beyond its cap, [layers, nodes, 3]."""
         return np.stack(self.beyond(price), axis=-1)
 
     def beyond_value(self, price: float, failing: float) -> FloatArray:
-        """What the tails that a price chooses are worth at it, [layers, nodes].
+        """Value of the layered process's tails that a price chooses, [layers, nodes].
 
         Args:
             price: kappa.
@@ -455,7 +455,7 @@ class LayeredProcess(ChargedLayers):
         return charge + failing * failure - (price - failing) * goal
 
     def beyond_bound(self, failure_price: float, failing: float) -> FloatArray:
-        """Lower bound of every policy's value beyond the cap, [layers, nodes].
+        """Lower bound of every policy's value beyond the layered process's cap, [layers, nodes].
 
         Every success is charged at least what it would be if it came at once: charge(r) * early +
         price * (1 - goal) with early = goal / gamma (mathematics, section 5: r + (kappa - r) F). It
@@ -469,17 +469,17 @@ class LayeredProcess(ChargedLayers):
         paid = self.charge.at(totals) / self.base.survival
         goal = np.where(paid < failure_price, tails.greatest_goal, tails.least_goal)
         rest = failing * (1.0 - goal) - (failure_price - failing) * goal
-        least = paid * goal
+        bound = paid * goal
         if tails.greatest_moment is not None:
-            least = self.charge.beyond(totals, tails.bounding(goal))
+            bound = self.charge.beyond(totals, tails.bounding(goal))
         if tails.least_cost is not None:
-            least = least + self.charge.slope * tails.least_cost
-        terms = failing + (failure_price - failing + np.abs(paid)) * goal + np.abs(least)
+            bound = bound + self.charge.slope * tails.least_cost
+        terms = failing + (failure_price - failing + np.abs(paid)) * goal + np.abs(bound)
         rounding = np.where(goal == 0, 0.0, 8.0 * MACHINE_EPSILON * terms)  # rare goals keep digits
-        return np.asarray(rest + least - rounding)
+        return np.asarray(rest + bound - rounding)
 
     def policy(self, choice: IntArray, tail_price: float) -> CostAwarePolicy:
-        """Pull a choice back to the model.
+        """The cost-aware policy on the model of a choice in the layered process.
 
         Args:
             choice: position among the pairs of its node, [cap, nodes].

@@ -76,7 +76,7 @@ empty where free steps do not go round."""
 
 
 class PartOfSweep(NamedTuple):
-    """How far a sweep for the best choice had come when it was stopped."""
+    """Part of a sweep for the best choice that was done when it was stopped."""
 
     choice: IntArray  # [cap, nodes] of which the layers from ``layer`` on are written
     price: float  # of failure
@@ -97,13 +97,13 @@ class Sweep:
     process: LayeredProcess
 
     def room_for_choice(self) -> IntArray:
-        """Room for a choice, in the smallest integers that hold it."""
+        """An array for the choice of a sweep over layers, in the smallest integers that hold it."""
         base = self.process.base
         most = int(np.diff(base.pair_offsets).max(initial=1))
         return np.empty((self.process.cap, base.n_nodes), dtype=least_integer_type(most))
 
     def minimise(self, price: float, failing: float, choice: IntArray) -> FloatArray:
-        """Write the best choice at a price; its charge, failure and goal from the start on, [3].
+        """Best choice of a backward sweep at a price, written; its charge, failure and goal, [3].
 
         Raises:
             Stop: with the part of the sweep that was done.
@@ -145,7 +145,7 @@ class Sweep:
             raise Stop(part) from stop
 
     def measure(self, choice: IntArray, tail_price: float) -> FloatArray:
-        """Charge, failure and goal of a choice from the start on, [3].
+        """Charge, failure and goal of a choice by a sweep over the layers, from the start on, [3].
 
         Args:
             choice: [cap, nodes].
@@ -174,7 +174,7 @@ class Sweep:
         beyond: FloatArray,
         choice: IntArray | None = None,
     ) -> tuple[FloatArray, FloatArray]:
-        """Lower bounds of every policy's value at a price: rounding counts against them.
+        """Lower bounds of all policies' values at a price, by a backward sweep; rounding counts.
 
         Args:
             price: of failure.
@@ -237,14 +237,14 @@ class Sweep:
         return begun + sum(ended) - loss, kept
 
     def lost_beyond(self, price: float, failing: float) -> FloatArray:
-        """What the tails are worth above the lower bound beyond the cap, [layers, nodes]."""
+        """Worth of the tails above the sweep's lower bound beyond the cap, [layers, nodes]."""
         tails = self.process.beyond_value(price, failing)
-        least = self.process.beyond_bound(price, failing)
-        same = tails - least <= _SAME * (np.abs(tails) + np.abs(least))
-        return np.where(same, 0.0, tails - least)
+        bound = self.process.beyond_bound(price, failing)
+        same = tails - bound <= _SAME * (np.abs(tails) + np.abs(bound))
+        return np.where(same, 0.0, tails - bound)
 
     def follow(self, choice: IntArray, tail_price: float) -> FloatArray:
-        """Charge, failure and goal of a choice from the start on, [3], by its mass forwards."""
+        """Charge, failure and goal of a choice by a forward sweep of its mass, [3]."""
         process, mass = self.process, _LayerMass(self.process.base, self.process.totals)
         sums = [mass.follow(choice[k], process.charged(k)).tolist() for k in range(process.cap)]
         beyond = process.beyond(tail_price)
@@ -252,7 +252,7 @@ class Sweep:
         return np.array([fsum(each) for each in zip(*sums, strict=True)])
 
     def mass_beyond(self, choice: IntArray) -> FloatArray:
-        """The mass with which a choice gets beyond the cap, [layers beyond, nodes] at least."""
+        """Mass of a choice that gets beyond the cap, by a forward sweep, [layers beyond, nodes]."""
         base, mass = self.process.base, _LayerMass(self.process.base, self.process.totals)
         for chosen in choice:
             mass.follow(chosen, PairCost(base.gain_cost))
@@ -317,14 +317,14 @@ class Sweep:
             ahead = [part[:span] for part in parts]
 
     def _owed(self, price: float, failing: float) -> tuple[FloatArray, FloatArray]:
-        """What pairs owe beside the charge, and what they save, non-negative, [pairs] each."""
+        """Costs of pairs beside the charge in a sweep, and savings, non-negative, [pairs] each."""
         base = self.process.base
         return failing * base.failure, (price - failing) * base.survival * base.gain
 
     def _pair_costs(
         self, price: float, failing: float, *, sizes: bool = False
     ) -> Callable[[int], tuple[PairCost, FloatArray, FloatArray]]:
-        """By layer ``charge + owed - saved``, the sizes of its parts if asked for, and ``owed``."""
+        """Pair costs of a sweep by layer, ``charge + owed - saved``, with sizes if asked for."""
         process, (owed, saved) = self.process, self._owed(price, failing)
         if process.grows_evenly:
             even, totals = process.charged(0), process.totals.values
@@ -342,7 +342,7 @@ class Sweep:
     def _backward(
         self, step: Callable[..., tuple[FloatArray, ...]], *beyond: FloatArray
     ) -> Iterator[tuple[int, tuple[FloatArray, ...]]]:
-        """Layer by layer, the last first, what a step makes of what the layer leads to.
+        """Sweep backward layer by layer, each from the values of the layers that it leads to.
 
         Args:
             step: of a layer and the numbers of what its steps lead to, [layers * nodes, ...] each.
@@ -359,7 +359,7 @@ class Sweep:
             yield layer, swept
 
     def _measures(self, layer: int, chosen: IntArray, ahead: FloatArray) -> FloatArray:
-        """(charge, failure, goal) of a layer's choice, [nodes, 3].
+        """(charge, failure, goal) of a layer's choice in the sweep, [nodes, 3].
 
         Args:
             layer: the layer.
@@ -385,17 +385,17 @@ class Sweep:
 
     @cached_property
     def is_acyclic(self) -> bool:
-        """Whether every step between states costs something, so that layers need no solving."""
+        """Whether every step between states costs something, so that a sweep solves no layer."""
         return self.process.base.instant.nnz == 0
 
     @property
     def can_follow(self) -> bool:
-        """Whether a choice can be followed forwards, in compiled loops."""
+        """Whether a choice can be swept forwards, in compiled loops."""
         return self.is_acyclic and accelerated(self.process.base.later.nnz)
 
     @cached_property
     def one_pass(self) -> CompiledPass | None:
-        """What the compiled pass over all layers reads, whatever is asked for.
+        """The layers as the compiled backward sweep reads them, whatever is asked for.
 
         None where layers are long, or free steps go round for long.
         """
@@ -448,7 +448,7 @@ class Sweep:
 
     @cached_property
     def _first_choice(self) -> IntArray:
-        """A choice by which each layer with free steps is left, [nodes]."""
+        """The sweep's first choice, by which each layer with free steps is left, [nodes]."""
         base = self.process.base
         if self.is_acyclic or self.one_pass is not None:
             return base.pair_offsets[:-1]
@@ -457,7 +457,7 @@ class Sweep:
 
 
 def _at_least(values: FloatArray, floor: float) -> FloatArray:
-    """Values that are not below a floor, which stands for what is no number as well."""
+    """Values of a sweep raised to a floor, which also stands for what is no number."""
     return np.maximum(np.nan_to_num(values, nan=floor, posinf=np.inf), floor)
 
 
@@ -476,7 +476,7 @@ _DROPPED = 1e-9
 def follow_rule(
     base: AccumulatedCost, rule: IntArray, most_layers: int
 ) -> tuple[float, float] | None:
-    """(E[cost; goal], goal) from the start, about, of a pair for each node whatever has been paid.
+    """(E[cost; goal], goal), about, of taking the same pair per node in all layers, swept forwards.
 
     Args:
         base: one layer of a process without free steps.

@@ -26,7 +26,7 @@ from ssp_lp.arrays import BoolArray, FloatArray, IntArray, chunks, concatenated_
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends, kept
-from ssp_lp.processes.rows import uniform_cost
+from ssp_lp.processes.live_rows import uniform_cost
 
 _MOST_LAYERS_PER_STEP = 1_000_000
 _SHORT = 9  # digits of a decimal that a person would write down
@@ -35,7 +35,7 @@ _NO_COSTS: Mapping[float, Fraction] = MappingProxyType({})
 
 
 def exact_cost(cost: float | Fraction, exact: Mapping[float, Fraction] = _NO_COSTS) -> Fraction:
-    """The number that a cost on a lattice stands for: a float means its shortest decimal.
+    """The fraction that a cost on a lattice of totals stands for: a float's shortest decimal.
 
     Sums of decimals that were rounded on the way are what they were meant to be: 0.1 * 3 is 0.3.
 
@@ -53,7 +53,7 @@ def exact_cost(cost: float | Fraction, exact: Mapping[float, Fraction] = _NO_COS
 
 
 def last_layer(bound: float | Fraction, unit: Fraction) -> int:
-    """The last layer of a lattice whose cost is at most a finite bound; negative: there is none.
+    """The last layer of a lattice of totals within a finite bound; negative: there is none.
 
     A float means its shortest decimal, to the last digit (three steps of 0.1 are within 0.3), or
     the whole number of layers of which it is the nearest float (2/3, where the unit is 1/3).
@@ -67,17 +67,17 @@ def last_layer(bound: float | Fraction, unit: Fraction) -> int:
 
 
 def layers_within(total: float | Fraction, unit: Fraction) -> int:
-    """How many layers of a lattice cost at most so much: the first one beyond the total."""
+    """Number of layers of a lattice with a total of at most so much."""
     return max(last_layer(total, unit) + 1, 0)
 
 
 def totals_of(layers: IntArray, unit: Fraction) -> FloatArray:
-    """Total cost of whole layers of a lattice, rounded once, like ``layers``."""
+    """Totals of whole layers of a lattice, rounded once, like ``layers``."""
     return np.asarray(layers * float(unit.numerator) / float(unit.denominator))
 
 
 def common_unit(costs: FloatArray, exact: Mapping[float, Fraction]) -> Fraction:
-    """The unit of a lattice: the greatest number of which every cost is a whole multiple.
+    """The unit of a lattice of totals: the greatest number that divides every cost.
 
     A float means a decimal (``exact_cost``) unless ``exact`` says which fraction it is.
 
@@ -126,7 +126,7 @@ class StepClasses:
     def of(
         cls, model: SSP, counted: BoolArray, unit: Fraction, costs: FloatArray, classes: IntArray
     ) -> StepClasses:
-        """The class of each outcome that leads to some states, [states], by its cost.
+        """Class, among steps that totals tell apart, of each outcome into some states, [states].
 
         Args:
             model: the model.
@@ -147,7 +147,7 @@ class StepClasses:
 
 
 def _is_counted(model: SSP, counted: BoolArray, some: slice) -> BoolArray:
-    """Which of some outcomes can lead to a state that counts, [some]."""
+    """Outcomes, of some, that lead to a state in which a total counts, [some]."""
     return np.asarray(counted[model.successors[some]] & (model.probabilities[some] > 0))
 
 
@@ -164,7 +164,7 @@ def _costs_into(model: SSP, counted: BoolArray) -> FloatArray:
 
 
 def multiples_of_unit(model: SSP, counted: BoolArray) -> StepClasses:
-    """Steps by how many layers of their costs' common unit they pass.
+    """Steps by the number of layers that they pass, totals being multiples of a common unit.
 
     Args:
         model: the model.
@@ -197,13 +197,13 @@ _SHARE = 1e-3  # of the cheapest step
 
 @kept
 def step_costs(model: SSP) -> tuple[StepClasses, FloatArray]:
-    """Steps that go on by the number of their cost, and the costs, the first of which is 0."""
+    """Steps that go on, by the number of their cost, and the costs that add up to totals."""
     return _numbered_costs(model, ~(dead_ends(model) | model.goal_mask))
 
 
 @kept
 def last_steps(model: SSP) -> tuple[StepClasses, FloatArray]:
-    """Steps into a goal, likewise: no sum goes on from them."""
+    """Steps into a goal, by the number of their cost: totals end with them."""
     return _numbered_costs(model, model.goal_mask)
 
 
@@ -216,7 +216,7 @@ def _numbered_costs(model: SSP, counted: BoolArray) -> tuple[StepClasses, FloatA
 
 
 def room_of(steps: FloatArray, cap: float) -> float:
-    """Sums up to a cap that differ by so little are one.
+    """Difference up to which two sums of steps below a cap are one total.
 
     Args:
         steps: distinct costs of a step, the first of which is 0, [steps].
@@ -227,7 +227,7 @@ def room_of(steps: FloatArray, cap: float) -> float:
 
 
 def sums_of(steps: FloatArray, cap: float, most: int) -> FloatArray | None:
-    """The sums of steps below a cap, increasing; None: there are more than so many."""
+    """Totals that sums of steps make below a cap, increasing; None: there are more than so many."""
     moves, sums, room = steps[1:], np.zeros(1), room_of(steps, cap)
     if moves.size and cap > (most + 1) * float(moves[0]):
         return None  # the multiples of the cheapest are too many
@@ -247,17 +247,17 @@ def sums_of(steps: FloatArray, cap: float, most: int) -> FloatArray | None:
 
 
 def sums_in(model: SSP, cap: float, most: int) -> FloatArray | None:
-    """The sums of steps below a cap that can occur in a model, increasing; None: too many.
+    """Totals below a cap that can occur in a model, increasing; None: there are too many.
 
     All sums of steps, if these are few, else those that some walk through the model makes.
     """
     steps = step_costs(model)[1]
     sums = sums_of(steps, cap, most)
-    return _walked_sums(model, steps, cap, most) if sums is None else sums
+    return _sums_of_walks(model, steps, cap, most) if sums is None else sums
 
 
-def _walked_sums(model: SSP, steps: FloatArray, cap: float, most: int) -> FloatArray | None:
-    """The sums that walks from any state make, by breadth.
+def _sums_of_walks(model: SSP, steps: FloatArray, cap: float, most: int) -> FloatArray | None:
+    """Totals that walks from any state make, breadth first.
 
     Totals are numbered as they are found: which one a total and a kind of step lead to is worked
     out once for all states.
@@ -303,7 +303,7 @@ def _walked_sums(model: SSP, steps: FloatArray, cap: float, most: int) -> FloatA
 
 
 def _steps_to_sum(model: SSP, steps: FloatArray) -> tuple[IntArray, IntArray, IntArray]:
-    """The distinct (successor, kind of step) of each state's steps that go on: offsets, both."""
+    """Distinct (successor, class) of each state's steps that add to totals: offsets, both."""
     pair = np.repeat(np.arange(model.n_pairs), np.diff(model.outcome_offsets))
     ended = dead_ends(model) | model.goal_mask
     moving = (model.probabilities > 0.0) & ~ended[model.successors] & ~ended[model.pair_state[pair]]
@@ -355,7 +355,7 @@ class Totals:
 
     @cached_property
     def leads(self) -> tuple[IntArray, FloatArray]:
-        """Where each step leads from each total, the last for all beyond it as well.
+        """The total to which each step leads from each, the last for all beyond it as well.
 
         Returns:
             The total below, and the share that goes to the one above that, [totals, steps] each.
@@ -372,7 +372,7 @@ class Totals:
         return below, np.where(share * gap <= self._room, 0.0, share)  # down: never too dear
 
     def leads_by(self, kinds: IntArray) -> tuple[IntArray, FloatArray]:
-        """The same for some kinds of steps, [totals, kinds] each: units may be few in many."""
+        """Totals to which some classes of steps lead, and shares of the next, [totals, classes]."""
         if self.unit is None:
             below, share = self.leads
             return below[:, kinds], share[:, kinds]
@@ -381,7 +381,7 @@ class Totals:
 
     @property
     def _room(self) -> float:
-        """Sums that differ by so little are one total."""
+        """Difference up to which two sums are one total."""
         return room_of(self.steps, float(self.values[-1]))
 
     @cached_property
@@ -400,14 +400,14 @@ class Totals:
 
     @property
     def reached(self) -> IntArray:
-        """The number of the total that each step makes, those beyond the cap included.
+        """Number of the total that each step makes, totals beyond the cap included.
 
         [totals below the cap, steps].
         """
         return self.reached_by(np.arange(len(self.steps)))
 
     def reached_by(self, kinds: IntArray) -> IntArray:
-        """The same for some kinds of steps, [totals below the cap, kinds]."""
+        """Number of the total that some classes of steps make, [totals below the cap, classes]."""
         if self.unit is not None:
             return np.arange(self.size)[:, None] + kinds
         sums = self.values[:-1, None] + self.steps[kinds]
@@ -425,7 +425,7 @@ class Totals:
 
     @property
     def span(self) -> int:
-        """Totals that must be at hand: the farthest that steps lead to, and all beyond the cap."""
+        """Number of totals that must be at hand: up to the farthest that steps lead to."""
         farthest = -1 if self.ahead is None else int(self.ahead.max(initial=-1))
         return max(len(self.beyond), farthest + 1)
 
@@ -452,19 +452,19 @@ class Window:
 
     @property
     def ahead(self) -> FloatArray:
-        """The layers ahead, contiguous, [layers, ...]."""
+        """Values of the totals ahead, a layer each, contiguous, [layers, ...]."""
         return self._buffer[self._front : self._front + self._length]
 
     @property
     def flat(self) -> FloatArray:
-        """What steps lead to, one layer after the other, as their columns are, [layers * nodes]."""
+        """Values of the totals that steps lead to, one layer after the other, [layers * nodes]."""
         ahead = self.ahead
         if self._leads is not None:
             ahead = ahead[self._leads[self._layer]]
         return ahead.reshape(-1, *ahead.shape[2:])
 
     def push(self, layer: FloatArray) -> None:
-        """Put a layer at the front of the window and drop the farthest."""
+        """Put a total's layer at the front of the window and drop the farthest."""
         self._layer -= 1
         if self._length == 0:
             return
@@ -493,7 +493,7 @@ _GROWTH = 2.0  # of a cap that loses something
 
 @dataclass(frozen=True)
 class Resolution:
-    """How finely totals are told apart, where they are no multiples of a unit."""
+    """Resolution of totals that are no multiples of a unit: how finely they are told apart."""
 
     cap: float | None = None  # the last total; None: a first guess
     grid: int = FIRST_TOTALS  # totals on it, where the sums are too many
@@ -502,7 +502,7 @@ class Resolution:
     fixed: tuple[float, ...] | None = None  # the totals themselves
 
     def totals(self, model: SSP, first: float, room: int, *, grows: bool = True) -> Totals:
-        """The totals of a model.
+        """Totals of a model at this resolution.
 
         Args:
             model: the model.
@@ -528,11 +528,11 @@ class Resolution:
         return Totals(read_only(np.linspace(0.0, cap, size + 1)), steps)
 
     def up_to(self, total: float) -> Resolution:
-        """Totals up to where failing is best, where that is known to be about there."""
+        """Resolution of totals up to where failing is best, where about that is known."""
         return replace(self, cap=_MARGIN * total) if self.cap is None and total > 0.0 else self
 
     def finer(self, totals: Totals, enough: float | None, most: int) -> Resolution | None:
-        """A higher cap or a finer grid; None: there is no room, or nothing to be gained.
+        """Totals with a higher cap or on a finer grid; None: no room, or nothing to be gained.
 
         Args:
             totals: the present ones.
@@ -554,7 +554,7 @@ class Resolution:
 def resolution_for(
     model: SSP, most: int | None, cap: float | None, *, of_law: bool
 ) -> Resolution | None:
-    """How finely totals are told apart; None where multiples of a unit serve.
+    """Resolution of totals that a problem asks for; None where multiples of a unit serve.
 
     They do not where costs that are told apart have no common unit, or one so small that the sums
     that can occur are far fewer than its multiples.
@@ -573,18 +573,18 @@ def resolution_for(
 
 @kept
 def resolution_of_costs(model: SSP) -> Resolution | None:
-    """How finely a model's totals are told apart; None where multiples of its unit serve."""
+    """Resolution of a model's totals; None where multiples of its unit serve."""
     return _resolution(model, step_costs(model)[1])
 
 
 @kept
 def resolution_of_law(model: SSP) -> Resolution | None:
-    """The same where the steps into the goal have to be told apart as well."""
+    """Resolution of a model's totals, steps into the goal told apart as well."""
     return _resolution(model, np.union1d(step_costs(model)[1], last_steps(model)[1]))
 
 
 def _resolution(model: SSP, steps: FloatArray) -> Resolution | None:
-    """How finely the totals of some step costs are told apart; None: by their unit's multiples."""
+    """Resolution of totals by some step costs; None where their unit's multiples serve."""
     if uniform_cost(model) is not None:
         return None
     ahead, per_step = _STEPS_AHEAD * float(steps[-1]), 0

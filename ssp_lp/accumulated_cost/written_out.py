@@ -25,13 +25,13 @@ from ssp_lp.accumulated_cost.totals import Totals, layers_within
 from ssp_lp.arrays import FloatArray, IntArray, offsets_of
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.cost_aware import CostAwarePolicy
-from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.explicit_process import ExplicitProcess
 from ssp_lp.processes.failure_semantics import Counting, FailureSemantics
-from ssp_lp.processes.rows import cost_means
+from ssp_lp.processes.live_rows import cost_means
 
 
 def materialise(process: LayeredProcess) -> ExplicitProcess:
-    """Write all layers of the process out: state = layer * nodes + node.
+    """Write all layers of the accumulated-cost process out: state = layer * nodes + node.
 
     The layers beyond the cap that a step can reach follow, with one pair for each tail policy,
     so that the written-out process can do all that either tail can; the source state comes last.
@@ -70,7 +70,7 @@ def _entered_process(
     n_pairs: IntArray,
     rewards: tuple[FloatArray, FloatArray, FloatArray],
 ) -> ExplicitProcess:
-    """A process written out, with a source as its last state: nothing is paid where it leads.
+    """A written-out process that is entered by a source, its last state, where nothing is paid.
 
     Args:
         base: one layer.
@@ -157,12 +157,12 @@ class OpenEnded(ChargedLayers):
 
     @property
     def n_nodes(self) -> int:
-        """States of one layer."""
+        """States of one layer of the open-ended table."""
         return self.base.n_nodes
 
     @cached_property
     def process(self) -> ExplicitProcess:
-        """All layers written out; ModelError: there is no room for it."""
+        """The open-ended table written out; ModelError: there is no room for it."""
         check_room(self.base, self.cap, MOST_WRITTEN)
         base, copies = self.base, self.cap + 1
         steps = steps_of_layers(base, self.leads, copies * self.n_nodes + 1)
@@ -174,7 +174,7 @@ class OpenEnded(ChargedLayers):
         return _entered_process(base, steps, n_pairs, (cost, failure, goal))
 
     def everywhere(self, per_pair: FloatArray, at_source: float) -> FloatArray:
-        """What does not depend on the accumulated cost, at all pairs of the process.
+        """A number per pair of a layer, written out for all layers and the source.
 
         Args:
             per_pair: [pairs of a layer].
@@ -183,7 +183,7 @@ class OpenEnded(ChargedLayers):
         return np.append(np.tile(per_pair, self.cap + 1), at_source)
 
     def counting(self) -> Counting:
-        """How anything else is counted at the pairs of a layer."""
+        """Counting of quantities other than the total at the pairs of a layer written out."""
         base = self.base
         goal, semantics = base.survival * base.gain, FailureSemantics()
         return Counting(
@@ -191,7 +191,7 @@ class OpenEnded(ChargedLayers):
         )
 
     def policy(self, choice: IntArray) -> CostAwarePolicy:
-        """One decision for each state and accumulated cost, the last for all beyond the cap.
+        """The cost-aware policy of a choice in the open-ended table, its last layer for all beyond.
 
         Args:
             choice: one pair of each state of the process, [process states].
@@ -206,17 +206,17 @@ class OpenEnded(ChargedLayers):
         return CostAwarePolicy(model, base.unit, decision, beyond, never, levels=levels)
 
     def nearer_goal(self, *, safely: bool = False) -> None:
-        """None: such pairs have to be found on the process itself."""
+        """None: pairs nearer to the goal have to be found on the written-out process."""
         return
 
     @cached_property
     def own_cost(self) -> FloatArray:
-        """Charges of arriving, [process pairs]."""
+        """Charges of arriving in the open-ended table, [process pairs]."""
         each = [self.own_cost_from(layer) for layer in range(self.cap + 1)]
         return np.append(np.concatenate(each), self.start_charge)
 
     def own_cost_from(self, layer: int) -> FloatArray:
-        """Charges of arriving from a layer, [pairs]."""
+        """Charges of arriving from a layer of the open-ended table, [pairs]."""
         charged = self.charged(layer).total
         if layer < self.cap or self.charge.slope == 0.0:
             return charged
@@ -225,7 +225,7 @@ class OpenEnded(ChargedLayers):
 
     @cached_property
     def _step_beyond(self) -> FloatArray:
-        """What a step beyond the cap costs those that succeed, at least, [pairs].
+        """Least cost of a step in the open end beyond the cap, to runs that succeed, [pairs].
 
         However a policy goes on, it reaches the goal with the least probability that there is.
         """
@@ -237,14 +237,14 @@ class OpenEnded(ChargedLayers):
 
     @cached_property
     def shift_of_ends(self) -> tuple[FloatArray, float]:
-        """What every episode is charged on top, where it ends, [pairs], and at the source."""
+        """Charge of every episode on top where it ends, [pairs], and at the written-out source."""
         base = self.base
         ends = base.survival * base.gain + base.failure
         return self.shift * ends, self.shift * (base.start_goal + base.start_failure)
 
     @cached_property
     def beyond(self) -> LastLayer:
-        """The place of all costs beyond the cap by itself."""
+        """The open end by itself, which stands for all costs beyond the cap."""
         base, n = self.base, self.n_nodes
         steps = sp.csr_array(base.steps)
         onward = steps.data.copy(), steps.indices % max(n, 1), steps.indptr.copy()
@@ -261,7 +261,7 @@ class OpenEnded(ChargedLayers):
         return LastLayer(process, self)
 
     def leads(self, kinds: IntArray) -> tuple[IntArray, FloatArray]:
-        """The layer that steps of a kind lead to, and the share of the next one, [layers, kinds].
+        """Layer of the open-ended table that steps lead to; share of the next, [layers, kinds].
 
         On a grid a step is rounded down, whence no charge is more; where interpolating the charge
         does not exceed it either, it leads to both neighbours of what it makes.
@@ -279,11 +279,11 @@ class LastLayer:
 
     @property
     def own_cost(self) -> FloatArray:
-        """Charges of arriving, [pairs]."""
+        """Charges of arriving from the open end, [pairs]."""
         return self.layered.own_cost_from(self.layered.cap)
 
     def policy(self, choice: IntArray) -> CostAwarePolicy:
-        """One decision for each state, whatever has been paid.
+        """The policy of a choice in the open end: one decision for each state.
 
         Args:
             choice: one pair of each node, [nodes].
@@ -291,12 +291,12 @@ class LastLayer:
         return self.layered.policy(np.tile(choice, self.layered.cap + 1))
 
     def nearer_goal(self, *, safely: bool = False) -> None:
-        """None: such pairs have to be found on the process itself."""
+        """None: pairs of the open end nearer to the goal have to be found on the process itself."""
         return
 
 
 def check_room(base: AccumulatedCost, layers: int, most: int) -> None:
-    """Raise :class:`ModelError` where so many layers have more pairs than there is room for."""
+    """Raise :class:`ModelError` where so many layers written out have too many pairs."""
     n_pairs = (layers + 1) * len(base.gain)
     if n_pairs > most:
         raise ModelError(
@@ -329,7 +329,7 @@ def first_cap(
 
 
 def first_total(charge: Charge, typical: float) -> float:
-    """The same as a total, where layers are no multiples of a unit."""
+    """A cap of the open-ended table as a total, where layers are no multiples of a unit."""
     settled = _settled_open_end(charge)
     if settled is not None and charge.slope == 0.0:
         return settled * (1.0 + _BEYOND)
@@ -337,7 +337,7 @@ def first_total(charge: Charge, typical: float) -> float:
 
 
 def truncates(charge: Charge | None, total: float) -> bool:
-    """Whether the open end may lose something: the charge still changes beyond it."""
+    """Whether the open end may lose something: the charge still changes beyond the cap."""
     if charge is None or charge.slope > 0.0:
         return charge is not None
     settled = charge.settled
@@ -345,7 +345,7 @@ def truncates(charge: Charge | None, total: float) -> bool:
 
 
 def _settled_open_end(charge: Charge) -> float | None:
-    """Beyond which total the charge is its line; None: it only comes near it."""
+    """Total beyond which the open end's charge is its line; None: it only comes near it."""
     settled = charge.settled
     if settled is None or not charge.is_affine_beyond(settled * (1.0 + _BEYOND)):
         return None

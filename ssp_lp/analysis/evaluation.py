@@ -15,25 +15,25 @@ from ssp_lp.accumulated_cost.policy_layers import (
     hopeful_layers,
     landed_chains,
 )
-from ssp_lp.analysis.cost_law import measured_law
 from ssp_lp.analysis.quantity_values import (
     check_giving_up,
     complement,
     cost_after_failing,
     counted_nodes,
     ending_values,
-    free_in_everything,
+    pairs_free_in_all_quantities,
     quantity_values,
     state_give_up_charges,
     value_until_failure,
 )
+from ssp_lp.analysis.success_costs import measured_law
 from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray
 from ssp_lp.compiled.deadline import limited
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends, end_marks, stop_marks
-from ssp_lp.model.naming import ByName, Reported
 from ssp_lp.model.product import ProductSSP
+from ssp_lp.model.text_tables import ByName, Reported
 from ssp_lp.policies import StochasticPolicy
 from ssp_lp.policies.chain import Chain, policy_chain, reaching_in_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, MixedPolicy, Policy
@@ -47,12 +47,12 @@ from ssp_lp.processes.failure_semantics import (
     start_distribution,
     survival_of,
 )
-from ssp_lp.processes.rows import cost_means
+from ssp_lp.processes.live_rows import cost_means
 
 
 @dataclass(frozen=True, repr=False)
 class Evaluation(Reported):
-    """What a policy attains from the start. Costs are in the model's unit."""
+    """Measures of a policy from the start, exact. Costs are in the model's unit."""
 
     goal_probability: float
     failure_probability: float  # 1 - goal_probability: wandering for ever is failure
@@ -69,7 +69,7 @@ class Evaluation(Reported):
 
     @property
     def limited_failure(self) -> float:
-        """The failure that a budget limits: discounted under a discount, else the real one."""
+        """Failure of the evaluated policy that a budget limits: discounted under a discount."""
         surrogate = self.discounted_failure
         return self.failure_probability if surrogate is None else surrogate
 
@@ -137,11 +137,11 @@ def evaluate_each(
     semantics = problem.semantics
     members, chains = [], []
     for member, weight in zip(lottery.policies, lottery.weights, strict=True):
-        found, chain = layered_measures(member, problem, start), None
-        if found is None:
+        measures, chain = layered_measures(member, problem, start), None
+        if measures is None:
             chain = policy_chain(problem.model, member, start)
-            found = _evaluated_measures(chain, problem, declared=member.declares_failing)
-        members.append(found)
+            measures = _evaluated_measures(chain, problem, declared=member.declares_failing)
+        members.append(measures)
         if semantics.counts_law and weight > 0.0:  # the law needs it as well
             chains.append(chains_of_law(problem.model, member, start, chain, soon=True))
     evaluation = _evaluation_of(mean_of(members, lottery.weights), problem)
@@ -153,7 +153,7 @@ def evaluate_each(
 
 
 def _evaluation_of(sums: _Measures, problem: Problem) -> Evaluation:
-    """The evaluation that measures of a policy make."""
+    """The evaluation of a policy from its measures."""
     discounted = problem.discount is not None
     failure, surrogate = sums.failure, sums.discounted_failure
     objective = sums.discounted_cost
@@ -183,10 +183,10 @@ def _evaluation_of(sums: _Measures, problem: Problem) -> Evaluation:
 
 
 def _evaluated_measures(chain: Chain, problem: Problem, *, declared: bool = False) -> _Measures:
-    """The measures that an evaluation needs, on a policy's chain."""
+    """Measures for a policy's evaluation, on its chain."""
     hopeful = reaching_in_chain(chain, chain.goal > 0)
     counted = counted_nodes(chain, hopeful, problem, declared=declared)
-    check_giving_up(chain, problem.semantics, free_in_everything(problem))
+    check_giving_up(chain, problem.semantics, pairs_free_in_all_quantities(problem))
     mass = np.zeros((chain.n_nodes, 3))
     mass[:, 0] = chain.start
     totals = [
@@ -283,7 +283,7 @@ _WORDS = {"dead_end": "dead-end", "gave_up": "gave up", "wandering": "wandering"
 
 
 def ways_to_fail(ends: Mapping[str, float]) -> dict[str, float]:
-    """The ends other than the goal that occur, with their probabilities."""
+    """Ways to fail in a policy's evaluation, with their probabilities."""
     return {
         name: share
         for name, share in ends.items()
@@ -292,7 +292,7 @@ def ways_to_fail(ends: Mapping[str, float]) -> dict[str, float]:
 
 
 def failing_in_words(ends: Mapping[str, float], at_start: float = 0.0) -> str:
-    """The ways to fail in one line: "crash 0.03, gave up 0.02 (before the first step)".
+    """Evaluated ways to fail in a line: "crash 0.03, gave up 0.02 (before the first step)".
 
     Args:
         ends: probability of each end, as in ``Evaluation.ends``.
@@ -300,29 +300,29 @@ def failing_in_words(ends: Mapping[str, float], at_start: float = 0.0) -> str:
     """
     parts = []
     for name, share in ways_to_fail(ends).items():
-        told = f"{_WORDS.get(name, name)} {share:.6g}"
+        words = f"{_WORDS.get(name, name)} {share:.6g}"
         if name == "gave_up" and at_start > 0.0:
             of_it = "" if at_start > share - _ROUNDING else f"{at_start:.6g} of it "
-            told += f" ({of_it}before the first step)"
-        parts.append(told)
+            words += f" ({of_it}before the first step)"
+        parts.append(words)
     return ", ".join(parts)
 
 
 def giving_up_at_start(policy: MixedPolicy, problem: Problem) -> float:
-    """Probability that the policy gives up before its first step."""
+    """Evaluated probability that the policy gives up before its first step."""
     start = start_distribution(problem.model, problem.start)
     states = np.flatnonzero((start > 0.0) & (np.diff(problem.model.pair_offsets) > 0))
     total = 0.0
     for member, weight in zip(policy.policies, policy.weights, strict=True):
-        found = member.branches(states, member.start_memory(states))
-        gives_up = found.pair == GIVE_UP_CODE
-        share = start[states[found.situation]] * found.probability
+        branches = member.branches(states, member.start_memory(states))
+        gives_up = branches.pair == GIVE_UP_CODE
+        share = start[states[branches.situation]] * branches.probability
         total += float(weight) * float(share[gives_up].sum())
     return total
 
 
 def expected_visits(chain: Chain, survival: float = 1.0) -> FloatArray:
-    """Expected number of visits of each node, visits at time t weighted survival^t, [nodes].
+    """Evaluated policy's expected visits of each node, those at t weighted survival^t, [nodes].
 
     Raises:
         ModelError: the policy may wander for ever, so that visits are infinite.
@@ -335,7 +335,7 @@ def expected_visits(chain: Chain, survival: float = 1.0) -> FloatArray:
 
 
 def pair_visits(policy: Policy | MixedPolicy, problem: Problem) -> tuple[FloatArray, FloatArray]:
-    """Undiscounted expected visits of each pair, and how likely it is given up in each state.
+    """Evaluated policy's expected visits of each pair, and probability of giving up per state.
 
     Returns:
         [pairs] and [states] of the problem's model, whatever the policy remembers and, within a
@@ -344,8 +344,8 @@ def pair_visits(policy: Policy | MixedPolicy, problem: Problem) -> tuple[FloatAr
     Raises:
         ModelError: the policy is for another model, or may wander for ever.
     """
-    lottery, asked = on_one_model(policy, problem, "pair_visits")
-    model, start = asked.model, start_distribution(asked.model, asked.start)
+    lottery, solved = on_one_model(policy, problem, "pair_visits")
+    model, start = solved.model, start_distribution(solved.model, solved.start)
     pairs, gave_up = np.zeros(model.n_pairs), np.zeros(model.n_states)
     for member, weight in zip(lottery.policies, lottery.weights, strict=True):
         chain = policy_chain(model, member, start)
@@ -362,7 +362,7 @@ def pair_visits(policy: Policy | MixedPolicy, problem: Problem) -> tuple[FloatAr
 
 
 def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> StochasticPolicy:
-    """The stationary randomised policy that visits every pair as often as the lottery does.
+    """Stationary randomised policy with the evaluated lottery's expected visits of pairs.
 
     Paper, section 2.2: in each augmented state the action is drawn with the share that it has in
     the lottery's expected visits. Under a discount visits are discounted, so that the discounted
@@ -410,7 +410,7 @@ class _Measures:
 
 
 def mean_of(parts: list[_Measures], weights: FloatArray) -> _Measures:
-    """Mean of measures over a lottery; an infinite cost of weight 0 does not count."""
+    """Mean of an evaluation's measures over a lottery; an infinite cost of weight 0 is left out."""
     used = [(p, float(w)) for p, w in zip(parts, weights, strict=True) if w > 0]
     scalars = {
         f.name: sum(w * getattr(p, f.name) for p, w in used)
@@ -428,7 +428,7 @@ def mean_of(parts: list[_Measures], weights: FloatArray) -> _Measures:
 def layered_measures(
     policy: Policy, problem: Problem, start: FloatArray, least_nodes: int = LARGE
 ) -> _Measures | None:
-    """The measures of a policy; None where its chain is to be written out.
+    """Measures for the evaluation of a layered policy; None: its chain is to be written out.
 
     That is where it is small, where the policy remembers something else than its cost, where
     quantities beside the cost are asked for, or where a decision is missing or not allowed,
@@ -482,7 +482,7 @@ def _landed_totals(chain: Chain, mass: FloatArray, problem: Problem) -> list[lis
         ModelError: the tail gives up where it may not.
     """
     hopeful, survivals = reaching_in_chain(chain, chain.goal > 0), _survivals(problem)
-    check_giving_up(chain, problem.semantics, free_in_everything(problem))
+    check_giving_up(chain, problem.semantics, pairs_free_in_all_quantities(problem))
     return [
         _chain_totals(chain, hopeful, hopeful, problem, survival, block)
         for block, survival in zip(np.split(mass, len(survivals), axis=1), survivals, strict=True)
@@ -535,7 +535,7 @@ class _LayerCosts:
 
 
 def _both_measures(goal: float, failure: float) -> tuple[float, float]:
-    """Goal and failure within [0, 1]; none of either where the other is sure."""
+    """Evaluated goal and failure within [0, 1]; 0 of either where the other is sure."""
     if failure == 0.0:
         return 1.0, 0.0
     return min(goal, 1.0), 1.0 if goal <= 0.0 else min(failure, 1.0)

@@ -28,7 +28,7 @@ from ssp_lp.errors import (
     optional_module,
     wrong_argument,
 )
-from ssp_lp.model.naming import html_table
+from ssp_lp.model.text_tables import html_table
 from ssp_lp.options import SolveOptions, Status
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem, budget_of_share, check_numbers, pulled_back, requirements
@@ -132,27 +132,27 @@ class Frontier:
 
     @property
     def gap(self) -> float:
-        """No policy lies below a segment by more than this share of its safer end's cost."""
+        """Gap of the frontier: how far policies may lie below a segment."""
         return max(self.tolerance, self.hidden, float(self.below.max(initial=0.0)))
 
     @property
     def priced(self) -> dict[float, Column]:
-        """The turning points that were found by pricing, by price."""
+        """The frontier's turning points that were found by pricing, by price."""
         return {c.found_at: c for c in self._columns if c.found_at is not None}
 
     @property
     def open_segments(self) -> tuple[int, ...]:
-        """Numbers of the segments below which points may be missing; k lies from point k on."""
-        found = np.flatnonzero(self.below > self.tolerance).tolist()
-        return (*found, len(self.price)) if self.ends_early else tuple(found)
+        """Numbers of the frontier's segments below which points may be missing, from point k."""
+        numbers = np.flatnonzero(self.below > self.tolerance).tolist()
+        return (*numbers, len(self.price)) if self.ends_early else tuple(numbers)
 
     @property
     def objective(self) -> FloatArray:
-        """Objective at each turning point, [points]."""
+        """Objective at each turning point of the frontier, [points]."""
         return self.cost / self.goal if self.ratio else self.cost
 
     def objective_at(self, budget: float) -> float:
-        """The least objective within a failure budget; no pricing call is made.
+        """The frontier's least objective within a failure budget; no pricing call is made.
 
         Too high by at most ``tolerance`` times the cost at the safer end of the segment, in case S
         divided by 1 - budget: at budgets near 1 that may be a larger share of what is returned.
@@ -170,7 +170,7 @@ class Frontier:
             low, high = self.bounds_at(budget)
             raise SolverError(
                 f"the frontier is not settled at the budget {budget:g}: the least objective lies "
-                f"between {_apart_on_curve(low, high)} (bounds_at); policy_at attains the latter. "
+                f"between {_digits_apart(low, high)} (bounds_at); policy_at attains the latter. "
                 "A higher ",
                 Argument("point_limit"),
                 " or ",
@@ -180,7 +180,7 @@ class Frontier:
         return self._attained(number, weight, FailureRow(budget, self.ratio))
 
     def bounds_at(self, budget: float) -> tuple[float, float]:
-        """What the least objective within a failure budget surely lies between.
+        """Certified bounds of the frontier's least objective within a failure budget.
 
         The upper bound is what :meth:`policy_at` attains. The lower one is proved afresh, at the
         price of the segment, and where that is not settled also at those at which its ends are
@@ -197,7 +197,7 @@ class Frontier:
         return least_of(low, high), high
 
     def _attained(self, number: int, weight: float, row: FailureRow) -> float:
-        """Objective of a lottery over a turning point and the next one."""
+        """Objective of a lottery over a turning point of the frontier and the next one."""
         if weight == 0.0:
             return row.objective(float(self.cost[number]), float(self.goal[number]))
         ends = np.array([1.0 - weight, weight])
@@ -205,7 +205,7 @@ class Frontier:
         return row.objective(float(ends @ self.cost[pair]), float(ends @ self.goal[pair]))
 
     def _proofs_near(self, number: int, weight: float) -> list[Proof]:
-        """What is proved at the prices that matter between a turning point and the next."""
+        """Proofs at the prices that matter between two turning points of the frontier."""
         last = len(self._columns) - 1
         segments = {number} if weight > 0.0 else {max(number - 1, 0), number}
         proofs = [self._segment_proof(k) for k in segments]
@@ -219,7 +219,7 @@ class Frontier:
         return proofs
 
     def _segment_proof(self, segment: int) -> Proof:
-        """What is proved at a segment's price; beyond the last, at the price of the best policy."""
+        """Proof at a frontier segment's price; beyond the last, at that of the best policy."""
         column = self._columns[segment]
         if segment < len(self._columns) - 1:
             return self._proof(float(self.price[segment]), column)
@@ -227,7 +227,7 @@ class Frontier:
         return self._proof(price, column, slack=self.ratio)
 
     def _proof(self, price: float, column: Column, *, slack: bool = False) -> Proof:
-        """What is proved at a price; ``column`` is a policy that may be near to the best."""
+        """Proof for the frontier at a price; ``column`` is a policy perhaps near to the best."""
         if (price, slack) not in self._proofs:
             proof = self._pricing.prove(price, column, slack=slack)
             self._proofs[price, slack] = replace(proof, values=np.zeros(0))  # only bounds are asked
@@ -235,11 +235,11 @@ class Frontier:
 
     @cached_property
     def _proofs(self) -> dict[tuple[float, bool], Proof]:
-        """Proofs by price, filled as they are asked for."""
+        """The frontier's proofs by price, filled as they are asked for."""
         return {}
 
     def policy_at(self, budget: float) -> MixedPolicy:
-        """The lottery of the two turning points around a budget; no pricing call is made.
+        """Lottery of the frontier's turning points around a budget; no pricing call is made.
 
         It attains the upper end of :meth:`bounds_at`, which is :meth:`objective_at` where settled.
 
@@ -249,8 +249,8 @@ class Frontier:
         """
         number, weight = self._locate(budget)
         weights = np.ones(1) if weight == 0.0 else np.array([1.0 - weight, weight])
-        found = self._lottery(number, weights)
-        return found if self._problem is None else pulled_back(found, self._problem)
+        lottery = self._lottery(number, weights)
+        return lottery if self._problem is None else pulled_back(lottery, self._problem)
 
     def _lottery(self, number: int, weights: FloatArray) -> MixedPolicy:
         """The lottery over turning points from one on, on the model of the problem solved."""
@@ -318,18 +318,18 @@ class Frontier:
         return repr(self)
 
     def _repr_html_(self) -> str:
-        """A few of the points as a table, for notebooks."""
+        """A few of the frontier's points as a table, for notebooks."""
         head = (self.over, "objective", "price from here on")
         return html_table(f"Frontier: {self._title}", self._some(), head)
 
     @property
     def _title(self) -> str:
-        """How many points, from where to where, and how near."""
+        """Title of the frontier's table: how many points, from where to where, and how near."""
         spent, value, count = self.spent, self.objective, len(self.open_segments)
-        told = f", {count} segment{'s' * (count != 1)} open: {self.status}" if count else ""
+        unfinished = f", {count} segment{'s' * (count != 1)} open: {self.status}" if count else ""
         return (
             f"{len(spent):,} points, {self.over} {spent[0]:.6g} .. {spent[-1]:.6g}, "
-            f"objective {value[0]:.6g} .. {value[-1]:.6g}, gap {self.gap:.1e}{told}"
+            f"objective {value[0]:.6g} .. {value[-1]:.6g}, gap {self.gap:.1e}{unfinished}"
         )
 
     def _some(self) -> list[tuple[str, str, str]]:
@@ -342,26 +342,26 @@ class Frontier:
         ]
 
     def _locate(self, budget: float) -> tuple[int, float]:
-        """The turning point at or before the budget, and the weight of the next one."""
+        """The frontier's turning point at or before a budget, and the weight of the next one."""
         check_numbers(budget=budget)
         if self.over == FAILURE_ROW and budget > 1.0 + LEAST_BUDGET:
             raise ModelError(f"budget must be a probability, not {budget!r}{as_percentage(budget)}")
-        least, spent = float(self.spent[0]), self.spent
-        if not self.complete and not budget >= least:
+        lowest, spent = float(self.spent[0]), self.spent
+        if not self.complete and not budget >= lowest:
             raise ModelError(
-                f"the frontier was traced from failure {least:.12g} on, which the budget "
+                f"the frontier was traced from failure {lowest:.12g} on, which the budget "
                 f"{budget!r} is below; a steeper steepest_price traces more of it"
             )
-        if not budget >= least - LEAST_BUDGET:
+        if not budget >= lowest - LEAST_BUDGET:
             told = "fails with" if self.over == FAILURE_ROW else f"takes of {self.over!r}"
             raise InfeasibleError(
-                f"every policy {told} at least {least:.12g}, above the budget {budget!r}",
+                f"every policy {told} at least {lowest:.12g}, above the budget {budget!r}",
                 failure_budget=budget if self.over == FAILURE_ROW else None,
-                least_failure=least if self.over == FAILURE_ROW else self._least_failure,
+                least_failure=lowest if self.over == FAILURE_ROW else self._least_failure,
                 conflicting_rows=(self.over,),
             )
         number = max(int(np.searchsorted(spent, budget, side="right")) - 1, 0)
-        if number == len(spent) - 1 or budget <= least:
+        if number == len(spent) - 1 or budget <= lowest:
             return number, 0.0
         width = float(spent[number + 1] - spent[number])
         return number, (budget - float(spent[number])) / width
@@ -373,8 +373,8 @@ class Frontier:
         return budget_of_share(self._problem.model, self._problem.start, 1.0)
 
 
-def _apart_on_curve(low: float, high: float) -> str:
-    """Two numbers with as many digits as tell them apart, or all of them."""
+def _digits_apart(low: float, high: float) -> str:
+    """Two numbers of the frontier with the digits that tell them apart, or all of them."""
     digits = next((k for k in range(9, 17) if f"{low:.{k}g}" != f"{high:.{k}g}"), 17)
     return f"{low:.{digits}g} and {high:.{digits}g}"
 
@@ -406,7 +406,7 @@ def traced_over_failure(problem: Problem, limits: TraceLimits) -> Frontier:
 
 
 def _traced_and_refined(compiled: CompiledProblem, limits: TraceLimits) -> Frontier:
-    """Trace, and again on a finer process while a cap on the cost hides more than the gap.
+    """Trace the frontier, and again more finely while a cap on the cost hides more than the gap.
 
     It hides most where the price is steepest, so that a few pricing calls at that end tell first
     how fine a process is needed; the rest is then traced once.
@@ -415,24 +415,24 @@ def _traced_and_refined(compiled: CompiledProblem, limits: TraceLimits) -> Front
         compiled = compiled.for_program()
     elif compiled.is_trial:
         compiled = compiled.refined(limits.steepest_price) or compiled
-    calls, work, known, begun, steep_only = 0, Work(), None, None, compiled.ratio
+    calls, work, frontier, begun, steep_only = 0, Work(), None, None, compiled.ratio
     for _ in range(2 * _REFINEMENTS):
         with WithIncumbent() as search:
             traced = _traced(compiled, limits, begun, steep_only=steep_only)
         if search.stop:
-            if known is None:
+            if frontier is None:
                 raise Stop from search.stop
-            return known
+            return frontier
         lost = _share_lost_in_tracing(compiled, traced)
         calls, work = calls + traced.pricing_calls, work + traced.work
-        known = replace(traced, hidden=lost, pricing_calls=calls, work=work)
+        frontier = replace(traced, hidden=lost, pricing_calls=calls, work=work)
         is_fine = lost <= limits.gap or is_late()
         finer = None if is_fine else compiled.refined(float(traced.price[0]))
         if finer is None and not steep_only:
             break
         begun, compiled = (traced, compiled) if finer is None else (None, finer)
         steep_only = finer is not None
-    return known or traced
+    return frontier or traced
 
 
 @dataclass(frozen=True)
@@ -465,7 +465,7 @@ class TraceLimits:
 
 
 def _share_lost_in_tracing(compiled: CompiledProblem, traced: Frontier) -> float:
-    """How far below the traced frontier policies may lie that the cap on the cost hides."""
+    """Share by which the cap on the cost may hide policies below the traced frontier."""
     if len(traced.price) == 0:
         return 0.0
     lost = np.inf
@@ -475,7 +475,7 @@ def _share_lost_in_tracing(compiled: CompiledProblem, traced: Frontier) -> float
 
 
 def _ends(compiled: CompiledProblem, limits: TraceLimits) -> tuple[list[Column], bool, int, Work]:
-    """The first and last point to be traced; whether the last is known; calls made, and work.
+    """First and last point of the frontier to be traced; whether the last is known; work.
 
     Raises:
         ModelError: at the steepest price it is best to fail.
@@ -483,25 +483,25 @@ def _ends(compiled: CompiledProblem, limits: TraceLimits) -> tuple[list[Column],
     pricing, row = compiled.pricing(), FailureRow(1.0, compiled.ratio)
     steepest, calls = limits.steepest_price, 0
     if steepest is None:
-        first = checked_least_failure(compiled, None).column
+        safest = checked_least_failure(compiled, None).column
     else:
-        first, calls = pricing.minimise(steepest, pricing.first()), 1
-        if row.ratio and row.objective(first.cost, first.goal) >= steepest:
+        safest, calls = pricing.minimise(steepest, pricing.first()), 1
+        if row.ratio and row.objective(safest.cost, safest.goal) >= steepest:
             raise ModelError(
                 f"at the price {steepest:g} of failure it is best to fail: "
                 "steepest_price must lie above the least cost given success"
             )
-    rule = Secant(pricing, row, first, calls=calls, work=first.work)
+    rule = Secant(pricing, row, safest, calls=calls, work=safest.work)
     free = generate(rule, SolveOptions(limits.gap))
     last = free.columns[-1]
-    columns = [first] if last.failure <= first.failure else [first, last]
+    columns = [safest] if last.failure <= safest.failure else [safest, last]
     return columns, free.finished, rule.calls, rule.work
 
 
 def _traced(
     compiled: CompiledProblem, limits: TraceLimits, begun: Frontier | None, *, steep_only: bool
 ) -> Frontier:
-    """The turning points of one process.
+    """The frontier's turning points in one process.
 
     Args:
         compiled: the problem.
@@ -551,7 +551,7 @@ class _WaitingSegments:
         self.below: dict[float, float] = {}  # by a segment's safer failure; see Frontier.below
 
     def add(self, inside: Column, outside: Column, points: int, at_most: float = 1.0) -> None:
-        """Price a segment, and keep it if a policy lies below it by more than the gap.
+        """Price a segment of the frontier, and keep it if a policy lies below by more than the gap.
 
         Args:
             inside: its safer end.
@@ -564,17 +564,17 @@ class _WaitingSegments:
             self.below[inside.failure] = 0.0 if price == 0.0 else at_most
             return
         with WithIncumbent() as search:
-            found = self.priced.get(price)
-            if found is None:
-                found = replace(self._pricing.minimise(price, outside), found_at=price)
-                self.calls, self.work = self.calls + 1, self.work + found.work
-        if search.stop or found is None:
+            column = self.priced.get(price)
+            if column is None:
+                column = replace(self._pricing.minimise(price, outside), found_at=price)
+                self.calls, self.work = self.calls + 1, self.work + column.work
+        if search.stop or column is None:
             self.below[inside.failure] = at_most
             return
-        below = self.below[inside.failure] = _share_below_segment(inside, outside, found, price)
+        below = self.below[inside.failure] = _share_below_segment(inside, outside, column, price)
         if below > self._limits.gap:
             urgency = -below if self._limits.may_stop else -float(self.calls)
-            heappush(self.found, (urgency, self.calls, (inside, found, outside)))
+            heappush(self.found, (urgency, self.calls, (inside, column, outside)))
         _LOG.debug("%d pricing calls, %d turning points", self.calls, points)
         with WithIncumbent():
             if self._limits.progress is not None:
@@ -582,7 +582,7 @@ class _WaitingSegments:
 
 
 def _share_below_segment(inside: Column, outside: Column, found: Column, price: float) -> float:
-    """How far a column lies below the line between two, relative to the cost; 0 outside of it."""
+    """Distance of a column below a segment of the frontier, relative to its cost; else 0."""
     if not inside.failure < found.failure < outside.failure:
         return 0.0
     below = inside.cost - found.cost - price * (found.failure - inside.failure)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ssp_lp.accumulated_cost.policy_layers import stopping_where_lost
+from ssp_lp.accumulated_cost.policy_layers import giving_up_where_lost
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.errors import ModelError
@@ -26,13 +26,13 @@ from ssp_lp.processes.failure_semantics import (
     start_distribution,
     survival_of,
 )
-from ssp_lp.processes.rows import costless_pairs
+from ssp_lp.processes.live_rows import costless_pairs
 
 
 def give_up_costs(
     chain: Chain, semantics: FailureSemantics, free: BoolArray | None = None
 ) -> FloatArray:
-    """Charge of giving up at each node that may do so, 0 elsewhere, [nodes]."""
+    """Value of giving up at each node of a policy's chain, 0 where it may not, [nodes]."""
     if not chain.give_up.any():
         return np.zeros(len(chain.give_up))
     charge = state_give_up_charges(chain.model, semantics, free)[chain.state]
@@ -40,7 +40,7 @@ def give_up_costs(
 
 
 def check_giving_up(chain: Chain, semantics: FailureSemantics, free: BoolArray) -> None:
-    """Check that a policy gives up only where it may, or may stay for ever.
+    """Check, for a quantity's value, that a policy gives up only where it may.
 
     Args:
         chain: the policy's.
@@ -63,7 +63,7 @@ def lost_costs(
     survival: float,
     free: BoolArray | None = None,
 ) -> FloatArray:
-    """Cost still to come at nodes from which the chain cannot reach the goal, [nodes].
+    """Value of the cost to come at nodes that cannot reach the goal, [nodes].
 
     Failure is declared there at once, and charged as the semantics says; with ``DEAD_ENDS`` stage
     costs are paid until a dead-end is entered, which costs infinity where that is never.
@@ -97,7 +97,7 @@ def lost_costs(
 def state_give_up_charges(
     model: SSP, semantics: FailureSemantics, free: BoolArray | None = None
 ) -> FloatArray:
-    """What giving up in each state costs, infinite where it is not allowed, [states].
+    """Charge of giving up in each state, for quantities' values, infinite if forbidden, [states].
 
     Staying for ever in an end component that costs nothing is free whatever the semantics.
 
@@ -116,7 +116,7 @@ def state_give_up_charges(
 def counted_nodes(
     chain: Chain, hopeful: BoolArray, problem: Problem, *, declared: bool = False
 ) -> BoolArray:
-    """Nodes at which failure has not been declared, [nodes].
+    """Nodes of a policy's chain at which quantities still count: failing is not declared, [nodes].
 
     That is where the goal can still be reached; but where a constraint asks for another end, a
     policy on its way there has not failed until it arrives or gives up.
@@ -150,7 +150,7 @@ def lost_situations(policy: Policy, problem: Problem) -> Callable[[IntArray, Int
     """
     model = problem.model
     if model.failure_label is None and policy.layers() is not None and not _asks_for_ends(problem):
-        (stopping,) = stopping_where_lost(as_lottery(policy)).policies
+        (stopping,) = giving_up_where_lost(as_lottery(policy)).policies
         return lambda states, memory: stopping.branches(states, memory).pair == GIVE_UP_CODE
     chain = policy_chain(model, policy, start_distribution(model, problem.start))
     hopeful = reaching_in_chain(chain, chain.goal > 0)
@@ -185,18 +185,18 @@ def cost_after_failing(chain: Chain, counted: BoolArray) -> float | None:
 
 
 def quantity_values(chain: Chain, counted: BoolArray, problem: Problem) -> dict[str, float]:
-    """The value of each constrained quantity, and of one that is minimised, as the cost is."""
+    """Value of each constrained quantity of a policy, and of a minimised one."""
     objective = objective_of(problem)
-    asked = conditions_of(problem) + (() if objective is None else (objective,))
+    conditions = conditions_of(problem) + (() if objective is None else (objective,))
     return {
         condition.name: condition.constant
         + sum(w * _quantity_value(chain, counted, problem, term) for w, term in condition.terms)
-        for condition in asked
+        for condition in conditions
     }
 
 
 def _quantity_value(chain: Chain, counted: BoolArray, problem: Problem, term: Term) -> float:
-    """One term of a quantity: a cost on the same chain, visits as a cost, or a way to end."""
+    """Value of one term of a quantity on a policy's chain: cost, visits, or way to end."""
     survival, semantics = survival_of(problem.discount), problem.semantics
     if term.through and chain.model.failure_label is not None:  # to the true end of the run
         semantics = replace(semantics, give_up=GiveUp.DEAD_ENDS)
@@ -233,8 +233,8 @@ def ending_values(
     return at_end + chain.accumulate(np.where(settling[:, None], hits, 0.0), settling, survival)
 
 
-def free_in_everything(problem: Problem) -> BoolArray:
-    """Pairs that are free in all that a problem minimises and limits, [pairs]."""
+def pairs_free_in_all_quantities(problem: Problem) -> BoolArray:
+    """Pairs free in all quantities that a problem minimises and limits, [pairs]."""
     objective = objective_of(problem)
     return free_pairs(
         problem.model,
@@ -277,5 +277,5 @@ def value_until_failure(
 
 
 def complement(probability: float) -> float:
-    """The value of a quantity's complement: 1 less a probability, within [0, 1]."""
+    """Value of a quantity's complement: 1 less a probability, within [0, 1]."""
     return min(max(1.0 - probability, 0.0), 1.0)

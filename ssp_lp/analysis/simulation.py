@@ -31,8 +31,8 @@ from ssp_lp.model.arguments import explained
 from ssp_lp.model.continuous_model import WorldSimulator
 from ssp_lp.model.failure_product import FailureSSP
 from ssp_lp.model.graph import attention_states, dead_ends, end_marks, stop_marks
-from ssp_lp.model.naming import ByName, Reported
 from ssp_lp.model.product import HorizonSSP, ProductSSP
+from ssp_lp.model.text_tables import ByName, Reported
 from ssp_lp.options import progress_shown
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import GIVE_UP_CODE, MOST_EPISODES, Randomness, as_lottery, generator_of
@@ -61,7 +61,7 @@ class Estimate(NamedTuple):
 
 
 def proportion_estimate(hits: int, trials: int, confidence: float) -> Estimate:
-    """Estimate a probability by Clopper and Pearson's exact interval."""
+    """Estimate a simulated probability by Clopper and Pearson's exact interval."""
     from scipy import special
 
     miss = (1.0 - confidence) / 2.0
@@ -71,7 +71,7 @@ def proportion_estimate(hits: int, trials: int, confidence: float) -> Estimate:
 
 
 def mean_estimate(sample: FloatArray, confidence: float, most: float) -> Estimate:
-    """Estimate a mean cost by an interval that holds for any law of costs; nan for no sample.
+    """Estimate a simulated mean cost by an interval valid for any law; nan for no sample.
 
     Where an episode pays for ever, the mean is infinite, and so are both ends.
 
@@ -104,7 +104,7 @@ def mean_estimate(sample: FloatArray, confidence: float, most: float) -> Estimat
 
 
 def greatest_total(model: SSP, steps: int) -> float:
-    """What an episode of at most so many steps costs at most, whatever it does.
+    """Greatest total cost of a simulated episode of at most so many steps.
 
     Steps within a strong component may be repeated, others come once: they add up to the dearest
     way through the components.
@@ -138,13 +138,13 @@ class Simulator(Protocol):
     """A world in which episodes are played, many at a time."""
 
     def reset(self, episodes: int, rng: np.random.Generator) -> tuple[World, IntArray]:
-        """Begin episodes: their worlds, [episodes, ...], and states of the model, [episodes]."""
+        """Begin simulated episodes: their worlds, [episodes, ...], and states, [episodes]."""
         ...
 
     def step(
         self, world: World, pair: IntArray, rng: np.random.Generator
     ) -> tuple[World, IntArray, FloatArray]:
-        """Take one step in each of k episodes.
+        """Take one step in each of k simulated episodes.
 
         Args:
             world: [k, ...].
@@ -164,14 +164,14 @@ class ModelSimulator:
     start: FloatArray  # [states]
 
     def reset(self, episodes: int, rng: np.random.Generator) -> tuple[World, IntArray]:
-        """Draw start states."""
+        """Draw start states of the simulated model."""
         state = rng.choice(self.model.n_states, size=episodes, p=self.start)
         return state, state
 
     def step(
         self, world: World, pair: IntArray, rng: np.random.Generator
     ) -> tuple[World, IntArray, FloatArray]:
-        """Draw one outcome of each pair by inversion."""
+        """Simulate one outcome of each pair by inversion."""
         model = self.model
         begin, end = model.outcome_offsets[pair], model.outcome_offsets[pair + 1]
         cumulative = self._cumulative
@@ -216,7 +216,7 @@ class _ProductSimulator:
 
 
 def _on_products(simulator: Simulator, model: SSP, stated: SSP) -> Simulator:
-    """A world of the stated model's states as one of the model that is solved on."""
+    """A simulated world of the stated model's states as one of the model solved on."""
     if model is stated or not isinstance(model, ProductSSP):
         return simulator
     inner = _on_products(simulator, model.original, stated)
@@ -228,7 +228,7 @@ def _on_products(simulator: Simulator, model: SSP, stated: SSP) -> Simulator:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SimulationReport(Reported, ReadOnlyCopies):
-    """What happened in the episodes."""
+    """Counts and estimates of simulated episodes."""
 
     episodes: int
     ends: Mapping[str, int]  # goal, each label, dead_end, gave_up, unfinished
@@ -243,7 +243,7 @@ class SimulationReport(Reported, ReadOnlyCopies):
 
     @property
     def note(self) -> str:
-        """Where ``max_steps`` cut episodes off: that the costs are of what was played; else ""."""
+        """Note of a simulation cut off by ``max_steps``: costs are of what was played; else ""."""
         cut = self.ends["unfinished"]
         if not cut:
             return ""
@@ -251,7 +251,7 @@ class SimulationReport(Reported, ReadOnlyCopies):
 
     @property
     def failure_probability(self) -> Estimate:
-        """The probability of not reaching the goal, unfinished episodes among the failures."""
+        """Simulated probability of not reaching the goal, unfinished episodes included."""
         reached = self.goal_probability
         miss = 1.0 - reached.value, 1.0 - reached.high, 1.0 - reached.low
         return Estimate(*miss, reached.confidence)
@@ -276,7 +276,7 @@ def simulate(
     problem: Problem,
     *,
     episodes: int = 10_000,
-    rng: Randomness,
+    seed: Randomness,
     max_steps: int = 10_000,
     simulator: Simulator | None = None,
     record: int = 0,
@@ -298,7 +298,7 @@ def simulate(
         policy: the policy, on the problem's model.
         problem: says the start and what failing costs.
         episodes: how many to play.
-        rng: the source of all randomness: a generator or a seed.
+        seed: the source of all randomness: a number or a generator.
         max_steps: steps after which an episode counts as unfinished.
         simulator: another world than the model, such as a continuous one.
         record: keep the paths of this many first episodes.
@@ -312,17 +312,17 @@ def simulate(
     check_whole("episodes", episodes, most=MOST_EPISODES)
     check_whole("max_steps", max_steps)
     check_whole("record", record, 0)
-    played_by, asked = on_one_model(policy, problem, "simulate")
+    played_by, solved = on_one_model(policy, problem, "simulate")
     if isinstance(simulator, WorldSimulator):
         simulator.check_model(problem.model)
     elif simulator is None:
         start = start_distribution(problem.model, problem.start)
         simulator = ModelSimulator(problem.model, start)
-    simulator = _on_products(simulator, asked.model, problem.model)
-    source, limits = generator_of(rng), (max_steps, record)
+    simulator = _on_products(simulator, solved.model, problem.model)
+    source, limits = generator_of(seed), (max_steps, record)
     with progress_shown(verbose):
-        played = _simulate_episodes(played_by, asked, simulator, episodes, source, *limits)
-        report = _simulation_report(asked, played, float(confidence), max_steps)
+        played = _simulate_episodes(played_by, solved, simulator, episodes, source, *limits)
+        report = _simulation_report(solved, played, float(confidence), max_steps)
         _LOG.info("%r", report)
     return report
 
@@ -397,7 +397,7 @@ def _simulate_episodes(
 def _checked_step(
     model: SSP, step: tuple[World, IntArray, FloatArray]
 ) -> tuple[World, IntArray, FloatArray]:
-    """What a simulator handed back, if it can be: states of the model and finite costs >= 0."""
+    """States and costs that a simulator's step handed back, if they can be."""
     world, state, cost = step
     _check_simulated_states(model, state)
     if not (np.isfinite(cost) & (np.asarray(cost) >= 0)).all():
@@ -406,7 +406,7 @@ def _checked_step(
 
 
 def _check_simulated_states(model: SSP, state: IntArray) -> None:
-    """Raise unless these are states of the model."""
+    """Raise unless a simulator handed back states of the model."""
     if ((state < 0) | (state >= model.n_states)).any():
         raise ModelError(f"the simulator left the model's states 0 .. {model.n_states - 1}")
 
@@ -423,7 +423,7 @@ def _failing_charges(problem: Problem) -> tuple[FloatArray, FloatArray]:
 def _simulation_report(
     problem: Problem, played: _Played, confidence: float, max_steps: int
 ) -> SimulationReport:
-    """The report of the episodes that a simulation played."""
+    """Report of the episodes that a simulation played."""
     names = ["goal", *problem.model.state_labels, "dead_end", "gave_up"]
     ends = {name: int((played.mark == i).sum()) for i, name in enumerate(names)}
     ends["unfinished"] = int((played.mark < 0).sum())

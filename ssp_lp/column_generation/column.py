@@ -39,19 +39,19 @@ class Column:
 
     @classmethod
     def of_figures(cls, figures: FloatArray, choice: IntArray, **more: Any) -> Column:
-        """A column from what it is priced by, [rewards], verified: beyond 0 and 1 lies rounding."""
+        """A column from its rewards, verified: beyond 0 and 1 lies rounding."""
         cost, failure, *rows = figures.tolist()
         failure = min(max(failure, 0.0), 1.0)
         return cls(cost, failure, 1.0 - failure, choice, rows=tuple(rows), **more)
 
     @cached_property
     def figures(self) -> FloatArray:
-        """All that it is priced by, [rewards]: cost, failure, and what it takes of the rows."""
+        """Rewards of a column, [rewards]: cost, failure, and its coefficients in the rows."""
         return np.array([self.cost, self.failure, *self.rows])
 
 
 def excess_failure(risky: Column, safe: Column) -> float:
-    """How much more a column fails than another, without cancellation."""
+    """Failure of a column in excess of another's, without cancellation."""
     if max(risky.goal, safe.goal) < 0.5 and safe.goal > risky.goal:
         return safe.goal - risky.goal
     return risky.failure - safe.failure
@@ -76,7 +76,7 @@ class Proof:
 
 
 def required(part: _Array | None) -> _Array:
-    """The choice or totals of a column that a pricing problem made, which must be there.
+    """The choice or totals of a column that its pricing problem must have made.
 
     Raises:
         ModelError: the column came from elsewhere.
@@ -96,19 +96,19 @@ class PricingProblem(ABC):
     @property
     @abstractmethod
     def value_shape(self) -> tuple[int, ...]:
-        """The shape of the value functions that ``check`` takes."""
+        """Shape of the value functions that a pricing problem's ``check`` takes."""
 
     def incumbent(self, reached: Any) -> Column | None:
-        """What a stopped ``minimise`` had come to, as its Stop says; None: that is no policy."""
+        """The column that a stopped pricing problem had come to, by its Stop; None: no policy."""
         return None
 
     @abstractmethod
     def first(self) -> Column:
-        """A policy from which the goal is reached if it can be; cheap to find."""
+        """A first column of the pricing problem, cheap to find, that reaches the goal if it can."""
 
     @abstractmethod
     def minimise(self, failure_price: float, *warm: Column | None) -> Column:
-        """A policy of least priced cost, measured exactly.
+        """Solve the pricing problem: a column of least priced cost, measured exactly.
 
         Args:
             failure_price: price of failure.
@@ -119,12 +119,12 @@ class PricingProblem(ABC):
         """
 
     def aligned(self, column: Column, price: float) -> Column:
-        """The column with its tails, where it has any, chosen by this price; measured again."""
+        """A column with its tails, where it has any, chosen by this price; measured again."""
         return column
 
     @abstractmethod
     def prove(self, price: float, best: Column, *, slack: bool = False) -> Proof:
-        """Prove a lower bound of the value of every policy.
+        """Prove a lower bound of every column's priced value.
 
         Args:
             price: of failure.
@@ -134,7 +134,7 @@ class PricingProblem(ABC):
 
     @abstractmethod
     def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
-        """Lower any values as far as is needed to make them a checked sub-solution.
+        """Lower values to a checked sub-solution of the pricing problem.
 
         Raises:
             ModelError: values of another shape.
@@ -146,15 +146,15 @@ class PricingProblem(ABC):
         return np.broadcast_to(np.inf, self.value_shape)
 
     def policy(self, column: Column) -> Policy:
-        """The column's policy on the original states."""
+        """A column's policy on the original states."""
         return self.pulled_back(column) if column.policy is None else column.policy
 
     @abstractmethod
     def pulled_back(self, column: Column) -> Policy:
-        """The choice of a column that this pricing made, on the original states."""
+        """The choice of a column of this pricing problem, on the original states."""
 
     def check_shape(self, values: FloatArray) -> None:
-        """Raise :class:`ModelError` unless values have the shape of a value function."""
+        """Raise :class:`ModelError` unless a pricing problem's values have their shape."""
         if values.shape != self.value_shape:
             raise ModelError(f"a value function of shape {self.value_shape} is needed")
 
@@ -174,31 +174,31 @@ class FailureRow:
     lowest: float = 0.0  # no objective is less
 
     def spare(self, column: Column) -> float:
-        """What a policy leaves of the budget, without cancellation; below 0 where it breaks it."""
+        """Failure that a column leaves of the budget, without cancellation; below 0: it breaks."""
         demanded = 1.0 - self.budget
         return column.goal - demanded if demanded < 0.5 else self.budget - column.failure
 
     def leaves_only(self, least: Column) -> bool:
-        """Whether the budget exceeds what the policy of least failure takes by rounding at most."""
+        """Whether the budget exceeds the least failing column's failure by rounding at most."""
         return self.spare(least) <= self.rounding
 
     def breaks(self, column: Column) -> bool:
-        """Whether a policy breaks the budget by more than rounding."""
+        """Whether a column breaks the failure row's budget by more than rounding."""
         return self.spare(column) < -self.rounding
 
     @property
     def rounding(self) -> float:
-        """By how much a policy may seem to miss a budget that it meets."""
+        """Rounding by which a column may seem to miss a budget that it meets."""
         return _SAME * max(min(self.budget, 1.0 - self.budget), 0.0)
 
     def objective(self, cost: float, goal: float) -> float:
-        """Objective of a point of the hull."""
+        """Objective of a mixture of columns by its cost and failure."""
         if not self.ratio:
             return cost
         return cost / goal if goal > 0.0 else np.inf
 
     def lower_bound(self, proof: Proof) -> float:
-        """Bound on the objective from a proof about every policy's value.
+        """Lower bound of the objective within the failure row, from a proof about every column.
 
         Case M: cost + price * failure >= bound gives cost >= bound - price * budget. Case S:
         cost >= c * goal follows for c = bound if bound >= price, else, as failure <= budget, for
@@ -209,27 +209,27 @@ class FailureRow:
         worth = price * self.budget
         rounding = _ROUNDED * (abs(bound) + worth) if worth > 0.0 else 0.0
         if not self.ratio:
-            least = bound - worth - rounding
+            lower_bound = bound - worth - rounding
         elif proof.failing == 0.0:
-            least = price + (bound if bound >= 0.0 else _over(bound, share))
+            lower_bound = price + (bound if bound >= 0.0 else _per_success(bound, share))
         else:
-            least = bound if bound >= price else _over(bound - worth - rounding, share)
-        return max(least, self.lowest)
+            lower_bound = bound if bound >= price else _per_success(bound - worth - rounding, share)
+        return max(lower_bound, self.lowest)
 
 
-def _over(rest: float, share: float) -> float:
-    """What is left of a bound, over the share that has to succeed; nothing is known where none."""
+def _per_success(rest: float, share: float) -> float:
+    """The rest of a bound on columns, over the success that is required; unknown where none is."""
     return rest / share if share > 0.0 else -np.inf
 
 
 def relative_gap(objective: float, lower_bound: float) -> float:
-    """(objective - lower_bound) / |objective|; 0 where both are 0."""
+    """Relative gap of a column's objective: (objective - lower_bound) / |objective|; 0 / 0 is 0."""
     difference = max(objective - lower_bound, 0.0)
     return 0.0 if difference == 0.0 else difference / max(abs(objective), 1e-300)
 
 
 def two_sided_gap(one: float, other: float) -> float:
-    """The relative gap between what is attained and a bound, on whichever side that lies."""
+    """Relative gap between columns' objective and its bound, on whichever side that lies."""
     return relative_gap(max(one, other), min(one, other))
 
 

@@ -46,10 +46,10 @@ from ssp_lp.model.graph import dead_ends, goal_approach, surely_reaching
 from ssp_lp.policies.policy import DeterministicPolicy, Policy
 from ssp_lp.processes import goal_reach
 from ssp_lp.processes.conditions import FAILURE_ROW, UpperRow
-from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.explicit_process import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of, label_failure
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, ObjectiveSense, survival_of
-from ssp_lp.processes.rows import uniform_cost
+from ssp_lp.processes.live_rows import uniform_cost
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class LeastFailure:
 
 
 class CompiledProblem(ABC):
-    """What a method asks of a problem: a process, a charge, rows, a ratio, and how to refine them.
+    """A problem compiled for methods: a process, a charge, rows, a ratio, and how to refine them.
 
     What is said here holds of a process that is written out and truncates nothing (case M).
     """
@@ -75,37 +75,37 @@ class CompiledProblem(ABC):
 
     @property
     def lowest(self) -> float:
-        """No objective is less."""
+        """Lower bound of the compiled problem's objective that needs no search."""
         return 0.0
 
     @property
     def is_trial(self) -> bool:
-        """Whether this is only to learn the price, from which its size will follow."""
+        """Whether the compiled problem only serves to learn the price, hence its size."""
         return False
 
     @property
     def is_long_shot(self) -> bool:
-        """Whether no policy at hand tells of a first size: case M tells of it."""
+        """Whether a compiled problem's first size can only be guessed; case M tells of it."""
         return False
 
     @property
     def cost_horizon(self) -> float:
-        """Total from which a stationary policy is known to be optimal; 0: none is."""
+        """Total from which the compiled problem has a stationary optimal policy; 0: unknown."""
         return 0.0
 
     @property
     @abstractmethod
     def layers(self) -> int:
-        """How many totals are told apart; 1 where none is counted."""
+        """Number of totals that the compiled problem tells apart; 1 where none is counted."""
 
     @property
     @abstractmethod
     def n_columns(self) -> int:
-        """Columns of the linear program of the process as it stands."""
+        """Columns of the compiled problem's linear program."""
 
     @property
     def survival(self) -> float:
-        """The discount, 1 in the exact setting."""
+        """The compiled problem's discount, 1 in the exact setting."""
         return survival_of(self.discount)
 
     def capped_at(self, cost: float) -> Self:
@@ -114,22 +114,22 @@ class CompiledProblem(ABC):
 
     @abstractmethod
     def least_failure(self) -> LeastFailure:
-        """The first column: feasibility is decided by it, never by the status of an LP."""
+        """The first column: it, not a status of an LP, decides whether the problem is feasible."""
 
     @abstractmethod
     def pricing(self) -> PricingProblem:
-        """The pricing problem of the process as it stands."""
+        """The pricing problem of the compiled problem as it stands."""
 
     def for_program(self) -> Self:
-        """The one whose written-out process has the optimum of the problem, up to its size."""
+        """The compiled problem whose written-out process has the problem's optimum."""
         return self
 
     @abstractmethod
     def explicit(self) -> ExplicitProcess:
-        """The process written out, for the linear program."""
+        """The compiled problem's process written out, for the linear program."""
 
     def explicit_choice(self, column: Column) -> IntArray:
-        """The pair of ``explicit()`` that a column takes in each state, [states].
+        """The pair of the written-out process that a column takes in each state, [states].
 
         Raises:
             ModelError: the pricing did not make the column.
@@ -138,7 +138,7 @@ class CompiledProblem(ABC):
 
     @abstractmethod
     def refined(self, price: float) -> Self | None:
-        """A larger one with a smaller truncation error, or None where there is none.
+        """A larger compiled problem with a smaller truncation error; None: there is none.
 
         Args:
             price: price of failure at the optimum of this one.
@@ -146,7 +146,7 @@ class CompiledProblem(ABC):
 
     @abstractmethod
     def matching(self, values: FloatArray, levels: FloatArray | None = None) -> Self:
-        """The one whose value functions have the shape of this one.
+        """The compiled problem whose value functions have the shape of this one.
 
         Args:
             values: the value function.
@@ -157,7 +157,7 @@ class CompiledProblem(ABC):
         """
 
     def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
-        """How much of a bound at this price is lost to truncation; 0 where nothing is.
+        """Part of a bound at this price that the compiled problem loses to truncation.
 
         Args:
             price: of failure.
@@ -166,7 +166,7 @@ class CompiledProblem(ABC):
         """
         return 0.0
 
-    def _handing_on(self, other: Self, *own: str) -> Self:
+    def _copy_with_results(self, other: Self, *own: str) -> Self:
         """Hand what has been worked out to a copy, but for what is each one's own."""
         shared = vars(self).keys() - vars(other).keys() - set(own)
         vars(other).update((name, vars(self)[name]) for name in shared)
@@ -184,7 +184,7 @@ def _unreachable(budget: float | None, discounted: float | None = None) -> Infea
 
 
 def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> LeastFailure:
-    """The policy of least failure, which keeps to the budget.
+    """The compiled problem's column of least failure, which has to keep to the budget.
 
     Args:
         compiled: the problem.
@@ -193,12 +193,12 @@ def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> Le
     Raises:
         InfeasibleError: it does not, or no cost given success exists.
     """
-    least = compiled.least_failure()
-    failure, discounted = least.column.failure, compiled.discount is not None
-    if compiled.ratio and least.column.goal <= 0.0:
+    least_failure = compiled.least_failure()
+    failure, discounted = least_failure.column.failure, compiled.discount is not None
+    if compiled.ratio and least_failure.column.goal <= 0.0:
         raise _unreachable(budget, 1.0 if discounted else None)
     if budget is None or failure <= budget + LEAST_BUDGET:
-        return least
+        return least_failure
     if not discounted:
         raise InfeasibleError(
             f"every policy fails with probability at least {failure:.12g}, above the budget "
@@ -231,7 +231,7 @@ MOST_ENTRIES = 800_000_000
 
 
 def check_compiled_table(layers: int, base: AccumulatedCost, remedy: str) -> None:
-    """Raise :class:`ModelError` with a remedy where a table of so many layers is too large."""
+    """Raise :class:`ModelError` where a compiled problem's table has too many layers."""
     if (layers + base.width) * base.n_nodes > MOST_ENTRIES:
         raise ModelError(
             f"{layers:.6g} layers of accumulated cost (unit {base.unit:g}) on {base.n_nodes:,} "
@@ -354,7 +354,7 @@ class CompiledAccumulatedCost(_CompiledLayered):
 
     @cached_property
     def lowest(self) -> float:
-        """Every run that reaches the goal takes some steps, each of which costs the least one."""
+        """Compiled problem's lower bound: some steps on the way, each at the least cost."""
         begins = np.flatnonzero(self.start)
         begins = begins[~dead_ends(self.model)[begins]]
         if self.discount is not None or not begins.size:
@@ -368,22 +368,22 @@ class CompiledAccumulatedCost(_CompiledLayered):
 
     @cached_property
     def base(self) -> AccumulatedCost:
-        """One layer of the process."""
+        """One layer of the compiled problem's accumulated-cost process."""
         return accumulate_cost(self.model, self.start, self.discount)
 
     @property
     def is_trial(self) -> bool:
-        """Whether the cap is a guess."""
+        """Whether the compiled problem's cap on the accumulated cost is a guess."""
         return self.cap is None and self.fixed_cap is None and not self._has_exact_tails
 
     @cached_property
     def _directed(self) -> goal_reach.ReachPolicy:
-        """A policy that goes for the goal, for the tail beyond the accumulated cost's cap."""
+        """The compiled problem's tail that goes for the goal beyond the accumulated cost's cap."""
         return goal_reach.goal_directed(self.model, self.survival)
 
     @cached_property
     def _guess(self) -> tuple[float, float] | None:
-        """(E[cost; goal], goal) of such a policy, about; None where its equations are solved.
+        """(E[cost; goal], goal), about, of a goal-directed policy of the compiled problem.
 
         In a large process they take longer than a sweep. Beyond the cap the riskiest policy is then
         followed: where that loses something, the cap is raised or the tails become exact.
@@ -397,7 +397,7 @@ class CompiledAccumulatedCost(_CompiledLayered):
 
     @cached_property
     def is_long_shot(self) -> bool:
-        """Whether a policy that goes for the goal takes too long to tell a first cap."""
+        """Whether the compiled problem's goal-directed policy takes too long to tell a cap."""
         if self.exact_tails or self.base.quotient.merged.any():
             return False
         if self.cap is not None or self.fixed_cap is not None:
@@ -412,21 +412,21 @@ class CompiledAccumulatedCost(_CompiledLayered):
 
     @cached_property
     def _has_exact_tails(self) -> bool:
-        """Whether the tails are those of the least failure, asked for or needed."""
+        """Whether the compiled problem's tails are those of the least failure."""
         return self.exact_tails or bool(self.base.quotient.merged.any()) or self.is_long_shot
 
     def capped_at(self, cost: float) -> CompiledAccumulatedCost:
-        """The same problem with a cap of about this accumulated cost.
+        """The compiled problem with a cap of about this accumulated cost.
 
         Where the start cannot avoid the goal no cap is beyond loss: the tails are exact at once.
         """
         exact = float(self.start @ self.riskiest[0].goal) > 0.0
         most = MOST_ENTRIES // max(self.base.n_nodes, 1) - 2 * self.base.width
         layers = int(min(np.ceil(cost / self.base.unit), max(most, 0))) + self.base.width
-        return self._carry(replace(self, cap=layers, exact_tails=exact))
+        return self._copy_for_cap(replace(self, cap=layers, exact_tails=exact))
 
     def least_failure(self) -> LeastFailure:
-        """Greatest goal probability first, then the least E[cost; goal] among its actions.
+        """First column: greatest goal probability, then the least E[cost; goal] among its actions.
 
         At least failure the accumulated cost is not needed: a transition to x' is priced
         ``g * Pmax(x')`` (mathematics, section 4).
@@ -441,7 +441,7 @@ class CompiledAccumulatedCost(_CompiledLayered):
 
     @cached_property
     def process(self) -> LayeredProcess:
-        """The process cut at the cap."""
+        """The compiled problem's layered process, cut at the cap."""
         base, layers = self.base, self.cap
         if layers is None and self.fixed_cap is not None:
             layers = max(int(np.ceil(self.fixed_cap / base.unit)), 1)
@@ -454,11 +454,11 @@ class CompiledAccumulatedCost(_CompiledLayered):
         return LayeredProcess(base, base.totals(layers), self._tails)
 
     def refined(self, price: float) -> CompiledAccumulatedCost | None:
-        """The same problem with more layers or better tails, unless nothing is left to improve."""
+        """The compiled problem with more layers or better tails; None: nothing to improve."""
         here, exact = self.process.cap, self._has_exact_tails
         lossless = int(np.ceil(_MARGIN * price / self.base.unit)) + 1
         if self.fixed_cap is not None:
-            return None if exact else self._carry(replace(self, exact_tails=True))
+            return None if exact else self._copy_for_cap(replace(self, exact_tails=True))
         if self.is_trial and lossless <= _MOST_GROWTH * here:
             wanted = lossless
         elif not exact:
@@ -469,12 +469,12 @@ class CompiledAccumulatedCost(_CompiledLayered):
             if self._has_exact_tails:
                 return None
             wanted, exact = here, True
-        return self._carry(replace(self, cap=wanted, exact_tails=exact))
+        return self._copy_for_cap(replace(self, cap=wanted, exact_tails=exact))
 
     def matching(
         self, values: FloatArray, levels: FloatArray | None = None
     ) -> CompiledAccumulatedCost:
-        """The same problem with as many layers as the value function, [layers, nodes].
+        """The compiled problem with as many layers as the value function, [layers, nodes].
 
         Its tails are the riskiest policy alone: where the cap loses something with that,
         :meth:`for_program` has the exact ones.
@@ -484,26 +484,26 @@ class CompiledAccumulatedCost(_CompiledLayered):
         """
         if values.ndim != 2 or values.shape[0] == 0:
             raise ModelError("a value function of shape [layers, nodes] is needed")
-        return self._carry(replace(self, cap=values.shape[0], is_for_bounds=True))
+        return self._copy_for_cap(replace(self, cap=values.shape[0], is_for_bounds=True))
 
     def for_program(self) -> CompiledAccumulatedCost:
-        """The same problem with exact tails: beyond the cap no program does better than they do."""
+        """The compiled problem with exact tails: beyond the cap no program does better."""
         if self._has_exact_tails:
             return self
-        exact = self._carry(replace(self, exact_tails=True))
-        return self._carry(replace(exact, cap=exact.process.cap))
+        exact = self._copy_for_cap(replace(self, exact_tails=True))
+        return self._copy_for_cap(replace(exact, cap=exact.process.cap))
 
-    def _carry(self, other: CompiledAccumulatedCost) -> CompiledAccumulatedCost:
-        """Hand what does not depend on the cap to a copy."""
+    def _copy_for_cap(self, other: CompiledAccumulatedCost) -> CompiledAccumulatedCost:
+        """A copy of the compiled problem with whatever does not depend on the cap."""
         own = "process", "is_long_shot", "_has_exact_tails", "_tails"
-        other = self._handing_on(other, *own)
+        other = self._copy_with_results(other, *own)
         if "_tails" in vars(self) and self._has_exact_tails == other._has_exact_tails:
             vars(other)["_tails"] = self._tails
         return other
 
     @cached_property
     def _tails(self) -> LayeredTails:
-        """The tails that are followed beyond the cap on accumulated cost."""
+        """Tails of the compiled problem beyond the cap on accumulated cost."""
         least, riskiest = self.riskiest
         if self._has_exact_tails:
             return self._tails_of(self.safest_policy, riskiest, self.greatest.bound, least.bound)
@@ -548,13 +548,13 @@ class CompiledArrivalCost(_CompiledLayered):
 
     @property
     def is_trial(self) -> bool:
-        """Whether the cap is a guess, to learn the price from: sums become many as it grows."""
+        """Whether the compiled problem's cap is a guess to learn the price from."""
         grows = self.charge.slope > 0.0 and not self.safest_only
         return self.by_sums and self.cap is None and grows
 
     @cached_property
     def base(self) -> AccumulatedCost:
-        """One layer of the process."""
+        """One layer of the process of the compiled problem with a charge."""
         usable = self.greatest.usable if self.safest_only else None
         return accumulate_cost(
             self.model, self.start, None, arrivals=True, usable=usable, by_steps=self.by_sums
@@ -562,7 +562,7 @@ class CompiledArrivalCost(_CompiledLayered):
 
     @cached_property
     def _moments(self) -> goal_reach.ReachPolicy | None:
-        """The tail of an exponential utility."""
+        """The compiled problem's tail of an exponential utility."""
         if not isinstance(self.charge, ExponentialUtility):
             return None
         usable = self.greatest.usable if self.charge.bonus > 0.0 else None
@@ -570,7 +570,7 @@ class CompiledArrivalCost(_CompiledLayered):
 
     @cached_property
     def cost_horizon(self) -> float:
-        """Accumulated cost from which a stationary policy is optimal; 0 for other charges."""
+        """Cost from which the compiled problem's stationary tail is optimal; 0: unknown."""
         charge, moments = self.charge, self._moments
         if moments is None or not isinstance(charge, ExponentialUtility) or charge.bonus == 0.0:
             return 0.0
@@ -578,7 +578,7 @@ class CompiledArrivalCost(_CompiledLayered):
 
     @cached_property
     def process(self) -> LayeredProcess:
-        """The process cut at the cap."""
+        """The process of the compiled problem with a charge, cut at the cap."""
         cap = self._first_guess() if self.cap is None else self.cap
         if self.by_sums:
             while (totals := self._totals(cap)) is None:  # as far as there is room: the gap tells
@@ -590,7 +590,7 @@ class CompiledArrivalCost(_CompiledLayered):
         return LayeredProcess(self.base, totals, self._tails, self.charge)
 
     def _totals(self, cap: float) -> Totals | None:
-        """The sums of steps below a cap; None: there are too many."""
+        """Sums of steps below a cap as the compiled problem's totals; None: too many."""
         room = min(MOST_SUMS, MOST_ENTRIES // max(self.base.n_nodes, 1))
         sums, steps = sums_in(self.model, cap, room), step_costs(self.model)[1]
         if sums is None:
@@ -598,11 +598,11 @@ class CompiledArrivalCost(_CompiledLayered):
         return Totals(read_only(np.append(sums, cap)), steps, complete=True)
 
     def _units(self, total: float) -> float:
-        """A total in units, whole ones where layers are their multiples."""
+        """A total of the compiled problem in units, whole ones if layers are their multiples."""
         return total if self.by_sums else int(min(np.ceil(total / self.base.unit), 1e15))
 
     def _settled_units(self) -> float:
-        """Where the charge has become affine, or the tail optimal; small where it never does."""
+        """Total from which the compiled problem has an affine charge, or an optimal tail."""
         settled = self.charge.settled or 0.0
         if isinstance(self.charge, ExponentialUtility):
             return max(self._units(self.cost_horizon), self._least_units)
@@ -614,11 +614,11 @@ class CompiledArrivalCost(_CompiledLayered):
 
     @property
     def _least_units(self) -> float:
-        """One layer; of sums, a table without any but that of nothing."""
+        """The compiled problem's smallest table: one layer; of sums, that of nothing paid."""
         return _BEYOND * float(step_costs(self.model)[1].max()) or 1.0 if self.by_sums else 1
 
     def _first_guess(self) -> float:
-        """As many layers as are surely needed, and some more where that is not enough."""
+        """The compiled problem's first cap: layers that are surely needed, and some more."""
         if self.is_trial:
             directed = goal_reach.goal_directed(self.model).values
             cost, goal = float(self.start @ directed.cost), float(self.start @ directed.goal)
@@ -636,7 +636,7 @@ class CompiledArrivalCost(_CompiledLayered):
 
     @cached_property
     def _tails(self) -> LayeredTails:
-        """The tail policies that are followed, and charged, beyond the cap."""
+        """Tails of the compiled problem, followed and charged beyond the cap."""
         at, moments = self.base.quotient.least_over_members, self._moments
         first = self.safest_policy if moments is None else moments
         last, least, least_cost = first, np.zeros(self.model.n_states), None
@@ -657,11 +657,11 @@ class CompiledArrivalCost(_CompiledLayered):
 
     @property
     def lowest(self) -> float:
-        """No objective is less."""
+        """Lower bound of a compiled problem with a charge that needs no search."""
         return self.charge.lowest
 
     def least_failure(self) -> LeastFailure:
-        """The least charged of the policies that fail least, which may remember the cost.
+        """First column: least charged of the policies that fail least; it may remember the cost.
 
         Raises:
             ModelError: its runs take so many free steps that what each loses adds up.
@@ -680,7 +680,7 @@ class CompiledArrivalCost(_CompiledLayered):
         return LeastFailure(policy, replace(best, choice=None, policy=policy), bound)
 
     def lossless_units(self, price: float) -> float:
-        """Where it is best to fail from then on at this price of failure, with some room.
+        """Total from which a compiled problem's policy best fails at this price, with room.
 
         As many units as the charge needs to settle where it grows no more from there.
         """
@@ -691,7 +691,7 @@ class CompiledArrivalCost(_CompiledLayered):
         return max(settled, self._units(_MARGIN * charge.lossless(price)) + room)
 
     def refined(self, price: float) -> CompiledArrivalCost | None:
-        """More layers: as the price asks where the charge grows, else twice as many."""
+        """The compiled problem with more layers: as its price asks, else twice as many."""
         here, charge = self.process.end, self.charge
         wanted = 2 * here
         if charge.settled is None:
@@ -710,7 +710,7 @@ class CompiledArrivalCost(_CompiledLayered):
         return self.charging(charge, wanted) if fits else None
 
     def charging(self, charge: Charge, cap: float | None = None) -> CompiledArrivalCost:
-        """The same process with another charge and cap; what charges share is worked out once.
+        """The compiled problem with another charge and cap; shared work is done once.
 
         An exponential reward has tails of its own.
         """
@@ -718,15 +718,15 @@ class CompiledArrivalCost(_CompiledLayered):
         exponential = (isinstance(c, ExponentialUtility) for c in (charge, self.charge))
         if charge == self.charge or not any(exponential):
             vars(self)["_tails"], own = self._tails, ()
-        return self._handing_on(replace(self, charge=charge, cap=cap), "process", *own)
+        return self._copy_with_results(replace(self, charge=charge, cap=cap), "process", *own)
 
     def safest(self) -> CompiledArrivalCost:
-        """The same among the policies of least failure."""
+        """The compiled problem restricted to the policies of least failure."""
         safest = replace(self, safest_only=True, cap=None)
-        return self._handing_on(safest, "process", "base", *_OF_TAILS)
+        return self._copy_with_results(safest, "process", "base", *_OF_TAILS)
 
     def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledArrivalCost:
-        """The same problem with as many layers as the value function, [layers, nodes].
+        """The charged compiled problem with as many layers as the value function, [layers, nodes].
 
         Args:
             values: the value function.
@@ -798,12 +798,12 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the rows: the failure row, limited or not, then the others."""
+        """Names of the compiled problem's rows: the failure row first, limited or not."""
         return (FAILURE_ROW, *(row.name for row in self.side))
 
     @property
     def sense(self) -> ObjectiveSense:
-        """How what is minimised stands for what is asked."""
+        """Sense of the compiled problem: how its minimum stands for the optimum asked for."""
         shift = 0.0 if self.charge is None else max(-self.charge.lowest, 0.0)
         if self.objective is not None:
             return ObjectiveSense(None, shift, self.objective.offset)
@@ -814,29 +814,29 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def wants_ends(self) -> bool:
-        """Whether a row, or the objective, asks for an end that is not the goal."""
+        """Whether the compiled problem's rows or objective ask for an end other than the goal."""
         rows = self.side if self.objective is None else (*self.side, self.objective)
         return any(row.condition.wants_ends for row in rows)
 
     @property
     def told(self) -> tuple[str, ...]:
-        """What the rows bound, in words."""
+        """Words for the quantities that the compiled problem's rows bound."""
         return (FAILURE_ROW, *(row.told for row in self.side))
 
     @property
     def bounds(self) -> FloatArray:
-        """Bound of each row, infinite where nothing is limited, [rows]."""
+        """Bound of each of the compiled problem's rows; infinite: no limit, [rows]."""
         limited = self.budget is not None and self.budget < 1.0
         budget = max(self.budget or 0.0, 0.0) if limited else np.inf
         return np.array([budget, *(row.bound for row in self.side)])
 
     @cached_property
     def least(self) -> LeastFailure:
-        """The cheapest policy of least failure; InfeasibleError where the budget is below it."""
+        """The compiled problem's column of least failure; InfeasibleError: it breaks the budget."""
         return checked_least_failure(self, self.budget)
 
     def least_failure(self) -> LeastFailure:
-        """Greatest goal probability first, then the least cost among its actions."""
+        """First column: greatest goal probability, then the least cost among its actions."""
         how = self.model, self.start, self.semantics, self.discount
         self.check_sure()
         stage = label_failure(*how, self.greatest.usable)
@@ -853,7 +853,7 @@ class CompiledExplicit(CompiledProblem):
         return LeastFailure(policy, foreign, bound)
 
     def check_sure(self) -> None:
-        """Check that the goal can be reached surely, as must be where failing is forbidden.
+        """Check that the compiled problem's goal can be reached surely, if failing is forbidden.
 
         Raises:
             InfeasibleError: it cannot.
@@ -871,12 +871,12 @@ class CompiledExplicit(CompiledProblem):
         )
 
     def _least_failure_alone(self) -> float:
-        """The least failure probability, worked out when the error is asked for it."""
+        """The compiled problem's least failure probability, for an error that is asked for it."""
         with limited(READING, "the least failure probability was worked out"):
-            return max(1.0 - goal_reach.greatest_from(self.model, self.start), 0.0)
+            return max(1.0 - goal_reach.greatest_goal_from(self.model, self.start), 0.0)
 
     def settled(self) -> CompiledExplicit:
-        """The same at least failure, where the budget does not exceed that.
+        """The compiled problem at least failure, where the budget does not exceed that.
 
         Raises:
             InfeasibleError: the budget is below the least failure by more than rounding; case S,
@@ -892,31 +892,31 @@ class CompiledExplicit(CompiledProblem):
 
     @cached_property
     def greatest_goal(self) -> float:
-        """The greatest goal probability, discounted where the problem is, bounded from above."""
+        """Upper bound of the compiled problem's goal probability, discounted where that is."""
         reach = self.greatest
         return float(self.start @ np.maximum(reach.goal, reach.bound))
 
     @cached_property
     def greatest(self) -> goal_reach.GoalReach:
-        """The greatest goal probability from the start, and the pairs that attain it."""
+        """The compiled problem's greatest goal probability from the start, and its pairs."""
         return goal_reach.greatest_goal_reach(self.model, self.survival, self.start)
 
     @cached_property
     def least_goal(self) -> float:
-        """A goal probability that every policy within the budget exceeds, or has."""
+        """Goal probability that every policy within the compiled problem's budget has at least."""
         least = float(self.start @ self._least_goals)
         return max(least, 0.0) if self.budget is None else max(1.0 - self.budget, least, 0.0)
 
     @cached_property
     def _least_goals(self) -> FloatArray:
-        """A goal probability that every policy that counts attains, [states]."""
+        """Goal probability that every policy of the compiled problem attains, [states]."""
         if self.budget is None:
             return self.greatest.goal * (1.0 - ATTAINABLE)
         return goal_reach.least_goal_reach(self.model, self.survival).bound
 
     @cached_property
     def augmented(self) -> FailureLabelled | written_out.OpenEnded:
-        """The process, in which only what is free in everything counted is collapsed."""
+        """The compiled problem's process, collapsed where it is free in all that is counted."""
         if self.charge is None:
             self.check_sure()
             usable = None if self.budget is not None else self.greatest.usable
@@ -928,12 +928,12 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def is_rounded(self) -> bool:
-        """Whether totals are rounded, so that policies are other than the process has them."""
+        """Whether the compiled problem rounds totals: its policies are not the model's."""
         return self.totals is not None and not self.totals.exact
 
     @cached_property
     def totals(self) -> Totals | None:
-        """The totals that are told apart, where they are no multiples of a unit."""
+        """Totals that the compiled problem tells apart, where they are no multiples of a unit."""
         if self.resolution is None or self.charge is None:
             return None
         first = written_out.first_total(self.charge, self.typical_cost)
@@ -941,11 +941,11 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def _room(self) -> int:
-        """How many levels of the total a constrained problem has room for."""
+        """Number of totals that a compiled problem with rows has room for."""
         return max(_ROOM // max(len(self.base.gain), 1), 2)  # levels
 
     def pricing(self) -> ExplicitPricing | OpenEndedPricing:
-        """Of the process with a price for each row: layer by layer where that pays.
+        """The compiled problem's pricing with a price for each row: by layers where that pays.
 
         Raises:
             InfeasibleError: failing is forbidden and cannot be avoided.
@@ -963,21 +963,21 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def _is_swept(self) -> bool:
-        """Whether layers are priced one by one: nothing in them is free, and they are large."""
+        """Whether the compiled problem prices layer by layer: large ones without free pairs."""
         if self.charge is None or self.base.by_steps or self.base.instant.nnz > 0:
             return False
         return self.base.later.nnz >= _WORTH_SWEEPING
 
     @cached_property
     def explicit_pricing(self) -> ExplicitPricing:
-        """Policy iteration on the process with a price for each row."""
+        """The compiled problem's pricing by policy iteration, with a price for each row."""
         own = () if self.objective is None else (self.objective,)
         rows = self.row_coefficients((*own, *self.side))
         counted = rows.pop(0) if own else None
         return ExplicitPricing(self.augmented, self.precise, tuple(rows), counted)
 
     def row_coefficients(self, rows: Sequence[UpperRow]) -> list[FloatArray]:
-        """What rows take of each pair of the process, [process pairs] each."""
+        """Coefficients of the compiled problem's rows at each pair, [process pairs] each."""
         augmented = self.augmented
         if isinstance(augmented, written_out.OpenEnded):
             counting = augmented.counting()
@@ -987,7 +987,7 @@ class CompiledExplicit(CompiledProblem):
 
     @cached_property
     def base(self) -> AccumulatedCost:
-        """One layer of the process on accumulated cost."""
+        """One layer of the compiled problem's process with rows."""
         return accumulate_cost(
             self.model,
             self.start,
@@ -1000,13 +1000,13 @@ class CompiledExplicit(CompiledProblem):
 
     @cached_property
     def typical_cost(self) -> float:
-        """The cost given success of the policy that fails least."""
+        """Cost given success of the compiled problem's least failing policy, to size a table."""
         safest = goal_reach.cheapest_reach(self.model, self.greatest, self.survival).values
         return float(self.start @ safest.cost) / max(float(self.start @ safest.goal), 1e-300)
 
     @cached_property
     def layers(self) -> int:
-        """Totals that are told apart; 1: none is counted. ModelError: too many to write out."""
+        """Totals of the compiled problem; 1: none counted. ModelError: too many to write out."""
         if self.charge is None:
             return 1
         layers = self.cap if self.totals is None else self.totals.size
@@ -1019,11 +1019,11 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def _most_pairs(self) -> int:
-        """Pairs of all layers together that there is room for."""
+        """Most pairs that the compiled problem's layers have room for together."""
         return _MOST_SWEPT if self._is_swept else written_out.MOST_WRITTEN
 
     def refined(self, price: float) -> CompiledExplicit | None:
-        """More layers, or more digits in comparing pairs where no total is counted; None: no more.
+        """The compiled problem with more layers, or more digits if no total counts; None: no more.
 
         Args:
             price: what failing is worth, from which accumulated cost on it is best to fail.
@@ -1043,37 +1043,39 @@ class CompiledExplicit(CompiledProblem):
             finer = self.resolution.finer(self.totals, enough, self._room)
             if finer is None:
                 return None
-            return self._handing_on(replace(self, resolution=finer), *_OWN)
+            return self._copy_with_results(replace(self, resolution=finer), *_OWN)
         here = self.layers
         lossless = int(np.ceil(_MARGIN * self.charge.lossless(price) / self.base.unit)) + 1
         wanted = min(lossless, _MOST_GROWTH * here) if lossless > here else 2 * here
         if not cut or (wanted + 1) * len(self.base.gain) > self._most_pairs:
             return None
-        return self._handing_on(replace(self, cap=wanted), *_OWN)
+        return self._copy_with_results(replace(self, cap=wanted), *_OWN)
 
     def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledExplicit:
-        """The same with as many layers as a value function has, [process states]; or ModelError."""
+        """The compiled problem with as many layers as a value function; or ModelError."""
         if self.charge is None or self.resolution is not None:
             return self
         nodes = self.base.n_nodes
         layers, odd = divmod(values.size - 1, nodes) if nodes else (2, values.size - 1)
         if values.ndim != 1 or odd or layers < 2:
             raise ModelError("a value function of [(layers + 1) x nodes + 1] is needed")
-        return self._handing_on(replace(self, cap=layers - 1), *_OWN)
+        return self._copy_with_results(replace(self, cap=layers - 1), *_OWN)
 
     def bounded(self, budget: float | None, side: tuple[UpperRow, ...]) -> CompiledExplicit:
         """The same rows with other bounds: all else that is known of the process is handed on."""
-        return self._handing_on(replace(self, budget=budget, side=side), "least", "least_goal")
+        return self._copy_with_results(
+            replace(self, budget=budget, side=side), "least", "least_goal"
+        )
 
     def charging(self, charge: Charge) -> CompiledExplicit:
-        """The same with another charge, if its arrivals lie on the lattice of costs."""
-        return self._handing_on(replace(self, charge=charge, cap=None), *_OWN)
+        """The compiled problem with another charge, if its arrivals lie on the lattice of costs."""
+        return self._copy_with_results(replace(self, charge=charge, cap=None), *_OWN)
 
     @property
     def n_columns(self) -> int:
-        """Pairs of the process."""
+        """Pairs of the compiled problem's process."""
         return self.augmented.process.n_pairs
 
     def explicit(self) -> ExplicitProcess:
-        """The process."""
+        """The compiled problem's process, which is written out already."""
         return self.augmented.process

@@ -3,7 +3,7 @@
 Where a row's price is 0, end components that cost nothing but that row are free in the pricing
 problem, and to stay in one for ever would be a policy of less priced cost than any that leaves.
 Such policies do not count: their expected total of that row is infinite. What is free is contracted
-(``processes.explicit``), and policy iteration never finds a policy that stays:
+(``processes.explicit_process``), and policy iteration never finds a policy that stays:
 
 Let v be the values of a policy that leaves, and pi a policy that takes a pair of strictly smaller
 ``c + P v`` in some states and the first one's pair elsewhere, so that v >= c_pi + P_pi v. If pi had
@@ -34,7 +34,7 @@ from ssp_lp.dynamic_programming.equations import DIRECT_STATES
 from ssp_lp.dynamic_programming.evaluation import evaluate_policy
 from ssp_lp.dynamic_programming.policy_iteration import first_of_equals, iterate_policy, switched
 from ssp_lp.policies.policy import Policy
-from ssp_lp.processes.explicit import Contraction, ExplicitProcess, bound_of, contract
+from ssp_lp.processes.explicit_process import Contraction, ExplicitProcess, bound_of, contract
 from ssp_lp.processes.failure_label import FailureLabelled
 
 LOST = 4.0 * MACHINE_EPSILON
@@ -65,23 +65,23 @@ class ExplicitPricing(PricingProblem):
 
     @property
     def process(self) -> ExplicitProcess:
-        """The process that is minimised over."""
+        """The written-out process of explicit pricing."""
         return self.augmented.process
 
     @property
     def n_rewards(self) -> int:
-        """Cost, failure and rows."""
+        """Number of rewards of explicit pricing: cost, failure and rows."""
         return 2 + len(self.rows)
 
     @cached_property
     def rewards(self) -> FloatArray:
-        """Cost, failure and rows of each pair, [pairs, rewards]."""
+        """Rewards of each pair in explicit pricing, [pairs, rewards]: cost, failure and rows."""
         cost = self.process.cost if self.counted is None else self.counted
         return np.stack([cost, self.process.failure, *self.rows], axis=1)
 
     @cached_property
     def _leaving(self) -> IntArray:
-        """A policy that leaves the process from every state, towards the goal first, [states].
+        """A policy of explicit pricing that leaves from every state, goal first, [states].
 
         Where there is little time the first policy may be the answer: it keeps off what is risky.
         """
@@ -92,24 +92,24 @@ class ExplicitPricing(PricingProblem):
 
     @property
     def value_shape(self) -> tuple[int, ...]:
-        """[states]."""
+        """[states]: a value for each state of the explicit process."""
         return (self.process.n_states,)
 
     def incumbent(self, reached: Any) -> Column | None:
-        """The policy that policy iteration had come to."""
+        """The column that explicit pricing's policy iteration had come to when it was stopped."""
         return None if reached is None else self.measure(reached)
 
     def first(self) -> Column:
-        """A policy that comes nearer to the goal with every step it takes, where it can."""
+        """Explicit pricing's first column: every step comes nearer to the goal, where it can."""
         return self._first
 
     @cached_property
     def _first(self) -> Column:
-        """The column of the leaving policy, from which explicit pricing begins."""
+        """The column of explicit pricing's leaving policy."""
         return self.measure(self._leaving)
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
-        """A policy of least priced cost, measured exactly.
+        """Explicit pricing: a column of least priced cost by policy iteration, measured exactly.
 
         What is free at the price is contracted first: rounding would find policies that stay.
         """
@@ -136,7 +136,7 @@ class ExplicitPricing(PricingProblem):
     def _begun(
         self, weights: FloatArray, warm: Sequence[Column | None]
     ) -> tuple[IntArray, FloatArray | None]:
-        """A policy to start from, [states], and about its totals, [states, rewards]."""
+        """A policy for explicit pricing to start from, [states], and its totals, about."""
         columns = [c for c in warm if c is not None and c.choice is not None]
         if not columns:
             return self._leaving, None
@@ -156,7 +156,7 @@ class ExplicitPricing(PricingProblem):
         return choice, np.stack(totals)[follows, np.arange(len(choice))]
 
     def contracted(self, weights: FloatArray) -> Contraction | None:
-        """The process without what is free at the weights, kept; None where nothing is."""
+        """The explicit process without what is free at the weights, kept; None: nothing is."""
         priced = weights > 0.0
         key = priced.tobytes()
         if key not in self._known:
@@ -167,7 +167,7 @@ class ExplicitPricing(PricingProblem):
     def measure(
         self, choice: IntArray, work: Work = _NONE, found_at: float | None = None
     ) -> Column:
-        """Exact totals of one pair per state, by a sparse linear solve.
+        """Exact totals of a policy in explicit pricing, by a sparse linear solve.
 
         Args:
             choice: [states].
@@ -184,13 +184,13 @@ class ExplicitPricing(PricingProblem):
         return Column.of_figures(figures, choice, totals=totals, **more)
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
-        """Prove a lower bound from the values of a policy of least priced cost."""
+        """Lower bound of explicit pricing by the values of a policy of least priced cost."""
         column = best if best.totals is not None else self.minimise(price, best)
         values = weighted(required(column.totals), pricing_weights(price))
         return self.check(price, values, choice=column.choice)
 
     def prove_afresh(self, weights: FloatArray, warm: Column) -> Proof:
-        """Prove the best lower bound at weights that nothing has been priced at yet."""
+        """Best lower bound of explicit pricing at weights that nothing has been priced at yet."""
         values = weighted(required(self.minimise(weights, warm).totals), weights)
         return self.check(weights, values)
 
@@ -215,7 +215,7 @@ class ExplicitPricing(PricingProblem):
     def lowered(
         self, weights: FloatArray, values: FloatArray, choice: IntArray | None = None
     ) -> DualBound:
-        """A checked sub-solution of the weighted totals.
+        """Explicit pricing's weighted totals, lowered to a checked sub-solution.
 
         Args:
             weights: of the rewards, >= 0, [rewards].
@@ -230,13 +230,13 @@ class ExplicitPricing(PricingProblem):
     def check_less(
         self, weights: FloatArray, ratio: float, paid: float, values: FloatArray
     ) -> float:
-        """A certified bound of the weighted totals less what every episode pays, at the start."""
+        """Explicit pricing's certified bound at the start, less what every episode pays."""
         return self.lowered_less(weights, ratio, paid, values).at(self.process.start)
 
     def lowered_less(
         self, weights: FloatArray, ratio: float, paid: float, values: FloatArray
     ) -> DualBound:
-        """A checked sub-solution of the weighted totals less what every episode pays.
+        """Explicit pricing's checked sub-solution, less what every episode pays.
 
         ``check`` says the same but for rounding; this is exact where nothing else is paid, and sums
         what is left by itself, without taking one large number from another.
@@ -249,12 +249,14 @@ class ExplicitPricing(PricingProblem):
         """
         process, cost, counted = self.process, self.augmented.own_cost, weights.copy()
         counted[1] += ratio
-        left = rest_of(cost, cost + self.rewards[:, 1:] @ weights[1:], ratio * process.goal)
-        values = less_paid(np.where(np.abs(values) <= LARGEST, values, 0.0), paid)
+        left = costs_less_earned(
+            cost, cost + self.rewards[:, 1:] @ weights[1:], ratio * process.goal
+        )
+        values = values_less_paid(np.where(np.abs(values) <= LARGEST, values, 0.0), paid)
         return bound_of(process, self.contracted(counted), left, values, -paid)
 
     def pulled_back(self, column: Column) -> Policy:
-        """A choice as a policy, of equal pairs the first."""
+        """The policy of a choice of explicit pricing, by the first of equal pairs."""
         choice, process = required(column.choice), self.process
         if column.totals is not None and column.runs is not None:
             measured = column.totals, column.runs, process.start
@@ -262,8 +264,8 @@ class ExplicitPricing(PricingProblem):
         return self.augmented.policy(choice)
 
 
-def rest_of(own: FloatArray, costs: FloatArray, earned: FloatArray) -> FloatArray:
-    """``costs - earned``, rounded down where a sum was rounded, [pairs].
+def costs_less_earned(own: FloatArray, costs: FloatArray, earned: FloatArray) -> FloatArray:
+    """Costs of explicit pricing less what is earned, rounded down where a sum was, [pairs].
 
     Args:
         own: the only part of the costs that is exact by itself, [pairs].
@@ -275,8 +277,8 @@ def rest_of(own: FloatArray, costs: FloatArray, earned: FloatArray) -> FloatArra
     return np.asarray(left - np.where(summed, LOST * (np.abs(costs) + earned), 0.0))
 
 
-def less_paid(values: FloatArray, paid: float) -> FloatArray:
-    """Values less what every episode pays, nothing where that is rounding, [states]."""
+def values_less_paid(values: FloatArray, paid: float) -> FloatArray:
+    """Explicit pricing's values less what all episodes pay, 0 where that is rounding, [states]."""
     left = values - paid
     return np.where(np.abs(left) <= _ROUNDED * paid, 0.0, left)
 
@@ -287,7 +289,7 @@ def pricing_weights(price: float | FloatArray) -> FloatArray:
 
 
 def pricing_rounding(rewards: FloatArray, weights: FloatArray) -> FloatArray:
-    """The relative rounding of a weighted sum of terms >= 0; 0 where it is exact, [pairs]."""
+    """Relative rounding of explicit pricing's weighted sums of terms >= 0; 0: exact, [pairs]."""
     terms, products = np.zeros(len(rewards), dtype=np.int64), np.zeros(len(rewards), dtype=np.bool_)
     for reward, weight in zip(rewards.T, weights.tolist(), strict=True):
         if weight > 0.0:

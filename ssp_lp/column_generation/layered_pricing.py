@@ -42,16 +42,16 @@ class LayeredPricing(PricingProblem):
 
     @property
     def value_shape(self) -> tuple[int, ...]:
-        """[layers, nodes]."""
+        """[layers, nodes]: a value for each node in each priced layer."""
         return self.process.cap, self.process.base.n_nodes
 
     @cached_property
     def sweep(self) -> Sweep:
-        """The sweeps over the process."""
+        """The sweeps of layered pricing over its process."""
         return Sweep(self.process)
 
     def incumbent(self, reached: Any) -> Column | None:
-        """What a part of a sweep is worth: the best policy at a lower price of failure.
+        """The best column of a layered pricing that was stopped, at a lower price of failure.
 
         Whoever begins in its last layer as if nothing had been paid does what is best at the price
         less what the layer stands for. None where the charge is another one than the cost itself.
@@ -74,7 +74,7 @@ class LayeredPricing(PricingProblem):
         return replace(within._column(measures, choice, price, 0), choice=None, policy=policy)
 
     def first(self) -> Column:
-        """The first tail, which goes for the goal, followed from the start; or a guess at that."""
+        """Layered pricing's first column: the tail that goes for the goal, from the start on."""
         base, tails = self.process.base, self.process.tails
         if tails.guess is not None:
             return Column(tails.guess[0], 1.0, tails.guess[1] + base.start_goal, None)
@@ -86,7 +86,7 @@ class LayeredPricing(PricingProblem):
         return Column(cost, failure, goal + base.start_goal, None, policy=policy)
 
     def minimise(self, failure_price: float, *warm: Column | None) -> Column:
-        """A policy of least ``E[charge; goal] + failure_price * failure``, measured exactly."""
+        """Layered pricing: a column of least ``E[charge; goal] + failure_price * failure``."""
         base, tails, choice = self.process.base, self.process.tails, self.sweep.room_for_choice()
         goal = tails.guess[1] if tails.guess else float(base.start @ tails.goal[0])
         # where no policy probably succeeds success is counted rather than failure
@@ -95,7 +95,7 @@ class LayeredPricing(PricingProblem):
         return self._column(measures, choice, failure_price, self.process.cap)
 
     def measure(self, choice: IntArray, tail_price: float) -> Column:
-        """Exact E[cost; goal] and failure of a choice.
+        """Exact E[cost; goal] and failure of a choice in layered pricing.
 
         Args:
             choice: [cap, nodes].
@@ -106,7 +106,7 @@ class LayeredPricing(PricingProblem):
     def _column(
         self, totals: FloatArray, choice: IntArray, tail_price: float, backups: int
     ) -> Column:
-        """A choice with its charge, failure and goal from the start."""
+        """The column of a layered choice: its charge, failure and goal from the start."""
         base, work = self.process.base, bellman.Work(backups, self.process.cap)
         cost, failure, goal = totals.tolist()
         failure = max(failure + base.start_failure, 0.0)  # verified: below it lies rounding
@@ -115,18 +115,18 @@ class LayeredPricing(PricingProblem):
         return Column(cost, failure, goal, choice, tail_price, work=work)
 
     def aligned(self, column: Column, price: float) -> Column:
-        """The column with its tails chosen by this price, measured again."""
+        """A layered column with its tails chosen by this price, measured again."""
         if column.choice is None:
             return column
         here, there = self.process.threshold(column.tail_price), self.process.threshold(price)
         return column if np.array_equal(here, there) else self.measure(column.choice, price)
 
     def prove(self, price: float, best: Column | None = None, *, slack: bool = False) -> Proof:
-        """The best lower bound of every policy that a sweep gives; none is needed for it."""
+        """Best lower bound of every column that layered pricing's sweep gives."""
         return self._proof(price, 0.0 if slack else price, self.anything)
 
     def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
-        """Lower values, [cap, nodes], to a checked sub-solution.
+        """Lower layered values, [cap, nodes], to a checked sub-solution of the pricing problem.
 
         The sweep starts from the lower bound beyond the cap and counts the rounding of every
         backup against itself. Infinite values ask for the best that can be proved: then the choice
@@ -143,7 +143,7 @@ class LayeredPricing(PricingProblem):
         return self._proof(price, 0.0 if slack else price, values, choice)
 
     def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
-        """How much of the bound the cap costs, at most: 0 where the tails are proved to be optimal.
+        """Most of layered pricing's bound that the cap costs: 0 where its tails are optimal.
 
         The difference, at the start, between the bound with the tail policies' own values beyond
         the cap and the one with the lower bound there. It is no more than what the choice behind
@@ -179,7 +179,7 @@ class LayeredPricing(PricingProblem):
         return Proof(price, failing, float(bounds[0]), kept, work, choice, by_layer=bounds)
 
     def pulled_back(self, column: Column) -> Policy:
-        """The cost-aware policy of a choice and its tails."""
+        """The cost-aware policy of a layered choice and its tails."""
         return self.process.policy(required(column.choice), column.tail_price)
 
 
@@ -196,34 +196,34 @@ class OpenEndedPricing(PricingProblem):
 
     @property
     def n_rewards(self) -> int:
-        """Cost, failure and rows."""
+        """Number of rewards of layered pricing with rows: cost, failure and rows."""
         return 2 + len(self.rows)
 
     @property
     def value_shape(self) -> tuple[int, ...]:
-        """[layers * nodes + 1], as for the process written out."""
+        """[layers * nodes + 1]: layered values as for the process written out."""
         return ((self.augmented.cap + 1) * self.augmented.n_nodes + 1,)
 
     @cached_property
     def _beyond(self) -> explicit_pricing.ExplicitPricing:
-        """The pricing problem of what lies beyond the cap."""
+        """The pricing problem of the open end beyond the layers."""
         rows = tuple(row for row, _ in self.rows)
         return explicit_pricing.ExplicitPricing(self.augmented.beyond, self.precise, rows)
 
     @cached_property
     def _counted(self) -> FloatArray:
-        """Failure and rows of each pair of a layer, [pairs, rewards - 1]."""
+        """Failure and rows of each pair of a priced layer, [pairs, rewards - 1]."""
         return np.stack([self.augmented.base.failure, *(row for row, _ in self.rows)], axis=1)
 
     @cached_property
     def _at_source(self) -> FloatArray:
-        """What an episode is charged and counted before its first step, [rewards]."""
+        """Rewards of an episode before its first step in layered pricing, [rewards]."""
         layered = self.augmented
         cost = layered.start_charge + layered.shift_of_ends[1]
         return np.array([cost, layered.base.start_failure, *(at for _, at in self.rows)])
 
     def _cost_from(self, layer: int) -> FloatArray:
-        """Charges of arriving from a layer with the shift, [pairs]."""
+        """Charges of arriving from a priced layer with the shift, [pairs]."""
         return self.augmented.own_cost_from(layer) + self.augmented.shift_of_ends[0]
 
     def first(self) -> Column:
@@ -233,7 +233,7 @@ class OpenEndedPricing(PricingProblem):
         return self._swept(beyond, lambda charged, ahead: last, np.zeros(self.n_rewards))
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
-        """A policy of least priced cost, measured exactly."""
+        """Layered pricing with rows: a column of least priced cost, measured exactly."""
         weights, base = explicit_pricing.pricing_weights(price), self.augmented.base
         owed = self._counted @ weights[1:]
         last = self._beyond.minimise(weights, *map(self._last, warm))
@@ -247,7 +247,7 @@ class OpenEndedPricing(PricingProblem):
         return self._swept(last, best, weights)
 
     def _last(self, column: Column | None) -> Column | None:
-        """What a column does beyond the cap."""
+        """The choice of a layered column beyond the cap."""
         if column is None or column.choice is None:
             return None
         choice = self.augmented.base.pair_offsets[:-1] + column.choice[-1]
@@ -286,20 +286,20 @@ class OpenEndedPricing(PricingProblem):
         return Column.of_figures(figures, choice, work=last.work + bellman.Work(1, 1))
 
     def _window(self, last: FloatArray) -> Window:
-        """The layers ahead of the last one below the cap, all of them beyond it."""
+        """Values of the layers ahead of the last priced one, the open end's."""
         reached = self.augmented.base.width - 1  # layers, counted from the next one
         return Window(np.broadcast_to(last, (reached, *last.shape)))
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
-        """Prove the best lower bound that a sweep gives."""
+        """Best lower bound that layered pricing's sweep with rows gives."""
         return self.check(price, self.anything)
 
     def prove_afresh(self, weights: FloatArray, warm: Column) -> Proof:
-        """Prove the best lower bound at weights that nothing has been priced at yet."""
+        """Best lower bound of layered pricing at weights that nothing has been priced at yet."""
         return self.prove(weights, warm)
 
     def check(self, price: float | FloatArray, values: FloatArray, *, slack: bool = False) -> Proof:
-        """Lower values, [states], to a checked sub-solution; infinite ones ask for the best.
+        """Lower layered values, [states], to a checked sub-solution; infinite: the best.
 
         Raises:
             ModelError: values of another shape.
@@ -323,7 +323,7 @@ class OpenEndedPricing(PricingProblem):
     def check_less(
         self, weights: FloatArray, ratio: float, paid: float, values: FloatArray
     ) -> float:
-        """A certified bound of the weighted totals less what every episode pays, at the start.
+        """Layered pricing's certified bound at the start, less what every episode pays.
 
         See :meth:`ExplicitPricing.check_less`.
         """
@@ -338,16 +338,16 @@ class OpenEndedPricing(PricingProblem):
         def left(layer: int) -> FloatArray:
             """What a layer's pairs cost beside what is paid on ending, rounded down, [pairs]."""
             own = self.augmented.own_cost_from(layer)
-            return explicit_pricing.rest_of(own, own + owed, earned)
+            return explicit_pricing.costs_less_earned(own, own + owed, earned)
 
         values_beyond = self._asked_beyond(values, counted)
         last = self._beyond.lowered_less(weights, ratio, paid, values_beyond)
         return self._lowered(
-            last, left, explicit_pricing.less_paid(values, paid), at_source, -paid
+            last, left, explicit_pricing.values_less_paid(values, paid), at_source, -paid
         )[0]
 
     def _asked_beyond(self, values: FloatArray, weights: FloatArray) -> FloatArray:
-        """The values beyond the cap; where they ask for the best, those of the best policy."""
+        """Values of layered pricing beyond the cap; if infinite, those of the best policy."""
         self.check_shape(values)
         beyond = values[self.augmented.cap * self.augmented.n_nodes : -1]
         if np.isfinite(beyond).all():
@@ -362,7 +362,7 @@ class OpenEndedPricing(PricingProblem):
         at_source: float,
         floor: float = 0.0,
     ) -> tuple[float, FloatArray]:
-        """The bound at the start that values give when lowered to a sub-solution, and these.
+        """Layered pricing's bound at the start by lowered values, and these.
 
         Args:
             beyond: of what lies beyond the cap.
@@ -400,6 +400,6 @@ class OpenEndedPricing(PricingProblem):
         return bound, kept
 
     def pulled_back(self, column: Column) -> Policy:
-        """The cost-aware policy of a choice."""
+        """The cost-aware policy of a layered choice with an open end."""
         chosen = self.augmented.base.pair_offsets[:-1] + required(column.choice)
         return self.augmented.policy(chosen.ravel())

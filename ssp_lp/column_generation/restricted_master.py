@@ -51,7 +51,7 @@ class MasterOptimum:
 def solve_master(
     cost: FloatArray, activity: FloatArray, bounds: FloatArray, scales: FloatArray, *, elastic: bool
 ) -> MasterOptimum:
-    """Solve the master program.
+    """Solve the restricted master: weights of the columns and duals of the rows.
 
     Args:
         cost: [columns].
@@ -97,7 +97,7 @@ def solve_master(
 def _by_simplex(
     cost: FloatArray, matrix: FloatArray, basis: IntArray, rounding: FloatArray, noise: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Minimise ``cost @ x`` with ``matrix @ x == (0, ..., 0, 1)`` and ``x >= 0``.
+    """Simplex on the restricted master: min ``cost @ x``, ``matrix @ x == (0, ..., 0, 1)``, x >= 0.
 
     Args:
         cost: [variables].
@@ -154,12 +154,12 @@ def _by_simplex(
 
 
 def _least_ratio(over: FloatArray, under: FloatArray, able: BoolArray) -> int:
-    """Where a ratio is least of those that are able to be, of equal ones the largest divisor."""
+    """Ratio test of the restricted master's simplex: of equal ratios the largest divisor."""
     ratio = np.where(able, np.maximum(over, 0.0), np.inf) / np.where(able, under, 1.0)
     return int(np.lexsort((-under, ratio))[0])
 
 
 def _refined(inverse: FloatArray, square: FloatArray, right: FloatArray) -> FloatArray:
-    """A dense solve with one step of refinement."""
+    """Dense solve of the restricted master's basis, with one step of refinement."""
     x = inverse @ right
     return np.asarray(x + inverse @ (right - square @ x))

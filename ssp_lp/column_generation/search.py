@@ -64,7 +64,7 @@ _NEVER = 1e-14  # a goal probability that is the rounding of none
 
 @dataclass(frozen=True, eq=False)
 class Generated:
-    """What the loop ended with: the best lottery over columns, and prices that prove it."""
+    """Result of the loop: the best lottery over columns, and prices that prove it."""
 
     columns: tuple[Column, ...]
     weights: FloatArray  # [columns]
@@ -78,24 +78,24 @@ class Generated:
 
     @property
     def price(self) -> float:
-        """The price of the only row."""
+        """Price of the only row that column generation ended with."""
         return float(self.prices[0])
 
     @property
     def figures(self) -> FloatArray:
-        """Cost, failure and rows of the lottery, [rewards]."""
+        """Rewards of column generation's lottery, [rewards]: cost, failure and rows."""
         if len(self.columns) == 1:
             return self.columns[0].figures
         return np.asarray(self.weights @ np.stack([column.figures for column in self.columns]))
 
     @property
     def failure(self) -> float:
-        """What the lottery fails with."""
+        """Failure of column generation's lottery."""
         return float(self.figures[1])
 
     @property
     def ratio(self) -> float:
-        """Cost given success of the lottery; infinite where there is none.
+        """Cost given success of column generation's lottery; infinite where there is no success.
 
         Summed over the members' own goal probabilities, which are exact where the sum is small.
         """
@@ -103,12 +103,12 @@ class Generated:
         return float(self.figures[0]) / goal if goal > _NEVER else float("inf")
 
     def lottery(self, pricing: PricingProblem) -> MixedPolicy:
-        """The lottery on the model."""
+        """Column generation's lottery over policies of the model."""
         return MixedPolicy(tuple(pricing.policy(column) for column in self.columns), self.weights)
 
 
 def generate(rule: Secant | StabilisedMaster, options: SolveOptions) -> Generated:
-    """Add columns until the rule finds none that is worth having, or time is up.
+    """Column generation: add columns until the price rule finds none worth having, or time is up.
 
     Args:
         rule: where to begin; it moves on.
@@ -156,7 +156,7 @@ class Secant:
 
     @property
     def slope(self) -> float:
-        """Price of failure at which both columns are worth the same; in case S the ratio so far."""
+        """The secant's price of failure, at which both columns are worth the same; or the ratio."""
         if self.outside is not None:
             saved = self.inside.cost - self.outside.cost
             return max(saved / excess_failure(self.outside, self.inside), 0.0)
@@ -164,7 +164,7 @@ class Secant:
 
     @property
     def weight(self) -> float:
-        """Weight of the column beyond the budget at which the lottery meets the budget."""
+        """Weight of the secant's column beyond the budget at which the lottery meets the budget."""
         if self.outside is None:
             return 0.0
         room = self.row.spare(self.inside) / excess_failure(self.outside, self.inside)
@@ -174,7 +174,7 @@ class Secant:
 
     @property
     def objective(self) -> float:
-        """Objective of the lottery."""
+        """Objective of the lottery over the secant's two columns."""
         w = self.weight
         if self.outside is None or w == 0.0:
             return self.row.objective(self.inside.cost, self.inside.goal)
@@ -184,11 +184,11 @@ class Secant:
         )
 
     def report(self) -> tuple[float, float]:
-        """The price of failure, and the objective so far."""
+        """The secant's price of failure and objective so far, for progress."""
         return self.slope, self.objective
 
     def seek(self, tolerance: float) -> Column:
-        """The best column at the slope, unless the last one is known to be that."""
+        """The best column at the secant's slope, unless the last one is known to be that."""
         price, last = self.slope, self.last or self.inside
         if last.found_at != price:
             warm = last, self.inside, self.outside
@@ -200,7 +200,7 @@ class Secant:
         return last
 
     def learn(self, column: Column, tolerance: float) -> bool:
-        """Put a column that lies below the line in the place of one end.
+        """Replace one end of the secant by a column that lies below its line.
 
         One that never succeeds has no ratio: the price was too low, nothing is learnt. Where none
         lies below the line and the budget is slack, Dinkelbach's iteration goes on.
@@ -223,7 +223,7 @@ class Secant:
         return False
 
     def concluded(self, tolerance: float, *, finished: bool) -> Generated:
-        """The lottery of both ends, and a certified bound at the slope."""
+        """The lottery of the secant's ends, and a certified bound at its slope."""
         row, price, last = self.row, self.slope, self.last or self.inside
         if self.outside is not None and deadline.has_time_for(self.took):
             # with the tails of this price, if one is still on each side of the budget
@@ -248,7 +248,7 @@ class Secant:
         return Generated(columns, weights, np.array([price]), best, bound, finished, proof.values)
 
     def _prove_on_the_way(self, price: float, best: Column, began: float) -> None:
-        """Prove a bound at a price, if there is a time limit and proofs have taken little so far.
+        """Prove the secant's bound at a price, if there is a time limit and proofs take little.
 
         Args:
             price: of failure.
@@ -269,7 +269,7 @@ class Secant:
         self._spent += time.perf_counter() - now
 
     def _proved(self, price: float, best: Column, *, slack: bool) -> Proof:
-        """The proof at the end; where there is no time for it the best one so far, or the trivial.
+        """The secant's final proof; where there is no time for it the best so far, or the trivial.
 
         The values of a trivial bound ask a certificate for the best that can be had.
         """
@@ -296,7 +296,7 @@ class DualGuess:
 
 
 def columns_at(pricing: PricingProblem, least: LeastFailure, row: FailureRow) -> Secant:
-    """Begin at the policy of least failure; the budget is raised to it by rounding."""
+    """Begin the secant at the policy of least failure; rounding raises the budget to it."""
     row = replace(row, budget=max(row.budget, least.column.failure))
     return Secant(pricing, row, least.column)
 
@@ -304,7 +304,7 @@ def columns_at(pricing: PricingProblem, least: LeastFailure, row: FailureRow) ->
 def columns_by_pricing(
     compiled: CompiledProblem, row: FailureRow, guess: DualGuess | None, options: SolveOptions
 ) -> Secant | None:
-    """Price failure up and down until the columns found lie on both sides of the budget.
+    """Begin the secant: price failure up and down until columns lie on both sides of the budget.
 
     Args:
         compiled: says the process and the pricing.
@@ -345,7 +345,7 @@ def columns_by_pricing(
                 outside = last
             elif value < np.inf:
                 inside = last
-                deadline.has_answer(by_itself=True)
+                deadline.ensure_incumbent(by_itself=True)
             if options.progress is not None:
                 options.progress(calls, price, value if last is inside else np.inf)
             enough = one_sided or outside is not None or deadline.is_late()
@@ -369,7 +369,7 @@ def columns_by_pricing(
 def _initial_column_within(
     pricing: PricingProblem, row: FailureRow, stop: BaseException, *candidates: Column | None
 ) -> Column:
-    """The best policy within the budget that is known when the time ends.
+    """Best known column within the budget to begin with, when the time ends.
 
     Args:
         pricing: was stopped.
@@ -394,9 +394,9 @@ def _initial_column_within(
             columns.append(pricing.first() if reached is None else reached)
     answers = list(filter(is_answer, columns))
     if not answers:
-        least = min((column.failure for column in columns), default=1.0)
+        least_failure = min((column.failure for column in columns), default=1.0)
         raise deadline.Stop(
-            told=f"the safest policy known by then fails with {least:.6g}"
+            told=f"the safest policy known by then fails with {least_failure:.6g}"
         ) from stop
     return min(answers, key=lambda column: row.objective(column.cost, column.goal))
 
@@ -433,11 +433,11 @@ class StabilisedMaster:
 
     @property
     def calls(self) -> int:
-        """Pricing calls so far, those of earlier phases included."""
+        """Pricing calls of the stabilised search so far, those of earlier phases included."""
         return self.pool.calls
 
     def seek(self, tolerance: float) -> Column | None:
-        """A best policy at prices in between; None where all rows are kept in phase 1."""
+        """A best column at stabilised prices; None where all rows are kept in phase 1."""
         self.master = self._solved()
         if self.master.value - self.bound <= self._near(tolerance):
             self.share = 0.0
@@ -449,12 +449,12 @@ class StabilisedMaster:
         return self.pool.priced(weights)
 
     def report(self) -> tuple[float, float]:
-        """The price of failure, and the objective so far."""
+        """The price of failure and the objective of the stabilised search so far."""
         failure = float(self.tried[self.rows.index == 1].sum())
         return failure, np.inf if self.elastic else self.master.value
 
     def learn(self, column: Column, tolerance: float) -> bool:
-        """Keep the better bound and a policy that lies below the master's valuation."""
+        """Stabilised search: keep the better bound, and a column below the master's valuation."""
         best, near = self.master.value, self._near(tolerance)
         value = self._value(column, self.tried)
         beyond = np.abs(column.figures[self.rows.index] - self.rows.bounds)
@@ -468,7 +468,7 @@ class StabilisedMaster:
         return finished
 
     def concluded(self, tolerance: float, *, finished: bool) -> Generated:
-        """The master's lottery, and the bound at the best prices."""
+        """Stabilised search concluded: the lottery, and the bound at the best prices."""
         master = self.master if finished else self._solved()
         used = np.flatnonzero(master.weights > 0.0)
         lottery = tuple(self.pool.columns[k] for k in used.tolist()), master.weights[used]
@@ -476,38 +476,38 @@ class StabilisedMaster:
         return Generated(*lottery, prices, value, self.bound, finished, excess=master.excess)
 
     def _near(self, tolerance: float) -> float:
-        """A gap that is small enough to go on without stabilisation, or to end."""
+        """Gap at which column generation goes on without stabilisation, or ends."""
         return max(0.1 * tolerance * self.master.value, 0.0)
 
     def _between(self) -> FloatArray:
-        """Prices between good ones and the master's; at a share of 0 the master's own, [rows]."""
+        """Stabilised prices, between the best and the master's; at a share of 0 these, [rows]."""
         best, share = self.master.value, self.share
-        own = without_trifles(self.master.prices, self.pool.sizes(self.rows), best)
+        own = without_negligible_prices(self.master.prices, self.pool.sizes(self.rows), best)
         if share == 0.0:
             return own
         mixed = share * self.prices + (1.0 - share) * own
-        return without_trifles(mixed, self.rows.scales, best, _SLIGHT)
+        return without_negligible_prices(mixed, self.rows.scales, best, _SLIGHT)
 
     def _solved(self) -> MasterOptimum:
-        """The best lottery over the policies of the pool."""
+        """Stabilised search: the restricted master's best lottery over the pool's columns."""
         figures, rows = self.pool.figures, self.rows
         cost, taken = rows.objective(figures), figures[rows.index]
         return solve_master(cost, taken, rows.bounds, rows.scales, elastic=self.elastic)
 
     def _value(self, column: Column, prices: FloatArray) -> float:
-        """Lagrangian value of a policy; what it takes of a row is counted from the bound."""
+        """Lagrangian value of a column; its coefficient in a row is counted from the bound."""
         beyond = column.figures[self.rows.index] - self.rows.bounds
         return self._objective(column) + float(prices @ beyond)
 
     def _objective(self, column: Column) -> float:
-        """The objective of a policy in the master."""
+        """Stabilised search: the objective of a column in the master."""
         return 0.0 if self.elastic else float(self.rows.objective(column.figures))
 
 
-def without_trifles(
+def without_negligible_prices(
     prices: FloatArray, sizes: FloatArray, objective: float, trifle: float = 1e-12
 ) -> FloatArray:
-    """The master's prices with those too small to matter as 0, [rows].
+    """The master's prices in the search, those too small to matter set to 0, [rows].
 
     Args:
         prices: [rows].
@@ -533,20 +533,20 @@ class Rows:
     ratio: float = 0.0  # what failing counts in the objective besides (Dinkelbach)
 
     def among(self, some: tuple[int, ...]) -> Rows:
-        """Some of the pool's rows, by position."""
+        """Rows of a column search by their positions in the pool."""
         k = list(some)
         return replace(self, index=self.index[k], bounds=self.bounds[k], scales=self.scales[k])
 
     def relaxed(self, excess: FloatArray) -> Rows:
-        """The rows with their bounds raised by an excess in units of the scales, [rows]."""
+        """Rows of a column search, bounds raised by an excess in units of scales, [rows]."""
         return replace(self, bounds=self.bounds + np.maximum(excess, 0.0) * self.scales)
 
     def objective(self, figures: FloatArray) -> FloatArray:
-        """What is minimised of totals in a pool, the first of which are cost and failure, [...]."""
+        """Objective of columns in the pool by totals that begin with cost and failure, [...]."""
         return np.asarray(figures[0] + self.ratio * figures[1] if self.ratio else figures[0])
 
     def weights(self, prices: FloatArray, cost: float = 1.0) -> FloatArray:
-        """The weight of each reward at these prices, and at a weight of the cost, [rewards]."""
+        """Weights of the rewards in pricing columns, by prices of rows and cost, [rewards]."""
         weights = np.zeros(self.n_rewards)
         weights[self.index] = prices
         weights[0] = cost
@@ -565,37 +565,37 @@ class Pool:
 
     @property
     def figures(self) -> FloatArray:
-        """Totals of all policies, [rewards, columns]."""
+        """Rewards of all columns in the pool, [rewards, columns]."""
         return np.stack([column.figures for column in self.columns], axis=1)
 
     def sizes(self, rows: Rows) -> FloatArray:
-        """The size of each row's bound, or the most that a policy takes of it, [rows]."""
+        """Size of each row: its bound, or the most that a column of the pool takes, [rows]."""
         taken = self.figures[rows.index].max(axis=1, initial=0.0)
         return np.asarray(np.maximum(np.abs(rows.bounds), taken))
 
     def best(self, weights: FloatArray) -> Column:
-        """The known policy of least weighted totals."""
+        """The column of the pool of least weighted totals."""
         return self.columns[int(np.argmin(weights @ self.figures))]
 
     def priced(self, weights: FloatArray) -> Column:
-        """Price anew: a policy of least weighted totals, improved from the best known one."""
+        """Price a new column of least weighted totals, improved from the pool's best one."""
         column = self.pricing.minimise(weights, self.best(weights))
         self.calls, self.work = self.calls + 1, self.work + column.work
         return column
 
     def proved(self, weights: FloatArray) -> Proof:
-        """A checked lower bound of every policy's weighted totals, lowered as little as can be."""
+        """Checked lower bound of every column's weighted totals, lowered as little as can be."""
         return self.pricing.prove_afresh(weights, self.best(weights))
 
     def add(self, column: Column) -> bool:
-        """Keep a policy; false where one with the same totals is known."""
+        """Keep a column in the pool; false where one with the same totals is known."""
         if any(np.array_equal(column.figures, known.figures) for known in self.columns):
             return False
         self.columns.append(column)
         return True
 
     def rows(self, index: IntArray, bounds: FloatArray) -> Rows:
-        """Rows with their scales: the bound, but at least a trifle of what known policies take.
+        """The pool's rows with scales: the bound, but at least a trifle of what columns take.
 
         Args:
             index: of the limited rows among the rewards, [rows].

@@ -49,7 +49,7 @@ _INDEX: Final = "**/backups.back_up*.nbi"  # numba's index of the loop that ever
 
 @cache
 def has_accelerator() -> bool:
-    """Whether compiled loops are available and not switched off; numba is loaded by then.
+    """Whether the accelerator, numba's compiled loops, is installed and not switched off.
 
     Ctrl-C waits for the second that loading takes: what is loaded by half would stay so, and every
     later loop of the process would fail ("module 'numba' has no attribute 'core'").
@@ -62,7 +62,7 @@ def has_accelerator() -> bool:
         raise ModelError(f"{SWITCH} must be 'numba' or 'none', not {wish!r}")
     if wish == "none" or importlib.util.find_spec("numba") is None:
         return False
-    with _interrupt_put_off():
+    with _interrupts_deferred():
         target = importlib.import_module("numba.core.registry").cpu_target
         target.typing_context.refresh()  # what the first loop would load besides
         target.target_context.refresh()
@@ -70,30 +70,30 @@ def has_accelerator() -> bool:
 
 
 def accelerated(entries: int) -> bool:
-    """Whether a loop over so many entries is to run compiled.
+    """Whether a loop over so many entries is to run compiled, by the accelerator.
 
     Once compiled loops are loaded every loop is: they cost less than a numpy expression. Before
     that, what short loops have taken adds up, as it does for a just-in-time compiler: a process
     that goes on solving small models loads them in the end, one that solves a few never does.
     """
     if entries >= least_entries():
-        return has_accelerator() and _is_announced()
+        return has_accelerator() and _announces_compiling()
     _interpreted.entries += entries + _CALL
     return False
 
 
 @cache
-def _is_announced() -> bool:
-    """Say, once, that loops are going to be compiled, where they never were before."""
+def _announces_compiling() -> bool:
+    """Log, once, that the accelerator compiles its loops for the first time."""
     if not _is_compiled_before():
-        told = "inner loops for the first time, some ten seconds for each kind of problem; kept"
-        logging.getLogger("ssp_lp.compiling").info(told)
+        message = "inner loops for the first time, some ten seconds for each kind of problem; kept"
+        logging.getLogger("ssp_lp.compiling").info(message)
     return True
 
 
 @contextmanager
-def _interrupt_put_off() -> Iterator[None]:
-    """Within it Ctrl-C waits for the end; other threads than the first are never interrupted."""
+def _interrupts_deferred() -> Iterator[None]:
+    """While the accelerator is loaded Ctrl-C waits; only the main thread is interrupted."""
     before, heard = signal.getsignal(signal.SIGINT), list[int]()
     if threading.current_thread() is not threading.main_thread() or before is None:
         yield
@@ -108,7 +108,7 @@ def _interrupt_put_off() -> Iterator[None]:
 
 
 def least_entries() -> int:
-    """Entries from which a loop is run compiled, the start of compiled code counted."""
+    """Entries from which a loop runs on the accelerator, the start of compiled code counted."""
     if os.environ.get(SWITCH) == "numba":
         return 0
     worth, is_loaded = _CACHED, "ssp_lp.compiled.cores" in sys.modules
@@ -120,7 +120,7 @@ def least_entries() -> int:
 
 
 class _Interpreted:
-    """What this process has passed over in numpy expressions; it decides on speed only."""
+    """Entries that this process has passed over in numpy expressions; decides on speed only."""
 
     entries = 0
 
@@ -135,5 +135,5 @@ def _is_compiled_before() -> bool:
     changed = (sources / "backups.py").stat().st_mtime
     wished = os.environ.get("NUMBA_CACHE_DIR")
     places = [Path(wished)] if wished else [sources / "__pycache__", Path.home() / ".cache/numba"]
-    found = (index for place in places for index in place.glob(_INDEX))
-    return any(index.stat().st_mtime >= changed for index in found)
+    indices = (index for place in places for index in place.glob(_INDEX))
+    return any(index.stat().st_mtime >= changed for index in indices)

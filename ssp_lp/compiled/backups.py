@@ -22,7 +22,7 @@ def back_up(
     slope: Array, factor: float, values: Array, held: Array, tied: float, minima: Array,
     choice: Array, here: Array,
 ) -> None:  # fmt: skip
-    """Least value of each state, the first pair tied with it, and the held pair's value."""
+    """Compiled Bellman backup: least value, first tied pair and held pair's value of each state."""
     keeps = held.size > 0
     for s in prange(offsets.size - 1):
         least, pick, kept, below = np.inf, offsets[s], np.inf, np.inf
@@ -52,7 +52,7 @@ def back_up_safely(
     magnitude: Array, slope: Array, factor: float, alone: Array, epsilon: float, values: Array,
     minima: Array, position: Array,
 ) -> None:  # fmt: skip
-    """Least value of each state with the rounding of every pair's sum counted against it.
+    """Compiled Bellman backup from below: least values, rounding of each pair's sum counted.
 
     ``position``, unless it is empty, is written: the first pair that attains it among the state's.
     """

@@ -31,7 +31,7 @@ def one_or_all_cores(function: Any) -> Callable[[int], Loop]:
 
 @contextmanager
 def on_all_cores() -> Iterator[None]:
-    """Within it short loops run on all cores too: to compile what long ones will need."""
+    """Context in which short loops too run on all cores: to compile what long ones will need."""
     before = many_entries.set(0)
     try:
         yield

@@ -80,8 +80,8 @@ class Deadline:
         if self._before is not None:
             _running.reset(self._before)
 
-    def has_an_answer(self) -> None:
-        """Find an answer, with a share of the time that is left, where none has been looked for."""
+    def find_incumbent(self) -> None:
+        """Find an incumbent before the deadline, with a share of its time, where there is none."""
         prepare, self.prepare, now = self.prepare, None, time.perf_counter()
         if prepare is None or self.is_past():
             return
@@ -91,25 +91,25 @@ class Deadline:
             end_with_incumbent(KeyboardInterrupt())
 
     def look(self) -> None:
-        """End the loop that asks, if it is time; before that see to it that there is an answer.
+        """Raise Stop in the loop that asks if the deadline is past; before that find an incumbent.
 
         Raises:
             Stop: the deadline has passed, with its grace, or Ctrl-C came.
         """
         if time.perf_counter() > self.due:
-            self.has_an_answer()
+            self.find_incumbent()
             self.due = self.at + self.grace
         if self.is_past(self.grace):
             raise Stop
 
     def is_past(self, grace: float = 0.0) -> bool:
-        """Whether it is time to end, which is remembered."""
+        """Whether the deadline is past, which is remembered."""
         past = self.is_interrupted or time.perf_counter() > self.at + grace
         self.was_met = self.was_met or past
         return past
 
     def status(self, gap: float, tolerance: float) -> Status:
-        """Why a call ended with an answer of this gap, where a tolerance was asked for."""
+        """Why a call ended with an answer of this gap: tolerance met, deadline, or neither."""
         if gap <= tolerance:
             return Status.OPTIMAL
         if self.is_interrupted:
@@ -123,7 +123,7 @@ _running: ContextVar[Deadline | None] = ContextVar("deadline", default=None)
 def until(
     at: float, *, is_closing: bool = False, prepare: Callable[[], Any] | None = None
 ) -> Deadline:
-    """Within it loops end at a point in time, or when Ctrl-C comes.
+    """Context with a deadline: loops end at a point in time, or when Ctrl-C comes.
 
     Args:
         at: on the clock of ``time.perf_counter``; infinite: only Ctrl-C ends them.
@@ -140,7 +140,7 @@ def until(
 
 @contextmanager
 def limited(time_limit: float | None, doing: str) -> Iterator[None]:
-    """Within it loops end after some seconds; None: with whatever it is part of.
+    """Context with a deadline some seconds ahead; None: the deadline of the surrounding call.
 
     Args:
         time_limit: seconds.
@@ -157,13 +157,13 @@ def limited(time_limit: float | None, doing: str) -> Iterator[None]:
         with until(deadline_of(time_limit, time.perf_counter())):
             yield
     except Stop:
-        told = f"the time limit of {time_limit:g} s ended before {doing}: allow more time"
-        raise OutOfTimeError(told) from None
+        message = f"the time limit of {time_limit:g} s ended before {doing}: allow more time"
+        raise OutOfTimeError(message) from None
 
 
 @contextmanager
 def closing() -> Iterator[None]:
-    """Within it there is a little time again, once the deadline is past: to prove what was found.
+    """Context past the deadline with a little time left to prove the incumbent.
 
     Ctrl-C within it ends it at once. Nothing changes where the deadline is not past.
     """
@@ -176,7 +176,7 @@ def closing() -> Iterator[None]:
 
 
 def has_time_for(seconds: float) -> bool:
-    """Whether what takes so long can be done, the little time to prove what was found included."""
+    """Whether so many seconds of work fit before the deadline, time to prove included."""
     outer, now = _running.get(), time.perf_counter()
     if outer is None or not (outer.is_interrupted or now > outer.at):
         return True
@@ -184,7 +184,7 @@ def has_time_for(seconds: float) -> bool:
 
 
 def check_time() -> None:
-    """End the loop that asks, if it is time.
+    """Raise Stop in the loop that asks if the deadline is past.
 
     Raises:
         Stop: the deadline has passed, with its grace, or Ctrl-C came.
@@ -194,8 +194,8 @@ def check_time() -> None:
         deadline.look()
 
 
-def has_answer(*, by_itself: bool = False) -> None:
-    """See to it that there is an answer before a search that may take long.
+def ensure_incumbent(*, by_itself: bool = False) -> None:
+    """Make sure of an incumbent before a search that may last until the deadline.
 
     Args:
         by_itself: the search has one: none need be prepared. Where only Ctrl-C ends it, one is
@@ -205,40 +205,40 @@ def has_answer(*, by_itself: bool = False) -> None:
     if deadline is not None and by_itself:
         deadline.prepare = None
     elif deadline is not None and isfinite(deadline.at):
-        deadline.has_an_answer()
+        deadline.find_incumbent()
 
 
 def prepared() -> Any:
-    """What was found beside the search; None: no answer was."""
+    """The incumbent that was found beside the search; None: there is none."""
     deadline = _running.get()
     return None if deadline is None else deadline.prepared
 
 
 def is_late() -> bool:
-    """Whether a loop that has an answer is to end with it."""
+    """Whether the deadline tells a loop with an incumbent to end."""
     deadline = _running.get()
     return deadline is not None and deadline.is_past()
 
 
 def is_within_call() -> bool:
-    """Whether this is part of a call that ends when it should."""
+    """Whether a deadline is set: this is part of a call that ends in time."""
     return _running.get() is not None
 
 
 def is_limited() -> bool:
-    """Whether the call was given a time limit."""
+    """Whether the deadline is a time limit, not Ctrl-C alone."""
     deadline = _running.get()
     return deadline is not None and deadline.at < float("inf")
 
 
 def seconds_left() -> float:
-    """Until the end of the call; infinite where only Ctrl-C ends it."""
+    """Seconds until the deadline; infinite where only Ctrl-C ends the call."""
     deadline = _running.get()
     return float("inf") if deadline is None else deadline.at - time.perf_counter()
 
 
 def end_with_incumbent(stop: BaseException) -> None:
-    """Say that a stop was caught by someone who has an answer: all other loops are to end, too.
+    """Tell the deadline that a stop was caught by who has an incumbent: other loops end too.
 
     Raises:
         KeyboardInterrupt: nobody said, by ``until``, that an answer so far is wanted.
@@ -285,7 +285,7 @@ def backward(end: int, begin: int = 0) -> Iterator[int]:
 
 
 def pieces(length: int, entries: int) -> Iterable[slice]:
-    """A long loop in pieces, with a look at the time, and at Ctrl-C, before each.
+    """A long loop in pieces, with a look at the deadline, and at Ctrl-C, before each.
 
     Args:
         length: turns of the loop.
@@ -298,7 +298,7 @@ def pieces(length: int, entries: int) -> Iterable[slice]:
 
 
 def _several_pieces(length: int, count: int) -> Iterator[slice]:
-    """So many pieces of a loop, about as long as each other."""
+    """Pieces of a loop between looks at the deadline, about as long as each other."""
     bounds = np.linspace(0, length, count + 1).astype(np.int64).tolist()
     for begin, end in pairwise(bounds):
         check_time()

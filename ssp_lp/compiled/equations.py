@@ -24,7 +24,7 @@ def solve_by_elimination(
     indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
     order: Array, offsets: Array, first: int, last: int, most: int, rewards: Array, x: Array,
 ) -> int:  # fmt: skip
-    """Solve ``x = rewards + chain @ x`` on components ``first .. last - 1``, ends first.
+    """Compiled: solve ``x = rewards + chain @ x`` on components ``first .. last - 1``, ends first.
 
     Args:
         indptr: [rows + 1].
@@ -72,7 +72,7 @@ def _eliminate_one_state(
     indptr: Array, indices: Array, data: Array, exits: Array, row: int, s: int,
     rewards: Array, x: Array,
 ) -> bool:  # fmt: skip
-    """Solve a component of one state; false if it is never left."""
+    """Compiled: solve the equation of a component of one state; false if never left."""
     departs = exits[row]
     for j in range(x.shape[1]):
         x[s, j] = rewards[s, j]
@@ -95,7 +95,7 @@ def gather_component(
     order: Array, begin: int, size: int, place: Array, rewards: Array, by_row: bool, x: Array,
     inner: Array, low: Array, leaving: Array, right: Array,
 ) -> None:  # fmt: skip
-    """For elimination, one component as a matrix, what leaves it, and its rewards.
+    """Compiled: a component's equations as a dense matrix, what leaves it, and its rewards.
 
     ``low[i]`` is the first column of the lower triangle, and the first row of the upper one, that
     is not zero beside the diagonal's entry i, when all later states have been taken out. ``rows``
@@ -135,7 +135,7 @@ def gather_component(
 
 @njit(cache=True)
 def eliminate_component(inner: Array, low: Array, leaving: Array, right: Array, size: int) -> bool:
-    """Solve one component, in place; false if it is never left."""
+    """Compiled: solve a component's dense equations, in place; false if it is never left."""
     flat, width = inner.reshape(-1), inner.shape[1]
     if not eliminate_states(flat, width, 0, low, leaving, size):
         return False
@@ -208,7 +208,7 @@ def gather_inside(
     indptr: Array, indices: Array, data: Array, exits: Array, states: Array, place: Array,
     own_indptr: Array, own_indices: Array, own_data: Array, departs: Array, leaving: Array,
 ) -> None:  # fmt: skip
-    """For sweeps, moves among the members of a component, seen on departing only.
+    """Compiled: equations of a component for sweeps, its inner moves seen on departing only.
 
     Args:
         indptr: of the chain, [states + 1].
@@ -248,7 +248,7 @@ def from_beyond(
     indptr: Array, indices: Array, data: Array, states: Array, place: Array, departs: Array,
     rewards: Array, x: Array, right: Array,
 ) -> None:  # fmt: skip
-    """For sweeps, rewards of the members with what they lead to outside, [members, rewards]."""
+    """Compiled: right sides of a component's equations, with what moves outside are worth."""
     for i in prange(states.size):
         s = states[i]
         for j in range(rewards.shape[1]):
@@ -265,7 +265,7 @@ def from_beyond(
 def sweep(
     indptr: Array, indices: Array, data: Array, right: Array, x: Array
 ) -> tuple[float, float]:
-    """Set each x in turn to ``right + rows @ x``, in place (Gauss and Seidel).
+    """Compiled Gauss-Seidel sweep over equations: set each x in turn to ``right + rows @ x``.
 
     One core only: so the result does not depend on timing, and two cores would save less than
     using new values at once does.
@@ -298,7 +298,7 @@ def sweep(
 
 @njit(cache=True)
 def _miss_of_sweep(indptr: Array, indices: Array, data: Array, x: Array, miss: Array) -> None:
-    """``x - G x``, written, where G is one sweep without rewards (Gauss and Seidel), [states]."""
+    """Compiled: residual ``x - G x`` of equations, G a Gauss-Seidel sweep without rewards."""
     miss[:] = x
     for s in range(x.size):
         total = 0.0
@@ -310,7 +310,7 @@ def _miss_of_sweep(indptr: Array, indices: Array, data: Array, x: Array, miss: A
 
 
 def start_bicgstab(residual: Array) -> tuple[Array, Array, Array, Array]:
-    """What ``bicgstab`` carries from step to step: shadow, p and v, [members], and rho, [1]."""
+    """Compiled: begin BiCGStab on equations, with shadow, p, v, [members], and rho, [1]."""
     rho = np.zeros(1)
     _square_in_sweep(residual, rho)
     return residual.copy(), residual.copy(), np.zeros_like(residual), rho
@@ -318,7 +318,7 @@ def start_bicgstab(residual: Array) -> tuple[Array, Array, Array, Array]:
 
 @njit(cache=True)
 def _square_in_sweep(residual: Array, rho: Array) -> None:
-    """The sum of squares, in order."""
+    """Compiled: the squared norm of a residual of equations, summed in order."""
     for s in range(residual.size):
         rho[0] += residual[s] * residual[s]
 
@@ -329,7 +329,7 @@ def bicgstab(
     residual: Array, target: float, most_steps: int, x: Array,
     shadow: Array, p: Array, v: Array, scalar: Array,
 ) -> tuple[int, bool]:  # fmt: skip
-    """Add to ``x`` until ``residual``, which is overwritten, is at most ``target`` everywhere.
+    """Compiled BiCGStab on equations: add to ``x`` until ``residual`` is at most ``target``.
 
     BiCGStab of van der Vorst (1992) on ``x - G x = g``, where G is one sweep: the sweep is the
     preconditioner and costs no more than a product. ``residual`` is ``g - (x - G x)``. What
@@ -373,7 +373,7 @@ def bicgstab(
 
 @njit(cache=True)
 def work_of_levels(indptr: Array, indices: Array) -> tuple[int, float]:
-    """Before sweeping, how wide a component is, seen from its first state by numbers of moves.
+    """Compiled: how wide a component's equations are, by distances from its first state.
 
     A piece of m states is cut in two by a level of a piece as large, which is a dense block in the
     end: multiplications of nested dissection (George 1973) are summed over pieces of all sizes.
@@ -405,7 +405,7 @@ _SPLIT = 134217729.0  # 2**27 + 1 (Veltkamp)
 
 @njit(cache=True, inline="always")
 def exact_sum(a: float, b: float) -> tuple[float, float]:
-    """With twice the precision: a + b, rounded, and what the rounding lost (Knuth)."""
+    """Compiled: a + b in twice the precision, rounded, and what the rounding lost (Knuth)."""
     total = a + b
     back = total - a
     return total, (a - (total - back)) + (b - back)
@@ -413,7 +413,7 @@ def exact_sum(a: float, b: float) -> tuple[float, float]:
 
 @njit(cache=True, inline="always")
 def _precise_product(a: float, b: float) -> tuple[float, float]:
-    """With twice the precision: a * b, rounded, and what the rounding lost (Dekker)."""
+    """Compiled: a * b in twice the precision, rounded, and what the rounding lost (Dekker)."""
     total = a * b
     c, d = _SPLIT * a, _SPLIT * b
     a_high, b_high = c - (c - a), d - (d - b)
@@ -426,7 +426,7 @@ def precise_advantage(
     row: int, s: int, indptr: Array, indices: Array, data: Array, exits: Array, cost: float,
     high: Array, low: Array, epsilon: float,
 ) -> tuple[float, float]:  # fmt: skip
-    """``cost + sum p (v[successor] - v[s]) - exits * v[s]``, v = high + low, and its rounding."""
+    """Compiled: a pair's advantage in twice the precision, v = high + low, and its rounding."""
     total, rest, small, whole = cost, 0.0, 0.0, 0.0
     if exits[row] != 0.0:
         term, lost = _precise_product(-exits[row], high[s])
@@ -455,7 +455,7 @@ def safe_advantage(
     row: int, s: int, indptr: Array, indices: Array, data: Array, exits: Array, cost: float,
     values: Array, epsilon: float,
 ) -> float:  # fmt: skip
-    """The same in working precision, less a running bound of its rounding."""
+    """Compiled: a pair's advantage in working precision, less a running bound of its rounding."""
     here, leaves = values[s], exits[row]
     total, rounded = cost, 0.0
     if leaves != 0.0:
@@ -477,7 +477,7 @@ def advantages_precisely(
     home: Array, indptr: Array, indices: Array, data: Array, exits: Array, cost: Array,
     high: Array, low: Array, epsilon: float, result: Array, rounding: Array,
 ) -> None:  # fmt: skip
-    """Advantages of all pairs in twice the working precision, and bounds of their rounding."""
+    """Compiled: all pairs' advantages in twice the precision, and bounds of rounding."""
     for row in prange(home.size):
         result[row], rounding[row] = precise_advantage(
             row, home[row], indptr, indices, data, exits, cost[row], high, low, epsilon
@@ -489,7 +489,7 @@ def advantages_safely(
     home: Array, indptr: Array, indices: Array, data: Array, exits: Array, cost: Array,
     values: Array, epsilon: float, result: Array,
 ) -> None:  # fmt: skip
-    """Advantages of all pairs in working precision, never too high."""
+    """Compiled: all pairs' advantages in working precision, never too high."""
     for row in prange(home.size):
         result[row] = safe_advantage(
             row, home[row], indptr, indices, data, exits, cost[row], values, epsilon
@@ -501,7 +501,7 @@ def shortfalls_safely(
     offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array, cost: Array,
     values: Array, epsilon: float, result: Array,
 ) -> None:  # fmt: skip
-    """By what each state's value exceeds its backup at most, rounding counted, [states]."""
+    """Compiled: how far each state's value exceeds its backup at most, rounding counted."""
     for s in prange(result.size):
         worst = 0.0
         for row in range(offsets[s], offsets[s + np.uint32(1)]):
@@ -515,7 +515,7 @@ def lower_in_order(
     offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array, order: Array,
     cost: Array, epsilon: float, values: Array,
 ) -> None:  # fmt: skip
-    """Lower values of a process without cycles, in place, until none exceeds its backup.
+    """Compiled: lower values of a process without cycles until none exceeds its backup.
 
     Args:
         offsets: [states + 1].
@@ -548,7 +548,7 @@ def evaluate_precisely(
     order: Array, offsets: Array, most: int, rewards: Array, accuracy: float, corrections: int,
     epsilon: float, x: Array, low: Array, runs: Array, missed: Array,
 ) -> bool:  # fmt: skip
-    """Expected totals ``x + low`` and run lengths of the policy whose rows are given.
+    """Compiled: solve a policy's equations to ``x + low`` in twice the precision; run lengths.
 
     Args:
         indptr: [rows + 1].
@@ -613,7 +613,7 @@ def _precise_miss(
     indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
     rewards: Array, x: Array, low: Array, epsilon: float, off: Array, missed: Array,
 ) -> None:  # fmt: skip
-    """By what totals miss their equations, in twice the working precision, and the most of it."""
+    """Compiled: residuals of equations in twice the working precision, and the greatest."""
     for j in range(x.shape[1]):
         missed[j] = 0.0
         for s in range(x.shape[0]):

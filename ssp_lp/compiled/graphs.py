@@ -22,7 +22,7 @@ _TURNS = 30_000  # states taken from a queue between two looks at the time
 def reaching(
     offsets: IntArray, pairs: IntArray, pair_state: IntArray, goals: IntArray
 ) -> BoolArray:
-    """By a compiled search, states from which a run may reach a goal, goals included, [states].
+    """Compiled graph search: states from which a run may reach a goal, goals included, [states].
 
     Args:
         offsets: of the predecessors, [states + 1].
@@ -43,7 +43,7 @@ def _search_backwards(
     offsets: IntArray, pairs: IntArray, pair_state: IntArray, mask: BoolArray, queue: IntArray,
     head: int, filled: int,
 ) -> tuple[int, int]:  # fmt: skip
-    """Go on with a search against the graph for some turns."""
+    """Compiled graph search against the edges, for some turns."""
     past = head + _TURNS
     while head < min(filled, past):
         near = queue[head]
@@ -61,7 +61,7 @@ def drain(
     offsets: IntArray, pairs: IntArray, pair_state: IntArray, open_pairs: BoolArray,
     open_counts: IntArray, closed_states: IntArray,
 ) -> None:  # fmt: skip
-    """By a graph search close, in place, every pair that may lead to a closed state.
+    """Compiled graph search: close, in place, every pair that may lead to a closed state.
 
     Args:
         offsets: of the predecessors, [states + 1].
@@ -81,7 +81,7 @@ def _drain_search(
     offsets: IntArray, pairs: IntArray, pair_state: IntArray, open_pairs: BoolArray,
     open_counts: IntArray, queue: IntArray, head: int, filled: int,
 ) -> tuple[int, int]:  # fmt: skip
-    """Go on for some turns with the search that closes pairs."""
+    """Compiled graph search that closes pairs, for some turns."""
     past = head + _TURNS
     while head < min(filled, past):
         closed = queue[head]
@@ -102,7 +102,7 @@ def approach(
     offsets: IntArray, pairs: IntArray, pair_state: IntArray, useful: IntArray, usable: BoolArray,
     choice: IntArray, distance: IntArray,
 ) -> None:  # fmt: skip
-    """By a graph search choose, in place, for each state a usable pair that comes nearer.
+    """Compiled graph search: choose for each state a usable pair that comes nearer, in place.
 
     Args:
         offsets: of the predecessors, [states + 1].
@@ -121,7 +121,7 @@ def approach(
 
 @njit(cache=True)
 def _begin_search(pair_state: IntArray, useful: IntArray, choice: IntArray, queue: IntArray) -> int:
-    """Begin a search at the useful pairs; how many states the queue holds."""
+    """Compiled graph search begun at the useful pairs; how many states the queue holds."""
     filled = 0
     for pair in useful:
         state = pair_state[pair]
@@ -137,7 +137,7 @@ def _approach_search(
     offsets: IntArray, pairs: IntArray, pair_state: IntArray, usable: BoolArray, choice: IntArray,
     distance: IntArray, queue: IntArray, head: int, filled: int,
 ) -> tuple[int, int]:  # fmt: skip
-    """Go on for some turns with the search for pairs that come nearer."""
+    """Compiled graph search for pairs that come nearer, for some turns."""
     past = head + _TURNS
     while head < min(filled, past):
         near = queue[head]
@@ -160,7 +160,7 @@ def _approach_search(
 def leading_into(
     outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray, states: BoolArray
 ) -> BoolArray:
-    """By a search of the graph, pairs that may lead into one of the states, [pairs]."""
+    """Compiled graph search: pairs that may lead into one of the states, [pairs]."""
     leads = np.zeros(len(outcome_offsets) - 1, dtype=np.bool_)
     _search_leading_into(outcome_offsets, unsigned(successors), probabilities, states, leads)
     return leads
@@ -171,7 +171,7 @@ def _search_leading_into(
     outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray, states: BoolArray,
     leads: BoolArray,
 ) -> None:  # fmt: skip
-    """Mark, in place, pairs that lead into the states searched for."""
+    """Compiled: mark, in place, pairs whose graph edges lead into the states searched for."""
     for pair in range(len(leads)):
         for outcome in range(outcome_offsets[pair], outcome_offsets[pair + 1]):
             if states[successors[outcome]] and probabilities[outcome] > 0:
@@ -182,7 +182,7 @@ def _search_leading_into(
 def _empty_queue(
     step: Callable[..., tuple[int, int]], arrays: tuple[Any, ...], filled: int
 ) -> None:
-    """Take all states from a search's queue, with looks at the clock in between."""
+    """Run a compiled graph search until its queue is empty, with looks at the clock in between."""
     head = 0
     while head < filled:
         check_time()
@@ -190,7 +190,7 @@ def _empty_queue(
 
 
 def _search_queue(first: IntArray, room: int) -> tuple[IntArray, int]:
-    """A search's queue of states that begins with these, and how many they are."""
+    """A compiled graph search's queue that begins with these states, and how many they are."""
     queue = np.empty(room, dtype=np.uint32)
     queue[: len(first)] = first
     return queue, len(first)
@@ -199,7 +199,7 @@ def _search_queue(first: IntArray, room: int) -> tuple[IntArray, int]:
 def transpose_graph(
     n_states: int, outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """Turn the graph round for a search: offsets, [states + 1], and pairs, by a counting sort."""
+    """Compiled: transpose a graph, offsets, [states + 1], and pairs, by a counting sort."""
     columns = unsigned(successors)
     counts = np.zeros(n_states, dtype=np.int64)
     for some in pieces(len(columns), len(columns)):
@@ -209,24 +209,24 @@ def transpose_graph(
     places = offsets[:-1].copy()
     for some in pieces(len(outcome_offsets) - 1, len(columns)):
         bounds = outcome_offsets[some.start : some.stop + 1]
-        _place_edges(some.start, bounds, columns, probabilities, places, pairs)
+        _write_edges(some.start, bounds, columns, probabilities, places, pairs)
     return offsets, pairs
 
 
 @njit(cache=True)
 def _count_edges(successors: IntArray, probabilities: FloatArray, counts: IntArray) -> None:
-    """Count the possible outcomes that go to each state."""
+    """Compiled: count the graph's edges into each state."""
     for outcome in range(len(successors)):
         if probabilities[outcome] > 0:
             counts[successors[outcome]] += 1
 
 
 @njit(cache=True)
-def _place_edges(
+def _write_edges(
     first: int, outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray,
     places: IntArray, pairs: IntArray,
 ) -> None:  # fmt: skip
-    """Write each pair to the next place of its successors."""
+    """Compiled: write each pair to the next place among its successors' edges of the graph."""
     for pair in range(len(outcome_offsets) - 1):
         for outcome in range(outcome_offsets[pair], outcome_offsets[pair + 1]):
             if probabilities[outcome] > 0:
@@ -244,7 +244,7 @@ _TURNS = 100_000  # of a search between two looks at the time
 def order_components(
     begin: IntArray, end: IntArray, indices: IntArray, data: FloatArray, *, by_height: bool = False
 ) -> tuple[IntArray, IntArray, int]:
-    """Number the components so that each comes after all that it leads to.
+    """Compiled: number a graph's strong components, each after all that it leads to.
 
     Within a component the states stand in the order in which the search was done with them, so
     that most come after those that they lead to.
@@ -264,18 +264,18 @@ def order_components(
     n = len(begin)
     label, order = np.empty(n, dtype=np.int32), np.empty(n, dtype=np.uint32)
     roots = np.arange(n, dtype=np.uint32)
-    finished, found = _found_components(begin, end, unsigned(indices), data, roots, label)
+    finished, n_components = _found_components(begin, end, unsigned(indices), data, roots, label)
     if by_height:
-        _number_by_height(begin, end, unsigned(indices), data, finished, found, label)
-    _sort_by_component(label, finished, found, order)
-    return label, order.view(np.int32), found
+        _number_by_height(begin, end, unsigned(indices), data, finished, n_components, label)
+    _sort_by_component(label, finished, n_components, order)
+    return label, order.view(np.int32), n_components
 
 
 def label_components(
     pair_offsets: IntArray, outcome_offsets: IntArray, successors: IntArray,
     probabilities: FloatArray, inside: BoolArray, roots: IntArray, label: IntArray,
 ) -> None:  # fmt: skip
-    """Label each root, in place, by the first state of its strong component.
+    """Compiled: label each root in the graph by the first state of its strong component.
 
     Args:
         pair_offsets: [states + 1].
@@ -290,8 +290,8 @@ def label_components(
     possible = np.repeat(inside, np.diff(outcome_offsets))
     possible &= probabilities > 0.0
     edges = bounds[:-1], bounds[1:], unsigned(successors), possible
-    _, found = _found_components(*edges, roots, label)
-    first, backwards = np.empty(found, dtype=label.dtype), roots[::-1]
+    _, n_components = _found_components(*edges, roots, label)
+    first, backwards = np.empty(n_components, dtype=label.dtype), roots[::-1]
     first[label[backwards]] = backwards  # the last one that is written stays
     label[roots] = first[label[roots]]
 
@@ -299,7 +299,7 @@ def label_components(
 def _found_components(
     begin: IntArray, end: IntArray, indices: IntArray, data: Array, roots: IntArray, label: IntArray
 ) -> tuple[IntArray, int]:
-    """Label the roots, in place, by the numbers of their components, ends first.
+    """Compiled: number the roots of a graph's strong components in place, ends first.
 
     Returns:
         The roots in the order in which the search was done with them, and how many components.
@@ -321,7 +321,7 @@ def _search_components(
     number: Array, low: Array, place: Array, opened: Array, calls: Array, finished: Array,
     counts: Array,
 ) -> bool:  # fmt: skip
-    """Go on with a search for components for some turns; whether it did not come to its end.
+    """Compiled depth-first search of a graph for strong components; whether it has not ended.
 
     Args:
         begin: as in ``order_components``, like what follows.
@@ -339,7 +339,7 @@ def _search_components(
         counts: roots, calls, open states, finished ones, states met, components.
     """
     root, depth, n_open = counts[0], counts[1], counts[2]
-    n_finished, visited, found = counts[3], counts[4], counts[5]
+    n_finished, visited, n_components = counts[3], counts[4], counts[5]
     goes_on = True
     for _ in range(_TURNS):
         entered = np.int64(-1)
@@ -367,10 +367,10 @@ def _search_components(
             caller = calls[depth - 1]
             low[caller] = min(low[caller], low[state])
         if low[state] == number[state]:
-            n_open = _close_component(state, opened, n_open, found, label, number)
-            found += 1
+            n_open = _close_component(state, opened, n_open, n_components, label, number)
+            n_components += 1
     counts[0], counts[1], counts[2] = root, depth, n_open
-    counts[3], counts[4], counts[5] = n_finished, visited, found
+    counts[3], counts[4], counts[5] = n_finished, visited, n_components
     return goes_on
 
 
@@ -379,7 +379,7 @@ def _not_entered(
     state: int, place: Array, end: Array, indices: Array, data: Array,
     number: Array, low: Array,
 ) -> np.int64:  # fmt: skip
-    """The next successor that the search for components has not met, or -1."""
+    """Compiled: the next successor that the graph's component search has not met, or -1."""
     k, past, least = place[state], end[state], low[state]
     while k < past:
         successor, met = indices[k], number[indices[k]]
@@ -397,7 +397,7 @@ def _not_entered(
 def _close_component(
     state: int, opened: Array, n_open: int, found: int, label: Array, number: Array
 ) -> int:
-    """Give all that was opened since a state its component's label; how many states stay open."""
+    """Compiled: label a finished strong component of the graph; how many states stay open."""
     while True:
         n_open -= 1
         label[opened[n_open]], number[opened[n_open]] = found, _CLOSED
@@ -409,7 +409,7 @@ def _close_component(
 def mark_left(
     indptr: Array, indices: Array, data: Array, exits: Array, label: Array, left: Array
 ) -> None:
-    """Mark, in place, the components from which a step leads elsewhere or out, [components]."""
+    """Compiled: mark strong components of a graph from which a step leads out, [components]."""
     for s in range(label.size):
         if left[label[s]]:
             continue
@@ -426,7 +426,7 @@ def mark_left(
 def _number_by_height(
     begin: Array, end: Array, indices: Array, data: Array, finished: Array, found: int, label: Array
 ) -> None:
-    """Renumber components, in place, by the most steps to an end, then by their first states."""
+    """Compiled: renumber a graph's components by the most steps to an end, then first states."""
     height, number = np.zeros(found, dtype=np.int64), np.full(found, -1, dtype=np.int64)
     for s in finished:
         own = label[s]
@@ -450,7 +450,7 @@ def _number_by_height(
 
 @njit(cache=True)
 def _sort_by_component(label: Array, finished: Array, found: int, order: Array) -> None:
-    """Counting sort that keeps the order of finishing within each component."""
+    """Compiled counting sort of a graph's states by component, in order of finishing."""
     begin = np.zeros(found + 1, dtype=np.int64)
     for state in finished:
         begin[label[state] + 1] += 1
@@ -465,7 +465,7 @@ def crossing_pairs(
     outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray,
     pair_state: IntArray, candidates: BoolArray, label: IntArray,
 ) -> BoolArray:  # fmt: skip
-    """Candidate pairs that may lead from one component to another, [pairs].
+    """Compiled: candidate pairs that lead from one component of a graph to another, [pairs].
 
     Args:
         outcome_offsets: [pairs + 1].
@@ -476,9 +476,9 @@ def crossing_pairs(
         label: [states].
     """
     graph = outcome_offsets, unsigned(successors), probabilities, unsigned(pair_state)
-    found = np.zeros(len(candidates), dtype=np.bool_)
-    _crossing_components(len(successors))(*graph, candidates, label, found)
-    return found
+    crossing = np.zeros(len(candidates), dtype=np.bool_)
+    _crossing_components(len(successors))(*graph, candidates, label, crossing)
+    return crossing
 
 
 @one_or_all_cores
@@ -486,7 +486,7 @@ def _crossing_components(
     outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray,
     pair_state: IntArray, candidates: BoolArray, label: IntArray, found: BoolArray,
 ) -> None:  # fmt: skip
-    """Mark, in place, candidate pairs that may lead from one component to another."""
+    """Compiled: mark candidate pairs that cross between a graph's components, in place."""
     for pair in prange(len(candidates)):
         if candidates[pair]:
             here = label[pair_state[pair]]

@@ -47,7 +47,7 @@ def _best_pair(
     pick: Any, past: Any, layers: Layers, begin: Array, charged: Array, factor: float, due: Array,
     values: Array, tied: float,
 ) -> tuple[float, Any]:  # fmt: skip
-    """The least value of some pairs of a layer, and the first of them that is tied with it."""
+    """Compiled: least value of a node's pairs in a layer, and the first tied pair."""
     least, below = np.inf, np.inf
     for pair in range(pick, past):
         total = 0.0
@@ -69,7 +69,7 @@ def _settle(
     layers: Layers, begin: Array, charged: Array, factor: float, due: Array,
     row: int, values: Array, picks: Array,
 ) -> None:  # fmt: skip
-    """Least values of a layer, and the pairs that attain them, written.
+    """Compiled: least values of a layer of cost, and the pairs that attain them, written.
 
     Where free steps go round, the layer is gone over forwards and backwards (Gauss-Seidel): a
     choice is followed until nothing changes, and then made anew.
@@ -97,7 +97,7 @@ def _measure(
     layers: Layers, begin: Array, charged: Array, factor: float, picks: Array,
     row: int, measured: Array,
 ) -> None:  # fmt: skip
-    """Charge, failure and goal of a layer's choice, written; what is never met stays nothing."""
+    """Compiled: charge, failure and goal of a layer's choice, written; unmet nodes keep 0."""
     n = picks.size
     for turn in range(layers.turns):
         is_same = True
@@ -132,7 +132,7 @@ def _lower(
     layers: Layers, begin: Array, charged: Array, factor: float, owed: Array, saved: Array,
     row: int, values: Array, within: Array,
 ) -> None:  # fmt: skip
-    """Values of a layer lowered to their backups, the rounding of each counted against it.
+    """Compiled: values of a layer lowered to their backups, rounding counted against each.
 
     Where free steps go round each value is lowered by its own. What values exceed their backups by
     after some turns, times the steps that any policy takes within a layer, is taken off all of
@@ -176,7 +176,7 @@ def sweep_layers(
     layers: Layers, owed: Array, saved: Array, values: Array, measured: Array,
     position: Array, keeps: bool, within: Array, given: Array,
 ) -> None:  # fmt: skip
-    """All layers of a block in one pass, the last of them first.
+    """Compiled backward sweep over a block of layers in one pass, the last of them first.
 
     Args:
         layers: what the pass reads of the process.
@@ -252,7 +252,7 @@ def stream_layers(
     waiting: Array, heads: Array, links: Array,
     indptr: Array, indices: Array, data: Array, first: int, arrived: Array,
 ) -> int:  # fmt: skip
-    """Settle layers of a ring one after the other: send their mass on, and say what arrives.
+    """Compiled: settle the arrivals of a ring's layers one after the other, sending mass on.
 
     Only where mass waits is looked at: lists say so, of each layer of the ring.
 
@@ -297,7 +297,7 @@ def follow_layer(
     charge: Array, growth: Array, layer: float, gain: Array, failure: Array, survival: float,
     onward: Array, sums: Array,
 ) -> None:  # fmt: skip
-    """Send the mass of a layer on by a choice, and add up what it is charged, fails and arrives.
+    """Compiled: send the mass of a layer on by a choice; its charge, failure and goal.
 
     Args:
         mass: [nodes].
@@ -339,12 +339,12 @@ def follow_layer(
 
 
 @one_or_all_cores
-def stream_hope(
+def stream_marks(
     decision: Array, acting: Array, pair_offsets: Array,
     offsets: Array, successors: Array, probabilities: Array, classes: Array,
     leads: Array, order: Array, hopeful: Array,
 ) -> None:  # fmt: skip
-    """Mark where decisions may lead to what is marked, from the last layer on.
+    """Compiled: mark, layer by layer backwards, where decisions may lead to a marked state.
 
     Where free steps go round, a layer is gone over until nothing is marked any more.
 

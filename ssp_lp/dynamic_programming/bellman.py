@@ -81,7 +81,7 @@ def best_pairs(
     held: IntArray | None = None,
     tied: float = 0.0,
 ) -> Backup:
-    """Minimise ``pair_cost + transitions @ values`` over the pairs of each state.
+    """Bellman backup: minimise ``pair_cost + transitions @ values`` over the pairs of each state.
 
     Args:
         pair_offsets: [states + 1].
@@ -121,7 +121,7 @@ def safe_minima(
     values: FloatArray,
     position: IntArray | None = None,
 ) -> FloatArray:
-    """Lower bounds of the least backups: the rounding of each pair's sum counts against it.
+    """Bellman backup from below: the rounding of each pair's sum counts against it.
 
     Args:
         pair_offsets: [states + 1].
@@ -155,12 +155,12 @@ def safe_minima(
 
 
 def backup_rounding(transitions: SparseRows) -> FloatArray:
-    """Rounding of a backup relative to the sum of its terms' magnitudes, per pair, [pairs]."""
+    """Rounding of a Bellman backup, relative to its terms' magnitudes, per pair, [pairs]."""
     return np.asarray((np.diff(transitions.indptr) + 4.0) * MACHINE_EPSILON)
 
 
 def chosen_product(transitions: SparseRows, choice: IntArray, x: FloatArray) -> FloatArray:
-    """``transitions[choice] @ x``, once, for one vector, [columns], or several, [columns, vectors].
+    """A policy's backup without costs, ``transitions[choice] @ x``, one vector or several.
 
     Picking rows costs more than products of few entries.
     """
@@ -169,7 +169,7 @@ def chosen_product(transitions: SparseRows, choice: IntArray, x: FloatArray) -> 
         return np.asarray((transitions @ x)[choice])
     if not accelerated(len(transitions.indices)):
         return np.asarray(chosen_rows(transitions, choice) @ x)
-    from ssp_lp.compiled import rows as compiled
+    from ssp_lp.compiled import matrix_rows as compiled
 
     result = np.empty((len(choice), *x.shape[1:]))
     run = compiled.row_product if x.ndim == 1 else compiled.row_products
@@ -180,7 +180,7 @@ def chosen_product(transitions: SparseRows, choice: IntArray, x: FloatArray) -> 
 
 
 def chosen_rows(transitions: SparseRows, choice: IntArray) -> sp.csr_array:
-    """The rows of one pair per state, ``transitions[choice]``, copied one after the other.
+    """A policy's rows of a Bellman backup's transitions, ``transitions[choice]``, in order.
 
     Args:
         transitions: [pairs, columns].
@@ -191,7 +191,7 @@ def chosen_rows(transitions: SparseRows, choice: IntArray) -> sp.csr_array:
     """
     if not accelerated(len(transitions.indices)):
         return sp.csr_array(written_out(transitions)[choice])
-    from ssp_lp.compiled import rows as compiled
+    from ssp_lp.compiled import matrix_rows as compiled
 
     begin = transitions.indptr
     indptr = offsets_of(begin[choice + 1] - begin[choice]).astype(begin.dtype)
@@ -215,11 +215,11 @@ class SharedRows:
 
     @property
     def nnz(self) -> int:
-        """Entries, as if no number were shared."""
+        """Entries of a Bellman backup's transitions, as if rows shared no number."""
         return len(self.indices)
 
     def written_out(self) -> sp.csr_array:
-        """The same matrix with each entry's number beside its column."""
+        """A Bellman backup's transitions with each entry's number beside its column."""
         data = self.data[concatenated_ranges(self.begins, np.diff(self.indptr))]
         return csr_of(data, self.indices, self.indptr, self.shape)
 
@@ -232,12 +232,12 @@ SparseRows = sp.csr_array | SharedRows
 
 
 def written_out(rows: SparseRows) -> sp.csr_array:
-    """Rows as scipy knows them."""
+    """A Bellman backup's transitions in scipy's form, rows no longer shared."""
     return rows.written_out() if isinstance(rows, SharedRows) else rows
 
 
 def row_parts(rows: SparseRows) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-    """Where each row's columns and its numbers begin, columns and numbers, for compiled loops."""
+    """Arrays of a Bellman backup's transitions: rows' beginnings, columns, numbers."""
     indptr = unsigned(rows.indptr)
     begins = unsigned(rows.begins) if isinstance(rows, SharedRows) else indptr[:-1]
     return indptr, begins, unsigned(rows.indices), rows.data
@@ -246,5 +246,5 @@ def row_parts(rows: SparseRows) -> tuple[IntArray, IntArray, IntArray, FloatArra
 def unsigned_parts(
     offsets: IntArray, matrix: sp.csr_array
 ) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-    """Offsets and the three arrays of a matrix as compiled loops take them."""
+    """Offsets and arrays of a Bellman backup's transitions as compiled loops take them."""
     return unsigned(offsets), unsigned(matrix.indptr), unsigned(matrix.indices), matrix.data

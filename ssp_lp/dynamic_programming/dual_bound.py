@@ -38,7 +38,7 @@ from ssp_lp.dynamic_programming.evaluation import (
     precise_advantages,
     safe_advantages,
 )
-from ssp_lp.dynamic_programming.policy_iteration import iterate_policy, least_backwards
+from ssp_lp.dynamic_programming.policy_iteration import improve_backwards, iterate_policy
 from ssp_lp.errors import SolverError
 
 _ROUNDS = 12
@@ -66,12 +66,12 @@ class DualBound:
 
     @property
     def rounded(self) -> FloatArray:
-        """The bound of each state as one number, rounded down, [states]."""
+        """The dual bound of each state as one number, rounded down, [states]."""
         below = np.nextafter(self.values, -np.inf)
         return np.where(self.low == 0.0, self.values, below)
 
     def at(self, start: FloatArray) -> float:
-        """The bound where an episode begins, rounded down.
+        """The dual bound at the start of an episode, rounded down.
 
         Args:
             start: distribution, [states].
@@ -97,7 +97,7 @@ def dual_bound(
     start: FloatArray | None = None,
     least_loss: float | None = None,
 ) -> DualBound:
-    """Lower the given values, as little as is needed, to ones that pass the check.
+    """Lower given values as little as possible to a checked sub-solution, a dual bound.
 
     Values that are optimal but for rounding, and would have to be lowered by more than rounding
     since the process is hardly ever left, are worked out in twice the working precision.
@@ -117,20 +117,20 @@ def dual_bound(
     """
     values = np.maximum(np.where(np.isfinite(values), values, floor), floor)
     if choice is not None:
-        lowered = lowered_at_once(dynamics, pair_cost, values, floor, choice)
+        lowered = lowered_along_longest_run(dynamics, pair_cost, values, floor, choice)
         if lowered is not None:
             return DualBound(lowered, np.zeros_like(lowered))
-    asked = (np.ones_like(values) if start is None else start).nonzero()[0]
+    starts = (np.ones_like(values) if start is None else start).nonzero()[0]
     scale = float(np.abs(values).max(initial=0.0))
     enough = PROVED * scale if least_loss is None else least_loss
     lack, worst = shortfall(dynamics, pair_cost, values), np.inf
     lowered = np.full_like(values, floor)
     if lack.any() and least_loss is not None:  # of probabilities, which sweeps often settle
-        lowered, worst = raised(dynamics, pair_cost, lowered, values, asked, enough)
+        lowered, worst = raised(dynamics, pair_cost, lowered, values, starts, enough)
     if worst > enough:
-        found = lowered_until_nothing_lacks(dynamics, pair_cost, values, lack, floor)
+        found = lowered_to_backups(dynamics, pair_cost, values, lack, floor)
         lowered = np.maximum(lowered, found)  # of two sub-solutions the greater is one
-        lowered, worst = raised(dynamics, pair_cost, lowered, values, asked, enough)
+        lowered, worst = raised(dynamics, pair_cost, lowered, values, starts, enough)
     bound = DualBound(lowered, np.zeros_like(lowered))
     many = dynamics.n_states > DIRECT_STATES
     if worst <= (PROVED_OF_MANY * scale if many else enough) or (many and least_loss is not None):
@@ -144,7 +144,7 @@ def dual_bound(
 def sub_solution(
     dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray, floor: float = 0.0
 ) -> FloatArray:
-    """A dual bound that passes the check in working precision: the given values, lowered.
+    """A dual bound checked in working precision: the given values, lowered.
 
     Args:
         dynamics: the process.
@@ -154,19 +154,19 @@ def sub_solution(
     """
     values = np.maximum(np.where(np.isfinite(values), values, floor), floor)
     lack = shortfall(dynamics, pair_cost, values)
-    return lowered_until_nothing_lacks(dynamics, pair_cost, values, lack, floor)
+    return lowered_to_backups(dynamics, pair_cost, values, lack, floor)
 
 
 def _precise_bound(
     dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray
 ) -> DualBound | None:
-    """The bound of a policy that is optimal in twice the working precision; None: there is none."""
+    """Dual bound by a policy optimal in twice the working precision; None: there is none."""
     choice = best_pairs(dynamics.pair_offsets, dynamics.transitions, pair_cost, values).choice
     try:
         nearest = approach_leaving(dynamics, dynamics.exits > 0.0)
         choice = leaving_chain(dynamics, choice, nearest)[1]
         settled = iterate_policy(dynamics, pair_cost[:, None], _ONE, choice, precise=True)
-        ahead = _precisely_for_bound(dynamics, pair_cost, settled.values, settled.low)
+        ahead = _bound_advantages(dynamics, pair_cost, settled.values, settled.low)
         lack = max(-float(ahead.min(initial=0.0)), 0.0)
         tied = ahead <= _SPARE * lack
         for _ in range(_ROUNDS):
@@ -180,7 +180,7 @@ def _precise_bound(
             if not np.isfinite(fall).all():
                 return None
             lowered = exact_sum(settled.values, settled.low - fall)
-            if (_precisely_for_bound(dynamics, pair_cost, *lowered) >= 0.0).all():
+            if (_bound_advantages(dynamics, pair_cost, *lowered) >= 0.0).all():
                 return DualBound(*lowered)
             tied = ahead <= max(float(fall.max(initial=0.0)), _SPARE * lack)
             if np.count_nonzero(tied) <= kept.size:
@@ -190,16 +190,16 @@ def _precise_bound(
     return None
 
 
-def _precisely_for_bound(
+def _bound_advantages(
     dynamics: Dynamics, pair_cost: FloatArray, high: FloatArray, low: FloatArray
 ) -> FloatArray:
-    """Advantages in twice the working precision, rounding counted against us, [pairs]."""
+    """Advantages for a dual bound in twice the precision, less their rounding, [pairs]."""
     ahead, rounding = precise_advantages(dynamics.moves, pair_cost, high, low)
     return ahead - rounding
 
 
 def shortfall(dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray) -> FloatArray:
-    """How far each state's value has to be lowered to its backup, rounding counted, [states]."""
+    """Excess of a dual bound's values over their backups, rounding counted, [states]."""
     check_time()
     if accelerated(len(dynamics.transitions.indices)):
         from ssp_lp.compiled.equations import shortfalls_safely
@@ -212,10 +212,10 @@ def shortfall(dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray) -> 
     return np.maximum(-segment_minima(ahead, dynamics.pair_offsets), 0.0)
 
 
-def lowered_at_once(
+def lowered_along_longest_run(
     dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray, floor: float, choice: IntArray
 ) -> FloatArray | None:
-    """Values lowered by what the worst near-optimal policy gathers; None where that costs much.
+    """Dual bound by values lowered along the worst near-optimal policy; None: too much.
 
     A step gathers a few times the greatest lack, less what its pair is worse than the best: of
     least such totals w, ``v + w`` lacks nothing. Without cycles each value is lowered to its backup
@@ -238,7 +238,7 @@ def lowered_at_once(
     policy = choice.astype(np.int32, copy=False)
     for step in (_STEPWISE * lack, _STEPWISE**2 * lack):
         try:
-            _, fall = least_backwards(dynamics, np.maximum(ahead - step, 0.0) - step, policy)
+            _, fall = improve_backwards(dynamics, np.maximum(ahead - step, 0.0) - step, policy)
         except SolverError:
             return None
         lowered = np.maximum(values + fall, floor)
@@ -249,14 +249,14 @@ def lowered_at_once(
     return None
 
 
-def lowered_until_nothing_lacks(
+def lowered_to_backups(
     dynamics: Dynamics,
     pair_cost: FloatArray,
     values: FloatArray,
     lack: FloatArray,
     floor: float,
 ) -> FloatArray:
-    """Values lowered until nothing lacks."""
+    """Dual bound by values lowered again and again until no backup is exceeded."""
     if not lack.any():
         return values
 
@@ -302,7 +302,7 @@ def raised(
     asked: IntArray,
     enough: float,
 ) -> tuple[FloatArray, float]:
-    """Lowered values raised again by backups rounded down, which keeps them a sub-solution.
+    """A dual bound raised again by backups rounded down, which keep it a sub-solution.
 
     Sweeps end where no value that counts has lost more than enough, or where they are slow.
 
@@ -340,7 +340,7 @@ def _longest_run(
     lack: FloatArray,
     least: FloatArray,
 ) -> FloatArray | None:
-    """Total lack by which values are lowered along the worst near-optimal policy; None: endless.
+    """Total by which a dual bound is lowered along the worst near-optimal policy; None: endless.
 
     A state that comes to lack something counts with at least ``least``, [states]. Lowering the
     values by this amount absorbs the lack wherever it is met again: the violation times the longest

@@ -24,6 +24,7 @@ from ssp_lp.arrays import (
 )
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.dynamic_programming.bellman import chosen_rows
+from ssp_lp.dynamic_programming.chain_solvers import HOLDS_MASS
 from ssp_lp.dynamic_programming.equations import (
     DIRECT_STATES,
     EXACTLY_SOLVED,
@@ -32,7 +33,6 @@ from ssp_lp.dynamic_programming.equations import (
     System,
     strong_components,
 )
-from ssp_lp.dynamic_programming.solvers import HOLDS_MASS
 from ssp_lp.errors import SolverError
 from ssp_lp.model.graph import Graph, nearer_pairs
 
@@ -67,36 +67,36 @@ class Dynamics:
 
     @cached_property
     def n_states(self) -> int:
-        """Number of states."""
+        """Number of states of the dynamics."""
         return len(self.pair_offsets) - 1
 
     @cached_property
     def pair_state(self) -> IntArray:
-        """The state of each pair, [pairs]."""
+        """The state of each pair of the dynamics, [pairs]."""
         return segment_ids(self.pair_offsets)
 
     @cached_property
     def components(self) -> StrongComponents:
-        """Strong components of the graph of all pairs, ends first; found once for all criteria."""
+        """Strong components of the dynamics' graph of all pairs, ends first; found once."""
         rows = self.transitions
         entries = rows.indptr[self.pair_offsets], rows.indices, rows.data
         return strong_components(*entries, by_height=True)
 
     @cached_property
     def graph(self) -> Graph:
-        """Which pairs lead where, in the number types of a model's graph."""
+        """The dynamics' graph, which pairs lead where, in the number types of a model's."""
         rows = self.transitions
         offsets = self.pair_offsets.astype(np.int64), rows.indptr.astype(np.int64)
         return Graph(*offsets, rows.indices, rows.data)
 
     @property
     def moves(self) -> Moves:
-        """The pairs of the process, with their states and exits."""
+        """The dynamics' pairs, with their states and exits, for graph searches."""
         return self.pair_state, self.transitions, self.exits
 
     @cached_property
     def rows(self) -> tuple[IntArray, IntArray, IntArray, FloatArray, FloatArray]:
-        """The arrays of the process as compiled loops take them.
+        """The dynamics' arrays as compiled loops take them.
 
         Integers have 32 bits where that is enough: numba 0.60 takes tuples for one another whose
         arrays differ in it.
@@ -111,13 +111,13 @@ class Dynamics:
 
     @property
     def is_compiled_backwards(self) -> bool:
-        """Whether a backward pass runs compiled: what is passed often is worth it sooner."""
+        """Whether a backward pass over the dynamics runs compiled: sooner if passed often."""
         passes = _LAYERS if self.is_reused else 1
         return accelerated(passes * len(self.transitions.indices))
 
     @property
     def is_solved_backwards(self) -> bool:
-        """Whether it falls into components so small that each is solved once and for all."""
+        """Whether the dynamics' components are so small that each is solved once and for all."""
         few = self.n_states <= DIRECT_STATES
         if self.is_compiled_backwards:
             return self.components.largest <= (EXACTLY_SOLVED if few else _SMALL)
@@ -127,11 +127,11 @@ class Dynamics:
 
     @cached_property
     def levels(self) -> list[Level]:
-        """The states of a process without cycles by how far they are from its ends at most."""
+        """States of dynamics without cycles by their greatest distance from an end."""
         return list(_levels_of_dynamics(self))
 
     def chain(self, choice: IntArray) -> System:
-        """The equations of one pair per state, [states]; the last few are kept, factors and all."""
+        """Equations of a policy in the dynamics, [states]; the last few are kept with factors."""
         if self.n_states > _KEPT_STATES:
             return self._chain(choice)
         key, kept = choice.astype(np.int32, copy=False).tobytes(), self._chains
@@ -142,7 +142,7 @@ class Dynamics:
         return kept[key]
 
     def restricted(self, kept: IntArray) -> Dynamics:
-        """The process with some of its pairs only, ascending, at least one for each state."""
+        """The dynamics with some of the pairs only, ascending, at least one for each state."""
         counts = np.bincount(self.pair_state[kept], minlength=self.n_states)
         return Dynamics(
             pair_offsets=offsets_of(counts).astype(self.pair_offsets.dtype),
@@ -151,7 +151,7 @@ class Dynamics:
         )
 
     def _chain(self, choice: IntArray) -> System:
-        """The equations of one pair per state of the dynamics."""
+        """The equations of a policy in the dynamics, afresh."""
         return System(chosen_rows(self.transitions, choice), self.exits[choice])
 
     @cached_property
@@ -161,7 +161,7 @@ class Dynamics:
 
 
 def _levels_of_dynamics(dynamics: Dynamics) -> Iterator[Level]:
-    """Level by level, from the states that lead nowhere."""
+    """States of the dynamics level by level, from those that lead nowhere."""
     home, entry = dynamics.pair_state, dynamics.transitions.tocoo()
     away = (home[entry.row] != entry.col) & (entry.data > 0.0)
     shape = dynamics.transitions.shape
@@ -214,7 +214,7 @@ def without_self_loops(
 
 
 def approach_leaving(dynamics: Dynamics, leaving: BoolArray) -> IntArray:
-    """A policy under which every state leaves through one of the leaving pairs.
+    """A policy in the dynamics under which every state leaves through a leaving pair.
 
     Each state takes a pair by which it may come nearer, in number of steps, to such a pair.
 
@@ -231,7 +231,7 @@ def approach_leaving(dynamics: Dynamics, leaving: BoolArray) -> IntArray:
 def leaving_choice(
     dynamics: Dynamics, goal: FloatArray, to_goal: IntArray | None = None
 ) -> IntArray:
-    """A policy that leaves from every state, towards the goal where it can be reached, [states].
+    """A policy that leaves the dynamics from every state, towards the goal first, [states].
 
     Args:
         dynamics: the process.
@@ -247,7 +247,7 @@ def leaving_choice(
 def leaving_chain(
     dynamics: Dynamics, choice: IntArray, before: IntArray | None
 ) -> tuple[System, IntArray]:
-    """The chain of a policy that leaves: states that no longer do keep the pair they had.
+    """The chain in the dynamics of a policy that leaves: states that fail to keep their pair.
 
     Args:
         dynamics: the process.

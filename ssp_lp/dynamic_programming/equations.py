@@ -25,7 +25,7 @@ from ssp_lp.arrays import (
 )
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time
-from ssp_lp.dynamic_programming.solvers import (
+from ssp_lp.dynamic_programming.chain_solvers import (
     HOLDS_MASS,
     Iteration,
     LargeComponent,
@@ -76,56 +76,56 @@ class System:
 
     @property
     def size(self) -> int:
-        """Number of states."""
+        """Number of states of a policy's equations."""
         return len(self.exits)
 
     @cached_property
     def components(self) -> StrongComponents:
-        """Strong components of the chain, ends first."""
+        """Strong components of the chain whose equations these are, ends first."""
         check_time()
         return strong_components(self.matrix.indptr, self.matrix.indices, self.matrix.data)
 
     @property
     def is_solved_exactly(self) -> bool:
-        """Whether totals are exact whatever accuracy is asked for: no component is large."""
+        """Whether the equations are solved exactly whatever is asked for: no component is large."""
         return self.components.largest <= EXACTLY_SOLVED
 
     @property
     def is_solved_reward_by_reward(self) -> bool:
-        """Whether two rewards took twice as long as one, and that was long."""
+        """Whether the equations took twice as long for two rewards as for one, and long."""
         return any(block.is_solved_reward_by_reward for block in self._large.values())
 
     @cached_property
     def home(self) -> IntArray:
-        """Each state's own row, [states]."""
+        """Each state's own row of the equations, [states]."""
         return np.arange(self.size, dtype=np.int32)
 
     @property
     def moves(self) -> Moves:
-        """The chain as a process of one pair per state."""
+        """The chain of the equations as a process of one pair per state."""
         return self.home, self.matrix, self.exits
 
     @cached_property
     def closed(self) -> IntArray:
-        """States from which the chain never leaves, [some states]."""
-        found, rows = self.components, self.matrix
-        left = np.zeros(found.n_components, dtype=np.bool_)
+        """States from which the chain of the equations never leaves, [some states]."""
+        strong, rows = self.components, self.matrix
+        left = np.zeros(strong.n_components, dtype=np.bool_)
         if accelerated(len(rows.indices)):
             from ssp_lp.compiled.graphs import mark_left
 
             arrays = unsigned(rows.indptr), unsigned(rows.indices), rows.data
-            mark_left(*arrays, self.exits, found.label, left)
+            mark_left(*arrays, self.exits, strong.label, left)
         else:
             entry = rows.tocoo()
-            onward = (found.label[entry.row] != found.label[entry.col]) & (entry.data > 0.0)
-            left[found.label[self.exits > 0.0]] = True
-            left[found.label[entry.row[onward]]] = True
-        return (~left[found.label]).nonzero()[0] if not left.all() else _NOBODY
+            onward = (strong.label[entry.row] != strong.label[entry.col]) & (entry.data > 0.0)
+            left[strong.label[self.exits > 0.0]] = True
+            left[strong.label[entry.row[onward]]] = True
+        return (~left[strong.label]).nonzero()[0] if not left.all() else _NOBODY
 
     def solve(
         self, rewards: FloatArray, guess: FloatArray | None = None, accuracy: float = EXACT
     ) -> FloatArray:
-        """Expected total rewards from each state.
+        """Solve the policy's equations: expected total rewards from each state.
 
         Args:
             rewards: [states] or [states, rewards].
@@ -156,7 +156,7 @@ class System:
         return x.reshape(rewards.shape)
 
     def solve_by_reduction(self, rewards: FloatArray) -> FloatArray:
-        """The same without any subtraction, at any price: for chains that are hardly left.
+        """Solve the equations without any subtraction: for chains that are hardly left.
 
         Raises:
             SolverError: the chain holds mass for ever, or a component is too large for that.
@@ -178,7 +178,7 @@ class System:
         return x.reshape(rewards.shape)
 
     def solve_transposed(self, inflow: FloatArray) -> FloatArray:
-        """Expected visits of each state, given what enters each from outside, [states].
+        """Solve the transposed equations: expected visits of each state, given what enters.
 
         Raises:
             SolverError: the chain holds mass for ever.
@@ -198,7 +198,7 @@ class System:
 
     @cached_property
     def _transposed_factors(self) -> tuple[IntArray, linalg.SuperLU]:
-        """Sparse factors of all equations, for visits, and the order of the states in them."""
+        """Sparse factors of the transposed equations, for visits, and the states' order in them."""
         if self.components.largest > EXACTLY_SOLVED:
             return self.home, factorised(equations(self.matrix, self.exits))
         order = self.components.order
@@ -206,16 +206,16 @@ class System:
 
     @cached_property
     def _transposed_iteration(self) -> tuple[FloatArray, IntArray, Iteration]:
-        """Probabilities of departing, [states], the states, first ones first, and the iteration.
+        """Transposed equations to be iterated: departures, [states], order, iteration.
 
         It is of how often each state is departed from, in that order.
         """
-        found, (row, column, data, departs) = self.components, departures(self.matrix, self.exits)
-        order, place = found.order[::-1], np.empty(self.size, dtype=np.int32)
+        strong, (row, column, data, departs) = self.components, departures(self.matrix, self.exits)
+        order, place = strong.order[::-1], np.empty(self.size, dtype=np.int32)
         place[order] = np.arange(self.size)
         to_from = place[column], place[row]
         own = sp.csr_array((data / departs[row], to_from), shape=self.matrix.shape)
-        large = (found.sizes > EXACTLY_SOLVED).nonzero()[0].tolist()
+        large = (strong.sizes > EXACTLY_SOLVED).nonzero()[0].tolist()
 
         weak = proxy(self)  # in a ring of references large arrays would wait for its collection
 
@@ -228,7 +228,7 @@ class System:
 
     @cached_property
     def _runs(self) -> list[tuple[int, int]]:
-        """Ranges of components to be solved at once: small ones together, large ones alone."""
+        """Ranges of components whose equations are solved at once: small ones, or one large."""
         sizes = self.components.sizes
         large = (sizes > EXACTLY_SOLVED).nonzero()[0].tolist()
         runs, begin = [], 0
@@ -243,18 +243,18 @@ class System:
 
     @cached_property
     def _factors(self) -> Solver:
-        """Solve all equations at once, by factors that are kept."""
+        """Solve all of the equations at once, by factors that are kept."""
         if self.size <= _DENSE_STATES:
             return dense_solver(self.matrix, self.exits)
         return factor_solver(self.matrix, self.exits)
 
     def _solve_small(self, first: int, last: int, rewards: FloatArray, x: FloatArray) -> None:
-        """Solve a run of small components, in place."""
+        """Solve the equations of a run of small components, in place."""
         if accelerated(len(self.matrix.indices)):
             self._solve_compiled(first, last, rewards, x)
             return
-        found = self.components
-        states = found.order[found.offsets[first] : found.offsets[last]]
+        strong = self.components
+        states = strong.order[strong.offsets[first] : strong.offsets[last]]
         rows = self.matrix[states]
         x[states] = 0.0
         beyond = rewards[states] + rows @ x
@@ -268,25 +268,25 @@ class System:
 
     @cached_property
     def _kept(self) -> dict[tuple[int, int], Solver]:
-        """The system's solvers that are kept, by range of components."""
+        """The solvers kept for these equations, by range of components."""
         return {}
 
     def _solve_compiled(self, first: int, last: int, rewards: FloatArray, x: FloatArray) -> None:
-        """Solve a range of the system's components by compiled elimination, in place."""
+        """Solve the equations of a range of components by compiled elimination, in place."""
         from ssp_lp.compiled.equations import solve_by_elimination
 
-        found, rows = self.components, self.matrix
+        strong, rows = self.components, self.matrix
         stuck = solve_by_elimination(
             unsigned(rows.indptr), unsigned(rows.indices), rows.data, self.exits,
             unsigned(self.home),
-            unsigned(found.order), found.offsets, first, last,
-            int(found.sizes[first:last].max(initial=1)), rewards, x,
+            unsigned(strong.order), strong.offsets, first, last,
+            int(strong.sizes[first:last].max(initial=1)), rewards, x,
         )  # fmt: skip
         if stuck >= 0:
             raise SolverError(HOLDS_MASS)
 
     def _block(self, c: int) -> LargeComponent:
-        """One large component."""
+        """The equations of one large component, with their solvers."""
         if c not in self._large:
             self._large[c] = LargeComponent(self.matrix, self.exits, self.components.members(c))
         return self._large[c]
@@ -302,28 +302,28 @@ class StrongComponents:
 
     @property
     def n_components(self) -> int:
-        """Number of components."""
+        """Number of strong components of the equations' chain."""
         return len(self.offsets) - 1
 
     @cached_property
     def sizes(self) -> IntArray:
-        """Number of states of each component, [components]."""
+        """Number of states of each strong component, [components]."""
         return np.diff(self.offsets)
 
     @cached_property
     def largest(self) -> int:
-        """Number of states of the largest component."""
+        """Number of states of the largest strong component."""
         return int(self.sizes.max(initial=0))
 
     def members(self, component: int) -> IntArray:
-        """The states of a component."""
+        """The states of a strong component."""
         return self.order[self.offsets[component] : self.offsets[component + 1]]
 
 
 def strong_components(
     indptr: IntArray, indices: IntArray, data: FloatArray, *, by_height: bool = False
 ) -> StrongComponents:
-    """Find the components and sort them topologically (Tarjan 1972).
+    """Strong components of the equations' matrix in topological order (Tarjan 1972).
 
     Args:
         indptr: offsets of each state's entries, [states + 1].
@@ -347,7 +347,7 @@ def strong_components(
 
 
 def chosen_components(rows: sp.csr_array, choice: IntArray) -> StrongComponents:
-    """The same for ``rows[choice]``, compiled; the rows are read where they are.
+    """Strong components of the equations ``rows[choice]``, by a compiled search in place.
 
     Args:
         rows: [pairs, states].
@@ -360,7 +360,7 @@ def chosen_components(rows: sp.csr_array, choice: IntArray) -> StrongComponents:
 def _compiled_components(
     begin: IntArray, end: IntArray, indices: IntArray, data: FloatArray, *, by_height: bool = False
 ) -> StrongComponents:
-    """The strong components by a compiled search."""
+    """Strong components of the equations' matrix by a compiled search."""
     from ssp_lp.compiled.graphs import order_components
 
     label, order, count = order_components(begin, end, indices, data, by_height=by_height)

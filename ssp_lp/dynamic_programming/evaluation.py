@@ -29,9 +29,9 @@ from ssp_lp.arrays import (
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.bellman import unsigned_parts
+from ssp_lp.dynamic_programming.chain_solvers import HOLDS_MASS
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.equations import DIRECT_STATES, EXACT, Moves, System
-from ssp_lp.dynamic_programming.solvers import HOLDS_MASS
 from ssp_lp.errors import SolverError
 
 EVALUATED = 1e-12
@@ -68,11 +68,11 @@ class Totals:
 
     @property
     def error(self) -> FloatArray:
-        """Bound of the error of each total, [states, rewards]."""
+        """Bound of the error of each evaluated total, [states, rewards]."""
         return 2.0 * np.outer(self.runs, self.missed)
 
     def are_within(self, accuracy: float) -> bool:
-        """Whether no total is wrong by more, relative to the greatest of its reward."""
+        """Whether no evaluated total is wrong by more, relative to the greatest of its reward."""
         longest = float(self.runs.max(initial=0.0))
         scale = _sizes_of_totals(self.values)
         return bool((2.0 * longest * self.missed <= accuracy * scale).all())
@@ -81,7 +81,7 @@ class Totals:
 def evaluate_policy(
     dynamics: Dynamics, choice: IntArray, rewards: FloatArray, accuracy: float | None = None
 ) -> Totals:
-    """Verified totals of a policy: in one go where the process is solved backwards.
+    """Policy evaluation: verified totals, in one go where the process is solved backwards.
 
     Args:
         dynamics: the process.
@@ -104,16 +104,16 @@ def evaluate_policy(
 def _evaluated_policy(
     dynamics: Dynamics, choice: IntArray, rewards: FloatArray, accuracy: float | None
 ) -> Totals | None:
-    """The same compiled; None where the totals cannot be verified."""
+    """Policy evaluation in compiled loops; None where the totals cannot be verified."""
     from ssp_lp.compiled.equations import evaluate_precisely
 
-    found, rows, shape = dynamics.components, dynamics.transitions, (len(choice), rewards.shape[1])
+    strong, rows, shape = dynamics.components, dynamics.transitions, (len(choice), rewards.shape[1])
     if accuracy is None:
         accuracy = _ROUNDED if len(choice) <= DIRECT_STATES else EVALUATED
     x, low, runs, missed = np.empty(shape), np.empty(shape), np.empty(shape[0]), np.empty(shape[1])
     verified = evaluate_precisely(
         unsigned(rows.indptr), unsigned(rows.indices), rows.data, dynamics.exits, unsigned(choice),
-        unsigned(found.order), found.offsets, max(found.largest, 1),
+        unsigned(strong.order), strong.offsets, max(strong.largest, 1),
         rewards, accuracy, _CORRECTIONS, MACHINE_EPSILON, x, low, runs, missed,
     )  # fmt: skip
     if not verified:
@@ -125,7 +125,7 @@ def _evaluated_policy(
 def acyclic_totals(
     dynamics: Dynamics, choice: IntArray, rewards: FloatArray, weights: FloatArray | None = None
 ) -> tuple[IntArray, Totals] | None:
-    """The best pairs of a large process without cycles, and their verified totals, in one pass.
+    """Best pairs and verified totals of a large process without cycles, in one pass.
 
     Args:
         dynamics: the process.
@@ -144,7 +144,7 @@ def acyclic_totals(
         return None
     if dynamics.components.largest > 1:
         return None
-    from ssp_lp.compiled.improvement import improve_acyclic
+    from ssp_lp.compiled.policy_improvement import improve_acyclic
 
     choice, runs, missed, x = choice.copy(), np.empty(shape[0]), np.empty(shape[1]), np.empty(shape)
     if not improve_acyclic(
@@ -164,7 +164,7 @@ def evaluate_chain(
     *,
     accuracy: float | None = None,
 ) -> Totals:
-    """Expected totals of several rewards, corrected until their error is small.
+    """Evaluate a policy's chain: expected totals of several rewards, to a small verified error.
 
     Args:
         system: the chain's equations.
@@ -181,8 +181,8 @@ def evaluate_chain(
         accuracy = _ROUNDED if system.size <= DIRECT_STATES else EVALUATED
     for solve in (system.solve, lambda right, *_: system.solve_by_reduction(right)):
         try:
-            first = solve(rewards, None, EXACT) if solved is None else solved
-            totals = _verified_totals(system, rewards, first, solve, accuracy)
+            solution = solve(rewards, None, EXACT) if solved is None else solved
+            totals = _verified_totals(system, rewards, solution, solve, accuracy)
         except SolverError:
             if system.closed.size:
                 raise
@@ -195,7 +195,7 @@ def evaluate_chain(
 
 
 def _reduced_totals(system: System, rewards: FloatArray) -> Totals:
-    """Totals of a chain left so seldom that no residual verifies them, by state reduction alone.
+    """Evaluate a chain left too seldom for residuals, by state reduction alone.
 
     It subtracts nothing, so that every total of rewards of one sign is accurate whatever the
     condition (Alfa, Xue and Ye 2002); gains and losses are totalled apart.
@@ -204,16 +204,16 @@ def _reduced_totals(system: System, rewards: FloatArray) -> Totals:
         SolverError: a component is too large for state reduction.
     """
     k, gains, losses = rewards.shape[1], np.maximum(rewards, 0.0), np.maximum(-rewards, 0.0)
-    found = system.solve_by_reduction(np.column_stack([gains, losses, np.ones(system.size)]))
-    gained, lost = found[:, :k], found[:, k:-1]
+    totals = system.solve_by_reduction(np.column_stack([gains, losses, np.ones(system.size)]))
+    gained, lost = totals[:, :k], totals[:, k:-1]
     rounding = 4.0 * MACHINE_EPSILON * (gained + lost).max(axis=0, initial=0.0)
-    return Totals(gained - lost, np.zeros_like(gained), found[:, -1], rounding)
+    return Totals(gained - lost, np.zeros_like(gained), totals[:, -1], rounding)
 
 
 def _verified_totals(
     system: System, rewards: FloatArray, x: FloatArray, solve: _Solve, accuracy: float
 ) -> Totals | None:
-    """Totals corrected and verified; None where that fails."""
+    """Totals of a policy corrected and verified; None where that fails."""
     runs = system.kept_runs
     if runs is None:
         runs = system.kept_runs = _run_lengths(system, solve)
@@ -221,7 +221,7 @@ def _verified_totals(
         return None
     longest, low = float(runs.max(initial=0.0)), np.zeros_like(x)
     if accuracy >= EVALUATED:
-        plain = Totals(x, low, runs, _missed_by_totals_at_most(system, rewards, x))
+        plain = Totals(x, low, runs, _greatest_residual(system, rewards, x))
         if plain.are_within(accuracy):
             return plain
     before = np.full(rewards.shape[1], np.inf)
@@ -243,8 +243,8 @@ def _verified_totals(
     return totals if totals.are_within(max(accuracy, EVALUATED)) else None
 
 
-def _missed_by_totals_at_most(system: System, rewards: FloatArray, x: FloatArray) -> FloatArray:
-    """The most by which totals miss their equations, bounded in working precision, [rewards]."""
+def _greatest_residual(system: System, rewards: FloatArray, x: FloatArray) -> FloatArray:
+    """Residual of a policy's evaluated totals, bounded in working precision, [rewards]."""
     most = np.empty(rewards.shape[1])
     for j in range(most.size):
         check_time()
@@ -255,7 +255,7 @@ def _missed_by_totals_at_most(system: System, rewards: FloatArray, x: FloatArray
 
 
 def _run_lengths(system: System, solve: _Solve) -> FloatArray | None:
-    """Total expected steps, checked: at least one half more than what follows them, [states]."""
+    """Run lengths of a policy, evaluated and checked: half a step above what follows, [states]."""
     ones, half = np.ones((system.size, 1)), np.full(system.size, -0.5)
     for accuracy in (RUN_ACCURACY, _FINE_RUN_ACCURACY):
         runs = solve(ones, None, accuracy)[:, 0]
@@ -267,14 +267,14 @@ def _run_lengths(system: System, solve: _Solve) -> FloatArray | None:
 
 
 def _sizes_of_totals(x: FloatArray) -> FloatArray:
-    """The greatest total of each reward, [rewards]; numpy is slow along rows of two numbers."""
+    """The greatest evaluated total of each reward, [rewards], quickly for few columns."""
     return np.asarray(np.abs(x.T, order="C").max(axis=1, initial=0.0))
 
 
 def precise_advantages(
     moves: Moves, cost: FloatArray, high: FloatArray, low: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Advantages of pairs at values ``high + low``, and bounds of their rounding.
+    """Advantages at evaluated totals ``high + low``, and bounds of their rounding, [pairs].
 
     Args:
         moves: of the process.
@@ -319,7 +319,7 @@ def precise_advantages(
 
 
 def safe_advantages(moves: Moves, cost: FloatArray, values: FloatArray) -> FloatArray:
-    """Advantages in working precision, less bounds of their rounding: never too high, [pairs].
+    """Advantages at evaluated totals less bounds of their rounding: never too high, [pairs].
 
     Args:
         moves: of the process.
@@ -352,7 +352,7 @@ def safe_advantages(moves: Moves, cost: FloatArray, values: FloatArray) -> Float
 def advantage_bounds(
     moves: Moves, cost: FloatArray, values: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Bounds of advantages from below and from above, in working precision, [pairs] each.
+    """Bounds of advantages at evaluated totals from below and above, [pairs] each.
 
     Args:
         moves: of the process.
@@ -378,14 +378,14 @@ def advantage_bounds(
 
 
 def exact_sum(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """For precise advantages: ``a + b`` rounded, and what the rounding lost (Knuth)."""
+    """``a + b`` of arrays rounded, for verified evaluation, and what the rounding lost (Knuth)."""
     total = a + b
     back = total - a
     return total, (a - (total - back)) + (b - back)
 
 
 def exact_product(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """For precise advantages: ``a * b`` rounded, and what the rounding lost (Dekker)."""
+    """``a * b`` of arrays rounded, for verified evaluation, and what that lost (Dekker)."""
     total = a * b
     c, d = _SPLIT * a, _SPLIT * b
     a_high, b_high = c - (c - a), d - (d - b)

@@ -76,7 +76,7 @@ def extreme_reach(
     start: FloatArray | None = None,
     last_digits: bool = True,
 ) -> ExtremeReach:
-    """The greatest or the least probability of hitting, from every state.
+    """Greatest or least probability of reaching what is hit, from every state of a process.
 
     No policy may be able to stay for ever (end components are contracted, or there are none).
 
@@ -96,11 +96,11 @@ def extreme_reach(
     both = np.stack([hit, miss] if greatest else [miss, hit], axis=1)
     last_digits = last_digits or not greatest
     floor = 0.0 if dynamics.components.largest <= EXACTLY_SOLVED else FAILURE_FLOOR
-    asked = (np.ones(dynamics.n_states) if start is None else start).nonzero()[0]
+    starts = (np.ones(dynamics.n_states) if start is None else start).nonzero()[0]
     choice, low, high = _swept_towards(
         dynamics,
         np.ascontiguousarray(both[:, 0]),
-        asked,
+        starts,
         last_digits or dynamics.n_states <= DIRECT_STATES,
     )
     if high is None:
@@ -111,7 +111,7 @@ def extreme_reach(
             if last_digits:
                 raise
             end_with_incumbent(stop)
-        if not low[asked].all():
+        if not low[starts].all():
             with closing():
                 low = np.clip(evaluate_policy(dynamics, choice, both).values[:, 0], 0.0, 1.0)
     return ExtremeReach(dynamics, both, choice, None, low, high, floor)
@@ -126,7 +126,7 @@ def _settled_reach(
     start: FloatArray | None,
     last_digits: bool,
 ) -> ExtremeReach:
-    """The extreme by policy iteration from a policy that leaves, and a checked bound of it."""
+    """Extreme probability of reaching by policy iteration, with a checked bound of it."""
     wanted, other = (np.ascontiguousarray(column) for column in both.T)
     run = partial(iterate_policy, dynamics, both, _OTHER, floor=floor)
     few = dynamics.n_states <= DIRECT_STATES
@@ -135,11 +135,11 @@ def _settled_reach(
     if settled.totals[:, 0].min(initial=1.0) < _SMALL:  # so small that the other cannot tell
         choice = iterate_policy(dynamics, wanted[:, None], -_ONE, settled.choice).choice
         settled = run(choice, precise=enough)
-    asked = (np.ones(dynamics.n_states) if start is None else start).nonzero()[0]
+    starts = (np.ones(dynamics.n_states) if start is None else start).nonzero()[0]
     missed = np.clip(settled.totals[:, 1], 0.0, 1.0)
     bounded = partial(dual_bound, dynamics, other, start=start, least_loss=PROVED)
     least = bounded(missed, choice=settled.choice).values
-    unproved = float((missed - least)[asked].max(initial=0.0))
+    unproved = float((missed - least)[starts].max(initial=0.0))
     if unproved > (PROVED if few else np.inf if last_digits else PROVED_OF_MANY):
         settled = run(settled.choice, precise=True)  # a policy of longer runs may be better
         missed = np.clip(settled.totals[:, 1], 0.0, 1.0)
@@ -148,7 +148,7 @@ def _settled_reach(
     reach, missed = np.clip(totals.values, 0.0, 1.0).T
     least = np.minimum(least, missed)
     most = 1.0 - least
-    if reach[asked].min(initial=1.0) < _SMALL:  # so small that 1 - least loses digits of it
+    if reach[starts].min(initial=1.0) < _SMALL:  # so small that 1 - least loses digits of it
         tight = partial(dual_bound, choice=settled.choice, start=start)
         most = np.minimum(most, -tight(dynamics, -wanted, -reach, floor=-1.0).values)
     highest = np.clip(most, reach, 1.0)
@@ -160,8 +160,8 @@ def _settled_reach(
     return ExtremeReach(dynamics, both, settled.choice, totals, reach, bound, floor)
 
 
-def _gathers(dynamics: Dynamics, lost: FloatArray, slack: FloatArray) -> bool:
-    """Whether some policy loses much more in many steps than is let pass.
+def _loss_accumulates(dynamics: Dynamics, lost: FloatArray, slack: FloatArray) -> bool:
+    """Whether some policy loses much more of the extreme reach in many steps than is let pass.
 
     Args:
         dynamics: the process.
@@ -184,7 +184,7 @@ def _gathers(dynamics: Dynamics, lost: FloatArray, slack: FloatArray) -> bool:
 def _swept_towards(
     dynamics: Dynamics, wanted: FloatArray, asked: IntArray, last_digits: bool
 ) -> tuple[IntArray, FloatArray, FloatArray | None]:
-    """A policy that leaves, towards what is wanted, improved by sweeps in the order of distance.
+    """A policy of extreme reach that leaves, improved by sweeps in the order of distance.
 
     Values rise from 0, each rounded down when it takes a better pair, so that the policy attains
     them and leaves: what goes round loses. A little above them, values are swept on, rounded up,
@@ -255,7 +255,7 @@ def _sweep(
     *,
     up: bool = False,
 ) -> float:
-    """The greatest rise of a value in a sweep over all pairs; more along the chosen ones follow it.
+    """Sweep over all pairs for the extreme reach, more along the chosen ones; greatest rise.
 
     Args:
         dynamics: the process.
@@ -279,7 +279,7 @@ def _sweep(
                 choice[order[moved]] = backup.choice[order[moved]]
             rise = max(rise, float(rises.max(initial=0.0)))
         return rise
-    from ssp_lp.compiled.improvement import follow_reach, sweep_reach
+    from ssp_lp.compiled.policy_improvement import follow_reach, sweep_reach
 
     pairs = choice.view(np.uint32)
     for some in pieces(order.size, rows.nnz):
@@ -294,7 +294,7 @@ def _sweep(
 
 
 def attaining_pairs(found: ExtremeReach) -> BoolArray:
-    """Pairs by which nothing is lost, however often they come round, [pairs]."""
+    """Pairs that attain the extreme reach, however often they come round, [pairs]."""
     dynamics, choice, both = found.dynamics, found.choice, found.both
     totals = found.totals or evaluate_policy(dynamics, choice, both, PRECISE)
     high, lost = totals.values.T
@@ -313,7 +313,7 @@ def attaining_pairs(found: ExtremeReach) -> BoolArray:
     chosen[choice] = True
     if found.floor > 0.0:
         lost = np.where(tied, np.maximum(-ahead, 0.0), np.inf)
-        if _gathers(dynamics, lost, slack[choice]):
+        if _loss_accumulates(dynamics, lost, slack[choice]):
             tied &= chosen | (lost <= np.maximum(slack / _STEPS, found.floor * high[home]))
         return tied
     while (tied & ~chosen & (ahead < 0.0)).any():

@@ -36,6 +36,7 @@ from ssp_lp.arrays import (
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import STOPS, Stop, check_time, end_with_incumbent, pieces
 from ssp_lp.dynamic_programming.bellman import Backup, Work, best_pairs
+from ssp_lp.dynamic_programming.chain_solvers import HOLDS_MASS
 from ssp_lp.dynamic_programming.dynamics import Dynamics, leaving_chain
 from ssp_lp.dynamic_programming.equations import (
     DIRECT_STATES,
@@ -54,7 +55,6 @@ from ssp_lp.dynamic_programming.evaluation import (
     evaluate_policy,
     precise_advantages,
 )
-from ssp_lp.dynamic_programming.solvers import HOLDS_MASS
 from ssp_lp.errors import SolverError
 
 _WORTHLESS = 1e-16
@@ -134,7 +134,7 @@ def iterate_policy(
             choice, totals = one_pass
         elif dynamics.is_solved_backwards:
             pair_cost = weighted(rewards, weights)
-            choice, values = least_backwards(dynamics, pair_cost, choice)
+            choice, values = improve_backwards(dynamics, pair_cost, choice)
             if dynamics.is_reused and not precise:  # what is made of all layers is checked
                 nothing = np.zeros_like(values)
                 return Settled(choice, values[:, None], values, nothing, nothing, work)
@@ -153,14 +153,14 @@ def iterate_policy(
         return improve_precisely(dynamics, rewards, weights, choice, work, floor)
     values = weighted(totals.values, weights)
     if precise is None:
-        precise = _may_hide_more(values, totals.runs, left)
+        precise = _gains_may_add_up(values, totals.runs, left)
     if precise:
         return improve_precisely(dynamics, rewards, weights, choice, work, floor)
     return Settled(choice, totals.values, values, np.zeros_like(values), totals.runs, work)
 
 
-def _may_hide_more(values: FloatArray, runs: FloatArray, left: float) -> bool:
-    """Whether gains that policy iteration left to be rounding may be worth something along a run.
+def _gains_may_add_up(values: FloatArray, runs: FloatArray, left: float) -> bool:
+    """Whether gains that policy iteration takes for rounding may add up along a run.
 
     Args:
         values: [states].
@@ -230,7 +230,7 @@ def howard_rounds(
 
 
 def greatest_gain(backup: Backup) -> float:
-    """The greatest gain of a change in Howard's rounds, made or left to be rounding."""
+    """Greatest gain of a change in policy iteration's rounds, made or taken for rounding."""
     return float((backup.here - backup.minima).max(initial=0.0))
 
 
@@ -258,13 +258,13 @@ class _Evaluation:
         self._above: FloatArray | None = None  # values of the last policy, where they were exact
 
     def leaving(self, choice: IntArray, before: IntArray | None) -> tuple[System, IntArray]:
-        """The chain of an improved policy; in small ones mass that is held shows in the totals."""
+        """Chain of an improved policy in policy iteration; small ones show held mass in totals."""
         if self.dynamics.n_states <= DIRECT_STATES:
             return self.dynamics.chain(choice), choice
         return leaving_chain(self.dynamics, choice, before)
 
     def evaluate(self, system: System, choice: IntArray) -> int:
-        """Evaluate a policy; how many products that took.
+        """Evaluation step of policy iteration; how many products it took.
 
         Raises:
             SolverError: it is worse than the last one.
@@ -287,7 +287,7 @@ class _Evaluation:
         return products
 
     def judge(self, backup: Backup) -> BoolArray | None:
-        """States that gain more than noise, [states]; None: evaluations are to be exact first."""
+        """States that policy iteration's change improves beyond noise; None: evaluate exactly."""
         scale = max(float(np.abs(self.values).max(initial=0.0)), 1e-300)
         grown, self._scale = scale > _RISEN * self._scale, scale
         noise = IMPROVEMENT * np.abs(backup.here) + self.floor
@@ -303,7 +303,7 @@ class _Evaluation:
         return better
 
     def totals_of(self, system: System, choice: IntArray) -> FloatArray:
-        """Exact totals of the last policy, [states, rewards]."""
+        """Exact totals of policy iteration's last policy, [states, rewards]."""
         if self._is_evaluated and self.totals is not None:
             return self.totals
         return system.solve(self.rewards[choice], self.totals)
@@ -318,12 +318,12 @@ def _improve_by_sweeps(
     most_sweeps: int,
     is_sorted_anew: bool,
 ) -> int:
-    """Improve a policy, in place, by sweeps in the order of the values while many states change.
+    """Policy iteration's improvement by sweeps, in place, while many states change.
 
     Returns:
         The number of backups of all states.
     """
-    from ssp_lp.compiled.improvement import improve_states
+    from ssp_lp.compiled.policy_improvement import improve_states
 
     order, most = np.arange(dynamics.n_states, dtype=np.uint32), 0
     for sweep in range(1, most_sweeps + 1):
@@ -349,7 +349,7 @@ def improve_along_chain(
     values: FloatArray,
     floor: float = 0.0,
 ) -> int:
-    """Improve a policy, in place, along its chain, until a pass there and back changes nothing.
+    """Policy iteration's improvement along the policy's chain, in place, to and fro.
 
     Each pass takes the components anew: those of the chain of the policy as it has become.
 
@@ -363,7 +363,7 @@ def improve_along_chain(
     Returns:
         The number of backups of all states; 0 where the components are too large.
     """
-    from ssp_lp.compiled.improvement import improve_blocks
+    from ssp_lp.compiled.policy_improvement import improve_blocks
 
     before, stale = dynamics.graph.predecessors, np.ones(dynamics.n_states, dtype=np.bool_)
     backups, changed = 0, 1
@@ -387,10 +387,10 @@ def improve_along_chain(
     return backups
 
 
-def least_backwards(
+def improve_backwards(
     dynamics: Dynamics, pair_cost: FloatArray, choice: IntArray
 ) -> tuple[IntArray, FloatArray]:
-    """The best pairs of a process that is solved backwards, and their values, [states] each.
+    """Best pairs and values of a process solved backwards, in place of policy iteration.
 
     Args:
         dynamics: the process.
@@ -403,11 +403,11 @@ def least_backwards(
     values, choice = np.zeros(dynamics.n_states), choice.copy()
     tied = TIED if dynamics.is_reused else 0.0
     if dynamics.is_compiled_backwards:
-        from ssp_lp.compiled.improvement import improve_components
+        from ssp_lp.compiled.policy_improvement import improve_components
 
-        found = dynamics.components
+        strong = dynamics.components
         stuck = improve_components(
-            dynamics.rows, unsigned(found.order), found.offsets, max(found.largest, 1),
+            dynamics.rows, unsigned(strong.order), strong.offsets, max(strong.largest, 1),
             pair_cost, IMPROVEMENT, tied, choice.view(np.uint32), values,
         )  # fmt: skip
         if stuck >= 0:
@@ -475,7 +475,7 @@ def improve_precisely(
 def switched(
     dynamics: Dynamics, choices: Sequence[IntArray], values: Sequence[FloatArray]
 ) -> tuple[IntArray, IntArray]:
-    """For policy iteration, a policy no worse than any of several, all of which leave.
+    """A policy no worse than any of several that leave, by one step of policy iteration.
 
     Args:
         dynamics: the process.
@@ -506,7 +506,7 @@ def first_of_equals(
     runs: FloatArray,
     start: FloatArray | None = None,
 ) -> IntArray:
-    """The policy with the first pair of each state that is as good as its own in every total.
+    """Policy iteration's optimal policy with each state's first pair of equal totals.
 
     What rounding favoured among equals is not seen in it. No total needs to be worked out again:
     a pair is taken where it keeps to the equations of all totals, up to ``TIED`` of the total
@@ -534,7 +534,7 @@ def first_of_equals(
         )
     transitions, first = dynamics.transitions, choice.astype(np.int32)
     if accelerated(len(transitions.indices)):
-        from ssp_lp.compiled.improvement import take_first_of_equals
+        from ssp_lp.compiled.policy_improvement import take_first_of_equals
 
         take_first_of_equals(
             dynamics.rows, rewards, totals, slack, runs, _NEARER,

@@ -53,30 +53,30 @@ class BestResponse:
 
     @property
     def condition(self) -> float:
-        """J_cond(x'; pi)."""
+        """J_cond(x'; pi) of the best response."""
         return self.origin + self.failing
 
     @property
     def success(self) -> float:
-        """1 - J_cond: in case S E[gamma^T; goal]."""
+        """1 - J_cond of the best response: in case S E[gamma^T; goal]."""
         return (1.0 - self.origin) - self.failing
 
     @property
     def is_hopeful(self) -> bool:
-        """Whether the policy's cost given success can be told."""
+        """Whether the best response's cost given success can be told."""
         return self.success > (0.0 if self.origin else _ROUNDED_SUCCESS)
 
     @property
     def ratio(self) -> float:
-        """The policy's cost given success."""
+        """The best response's cost given success, J_obj / (1 - J_cond)."""
         return self.objective / self.success
 
     def payoff(self, objective_weight: float, condition_weight: float) -> float:
-        """What the policy pays at other weights, J_cond counted from its origin."""
+        """Payoff of the best response at other weights, J_cond counted from its origin."""
         return objective_weight * self.objective + condition_weight * self.failing
 
     def size(self, objective_weight: float, condition_weight: float) -> float:
-        """The size of the payoff's parts, to which its rounding is relative."""
+        """Size of the best response's payoff in its parts, to which rounding is relative."""
         return objective_weight * self.objective + condition_weight * abs(self.failing)
 
 
@@ -86,7 +86,7 @@ class Player(Protocol):
     def response(
         self, objective_weight: float, condition_weight: float, accuracy: float
     ) -> BestResponse:
-        """A policy of least ``objective_weight * J_obj + condition_weight * J_cond``.
+        """Best response: a policy of least ``objective_weight J_obj + condition_weight J_cond``.
 
         All responses of a player count J_cond from the same origin.
 
@@ -99,7 +99,7 @@ class Player(Protocol):
         ...
 
     def policy(self, response: BestResponse) -> Policy:
-        """The response's policy on the original states."""
+        """The best response's policy on the original states."""
         ...
 
 
@@ -117,7 +117,7 @@ class Discounted:
 
 @dataclass(frozen=True, eq=False)
 class Iterated:
-    """Where value iteration stopped: a policy, its exact costs, and a bound below all policies."""
+    """Result of value iteration: a policy, its exact costs, and a bound below all policies."""
 
     values: FloatArray  # [nodes] checked: at most the optimal value everywhere
     choice: IntArray  # [nodes] greedy pairs
@@ -132,7 +132,7 @@ def iterate_values(
     *,
     accuracy: float,
 ) -> Iterated:
-    """Minimise ``weights @ costs`` by value iteration.
+    """Best response by value iteration: minimise ``weights @ costs``.
 
     The iterates ``T^N J_0`` increase to the optimum from ``J_0 = 0``. The greedy policy, improved
     by its own values while that helps, bounds the optimum from above with its exact value; the
@@ -172,7 +172,7 @@ def iterate_values(
 def _improved_response(
     process: Discounted, weights: FloatArray, choice: IntArray
 ) -> tuple[IntArray, FloatArray, int]:
-    """A policy after improvement by its own values, its exact costs, and the backups that took."""
+    """A best response improved by its own values, its exact costs, and the backups that took."""
     dynamics, pair_cost, steps = process.dynamics, process.costs @ weights, 0
     offsets, transitions = dynamics.pair_offsets, dynamics.transitions
     while True:

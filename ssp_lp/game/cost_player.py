@@ -19,7 +19,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.game.best_response import BestResponse, Discounted, iterate_values
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.remembering import TimedPolicy
-from ssp_lp.processes.rows import cost_means
+from ssp_lp.processes.live_rows import cost_means
 
 _MOST_ENTRIES = 200_000_000
 """Largest table of decisions, nodes x layers."""
@@ -66,7 +66,7 @@ class CostPlayer:
 
     @classmethod
     def of(cls, base: AccumulatedCost) -> CostPlayer:
-        """The player that counts J_cond so that neither success nor failure loses digits."""
+        """The cost player that counts J_cond so that neither success nor failure loses digits."""
         player = cls(base)
         greatest = float(base.start @ player.tails.greatest_goal) + base.start_goal
         return player if greatest > _RARE else cls(base, origin=1.0)
@@ -83,12 +83,12 @@ class CostPlayer:
 
     @property
     def dearest(self) -> float:
-        """Units that M is moved by at least: what the dearest step costs, and a little more."""
+        """Units by which the cost player moves M at least: the dearest step's and a little more."""
         steps = step_costs(self.base.quotient.model)[1]
         return float(steps[-1]) if self.base.by_steps else float(self.base.width)
 
     def totals(self, cap: float) -> Totals:
-        """The totals below M, all that can occur, and those at which tails take over.
+        """Totals of the cost player below M, and those at which tails take over.
 
         Raises:
             ModelError: they are too many.
@@ -109,7 +109,7 @@ class CostPlayer:
     def response(
         self, objective_weight: float, condition_weight: float, accuracy: float
     ) -> BestResponse:
-        """A policy of (state, accumulated cost) of least weighted cost.
+        """The cost player's best response: a policy of (state, accumulated cost).
 
         M is first put where failing at attention states has become optimal, ``w_o r = w_d``, as
         far as that is near; then it grows until the bound that holds for every policy comes
@@ -135,11 +135,11 @@ class CostPlayer:
             cap = self._whole(_larger_cost_cap(lost, wanted)) + self.dearest
 
     def _whole(self, cap: float) -> float:
-        """A cap as a whole number of layers, where these are multiples of a unit."""
+        """A cap M of the cost player as a whole number of layers, if a unit makes them."""
         return cap if self.base.by_steps else float(np.ceil(cap))
 
     def surplus(self, price: float, accuracy: float) -> float:
-        """What every policy has at least of ``J_obj - price * (1 - J_cond)``, rounding counted.
+        """The cost player's lower bound of ``J_obj - price * (1 - J_cond)``, rounding counted.
 
         Sure failure counts 0 here, so that a policy that is a little worse than it is not lost in
         the rounding of ``price``. The sign says whether ``J_obj / (1 - J_cond) >= price`` for all.
@@ -148,7 +148,7 @@ class CostPlayer:
         return float(lower_bounds(Sweep(best.process), price, 0.0)[0][0])
 
     def value_function(self, price: float) -> FloatArray:
-        """Infinite values, which ask ``certify`` for the best that so many layers can prove.
+        """Infinite values of the cost player, to ask ``certify`` for the best by so many layers.
 
         Returns:
             [layers, nodes]; [1] where costs have no common unit.
@@ -158,16 +158,16 @@ class CostPlayer:
         return np.broadcast_to(np.inf, self.value_shape([self.response(1.0, price, _SETTLED)]))
 
     def value_shape(self, responses: Sequence[BestResponse]) -> tuple[int, ...]:
-        """The shape of a value function of as many layers as responses had, [layers, nodes]."""
+        """Shape of the cost player's value function: as many layers as responses had."""
         return max(response.strategy.choice.shape for response in responses)
 
     def policy(self, response: BestResponse) -> CostAwarePolicy:
-        """The response's policy on the model's states, with the cost paid as its memory."""
+        """The cost player's response on the model's states, with the cost paid as its memory."""
         strategy: LayeredStrategy = response.strategy
         return strategy.process.policy(strategy.choice, strategy.price)
 
     def _first_cap(self, weights: FloatArray) -> float:
-        """Units after which it is best to fail where that can be done for sure, if they are few.
+        """Units after which the cost player best fails, where it surely can, if they are few.
 
         Otherwise as many as the least failing policies may need, to be doubled soon.
         """
@@ -179,7 +179,7 @@ class CostPlayer:
         return self._whole(lossless) + once_more if lossless <= 8 * cap else cap
 
     def _response(self, weights: FloatArray, cap: float) -> BestResponse:
-        """The best response that follows the tail from M = cap units on, and a bound for all.
+        """The cost player's best response with a tail from M = cap units on; a bound for all.
 
         Where J_obj does not count, the policy that fails least is best whatever has been paid.
         """
@@ -206,7 +206,7 @@ class CostPlayer:
 
 
 def lower_bounds(sweep: Sweep, price: float, failing: float) -> tuple[FloatArray, FloatArray]:
-    """Lower bounds of what every policy has of J_obj and, at a price, of J_cond.
+    """The cost player's lower bounds of every policy's J_obj and, at a price, J_cond.
 
     Args:
         sweep: over the process cut at M.
@@ -222,7 +222,7 @@ def lower_bounds(sweep: Sweep, price: float, failing: float) -> tuple[FloatArray
 
 
 def _larger_cost_cap(lost: Mapping[float, float], wanted: float) -> float:
-    """A cap at which as little is lost as is wanted, from 1.25 to 4 times the last one."""
+    """A larger cap M for the cost player, 1.25 to 4 times the last, to lose as little as wanted."""
     cap = max(lost)
     needed = 2.0 * cap
     smaller = max((c for c in lost if c < cap), default=cap)
@@ -233,7 +233,7 @@ def _larger_cost_cap(lost: Mapping[float, float], wanted: float) -> float:
 
 
 def outer_tails(base: AccumulatedCost) -> tuple[IntArray, LayeredTails]:
-    """The policies that fail least and most, by MAXPROB and MINPROB (paper, section 2.3).
+    """The cost player's tails that fail least and most, MAXPROB and MINPROB (section 2.3).
 
     Both are value iterations on the discounted process without accumulated cost. The paper follows
     pi'_or, which fails most, beyond M. Where failing is dear, M would have to be very large for
@@ -271,7 +271,7 @@ def outer_tails(base: AccumulatedCost) -> tuple[IntArray, LayeredTails]:
 def followed_tails(
     base: AccumulatedCost, choices: IntArray, survival: float
 ) -> tuple[FloatArray, FloatArray]:
-    """E[survival^(T-1); goal] and E[survival^(T-1) * cost; goal] of policies, [policies, nodes]."""
+    """Goal and cost E[survival^(T-1) * ...; goal] of the cost player's tails, [policies, nodes]."""
     quotient, (early, cost) = base.quotient, np.zeros((2, *choices.shape))
     dynamics, _ = quotient.dynamics(survival, departing=False)
     for k, choice in enumerate(choices):
@@ -303,7 +303,7 @@ class BayesCostPlayer:
 
     @cached_property
     def tails(self) -> LayeredTails:
-        """pi'_or, which is followed for good beyond cap and horizon, and bounds of all policies.
+        """The Bayesian cost player's tail pi'_or beyond cap and horizon; bounds of all policies.
 
         J_obj is undiscounted, while J_cond stays discounted (section 3.3).
         """
@@ -313,7 +313,7 @@ class BayesCostPlayer:
         return replace(tails, decisions=tails.decisions[1:], values=values)
 
     def _surplus(self, paid: FloatArray, weights: FloatArray) -> FloatArray:
-        """Lower bound of every policy's weighted cost less that of sure failure, [totals, nodes].
+        """The Bayesian cost player's bound of weighted cost less sure failure's, [totals, nodes].
 
         Whoever succeeds with weight E[gamma^T; goal] succeeds with at least that probability, and
         pays for it what has been paid, undiscounted: linear in the success, which lies between two
@@ -326,13 +326,13 @@ class BayesCostPlayer:
 
     @cached_property
     def stationary(self) -> CostPlayer:
-        """The player of section 3.5.1, whose game is a lower bound of this one."""
+        """The cost player of section 3.5.1, whose game is a lower bound of the Bayesian one."""
         return CostPlayer(self.base)
 
     def response(
         self, objective_weight: float, condition_weight: float, accuracy: float
     ) -> BestResponse:
-        """A policy of (time, state, accumulated cost) of least weighted cost.
+        """The Bayesian cost player's best response: a policy of (time, state, accumulated cost).
 
         The cap is the stationary player's. The horizon is doubled until the bound meets what the
         policy pays; where that no longer helps, so is the cap.
@@ -354,7 +354,7 @@ class BayesCostPlayer:
             cap *= 2 if gap > _SLOW * before else 1
 
     def surplus(self, price: float, accuracy: float) -> float:
-        """What every policy has at least of ``J_obj - price * (1 - J_cond)``, rounding counted.
+        """The Bayesian cost player's lower bound of ``J_obj - price * (1 - J_cond)``.
 
         Sure failure counts exactly 0 here: rounding is counted where something is summed.
         """
@@ -374,7 +374,7 @@ class BayesCostPlayer:
         return float(terms.sum() - len(terms) * MACHINE_EPSILON * np.abs(terms).sum())
 
     def policy(self, response: BestResponse) -> TimedPolicy:
-        """The response's policy on the model's states; it remembers the time and the cost paid.
+        """The Bayesian cost player's response on the model's states, remembering time and cost.
 
         Successive stages that decide alike are one object.
         """
@@ -391,12 +391,12 @@ class BayesCostPlayer:
 
     @property
     def _lost(self) -> float:
-        """Relative rounding of one backup."""
+        """Relative rounding of one backup of the Bayesian cost player."""
         longest = int(np.diff(self.base.steps.indptr).max(initial=0)) + self.base.width
         return (longest + 4) * MACHINE_EPSILON
 
     def _stage(self, totals: Totals) -> FloatArray:
-        """E[G_o] of each pair in each layer, [pairs, layers]."""
+        """E[G_o] of each pair in each layer of the Bayesian cost player, [pairs, layers]."""
         paid = totals.values[:-1]
         return np.asarray(self.base.gain[:, None] * paid + self.base.gain_cost[:, None])
 
@@ -408,7 +408,7 @@ class BayesCostPlayer:
         return [sp.csr_array(steps[:, k * n : (k + 1) * n]) for k in range(base.width)]
 
     def _ahead(self, values: FloatArray, totals: Totals) -> FloatArray:
-        """E[value after the step] of each pair in each layer below the cap, [pairs, layers].
+        """The Bayesian cost player's E[value after the step] in each layer, [pairs, layers].
 
         Args:
             values: [nodes, totals].
@@ -419,7 +419,7 @@ class BayesCostPlayer:
         return np.asarray(sum(parts, np.zeros((len(self.base.gain), totals.size))))
 
     def _response(self, weights: FloatArray, m: float, horizon: int) -> BestResponse:
-        """Backward induction from the horizon, where pi'_or takes over for good.
+        """Backward induction of the Bayesian cost player from the horizon, then pi'_or.
 
         Args:
             weights: of J_obj and J_cond, [2].
@@ -464,7 +464,7 @@ class BayesCostPlayer:
         )
 
     def _beyond(self, totals: Totals, weights: FloatArray) -> FloatArray:
-        """Lower bound of every policy's weighted cost from the horizon on, [nodes, totals].
+        """The Bayesian cost player's lower bound from the horizon on, [nodes, totals].
 
         Discounting the objective too can only lower it, so the stationary game bounds this one.
 
@@ -481,7 +481,7 @@ class BayesCostPlayer:
         return np.asarray(bound.T)
 
     def _least(self, priced: FloatArray) -> tuple[IntArray, FloatArray]:
-        """The first best pair of each (node, layer) and its value, [nodes, cap] each."""
+        """The Bayesian cost player's first best pair of each (node, layer), and its value."""
         first = self.base.pair_offsets[:-1]
         least = np.minimum.reduceat(priced, first, axis=0)
         attains = priced == np.repeat(least, np.diff(self.base.pair_offsets), axis=0)

@@ -40,34 +40,34 @@ class Game:
 
     @property
     def scale(self) -> float:
-        """eta(epsilon; c) / epsilon, the worth of a unit of failure."""
+        """Worth of a unit of failure in the game, eta(epsilon; c) / epsilon."""
         return self.stake / self.budget
 
     def payoff(self, alpha: float, response: BestResponse) -> float:
-        """J_{c,gamma,epsilon}(x', alpha, pi) of a policy, J_cond counted from its origin."""
+        """Payoff J_{c,gamma,epsilon}(x', alpha, pi) of a policy in the game, less its origin."""
         return response.payoff(alpha, (1.0 - alpha) * self.scale)
 
     def size(self, alpha: float, response: BestResponse) -> float:
-        """The size of the payoff's parts."""
+        """Size of the game's payoff in its parts."""
         return response.size(alpha, (1.0 - alpha) * self.scale)
 
     def owed(self, alpha: float, origin: float) -> float:
-        """(1 - alpha) eta, what J_cond pays where the budget is spent, counted from its origin."""
+        """Payoff (1 - alpha) eta of J_cond in the game where the budget is spent."""
         if origin == 0.0:
             return (1.0 - alpha) * self.stake
         room = self.budget - origin if self.room is None else self.room
         return (1.0 - alpha) * self.scale * room
 
     def excess(self, response: BestResponse) -> float:
-        """Slope of a policy's payoff in alpha: J_obj less what failure is worth."""
+        """Slope in alpha of a policy's payoff in the game: J_obj less failure's worth."""
         return response.objective - self.scale * response.condition
 
     def rises(self, response: BestResponse) -> bool:
-        """Whether a policy's payoff rises with alpha (or is level)."""
+        """Whether a policy's payoff in the game rises with alpha (or is level)."""
         return self.excess(response) >= -_LEVEL * self.stake
 
     def best_response(self, player: Player, alpha: float, accuracy: float) -> BestResponse:
-        """The player's best response to alpha; it bounds J*(x', alpha) from its origin."""
+        """The player's best response to alpha in the game; it bounds J*(x', alpha)."""
         return player.response(alpha, (1.0 - alpha) * self.scale, accuracy)
 
 
@@ -85,32 +85,32 @@ class Equilibrium:
 
     @property
     def origin(self) -> float:
-        """From where the responses count J_cond."""
+        """Origin from which the equilibrium's responses count J_cond."""
         return self.minus.origin
 
     @property
     def lower(self) -> float:
-        """J*(alpha) is at least this: no policy, mixed or not, guarantees less."""
+        """Lower value of the equilibrium: no policy guarantees less than J*(alpha)."""
         return self.least + self._shift
 
     @property
     def upper(self) -> float:
-        """What the mixture of the two policies pays at most."""
+        """Upper value of the equilibrium: what the mixture of the two policies pays at most."""
         return self.most + self._shift
 
     @property
     def _shift(self) -> float:
-        """What the payoffs of an equilibrium are counted from."""
+        """Origin from which an equilibrium's payoffs are counted."""
         return (1.0 - self.alpha) * self.game.scale * self.origin
 
     @property
     def weight(self) -> float:
-        """Weight of ``plus`` in the mixture."""
+        """Weight of ``plus`` in the equilibrium's mixture."""
         return matrix_game(self.game, self.minus, self.plus)
 
 
 def matrix_game(game: Game, minus: BestResponse, plus: BestResponse) -> float:
-    """The player's optimal weight of ``plus`` in the 2 x 2 game of section 3.4, in closed form.
+    """Equilibrium of the 2 x 2 game of section 3.4, in closed form: the weight of ``plus``.
 
     Rows are the two policies, columns the two MDPs; the payoffs are J_obj and (eta / epsilon)
     J_cond. The worse of the two payoffs is convex in the weight, with a kink where the payoffs are
@@ -190,7 +190,7 @@ def play(
 
 
 def unplayed_game(game: Game, responses: Sequence[BestResponse]) -> Equilibrium:
-    """What policies met before say of a game that there is no time to play: nothing from below."""
+    """Equilibrium from policies met before, where time is up: no bound from below."""
     minus, plus = _closest_to_equilibrium(game, responses)
     if minus is None or plus is None:
         only = responses[0] if minus is None and plus is None else minus or plus
@@ -203,7 +203,7 @@ def unplayed_game(game: Game, responses: Sequence[BestResponse]) -> Equilibrium:
 def _pure_equilibrium(
     game: Game, alpha: float, response: BestResponse, responses: list[BestResponse]
 ) -> Equilibrium:
-    """One policy is optimal and the adversary plays one MDP for sure."""
+    """Pure equilibrium: one policy is optimal and the adversary plays one MDP for sure."""
     upper = game.payoff(alpha, response)
     bound = min(response.bound, upper)
     return Equilibrium(game, alpha, bound, upper, response, response, tuple(responses))
@@ -212,7 +212,7 @@ def _pure_equilibrium(
 def _closest_to_equilibrium(
     game: Game, responses: Sequence[BestResponse]
 ) -> tuple[BestResponse | None, BestResponse | None]:
-    """The policies on the two sides of the diagonal whose mixture pays least; None: no such side.
+    """Policies nearest to the equilibrium on both sides of the diagonal; None: no such side.
 
     A point is (J_obj, (eta / epsilon) J_cond); the mixture that pays equally against both MDPs
     lies where the segment between two points meets the diagonal.
@@ -242,21 +242,21 @@ class DeltaMixture:
 
     @property
     def objective(self) -> float:
-        """J_obj(x'; z*_delta)."""
+        """J_obj(x'; z*_delta) of the lottery near the equilibrium."""
         return (1.0 - self.weight) * self.minus.objective + self.weight * self.plus.objective
 
     @property
     def condition(self) -> float:
-        """J_cond(x'; z*_delta)."""
+        """J_cond(x'; z*_delta) of the lottery near the equilibrium."""
         return (1.0 - self.weight) * self.minus.condition + self.weight * self.plus.condition
 
     @property
     def value(self) -> float:
-        """What the lottery pays at worst; it tends to the value of the game as delta goes to 0."""
+        """Worst payoff of the lottery near the equilibrium; the game's value as delta goes to 0."""
         return max(self.objective, self.game.scale * self.condition)
 
     def policy(self, player: Player) -> MixedPolicy:
-        """The lottery on the original states."""
+        """The lottery near the equilibrium on the original states."""
         weights = np.array([1.0 - self.weight, self.weight])
         used = np.flatnonzero(weights > 0.0)
         members = tuple(player.policy((self.minus, self.plus)[k]) for k in used)
@@ -264,7 +264,7 @@ class DeltaMixture:
 
 
 def delta_mixture(player: Player, game: Game, alpha: float, delta: float) -> DeltaMixture:
-    """Mix the best responses on the two sides of alpha*.
+    """Mix the best responses on the two sides of the equilibrium's alpha*.
 
     Where no other kink of ``J*(alpha)`` lies within delta of alpha*, the two are the policies that
     meet there and the mixture is optimal. Otherwise each pays at alpha* at most delta times its

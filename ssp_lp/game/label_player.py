@@ -33,8 +33,8 @@ from ssp_lp.processes.failure_semantics import (
     dead_end_charges,
     give_up_charges,
 )
+from ssp_lp.processes.live_rows import cost_means, costless_pairs, successor_means
 from ssp_lp.processes.quotient import Quotient, build_quotient
-from ssp_lp.processes.rows import cost_means, costless_pairs, successor_means
 
 _FIRST_HORIZON = 32
 _MOST_STEPS = 100_000
@@ -70,37 +70,37 @@ class LabelModels:
 
     @property
     def pair_offsets(self) -> IntArray:
-        """Pairs of each node, [nodes + 1]."""
+        """Offsets of the label player's pairs by node, [nodes + 1]."""
         return self.quotient.pair_offsets
 
     @property
     def discounted_dynamics(self) -> Dynamics:
-        """The same, where each step is survived with probability gamma."""
+        """Dynamics of the label player's MDPs, each step survived with probability gamma."""
         real, gamma = self.dynamics, self.discount
         exits = (1.0 - gamma) + gamma * real.exits
         return Dynamics(real.pair_offsets, sp.csr_array(gamma * real.transitions), exits)
 
     @property
     def condition(self) -> FloatArray:
-        """E[G_{d,gamma}] of each pair, with all that follows an entered dead-end, [pairs]."""
+        """E[G_{d,gamma}] of the label player's pairs, [pairs]; of dead-ends all that follows."""
         gamma = self.discount
         return np.where(self.quotient.gives_up, 1.0, (1.0 - gamma) + gamma * self.lost)
 
     @property
     def discounted_objective(self) -> FloatArray:
-        """E[G_o] in M_{o,gamma}^(M) of section 3.5, where an entered dead-end is paid later."""
+        """E[G_o] of the label player in M_{o,gamma}^(M), section 3.5: dead-ends are paid later."""
         return self.paid + self.discount * self.charged
 
     @property
     def objective(self) -> FloatArray:
-        """E[G_o] in M_o^(M), with what an entered dead-end charges, [pairs]."""
+        """E[G_o] of the label player in M_o^(M), with the charge of dead-ends entered, [pairs]."""
         return self.paid + self.charged
 
 
 def label_models(
     model: SSP, start: FloatArray, semantics: FailureSemantics, discount: float
 ) -> LabelModels:
-    """Build the two MDPs.
+    """Build the label player's two MDPs.
 
     Args:
         model: the model.
@@ -140,7 +140,7 @@ class LabelPlayer:
 
     @cached_property
     def process(self) -> Discounted:
-        """M_{o,gamma}^(M) and M_{d,gamma}^(M), whose transitions agree under discounting."""
+        """The label player's M_{o,gamma}^(M) and M_{d,gamma}^(M) as one process."""
         models = self.models
         return Discounted(
             dynamics=models.discounted_dynamics,
@@ -151,7 +151,7 @@ class LabelPlayer:
     def response(
         self, objective_weight: float, condition_weight: float, accuracy: float
     ) -> BestResponse:
-        """A stationary policy of least weighted cost."""
+        """The label player's best response: a stationary policy of least weighted cost."""
         models, weights = self.models, np.array([objective_weight, condition_weight])
         iterated = iterate_values(self.process, weights, models.start, accuracy=accuracy)
         fixed = np.array([models.start_objective, models.start_condition])
@@ -160,7 +160,7 @@ class LabelPlayer:
         return BestResponse(objective, condition, bound, iterated, iterated.sweeps)
 
     def value_function(self, price: float) -> FloatArray:
-        """Checked lower bounds of ``J_obj + price * J_cond``.
+        """The label player's checked lower bounds of ``J_obj + price * J_cond``.
 
         Returns:
             [nodes], and at the end that of the start, where it is not live with certainty.
@@ -170,11 +170,11 @@ class LabelPlayer:
         return np.append(values, response.bound) if self.models.start_settled > 0.0 else values
 
     def value_shape(self, responses: Sequence[BestResponse]) -> tuple[int, ...]:
-        """The shape of a value function, whatever the responses."""
+        """Shape of the label player's value function, whatever the responses."""
         return (self.models.n_nodes + int(self.models.start_settled > 0.0),)
 
     def policy(self, response: BestResponse) -> DeterministicPolicy:
-        """The response's policy on the model's states."""
+        """The label player's response on the model's states."""
         iterated: Iterated = response.strategy
         quotient = self.models.quotient
         return DeterministicPolicy(quotient.model, quotient.pull_back(iterated.choice))
@@ -215,7 +215,7 @@ class BayesLabelPlayer:
     def response(
         self, objective_weight: float, condition_weight: float, accuracy: float
     ) -> BestResponse:
-        """A non-stationary policy of least weighted cost.
+        """The Bayesian label player's best response: a non-stationary policy.
 
         The horizon is doubled until the bound meets what the policy pays; at the horizon that
         gamma prescribes (``horizon_of``) it does so whatever the model.
@@ -240,7 +240,7 @@ class BayesLabelPlayer:
                 )
 
     def policy(self, response: BestResponse) -> TimedPolicy:
-        """The response's policy on the model's states, with the time as its memory."""
+        """The Bayesian label player's response on the model's states; it remembers the time."""
         strategy: _TimedStrategy = response.strategy
         quotient = self.models.quotient
         rows = [*strategy.choice, strategy.after]
@@ -250,12 +250,12 @@ class BayesLabelPlayer:
 
     @cached_property
     def stationary(self) -> LabelPlayer:
-        """The player of section 3.5.2, whose game is a lower bound of this one."""
+        """The label player of section 3.5.2, whose game is a lower bound of the Bayesian one."""
         return LabelPlayer(self.models)
 
     @cached_property
     def cheapest(self) -> _Cheapest:
-        """Least J_obj by policy iteration from a policy that goes for the goal.
+        """The Bayesian label player's least J_obj, by policy iteration.
 
         Only strict gains are taken, so that every policy on the way leaves for good.
         """
@@ -279,7 +279,7 @@ class BayesLabelPlayer:
         )
 
     def _beyond(self, weights: FloatArray) -> FloatArray:
-        """Lower bound of every policy's weighted cost from the horizon on, [nodes].
+        """The Bayesian label player's lower bound of weighted cost from the horizon on, [nodes].
 
         Discounting the objective too can only lower it, so the stationary game bounds this one.
 
@@ -293,7 +293,7 @@ class BayesLabelPlayer:
     def _response(
         self, objective_weight: float, condition_weight: float, horizon: int
     ) -> BestResponse:
-        """Backward induction from the horizon, where the cheapest policy takes over for good."""
+        """Backward induction of the Bayesian label player, then the cheapest policy for good."""
         models, last = self.models, self.cheapest
         costs = np.stack([models.objective, models.condition], axis=1)
         gamma, offsets = models.discount, models.pair_offsets
@@ -319,7 +319,7 @@ class BayesLabelPlayer:
 
 
 def horizon_of(discount: float, condition_weight: float, error: float) -> int:
-    """Steps after which all that is left to fail, ``condition_weight * gamma^N``, is at most error.
+    """Horizon of a Bayesian player: steps until ``condition_weight * gamma^N`` is at most error.
 
     By then J of section 3.3 and that of a player who ignores failing differ by no more.
     """

@@ -41,7 +41,7 @@ _MARGINS = (0.25, 4.0, 64.0, 1024.0)
 
 
 def checked_setting(problem: Problem) -> tuple[float, float]:
-    """The failure budget and the discount.
+    """Failure budget and discount of the game's setting, checked.
 
     Raises:
         ModelError: the paper's construction needs a discount and a budget above 0.
@@ -69,7 +69,7 @@ def checked_setting(problem: Problem) -> tuple[float, float]:
 
 
 def check_budget(problem: Problem, budget: float, safest: BestResponse) -> None:
-    """Raise :class:`InfeasibleError` where no policy's discounted failure keeps to the budget."""
+    """Raise :class:`InfeasibleError` where the game has no policy within the discounted budget."""
     discounted = safest.bound + safest.origin
     if discounted <= budget + LEAST_BUDGET:
         return
@@ -87,7 +87,7 @@ def check_budget(problem: Problem, budget: float, safest: BestResponse) -> None:
 
 
 def construct(problem: Problem) -> LabelModels | AccumulatedCost:
-    """Build the setting's M_o and M_{d,gamma} of section 3.1: in case M labelled.
+    """Construct the game's M_o and M_{d,gamma} of section 3.1: in case M labelled.
 
     Raises:
         ModelError: no discount, or a budget that is not above 0.
@@ -123,7 +123,7 @@ class GameSolution:
 
     @property
     def policy(self) -> MixedPolicy:
-        """A lottery over one or two deterministic policies on the original states."""
+        """The game's optimal lottery over one or two policies on the original states."""
         members = tuple(self.player.policy(r) for r in self.threshold.members)
         return MixedPolicy(members, np.array(self.threshold.weights))
 
@@ -131,7 +131,7 @@ class GameSolution:
 def find_optimum(
     problem: Problem, player: Player, *, tolerance: float, progress: Progress | None = None
 ) -> GameSolution:
-    """Find c* of a problem by its player's best responses.
+    """Find the optimum c* by the game's player and best responses.
 
     Case M: the least c whose game value is at most c. Case S: the least such value over all
     epsilon' in (0, epsilon] (Theorem 3-1): c* = F(e) / (1 - e), with F the convex least J_obj at
@@ -174,7 +174,7 @@ def find_optimum(
 def _slack_bound_of_optimum(
     player: CostPlayer | BayesCostPlayer, ratio: float, budget: float, tolerance: float
 ) -> float:
-    """A ratio a little below the least one, such that every policy is seen to have more.
+    """Ratio a little below the game's optimum, such that every policy is seen to have more.
 
     There it is strictly best to fail, by a margin that no rounding reaches. Where rounding does
     reach it, a policy within the budget has lost at most its share of it.
@@ -198,7 +198,7 @@ def _slack_bound_of_optimum(
 def _least_ratio(
     player: Player, responses: tuple[BestResponse, ...], tolerance: float
 ) -> tuple[BestResponse, tuple[BestResponse, ...], bool]:
-    """A policy of least J_obj / (1 - J_cond), whatever it fails, and all responses so far.
+    """The game's policy of least J_obj / (1 - J_cond), and all responses so far.
 
     A ratio c is least if no policy has less than c of ``J_obj + c J_cond``: a policy that has less
     has a smaller ratio, which is tried next.
@@ -233,7 +233,7 @@ def _least_ratio(
 
 
 def stationary_player(problem: Problem) -> LabelPlayer | CostPlayer:
-    """The operator T_alpha of the problem's case.
+    """Player of the game for the optimum: operator T_alpha of the problem's case.
 
     Raises:
         ModelError: no discount, or a budget that is not above 0.
@@ -267,7 +267,7 @@ def stationary_game(
 
 
 def value_function(solution: GameSolution) -> FloatArray:
-    """A checked value function of the stationary game: lower bounds of ``J_obj + price * J_cond``.
+    """Checked values of the game at the optimum: lower bounds of ``J_obj + price * J_cond``.
 
     Infinite throughout where no time is left.
 
@@ -285,7 +285,7 @@ def value_function(solution: GameSolution) -> FloatArray:
 def thresholds(
     problem: Problem, budgets: Iterable[float], *, tolerance: float = 1e-9
 ) -> list[Threshold]:
-    """c* of each epsilon' by itself: the curve whose minimum Theorem 3-1 takes in case S.
+    """Optimum c* of each epsilon' by itself: the curve that Theorem 3-1 minimises in case S.
 
     Args:
         problem: says the case, the start and the discount; of its own budget only that there is
@@ -313,7 +313,7 @@ def thresholds(
 
 
 def bayes_player(problem: Problem) -> BayesLabelPlayer | BayesCostPlayer:
-    """The operator T of section 3.3 in the problem's case.
+    """Player of the Bayes-adaptive game for the optimum: operator T of section 3.3.
 
     Raises:
         ModelError: no discount, or a budget that is not above 0.
@@ -326,7 +326,7 @@ def bayes_player(problem: Problem) -> BayesLabelPlayer | BayesCostPlayer:
 def bayes_adaptive(
     problem: Problem, *, tolerance: float = 1e-7, progress: Progress | None = None
 ) -> GameSolution:
-    """Solve the game of section 3.2 over all policies, by the iteration of section 3.3.
+    """Optimum of the Bayes-adaptive game of section 3.2, by the iteration of section 3.3.
 
     J_obj is undiscounted and J_cond discounted: the problem that sections 3.2 to 3.4 solve, and
     that section 3.5 approximates by discounting J_obj as well. The adversary's weight is a belief
@@ -353,7 +353,7 @@ def bayes_adaptive(
 
 
 def posterior(alpha: float, discount: float) -> float:
-    """nu(alpha)(M_o), the adversary's weight of M_o after one step of a run that goes on.
+    """Adversary's weight nu(alpha)(M_o) in the Bayes-adaptive game after one step.
 
     Args:
         alpha: the weight before the step, in [0, 1].
@@ -369,7 +369,7 @@ def posterior(alpha: float, discount: float) -> float:
 
 
 def belief_at(alpha: float, discount: float, time: IntArray) -> FloatArray:
-    """The adversary's weight of M_o after so many steps of a run that goes on.
+    """Adversary's weight of M_o in the Bayes-adaptive game after so many steps.
 
     Args:
         alpha: the weight at the start, in [0, 1].

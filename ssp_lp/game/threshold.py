@@ -55,7 +55,7 @@ class Threshold:
 
     @property
     def failure_price(self) -> float:
-        """What a unit of failure is worth in units of J_obj: (eta / epsilon) (1 - alpha) / alpha.
+        """Price of failure at the threshold c, in J_obj: (eta / epsilon) (1 - alpha) / alpha.
 
         lambda in case M, kappa in case S.
         """
@@ -64,7 +64,7 @@ class Threshold:
 
     @property
     def condition(self) -> float:
-        """J_cond of the mixture."""
+        """J_cond of the mixture at the threshold c."""
         return sum(w * r.condition for w, r in zip(self.weights, self.members, strict=True))
 
 
@@ -78,7 +78,7 @@ def find_threshold(
     tolerance: float,
     progress: Progress | None = None,
 ) -> Threshold:
-    """Bracket ``min{c > 0 : game value <= eta(epsilon; c) = share * c}`` and close the bracket.
+    """Bracket the threshold ``min{c > 0 : game value <= eta(epsilon; c) = share * c}``, and close.
 
     Each game moves an end of the bracket. Its value at alpha*, a bound for every policy, gives
     ``J_obj >= (value - (1 - alpha*) eta) / alpha*`` for all that keep to the budget: the lower end.
@@ -96,7 +96,7 @@ def find_threshold(
         progress: told after each game of (responses, price of failure, upper end).
     """
     accuracy = 0.1 * tolerance
-    responses = [*previous, *_near_least(player, budget, previous, accuracy)]
+    responses = [*previous, *_cheap_near_least_failure(player, budget, previous, accuracy)]
     room = _attainable_threshold(responses, budget - responses[0].origin if room is None else room)
     budget = responses[0].origin + room
     low, high = 0.0, cheapest_mixture(responses, room)[2] / share
@@ -111,7 +111,7 @@ def find_threshold(
         played = equilibrium or unplayed_game(game, responses)
         responses = list(played.responses)
         games += 1
-        low = max(low, _implied_threshold(played) / share)
+        low = max(low, _threshold_from_game_value(played) / share)
         members, weights, cost = cheapest_mixture(responses, room)
         high = cost / share
         answer = Threshold(
@@ -131,7 +131,7 @@ def find_threshold(
 
 
 def extremes(player: Player, accuracy: float) -> tuple[BestResponse, ...]:
-    """The policies between which a threshold is sought: the one that fails least, the cheapest."""
+    """Policies between which the threshold c is sought: that of least failure, and the cheapest."""
     safest = player.response(0.0, 1.0, min(accuracy, _LEAST_ACCURACY))
     with WithIncumbent():
         return safest, player.response(1.0, 0.0, accuracy)
@@ -139,16 +139,16 @@ def extremes(player: Player, accuracy: float) -> tuple[BestResponse, ...]:
 
 
 def _attainable_threshold(responses: Sequence[BestResponse], room: float) -> float:
-    """The budget, counted like the responses' failing, or the least of that but for rounding."""
-    least = min(r.failing for r in responses)
-    same = _SAME * (abs(least) if responses[0].origin else 1.0)
-    return max([room, *(r.failing for r in responses if r.failing <= least + same)])
+    """Budget of the threshold, counted as responses count failing, or the least of that."""
+    least_failure = min(r.failing for r in responses)
+    same = _SAME * (abs(least_failure) if responses[0].origin else 1.0)
+    return max([room, *(r.failing for r in responses if r.failing <= least_failure + same)])
 
 
-def _near_least(
+def _cheap_near_least_failure(
     player: Player, budget: float, previous: Sequence[BestResponse], accuracy: float
 ) -> Iterator[BestResponse]:
-    """At a threshold, cheap policies among those that fail least, if the budget leaves no room.
+    """At a threshold without room, cheap policies among those that fail least.
 
     The least failure alone does not ask what its policy costs.
     """
@@ -166,8 +166,8 @@ def _near_least(
             return
 
 
-def _implied_threshold(played: Equilibrium) -> float:
-    """What the value of a game at alpha* says about the cost of policies within the budget."""
+def _threshold_from_game_value(played: Equilibrium) -> float:
+    """Threshold c implied by the game's value at alpha*: the cost of policies within the budget."""
     if played.alpha == 0.0:
         return 0.0
     owed = played.game.owed(played.alpha, played.origin)
@@ -178,7 +178,7 @@ def _implied_threshold(played: Equilibrium) -> float:
 def cheapest_mixture(
     responses: Sequence[BestResponse], room: float
 ) -> tuple[tuple[BestResponse, ...], tuple[float, ...], float]:
-    """The cheapest lottery over one or two policies whose failure keeps to the budget.
+    """Cheapest lottery over one or two policies within the budget of the threshold.
 
     Args:
         responses: some of which keep to it.

@@ -82,7 +82,7 @@ def read_any(
 
 @explained
 def write_any(model: SSP, path: str | Path, start: Start | None = None) -> None:
-    """Write a model to a file, whose name's ending says in which format; .umb through Storm.
+    """Write a model to a file of any format, which the name's ending says; .umb through Storm.
 
     Args:
         model: the model.
@@ -110,7 +110,7 @@ def write_any(model: SSP, path: str | Path, start: Start | None = None) -> None:
 
 
 def _ending_of(file: Path, endings: Sequence[str]) -> str:
-    """The ending of a file's name, which says its format."""
+    """Ending of a file's name, which says which of any formats it has."""
     for ending in endings:
         if file.name.endswith(ending):
             return ending

@@ -75,7 +75,7 @@ def _write_archive(
 
 
 def _read_archive(path: FilePath, kind: str) -> tuple[Any, dict[str, Array]]:
-    """The header and the arrays of an archive; nothing in it is executed.
+    """Header and arrays of an archive; nothing in it is executed.
 
     Raises:
         ModelError: naming the file: it is none, broken, or of a later version than this library
@@ -93,22 +93,22 @@ def _read_archive(path: FilePath, kind: str) -> tuple[Any, dict[str, Array]]:
     if found != f"ssp-lp {kind}":
         what = "it was not written by ssp-lp" if found is None else f"it says {str(found)[:60]!r}"
         raise ModelError(f"{path} is no ssp-lp {kind} file: {what}")
-    told = header.get("version")
-    if type(told) is not int or not 1 <= told <= _VERSION:
-        newer = type(told) is int and told > _VERSION
+    version = header.get("version")
+    if type(version) is not int or not 1 <= version <= _VERSION:
+        newer = type(version) is int and version > _VERSION
         remedy = "install a newer ssp-lp" if newer else f"write the {kind} anew with this one"
         raise ModelError(
-            f"{path} has version {told!r}, this ssp-lp reads up to {_VERSION}: {remedy}"
+            f"{path} has version {version!r}, this ssp-lp reads up to {_VERSION}: {remedy}"
         )
     return header, arrays
 
 
 @contextmanager
 def _opened_archive(path: FilePath, kind: str) -> Iterator[tuple[Any, dict[str, Array]]]:
-    """The header and the arrays; :class:`ModelError` names the file where they make no sense."""
-    found = _read_archive(path, kind)
+    """Header and arrays of an archive; :class:`ModelError` names the file where they are wrong."""
+    content = _read_archive(path, kind)
     try:
-        yield found
+        yield content
     except ModelError as error:
         raise ModelError(f"{path}: ", *error.args) from error
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
@@ -116,12 +116,12 @@ def _opened_archive(path: FilePath, kind: str) -> Iterator[tuple[Any, dict[str, 
 
 
 def _native_array(archive: Mapping[str, Array], name: str) -> Array:
-    """One array, in the machine's own byte order."""
+    """An archive's array, in the machine's own byte order."""
     try:
-        found = archive[name]
+        array = archive[name]
     except (ValueError, MemoryError) as error:
         raise ModelError(f"the array {name} has another type or size than it should") from error
-    return found.astype(found.dtype.newbyteorder("="), copy=False)
+    return array.astype(array.dtype.newbyteorder("="), copy=False)
 
 
 _ARRAYS = {
@@ -138,7 +138,7 @@ _FRACTION = re.compile(r"\d{1,4000}(/\d{1,4000})?", re.ASCII)
 
 @explained
 def save_model(model: SSP, path: FilePath) -> None:
-    """Write a model with all that it says, to be read by :func:`load_model`.
+    """Write a model with all that it says to an archive for :func:`load_model`.
 
     Args:
         model: the model; its states and actions are called by strings, numbers, truth values, and
@@ -178,7 +178,7 @@ def save_model(model: SSP, path: FilePath) -> None:
 
 @explained
 def load_model(path: FilePath) -> SSP:
-    """Read a model that :func:`save_model` wrote; nothing in the file is run.
+    """Read a model from the archive that :func:`save_model` wrote; nothing in it is run.
 
     Args:
         path: the file.
@@ -231,14 +231,14 @@ def _model_in_archive(texts: Mapping[str, Any], arrays: Mapping[str, Array]) -> 
 
 
 def _named_in_archive(names: Sequence[Hashable], numbers: Array, what: str) -> list[Hashable]:
-    """The names at some positions."""
+    """Names at some positions in an archive."""
     if ((numbers < 0) | (numbers >= len(names))).any():
         raise ModelError(f"there are {what} without a name")
     return [names[k] for k in numbers.tolist()]
 
 
 def _exact_costs_in_archive(listed: Sequence[tuple[float, str]]) -> Mapping[float, Fraction]:
-    """Costs that were given as fractions; digits are counted before they are read."""
+    """An archive's costs that are fractions; digits are counted before they are read."""
     for _, text in listed:
         if not _FRACTION.fullmatch(text):
             raise ModelError(f"the exact cost {text[:60]!r} is no fraction")
@@ -247,7 +247,7 @@ def _exact_costs_in_archive(listed: Sequence[tuple[float, str]]) -> Mapping[floa
 
 @explained
 def save_policy(policy: AnyPolicy, path: FilePath) -> None:
-    """Write a policy to a file: compressed arrays with a header in JSON, no pickle.
+    """Write a policy to an archive: compressed arrays with a header in JSON, no pickle.
 
     The file holds the model's :func:`fingerprint`, not the model: :func:`load_policy` is given it.
 
@@ -265,7 +265,7 @@ def save_policy(policy: AnyPolicy, path: FilePath) -> None:
 
 @explained
 def load_policy(path: FilePath, model: SSP, *, check: bool = True) -> AnyPolicy:
-    """Read a policy beside the model that it was made for, such as one built anew.
+    """Read a policy's archive beside the model that it was made for, or one built anew.
 
     It plays the same episodes as the one that was saved, given the same generator.
 
@@ -300,7 +300,7 @@ def load_policy(path: FilePath, model: SSP, *, check: bool = True) -> AnyPolicy:
 def _policy_in(
     header: Mapping[str, Any], arrays: Mapping[str, Array], model: SSP, *, check: bool
 ) -> AnyPolicy:
-    """The policy that a header tells of; see :func:`load_policy`.
+    """The policy that an archive's header states; see :func:`load_policy`.
 
     Raises:
         ModelError: the model is another one.
@@ -363,7 +363,7 @@ class _PolicyRecords:
         self._named: dict[Any, str] = {}  # content of an array -> its name
 
     def header(self, policy: AnyPolicy) -> dict[str, Any]:
-        """What the header of a file says of a policy, and of the model that it lives on.
+        """Header of an archive for a policy and the model that it lives on.
 
         Raises:
             ModelError: the policy cannot be saved, or lives on several models.
@@ -387,18 +387,18 @@ class _PolicyRecords:
                 "survive": stated.survive,
             }
         prints = {"model": fingerprint(model), "pairs": pair_print(model)}
-        told = {"sizes": repr(model), "policies": self._records}
-        return prints | told | {"horizon": horizon, "label": label}
+        header = {"sizes": repr(model), "policies": self._records}
+        return prints | header | {"horizon": horizon, "label": label}
 
     def add_array(self, array: Array) -> str:
-        """The name under which an array is found again; equal ones are kept once."""
+        """Name of an array in the archive; equal ones are kept once."""
         key = array.dtype.str, array.shape, array.tobytes()
         name = self._named.setdefault(key, f"array{len(self._named)}")
         self.arrays[name] = array
         return name
 
     def _add(self, policy: AnyPolicy) -> int:
-        """The number of a policy's record; a policy that occurs twice has one.
+        """Number of a policy's record in the archive; a policy that occurs twice has one.
 
         Raises:
             ModelError: it, or a part of it, is of a class that no file can hold.
@@ -419,7 +419,7 @@ class _PolicyRecords:
         return self._known.setdefault(id(policy), len(self._records) - 1)
 
     def _stated(self, value: Any) -> Any:
-        """A field of a policy as JSON has it."""
+        """A policy's field as JSON for an archive."""
         if isinstance(value, np.ndarray):
             return self.add_array(value)
         if isinstance(value, (Policy, MixedPolicy)):
@@ -437,7 +437,7 @@ _ROUNDING = 1e-9
 
 @explained
 def save_solution(solution: Solution, path: FilePath) -> None:
-    """Write a solution to a file: its policy, numbers, prices, value function and run.
+    """Write a solution to an archive: its policy, numbers, prices, value function and run.
 
     The model and the problem are not in it: :func:`load_solution` is given the problem.
 
@@ -462,7 +462,7 @@ def save_solution(solution: Solution, path: FilePath) -> None:
 
 @explained
 def load_solution(path: FilePath, problem: Problem) -> Solution:
-    """Read a solution beside its problem, stated again; ``certify`` says of it what it said before.
+    """Read a solution's archive beside its problem, stated again; ``certify`` says the same.
 
     Args:
         path: a file of :func:`save_solution`.
@@ -491,7 +491,7 @@ def load_solution(path: FilePath, problem: Problem) -> Solution:
 
 
 def _solution_words(problem: Problem) -> dict[str, Any]:
-    """What in a solution's file tells a problem from others on the same model."""
+    """Words of a solution's archive that tell its problem from others on the same model."""
     semantics, measure = problem.semantics, problem.semantics.measure
     return {
         "criterion": type(problem).__name__,
@@ -508,7 +508,7 @@ def _solution_words(problem: Problem) -> dict[str, Any]:
 
 
 def _check_problem(problem: Problem, kept: Mapping[str, Any], start: np.ndarray[Any, Any]) -> None:
-    """Raise :class:`ModelError` unless the file's solution belongs to the problem."""
+    """Raise :class:`ModelError` unless an archive's solution belongs to the problem."""
     for name, stated in _solution_words(problem).items():
         saved = kept[name]
         same = saved == stated
@@ -559,14 +559,14 @@ def fingerprint(model: SSP) -> str:
     for name, costs in model.named_costs.items():
         _fingerprint_array(digest.update, f"cost {name!r}", costs, "<f8")
     for name, value in _fingerprint_words(model):
-        told = json.dumps(value, sort_keys=True, separators=(",", ":")).encode()
-        digest.update(f"\n{name} {len(told)}\n".encode() + told)
+        content = json.dumps(value, sort_keys=True, separators=(",", ":")).encode()
+        digest.update(f"\n{name} {len(content)}\n".encode() + content)
     return digest.hexdigest()
 
 
 @kept
 def pair_print(model: SSP) -> str:
-    """The SHA-256 of which state has how many pairs: what a policy needs of a model."""
+    """Fingerprint of a model's pairs by state: the SHA-256 of what a policy needs of it."""
     digest = sha256(b"ssp-lp pairs 1")
     _fingerprint_array(digest.update, "pair_offsets", model.pair_offsets, "<i8")
     return digest.hexdigest()
@@ -583,7 +583,7 @@ def _fingerprint_array(
 
 
 def _fingerprint_words(model: SSP) -> Iterator[tuple[str, object]]:
-    """What a model's fingerprint takes in besides its numbers, by name."""
+    """Words that a model's fingerprint takes in besides its numbers, by name."""
     yield "states", _fingerprint_labels(model.states)
     yield "actions", _fingerprint_labels(model.action_names)
     yield "state_labels", {name: found.tolist() for name, found in model.state_labels.items()}
@@ -593,14 +593,14 @@ def _fingerprint_words(model: SSP) -> Iterator[tuple[str, object]]:
 
 
 def _fingerprint_labels(labels: Sequence[Hashable]) -> object:
-    """Labels as JSON values; their number where they are the whole numbers in turn."""
+    """Labels in a model's fingerprint as JSON; their number if they are 0, 1, ..."""
     if are_numbers_in_turn(labels):
         return len(labels)
     return [stated_value(label) for label in labels]
 
 
 def label_value(label: Hashable) -> Any:
-    """A label as a JSON value: strings, numbers, True, False and None as they are, tuples as lists.
+    """A label as a JSON value in an archive: texts, numbers, True, False, None; tuples as lists.
 
     Raises:
         ModelError: it is, or holds, anything else, or a number that is not finite.
@@ -623,7 +623,7 @@ def label_value(label: Hashable) -> Any:
 
 
 def stated_value(label: Hashable) -> Any:
-    """As :func:`label_value`, and what else can be stated the same way in every process.
+    """A value as JSON in an archive, the same way in every process; labels as :func:`label_value`.
 
     Sets, fractions, members of enumerations and dataclasses become objects that name them.
 
@@ -646,7 +646,7 @@ def stated_value(label: Hashable) -> Any:
 
 
 def are_numbers_in_turn(labels: Sequence[Hashable]) -> bool:
-    """Whether the labels need no JSON: the whole numbers 0, 1, ..."""
+    """Whether an archive needs no labels: they are the whole numbers 0, 1, ..."""
     if isinstance(labels, range):
         return labels == range(len(labels))
     return all(label == k for k, label in enumerate(labels))

@@ -78,29 +78,29 @@ class Controller:
     def __init__(self, path: str | PathLike[str]) -> None:
         try:
             with open(path, encoding="utf-8") as file:
-                told = json.load(file)
+                content = json.load(file)
         except (TypeError, ValueError, RecursionError) as error:
             raise ValueError(f"{path!r} is no ssp-lp controller file: {error}") from error
-        if not isinstance(told, dict) or told.get("format") != "ssp-lp controller":
+        if not isinstance(content, dict) or content.get("format") != "ssp-lp controller":
             raise ValueError(f"{path} is no ssp-lp controller file")
-        if told.get("version") != _VERSION:
-            raise ValueError(f"{path} has version {told.get('version')!r}, not {_VERSION}")
-        if told.get("checksum") != controller_checksum(told):
+        if content.get("version") != _VERSION:
+            raise ValueError(f"{path} has version {content.get('version')!r}, not {_VERSION}")
+        if content.get("checksum") != controller_checksum(content):
             raise ValueError(f"{path} is damaged: its content does not agree with its checksum")
-        self.model: str = told["model"]
-        states, self._are_numbered = told["states"], isinstance(told["states"], int)
+        self.model: str = content["model"]
+        states, self._are_numbered = content["states"], isinstance(content["states"], int)
         labels = range(states) if self._are_numbered else map(controller_label, states)
         self._index: dict[Hashable, int] = {label: k for k, label in enumerate(labels)}
-        self._actions: list[Hashable] = [controller_label(action) for action in told["actions"]]
-        self._goals, self._dead_ends = frozenset(told["goals"]), frozenset(told["dead_ends"])
-        self._members: list[dict[str, Any]] = told["members"]
+        self._actions: list[Hashable] = [controller_label(action) for action in content["actions"]]
+        self._goals, self._dead_ends = frozenset(content["goals"]), frozenset(content["dead_ends"])
+        self._members: list[dict[str, Any]] = content["members"]
         for member in self._members:
             member["ends"] = frozenset(member["ends"])
         self._rng = random.Random()
         self._member: dict[str, Any] | None = None
 
     def reset(self, seed: int | None = None, *, world: str = "model") -> None:
-        """Begin an episode.
+        """Begin an episode of the controller.
 
         Args:
             seed: of the lottery and of random actions; None: go on with the generator as it is.
@@ -199,7 +199,7 @@ class Controller:
         return int(member["otherwise"][state] if acts and choice < 0 else choice)
 
     def observe(self, successor: Hashable, cost: float) -> None:
-        """Tell where the step led and what it cost; this moves the memory.
+        """Tell the controller where the step led and what it cost, to move its memory.
 
         Raises:
             ValueError: unknown state, an episode that is over, an action that was observed already,
@@ -227,13 +227,13 @@ class Controller:
         self._step, self._is_observed, self._quits = (there, self._step[1]), True, False
 
     def _current(self) -> dict[str, Any]:
-        """The member that the controller plays."""
+        """The member of the lottery that the controller plays."""
         if self._member is None:
             raise RuntimeError("call reset(seed) before the first action of an episode")
         return self._member
 
     def _state(self, label: Hashable) -> int:
-        """The number of a state that the controller is told of."""
+        """Number of a state that the controller observes."""
         with suppress(KeyError, TypeError):  # a list, say, has no hash
             if isinstance(label, Integral) or not self._are_numbered:
                 return self._index[label]
@@ -246,13 +246,13 @@ class Controller:
 
 
 def controller_checksum(told: dict[str, Any]) -> str:
-    """The SHA-256 of all that a controller's file says but its checksum, as compact sorted JSON."""
+    """SHA-256 of a controller's file but for its checksum, as compact sorted JSON."""
     said = {name: value for name, value in told.items() if name != "checksum"}
     return sha256(json.dumps(said, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def controller_label(value: Any) -> Hashable:
-    """A label from its JSON value: lists are tuples."""
+    """A controller's label from its JSON value: lists are tuples."""
     if isinstance(value, list):
         return tuple(controller_label(part) for part in value)
     return cast("Hashable", value)
@@ -270,7 +270,7 @@ def _controller_start(memory: dict[str, Any] | None, state: int) -> Any:
 
 
 def _controller_place(memory: dict[str, Any], number: int, state: int) -> int:
-    """The situation of a state and the number of a memory."""
+    """The controller's situation: a state and the number of a memory."""
     place: int = memory["place"][number][state]
     if place < 0:
         raise ValueError("a state was reached with a memory that the policy does not know there")

@@ -83,13 +83,13 @@ class EnvironmentSSP(SSP):
 
     @cached_property
     def ends(self) -> frozenset[Hashable]:
-        """The environment's states that the model has an end of its own for."""
+        """States of the Gymnasium environment for which the model has an end of its own."""
         return frozenset(
             label[1] for label in self.states if isinstance(label, tuple) and label[0] == END
         )
 
     def label(self, state: Hashable, terminated: bool) -> Hashable:
-        """The model's state for what the environment shows after a step."""
+        """State of the model for an observation of the Gymnasium environment after a step."""
         return (END, state) if terminated and state in self.ends else state
 
 
@@ -260,7 +260,7 @@ def continuous_from_gymnasium(
 
 
 def _step_limit_of(env: gymnasium.Env[Any, Any]) -> int | None:
-    """The steps after which the environment's ``TimeLimit`` cuts an episode off; None: never.
+    """Steps after which the Gymnasium environment's ``TimeLimit`` ends an episode; None: never.
 
     Raises:
         MissingDependencyError: gymnasium is not installed.
@@ -268,8 +268,8 @@ def _step_limit_of(env: gymnasium.Env[Any, Any]) -> int | None:
     """
     base, wrappers = (optional_module(name, "gym") for name in ("gymnasium", "gymnasium.wrappers"))
     if not hasattr(env, "unwrapped"):
-        told = "an environment is needed, such as gymnasium.make('FrozenLake-v1'), not "
-        raise ModelError(f"{told}{in_short(env)}")
+        message = "an environment is needed, such as gymnasium.make('FrozenLake-v1'), not "
+        raise ModelError(f"{message}{in_short(env)}")
     limits, layer = [], env
     while isinstance(layer, base.Wrapper):
         if isinstance(layer, wrappers.TimeLimit):
@@ -279,7 +279,7 @@ def _step_limit_of(env: gymnasium.Env[Any, Any]) -> int | None:
 
 
 def _name_of(env: Any) -> str:
-    """What Gymnasium calls an environment, or what its class is called."""
+    """Name of a Gymnasium environment, or of its class."""
     return str(env.spec.id if env.spec is not None else type(env.unwrapped).__name__)
 
 
@@ -298,7 +298,7 @@ class _Table(NamedTuple):
 
 
 def _table_of(env: gymnasium.Env[Any, Any]) -> _Table:
-    """The environment's table of transitions, checked.
+    """The Gymnasium environment's table of transitions, checked.
 
     Raises:
         ModelError: there is none, or outcomes that are none, or do not sum to one.
@@ -347,29 +347,29 @@ def _table_of(env: gymnasium.Env[Any, Any]) -> _Table:
 
 
 def _keys(listed: Any) -> Any:
-    """Keys of the environment's dict, or positions in a list."""
+    """Keys of a Gymnasium environment's dict, or positions in a list."""
     return listed if isinstance(listed, Mapping) else range(len(listed))
 
 
 def _values(listed: Any) -> Any:
-    """Values of the environment's dict, or entries of a list."""
+    """Values of a Gymnasium environment's dict, or entries of a list."""
     return listed.values() if isinstance(listed, Mapping) else listed
 
 
 def _plain(value: Any) -> Any:
-    """A number of numpy's as one of Python's; anything else as it is."""
+    """A number from a Gymnasium environment as one of Python's; anything else as it is."""
     return value.item() if isinstance(value, np.generic) else value
 
 
 def _start_of(
     env: gymnasium.Env[Any, Any], start: Hashable | Mapping[Hashable, float] | None
 ) -> dict[Hashable, float]:
-    """The states in which the environment's episodes begin, with their probabilities."""
+    """States in which the Gymnasium environment's episodes begin, with their probabilities."""
     if start is None:
         shares = getattr(env.unwrapped, "initial_state_distrib", None)
         if shares is None:
-            told = "the environment has no initial_state_distrib: give "
-            raise ModelError(told, Argument("start"))
+            message = "the environment has no initial_state_distrib: give "
+            raise ModelError(message, Argument("start"))
         start = dict(zip(_keys(shares), map(float, _values(shares)), strict=True))
     if not isinstance(start, Mapping):
         return {_plain(start): 1.0}
@@ -396,7 +396,7 @@ def _model_of_table(
     goal: Callable[[Any], bool] | None,
     cost: CostFunction,
 ) -> EnvironmentSSP:
-    """The model of an environment: every state of its table, and the ends.
+    """The model of a Gymnasium environment: every state of its table, and the ends.
 
     Args:
         table: of the environment.
@@ -460,7 +460,7 @@ def _model_of_table(
 def _costs_of_outcomes(
     table: _Table, kept: IntArray, cost: CostFunction
 ) -> tuple[npt.ArrayLike, dict[float, Fraction]]:
-    """What some of the table's outcomes cost, and the fractions among it."""
+    """Costs of some outcomes in a Gymnasium table, from rewards, and the fractions among them."""
     if cost is _step_cost:
         return 1.0, {}
     if cost is _reward_cost:
@@ -476,7 +476,7 @@ def _costs_of_outcomes(
 
 
 def _rewarded(table: _Table, steps: IntArray) -> BoolArray:
-    """Whether the environment terminates in a state with a reward, [states].
+    """Whether the Gymnasium environment terminates in a state with a reward, [states].
 
     Raises:
         ModelError: there are none, or one is entered with a reward and without.
@@ -495,8 +495,8 @@ def _rewarded(table: _Table, steps: IntArray) -> BoolArray:
     goals = (least > 0.0) & (most > 0.0)
     if not goals.any():
         ends = [table.states[k] for k in list(dict.fromkeys(to.tolist()))[:5]]
-        told = f"no step into one of the environment's ends {ends} is rewarded: "
-        raise ModelError(told, *_SAY_GOALS)
+        message = f"no step into one of the environment's ends {ends} is rewarded: "
+        raise ModelError(message, *_SAY_GOALS)
     return np.asarray(goals)
 
 
@@ -506,7 +506,7 @@ class StepLimitWarning(UserWarning):
 
 @dataclass(frozen=True, eq=False)
 class RolloutReport(ReadOnlyCopies):
-    """What happened in the episodes."""
+    """Counts of the episodes that were rolled out in an environment."""
 
     episodes: int
     goal: int  # reached it
@@ -521,7 +521,7 @@ class RolloutReport(ReadOnlyCopies):
     step_limit: int | None  # the environment's own
 
     def summary(self) -> str:
-        """Two lines for a person."""
+        """Rollouts in a Gymnasium environment in two lines for a person."""
         cut = ", cut where truncated" if self.truncated else ""
         ends = f"goal {self.goal:,}, failed {self.failed:,}, gave up {self.gave_up:,}"
         return (
@@ -573,8 +573,8 @@ def rollout(
     model = lottery.model
     if not isinstance(model, EnvironmentSSP):
         raise ModelError("the policy's model is of no environment: make it by from_gymnasium(env)")
-    limit, known = _step_limit_of(env), [member.step_limit for member in lottery.policies]
-    horizon = None if None in known else min(cast("list[int]", known))
+    limit, step_limits = _step_limit_of(env), [member.step_limit for member in lottery.policies]
+    horizon = None if None in step_limits else min(cast("list[int]", step_limits))
     most = min(m for m in (max_steps or MOST_STEPS, horizon) if m is not None)
     theirs, ours = np.random.SeedSequence(seed).spawn(2)  # one stream would couple their draws
     env.reset(seed=int(theirs.generate_state(1)[0]))
@@ -582,9 +582,9 @@ def rollout(
     played = [_play_episode(env, player, most) for _ in range(episodes)]
     count, cut_off = Counter(one.end for one in played), sum(one.is_cut_off for one in played)
     if cut_off and (horizon is None or limit is None or horizon > limit):
-        told = "a wrapper of its own" if limit is None else f"TimeLimit, max_episode_steps={limit}"
+        by = "a wrapper of its own" if limit is None else f"TimeLimit, max_episode_steps={limit}"
         warnings.warn(
-            f"{_name_of(env)} cut off {cut_off:,} of {episodes:,} episodes ({told}), which the "
+            f"{_name_of(env)} cut off {cut_off:,} of {episodes:,} episodes ({by}), which the "
             "policy does not know of: a model with a horizon counts steps",
             StepLimitWarning,
             stacklevel=3,  # beyond the rollout and what explains its errors
@@ -603,7 +603,7 @@ def rollout(
 
 
 class _Episode(NamedTuple):
-    """How an episode of a rollout ended."""
+    """One episode of a rollout, and its end."""
 
     end: str  # a count of the report
     cost: float
@@ -639,13 +639,13 @@ class _Player:
         return branches.pair.tolist(), kept.tolist(), np.cumsum(branches.probability).tolist()
 
     def _remembered(self, member: Policy, *step: float) -> int:
-        """The memory after a step: from a memory, by a pair, to a state, at a cost."""
+        """Memory of a policy played in an environment after a step."""
         memory, pair, state, cost = (np.array([part]) for part in step)
         return int(member.remember(memory, pair, state, cost)[0])
 
 
 def _play_episode(env: gymnasium.Env[Any, Any], player: _Player, most: int) -> _Episode:
-    """Play one episode of at most so many steps.
+    """Play an episode of at most so many steps in the Gymnasium environment.
 
     Raises:
         ModelError: the environment leaves its table, or a step costs what no step may.

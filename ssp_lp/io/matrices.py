@@ -90,20 +90,20 @@ def from_matrices(
 
 
 def _matrix(matrix: Any) -> Any:
-    """One matrix, sparse, without entries that are 0."""
+    """A transition matrix, sparse, without entries that are 0."""
     try:
-        found = sp.csr_array(matrix, dtype=np.float64)
+        entries = sp.csr_array(matrix, dtype=np.float64)
     except (ValueError, TypeError, OverflowError) as error:
         raise ModelError(f"a matrix of transitions is none: {error}") from error
-    found.sum_duplicates()
-    found.eliminate_zeros()
-    return found
+    entries.sum_duplicates()
+    entries.eliminate_zeros()
+    return entries
 
 
 def _paid_by_matrix(
     given: Any, state: IntArray, action: IntArray, target: IntArray, matrices: Sequence[Any]
 ) -> FloatArray:
-    """The cost or reward that the matrices give each outcome, [outcomes]."""
+    """Cost of each outcome from matrices of costs or rewards, [outcomes]."""
     n_states, n_actions = matrices[0].shape[0], len(matrices)
     if isinstance(given, (list, tuple)) and any(sp.issparse(part) for part in given):
         if len(given) != n_actions or any(part.shape != matrices[0].shape for part in given):

@@ -97,21 +97,21 @@ def to_frame(policy: Policy | MixedPolicy) -> Any:
 
 
 def _table_rows(policy: Policy, member: int) -> Iterator[PolicyRow]:
-    """The rows of a policy's table, a member's decisions."""
+    """Rows of a policy's exported table, a member's decisions."""
     model, names = policy.model, policy.model.states
-    for code, told in memories_of(policy):
+    for code, memory in memories_of(policy):
         states = _table_states(policy, code)
-        found = policy.branches(states, np.full(len(states), code, dtype=np.int64))
-        decided = np.flatnonzero((found.pair != UNDECIDED) & (found.probability > 0.0))
-        here = states[found.situation[decided]].tolist()
-        pairs, shares = found.pair[decided].tolist(), found.probability[decided].tolist()
+        branches = policy.branches(states, np.full(len(states), code, dtype=np.int64))
+        decided = np.flatnonzero((branches.pair != UNDECIDED) & (branches.probability > 0.0))
+        here = states[branches.situation[decided]].tolist()
+        pairs, shares = branches.pair[decided].tolist(), branches.probability[decided].tolist()
         for state, pair, share in zip(here, pairs, shares, strict=True):
             action = policies.GIVE_UP if pair == GIVE_UP_CODE else model.action_of(pair)
-            yield PolicyRow(names[state], told, action, share, member)
+            yield PolicyRow(names[state], memory, action, share, member)
 
 
 def _table_states(policy: Policy, memory: int) -> IntArray:
-    """The states that a table lists for a memory, [states]."""
+    """States that a policy's exported table lists for a memory, [states]."""
     if isinstance(policy, CompletePolicy):
         inner, alone = divmod(memory, 3)
         of_product = isinstance(policy.inner, RememberingPolicy) and not alone
@@ -131,7 +131,7 @@ def _table_states(policy: Policy, memory: int) -> IntArray:
 
 
 def memories_of(policy: Policy) -> list[tuple[int, Hashable]]:
-    """Every memory of a policy, and how a table tells of it.
+    """Memories of a policy, and the words for them in its exported table.
 
     Raises:
         ModelError: the policy is of a class whose memory is not known.
@@ -146,11 +146,11 @@ def memories_of(policy: Policy) -> list[tuple[int, Hashable]]:
             told = told if policy.levels is None else policy.levels[:-1].tolist()
             return list(enumerate([*told, *(f"tail {k}" for k in range(len(policy.tails)))]))
         case policies.TimedPolicy():
-            return _joined_in_table(range(len(policy.stages)), memories_of(policy.stages[0]))
+            return _joined_memories(range(len(policy.stages)), memories_of(policy.stages[0]))
         case RememberingPolicy():
-            return _joined_in_table(policy.product.memories, memories_of(policy.inner))
+            return _joined_memories(policy.product.memories, memories_of(policy.inner))
         case LabelledPolicy():
-            return _joined_in_table(FAILING_WORDS, memories_of(policy.inner))
+            return _joined_memories(FAILING_WORDS, memories_of(policy.inner))
         case CompletePolicy(inner=inner):
             known = [(3 * code, told) for code, told in memories_of(inner)]
             own = inner.begins(np.arange(inner.model.n_states)).all()
@@ -165,10 +165,10 @@ def memories_of(policy: Policy) -> list[tuple[int, Hashable]]:
     raise ModelError(f"what a {type(policy).__name__} remembers is not known")
 
 
-def _joined_in_table(
+def _joined_memories(
     last: Sequence[Hashable], inner: list[tuple[int, Hashable]]
 ) -> list[tuple[int, Hashable]]:
-    """Two memories in one number, the inner one its leading digit."""
+    """Two memories of an exported policy in one number, the inner one its leading digit."""
     return [
         (code * len(last) + k, outer if told is None else (outer, told))
         for k, outer in enumerate(last)
@@ -186,7 +186,7 @@ _MOST_NODES = 300
 def _member_chains(
     policy: Policy | MixedPolicy, start: Hashable | Mapping[Hashable, float]
 ) -> tuple[MixedPolicy, list[Chain]]:
-    """A policy as a lottery, and the chain of each of its members."""
+    """A policy to be exported as a lottery, and the chain of each member."""
     lottery = as_lottery(policy)
     begin = start_distribution(lottery.model, start)
     return lottery, [policy_chain(lottery.model, member, begin) for member in lottery.policies]
@@ -196,7 +196,7 @@ def _member_chains(
 def induced_chain(
     policy: Policy | MixedPolicy, start: Hashable | Mapping[Hashable, float]
 ) -> ModelFile:
-    """Make the Markov chain of a policy, whatever its memory, as a model with one action.
+    """Export a policy's Markov chain, whatever its memory, as a model with one action.
 
     Its states are (state, memory), where there is a lottery (member, state, memory); "start", from
     which a free step draws the member and the first state, and "gave up", where the policy gives
@@ -258,7 +258,7 @@ def write_dot(
     *,
     most_nodes: int = _MOST_NODES,
 ) -> None:
-    """Write what a policy does from a start as a graph: ``dot -Tsvg FILE`` draws it.
+    """Export a policy from a start as a graph: ``dot -Tsvg FILE`` draws it.
 
     A node is a state with what is remembered, and the action taken there (with its probability, if
     it is drawn); an edge is a step with its probability. Goals have two rings, dead-ends and giving
@@ -293,8 +293,8 @@ def write_dot(
 
 
 def _dot_nodes(policy: Policy, chain: Chain, member: int) -> Iterator[str]:
-    """The nodes of the graph, as lines of dot."""
-    model, told = chain.model, dict(memories_of(policy))
+    """Nodes of an exported policy's graph, as lines of dot."""
+    model, memories = chain.model, dict(memories_of(policy))
     actions = defaultdict(list)
     branches = zip(chain.branch_node, chain.branch_pair, chain.branch_probability, strict=True)
     for node, pair, probability in branches:
@@ -302,7 +302,7 @@ def _dot_nodes(policy: Policy, chain: Chain, member: int) -> Iterator[str]:
         share = "" if probability == 1.0 else f" {probability:.6g}"
         actions[int(node)].append(f"{action}{share}")
     for node in range(chain.n_nodes):
-        memory = told.get(int(chain.memory[node]))
+        memory = memories.get(int(chain.memory[node]))
         goal, dead = chain.goal[node] > 0.0, chain.dead[node] > 0.0
         silent = memory is None or goal or dead
         name = f"{model.states[int(chain.state[node])]}{'' if silent else f' | {memory}'}"
@@ -315,7 +315,7 @@ def _dot_nodes(policy: Policy, chain: Chain, member: int) -> Iterator[str]:
 
 @explained
 def write_scheduler(policy: Policy | MixedPolicy, path: FilePath, *, start: Hashable) -> None:
-    """Write a policy as a scheduler, as JSON of the form that Storm exports.
+    """Export a policy as a scheduler, as JSON of the form that Storm writes.
 
     States "s" and choices "index" are the numbers of :func:`ssp_lp.io.write_drn` and
     :func:`ssp_lp.io.to_stormpy`, "labels" the choice's action. A policy without memory says what
@@ -351,14 +351,14 @@ def write_scheduler(policy: Policy | MixedPolicy, path: FilePath, *, start: Hash
 
 
 def _choice_entry(process: Exported, index: int, probability: float) -> dict[str, Any]:
-    """A choice of the scheduler, in Storm's words."""
+    """A choice of an exported scheduler, in Storm's words."""
     return {"index": index, "labels": [process.actions[index]], "prob": probability}
 
 
 def _decisions_without_memory(
     policy: Policy, memory: int, process: Exported
 ) -> Iterator[dict[str, Any]]:
-    """An entry for each state of the file."""
+    """Entries of an exported scheduler without memory, one for each state."""
     acting = np.flatnonzero(np.diff(policy.model.pair_offsets))
     branches = policy.branches(acting, np.full(acting.size, memory))
     chosen: dict[int, list[dict[str, Any]]] = {state: [] for state in acting.tolist()}
@@ -372,12 +372,12 @@ def _decisions_without_memory(
 
 
 def _ended(chain: Chain) -> Any:
-    """Which nodes are goals or dead-ends, [nodes]."""
+    """Nodes of an exported policy that are goals or dead-ends, [nodes]."""
     return chain.model.goal_mask[chain.state] | (chain.dead > 0.0)
 
 
 class _Scheduler:
-    """What a policy with a memory does on the states of a file. Grows.
+    """A scheduler for a policy with a memory on the states of a file. Grows.
 
     ``choices`` are in each state of the file and memory the choices, each with its probability and
     the memory after each successor.
@@ -411,7 +411,7 @@ class _Scheduler:
             self._quit(*nodes[node], chance)
 
     def entries(self) -> Iterator[dict[str, Any]]:
-        """An entry for each state and memory that is reached."""
+        """Entries of the exported scheduler for each state and memory that is reached."""
         for (state, memory), choices in sorted(self._choices.items()):
             entry: dict[str, Any] = {"s": state, "m": memory, "c": []}
             for index, (chance, after) in sorted(choices.items()):
@@ -421,7 +421,7 @@ class _Scheduler:
             yield entry
 
     def _take(self, at: tuple[int, int], pair: int, chance: float, after: dict[int, int]) -> None:
-        """Take a pair; states that pay keep the memory until they have paid."""
+        """Take a pair in an exported scheduler; states that pay keep the memory until they have."""
         process, updates = self._process, dict[int, int]()
         for outcome, then in after.items():
             target = int(process.target_of_outcome[outcome])
@@ -434,7 +434,7 @@ class _Scheduler:
         choices[int(process.choice_of_pair[pair])] = chance, updates
 
     def _end(self, state: int, memory: int) -> None:
-        """Stay where nothing happens any more; a dead-end that has actions is left to them."""
+        """Entry of an exported scheduler where an episode is over; a dead-end keeps its actions."""
         if self._model.pair_offsets[state] < self._model.pair_offsets[state + 1]:
             self._quit(state, memory, 1.0)
             return
@@ -442,7 +442,7 @@ class _Scheduler:
         self._choices[state, memory] = {index: (1.0, {state: memory})}
 
     def _quit(self, state: int, memory: int, chance: float) -> None:
-        """Give up: from here on avoid the goal."""
+        """Give up in an exported scheduler: from here on avoid the goal."""
         queue, waiting = [(state, memory, chance)], set[int]()
         while queue:
             here, code, share = queue.pop()
@@ -460,7 +460,7 @@ class _Scheduler:
                     self._end(there, self._given_up)
 
     def _avoiding(self, state: int, memory: int) -> int:
-        """A pair that surely avoids the goal and is not taken for another reason."""
+        """A pair in an exported scheduler that surely avoids the goal and is free to be taken."""
         taken = self._choices.get((state, memory), {})
         for pair in range(*self._model.pair_offsets[state : state + 2].tolist()):
             if self._staying[pair] and int(self._process.choice_of_pair[pair]) not in taken:
@@ -497,7 +497,7 @@ def write_controller(policy: Policy | MixedPolicy, path: FilePath) -> None:
     if GIVE_UP_WORD in model.action_names:
         raise ModelError(f"an action is called {GIVE_UP_WORD!r}, which says that a policy gives up")
     codes = {name: k for k, name in enumerate(model.action_names)}
-    told = {
+    content = {
         "format": "ssp-lp controller",
         "version": _VERSION,
         "model": fingerprint(model),
@@ -512,8 +512,8 @@ def write_controller(policy: Policy | MixedPolicy, path: FilePath) -> None:
             for member, weight in zip(lottery.policies, lottery.weights.tolist(), strict=True)
         ],
     }
-    told["checksum"] = controller_checksum(told)
-    text = json.dumps(told, separators=(",", ":"), allow_nan=False)
+    content["checksum"] = controller_checksum(content)
+    text = json.dumps(content, separators=(",", ":"), allow_nan=False)
     Path(path).write_text(text + "\n", encoding="utf-8")
 
 
@@ -535,7 +535,7 @@ def _controller_member(policy: Policy, codes: Mapping[Hashable, int]) -> dict[st
 
 
 def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[str, Any] | None:
-    """What the policy remembers, as the controller reads it.
+    """An exported policy's memory as the controller reads it.
 
     Raises:
         ModelError: the controller does not know such a memory.
@@ -583,12 +583,12 @@ def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[st
 
 
 def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> dict[str, Any]:
-    """How the number of a product's memory goes on, for the controller's file."""
+    """Transitions of an exported product's memory numbers, for the controller's file."""
     if isinstance(product, HorizonSSP):
         acting = np.diff(product.original.pair_offsets) > 0
         return {"kind": "steps", "steps": product.steps, "acting": acting.astype(int).tolist()}
-    known, numbers = product.table >= 0, np.empty(product.n_states, dtype=np.int64)
-    numbers[product.table[known]] = np.nonzero(known)[1]
+    occurs, numbers = product.table >= 0, np.empty(product.n_states, dtype=np.int64)
+    numbers[product.table[occurs]] = np.nonzero(occurs)[1]
     pairs = segment_ids(product.outcome_offsets)
     begin, end = numbers[product.pair_state[pairs]], numbers[product.successors]
     action = np.array([codes[name] for name in product.action_names])[product.pair_action[pairs]]
@@ -614,7 +614,7 @@ def _labelled_codes(product: FailureSSP, codes: Mapping[Hashable, int]) -> dict[
 
 
 def _controller_decisions(policy: Policy, codes: Mapping[Hashable, int]) -> list[list[Any]]:
-    """What the policy does, [memories][states], of the innermost memory and its states."""
+    """An exported policy's decisions, [memories][states], of its innermost memory."""
     over = np.zeros(policy.model.n_states, dtype=np.bool_)
     while isinstance(policy, RememberingPolicy | LabelledPolicy):
         product, policy = policy.product, policy.inner
@@ -629,12 +629,12 @@ def _controller_decisions(policy: Policy, codes: Mapping[Hashable, int]) -> list
     action = np.append(action[model.pair_action], 0)  # of a model without pairs, too
     decisions = []
     for memory in range(memory_size(policy)):
-        found = policy.branches(np.arange(model.n_states), np.full(model.n_states, memory))
-        choice = np.where(found.pair < 0, found.pair, action[np.maximum(found.pair, 0)])
+        branches = policy.branches(np.arange(model.n_states), np.full(model.n_states, memory))
+        choice = np.where(branches.pair < 0, branches.pair, action[np.maximum(branches.pair, 0)])
         # it gives up where it has no decision and all is over
-        choice = np.where(over[found.situation] & (choice == UNDECIDED), GIVE_UP_CODE, choice)
+        choice = np.where(over[branches.situation] & (choice == UNDECIDED), GIVE_UP_CODE, choice)
         listed: list[list[list[Any]]] = [[] for _ in range(model.n_states)]
-        columns = found.situation, choice, found.probability
+        columns = branches.situation, choice, branches.probability
         for state, code, share in zip(*(column.tolist() for column in columns), strict=True):
             listed[state].append([code, share])
         decisions.append([some[0][0] if len(some) == 1 else some for some in listed])

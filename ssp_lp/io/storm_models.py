@@ -130,7 +130,7 @@ def read_with_storm(
 def _explored_program(
     stormpy: Any, file: Path, program: Any, goal: str, cost: str | None
 ) -> ModelFile:
-    """The model that a program without open constants describes."""
+    """Storm's model of a program without open constants."""
 
     def asked(source: str, text: str) -> Any:
         """One property of the program."""
@@ -226,12 +226,12 @@ def _model_of_storm(
     }
     if formula is not None:
         checking, every = _storm().model_checking, {"only_initial_states": False}
-        told = _ask_storm(source, checking, model, formula, **every)
-        if not told.is_qualitative():
+        checked = _ask_storm(source, checking, model, formula, **every)
+        if not checked.is_qualitative():
             raise ModelError(
                 f"{source}: the goal must say of each state whether it is one, not {goal!r}"
             )
-        labels[goal] = _members_of(told.get_truth_values_vector())
+        labels[goal] = _members_of(checked.get_truth_values_vector())
     rewards = dict(sorted(model.reward_models.items()))
     place = chosen_reward(source, list(rewards), cost)
     paid = None if place is None else list(rewards)[place]
@@ -278,12 +278,12 @@ def _check_sparse(model: Any, source: str) -> None:
 
 
 def _members_of(bits: Any) -> IntArray:
-    """The states or choices of Storm's bit vector, [members]."""
+    """States or choices of Storm's bit vector, [members]."""
     return np.array(list(bits), dtype=np.int64)
 
 
 def _matrix_of_storm(model: Any) -> tuple[IntArray, IntArray, FloatArray]:
-    """Where the outcomes of each pair begin, their successors and probabilities.
+    """Storm's matrix: where outcomes of each pair begin, their successors and probabilities.
 
     Storm's bindings hand out entries one by one; its UMB archive holds the arrays as they are.
     """
@@ -306,7 +306,7 @@ def _matrix_of_storm(model: Any) -> tuple[IntArray, IntArray, FloatArray]:
 def _costs_of_storm(
     reward: Any, state: IntArray, offsets: IntArray, successors: IntArray
 ) -> FloatArray:
-    """The cost of each outcome: of the state, the action and the transition, [outcomes]."""
+    """Cost of each outcome of Storm's model, of state, action and transition, [outcomes]."""
     pair = np.repeat(np.arange(state.size), np.diff(offsets))
     if reward is None:
         return np.ones(pair.size)
@@ -328,7 +328,7 @@ def _costs_of_storm(
 def _action_names_of_storm(
     model: Any, state: IntArray, pair_offsets: IntArray
 ) -> Sequence[str] | None:
-    """Labels of choices, the position where there is none, [pairs]; None: no labels at all."""
+    """Labels of Storm's choices, the position where there is none, [pairs]; None: no labels."""
     if not model.has_choice_labeling():
         return None
     names = np.full(state.size, "", dtype=object)
@@ -341,12 +341,12 @@ def _action_names_of_storm(
 
 
 def _state_names_of_storm(model: Any) -> Sequence[Hashable] | None:
-    """The values of each state's variables, in Storm's order; None: they name no state."""
+    """Values of each state's variables, in Storm's order; None: they name no state."""
     if not model.has_state_valuations():
         return None
     valuations = model.state_valuations
-    told = [each for each in valuations.get_all_variables() if each.name != _BEYOND]
-    columns = [_values_of_variable(valuations, variable) for variable in told]
+    variables = [each for each in valuations.get_all_variables() if each.name != _BEYOND]
+    columns = [_values_of_variable(valuations, variable) for variable in variables]
     names: list[Hashable] = list(zip(*columns, strict=True))
     for state in _states_beyond(model).tolist():
         names[state] = _BEYOND, state  # what its variables show is another's
@@ -363,7 +363,7 @@ def _states_beyond(model: Any) -> IntArray:
 
 
 def _values_of_variable(valuations: Any, variable: Any) -> list[Hashable]:
-    """A variable's value in each state, [states]."""
+    """Value of Storm's variable in each state, [states]."""
     if variable.has_boolean_type():
         bits = valuations.get_boolean_values(variable)
         holds = np.zeros(len(bits), dtype=np.bool_)

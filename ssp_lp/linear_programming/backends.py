@@ -38,7 +38,7 @@ _REMEDY = "column generation needs no LP solver"
 
 
 def backends_for(program: LinearProgram, backend: str | None) -> tuple[str, ...]:
-    """The backend asked for, or the one for the program's size, and those to fall back on.
+    """The LP backend asked for, or the one for the program's size, and those to fall back on.
 
     Raises:
         ModelError: an unknown backend.
@@ -56,7 +56,7 @@ def backends_for(program: LinearProgram, backend: str | None) -> tuple[str, ...]
 def first_accepted(
     program: LinearProgram, backend: str | None, deadline: float
 ) -> tuple[LPAnswer, float]:
-    """The answer of a backend, or of the one to fall back on, that passes its check.
+    """Answer of the first LP backend, in turn, that passes its check.
 
     Args:
         program: the program.
@@ -95,7 +95,7 @@ def first_accepted(
 def answers_in_turn(
     program: LinearProgram, backend: str | None, time_limit: float, basis: BoolArray | None
 ) -> Iterator[LPAnswer]:
-    """What one backend after another says, unchecked; nan where the time ended before.
+    """Answers of one LP backend after another, unchecked; nan where the time ended before.
 
     Args:
         program: the program.
@@ -126,7 +126,7 @@ def answers_in_turn(
 def run_backend(
     program: LinearProgram, backend: str, time_limit: float, basis: BoolArray | None = None
 ) -> LPAnswer:
-    """One backend's answer, unchecked.
+    """Answer of one LP backend, unchecked.
 
     The call ends with the deadline of what it is part of, or with Ctrl-C, whatever the solver hears
     of its own: a large program is solved in a process beside this one, which is ended then.
@@ -170,7 +170,7 @@ def run_backend(
 
 
 def serve_backend(question: BinaryIO, reply: BinaryIO) -> None:
-    """Solve one program in a process of its own.
+    """Run an LP backend on one program in a process of its own.
 
     Args:
         question: the arguments of :func:`run_backend`, pickled.
@@ -186,7 +186,7 @@ def serve_backend(question: BinaryIO, reply: BinaryIO) -> None:
 def _backend_answer(
     program: LinearProgram, backend: str, time_limit: float, basis: BoolArray | None
 ) -> LPAnswer:
-    """What a backend says."""
+    """Primal and dual solution by a named LP backend."""
     if backend == "clarabel":  # each solver is imported only when it is asked for
         return solve_with_clarabel(program, time_limit)
     if backend == "cvxpy":
@@ -197,7 +197,7 @@ def _backend_answer(
 
 
 def solve_with_clarabel(program: LinearProgram, time_limit: float) -> LPAnswer:
-    """Solve ``min q @ x, A x + s = b`` with s = 0 on equalities and s >= 0 elsewhere.
+    """The LP backend Clarabel: ``min q @ x, A x + s = b``, s = 0 on equalities, s >= 0 elsewhere.
 
     Args:
         time_limit: seconds.
@@ -225,7 +225,7 @@ def solve_with_clarabel(program: LinearProgram, time_limit: float) -> LPAnswer:
 
 
 def solve_with_cvxpy(program: LinearProgram, time_limit: float) -> LPAnswer:
-    """State the program row by row in cvxpy and solve it with cvxpy's default for LPs.
+    """The LP backend cvxpy: state the program row by row, solve with its default for LPs.
 
     Args:
         time_limit: not passed on; solvers name it differently. The call ends with it nonetheless.

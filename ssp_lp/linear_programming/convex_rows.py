@@ -39,7 +39,7 @@ class ScaledExpression:
                          "with it: expression * parameter, expression <= parameter")  # fmt: skip
 
     def _other(self, other: Any) -> Any:
-        """What is added or compared: an expression of visits, a number or a parameter."""
+        """The other operand of a convex row: an expression of visits, a number or a parameter."""
         return other.scaled if isinstance(other, ScaledExpression) else other * self._scale
 
     def __add__(self, other: Any) -> ScaledExpression:
@@ -80,7 +80,7 @@ class ScaledExpression:
 
 
 def sides(row: Any, x: Any) -> tuple[Any, str, Any]:
-    """What a row counts of a variable, how it is compared, and with what.
+    """Both sides of a convex row: what counts a variable, the sign, and the bound.
 
     Args:
         row: a constraint of cvxpy, <= or ==.
@@ -95,7 +95,7 @@ def sides(row: Any, x: Any) -> tuple[Any, str, Any]:
 
 
 def affine_parts(expression: Any, x: Any, scale: Any) -> FloatArray | None:
-    """What an affine expression takes of each entry of a variable, of the scale, and its constant.
+    """Coefficients of a convex row's affine expression, of variable and scale, and its constant.
 
     Args:
         expression: one number of cvxpy's.
@@ -123,7 +123,7 @@ def affine_parts(expression: Any, x: Any, scale: Any) -> FloatArray | None:
 
 
 def bound_in_short(row: Any, x: Any) -> str:
-    """How a row is bounded, where that is one number."""
+    """The bound of a convex row in short, where it is one number."""
     if isinstance(row, Equality | Inequality):
         _, relation, bound = sides(row, x)
         if bound.value is not None and np.size(bound.value) == 1:
@@ -134,7 +134,7 @@ def bound_in_short(row: Any, x: Any) -> str:
 def measured_rows(
     rows: Mapping[str, Any], x: Any, scale: Any, value: float
 ) -> Iterator[MeasuredRow]:
-    """Rows at the variables' values, entry by entry; those that are no <= or == are left out.
+    """Convex rows at the variables' values, entry by entry; only those with <= or ==.
 
     Args:
         rows: constraints by name.
@@ -156,7 +156,7 @@ def measured_rows(
 
 
 def broken_rows(rows: Mapping[str, Any]) -> dict[str, float]:
-    """By how much the variables' values break each row, relative to its sides; 0 where little."""
+    """Violation of each convex row at the variables' values, relative to its sides; 0 if little."""
     broken = dict[str, float]()
     for name, row in rows.items():
         off = max(float(np.max(row.violation(), initial=0.0)) - _EXCUSED, 0.0)

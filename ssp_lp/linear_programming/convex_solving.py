@@ -30,7 +30,7 @@ _HOW = "a convex expression <= a concave one, or == between affine ones, such as
 
 
 def stated(objective: Any, constraints: Mapping[str, Any]) -> Any:
-    """The problem of minimising an objective within named constraints.
+    """The convex problem, in cvxpy, of minimising an objective within named constraints.
 
     Raises:
         ModelError: something is no constraint, or not convex; says which, and what is.
@@ -55,7 +55,7 @@ def stated(objective: Any, constraints: Mapping[str, Any]) -> Any:
 def solve_stated(
     problem: Any, solver: str | None, options: Mapping[str, Any], *, tight: bool = False
 ) -> bool:
-    """Solve a problem of cvxpy; where HiGHS fails, again without its presolve.
+    """Solve a convex problem by cvxpy; where HiGHS fails, again without its presolve.
 
     Where the solver that cvxpy chooses fails, by HiGHS.
 
@@ -123,7 +123,7 @@ def contradicting(
     solver: str | None,
     **options: Any,
 ) -> Conflict:
-    """Rows that contradict each other: without any of them the others can be kept.
+    """Convex constraints that contradict each other: without any of them the others can be kept.
 
     One after another is left out, and put back where that helps. (HiGHS's irreducible subsets are
     of single rows of balance, and know no row that is not linear.)

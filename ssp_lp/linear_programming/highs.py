@@ -68,7 +68,7 @@ def solve_with_highs(
 
 
 def bound_ranges(program: LinearProgram, rows: Iterable[str]) -> dict[str, tuple[float, float]]:
-    """How far the upper bound of each row may move before its dual changes, by HiGHS' ranging.
+    """HiGHS' ranging: how far each row's upper bound may move before its dual changes.
 
     At a vertex where more meet than need to, it is the range of one of its bases: of one of the
     duals that are optimal there.
@@ -93,7 +93,7 @@ def bound_ranges(program: LinearProgram, rows: Iterable[str]) -> dict[str, tuple
 def _solved_by_highs(
     program: LinearProgram, backend: str, time_limit: float = np.inf, basis: BoolArray | None = None
 ) -> highspy.Highs:
-    """HiGHS, having solved a program; from a basis, of which steps may exchange half.
+    """HiGHS, having solved a program, from a basis if given.
 
     An answer that is worth a second attempt is asked for again without presolve: with it HiGHS 1.15
     calls sound programs infeasible.
@@ -135,7 +135,7 @@ class _SilentHighs(highspy.Highs):
 
 
 def highs_solver(lp: highspy.HighsLp, options: HighsOptions) -> highspy.Highs:
-    """HiGHS with a program and options, silent and on one core.
+    """An instance of HiGHS with a program and options, silent and on one core.
 
     Raises:
         SolverError: it refuses an option or the program.
@@ -215,7 +215,7 @@ def write_program(program: LinearProgram, path: Path, columns: Sequence[str]) ->
 
 
 def read_columns(path: Path, n_columns: int) -> FloatArray:
-    """A solution of a program that :func:`write_program` wrote, columns found by their names.
+    """A solution file of a program that HiGHS' :func:`write_program` wrote, by columns' names.
 
     Args:
         path: text in which a column's name is followed by its value; columns that it does not name

@@ -25,7 +25,7 @@ class LinearProgram:
 
     @property
     def equality(self) -> BoolArray:
-        """Rows whose two sides are equal, [rows]."""
+        """Rows of the linear program that are equations, [rows]."""
         return np.asarray(self.lower == self.upper)
 
 
@@ -53,7 +53,7 @@ class MeasuredRow(NamedTuple):
 
     @property
     def slack(self) -> float:
-        """What is left of the bound, or spent beyond it where that is the least."""
+        """Slack of a linear program's row: what is left of its bound."""
         return self.spent - self.bound if self.relation == ">=" else self.bound - self.spent
 
     def __str__(self) -> str:
@@ -65,7 +65,7 @@ class MeasuredRow(NamedTuple):
 
 
 def check_bounds(bounds: Mapping[str, object]) -> None:
-    """Raise :class:`ModelError`, naming the row, unless each bound is a number, or infinite."""
+    """Raise :class:`ModelError`, naming the row, unless a linear program's bounds are numbers."""
     for name, bound in bounds.items():
         if not (is_number(bound) and float(bound) > -np.inf):
             raise wrong_argument(name, "be a number, the bound of its row", bound)

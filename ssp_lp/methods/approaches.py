@@ -53,19 +53,19 @@ class Case:
 
     @staticmethod
     def of_solution(solution: Solution) -> Case:
-        """The case that a solution answers; one without values was made for want of time."""
+        """The case, to choose an approach to, of a solution; one without values lacked the time."""
         seconds = 0.0 if solution.value_function is None else np.inf
         on_levels = levels_of(solution.policy.policies) is not None
         return Case(solution.problem, seconds, on_levels=on_levels)
 
     @cached_property
     def asks(self) -> Requirements:
-        """What the problem asks."""
+        """Requirements of the case's problem, by which an approach answers it."""
         return requirements(self.problem)
 
     @property
     def has_cheapest_way(self) -> bool:
-        """Whether the least total of a way to the goal bounds what is asked."""
+        """Whether the approach may bound the optimum by the least total of a way to the goal."""
         return self.asks.counts_totals and not self.asks.least_failure
 
 
@@ -81,14 +81,14 @@ class _Approach:
 
 
 def _is_on_rounded_costs(case: Case) -> bool:
-    """A criterion of the law of a cost whose sums are too many, failure alone limited."""
+    """Whether the approach to a case is by rounded costs: a law of too many sums, no rows."""
     asks, on_grid = case.asks, case.asks.totals is TotalScale.GRID
     written_out = asks.rows or case.by_program or case.on_levels
     return asks.law and on_grid and not written_out
 
 
 def _is_split(case: Case) -> bool:
-    """Case S with costs whose sums are too many, or take too long."""
+    """Whether the approach to a case is by split costs: case S with too many sums."""
     return not case.by_program and is_split(case.problem, case.asks, case.seconds)
 
 
@@ -111,7 +111,7 @@ def approach_to(case: Case) -> _Approach:
 
 
 def refusal(problem: Problem, method: options.Method) -> ModelError | None:
-    """Why a method does not answer a problem; None: it does."""
+    """Why no approach of a method answers a problem; None: one does."""
     if isinstance(method, options.ColumnGeneration | options.LinearProgramming):
         return None  # a budget of a share is not worked out for it
     asks, named = requirements(problem), Argument("method", method.name)

@@ -23,7 +23,14 @@ from ssp_lp.column_generation.search import (
     columns_by_pricing,
     generate,
 )
-from ssp_lp.compiled.deadline import Stop, WithIncumbent, closing, has_answer, is_late, prepared
+from ssp_lp.compiled.deadline import (
+    Stop,
+    WithIncumbent,
+    closing,
+    ensure_incumbent,
+    is_late,
+    prepared,
+)
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.deterministic import best_deterministic
@@ -51,7 +58,7 @@ _REASONS = {
 
 
 def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
-    """The greatest or the least goal probability; the full program, where asked for, agrees."""
+    """Solve for the greatest or least goal probability; the full program, if asked for, agrees."""
     compiled, aim = problem.compile(), problem.semantics.aim
     reach = extreme_goal_reach(problem.model, aim, compiled.start)
     objective, bound = float(compiled.start @ reach.goal), float(compiled.start @ reach.bound)
@@ -70,17 +77,17 @@ def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
 
 
 def cheapest_at_least_failure(problem: Problem, _: SolveOptions) -> Solution:
-    """The best of the policies that fail least, by two stages.
+    """Solve at least failure: the best column of those that fail least, by two stages.
 
     Raises:
         InfeasibleError: case S, and the goal cannot be reached.
     """
-    least = checked_least_failure(problem.compile(), None)
-    row = FailureRow(least.column.failure, problem.ratio)
-    objective = row.objective(least.column.cost, least.column.goal)
+    safest = checked_least_failure(problem.compile(), None)
+    row = FailureRow(safest.column.failure, problem.ratio)
+    objective = row.objective(safest.column.cost, safest.column.goal)
     then = "greatest worth" if problem.semantics.maximises else "least cost"
     reason = f"two stages: greatest goal probability, then {then}"
-    answer = Answer(least.policy, objective, least.objective_bound, least.column.failure)
+    answer = Answer(safest.policy, objective, safest.objective_bound, safest.column.failure)
     return assembled(problem, answer, Run("columns", reason, 2, 0.0), problem.semantics.sense)
 
 
@@ -89,7 +96,7 @@ _UNSETTLED = "the utility has not come near its limit within the table of costs:
 
 
 def best_within_budget(problem: Problem, options: SolveOptions) -> Solution:
-    """The best lottery within the budget, or the best single policy.
+    """Solve by columns within a failure budget: the best lottery, or the best single policy.
 
     Args:
         problem: the problem.
@@ -141,7 +148,7 @@ def best_within_budget(problem: Problem, options: SolveOptions) -> Solution:
 
 
 def prove_goal(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
-    """A checked bound of the goal probability that can be had, above or below."""
+    """Prove a bound of the goal probability that can be had, above or below."""
     problem = solution.problem
     start = start_distribution(problem.model, problem.start)
     reach = extreme_goal_reach(problem.model, problem.semantics.aim, start)
@@ -156,14 +163,14 @@ _SURELY = 1.0 - 1e-9  # of the budget: a policy that fails less shows it to be a
 
 
 def prove_least_failure(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
-    """At least failure: a bound at finite prices of failure, which holds for every policy.
+    """Prove a bound at least failure, by finite prices of failure that hold for every policy.
 
     Where rounding at such prices leaves a gap, the bound is that of the second stage over the pairs
     that were decided to maximise.
     """
     compiled, sense = solution.problem.compile(), solution.problem.semantics.sense
-    least = compiled.least_failure()
-    allowed, bound = least.column.failure, least.objective_bound
+    safest = compiled.least_failure()
+    allowed, bound = safest.column.failure, safest.objective_bound
     if compiled.charge is None and np.isfinite(evaluation.objective):
         pricing, column = compiled.pricing(), None
         for steps in _STEEP_PRICES:
@@ -173,13 +180,13 @@ def prove_least_failure(solution: Solution, evaluation: Evaluation, _: float) ->
             if relative_gap(evaluation.objective, priced) <= RELATIVE_GAP:
                 bound = priced
                 break
-    return _proved_as_asked(sense, evaluation, bound, allowed)
+    return _proof_of_stated_optimum(sense, evaluation, bound, allowed)
 
 
-def _proved_as_asked(
+def _proof_of_stated_optimum(
     sense: ObjectiveSense, evaluation: Evaluation, bound: float, allowed: float, tail: float = 0.0
 ) -> Proved:
-    """What a bound of what is minimised says of what is asked; rounding apart, it is attained."""
+    """Proof for the optimum asked for, from a bound of the minimum; attained but for rounding."""
     objective = evaluation.objective
     value = sense.worth(objective)  # a difference, taken twice, leads back
     if sense.constant is not None and sense.settled_bound(value, bound) == value:
@@ -188,7 +195,7 @@ def _proved_as_asked(
 
 
 def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: float) -> Proved:
-    """The bound that the price of the budget proves.
+    """Prove the bound that the failure budget's price gives.
 
     Args:
         solution: what is certified.
@@ -227,13 +234,13 @@ def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: fl
         value = sense.worth(evaluation.objective)
         if not (is_kept and relative_gap(least.objective_bound, value) > CONTRADICTION):
             bound = max(bound, least.objective_bound)
-    return _proved_as_asked(sense, evaluation, bound, row.budget, tail)
+    return _proof_of_stated_optimum(sense, evaluation, bound, row.budget, tail)
 
 
 def _bound_by_values(
     compiled: CompiledProblem, row: FailureRow, price: float, slack: bool, solution: Solution
 ) -> tuple[float, float]:
-    """Lower bound of the objective, and the relative gap that truncation leaves in it."""
+    """Lower bound within a failure budget by values, and the gap that truncation leaves in it."""
     slack = slack and row.ratio
     price = price * BELOW_RATIO if slack else price
     proof = compiled.pricing().check(price, np.asarray(solution.value_function), slack=slack)
@@ -245,7 +252,7 @@ def _bound_by_values(
 
 
 def solve_by_game(problem: Problem, options: SolveOptions) -> Solution:
-    """The paper's own construction, which knows neither columns nor programs."""
+    """Solve by the paper's own construction, the game, which knows neither columns nor programs."""
     from ssp_lp.game.optimum import stationary_game, value_function
 
     equilibrium = stationary_game(problem, tolerance=options.tolerance, progress=options.progress)
@@ -293,23 +300,23 @@ class RefinedOutcome:
 
     @property
     def gap(self) -> float:
-        """Relative gap of what refinement has come to."""
+        """Relative gap of a refined search for columns."""
         return relative_gap(self.generated.objective, self.generated.lower_bound)
 
     @property
     def lottery(self) -> MixedPolicy:
-        """The lottery on the model that the search ended with."""
+        """Lottery on the model that a refined search for columns ended with."""
         return self.generated.lottery(self.compiled.pricing())
 
     def followed_by(self, other: RefinedOutcome) -> RefinedOutcome:
-        """The other, with the work of both."""
+        """The later outcome of a refined search for columns, with the work of both."""
         return replace(other, calls=self.calls + other.calls, work=self.work + other.work)
 
 
 def refined_optimum(
     compiled: CompiledProblem, budget: float, options: SolveOptions, guess: DualGuess | None = None
 ) -> RefinedOutcome:
-    """Search on finer and finer compiled problems until the gap is met, or refining does not help.
+    """Search for columns on finer and finer compiled problems until the gap is met, or no finer.
 
     Args:
         compiled: the problem to begin with.
@@ -338,7 +345,7 @@ def refined_optimum(
 
 
 def _finer_outcomes(outcome: RefinedOutcome, options: SolveOptions) -> Iterator[RefinedOutcome]:
-    """An outcome, and those of finer problems; of the least failure, where that becomes known."""
+    """Outcomes of the column search on finer problems; of least failure, once that is known."""
     gaps: list[float] = []
     while True:
         yield outcome
@@ -346,11 +353,11 @@ def _finer_outcomes(outcome: RefinedOutcome, options: SolveOptions) -> Iterator[
         generated, compiled, row = outcome.generated, outcome.compiled, outcome.row
         later = options.after(outcome.calls)
         if outcome.least is None and generated.columns[0].failure >= row.budget - _NEAR:
-            least = checked_least_failure(compiled, row.budget)
-            outcome = replace(outcome, least=least)
-            if row.leaves_only(least.column):  # then its policy is the answer
-                row = replace(row, budget=least.column.failure)
-                outcome = outcome.followed_by(_attempt(compiled, row, least, later, None))
+            safest = checked_least_failure(compiled, row.budget)
+            outcome = replace(outcome, least=safest)
+            if row.leaves_only(safest.column):  # then its policy is the answer
+                row = replace(row, budget=safest.column.failure)
+                outcome = outcome.followed_by(_attempt(compiled, row, safest, later, None))
                 continue
         is_stagnant = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]  # rounding?
         is_done = is_stagnant and compiled.tail_loss(generated.price) == 0.0
@@ -366,13 +373,13 @@ def _finer_outcomes(outcome: RefinedOutcome, options: SolveOptions) -> Iterator[
 def _capped_by_case_m(
     compiled: CompiledProblem, budget: float
 ) -> tuple[CompiledProblem, DualGuess | None]:
-    """The price, and with it the cap, of case M, where no policy at hand tells of either.
+    """First cap of a search for columns, by case M's price, where no policy tells of it.
 
     Its process has one layer, and failing early saves about as much in both.
     """
     if not compiled.is_long_shot:
         return compiled, None
-    has_answer()
+    ensure_incumbent()
     incumbent, semantics = prepared(), FailureSemantics(charge_failing_step=False)
     outcome = None if incumbent is None else incumbent.outcome
     if outcome is None:
@@ -390,7 +397,7 @@ def _capped_by_case_m(
 def _safest_outcome(
     compiled: CompiledProblem, row: FailureRow, stop: BaseException
 ) -> RefinedOutcome:
-    """The policy of least failure, where the time ended before any other within the budget.
+    """The column of least failure, where time ended before any other within the budget.
 
     Raises:
         Stop: there is no time for it either.
@@ -398,10 +405,10 @@ def _safest_outcome(
     if prepared() is not None:  # there is a better one already
         raise Stop from stop
     with WithIncumbent(), closing():
-        least = checked_least_failure(compiled, row.budget)
-        rule = columns_at(compiled.pricing(), least, row)
+        safest = checked_least_failure(compiled, row.budget)
+        rule = columns_at(compiled.pricing(), safest, row)
         generated = generate(rule, SolveOptions(_TRIAL_TOLERANCE))
-        return RefinedOutcome(replace(generated, finished=False), compiled, rule.row, least)
+        return RefinedOutcome(replace(generated, finished=False), compiled, rule.row, safest)
     words = stop.told if isinstance(stop, Stop) else ""
     raise Stop(told=words or "no policy was measured by then") from stop
 
@@ -413,7 +420,7 @@ def _attempt(
     options: SolveOptions,
     guess: DualGuess | None,
 ) -> RefinedOutcome:
-    """One search, started from the dual of the linear program where that is the method.
+    """One search for columns, begun at the linear program's dual where that is the method.
 
     A budget equal to the least failure needs no program, whose feasibility would hang on rounding:
     the first column is the answer, and its own bound holds.

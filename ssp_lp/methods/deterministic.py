@@ -55,7 +55,7 @@ from ssp_lp.linear_programming.linear_program import LinearProgram
 from ssp_lp.model.graph import reached_along
 from ssp_lp.policies.policy import as_lottery
 from ssp_lp.processes.conditions import FAILURE_ROW
-from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.explicit_process import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled
 from ssp_lp.processes.quotient import Quotient
 from ssp_lp.programs.program_rows import rows_program
@@ -78,7 +78,7 @@ _SMALL = 1e-10  # relative
 def best_deterministic(
     mixed: Solution, outcome: RefinedOutcome, tolerance: float, deadline: float
 ) -> Solution:
-    """The best single deterministic policy, beside the best lottery.
+    """Solve for the best single deterministic policy, beside the best lottery.
 
     The search begins with the best member of the lottery that keeps to the budget and the policies
     between its members; the lottery's own bound is the first lower bound.
@@ -138,11 +138,11 @@ class _PolicySearch:
 
     @cached_property
     def relaxation(self) -> _DeterministicRelaxation:
-        """The process written out."""
+        """The process written out for the search for deterministic policies, as a relaxation."""
         return deterministic_relaxation(self.outcome.compiled, self.outcome.generated.price)
 
     def run(self) -> bool:
-        """Walk between two policies, then solve the programs; whether the search was finished."""
+        """Search deterministic policies by walks and integer programs; whether it was finished."""
         relaxation, bound = self.relaxation, self.outcome.generated.lower_bound
         self._walk_between_members()
         if relative_gap(self.best.value, bound) <= self.tolerance:
@@ -168,7 +168,7 @@ class _PolicySearch:
         return kept
 
     def _walk_between_members(self) -> None:
-        """Begin with policies between two, as near to the budget as changing states allows.
+        """Begin with deterministic policies between two members, as near the budget as may be.
 
         The two that are best at prices just beside the lottery's are both optimal at it, and so is
         every policy that follows the one in some states and the other elsewhere: of these, the one
@@ -188,7 +188,7 @@ class _PolicySearch:
                     self._walk(safe, risky, order)
 
     def _walk(self, safe: IntArray, risky: IntArray, order: IntArray) -> None:
-        """Change states in order while that keeps to the budget, by bisection; skip the next.
+        """Change a deterministic policy's states in order within the budget, by bisection.
 
         Args:
             safe: a choice that keeps to the budget, [states].
@@ -207,7 +207,7 @@ class _PolicySearch:
                 return
 
     def _integer_bound(self, process: ExplicitProcess, free: BoolArray) -> tuple[float, bool]:
-        """A lower bound of what policies of a process attain, and whether the search was finished.
+        """Lower bound of deterministic policies by integer programs, and whether they ended.
 
         Case S by Dinkelbach's iteration. Where no policy is worth less than D >= -1 at the price c
         of success, ``cost >= c * goal + D``, so that ``cost / goal >= c + D / (1 - budget)`` for
@@ -250,7 +250,7 @@ class _PolicySearch:
         return bound, False
 
     def _solved_without_refused(self, program: _IntegerProgram, cost: FloatArray) -> _IntegerAnswer:
-        """Solve, and solve again without each policy that breaks the budget when measured."""
+        """Solve the integer program again without policies that break the budget when measured."""
         while True:
             answer = program.solve(cost, self.deadline)
             choice = answer.choice
@@ -263,7 +263,7 @@ class _PolicySearch:
 
 
 def _with_states(choice: IntArray, other: IntArray, states: IntArray) -> IntArray:
-    """A choice of pairs with another one's in some states, [states]."""
+    """A deterministic choice with another one's pairs in some states, [states]."""
     mixed = choice.copy()
     mixed[states] = other[states]
     return mixed
@@ -305,7 +305,7 @@ class _DeterministicRelaxation:
 
 
 def deterministic_relaxation(compiled: CompiledProblem, price: float) -> _DeterministicRelaxation:
-    """Write a process out.
+    """Write a process out as a relaxation for deterministic policies.
 
     Args:
         compiled: of case M or S.
@@ -362,7 +362,7 @@ def deterministic_relaxation(compiled: CompiledProblem, price: float) -> _Determ
 def _with_loose_tails(
     process: ExplicitProcess, layered: LayeredProcess, beyond: IntArray
 ) -> ExplicitProcess:
-    """Replace the tails by the greatest and the least success, which cost what has been paid.
+    """Relax tails of deterministic policies to the greatest and least success at the cost paid.
 
     Every success from accumulated cost r on costs at least ``r * E[gamma^(T-1); goal]``, and its
     probability lies between the two: their mixtures are no dearer than any policy.
@@ -380,7 +380,7 @@ def _with_loose_tails(
 
 
 def _merged_nodes(quotient: Quotient) -> BoolArray:
-    """Nodes of a quotient that stand for a component of several states, [nodes]."""
+    """Nodes that stand for several states, where a deterministic policy is relaxed, [nodes]."""
     members = np.bincount(quotient.node_of[quotient.merged], minlength=quotient.n_nodes)
     return np.asarray(members > 1)
 
@@ -405,7 +405,7 @@ _OVER = {highspy.HighsModelStatus.kInfeasible, highspy.HighsModelStatus.kUnbound
 
 
 def _has_time(solver: highspy.Highs, cost: FloatArray, deadline: float) -> bool:
-    """Give HiGHS a cost of its first columns, and the time that is left, if there is any."""
+    """Give HiGHS the integer program's first costs and the time left, if there is any."""
     left = deadline - time.perf_counter()
     if left <= 0.0:
         return False

@@ -35,7 +35,7 @@ _ROUNDING = 1e-12  # of the price and what is late: far above the rounding of a 
 
 
 class _Action(NamedTuple):
-    """What an action of a state does, whatever has been paid."""
+    """Successors, costs and probabilities of a state's action, whatever has been paid."""
 
     arriving: list[tuple[float, float]]  # mass, and what the step into the goal costs
     failing: float  # mass that fails
@@ -50,7 +50,7 @@ class _Option(NamedTuple):
     onward: list[tuple[float, _Place]]  # mass that goes on, and where
 
     def value(self) -> float:
-        """A lower bound of what is paid from here on."""
+        """Lower bound, by exact totals, of the charge from here on."""
         return self.paid + sum(mass * place.value for mass, place in self.onward)
 
 
@@ -67,7 +67,7 @@ class _Place:
 
 
 def rises_by_each_step(model: SSP, total: float) -> bool:
-    """Whether every step adds to the cost paid what is told apart before a total."""
+    """Whether every step adds to the exact total of a cost paid."""
     ended = model.goal_mask | dead_ends(model)
     going_on = (model.probabilities > 0.0) & ~ended[model.successors]
     return bool(model.costs[going_on].min(initial=np.inf) > _RISING * total)
@@ -115,7 +115,7 @@ class ExactTotals:
             self._raise_bounds(tips)
 
     def _place(self, state: int, paid: float) -> _Place:
-        """The place of a state and a total, with the table's bound where it is new."""
+        """Place of a state and an exact total, with the table's bound where it is new."""
         key = state, round(paid / (SAME * self.last))
         if key not in self.places:
             layer = int(paid / self.process.base.unit * (1.0 - SAME))
@@ -126,7 +126,7 @@ class ExactTotals:
         return self.places[key]
 
     def _expand(self, place: _Place) -> None:
-        """Find what a place leads to by each of its actions."""
+        """Expand a place of AO*: the exact totals to which each action leads."""
         place.options = []
         for arriving, failing, steps in self._actions(place.state):
             late = sum(mass for mass, cost in arriving if place.paid + cost > self.last)
@@ -136,7 +136,7 @@ class ExactTotals:
             place.options.append(_Option(late + self.proof.price * failing, failing, onward))
 
     def _actions(self, state: int) -> list[_Action]:
-        """What each action of a state does at any total."""
+        """Actions of a state at any exact total: their successors, costs and probabilities."""
         if state in self.actions:
             return self.actions[state]
         model, usable = self.model, self.usable
@@ -161,7 +161,7 @@ class ExactTotals:
         return actions
 
     def _tips(self, root: _Place) -> tuple[list[_Place], float]:
-        """Places to which the policy that seems best comes and that were not expanded; its failure.
+        """Tips of AO*'s best partial policy, places not expanded yet; and its failure.
 
         Each expanded place of it has its best option chosen on the way.
         """
@@ -188,7 +188,7 @@ class ExactTotals:
         return tips, failure
 
     def _raise_bounds(self, changed: list[_Place]) -> None:
-        """Raise the bounds of expanded places and of whatever leads to them, the dearest first."""
+        """Raise AO*'s bounds of expanded places and of what leads to them, the dearest first."""
         order = [(-place.paid, id(place), place) for place in changed]
         heapify(order)
         waiting = set(changed)
@@ -206,10 +206,10 @@ class ExactTotals:
 
     @property
     def _node_of(self) -> IntArray:
-        """Node of each state, -1 at goals and dead-ends, [states]."""
+        """Node of each state in the search by exact totals, -1 at goals and dead-ends, [states]."""
         return self.process.base.quotient.node_of
 
     @cached_property
     def _beyond(self) -> FloatArray:
-        """Bounds from what is surely late, [layers, nodes]."""
+        """Bounds beyond the exact totals told apart, where it is surely late, [layers, nodes]."""
         return self.process.beyond_bound(self.proof.price, self.proof.price)

@@ -9,7 +9,7 @@ from ssp_lp.arrays import FloatArray
 from ssp_lp.errors import SolverError
 from ssp_lp.linear_programming.backends import first_accepted
 from ssp_lp.options import SolveOptions
-from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.explicit_process import ExplicitProcess
 from ssp_lp.programs.program_rows import rows_program
 
 _AGREEMENT = 1e-6
@@ -31,7 +31,7 @@ def solve_program(
     *,
     ratio: bool,
 ) -> ProgramOptimum:
-    """Solve the linear program of a process, falling back to another backend if need be.
+    """Solve the full linear program of a process, falling back to another backend if need be.
 
     Args:
         process: the process.
@@ -59,7 +59,7 @@ def solve_program(
 
 
 def check_agreement(optimum: ProgramOptimum, objective: float) -> None:
-    """Raise :class:`SolverError` if the program's optimum and its policy's value differ."""
+    """Raise :class:`SolverError` if the full program's optimum and its policy's value differ."""
     if abs(optimum.objective - objective) > _AGREEMENT * max(abs(objective), 1.0):
         raise SolverError(
             f"the linear program says {optimum.objective!r} ({optimum.report}) but the policies "

@@ -16,8 +16,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import csgraph
 
+from ssp_lp.accumulated_cost.arrivals import ChainProspect
 from ssp_lp.accumulated_cost.charges import TOTAL_COST
-from ssp_lp.accumulated_cost.law import ChainProspect
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.arrays import LEAST_BUDGET
 from ssp_lp.column_generation.compiled_problem import (
@@ -57,7 +57,7 @@ class Incumbent:
     solution: Solution | None = field(default=None, init=False)
 
     def find(self) -> Incumbent | None:
-        """Find it, where it is of use and there is none yet, as far as the time allows.
+        """Find the incumbent, where it is of use and there is none yet, as far as time allows.
 
         Returns:
             Itself; None: there is none.
@@ -76,14 +76,14 @@ class Incumbent:
                 if policy is not None and not (self.deterministic and len(policy.policies) > 1):
                     room = LEAST_BUDGET if at_least_failure else 0.0
                     if problem.semantics.counts_law:  # while its law is not known
-                        self.solution = _judged(problem, policy, room, by_moments)
-                    self.solution = _judged(problem, policy, room)
+                        self.solution = _incumbent_value(problem, policy, room, by_moments)
+                    self.solution = _incumbent_value(problem, policy, room)
             if self.solution is not None:
                 return self
         return None
 
     def improving(self, other: Solution) -> Solution:
-        """A search's solution that was cut short, with this one's policy or bound where better.
+        """A search's solution cut short, with the incumbent's policy or bound where better.
 
         What proves the search's bound, its prices and values, goes with it.
         """
@@ -104,7 +104,7 @@ class Incumbent:
         return replace(best, lower_bound=min(max(other.lower_bound, bound), best.objective))
 
     def _cheapest_policy(self, problem: Problem, *, at_least_failure: bool) -> MixedPolicy | None:
-        """A policy of about the least cost in case M within all limits; None: none is sought.
+        """Incumbent: a policy of about least cost in case M within all limits; None: not sought.
 
         Args:
             problem: the problem.
@@ -126,13 +126,13 @@ class Incumbent:
         return self.outcome.lottery
 
 
-def _judged(
+def _incumbent_value(
     problem: Problem,
     policy: MixedPolicy,
     room: float,
     judge: Callable[[MixedPolicy, Problem], Evaluation] = evaluate,
 ) -> Solution | None:
-    """What a policy is worth in a problem's own terms; None where it breaks a limit, or fails.
+    """Value of an incumbent in a problem's own terms; None where it breaks a limit, or fails.
 
     Args:
         problem: the problem.
@@ -157,7 +157,7 @@ def _judged(
 
 
 def by_moments(policy: MixedPolicy, problem: Problem) -> Evaluation:
-    """An evaluation by mean and variance of the total cost, at most as good as the exact one.
+    """Evaluation of an incumbent by mean and variance of the total cost, never too good.
 
     With mean m and variance s^2 of the total cost C given success, ``E[(C - z)^+]`` is at most
     ``(sqrt(s^2 + (z - m)^2) - (z - m)) / 2`` (Scarf 1958), and the least of ``z + E[(C - z)^+] / (1
@@ -202,12 +202,12 @@ def by_moments(policy: MixedPolicy, problem: Problem) -> Evaluation:
 
 
 def prove_by_cheapest_way(problem: Problem, evaluation: Evaluation) -> Proved:
-    """The bound that needs no search: ``worth_bound``."""
+    """Bound beside the incumbent that needs no search: ``worth_bound``."""
     return Proved(evaluation.objective, worth_bound(problem), problem.failure_budget or 0.0)
 
 
 def broken_limit(problem: Problem, evaluation: Evaluation, room: float = 2.0 * ATTAINABLE) -> str:
-    """Which limit a policy breaks, in words; empty: none.
+    """The limit that an incumbent policy breaks, in words; empty: none.
 
     Args:
         problem: the problem.
@@ -224,7 +224,7 @@ def broken_limit(problem: Problem, evaluation: Evaluation, room: float = 2.0 * A
 
 
 def worth_bound(problem: Problem) -> float:
-    """What no policy does better than, as the goal costs no run less than the least total.
+    """Bound beside an incumbent: the goal costs no run less than the least total of a way.
 
     It holds for costs given success, for their quantiles and tail means, and from above for what
     arriving is worth, as no charge falls as the total grows.
@@ -239,9 +239,9 @@ def worth_bound(problem: Problem) -> float:
     ways = model.costs, model.successors.astype(np.int32), begins
     graph = sp.csr_array(ways, shape=(model.n_states, model.n_states))
     totals = csgraph.dijkstra(graph, indices=np.flatnonzero(start > 0.0), min_only=True)
-    least = _DEAREST * float(totals[model.goal_mask].min(initial=np.inf))
-    least = least if np.isfinite(least) else 0.0
-    charge = float((semantics.charge(problem.ratio) or TOTAL_COST).at(np.array([least]))[0])
+    least_total = _DEAREST * float(totals[model.goal_mask].min(initial=np.inf))
+    least_total = least_total if np.isfinite(least_total) else 0.0
+    charge = float((semantics.charge(problem.ratio) or TOTAL_COST).at(np.array([least_total]))[0])
     if not semantics.maximises:
         return charge
     charge = min(charge, 0.0)

@@ -27,7 +27,7 @@ class Proved:
 
     @property
     def gap(self) -> float:
-        """Relative gap between the two."""
+        """Relative gap between a value and the bound that is proved."""
         return two_sided_gap(self.attained, self.bound)
 
 

@@ -48,8 +48,8 @@ from ssp_lp.accumulated_cost.charges import CostQuantileOf, ExcessCharge, LateCh
 from ssp_lp.accumulated_cost.cost_law import CostLaw
 from ssp_lp.accumulated_cost.sweep import KEPT_VALUES
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, last_steps, room_of, step_costs, sums_in
-from ssp_lp.analysis.cost_law import success_costs
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
+from ssp_lp.analysis.success_costs import success_costs
 from ssp_lp.arrays import QUANTILE, FloatArray
 from ssp_lp.column_generation.column import FailureRow, Proof, required
 from ssp_lp.column_generation.compiled_problem import (
@@ -58,7 +58,7 @@ from ssp_lp.column_generation.compiled_problem import (
     checked_least_failure,
 )
 from ssp_lp.column_generation.search import DualGuess
-from ssp_lp.compiled.deadline import Stop, WithIncumbent, has_answer, is_late
+from ssp_lp.compiled.deadline import Stop, WithIncumbent, ensure_incumbent, is_late
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.columns import refined_optimum
 from ssp_lp.methods.exact_totals import ExactTotals, rises_by_each_step
@@ -98,7 +98,7 @@ def least_risk(
         InfeasibleError: the budget is below the least failure, or the goal is out of reach.
         ModelError: a table of costs that would be too large.
     """
-    has_answer()
+    ensure_incumbent()
     question = question_of(problem) if question is None else question
     is_quantile = isinstance(problem.semantics.risk, CostQuantileOf)
     search = least_quantile if is_quantile else least_tail_mean
@@ -106,7 +106,7 @@ def least_risk(
 
 
 def prove_risk(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
-    """A lower bound of the least risk, proved afresh, from the model alone.
+    """Prove a lower bound of the least risk afresh, from the model alone.
 
     Args:
         solution: of the problem.
@@ -365,7 +365,7 @@ def _expected_charge(charge: _Charge, law: CostLaw) -> float:
 
 
 def question_of(problem: Problem) -> _Question:
-    """Check the budget, and say which policies count.
+    """Policies among which the least risk is sought, the budget checked.
 
     A budget above the least failure by no more than rounding counts as equal to it.
 
@@ -398,7 +398,7 @@ def question_of(problem: Problem) -> _Question:
 
 
 def question_of_compiled(compiled: CompiledArrivalCost, budget: float | None) -> _WithinBudget:
-    """The same of a problem whose failure alone is limited, already compiled.
+    """Policies among which the least risk is sought, by a compiled problem.
 
     Args:
         compiled: of the total cost.
@@ -492,7 +492,7 @@ def least_quantile(
 
 
 def _last_refuted(question: _Question, trial: _Trial, level: float, first: int, last: int) -> int:
-    """The greatest number of a bound that no policy keeps to, as is proved at a trial's prices.
+    """Greatest threshold, by number, that no policy keeps to, as a trial's prices prove.
 
     Args:
         question: the policies that count.
@@ -510,7 +510,7 @@ def _last_refuted(question: _Question, trial: _Trial, level: float, first: int, 
 
 
 def _beyond_refuted(question: _Question, refuted: int) -> float:
-    """The least total that can occur beyond one that is refuted; -1: none is."""
+    """Least total that can occur beyond a refuted threshold of the quantile."""
     places = question.thresholds
     if places.sharp:
         return places.total(refuted + 1)
@@ -525,7 +525,7 @@ _CELLS_A_PLACE = 64  # of the table, for each of them in between
 
 
 def exactly_refuted(question: _WithinBudget, model: SSP, level: float, quantile: float) -> float:
-    """A quantile, by next to nothing less, if exact totals prove that no policy has a lower one.
+    """A quantile, a trifle less, if exact totals prove that no policy has a lower one.
 
     Args:
         question: the policies that count, with costs rounded down.
@@ -573,7 +573,7 @@ def exactly_refuted(question: _WithinBudget, model: SSP, level: float, quantile:
 
 
 def _late_share(level: float) -> float:
-    """The share of the successes that may lie beyond the quantile, with the slack of its law.
+    """Share of the successes that may lie beyond the quantile, with the slack of its law.
 
     Below 1, however low the level: some success must be in time, beyond what may be rounding.
     """
@@ -602,7 +602,7 @@ class _TailMeanSearch:
     sweeps: int = 0
 
     def attempt(self, threshold: int) -> Answer:
-        """The better of the best so far and the best policy at a threshold."""
+        """Better of the best tail mean so far and that of the best policy at a threshold."""
         charge = ExcessCharge(self.question.thresholds.total(threshold), 1.0 - self.level)
         trial = self.question.attempt(charge, self.options, self._kappa(threshold))
         self.tried[threshold], self.kappas[threshold] = trial, trial.kappa
@@ -620,7 +620,7 @@ class _TailMeanSearch:
         return best
 
     def refuted(self, first: int, last: int) -> float:
-        """A lower bound of F on all thresholds between two, and at them, by one sweep.
+        """Lower bound of the tail mean's F on all thresholds between two, by one sweep.
 
         Of a single one the price of failure is sought that proves most: the bound is concave in it.
         """
@@ -652,17 +652,17 @@ class _TailMeanSearch:
 
     @property
     def target(self) -> float:
-        """The value that thresholds must not fall below."""
+        """Value that the tail mean's thresholds must not fall below."""
         return 0.0 if self.best is None else self.best.value * (1.0 - self.options.tolerance)
 
     def _kappa(self, threshold: int) -> float:
-        """What failing may be worth at a threshold, between those at which it is known."""
+        """Price of failing at a tail mean's threshold, between those at which it is known."""
         numbers = sorted(self.kappas)
         kappas = [self.kappas[number] for number in numbers]
         return float(np.interp(threshold, numbers, kappas)) if numbers else 0.0
 
     def run(self, near: Near | None = None) -> tuple[Answer, float]:
-        """The best policy, and a lower bound of every policy's tail mean.
+        """Search for the best tail mean: the policy, and a lower bound of every policy's.
 
         Args:
             near: where the best threshold may be; None: unknown.
@@ -693,7 +693,7 @@ class _TailMeanSearch:
         return best, max(min([*bounds, *(part[0] for part in weakest), best.value]), 0.0)
 
     def _split(self, weakest: list[tuple[float, int, int]], bounds: list[float]) -> None:
-        """Refute the interval of the least bound, or halve it; of one threshold find a policy.
+        """Refute the tail mean's interval of least bound, or halve it; of one, find a policy.
 
         Args:
             weakest: bound, first and last threshold of each interval, a heap; changed.

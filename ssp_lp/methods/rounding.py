@@ -32,8 +32,8 @@ import numpy as np
 
 from ssp_lp.accumulated_cost.charges import CostQuantileOf, WithinBound
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, step_costs, sums_in, totals_of
-from ssp_lp.analysis.cost_law import measured_costs
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
+from ssp_lp.analysis.success_costs import measured_costs
 from ssp_lp.arrays import SAME_TOTAL, offsets_of, read_only
 from ssp_lp.column_generation.column import (
     Column,
@@ -44,7 +44,7 @@ from ssp_lp.column_generation.column import (
 )
 from ssp_lp.column_generation.compiled_problem import CompiledAccumulatedCost
 from ssp_lp.column_generation.search import DualGuess
-from ssp_lp.compiled.deadline import WithIncumbent, closing, has_answer, is_late
+from ssp_lp.compiled.deadline import WithIncumbent, closing, ensure_incumbent, is_late
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.columns import (
@@ -84,7 +84,7 @@ _ROUNDING = 1e-12  # of the budget, or of what it leaves: so far a policy may se
 
 
 def solve_on_split_costs(problem: Problem, options: SolveOptions) -> Solution:
-    """The best lottery and the best lower bound that finer and finer units give.
+    """Solve on split costs: best lottery and best bound that finer and finer units give.
 
     Args:
         problem: of case S, failure alone limited.
@@ -101,9 +101,9 @@ def solve_on_split_costs(problem: Problem, options: SolveOptions) -> Solution:
 
 
 def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solution]:
-    """The best lottery of the true model and the best bound that are known after each unit."""
+    """Best lottery of the true model and best bound after each unit of split costs."""
     incumbent, best, bound, calls, work = Incumbent(problem), None, 0.0, 0, Work()
-    has_answer(by_itself=incumbent.find() is not None)
+    ensure_incumbent(by_itself=incumbent.find() is not None)
     if (solution := incumbent.solution) is not None:
         best = Answer(solution.policy, solution.objective, 0.0, solution.budget_used)
         bound = solution.lower_bound
@@ -139,7 +139,7 @@ def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solutio
 
 
 def prove_by_units(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
-    """A bound worked out afresh, and the failure that is allowed.
+    """Prove a bound afresh by rounding units, and the failure that is allowed.
 
     Units get smaller until the gap is what the solution says, which is taken for no more than that,
     or as small as the tolerance; of split costs, until a smaller one brings next to nothing of what
@@ -160,7 +160,7 @@ def prove_by_units(solution: Solution, evaluation: Evaluation, _: float) -> Prov
 def _split_proofs(
     problem: Problem, attained: float, enough: float, rough: SolveOptions
 ) -> Iterator[Proved]:
-    """The best bound that units prove, until a finer one adds next to nothing to it."""
+    """Best bound that units of split costs prove, until a finer one adds next to nothing."""
     guess, bound, allowed, before = None, 0.0, problem.failure_budget or 0.0, -np.inf
     for unit in _split_units(problem, finest=True):
         outcome = split_optimum(problem, unit, rough, guess)
@@ -173,7 +173,7 @@ def _split_proofs(
 
 
 def _true_lottery(problem: Problem, outcome: RefinedOutcome) -> Answer:
-    """The best lottery over one unit's policies, evaluated on the true model."""
+    """Best lottery over one rounding unit's policies, evaluated on the true model."""
     row, least, columns, members = outcome.row, outcome.least, list[Column](), None
     if least is None or row.budget > least.column.failure:
         columns = _true_columns(problem, outcome)
@@ -215,7 +215,7 @@ def _true_columns(problem: Problem, outcome: RefinedOutcome) -> list[Column]:
 
 
 def _true_column(problem: Problem, outcome: RefinedOutcome, policy: Policy) -> Column:
-    """A policy of the model with split costs on the true one, where memory is the nearest level.
+    """Policy of the model with split costs on the true one, where memory is the nearest level.
 
     Where a step is less than a unit its levels are parts of one: else it would round to nothing.
     """
@@ -245,12 +245,12 @@ def _true_column(problem: Problem, outcome: RefinedOutcome, policy: Policy) -> C
 
 
 def _keeps_to_budget(column: Column, row: FailureRow) -> bool:
-    """Whether a policy measured on the true model keeps to the budget, up to rounding."""
+    """Whether a policy of split costs keeps to the budget on the true model, up to rounding."""
     return row.spare(column) >= -_ROUNDING * min(row.budget, 1.0 - row.budget)
 
 
 def _best_lottery(columns: list[Column], row: FailureRow) -> list[tuple[Column, float]] | None:
-    """Members and weights of the lottery that is cheapest given success; None: none is allowed.
+    """Members and weights of split costs' cheapest lottery given success; None: none is allowed.
 
     A ratio is least at a vertex: a policy within the budget, or two between which it lies.
     """
@@ -336,12 +336,12 @@ def with_split_costs(model: SSP, unit: Fraction) -> SSP:
 
 
 def _levels_asked(problem: Problem) -> int | None:
-    """How many totals may be told apart; None: as many as there is room for."""
+    """Number of totals for rounding to tell apart; None: as many as there is room for."""
     return cast("int | None", getattr(problem, "cost_levels", None))
 
 
 def _split_units(problem: Problem, *, finest: bool = False) -> Iterator[Fraction]:
-    """Smaller and smaller units, none of which splits a step into nothing, if these are few.
+    """Finer and finer units of split costs, without one that splits no step, if these are few.
 
     Args:
         problem: of case S.
@@ -352,7 +352,7 @@ def _split_units(problem: Problem, *, finest: bool = False) -> Iterator[Fraction
 
 
 def _span_of_steps(problem: Problem) -> float:
-    """The totals that matter; what a step costs that only ends an episode is not remembered."""
+    """Totals that matter to split costs; steps that only end an episode are not remembered."""
     return span_of_totals(problem, float(step_costs(problem.model)[1][-1]))
 
 
@@ -364,7 +364,7 @@ def split_optimum(
     most: int | None = None,
     reach: float = np.inf,
 ) -> RefinedOutcome:
-    """The optimum with split costs, of a larger unit where levels are more than asked for.
+    """Optimum with split costs, of a larger unit where totals are more than asked for.
 
     Where no larger one makes them few enough, they are cut where as many are passed.
 
@@ -398,14 +398,14 @@ def split_optimum(
 
 
 def _unit_of(outcome: RefinedOutcome) -> Fraction:
-    """The cost of a layer of the process that a search on split costs ended with."""
+    """Rounding unit of the process that a search on split costs ended with."""
     return cast("CompiledAccumulatedCost", outcome.compiled).base.exact_unit
 
 
 def _solved_on_lattice(
     problem: Restated, options: SolveOptions, near: Near | None = None
 ) -> Solution:
-    """The solution of a problem of rounded costs, exact but for these."""
+    """Solution of a problem of rounded costs, exact but for the rounding."""
     if not requirements(problem).is_risk:
         solved = cheapest_at_least_failure if problem.failure_budget is None else best_within_budget
         return solved(problem, options)
@@ -414,7 +414,7 @@ def _solved_on_lattice(
 
 
 def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
-    """The best policy for rounded costs, and the bound of costs rounded the other way.
+    """Solve on rounded costs: the best policy by costs rounded up, the bound by costs rounded down.
 
     Args:
         problem: a criterion of the law of the total cost, failure alone limited.
@@ -448,7 +448,7 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
 
 
 def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solution]:
-    """The best policy, by costs rounded up, with the best bound of all, after each unit."""
+    """Best policy by costs rounded up, with the best bound of all, after each unit."""
     best, semantics, risk = None, problem.semantics, problem.semantics.risk
     sign = -1.0 if semantics.maximises else 1.0
     bound, span = _trivial_bound(problem), span_of_totals(problem)
@@ -480,7 +480,7 @@ def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solut
 
 
 def _rounded_proofs(problem: Problem, attained: float, rough: SolveOptions) -> Iterator[Proved]:
-    """The best bound that is known after each unit."""
+    """Best bound by rounded costs after each unit."""
     sign, bound = -1.0 if problem.semantics.maximises else 1.0, _trivial_bound(problem)
     for unit in rounding_units(problem, span_of_totals(problem), finest=True):
         proved, allowed = lattice_bound(problem, unit, rough, attained)
@@ -495,7 +495,7 @@ def lattice_bound(
     attained: float,
     near: Near | None = None,
 ) -> tuple[float, float]:
-    """What no policy does better than, by costs rounded down, and the failure that is allowed.
+    """Bound by costs rounded down to a lattice, and the failure that is allowed.
 
     A quantile is one of the totals: exact ones may prove what is attained to be the best.
 
@@ -519,7 +519,7 @@ def lattice_bound(
 
 
 def _rounding_up(policy: Policy, model: SSP, unit: Fraction) -> CostAwarePolicy:
-    """A policy of the model with rounded costs on the model itself.
+    """Policy of the model with rounded costs on the model itself.
 
     One that remembers nothing is given a layer to remember, so that its law is rounded alike.
 
@@ -537,7 +537,7 @@ def _rounding_up(policy: Policy, model: SSP, unit: Fraction) -> CostAwarePolicy:
 
 
 def _with_rounded_costs(problem: Problem, unit: Fraction, *, up: bool) -> Restated:
-    """The problem with costs that are multiples of a unit."""
+    """Problem with costs rounded to multiples of a unit."""
     model = problem.model
     kinds, kind = np.unique(model.costs, return_inverse=True)
     units = kinds / float(unit)
@@ -553,7 +553,7 @@ def _with_rounded_costs(problem: Problem, unit: Fraction, *, up: bool) -> Restat
 
 
 def _trivial_bound(problem: Problem) -> float:
-    """What is known of the optimum before anything is solved."""
+    """Bound of the optimum that is known before any rounded problem is solved."""
     semantics, charge = problem.semantics, problem.semantics.charge(problem.ratio)
     if charge is None or not semantics.maximises:
         return 0.0
@@ -575,7 +575,7 @@ _RARE = 20.0  # times as dear as all that matters may a single step be
 def rounding_units(
     problem: Problem, span: float, *, cheapest: float = np.inf, finest: bool = False
 ) -> Iterator[Fraction]:
-    """Smaller and smaller units, as far as is asked for.
+    """Finer and finer rounding units, as far as is asked for.
 
     Args:
         problem: with ``cost_levels`` if these are limited.
@@ -585,22 +585,22 @@ def rounding_units(
     """
     room = min(max(_MOST, _ROOM // problem.model.n_states), _FINEST)
     most = (None if finest else _levels_asked(problem)) or room
-    least = _ROOM_FOR_DIGITS * span / cheapest
-    is_quick = least * problem.model.n_outcomes <= _QUICK
-    many = float(min(max(_FIRST, least if is_quick else 0.0), most))
+    least_unit = _ROOM_FOR_DIGITS * span / cheapest
+    is_quick = least_unit * problem.model.n_outcomes <= _QUICK
+    many = float(min(max(_FIRST, least_unit if is_quick else 0.0), most))
     while many <= most:
         yield short_decimal(span / many)
         many = min(_FINER * many, float(most)) if _WORTH_WHILE * many <= most else _FINER * many
 
 
 def short_decimal(size: float) -> Fraction:
-    """The least number of two digits that is no smaller: its multiples are short decimals."""
+    """Rounding unit of two digits, the least that is no smaller: multiples are short decimals."""
     power = Fraction(10) ** (int(np.floor(np.log10(size))) - 1)
     return int(np.ceil(size / float(power) * (1.0 - SAME_TOTAL))) * power
 
 
 def span_of_totals(problem: Problem, dearest: float | None = None) -> float:
-    """The totals that matter: up to the bound, or some typical costs.
+    """Totals that matter to rounding: up to the bound, or some typical costs.
 
     Args:
         problem: the problem.

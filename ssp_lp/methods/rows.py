@@ -37,7 +37,7 @@ from ssp_lp.column_generation.search import (
     Rows,
     StabilisedMaster,
     generate,
-    without_trifles,
+    without_negligible_prices,
 )
 from ssp_lp.compiled.deadline import Stop, WithIncumbent, closing, is_late
 from ssp_lp.dynamic_programming.bellman import Work
@@ -103,7 +103,7 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
     """
     stated = compiled_constrained(problem)
     try:
-        optimum = rows_optimum(stated, options, truth_of(problem, stated))
+        optimum = rows_optimum(stated, options, true_figures(problem, stated))
     except Stop as stop:
         if not isinstance(stop.choice, _RowsOptimum):
             raise
@@ -170,7 +170,7 @@ def rows_optimum(
 def _rows_attempts(
     stated: CompiledExplicit, options: SolveOptions, truth: Truth | None, guess: _RowsOptimum | None
 ) -> Iterator[_RowsOptimum]:
-    """Optima on finer and finer totals, and in the end in twice the precision."""
+    """Attempts at the rows' optimum on finer totals, in the end in twice the precision."""
     calls, work, gaps = 0, Work(), list[float]()
     while True:
         try:
@@ -205,18 +205,18 @@ def _rows_attempt(
     compiled, program = stated.settled(), None
     rule = phase_one(compiled, stated, options)
     if guess is not None:
-        rule = begun_at(compiled, rule, guess.value, guess.prices)
+        rule = search_begun_at(compiled, rule, guess.value, guess.prices)
     if options.program is not None:
         if compiled.ratio:  # whether any lottery within the rows succeeds is no solver's to say
             best_lottery(compiled, rule, replace(options, tolerance=_COARSE))
-        program, rule = begun_at_duals(compiled, rule, options)
+        program, rule = search_begun_at_duals(compiled, rule, options)
     generated, ratio = best_lottery(compiled, rule, options)
     pool, rows = rule.pool, rule.rows
     cost, failure = generated.figures[:2].tolist()
     value = generated.ratio if compiled.ratio else cost
     if program is not None and generated.finished:
         check_agreement(program, value)
-    prices = without_trifles(generated.prices, pool.sizes(rows), cost + ratio * failure)
+    prices = without_negligible_prices(generated.prices, pool.sizes(rows), cost + ratio * failure)
     bound, values = 0.0, compiled.pricing().anything
     with WithIncumbent(), closing():  # where no time is left the values ask for the best
         bound, proof = rows_bound(compiled, replace(rows, ratio=ratio), prices, pool.proved)
@@ -254,14 +254,14 @@ def _rows_attempt(
 def _remarks(
     compiled: CompiledExplicit, stated: CompiledExplicit, rows: Rows, finished: bool
 ) -> str:
-    """What a reader should know of an optimum within rows: raised bounds, a cut search."""
+    """Remarks on an optimum within rows: raised bounds, a search cut short."""
     remarks = []
     if compiled.budget is None and stated.budget is not None:
         remarks.append("the failure budget counts as equal to the least failure")
     for place, granted in zip((rows.index - 1).tolist(), rows.bounds, strict=True):
-        if granted > (asked := compiled.bounds[place]):
+        if granted > (bound := compiled.bounds[place]):
             remarks.append(
-                f"the bound of {compiled.names[place]!r} lies {granted - asked:.1e} below "
+                f"the bound of {compiled.names[place]!r} lies {granted - bound:.1e} below "
                 "what is attainable and counts as equal to it"
             )
     if not finished:
@@ -285,7 +285,7 @@ minimised; and cost, failure and rows of one policy."""
 def best_lottery(
     compiled: CompiledExplicit, opened: StabilisedMaster, options: SolveOptions
 ) -> tuple[Generated, float]:
-    """The best lottery over columns, and in case S its ratio (Dinkelbach's iteration)."""
+    """Best lottery within the rows, and in case S its ratio (Dinkelbach's iteration)."""
     if not compiled.ratio:
         return generate(replace(opened), options), 0.0
     rule, best, ratio = opened, None, opened.rows.ratio
@@ -321,7 +321,7 @@ def true_lottery(
     weights: FloatArray,
     figures: Callable[[Policy], FloatArray],
 ) -> tuple[MixedPolicy, float] | None:
-    """The best lottery within the rows, by true figures, and its failure.
+    """Best lottery within the rows by true figures, and its failure.
 
     Args:
         compiled: the problem.
@@ -372,8 +372,8 @@ def true_lottery(
     return lottery, float(failure @ chosen)
 
 
-def truth_of(problem: Problem, stated: CompiledExplicit) -> Truth | None:
-    """What the policies of a lottery are worth on the model itself, where tables truncate them."""
+def true_figures(problem: Problem, stated: CompiledExplicit) -> Truth | None:
+    """True figures in the rows of a lottery's policies on the model, where tables truncate them."""
     if stated.charge is None:
         return None
     plain = unrolled(problem)
@@ -398,7 +398,7 @@ def truth_of(problem: Problem, stated: CompiledExplicit) -> Truth | None:
 
 
 def row_activities(stated: CompiledExplicit, evaluation: Evaluation) -> list[float]:
-    """What a policy of the lottery takes of each row beside failure."""
+    """Activity of a lottery's policy in each row beside failure."""
     spent = evaluation.secondary_costs
     return [row.activity(spent[row.condition.name]) for row in stated.side]
 
@@ -406,7 +406,7 @@ def row_activities(stated: CompiledExplicit, evaluation: Evaluation) -> list[flo
 def phase_one(
     compiled: CompiledExplicit, stated: CompiledExplicit, options: SolveOptions
 ) -> StabilisedMaster:
-    """The cheapest policy of all, and more until some lottery keeps to all rows (phase 1).
+    """Phase 1 of a search with rows: columns until some lottery keeps to all of them.
 
     Args:
         compiled: at least failure, where the stated budget is equal to that.
@@ -446,7 +446,7 @@ def phase_one(
 
 
 def _positive_ratio(pool: Pool, ended: Generated) -> float:
-    """A ratio for phase 1 to begin with: that of the known lottery, or some policy's."""
+    """A ratio for phase 1 within rows to begin with: of the known lottery, or some policy."""
     attained = ended.ratio
     if np.isfinite(attained) and attained > 0.0:
         return attained
@@ -468,7 +468,7 @@ class _Conflict(NamedTuple):
 def _infeasible(
     compiled: CompiledExplicit, stated: CompiledExplicit, conflict: _Conflict, rows: Rows
 ) -> InfeasibleError:
-    """The conflict in words, as an error, with the least failure of all policies."""
+    """InfeasibleError that names the rows in conflict, with the least failure of all policies."""
     at_least, budget = compiled.budget is None, stated.budget
     places = (rows.index[list(conflict.rows)] - 1).tolist()
     named, names = [compiled.names[k] for k in places], [compiled.told[k] for k in places]
@@ -508,7 +508,7 @@ def _infeasible(
 
 
 def _proved_conflict(pool: Pool, rows: Rows, generated: Generated) -> _Conflict | None:
-    """The conflict that phase 1 ended with, if its bound can be certified.
+    """Conflict of rows that phase 1 ended with, if its bound can be certified (Farkas).
 
     Args:
         pool: the policies that it found.
@@ -534,7 +534,7 @@ def _proved_conflict(pool: Pool, rows: Rows, generated: Generated) -> _Conflict 
 def _irreducible_conflict(
     pool: Pool, rows: Rows, first: _Conflict, options: SolveOptions
 ) -> _Conflict:
-    """A conflict none of whose rows can be left out, by the deletion filter (Chinneck 1991).
+    """Irreducible conflict of rows, by the deletion filter (Chinneck 1991).
 
     Args:
         pool: policies to begin with; what is found is added.
@@ -562,29 +562,29 @@ def _kept_to(ended: Generated, rows: Rows) -> bool:
 
 
 def names_of(compiled: CompiledExplicit, rows: Rows) -> list[str]:
-    """The names of the rows that are limited."""
+    """Names of the rows that are limited."""
     return [compiled.names[index - 1] for index in rows.index.tolist()]
 
 
-def begun_at(
+def search_begun_at(
     compiled: CompiledExplicit, rule: StabilisedMaster, ratio: float, prices: Mapping[str, float]
 ) -> StabilisedMaster:
-    """The same search, begun at a ratio, in case S, and at prices by name."""
+    """The search within rows, begun at a ratio, in case S, and at prices by name."""
     rows = replace(rule.rows, ratio=ratio or rule.rows.ratio) if compiled.ratio else rule.rows
     begun = np.array([prices.get(name, 0.0) for name in names_of(compiled, rows)])
     return replace(rule, rows=rows, prices=begun, bound=0.0)
 
 
-def begun_at_duals(
+def search_begun_at_duals(
     compiled: CompiledExplicit, rule: StabilisedMaster, options: SolveOptions
 ) -> tuple[ProgramOptimum, StabilisedMaster]:
-    """The optimum of the full linear program, and the search begun at its duals."""
+    """Full linear program's optimum with rows, and the search begun at its duals."""
     pricing, rows = compiled.explicit_pricing, rule.rows
     limited = zip(names_of(compiled, rows), rows.index, rows.bounds.tolist(), strict=True)
     limits = {name: (pricing.rewards[:, index], bound) for name, index, bound in limited}
     process = replace(pricing.process, cost=np.ascontiguousarray(pricing.rewards[:, 0]))
     program = solve_program(process, limits, options, ratio=compiled.ratio)
-    rule = begun_at(compiled, rule, program.objective, program.prices)
+    rule = search_begun_at(compiled, rule, program.objective, program.prices)
     weights = rule.rows.weights(rule.prices)
     column = rule.pool.priced(weights)
     rule.pool.add(column)
@@ -593,7 +593,7 @@ def begun_at_duals(
 
 
 def lagrange_bound(least: float, prices: FloatArray, bounds: FloatArray) -> float:
-    """The lower bound ``least - prices @ bounds``, rounding counted against it.
+    """Lagrange's lower bound within rows, ``least - prices @ bounds``, rounding counted.
 
     Args:
         least: certified bound of ``cost + prices @ activity`` of every policy.
@@ -633,12 +633,12 @@ def rows_bound(
     """
     if not compiled.ratio:
         proof = prove(rows.weights(prices))
-        proved = _beyond_paid(compiled, rows, prices, proof) + compiled.sense.shift
+        proved = _excess_over_paid(compiled, rows, prices, proof) + compiled.sense.shift
         return max(proved, 0.0), proof  # what is minimised is a sum of terms of at least 0
     proofs = []
     for at in (rows, replace(rows, ratio=rows.ratio * BELOW_RATIO)):
         proof = prove(at.weights(prices))
-        proofs.append((at.ratio, _beyond_paid(compiled, at, prices, proof), proof))
+        proofs.append((at.ratio, _excess_over_paid(compiled, at, prices, proof), proof))
 
     def best(goal: float) -> tuple[float, Proof]:
         """The best bound, where every lottery has a goal probability."""
@@ -652,8 +652,10 @@ def rows_bound(
     return bound
 
 
-def _beyond_paid(compiled: CompiledExplicit, rows: Rows, prices: FloatArray, proof: Proof) -> float:
-    """By how much every lottery within the rows exceeds what every episode pays, at least."""
+def _excess_over_paid(
+    compiled: CompiledExplicit, rows: Rows, prices: FloatArray, proof: Proof
+) -> float:
+    """Least excess of lotteries within the rows over what every episode pays."""
     paid, less = rows.ratio if compiled.ratio else compiled.sense.shift, -np.inf
     if paid > 0.0:
         weights = replace(rows, ratio=0.0).weights(prices)
@@ -687,7 +689,7 @@ def least_goal_within(compiled: CompiledExplicit, rows: Rows) -> float:
 def bound_at(
     compiled: CompiledExplicit, prices: Mapping[str, float], ratio: float, least_goal: float
 ) -> float:
-    """A proof of a lower bound of every lottery within the rows, at prices by name.
+    """Proof of a lower bound of every lottery within the rows, at prices by name.
 
     Args:
         compiled: the problem, settled.
@@ -703,7 +705,7 @@ def bound_at(
 
 
 def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
-    """The bound that the prices of all rows prove.
+    """Prove the bound within limits that the prices of all rows give.
 
     Raises:
         ModelError: the value function does not fit.

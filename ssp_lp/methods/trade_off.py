@@ -49,8 +49,8 @@ from ssp_lp.errors import (
     optional_module,
     wrong_argument,
 )
-from ssp_lp.methods.rows import rows_optimum, truth_of
-from ssp_lp.model.naming import Reported
+from ssp_lp.methods.rows import rows_optimum, true_figures
+from ssp_lp.model.text_tables import Reported
 from ssp_lp.options import SolveOptions, Status, deadline_of, progress_shown
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import (
@@ -345,7 +345,7 @@ class _Tracing:
         self.stated = compiled_constrained(problem)
         if FAILURE_ROW in self.over:  # whatever was allowed, even if that was the least
             self.stated = replace(self.stated, budget=1.0)
-        self.truth = truth_of(problem, self.stated)
+        self.truth = true_figures(problem, self.stated)
         self.options = SolveOptions(_FINER * limits.gap)
         self.optima: list[_Optimum] = []
 

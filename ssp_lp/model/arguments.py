@@ -71,7 +71,7 @@ _FITS: dict[Any, Callable[[Any], bool]] = {
 
 
 def explained(public: Callable[_Given, _Answer]) -> Callable[_Given, _Answer]:
-    """A function whose bare errors say which argument is of a wrong type, where one is.
+    """Wrap a function so that its bare errors name the argument of a wrong type, if one is.
 
     Only a call that fails is looked at: its arguments are held against their annotations, and one
     that does not fit becomes a :class:`ModelError`. What fails otherwise is raised as it is. Truth
@@ -106,7 +106,7 @@ def explained(public: Callable[_Given, _Answer]) -> Callable[_Given, _Answer]:
 
 
 def explained_class(made: type[_Made]) -> type[_Made]:
-    """A class whose constructor is :func:`explained`."""
+    """Wrap a class so that its constructor names an argument of a wrong type."""
     made.__init__ = explained(made.__init__)  # type: ignore[method-assign]
     return made
 
@@ -119,7 +119,7 @@ def check_fields(made: object) -> None:
 
 
 def _misfit_among(annotated: Any, values: Mapping[str, Any]) -> str | None:
-    """What to say of the first of some values that does not fit its annotation; None: all do."""
+    """Error text for the first of some arguments' values that misfits its annotation; or None."""
     names = {**vars(sys.modules[annotated.__module__]), "npt": _NUMPY}
     for part, annotation in getattr(annotated, "__annotations__", {}).items():
         if part not in values:
@@ -135,7 +135,7 @@ def _misfit_among(annotated: Any, values: Mapping[str, Any]) -> str | None:
 
 
 def _misfit(place: str, value: Any, hint: Any) -> str | None:
-    """What to say of a value that is not what its hint says: which part, and the remedy."""
+    """Error text for an argument's value that misfits its hint: which part, and the remedy."""
     kind, parts = get_origin(hint) or hint, get_args(hint)
     wrong = f"{place} must be {_in_words(hint)}, not {in_short(value)}"
     if kind in (Union, UnionType):
@@ -163,7 +163,7 @@ def _misfit(place: str, value: Any, hint: Any) -> str | None:
 
 
 def _fits(value: Any, kind: Any, parts: tuple[Any, ...] = ()) -> bool:
-    """Whether a value is of a kind, whatever it holds."""
+    """Whether an argument's value is of the hint's kind, whatever it holds."""
     if kind is Literal:
         return value in parts
     if kind is Callable:
@@ -190,15 +190,15 @@ def _goes_into(function: Callable[..., object], *arguments: Any) -> bool:
 
 
 def _in_words(hint: Any, *, several: bool = False) -> str:
-    """What a hint asks for."""
+    """Type hint of an argument in words."""
     kind, parts = get_origin(hint) or hint, get_args(hint)
     if kind in (Union, UnionType):
         return " or ".join(dict.fromkeys(_in_words(part, several=several) for part in parts))
     if kind is Literal:
         return " or ".join(map(repr, parts))
     if kind is Callable:
-        known = bool(parts) and parts[0] is not Ellipsis
-        return f"a function of {len(parts[0])} arguments" if known else "a function"
+        has_parts = bool(parts) and parts[0] is not Ellipsis
+        return f"a function of {len(parts[0])} arguments" if has_parts else "a function"
     if kind in _WORDS:
         of = _in_words(parts[0], several=True) if kind in (Sequence, Iterable) and parts else ""
         return _WORDS[kind][several] + (f" of {of}" if of else "")

@@ -56,39 +56,39 @@ class Axis:
     def __post_init__(self) -> None:
         """Raise :class:`ModelError` for an empty or infinite interval, or without cells."""
         if not isinstance(self.cells, (int, np.integer)) or not 1 <= self.cells < 2**31:
-            told = in_short(self.cells)
-            raise ModelError(f"an axis needs a whole number of cells >= 1, not {told}")
+            cells = in_short(self.cells)
+            raise ModelError(f"an axis needs a whole number of cells >= 1, not {cells}")
         check_fields(self)
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
             raise ModelError(f"an axis must run from low to a greater high: {self!r}")
 
     @property
     def width(self) -> float:
-        """The width of a cell."""
+        """Width of a cell on the continuous model's axis."""
         return (self.high - self.low) / self.cells
 
     def misses(self, heights: FloatArray) -> BoolArray:
-        """Which of the heights, in widths of a cell, are off the axis, or no numbers."""
+        """Coordinates off the continuous model's axis, in widths of a cell, or no numbers."""
         if self.periodic:
             return ~np.isfinite(heights)
         return ~((heights >= -ON_EDGE) & (heights <= self.cells + ON_EDGE))
 
     def above(self, heights: FloatArray) -> IntArray:
-        """The cell at each height on the axis, the upper one on an edge."""
+        """Cell of the continuous model's axis at each height, the upper one on an edge."""
         return self._numbered(np.floor(heights + ON_EDGE))
 
     def below(self, heights: FloatArray) -> IntArray:
-        """The cell at each height on the axis, the lower one on an edge."""
+        """Cell of the continuous model's axis at each height, the lower one on an edge."""
         return self._numbered(np.ceil(heights - ON_EDGE) - 1.0)
 
     def wrapped(self, values: FloatArray) -> FloatArray:
-        """Values of a periodic axis within low and high; others as they are."""
+        """Coordinates of a periodic axis within low and high; others as they are."""
         if not self.periodic:
             return values
         return self.low + np.mod(values - self.low, self.high - self.low)
 
     def _numbered(self, cells: FloatArray) -> IntArray:
-        """Numbers of cells on the grid's axis, kept within it."""
+        """Numbers of cells on the continuous model's axis, kept within it."""
         if self.periodic:
             inside = cells - self.cells * np.floor(cells / self.cells)
         else:
@@ -117,22 +117,22 @@ class Grid:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Cells along each axis."""
+        """Number of the continuous model's cells along each axis."""
         return tuple(int(axis.cells) for axis in self.axes)
 
     @property
     def n_cells(self) -> int:
-        """How many cells there are."""
+        """Number of cells of the continuous model's grid."""
         return math.prod(self.shape)
 
     @cached_property
     def strides(self) -> tuple[int, ...]:
-        """By how much the number of a cell grows along each axis."""
+        """Steps in a grid cell's number along each axis."""
         return tuple(math.prod(self.shape[k + 1 :]) for k in range(len(self.axes)))
 
     @explained
     def index_of(self, cells: npt.ArrayLike) -> tuple[IntArray, ...]:
-        """Position of each cell along each axis; raises :class:`ModelError` if there is none."""
+        """Position of each grid cell along each axis; :class:`ModelError` if there is none."""
         given = np.asarray(cells)
         if given.dtype.kind not in "iu" or (given < 0).any() or (given >= self.n_cells).any():
             raise ModelError(f"cells are whole numbers, 0 .. {self.n_cells - 1}")
@@ -140,13 +140,13 @@ class Grid:
 
     @explained
     def centre(self, cells: npt.ArrayLike) -> FloatArray:
-        """Midpoints of cells: numbers of any shape -> [..., axes]."""
+        """Midpoints of grid cells: numbers of any shape -> [..., axes]."""
         index = zip(self.axes, self.index_of(cells), strict=True)
         return np.stack([axis.low + (k + 0.5) * axis.width for axis, k in index], axis=-1)
 
     @explained
     def cell_of(self, points: npt.ArrayLike) -> Any:
-        """The cell that each point lies in: [..., axes] -> numbers, an int for a single point.
+        """Grid cell of each point: [..., axes] -> numbers, an int for a single point.
 
         Raises:
             ModelError: a point lies outside the box, or has another number of coordinates.
@@ -162,14 +162,14 @@ class Grid:
         return int(cells) if cells.ndim == 0 else cells
 
     def heights(self, coordinates: Coordinates) -> Coordinates:
-        """Coordinates in widths of a cell above the low ends."""
+        """Coordinates of a continuous model's points in widths of a cell above the low ends."""
         return tuple(
             np.asarray((values - axis.low) * (axis.cells / (axis.high - axis.low)))
             for axis, values in zip(self.axes, coordinates, strict=True)
         )
 
     def misses(self, heights: Coordinates) -> BoolArray:
-        """Which points lie outside the box, broadcast over those axes that any of them misses."""
+        """Points outside the grid's box, broadcast over those axes that any of them misses."""
         missed: BoolArray = np.zeros((), dtype=np.bool_)
         for axis, values in zip(self.axes, heights, strict=True):
             off = axis.misses(values)
@@ -178,7 +178,7 @@ class Grid:
         return missed
 
     def numbers_about(self, heights: Coordinates, *, split: bool = True) -> list[IntArray]:
-        """The cells that each point counts in, with equal shares: one array, or 2, 4, ...
+        """Grid cells that each point counts in with equal shares: one array, or 2, 4, ...
 
         Several only where a point lies on an edge of an axis that splits them; else the upper one.
         """
@@ -222,7 +222,7 @@ class Distribution(ReadOnlyCopies):
     @classmethod
     @explained
     def uniform(cls, low: float, high: float) -> Distribution:
-        """Uniform between two numbers; raises :class:`ModelError` unless low <= high, finite."""
+        """Uniform noise between two numbers; :class:`ModelError` unless low <= high, finite."""
         if not (math.isfinite(low) and math.isfinite(high) and low <= high):
             raise ModelError(f"a uniform distribution needs low <= high, not {low!r}, {high!r}")
         return cls(partial(_between, float(low), float(high)))
@@ -230,7 +230,7 @@ class Distribution(ReadOnlyCopies):
     @classmethod
     @explained
     def discrete(cls, values: npt.ArrayLike, probabilities: npt.ArrayLike) -> Distribution:
-        """Finitely many values, [atoms], with their probabilities, [atoms].
+        """Noise of finitely many values, [atoms], with their probabilities, [atoms].
 
         Raises:
             ModelError: other shapes, a value that is not finite, or no probabilities.
@@ -250,26 +250,26 @@ class Distribution(ReadOnlyCopies):
 
     def __repr__(self) -> str:
         """The quantile function, or how many values there are."""
-        told = in_short(self.quantile) if self.values is None else f"{self.values.size} values"
-        return f"Distribution({told})"
+        law = in_short(self.quantile) if self.values is None else f"{self.values.size} values"
+        return f"Distribution({law})"
 
     @explained
     def at(self, levels: FloatArray) -> FloatArray:
-        """Values at levels in (0, 1); raises :class:`ModelError` if they are no finite numbers."""
-        found = np.asarray(self.quantile(levels))
-        real = found.dtype.kind in "biuf" and found.shape == levels.shape
-        if not real or not np.isfinite(found).all():
+        """Noise of the continuous model at levels in (0, 1); :class:`ModelError` if not finite."""
+        values = np.asarray(self.quantile(levels))
+        real = values.dtype.kind in "biuf" and values.shape == levels.shape
+        if not real or not np.isfinite(values).all():
             raise ModelError("a quantile function must return a finite number for each level")
-        return found.astype(np.float64, copy=False)
+        return values.astype(np.float64, copy=False)
 
 
 def _between(low: float, high: float, levels: FloatArray) -> FloatArray:
-    """The value of a uniform distribution at each level, like ``levels``."""
+    """Uniform noise of a continuous model at each level, like ``levels``."""
     return low + (high - low) * levels
 
 
 def _atoms_at(atoms: FloatArray, cumulative: FloatArray, levels: FloatArray) -> FloatArray:
-    """The atom of a discrete distribution at each level, like ``levels``."""
+    """Discrete noise of a continuous model at each level, like ``levels``."""
     return np.asarray(atoms[np.searchsorted(cumulative, levels, side="right")])
 
 
@@ -344,12 +344,12 @@ class ContinuousModel:
 
     @property
     def n_states(self) -> int:
-        """Cells, the goal and the dead-ends."""
+        """Number of cells of the continuous model, goal and dead-ends included."""
         return self.grid.n_cells + 1 + len(self.dead_ends)
 
     @cached_property
     def allowed_pairs(self) -> IntArray | None:
-        """The pairs, as cell * actions + action's position, [pairs]; None: all there are.
+        """Pairs of the continuous model, cell * actions + action, [pairs]; None: all there are.
 
         Raises:
             ModelError: ``allowed`` returns no truth values, or leaves a cell without actions.
@@ -360,13 +360,13 @@ class ContinuousModel:
         middles = tuple(self.grid.centre(np.arange(n_cells)).T)
         there = np.empty((n_cells, n_actions), dtype=np.bool_)
         for k, action in enumerate(self.actions):
-            told = np.asarray(self.allowed(middles, action))
-            if told.dtype != np.bool_ or told.shape not in ((), (n_cells,)):
+            answer = np.asarray(self.allowed(middles, action))
+            if answer.dtype != np.bool_ or answer.shape not in ((), (n_cells,)):
                 raise ModelError(
                     f"allowed must return a truth value for each of {n_cells:,} middles, not "
-                    f"{in_short(told)}"
+                    f"{in_short(answer)}"
                 )
-            there[:, k] = told
+            there[:, k] = answer
         idle = ~there.any(axis=1)
         if idle.any():
             middle = [float(values[np.argmax(idle)]) for values in middles]
@@ -378,7 +378,7 @@ class ContinuousModel:
 
     @explained
     def end_state(self, end: str | int) -> int:
-        """The state of an end: "goal", a dead-end's label, or its number 1, 2, ...
+        """State of the continuous model's end: "goal", a dead-end's label, or its number.
 
         Raises:
             ModelError: there is no such end.
@@ -516,7 +516,7 @@ class WorldSimulator:
             raise ModelError(f"start needs {len(axes)} coordinates, not {len(self.start)}")
 
     def check_model(self, model: SSP) -> None:
-        """Raise :class:`ModelError` for a model with other states than the world's cells make."""
+        """Raise :class:`ModelError` for a model whose states are not the continuous world's."""
         if model.n_states != self.world.n_states:
             raise ModelError(
                 f"the simulator's world has {self.world.n_states:,} states, the policy's model "
@@ -524,7 +524,7 @@ class WorldSimulator:
             )
 
     def reset(self, episodes: int, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
-        """Draw starts: coordinates, [episodes, axes], and cells, [episodes].
+        """Draw starts in the continuous world: coordinates, [episodes, axes], and cells.
 
         Raises:
             ModelError: a start outside the box.
@@ -542,7 +542,7 @@ class WorldSimulator:
     def step(
         self, world: FloatArray, pair: IntArray, rng: np.random.Generator
     ) -> tuple[FloatArray, IntArray, FloatArray]:
-        """Take one step from coordinates, [k, axes], by pairs of the grid model, [k].
+        """Take a step in the continuous world from coordinates, [k, axes], by pairs, [k].
 
         Returns:
             The coordinates, those of periodic axes within the box, the states of the grid model,

@@ -55,7 +55,7 @@ class Quadrature:
     rule: str = "midpoint"
 
     def trials(self, model: ContinuousModel) -> Trials:
-        """All combinations of points, a dimension for each axis, then one for each random number.
+        """Quadrature points for discretising, a dimension for each axis, then each random number.
 
         Raises:
             ModelError: a wrong number of points, or an unknown rule.
@@ -79,7 +79,7 @@ class Quadrature:
         return Trials(tuple(map(len, shares)), None if equal else combined, draw, repeatable=True)
 
     def _parts(self, model: ContinuousModel) -> list[tuple[FloatArray, FloatArray]]:
-        """Points and weights of each axis, in widths of a cell, and of each random number."""
+        """Quadrature points and weights of each axis, in widths of a cell, and random number."""
         n_axes, n_noise = len(model.grid.axes), len(model.noise)
         given = self.points
         counts: list[Any] = np.ravel(given).tolist() * (1 if np.ndim(given) else n_axes + n_noise)
@@ -99,7 +99,7 @@ class Quadrature:
         ]
 
     def _levels(self, count: int) -> tuple[FloatArray, FloatArray]:
-        """Points in (0, 1) and weights that sum to 1."""
+        """Quadrature points in (0, 1) and weights that sum to 1."""
         if self.rule == "midpoint":
             return (np.arange(count) + 0.5) / count, np.full(count, 1.0 / count)
         if self.rule == "gauss-legendre":
@@ -114,22 +114,22 @@ class Samples:
 
     Attributes:
         number: of samples of each pair.
-        rng: a generator or a seed; the same seed gives the same model.
+        seed: a number or a generator; the same number gives the same model.
     """
 
     number: int
-    rng: np.random.Generator | int
+    seed: np.random.Generator | int
 
     def __post_init__(self) -> None:
         """Raise :class:`ModelError` for less than one sample, or for a seed that is none."""
         check_whole("number", self.number)
-        seed = isinstance(self.rng, (int, np.integer)) and self.rng >= 0
-        if not (seed or isinstance(self.rng, np.random.Generator)):
-            raise ModelError(f"rng must be a generator or a seed such as 0, not {self.rng!r}")
+        is_number = isinstance(self.seed, (int, np.integer)) and self.seed >= 0
+        if not (is_number or isinstance(self.seed, np.random.Generator)):
+            raise ModelError(f"seed must be a number such as 0 or a generator, not {self.seed!r}")
 
     def trials(self, model: ContinuousModel) -> Trials:
-        """Fresh sample points at every call, in one dimension."""
-        rng, axes = np.random.default_rng(self.rng), model.grid.axes
+        """Sample points for discretising, fresh at every call, in one dimension."""
+        rng, axes = np.random.default_rng(self.seed), model.grid.axes
 
         def draw(cells: IntArray) -> tuple[Coordinates, Coordinates]:
             """Points drawn in some cells, and the noise at each."""
@@ -142,7 +142,7 @@ class Samples:
 
     @explained
     def deviation(self, pairs: int, reachable: int, confidence: float = 0.95) -> float:
-        """By how much, in the sum of absolute differences, any pair's sampled outcomes are off.
+        """Error of a discretised pair's sampled outcomes, in the sum of absolute differences.
 
         The statement: with at least this confidence over the samples, every one of ``pairs`` has
         sampled probabilities within this distance of the true ones, those of a point uniform in
@@ -180,7 +180,7 @@ class Outcomes(NamedTuple):
     costs: FloatArray  # [outcomes], or [] for one number
 
     def rows(self, wanted: IntArray) -> Outcomes:
-        """The rows of these numbers, one after the other."""
+        """Rows of discretised outcomes with these numbers, one after the other."""
         places, lengths = entries_of(self.outcome_offsets, wanted)
         costs = self.costs[places] if self.costs.ndim else self.costs
         return Outcomes(
@@ -189,7 +189,7 @@ class Outcomes(NamedTuple):
 
 
 def tally_outcomes(states: IntArray, weights: FloatArray | None, costs: FloatArray) -> Outcomes:
-    """Count the outcomes of trials.
+    """Count the outcomes of trials, to discretise a pair.
 
     Args:
         states: where they lead, [pairs, trials].
@@ -292,7 +292,7 @@ def discretise(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> SSP:
-    """Make a finite model whose states are the cells of a continuous world's grid.
+    """Discretise a continuous world: a finite model whose states are its grid's cells.
 
     In the model each step begins at a point uniform in its cell, whatever came before. The world
     remembers where in the cell it was: nothing certified of the model is certain there. Play the
@@ -312,7 +312,7 @@ def discretise(
         ModelError: the step function's answer is of a wrong form, or it leaves the box.
     """
     if not isinstance(points, (Quadrature, Samples)):
-        raise ModelError(f"points must be Quadrature(4) or Samples(1000, rng=0), not {points!r}")
+        raise ModelError(f"points must be Quadrature(4) or Samples(1000, seed=0), not {points!r}")
     trials = points.trials(world)
     n_all = world.grid.n_cells * len(world.actions)
     distinct, row_of_pair = _distinct_pairs(world, n_all)
@@ -335,7 +335,7 @@ def discretise(
 
 
 class _Tried(NamedTuple):
-    """What came of one action."""
+    """Outcomes of one action's trials."""
 
     rows: IntArray  # [cells] which of the pairs
     states: list[IntArray]  # [trials, cells] each; several where edges are split
@@ -343,7 +343,7 @@ class _Tried(NamedTuple):
 
 
 def _discretised_rows(world: ContinuousModel, trials: Trials, pairs: IntArray) -> Outcomes:
-    """The outcomes of some pairs, in increasing order."""
+    """Discretised outcomes of some pairs, in increasing order."""
     cells, action = np.divmod(pairs, len(world.actions))
     tried = []
     for number in np.unique(action).tolist():
@@ -389,10 +389,10 @@ def _distinct_pairs(world: ContinuousModel, n_all: int) -> tuple[IntArray | None
         return pairs, None
     sizes = (*world.grid.shape, len(world.actions))
     *index, actions = np.ogrid[tuple(slice(size) for size in sizes)]
-    told = np.asarray(world.alike(tuple(index), actions))
-    if told.ndim > len(sizes) or told.dtype.kind not in "iu" or told.min() < 0:
+    alike = np.asarray(world.alike(tuple(index), actions))
+    if alike.ndim > len(sizes) or alike.dtype.kind not in "iu" or alike.min() < 0:
         raise ModelError("alike must return whole numbers >= 0")
-    kinds = np.broadcast_to(told, sizes).ravel()
+    kinds = np.broadcast_to(alike, sizes).ravel()
     kinds = kinds if pairs is None else kinds[pairs]
     number = least_integer_type(n_all)
     first = np.full(int(kinds.max()) + 1, -1, dtype=number)
@@ -411,9 +411,9 @@ def _repeated_rows(
     Raises:
         ModelError: a pair that is worked out once more has other outcomes.
     """
-    known, checks = world.allowed_pairs, SPOT_CHECKS if trials.repeatable else 0
+    allowed, checks = world.allowed_pairs, SPOT_CHECKS if trials.repeatable else 0
     for k in np.unique(np.linspace(0, len(row_of_pair) - 1, checks).astype(np.int64)):
-        pair = k if known is None else known[k]
+        pair = k if allowed is None else allowed[k]
         own, shared = _discretised_rows(world, trials, pair[None]), found.rows(row_of_pair[k, None])
         same = np.array_equal(own.successors, shared.successors) and all(
             np.allclose(getattr(own, name), getattr(shared, name), rtol=1e-9, atol=1e-9)

@@ -55,13 +55,13 @@ class _LabelledStates(Sequence[Label]):
 
 @dataclass(frozen=True, eq=False)
 class _LabelMoves:
-    """How the label moves with a step."""
+    """Moves of the label of failing with a step."""
 
     model: SSP
     fails: BoolArray  # [states] where every step takes the label
 
     def after(self, label: str, state: Any, action: Any, successor: Any, cost: float) -> str:
-        """AFTER once it is, where the step gives up, and from a dead-end on."""
+        """Label of failing after a step: AFTER once it is, on giving up, and from dead-ends on."""
         gives_up = isinstance(action, tuple) and action[:1] == (GIVING_UP,)
         failed = label == AFTER or gives_up or self.fails[self.model.index_of(state)]
         return AFTER if failed else BEFORE
@@ -84,32 +84,32 @@ class FailureSSP(ProductSSP):
 
     @property
     def failure_label(self) -> FailureSSP:
-        """Itself: where runs are over, and who may give up, is declared here."""
+        """The product with the label of failing, by itself: its states bear the label."""
         return self
 
     @property
     def n_original(self) -> int:
-        """Number of states of the original."""
+        """Number of states of the original, without the label of failing."""
         return self.original.n_states
 
     @cached_property
     def original_state(self) -> IntArray:
-        """State of the original, [states]."""
+        """State of the original of each labelled one, [states]."""
         return np.tile(np.arange(self.n_original), 2)
 
     @cached_property
     def original_outcome(self) -> IntArray:
-        """Outcome of the original, [outcomes]."""
+        """Outcome of the original of each labelled one, [outcomes]."""
         return np.asarray(entries_of(self.original.outcome_offsets, self.original_pair)[0])
 
     @cached_property
     def memories(self) -> tuple[Hashable, ...]:
-        """Before and after failing."""
+        """Labels of failing: before and after."""
         return BEFORE, AFTER
 
     @cached_property
     def table(self) -> IntArray:
-        """The product's state of each state and label, [states, 2]."""
+        """State of the failure product for each state and label, [states, 2]."""
         return np.arange(2 * self.n_original).reshape(2, -1).T
 
     @cached_property
@@ -120,23 +120,23 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def after(self) -> BoolArray:
-        """States after failing, [states]."""
+        """States with the label "after failing", [states]."""
         return np.repeat([False, True], self.n_original)
 
     @cached_property
     def lost(self) -> BoolArray:
-        """Dead-ends of the original, before failing is declared there, [states]."""
+        """Dead-ends of the failure product before failing is declared there, [states]."""
         dead = dead_ends(self.original)
         return np.append(dead, np.zeros_like(dead))
 
     @cached_property
     def ended(self) -> BoolArray:
-        """States in which a run is over without the goal, [states]."""
+        """States of the failure product in which a run is over without the goal, [states]."""
         return (self.lost | self.after) & ~np.tile(self.is_open, 2)
 
     @cached_property
     def stop_marks(self) -> IntArray:
-        """Number of the way in which a run ends that goes no further in a state, [states].
+        """Number of the way to end of a run that stops in a state of the failure product, [states].
 
         A dead-end's own, and else that of having given up (``graph.end_marks``).
         """
@@ -145,18 +145,18 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def end_marks(self) -> IntArray:
-        """Number of the way in which a run ends in each state, -1 where it goes on, [states]."""
+        """Number of the way to end in the failure product's states, -1: none, [states]."""
         return np.where(self.goal_mask, 0, np.where(self.ended, self.stop_marks, -1))
 
     @cached_property
     def priced(self) -> BoolArray:
-        """Pairs the least of which giving up is charged, [pairs]."""
+        """Pairs of the failure product the least of which giving up is charged, [pairs]."""
         before = ~np.append(self.is_open, np.ones(self.n_original, dtype=np.bool_))
         return self.fails | (before[self.pair_state] & self.charged[self.original_pair])
 
     @cached_property
     def finite(self) -> tuple[BoolArray, BoolArray]:
-        """States from which some policy counts only finitely much, and pairs that keep among them.
+        """States with a policy of finite count after failing, and the pairs that keep among them.
 
         After failing there may be no end any more, though what is counted goes on being counted.
 
@@ -169,7 +169,7 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def _staying(self) -> BoolArray:
-        """Pairs among which one may stay for ever, adding nothing to what must stay finite."""
+        """Pairs of the failure product that stay for ever without adding to a finite count."""
         going = ~self.ended & ~self.goal_mask
         failed = self.fails | self.after[self.pair_state]
         free = self.free_pairs[failed.astype(np.int64), self.original_pair]
@@ -177,25 +177,25 @@ class FailureSSP(ProductSSP):
 
     @property
     def staying_after(self) -> IntArray:
-        """Pairs of the original among which one may stay for ever after failing, [pairs]."""
+        """Pairs of the original that may stay for ever after failing, [pairs]."""
         return self.original_pair[self._staying & self.after[self.pair_state]]
 
     def find(self, state: Hashable) -> int | None:
-        """Index of the state with the label (state, BEFORE or AFTER), None if there is none."""
+        """Index of the failure product's state (state, BEFORE or AFTER), None if there is none."""
         if not (isinstance(state, tuple) and len(state) == 2 and state[1] in (BEFORE, AFTER)):
             return None
         here = self.original.find(state[0])
         return None if here is None else here + (self.n_original if state[1] == AFTER else 0)
 
     def having(self, states: IntArray, action: Hashable) -> IntArray:
-        """Those of some states that have an action; all of them where none has it."""
+        """States of the failure product with an action; all of them where none has it."""
         number = [name == action for name in self.action_names]
         pairs = np.asarray(number, dtype=np.bool_)[self.pair_action].nonzero()[0]
-        found = states[np.isin(states, self.pair_state[pairs])]
-        return found if found.size else states
+        acting = states[np.isin(states, self.pair_state[pairs])]
+        return acting if acting.size else states
 
     def placed(self, states: IntArray, pairs: IntArray) -> IntArray:
-        """The pairs here that are pairs of the original, -1 where a state has no such, [entries].
+        """Pairs of the failure product that are the original's, -1 where there is none, [entries].
 
         Before failing a live state's own, without giving up.
 
@@ -207,39 +207,39 @@ class FailureSSP(ProductSSP):
         return np.asarray(self._places[self.after[states] + 2 * taking, pairs])
 
     def giving_up_by(self, pairs: IntArray) -> IntArray:
-        """The pairs here that are pairs of the original taken with the label, -1: none."""
+        """Pairs of the failure product that take the label with the original's, -1: none."""
         return np.asarray(self._places[2, pairs])
 
     @cached_property
     def _places(self) -> IntArray:
-        """The pair here of each one of the original: before, after, and with taking the label."""
+        """Failure product's pair of each original one: before, after, and taking the label."""
         places = np.full((3, self.original.n_pairs), -1, dtype=np.int64)
         kind = np.where(self.fails, 2, self.after[self.pair_state].astype(np.int64))
         places[kind, self.original_pair] = np.arange(self.n_pairs)
         return places
 
     def moved(self, pairs: IntArray, successors: IntArray) -> IntArray:
-        """Where steps by these pairs lead that end in some states of the original, [episodes]."""
+        """States of the failure product after steps of these pairs, [episodes]."""
         failed = self.fails[pairs] | self.after[self.pair_state[pairs]]
         return np.asarray(successors + self.n_original * failed)
 
     def spread_costs(
         self, costs: FloatArray, charge: FloatArray, *, through: bool = False
     ) -> FloatArray:
-        """Costs of the original as counted here, [outcomes].
+        """Costs of the original as counted in the failure product, [outcomes].
 
         Args:
             costs: [original outcomes].
             charge: what failing costs in each state, where a run goes on, [original states].
             through: count all costs as they are, also after failing, and no charge.
         """
-        found = costs[self.original_outcome]
+        counted = costs[self.original_outcome]
         if through:
-            return found
+            return counted
         counts = np.diff(self.outcome_offsets)
         charged = np.where(self.fails, charge[self.original_state[self.pair_state]], 0.0)
         free = self.fails | self.after[self.pair_state]
-        return np.where(np.repeat(free, counts), np.repeat(charged, counts), found)
+        return np.where(np.repeat(free, counts), np.repeat(charged, counts), counted)
 
 
 def label_failing(
@@ -249,7 +249,7 @@ def label_failing(
     charged: BoolArray,
     free_pairs: BoolArray,
 ) -> FailureSSP:
-    """The model in which a run goes on after failing; its costs are the model's until set.
+    """Build the product with the label of failing, in which runs go on after it.
 
     Args:
         model: the model.
@@ -304,7 +304,7 @@ def label_failing(
 
 
 def check_label(model: SSP) -> FailureSSP:
-    """The model, if its states bear the label of failing.
+    """The model, if it is a product with the label of failing.
 
     Raises:
         ModelError: they do not.

@@ -49,7 +49,7 @@ class _Predecessors:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Graph:
-    """Which pairs lead where: of a model, or of a process."""
+    """A graph of pairs and the states that they lead to: of a model, or of a process."""
 
     pair_offsets: IntArray  # [states + 1] pairs of state s: pair_offsets[s] : pair_offsets[s + 1]
     outcome_offsets: IntArray  # [pairs + 1] outcomes of pair k, likewise
@@ -58,27 +58,27 @@ class Graph:
 
     @cached_property
     def n_states(self) -> int:
-        """Number of states, goals included."""
+        """Number of the graph's states, goals included."""
         return len(self.pair_offsets) - 1
 
     @cached_property
     def n_pairs(self) -> int:
-        """Number of state-action pairs."""
+        """Number of the graph's state-action pairs."""
         return len(self.outcome_offsets) - 1
 
     @cached_property
     def n_outcomes(self) -> int:
-        """Number of outcomes over all pairs."""
+        """Number of the graph's outcomes over all pairs."""
         return len(self.successors)
 
     @cached_property
     def pair_state(self) -> IntArray:
-        """The state of each pair, [pairs]."""
+        """The state of each pair of the graph, [pairs]."""
         return read_only(segment_ids(self.pair_offsets))
 
     @cached_property
     def predecessors(self) -> _Predecessors:
-        """For each state the pairs that may lead to it; found at first use, then kept."""
+        """Graph turned round: the pairs that may lead to each state; found at first use, kept."""
         arrays = self.outcome_offsets, self.successors, self.probabilities
         if accelerated(self.n_outcomes):
             from ssp_lp.compiled.graphs import transpose_graph
@@ -100,7 +100,7 @@ def possible_steps(
     probabilities: FloatArray,
     chosen: BoolArray | None = None,
 ) -> tuple[IntArray, IntArray]:
-    """The outcomes of positive probability, of which predecessors are told.
+    """Edges of the model's graph: the outcomes of positive probability.
 
     Args:
         outcome_offsets: [pairs + 1].
@@ -113,34 +113,34 @@ def possible_steps(
         [entries].
     """
     counts = np.zeros(len(outcome_offsets), dtype=np.int64)
-    found = [successors[:0]]
+    targets = [successors[:0]]
     for piece in pieces_of_chunks(outcome_offsets):
         kept = probabilities[piece.entries] > 0
         if chosen is not None:
             kept &= np.repeat(chosen[piece.segments], piece.lengths)
         some = successors[piece.entries]
-        found.append(some if kept.all() else some[kept])
+        targets.append(some if kept.all() else some[kept])
         filled = np.flatnonzero(piece.lengths)
         sums = np.add.reduceat(kept, piece.firsts[filled], dtype=np.int64) if filled.size else 0
         counts[1:][piece.segments][filled] = sums
     ends = np.cumsum(counts, out=counts)
-    return ends, successors if ends[-1] == len(successors) else np.concatenate(found)
+    return ends, successors if ends[-1] == len(successors) else np.concatenate(targets)
 
 
 def kept(find: Callable[[SSP], Fact]) -> Callable[[SSP], Fact]:
-    """Keep what a function finds out about a model, an array or a tuple of arrays, read-only."""
+    """Keep a fact about a model's graph, an array or a tuple of arrays, read-only."""
 
     @wraps(find)
     def _fact(model: SSP) -> Fact:
-        known = model.kept_facts
-        if find.__name__ not in known:
+        facts = model.kept_facts
+        if find.__name__ not in facts:
             check_time()
-            found = find(model)
-            for array in found if isinstance(found, tuple) else (found,):
+            fact = find(model)
+            for array in fact if isinstance(fact, tuple) else (fact,):
                 if isinstance(array, np.ndarray):
                     array.flags.writeable = False
-            known[find.__name__] = found
-        result: Fact = known[find.__name__]
+            facts[find.__name__] = fact
+        result: Fact = facts[find.__name__]
         return result
 
     return _fact
@@ -153,7 +153,7 @@ def hopeless_states(model: SSP) -> BoolArray:
 
 
 def dead_ends(model: SSP) -> BoolArray:
-    """States in which a run is over without the goal: the hopeless ones, [states].
+    """Dead-ends by the graph, where a run is over without the goal: hopeless states, [states].
 
     Where what comes after failing counts, these are only the ones in which it ends.
     """
@@ -167,12 +167,12 @@ def reaching_states(model: SSP, ends: BoolArray) -> BoolArray:
     Args:
         ends: [states].
     """
-    before, first = model.predecessors, ends.nonzero()[0]
+    before, frontier = model.predecessors, ends.nonzero()[0]
     if accelerated(model.n_outcomes):
         from ssp_lp.compiled.graphs import reaching
 
-        return reaching(before.offsets, before.pairs, model.pair_state, first)
-    return reached_along(model.pair_state[before.pairs], before.offsets, first)
+        return reaching(before.offsets, before.pairs, model.pair_state, frontier)
+    return reached_along(model.pair_state[before.pairs], before.offsets, frontier)
 
 
 @kept
@@ -207,7 +207,7 @@ def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray, IntArray]:
 def surely_ending(
     model: Graph, ends: BoolArray, leading: BoolArray
 ) -> tuple[BoolArray, BoolArray, IntArray]:
-    """As :func:`surely_reaching`, for any ends.
+    """States from which some policy ends surely, by the graph, as :func:`surely_reaching`.
 
     Args:
         model: the graph.
@@ -230,12 +230,12 @@ def surely_ending(
 
 @kept
 def goal_pairs(model: SSP) -> BoolArray:
-    """Pairs that may lead to a goal, [pairs]."""
+    """Pairs of the graph that may lead to a goal, [pairs]."""
     return pairs_into(model, model.goal_mask)
 
 
 def pairs_into(model: SSP, states: BoolArray) -> BoolArray:
-    """Pairs that may lead to one of the states, [pairs].
+    """Pairs of the graph that may lead to one of the states, [pairs].
 
     Args:
         states: [states].
@@ -279,7 +279,7 @@ def reached_along(columns: IntArray, offsets: IntArray, start: IntArray) -> Bool
 
 
 def edges(columns: IntArray, offsets: IntArray) -> sp.csr_array:
-    """A graph for scipy's search of reachable states; weights, never read, take no room."""
+    """The model's graph for scipy's search of reachable states; weights take no room."""
     weights: FloatArray = np.broadcast_to(np.float64(1.0), columns.shape)
     shape = len(offsets) - 1, len(offsets) - 1
     return sp.csr_array((weights, columns, narrow(offsets)), shape=shape)
@@ -287,7 +287,7 @@ def edges(columns: IntArray, offsets: IntArray) -> sp.csr_array:
 
 @kept
 def goal_approach(model: SSP) -> tuple[IntArray, IntArray]:
-    """A pair of each state by which it may come nearer to the goal, and in how many steps at least.
+    """Pair of each state nearer to the goal in the graph, and in how many steps at least.
 
     Args:
         model: the model.
@@ -307,7 +307,7 @@ def nearer_pairs(
     usable: BoolArray | None = None,
     distance: IntArray | None = None,
 ) -> IntArray:
-    """For each state a pair by which it may come nearer to a leaving pair.
+    """Pair of each state that comes nearer to a leaving pair in the graph.
 
     A state with a leaving pair of its own takes that. Among pairs that come equally near, the
     first is taken.
@@ -355,7 +355,7 @@ def nearer_pairs(
 def drain(
     model: Graph, open_pairs: BoolArray, open_counts: IntArray, closed_states: IntArray
 ) -> None:
-    """Close, in place, pairs that may lead to a closed state, and states with no pair left open.
+    """Close pairs of the graph that may lead to a closed state, and states with no pair left.
 
     Args:
         open_pairs: [pairs].
@@ -385,7 +385,7 @@ def drain(
 def close_pairs(
     model: Graph, open_pairs: BoolArray, open_counts: IntArray, pairs: IntArray
 ) -> IntArray:
-    """Close these open pairs, ascending, in place; return the states with none left open."""
+    """Close open pairs of the graph, ascending, in place; the states with none left open."""
     open_pairs[pairs] = False
     state = model.pair_state[pairs]
     first = np.diff(state, prepend=-1).nonzero()[0]
@@ -395,7 +395,7 @@ def close_pairs(
 
 
 def end_marks(model: SSP) -> IntArray:
-    """Number of the way in which an episode ends in each state, -1 where it goes on, [states].
+    """Number of the way to end in each state by the graph, -1 where it goes on, [states].
 
     0 is the goal, 1 .. k the model's labels in their order (at dead-ends that bear them; the
     first label counts), k + 1 a dead-end without a label; k + 2 having given up before.
@@ -411,7 +411,7 @@ def end_marks(model: SSP) -> IntArray:
 
 
 def stop_marks(model: SSP) -> IntArray:
-    """Number of the way in which a run ends that goes no further in each state, [states].
+    """Number of the way to end of a run that stops in each state, by the graph, [states].
 
     As of :func:`end_marks`; k + 2 is having given up.
     """
@@ -421,17 +421,17 @@ def stop_marks(model: SSP) -> IntArray:
 
 
 def dead_end_labels(model: SSP) -> frozenset[Hashable]:
-    """The states from which no policy reaches the goal, X_{d,all} of the paper, by their labels."""
+    """Labels of the dead-ends X_{d,all} by the graph: no policy reaches the goal."""
     return frozenset(model.states[i] for i in dead_ends(model).nonzero()[0].tolist())
 
 
 def attention_labels(model: SSP) -> frozenset[Hashable]:
-    """The states from which some policy surely avoids the goal, X_{d,or}, by their labels."""
+    """Labels of the attention states X_{d,or} by the graph: some policy avoids the goal."""
     return frozenset(model.states[i] for i in attention_states(model).nonzero()[0].tolist())
 
 
 def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArray]:
-    """Maximal end components of the model restricted to the allowed pairs.
+    """Maximal end components of the model's graph, restricted to the allowed pairs.
 
     An end component is a set of states and of pairs whose successors all stay in the set, that is
     strongly connected by these pairs. In rounds: what cannot stay among the allowed pairs is
@@ -491,7 +491,7 @@ def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArra
 def _crossing_end_components(
     model: Graph, inside: BoolArray, pending: BoolArray, label: IntArray
 ) -> BoolArray:
-    """Inside pairs of pending states that may lead to a state of another label, [pairs]."""
+    """Pairs that may cross between candidate end components of the graph, [pairs]."""
     candidates = inside & pending[model.pair_state]
     if accelerated(model.n_outcomes):
         from ssp_lp.compiled.graphs import crossing_pairs

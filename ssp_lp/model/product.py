@@ -43,18 +43,18 @@ Label = tuple[Hashable, Hashable]
 
 
 def _always_in_product(memory: Any) -> bool:
-    """A product's memory that accepts everything."""
+    """A memory of a product that accepts everything."""
     return True
 
 
 def _never_in_product(memory: Any) -> bool:
-    """A product's memory that never fails."""
+    """A memory of a product that never fails."""
     return False
 
 
 @dataclass(frozen=True)
 class Memory:
-    """What is remembered of an episode, and what it decides.
+    """A memory of an episode, as its product with the model has it, and its decisions on ends.
 
     Args:
         start: at the beginning; any hashable.
@@ -95,7 +95,7 @@ class ProductSSP(SSP):
     is_hidden: bool = field(kw_only=True, default=False)  # behind a problem that states another
 
     def start(self, start: Hashable | Mapping[Hashable, float]) -> dict[Hashable, float]:
-        """The start of the product for a start of the original.
+        """Start of the product for a start of the original.
 
         Args:
             start: a state of the original, or ``{state: probability}``.
@@ -104,38 +104,38 @@ class ProductSSP(SSP):
             ModelError: a state from which the product was not explored.
         """
         shares = start if isinstance(start, Mapping) else {start: 1.0}
-        found: dict[Hashable, float] = {
+        distribution: dict[Hashable, float] = {
             (state, self.memory.start): float(share) for state, share in shares.items()
         }
-        for label in found:
+        for label in distribution:
             self.index_of(label)
-        return found
+        return distribution
 
     @cached_property
     def original_state(self) -> IntArray:
-        """State of the original, [states]."""
+        """State of the original of each state of the product, [states]."""
         return np.array([self.original.index_of(state) for state, _ in self._labels])
 
     @cached_property
     def memories(self) -> tuple[Hashable, ...]:
-        """The memories that occur, in the order in which they do."""
+        """Memories that occur in the product, in the order in which they do."""
         return tuple(dict.fromkeys(memory for _, memory in self._labels))
 
     @cached_property
     def original_pair(self) -> IntArray:
-        """Pair of the original, [pairs]."""
+        """Pair of the original of each pair of the product, [pairs]."""
         first = self.original.pair_offsets[self.original_state] - self.pair_offsets[:-1]
         return np.asarray(np.arange(self.n_pairs) + first[self.pair_state])
 
     @cached_property
     def original_outcome(self) -> IntArray:
-        """Outcome of the original, [outcomes]; its impossible ones are not in the product."""
+        """Outcome of the original of each of the product, [outcomes]; possible ones only."""
         possible = np.flatnonzero(self.original.probabilities > 0.0)
         offsets = np.searchsorted(possible, self.original.outcome_offsets)
         return np.asarray(possible[entries_of(offsets, self.original_pair)[0]])
 
     def placed(self, states: IntArray, pairs: IntArray) -> IntArray:
-        """The pairs of some states that are pairs of the original, [entries].
+        """Pairs of some product states that are pairs of the original, [entries].
 
         Args:
             states: of the product, [entries].
@@ -145,19 +145,19 @@ class ProductSSP(SSP):
         return np.asarray(pairs + shift)
 
     def places_of(self, state: Hashable) -> IntArray:
-        """The state with this label, or all states of the product for a state of the original.
+        """State of the product with this label, or all for a state of the original.
 
         Raises:
             ModelError: neither model has a state with the label.
         """
-        found = self.find(state)
-        if found is not None:
-            return np.array([found])
+        place = self.find(state)
+        if place is not None:
+            return np.array([place])
         copies = self.table[self.original.places_of(state)]
         return np.asarray(copies[copies >= 0])
 
     def hint(self, state: Hashable) -> str:
-        """A clause for errors: what may be meant by what is no state."""
+        """Clause for errors of a product: what may be meant by what is no state."""
         if self.original.find(state) is None:
             return super().hint(state)
         return f": its states are (state, memory), start({state!r}) is where it begins"
@@ -169,12 +169,12 @@ class ProductSSP(SSP):
 
     @cached_property
     def memory_number(self) -> dict[Hashable, int]:
-        """Position of each memory in ``memories``."""
+        """Position of each of the product's memories in ``memories``."""
         return {memory: k for k, memory in enumerate(self.memories)}
 
     @cached_property
     def table(self) -> IntArray:
-        """The product's state of each state and memory, -1 for none, [states, memories]."""
+        """State of the product for each state and memory, -1: none, [states, memories]."""
         table = np.full((self.original.n_states, len(self.memories)), -1, dtype=np.int64)
         number = [self.memory_number[memory] for _, memory in self._labels]
         table[self.original_state, number] = np.arange(self.n_states)
@@ -222,7 +222,7 @@ def product(
         if is_at_goal(label) or memory.fails(label[1]):
             return {}
         state, kept = label
-        here, found = model.index_of(state), {}
+        here, actions = model.index_of(state), {}
         for pair in range(int(model.pair_offsets[here]), int(model.pair_offsets[here + 1])):
             action, bounds = model.action_of(pair), model.outcome_offsets[pair : pair + 2].tolist()
             arrays = (
@@ -230,11 +230,11 @@ def product(
             )
             rows = zip(range(*bounds), *(array.tolist() for array in arrays), strict=True)
             ends = [(p, model.states[to], cost, k) for k, p, to, cost in rows if p > 0.0]
-            found[action] = [
+            actions[action] = [
                 (p, (to, memory.update(kept, state, action, to, cost)), _priced(model, cost, k))
                 for p, to, cost, k in ends
             ]
-        return found
+        return actions
 
     own: dict[str, Callable[[Label], bool]] = {
         MEMORY_FAILS: lambda label: bool(memory.fails(label[1])),
@@ -304,20 +304,20 @@ LATE: Final = "out of time"
 
 @dataclass(frozen=True)
 class _StepCount:
-    """How the count of steps goes on."""
+    """Moves of the count of steps."""
 
     model: SSP
     steps: int
 
     def after(self, count: int, state: Any, action: Any, successor: Any, cost: float) -> Hashable:
-        """One more, or :data:`LATE` where the last step ended in a state that one may act in."""
+        """Steps counted by the product: one more, or :data:`LATE` after the last."""
         there = self.model.index_of(successor)
         goes_on = self.model.pair_offsets[there] < self.model.pair_offsets[there + 1]
         return LATE if goes_on and count + 1 >= self.steps else count + 1
 
 
 def _is_late(memory: Hashable) -> bool:
-    """Whether a count of steps says that they are used up."""
+    """Whether the product's count of steps is used up."""
     return memory == LATE
 
 
@@ -353,29 +353,29 @@ class HorizonSSP(ProductSSP):
 
     @cached_property
     def original_state(self) -> IntArray:
-        """State of the original, [states]."""
+        """State of the original of each (state, count) of the product, [states]."""
         return self._step_labels.state
 
     @cached_property
     def memories(self) -> tuple[Hashable, ...]:
-        """The counts of steps, and :data:`LATE`."""
+        """Counts of steps in the product within a horizon, and :data:`LATE`."""
         return self._step_labels.counts
 
     @cached_property
     def table(self) -> IntArray:
-        """The product's state of each state and count, -1 for none, [states, counts]."""
+        """State of the horizon's product for each state and count, -1: none, [states, counts]."""
         return self.positions
 
     def find(self, state: Hashable) -> int | None:
-        """Index of the state with the label (state, count), None if there is none."""
+        """Index of the horizon's product state (state, count), None if there is none."""
         if not (isinstance(state, tuple) and len(state) == 2 and state[1] in self.memory_number):
             return None
         here = self.original.find(state[0])
-        found = -1 if here is None else int(self.positions[here, self.memory_number[state[1]]])
-        return found if found >= 0 else None
+        place = -1 if here is None else int(self.positions[here, self.memory_number[state[1]]])
+        return place if place >= 0 else None
 
     def stepped(self, states: IntArray, successors: IntArray) -> IntArray:
-        """Where steps lead that end in some states of the original, -1 for nowhere, [episodes].
+        """States of the horizon's product after steps to the original's, -1: none, [episodes].
 
         Args:
             states: of this model, in which the steps began, [episodes].
@@ -387,7 +387,7 @@ class HorizonSSP(ProductSSP):
 
     @property
     def _step_labels(self) -> _StepLabels:
-        """The states within the horizon, (state, steps taken) each."""
+        """States of the product within the horizon, (state, steps taken) each."""
         return cast("_StepLabels", self.states)
 
 
@@ -513,7 +513,7 @@ def unroll_steps(
 
 
 def _reached_within_steps(model: SSP, begin: Sequence[int] | None, steps: int) -> BoolArray:
-    """The states that an episode may be in after each number of steps, [steps + 1, states].
+    """States of the product that an episode may be in by step, [steps + 1, states].
 
     Raises:
         ModelError: there are too many of both.
@@ -542,7 +542,7 @@ def _possible_steps(model: SSP) -> tuple[IntArray, IntArray]:
 
 
 def _steps_needed(model: SSP, steps: int) -> IntArray:
-    """Fewest steps to a goal, ``steps + 1`` for more than ``steps``, -1 for none, [states]."""
+    """Fewest steps to a goal within a product's horizon, -1: none, [states]."""
     source, target = _possible_steps(model)
     needed = np.where(dead_ends(model), -1, np.where(model.goal_mask, 0, steps + 1))
     for step in range(1, steps + 1):

@@ -31,7 +31,7 @@ from ssp_lp.arrays import (
 from ssp_lp.errors import Argument, ModelError, check_whole, did_you_mean, in_short
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import Graph
-from ssp_lp.model.naming import html_table
+from ssp_lp.model.text_tables import html_table
 
 if TYPE_CHECKING:
     from ssp_lp.model.failure_product import FailureSSP
@@ -378,38 +378,38 @@ class SSP(Graph, ReadOnlyCopies):
 
     @cached_property
     def _index(self) -> Mapping[Hashable, int]:
-        """Positions of the states by their names."""
+        """Positions of the model's states by their names."""
         return {label: i for i, label in enumerate(self.states)}
 
     def index_of(self, state: Hashable) -> int:
-        """Index of the state with this label.
+        """Index of the model's state with this label.
 
         Raises:
             ModelError: no state has the label.
         """
-        found = self.find(state)
-        if found is None:
+        index = self.find(state)
+        if index is None:
             raise ModelError(f"{state!r} is not a state of the model{self.hint(state)}")
-        return found
+        return index
 
     def find(self, state: Hashable) -> int | None:
-        """Index of the state with this label, None if there is none."""
+        """Index of the model's state with this label, None if there is none."""
         if isinstance(self.states, range):
-            known = isinstance(state, (int, np.integer)) and state in self.states
-            return int(cast("int", state)) if known else None
+            is_index = isinstance(state, (int, np.integer)) and state in self.states
+            return int(cast("int", state)) if is_index else None
         try:
             return self._index.get(state)
         except TypeError:  # a list, say
             return None
 
     def hint(self, state: Hashable) -> str:
-        """A clause for errors: what may be meant by what is no state."""
+        """Clause for a model's errors: what may be meant by what is no state."""
         if isinstance(self.states, range):
             return f": states are 0 .. {len(self.states) - 1}"
         return did_you_mean(state, self.states)
 
     def places_of(self, state: Hashable) -> IntArray:
-        """All states that a label stands for: here one, in a product possibly several.
+        """All states of the model that a label stands for: here one, in a product several.
 
         Raises:
             ModelError: no state has the label.
@@ -417,7 +417,7 @@ class SSP(Graph, ReadOnlyCopies):
         return np.array([self.index_of(state)])
 
     def action_of(self, pair: int) -> Hashable:
-        """Label of the action of a pair; raises :class:`ModelError` if there is no such pair."""
+        """Label of the action of a model's pair; :class:`ModelError` if there is none."""
         try:
             return self.action_names[int(self.pair_action[pair])]
         except (IndexError, TypeError) as error:
@@ -425,20 +425,20 @@ class SSP(Graph, ReadOnlyCopies):
             raise ModelError(f"{pair!r} is no pair of the model: they are 0 .. {last}") from error
 
     def no_such_action(self, state: int, action: Hashable) -> str:
-        """What to say of an action that a state does not have: the nearest one, or some."""
+        """Error text for an action that a state of the model lacks: the nearest one, or some."""
         first, end = int(self.pair_offsets[state]), int(self.pair_offsets[state + 1])
-        known = [self.action_of(pair) for pair in range(first, end)]
-        some = ", ".join(repr(name) for name in known[:_LISTED]) or "none"
-        nearest = did_you_mean(action, known) or f"; it has {some}"
+        actions = [self.action_of(pair) for pair in range(first, end)]
+        some = ", ".join(repr(name) for name in actions[:_LISTED]) or "none"
+        nearest = did_you_mean(action, actions) or f"; it has {some}"
         return f"state {self.states[state]!r} has no action {action!r}{nearest}"
 
     def describe_pair(self, pair: int) -> str:
-        """Name a pair for a person: "action 'go' of state 'start'"."""
+        """Name a pair of the model for a person: "action 'go' of state 'start'"."""
         state = int(np.searchsorted(self.pair_offsets, pair, side="right")) - 1
         return f"action {self.action_of(pair)!r} of state {self.states[state]!r}"
 
     def _describe_outcome(self, outcome: int) -> str:
-        """Name an outcome for a person, by its pair."""
+        """Name an outcome of the model for a person, by its pair."""
         pair = int(np.searchsorted(self.outcome_offsets, outcome, side="right")) - 1
         return self.describe_pair(pair)
 
@@ -449,7 +449,7 @@ class SSP(Graph, ReadOnlyCopies):
 
     @property
     def _sizes(self) -> dict[str, int]:
-        """How many there are of everything."""
+        """Sizes of the model: states, pairs, outcomes and the rest."""
         return {
             "states": len(self.pair_offsets) - 1,
             "pairs": len(self.outcome_offsets) - 1,
@@ -463,25 +463,25 @@ class SSP(Graph, ReadOnlyCopies):
         return f"{type(self).__name__}({sizes})"
 
     def _repr_html_(self) -> str:
-        """The sizes as a table, for notebooks."""
+        """The model's sizes as a table, for notebooks."""
         rows = [(name, f"{count:,}") for name, count in self._sizes.items()]
         return html_table(type(self).__name__, rows)
 
     @cached_property
     def kept_facts(self) -> dict[str, Any]:
-        """What was found out about the model's graph, by name (``ssp_lp.model.graph``)."""
+        """Facts kept about the model's graph, by name (``ssp_lp.model.graph``)."""
         return {}
 
 
 def check_model(model: object, verb: str) -> None:
-    """Check that what should be a model is one.
+    """Check that an argument is a model.
 
     Raises:
         ModelError: a problem or something else; ``verb`` is what was to be done with it.
     """
     if not isinstance(model, SSP):
-        told = "; it has one: .model" if isinstance(getattr(model, "model", None), SSP) else ""
-        raise ModelError(f"{verb} takes an SSP, not {in_short(model)}{told}")
+        hint = "; it has one: .model" if isinstance(getattr(model, "model", None), SSP) else ""
+        raise ModelError(f"{verb} takes an SSP, not {in_short(model)}{hint}")
 
 
 class _FlatModel:
@@ -502,7 +502,7 @@ class _FlatModel:
         self.arrays |= {"exact_costs": {}, "named_costs": {}}
 
     def add(self, state: Hashable, actions: Any, *, goal: bool) -> None:
-        """Append the next state's actions and note what is new among their successors.
+        """Append a state's actions to the model and note new successors.
 
         Raises:
             ModelError: no actions, an outcome that is no triple, what is no number, or a state that
@@ -604,7 +604,7 @@ def _column(table: Any, names: str | Sequence[str]) -> list[Any]:
 
 
 def no_lone_string(states: Iterable[Hashable], name: str) -> Iterable[Hashable]:
-    """The states themselves; a lone string, whose letters they would be, is an error."""
+    """States of a model's argument; a lone string, whose letters they would be, is an error."""
     if isinstance(states, str):
         raise ModelError(f"{name} must be a set of states, such as {{{states!r}}}, not a string")
     if not isinstance(states, Iterable):
@@ -613,16 +613,16 @@ def no_lone_string(states: Iterable[Hashable], name: str) -> Iterable[Hashable]:
 
 
 def _number(value: Any, what: str, state: Hashable, action: Hashable) -> float:
-    """A number of an outcome, as a float."""
+    """Number of a model's outcome, as a float."""
     if not isinstance(value, (str, bytes)):
         with suppress(TypeError, ValueError, OverflowError):
             return float(value)
-    told = f"action {action!r} of state {state!r} has a {what} that is no number"
-    raise ModelError(f"{told}: {in_short(value)}")
+    complaint = f"action {action!r} of state {state!r} has a {what} that is no number"
+    raise ModelError(f"{complaint}: {in_short(value)}")
 
 
 def check_offsets(name: str, offsets: IntArray, end: int) -> None:
-    """Raise :class:`ModelError` unless ``offsets`` rise from 0 to ``end``."""
+    """Raise :class:`ModelError` unless a model's ``offsets`` rise from 0 to ``end``."""
     if offsets.ndim != 1 or offsets.size == 0 or offsets[0] != 0 or offsets[-1] != end:
         raise ModelError(f"{name} must be one-dimensional and run from 0 to {end}")
     falls = offsets[1:] < offsets[:-1]
@@ -631,7 +631,7 @@ def check_offsets(name: str, offsets: IntArray, end: int) -> None:
 
 
 def _check_outcomes(model: SSP) -> None:
-    """Check each outcome: known successor, probability in [0, 1], finite non-negative cost.
+    """Check each outcome of a model: known successor, probability in [0, 1], finite cost >= 0.
 
     Raises:
         ModelError: naming the first outcome at fault.
@@ -680,7 +680,7 @@ def _check_rules(
 
 
 def _with_unit_sums(model: SSP, normalise: bool) -> FloatArray:
-    """The probabilities with rounding of their sums (up to 1e-9) divided out, [outcomes].
+    """A model's probabilities with rounding of their sums (up to 1e-9) divided out, [outcomes].
 
     Args:
         model: the model.
@@ -700,10 +700,10 @@ def _with_unit_sums(model: SSP, normalise: bool) -> FloatArray:
     wrong = off > (SINGLE_PRECISION_SUM if normalise else PROBABILITY_SUM)
     if wrong.any():
         pair = int(np.argmax(wrong))
-        told = f"{model.describe_pair(pair)}: probabilities sum to {sums[pair]:.12g}, not to 1"
+        complaint = f"{model.describe_pair(pair)}: probabilities sum to {sums[pair]:.12g}, not to 1"
         if off[wrong].max() <= SINGLE_PRECISION_SUM:
-            told += "; normalise=True divides out the rounding of single precision"
-        raise ModelError(told)
+            complaint += "; normalise=True divides out the rounding of single precision"
+        raise ModelError(complaint)
     if np.all(sums == 1.0):
         return chances
     shared = np.empty_like(chances)
@@ -714,7 +714,7 @@ def _with_unit_sums(model: SSP, normalise: bool) -> FloatArray:
 
 
 def _indices(name: str, indices: npt.ArrayLike) -> IntArray:
-    """Indices as integers, of the width they have; raises :class:`ModelError` if they are none."""
+    """Indices in a model as integers, of the width they have; :class:`ModelError` if none."""
     array = np.asarray(indices)
     if array.size and not np.issubdtype(array.dtype, np.integer):
         raise ModelError(f"{name} must be integers (indices)")
@@ -722,7 +722,7 @@ def _indices(name: str, indices: npt.ArrayLike) -> IntArray:
 
 
 def _costs_of_outcomes(costs: npt.ArrayLike, outcome_offsets: IntArray) -> FloatArray:
-    """Spread costs over outcomes, [outcomes]; a number for all of them takes no room.
+    """Costs of a model's outcomes, [outcomes]; a number for all of them takes no room.
 
     Args:
         costs: one number, or one per pair, or one per outcome.
@@ -741,7 +741,7 @@ def _costs_of_outcomes(costs: npt.ArrayLike, outcome_offsets: IntArray) -> Float
 
 
 def _check_idle_states(model: SSP, accept: bool) -> None:
-    """Check that goals have no pairs and, unless accepted, that all other states have some.
+    """Check that a model's goals have no pairs and, unless accepted, that all others have.
 
     Raises:
         ModelError: naming the state and the remedy.
@@ -759,7 +759,7 @@ def _check_idle_states(model: SSP, accept: bool) -> None:
 
 
 def _goal_mask(goal_states: npt.ArrayLike, n_states: int) -> BoolArray:
-    """Turn indices of goal states into a mask, [states].
+    """Mask of a model's goal states from their indices, [states].
 
     Raises:
         ModelError: there are none, or one is no index of a state.
@@ -783,7 +783,7 @@ def _goal_mask(goal_states: npt.ArrayLike, n_states: int) -> BoolArray:
 def _action_table(
     actions: Sequence[Hashable] | None, pair_offsets: IntArray
 ) -> tuple[Sequence[Hashable], IntArray]:
-    """Distinct action labels and, per pair, the position of its label among them."""
+    """Distinct action labels of a model and, per pair, the position of its label."""
     n_pairs = int(pair_offsets[-1])
     if actions is None:
         most = int(np.diff(pair_offsets).max(initial=0))
@@ -806,7 +806,7 @@ def _action_table(
 
 
 def _indexed_labels(model: SSP, labels: Mapping[str, Iterable[Hashable]]) -> Mapping[str, IntArray]:
-    """State labels with their members as sorted indices.
+    """State labels of a model with their members as sorted indices.
 
     Raises:
         ModelError: an unknown member, or a name that reports use for something else.

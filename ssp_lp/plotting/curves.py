@@ -28,7 +28,7 @@ INK, PALE = "#333333", "#777777"
 
 
 class _Look(NamedTuple):
-    """How one of several things in a picture is drawn: never by its colour alone."""
+    """Look of one of several things in a picture: never told apart by its colour alone."""
 
     colour: str
     line: str | tuple[int, tuple[int, ...]]
@@ -47,7 +47,7 @@ LOOKS = (
 
 
 def axes_or_new(ax: Axes | None, width: float = 6.4, height: float = 4.2) -> Axes:
-    """The axes, or those of a new figure of pyplot's of this size in inches.
+    """Axes to draw a curve on: those given, or a new figure's of this size in inches.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
@@ -58,12 +58,12 @@ def axes_or_new(ax: Axes | None, width: float = 6.4, height: float = 4.2) -> Axe
     if ax is not None:
         return ax
     pyplot = optional_module("matplotlib.pyplot", "plot")
-    found: Axes = pyplot.subplots(figsize=(width, height), layout="constrained")[1]
-    return found
+    axes: Axes = pyplot.subplots(figsize=(width, height), layout="constrained")[1]
+    return axes
 
 
 def dress_axes(ax: Axes, x: str, y: str) -> None:
-    """Give axes their style: name both, and leave out what says nothing."""
+    """Style the axes of a plotted curve: name both, leave out what says nothing."""
     ax.set(xlabel=x, ylabel=y)
     ax.set_axisbelow(True)
     ax.grid(color="#e5e5e5", linewidth=0.6)
@@ -145,13 +145,13 @@ def _show_region(ax: Axes, frontier: Frontier, budget: float | None) -> None:
 
 
 def _draw_frontier(ax: Axes, frontier: Frontier, look: _Look, label: str) -> None:
-    """The frontier, its turning points, and the band where the optimum may lie below."""
+    """Draw the frontier's curve, its turning points, and the band of its bounds."""
     # budgets along every segment
     spent = frontier.spent
     each = max(_SAMPLES // len(spent), 4)
     segments = zip(spent[:-1].tolist(), spent[1:].tolist(), strict=True)
-    found = [spent, *(_budgets_between(begin, end, each) for begin, end in segments)]
-    budgets = np.unique(np.concatenate(found))
+    all_budgets = [spent, *(_budgets_between(begin, end, each) for begin, end in segments)]
+    budgets = np.unique(np.concatenate(all_budgets))
     low, high = np.array([frontier.bounds_at(float(b)) for b in budgets]).T
     many = len(spent) > _MANY
     attained = low if frontier.maximises else high
@@ -165,7 +165,7 @@ def _draw_frontier(ax: Axes, frontier: Frontier, look: _Look, label: str) -> Non
 
 
 def _budgets_between(begin: float, end: float, count: int) -> FloatArray:
-    """Budgets from one to another, dense on a linear and on a logarithmic axis."""
+    """Budgets along a plotted curve, dense on a linear and on a logarithmic axis."""
     even = np.linspace(begin, end, count)
     if begin == 0.0:
         return even
@@ -173,7 +173,7 @@ def _budgets_between(begin: float, end: float, count: int) -> FloatArray:
 
 
 def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: _Look) -> None:
-    """The budget with its value and its tangents, or with its bounds."""
+    """Draw a budget on the frontier's curve with its tangents, or its bounds."""
     ax.axvline(budget, color=PALE, linewidth=0.8, linestyle=":", zorder=1)
     try:
         value = frontier.objective_at(budget)
@@ -187,7 +187,7 @@ def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: _Look) 
                 markeredgewidth=2, label=f"budget {budget:g}: {told}")  # fmt: skip
         return
     ax.plot([budget], [value], "*", color=look.colour, markeredgecolor=INK, markersize=14, zorder=6,
-            label=f"budget {budget:g}: {_as_far_as_sure(value, frontier):.5g}")  # fmt: skip
+            label=f"budget {budget:g}: {_certified_digits(value, frontier):.5g}")  # fmt: skip
     slopes = frontier.slopes_at(budget)
     for slope in slopes:
         _draw_tangent(ax, frontier, (budget, value), slope)
@@ -199,14 +199,14 @@ def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: _Look) 
         ax.plot([], [], color=INK, linestyle="-.", linewidth=1, label=words)
 
 
-def _as_far_as_sure(value: float, frontier: Frontier) -> float:
-    """A value rounded to the digits that the gap of its frontier leaves sure, two at least."""
+def _certified_digits(value: float, frontier: Frontier) -> float:
+    """A plotted value rounded to the digits that the frontier's gap leaves sure."""
     digits = max(-np.log10(max(frontier.gap, _FINEST)), 2.0)
     return float(f"{value:.{int(digits)}g}")
 
 
 def _draw_tangent(ax: Axes, frontier: Frontier, point: tuple[float, float], slope: float) -> None:
-    """The line through a point, as far as it stays beside the frontier."""
+    """Draw the tangent through a point of the frontier's curve, as far as it stays beside."""
     budget, value = point
     height, spent = frontier.objective, frontier.spent
     room = _TANGENT * float(np.ptp(height)) / abs(slope) if slope else np.inf
@@ -218,7 +218,7 @@ def _draw_tangent(ax: Axes, frontier: Frontier, point: tuple[float, float], slop
 
 @dataclass
 class BoundsRecord:
-    """What ``solve`` reports while it runs: hand it over as ``progress=BoundsRecord()``. Grows."""
+    """Record of the reports of ``solve`` while it runs: ``progress=BoundsRecord()``. Grows."""
 
     began: float = field(default_factory=time.perf_counter)
     seconds: list[float] = field(default_factory=list)  # [reports] since then
@@ -234,7 +234,7 @@ class BoundsRecord:
 
 @explained
 def plot_bounds(record: BoundsRecord, solution: Any, *, ax: Axes | None = None) -> Axes:
-    """Draw the upper and the lower bound on the optimum against seconds.
+    """Plot the upper and lower bound of the optimum against seconds.
 
     The upper bound is the objective of the best policy known by then; the lower one is what the
     pricing calls made by then prove, each worked out once more at its price (and where accumulated
@@ -280,14 +280,14 @@ def plot_bounds(record: BoundsRecord, solution: Any, *, ax: Axes | None = None) 
 
 
 def _draw_bound(ax: Axes, seconds: FloatArray, values: FloatArray, look: _Look, words: str) -> None:
-    """Draw one of the bounds as steps over the seconds."""
-    known = np.isfinite(values)
-    ax.step(seconds[known], values[known], where="post", color=look.colour, linestyle=look.line,
+    """Draw the curve of one of the bounds as steps over the seconds."""
+    finite = np.isfinite(values)
+    ax.step(seconds[finite], values[finite], where="post", color=look.colour, linestyle=look.line,
             marker=look.marker, markersize=5, label=f"{words}: {values[-1]:.8g}")  # fmt: skip
 
 
 def _proved_bounds(record: BoundsRecord, problem: Problem) -> FloatArray:
-    """The lower bound that each report's price proves; -inf where none is known, [reports]."""
+    """Lower bounds to be plotted, proved by reports' prices; -inf: unknown, [reports]."""
     budget, semantics = problem.failure_budget, problem.semantics
     if budget is None or requirements(problem).several_rows or semantics.aim is not Aim.LEAST_COST:
         return np.full(len(record.prices), -np.inf)
@@ -306,7 +306,7 @@ _UNSEEN = 1e-3  # share of the successes that are costlier than what is drawn
 
 @explained
 def plot_cost_law(law: CostLaw, level: float = 0.9, *, ax: Axes | None = None) -> Axes:
-    """Draw the law of the total cost given success, its quantile and the mean of its tail.
+    """Plot the law of the total cost given success, its quantile and tail mean.
 
     A bar is the probability of one cost, or, where there are too many, of an interval of costs.
     The costliest share of ``1 - level`` is hatched: its mean is the conditional value at risk, and
@@ -348,7 +348,7 @@ def plot_cost_law(law: CostLaw, level: float = 0.9, *, ax: Axes | None = None) -
 
 
 def _bars_of_law(law: CostLaw) -> tuple[FloatArray, FloatArray, float]:
-    """Middles, probabilities given success, and the width of the bars."""
+    """Bars of the plotted cost law: middles, probabilities given success, and width."""
     costs, masses = law.all_but(_UNSEEN * law.goal)
     shares = masses / law.goal
     if len(costs) <= 1:

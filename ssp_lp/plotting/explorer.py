@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from ssp_lp.analysis.cost_law import success_costs
 from ssp_lp.analysis.evaluation import Evaluation, evaluate, pair_visits
 from ssp_lp.analysis.frontier import Frontier
 from ssp_lp.analysis.simulation import simulate
+from ssp_lp.analysis.success_costs import success_costs
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_ids
 from ssp_lp.errors import ModelError, check_whole, in_short, optional_module
 from ssp_lp.model import SSP
@@ -344,7 +344,7 @@ def _runs(
 
     runs = []
     for policy in policies:
-        played = simulate(policy, problem, episodes=max(episodes, 1), rng=seed, record=episodes)
+        played = simulate(policy, problem, episodes=max(episodes, 1), seed=seed, record=episodes)
         runs.append([told(path) for path in played.paths])
     aside = np.random.default_rng(seed).uniform(-_SPREAD, _SPREAD, (episodes, 2))
     where = np.where(placed[:, None], points, 0.0)

@@ -32,7 +32,7 @@ Places = Mapping[Any, Point] | Callable[[Any], Point | None]
 
 
 def row_major(rows: int, columns: int) -> Callable[[int], Point]:
-    """The middles of cells that are numbered row by row from the upper left corner, from 0.
+    """Points in the plane of cells numbered row by row from the upper left corner, from 0.
 
     Args:
         rows: how many there are.
@@ -59,35 +59,35 @@ def row_major(rows: int, columns: int) -> Callable[[int], Point]:
 
 
 def points_of(names: Iterable[Hashable], places: Places) -> FloatArray:
-    """The points in the picture's cells of states or actions; nan where there is none, [names, 2].
+    """Points in the plane of states or actions; nan where there is none, [names, 2].
 
     Raises:
         ModelError: what is given for one is no point.
     """
     look_up = places.get if isinstance(places, Mapping) else places
-    found = []
+    points = []
     for name in names:
         point = look_up(name)
         if point is not None and np.shape(point) != (2,):
             raise ModelError(f"{name!r} must lie at a point (x, y) or nowhere, not at {point!r}")
-        found.append((np.nan, np.nan) if point is None else point)
-    return np.array(found, dtype=np.float64).reshape(-1, 2)
+        points.append((np.nan, np.nan) if point is None else point)
+    return np.array(points, dtype=np.float64).reshape(-1, 2)
 
 
 def cells_of(model: SSP, cells: Places) -> FloatArray:
-    """The point of each state, [states, 2].
+    """Point in the plane of each state, [states, 2].
 
     Raises:
         ModelError: no state has a point, or what is given for one is no point.
     """
-    found = points_of(model.states, cells)
-    if np.isnan(found).all():
+    points = points_of(model.states, cells)
+    if np.isnan(points).all():
         raise ModelError(f"no state has a point: they are such as {model.states[0]!r}")
-    return found
+    return points
 
 
 def size_of(points: FloatArray, walls: Iterable[Point]) -> tuple[float, float]:
-    """Width and height in inches of a picture of these cells."""
+    """Width and height in inches of a plane picture of these cells."""
     everything = np.vstack([points, np.array([*walls, (np.nan, np.nan)], dtype=np.float64)])
     extent = np.nanmax(everything, axis=0) - np.nanmin(everything, axis=0) + 2.0 * _MARGIN
     side = np.clip(_WIDEST / extent.max(), *_SIDES)
@@ -146,7 +146,7 @@ def squares_of(
 
 
 def _distinct_cells(points: FloatArray) -> set[Point]:
-    """The points of cells that are somewhere, each once."""
+    """Distinct points of cells in the plane."""
     return {(x, y) for x, y in points[~np.isnan(points).any(axis=1)].tolist()}
 
 
@@ -164,7 +164,7 @@ _BELOW_TICKS = 0.12  # of the height: room for ticks and their label
 
 
 def add_legend(ax: Axes) -> None:
-    """Put a legend below the picture of cells and its ticks, where it hides nothing."""
+    """Put a legend below the plane's picture and its ticks, where it hides nothing."""
     if count := len(ax.get_legend_handles_labels()[0]):
         figure = ax.get_figure(root=True)
         width = 0.0 if figure is None else ax.get_position().width * figure.get_figwidth()
@@ -185,7 +185,7 @@ _SCALE = 1.0  # inches, of the scale of shades
 
 
 class _Seen(NamedTuple):
-    """What is seen in the cells."""
+    """Visits and decisions seen in the plane's cells."""
 
     points: FloatArray  # [states, 2]
     middles: FloatArray  # [cells, 2]
@@ -204,7 +204,7 @@ def plot_grid_policy(
     most_visits: float | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw what a policy does in the cells that it visits, shaded by its expected visits.
+    """Plot a policy's decisions in the plane, cells shaded by expected visits.
 
     A cell with one action has one arrow. Where there are several, by a lottery, by chance or by
     what is remembered, the cell is marked by a ring, and each has an arrow from it, the longer
@@ -233,18 +233,18 @@ def plot_grid_policy(
         >>> problem = MCMP(model, 0, failure_budget=0.1)
         >>> axes = plot_grid_policy(policy, problem, lambda state: (state, 0), {"east": (1, 0)})
     """
-    seen, walls = _seen_on_grid(policy, problem, cells), list(walls)
+    seen, walls = _visits_on_grid(policy, problem, cells), list(walls)
     width, height = size_of(seen.points, walls)
     ax = axes_or_new(ax, width + _SCALE, height)
     most = float(seen.visits.max(initial=0.0)) if most_visits is None else most_visits
-    _draw_scale([ax], _draw_seen(ax, problem, seen, walls, moves, most))
+    _draw_scale([ax], _draw_visited_cells(ax, problem, seen, walls, moves, most))
     return ax
 
 
-def _draw_seen(
+def _draw_visited_cells(
     ax: Axes, problem: Problem, seen: _Seen, walls: list[Point], moves: Places, most: float
 ) -> Any:
-    """Draw a policy's cells with a legend; return what a scale of shades needs."""
+    """Draw a policy's cells in the plane with a legend; what a scale of shades needs."""
     draw_ground(ax, problem, seen.points, walls)
     shades = _draw_visits(ax, seen, most)
     _draw_decisions(ax, seen, points_of(problem.model.action_names, moves))
@@ -261,7 +261,7 @@ def plot_lottery(
     *,
     walls: Iterable[Point] = (),
 ) -> list[Axes]:
-    """Draw the members of a lottery side by side in a new figure, on one scale of shades.
+    """Plot the members of a lottery in the plane side by side, on one scale of shades.
 
     Args:
         policy: a lottery; each picture's title says its member's share.
@@ -275,26 +275,26 @@ def plot_lottery(
         ModelError: as for :func:`plot_grid_policy`.
     """
     pyplot, count = optional_module("matplotlib.pyplot", "plot"), len(policy.policies)
-    members, walls = [_seen_on_grid(one, problem, cells) for one in policy.policies], list(walls)
+    members, walls = [_visits_on_grid(one, problem, cells) for one in policy.policies], list(walls)
     width, height = size_of(members[0].points, walls)
     size = (count * width + _SCALE, height)
     axes = pyplot.subplots(1, count, figsize=size, squeeze=False, layout="constrained")[1][0]
     most = max(float(seen.visits.max(initial=0.0)) for seen in members)
     for ax, seen, weight in zip(axes, members, policy.weights.tolist(), strict=True):
-        shades = _draw_seen(ax, problem, seen, walls, moves, most)
+        shades = _draw_visited_cells(ax, problem, seen, walls, moves, most)
         ax.set_title(f"with probability {weight:.4g}", fontsize=10)
     _draw_scale(list(axes), shades)
     return list(axes)
 
 
-def _seen_on_grid(policy: Policy | MixedPolicy, problem: Problem, cells: Places) -> _Seen:
-    """Add up visits and decisions by cell."""
+def _visits_on_grid(policy: Policy | MixedPolicy, problem: Problem, cells: Places) -> _Seen:
+    """Visits and decisions of a policy in the plane, by cell."""
     model, points = problem.model, cells_of(problem.model, cells)
     pairs, gave_up = pair_visits(as_lottery(policy), problem)
-    known = ~np.isnan(points).any(axis=1)
-    middles, inverse = np.unique(points[known], axis=0, return_inverse=True)
+    placed = ~np.isnan(points).any(axis=1)
+    middles, inverse = np.unique(points[placed], axis=0, return_inverse=True)
     cell = np.full(model.n_states, len(middles))  # the last: nowhere
-    cell[known] = inverse.reshape(-1)
+    cell[placed] = inverse.reshape(-1)
     flows = np.zeros((len(middles) + 1, len(model.action_names) + 1))
     np.add.at(flows, (cell[segment_ids(model.pair_offsets)], model.pair_action), pairs)
     np.add.at(flows[:, -1], cell, gave_up)
@@ -307,7 +307,7 @@ def _seen_on_grid(policy: Policy | MixedPolicy, problem: Problem, cells: Places)
 
 
 def _draw_visits(ax: Axes, seen: _Seen, most: float) -> Any:
-    """Shade the cells by their visits; return what a scale of shades needs."""
+    """Shade the plane's cells by their visits; what a scale of shades needs."""
     names = ("collections", "colors", "patches")
     collections, colors, patches = (optional_module(f"matplotlib.{name}", "plot") for name in names)
     some = seen.visits > 0.0
@@ -324,12 +324,12 @@ def _draw_visits(ax: Axes, seen: _Seen, most: float) -> Any:
 
 
 def _draw_scale(axes: list[Axes], shades: Any) -> None:
-    """Draw the scale of the grid's shades."""
+    """Draw the scale of the plane's shades."""
     axes[0].figure.colorbar(shades, ax=axes, label="expected visits", shrink=0.7, pad=0.02)
 
 
 def _draw_decisions(ax: Axes, seen: _Seen, directions: FloatArray) -> None:
-    """Draw arrows, dots, crosses and rings."""
+    """Draw decisions in the plane: arrows, dots, crosses and rings."""
     length = np.hypot(directions[:, 0], directions[:, 1])
     still = ~(length > 0.0)
     taken = seen.shares >= _RARE
@@ -360,7 +360,7 @@ _SPREAD = 0.3  # of a cell's side: how far from its middle a path may be moved
 def plot_paths(
     paths: Sequence[Any], ends: Sequence[str], *, order: Sequence[str] = (), ax: Axes | None = None
 ) -> Axes:
-    """Draw paths in the plane; each way to end has its colour, line and marker.
+    """Plot paths in the plane; each way to end has its colour, line and marker.
 
     The first way is drawn palely and beneath the others, so that the exceptions stand out.
 
@@ -406,11 +406,11 @@ def plot_episodes(
     cells: Places,
     *,
     episodes: int = 50,
-    rng: Randomness = 0,
+    seed: Randomness = 0,
     walls: Iterable[Point] = (),
     ax: Axes | None = None,
 ) -> Axes:
-    """Simulate episodes in a model on a grid, and draw them over its walls, dead-ends and goals.
+    """Plot simulated episodes in the plane over walls, dead-ends and goals.
 
     Each path keeps its own small distance from the middles of the cells, so that none hides the
     others. States without a cell are left out of a path.
@@ -420,7 +420,7 @@ def plot_episodes(
         problem: says the start.
         cells: the (x, y) of a state, the middle of a unit square.
         episodes: how many to draw.
-        rng: a generator or a seed, of the episodes and of the distances.
+        seed: a number or a generator, of the episodes and of the distances.
         walls: middles of squares that are no states.
         ax: where to draw; None: a new figure.
 
@@ -428,10 +428,10 @@ def plot_episodes(
         MissingDependencyError: matplotlib is not installed.
         ModelError: no state has a cell, or the policy is for another model.
     """
-    model, source, walls = problem.model, generator_of(rng), list(walls)
+    model, source, walls = problem.model, generator_of(seed), list(walls)
     points, marks = cells_of(model, cells), end_marks(model)
     ax = axes_or_new(ax, *size_of(points, walls))
-    played = simulate(policy, problem, episodes=episodes, rng=source, record=episodes).paths
+    played = simulate(policy, problem, episodes=episodes, seed=source, record=episodes).paths
     aside = source.uniform(-_SPREAD, _SPREAD, (episodes, 2))
     fails = (f"fail: {name}" for name in (*model.state_labels, "dead-end"))
     words = ["reach the goal", *fails]

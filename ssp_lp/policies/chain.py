@@ -57,22 +57,22 @@ class Chain:
 
     @property
     def n_nodes(self) -> int:
-        """Number of (state, memory) nodes."""
+        """Number of (state, memory) nodes of the policy's chain."""
         return len(self.state)
 
     @cached_property
     def goal(self) -> FloatArray:
-        """1 at goals of the chain, [nodes]."""
+        """1 at goals of the policy's chain, [nodes]."""
         return self.model.goal_mask[self.state].astype(np.float64)
 
     @cached_property
     def matrix(self) -> sp.csr_array:
-        """Transition probabilities, [nodes, nodes]; rows of goals and dead-ends are empty."""
+        """Transition matrix of the policy's chain, [nodes, nodes]; goals and dead-ends: empty."""
         n = self.n_nodes
         return sp.csr_array((self.probability, (self.source, self.target)), shape=(n, n))
 
     def per_node(self, move_values: FloatArray) -> FloatArray:
-        """Expected value of the next move from each node, [nodes]."""
+        """Expected value of the next move in the policy's chain, [nodes]."""
         return np.bincount(
             self.source, weights=self.probability * move_values, minlength=self.n_nodes
         ).astype(np.float64)
@@ -80,7 +80,7 @@ class Chain:
     def accumulate(
         self, reward: FloatArray, inside: BoolArray, survival: float = 1.0
     ) -> FloatArray:
-        """Expected total reward from each node while the chain moves within ``inside``.
+        """Expected total reward in the policy's chain from each node, within ``inside``.
 
         Args:
             reward: [nodes] or [nodes, rewards]; counted at nodes of ``inside`` only.
@@ -103,7 +103,7 @@ class Chain:
         return self._system(everywhere, survival)[1].solve_transposed(inflow)
 
     def _system(self, inside: BoolArray, survival: float) -> tuple[IntArray, System]:
-        """The equations of the moves within some nodes, kept for further rewards."""
+        """Equations of the chain's moves within some nodes, kept for further rewards."""
         key = survival, inside.tobytes()
         if key not in self._systems:
             nodes = np.flatnonzero(inside)
@@ -141,14 +141,14 @@ def policy_chain(
     first = np.flatnonzero(start > 0)
     memory = np.where(ended[first], 0, policy.start_memory(first))
     start_key = memory * model.n_states + first
-    visited, found, reached = np.zeros(model.n_states, dtype=np.bool_), list[_Step](), 0
+    visited, waves, reached = np.zeros(model.n_states, dtype=np.bool_), list[_Step](), 0
     few = _FEW_NODES // max(model.n_pairs, 1)
     frontier = sorted_unique(start_key)
     if (size := policy.memory_size) == 1:
         frontier = _reachable_nodes(model, policy, frontier, ended, 1)
     while frontier.size:
         check_time()
-        if len(found) == _MANY_ROUNDS and size is not None and size <= few:
+        if len(waves) == _MANY_ROUNDS and size is not None and size <= few:
             visited = _with_room(visited, size * model.n_states)
             frontier = _reachable_nodes(model, policy, frontier, ended, size)
             frontier = frontier[~visited[frontier]]
@@ -156,7 +156,7 @@ def policy_chain(
         if reached > most_nodes and not policy.is_stationary:
             raise ModelError(f"the policy's chain has more than {most_nodes:,} nodes")
         step = _expand_chain(model, policy, frontier, ended)
-        found.append(step)
+        waves.append(step)
         if (last := max(int(frontier[-1]), int(step[1].max(initial=0)))) >= _MOST_KEYS:
             raise ModelError("the policy's chain is too large: its memory does not settle")
         if last >= visited.size:
@@ -166,7 +166,7 @@ def policy_chain(
 
     # the nodes by number, in place of keys
     source, target, chance, cost, outcome, node, pair, weight = (
-        np.concatenate(part) for part in zip(*found, strict=True)
+        np.concatenate(part) for part in zip(*waves, strict=True)
     )
     known = np.flatnonzero(visited)
     position = np.zeros(visited.size, dtype=np.int32)

@@ -82,7 +82,7 @@ class CostAwarePolicy(Policy):
 
     @property
     def cap(self) -> int:
-        """Number of layers of accumulated cost with decisions of their own (M / unit)."""
+        """Number of the cost-aware policy's layers, accumulated costs with their own decisions."""
         return int(self.decision.shape[0])
 
     @property
@@ -91,12 +91,12 @@ class CostAwarePolicy(Policy):
         return self.cap + len(self.tails)
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """Nothing is paid yet: layer 0, [episodes]."""
+        """The cost-aware policy's memory at the start: layer 0, [episodes]."""
         nothing = np.zeros(len(states), dtype=np.int64)
         return nothing if self.levels is not None else self._memory_at(nothing, states)
 
     def layers(self) -> CostLayers | None:
-        """Decisions by layer; None where a cost is no whole number of layers, or of very many."""
+        """The cost-aware policy by layer; None: a cost is no whole number of them, or too large."""
         if self.levels is not None:
             return self._level_layers(self.levels)
         given = self.model.costs
@@ -119,7 +119,7 @@ class CostAwarePolicy(Policy):
         )
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """The one decision of each (state, memory)."""
+        """The cost-aware policy's one decision of each (state, cost paid)."""
         below = memory < self.cap
         pair = np.empty(len(states), dtype=np.int64)
         some = states[below]
@@ -131,7 +131,7 @@ class CostAwarePolicy(Policy):
     def remember(
         self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
     ) -> IntArray:
-        """Add the observed cost; switch to a tail when the cap is reached.
+        """Add a cost to the cost-aware policy's memory; at the cap switch to a tail.
 
         Raises:
             ModelError: a cost is negative or not finite, or no whole number of layers where nothing
@@ -154,7 +154,7 @@ class CostAwarePolicy(Policy):
         return np.where(acting, self._memory_at(layer, successors), memory)
 
     def _passed(self, units: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Whole layers that costs in units pass, and which have none, like ``units``."""
+        """Whole layers of the cost-aware policy that costs pass, and which have none."""
         if self.rounds_up:
             passed = np.minimum(np.ceil(units * (1.0 - SAME_TOTAL)), _FAR)
             return passed, np.zeros(units.shape, dtype=np.bool_)
@@ -162,7 +162,7 @@ class CostAwarePolicy(Policy):
         return steps, ~(np.abs(units - steps) <= _OFF_LATTICE)
 
     def _level_layers(self, levels: FloatArray) -> CostLayers | None:
-        """Decisions by level; beyond the last a layer for each tail that totals ask for.
+        """The cost-aware policy by level of cost; beyond the last a layer for each tail.
 
         Steps that only end episodes lead to the next layer, where that makes no difference. None
         where the layers beyond are too many, or tails are chosen by a table.
@@ -211,7 +211,7 @@ class CostAwarePolicy(Policy):
         )
 
     def _told_apart(self, levels: FloatArray, costs: FloatArray) -> FloatArray:
-        """Thresholds of tails between which some total lies that is reached from below the last.
+        """Thresholds of a cost-aware policy's tails that some total tells apart.
 
         Args:
             levels: increasing, the last one behind all layers.
@@ -248,14 +248,14 @@ class CostAwarePolicy(Policy):
 
 
 def _nearest_cost_level(levels: FloatArray, totals: FloatArray) -> IntArray:
-    """The level of cost nearest to each total, the lower one of two, like ``totals``."""
+    """Level of a cost-aware policy nearest to each total, the lower of two, like ``totals``."""
     above = np.clip(np.searchsorted(levels, totals), 1, len(levels) - 1)
     is_below = totals - levels[above - 1] <= levels[above] - totals
     return np.where(is_below, above - 1, above)
 
 
 def levels_of(policies: Iterable[Policy], layers: int | None = None) -> FloatArray | None:
-    """The totals that a member of a lottery tells apart; None: multiples of a unit, or none.
+    """Totals that a cost-aware member of a lottery tells apart; None: multiples of a unit.
 
     Args:
         policies: the members.

@@ -36,21 +36,21 @@ Randomness = np.random.Generator | int
 """A generator, or the seed of a new one."""
 
 
-def generator_of(rng: Randomness) -> np.random.Generator:
-    """The generator itself, or a new one with this seed.
+def generator_of(seed: Randomness) -> np.random.Generator:
+    """Random generator to play a policy with: itself, or a new one with this seed.
 
     Raises:
         ModelError: neither a generator nor a whole number >= 0.
     """
-    if isinstance(rng, np.random.Generator):
-        return rng
-    if isinstance(rng, (int, np.integer)) and not isinstance(rng, bool) and rng >= 0:
-        return np.random.default_rng(int(rng))
-    raise ModelError(f"rng must be a numpy.random.Generator or a seed such as 0, not {rng!r}")
+    if isinstance(seed, np.random.Generator):
+        return seed
+    if isinstance(seed, (int, np.integer)) and not isinstance(seed, bool) and seed >= 0:
+        return np.random.default_rng(int(seed))
+    raise ModelError(f"seed must be a number such as 0 or a numpy.random.Generator, not {seed!r}")
 
 
 class Decision(enum.Enum):
-    """What a policy may answer besides an action of the model."""
+    """Decisions of a policy besides the actions of the model."""
 
     GIVE_UP = "give up"
 
@@ -94,7 +94,7 @@ class CostLayers:
 
     @property
     def count(self) -> int:
-        """Number of layers of the policy."""
+        """Number of cost layers of the policy."""
         return len(self.decision)
 
 
@@ -112,13 +112,13 @@ class Playable(ReadOnlyCopies, ABC):
         True
     """
 
-    def start(self, rng: Randomness | None = None, *, world: World = "model") -> Episode:
-        """A new episode of the policy, beside any others; ``rng`` draws the lottery and actions.
+    def start(self, seed: Randomness | None = None, *, world: World = "model") -> Episode:
+        """A new episode of the policy, beside any others; ``seed`` draws the lottery and actions.
 
         The policy is data and stays as it is: all that an episode remembers is its own.
 
         Args:
-            rng: a generator, which goes on from episode to episode, or a seed, with which every
+            seed: a generator, which goes on from episode to episode, or a number, with which every
                 episode begins afresh.
             world: "model" where episodes are played in the policy's model: steps that it does not
                 have, a state other than the one observed and a second observation of one action
@@ -127,30 +127,30 @@ class Playable(ReadOnlyCopies, ABC):
         Raises:
             ModelError: a lottery without a generator.
         """
-        return Episode(self.start_many(1, rng, world=world))
+        return Episode(self.start_many(1, seed, world=world))
 
     def start_many(
-        self, episodes: int, rng: Randomness | None = None, *, world: World = "model"
+        self, episodes: int, seed: Randomness | None = None, *, world: World = "model"
     ) -> EpisodeBatch:
         """Many new episodes of the policy side by side, whose ``actions`` are asked for together.
 
         Args:
             episodes: how many.
-            rng: as of :meth:`start`.
+            seed: as of :meth:`start`.
             world: as of :meth:`start`.
 
         Raises:
             ModelError: no episodes, or a lottery without a generator.
         """
         check_whole("episodes", episodes, most=MOST_EPISODES)
-        drawn = None if rng is None else generator_of(rng)
+        drawn = None if seed is None else generator_of(seed)
         return EpisodeBatch(*self.draw(episodes, drawn), drawn, world)
 
     @abstractmethod
     def draw(
         self, episodes: int, rng: np.random.Generator | None
     ) -> tuple[tuple[Policy, ...], IntArray]:
-        """The members of the lottery, and the position of the one that plays each episode."""
+        """Members of the policy's lottery, and the position of the one that plays each episode."""
 
 
 class Policy(Playable):
@@ -165,18 +165,18 @@ class Policy(Playable):
 
     @property
     def goes_on(self) -> bool:
-        """Whether it knows what to do after failing."""
+        """Whether the policy has decisions after failing."""
         return False
 
     @property
     def declares_failing(self) -> bool:
-        """Whether it acts on states with the label of failing, which it sets itself."""
+        """Whether the policy acts on states with the label of failing, which it sets itself."""
         return self.model.failure_label is not None
 
     def draw(
         self, episodes: int, rng: np.random.Generator | None
     ) -> tuple[tuple[Policy, ...], IntArray]:
-        """The policy itself, for all episodes."""
+        """The policy itself as the only member, for all episodes."""
         return (self,), np.zeros(episodes, dtype=np.int64)
 
     @property
@@ -186,11 +186,11 @@ class Policy(Playable):
 
     @property
     def step_limit(self) -> int | None:
-        """The steps within which it was made to reach the goal; None: it knows of none."""
+        """Steps within which the policy was made to reach the goal; None: no limit is known."""
         return None
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """Memory at the start of episodes that begin in these states, [episodes]."""
+        """The policy's memory at the start of episodes in these states, [episodes]."""
         return np.zeros(len(states), dtype=np.int64)
 
     def begins(self, states: IntArray) -> BoolArray:
@@ -198,79 +198,79 @@ class Policy(Playable):
         return np.ones(len(states), dtype=np.bool_)
 
     def layers(self) -> CostLayers | None:
-        """The policy layer by layer of the cost paid; None where its memory is another one."""
+        """The policy by layers of the cost paid; None where its memory is another one."""
         return None
 
     @abstractmethod
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """The decisions with their probabilities in each (state, memory), [situations]."""
+        """The policy's decisions with probabilities in each (state, memory), [situations]."""
 
     def remember(
         self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
     ) -> IntArray:
-        """Memory after taking these pairs to these successors at these costs, [episodes]."""
+        """The policy's memory after steps of pairs to successors at costs, [episodes]."""
         return memory
 
     @property
     def ended(self) -> BoolArray:
-        """States in which an episode is over whatever came before: goals, dead-ends, [states]."""
+        """States in which the policy's episodes are over: goals, dead-ends, [states]."""
         return np.asarray(self.model.goal_mask | dead_ends(self.model))
 
     @property
     def staying(self) -> IntArray:
-        """A pair that surely avoids the goal in each state that has one, else UNDECIDED, [states].
+        """The policy's pair that surely avoids the goal in each state, else UNDECIDED, [states].
 
         Where one may stay for ever without coming to what is limited, it does.
         """
         return staying_policy(self.model)
 
     def after_giving_up(self, states: IntArray, memory: IntArray) -> IntArray:
-        """Memory with which episodes that give up go on in these states, -1: over, [episodes]."""
+        """The policy's memory after giving up in these states, -1: over, [episodes]."""
         return np.full(len(states), -1)
 
     def played(self, states: IntArray, memory: IntArray) -> tuple[Branches, IntArray]:
-        """The decisions as they are played, and the memory with which each is, [branches].
+        """The policy's decisions as they are played, with their memories, [branches].
 
         Who gives up and goes on begins with what comes then, in the same state.
         """
-        found = self.branches(states, memory)
-        kept = np.asarray(memory)[found.situation]
-        quits = np.flatnonzero(found.pair == GIVE_UP_CODE)
-        moved = self.after_giving_up(states[found.situation[quits]], kept[quits])
+        branches = self.branches(states, memory)
+        kept = np.asarray(memory)[branches.situation]
+        quits = np.flatnonzero(branches.pair == GIVE_UP_CODE)
+        moved = self.after_giving_up(states[branches.situation[quits]], kept[quits])
         quits, moved = quits[moved >= 0], moved[moved >= 0]
         if not quits.size:
-            return found, kept
-        stays = np.ones(len(found.pair), dtype=np.bool_)
+            return branches, kept
+        stays = np.ones(len(branches.pair), dtype=np.bool_)
         stays[quits] = False
-        later = self.branches(states[found.situation[quits]], moved)
-        share = found.probability[quits][later.situation] * later.probability
-        situation = np.append(found.situation[stays], found.situation[quits][later.situation])
+        later = self.branches(states[branches.situation[quits]], moved)
+        share = branches.probability[quits][later.situation] * later.probability
+        situation = np.append(branches.situation[stays], branches.situation[quits][later.situation])
         order = np.argsort(situation, kind="stable")
-        pair = np.append(found.pair[stays], later.pair)
-        chance = np.append(found.probability[stays], share)
+        pair = np.append(branches.pair[stays], later.pair)
+        chance = np.append(branches.probability[stays], share)
         kept = np.append(kept[stays], moved[later.situation])
         return Branches(situation[order], pair[order], chance[order]), kept[order]
 
     def sample(
         self, states: IntArray, memory: IntArray, rng: np.random.Generator | None
     ) -> IntArray:
-        """Draw one decision per episode: a pair or GIVE_UP_CODE, [episodes].
+        """Draw one of the policy's decisions per episode: a pair or GIVE_UP_CODE, [episodes].
 
         Raises:
             ModelError: the policy has no decision in one of the states.
         """
-        found = self.branches(states, memory)
-        if len(found.situation) == len(states):  # one branch each: nothing to draw
-            pairs = found.pair
+        branches = self.branches(states, memory)
+        if len(branches.situation) == len(states):  # one branch each: nothing to draw
+            pairs = branches.pair
         else:
             if rng is None:
-                raise ModelError("a stochastic policy needs a random generator: start(rng)")
-            cumulative = np.cumsum(found.probability)
-            first = np.searchsorted(found.situation, np.arange(len(states)))
+                raise ModelError("a stochastic policy needs a seed or a generator: start(0)")
+            cumulative = np.cumsum(branches.probability)
+            first = np.searchsorted(branches.situation, np.arange(len(states)))
             before = np.concatenate([[0.0], cumulative])[first]
-            last = np.concatenate([first[1:], [len(found.situation)]]) - 1
+            last = np.concatenate([first[1:], [len(branches.situation)]]) - 1
             drawn = np.searchsorted(cumulative, before + rng.random(len(states)), side="right")
-            pairs = found.pair[np.clip(drawn, first, last)]
+            pairs = branches.pair[np.clip(drawn, first, last)]
         if (pairs == UNDECIDED).any():
             state = self.model.states[int(states[int(np.argmax(pairs == UNDECIDED))])]
             raise ModelError(f"the policy has no decision in state {state!r}")
@@ -278,15 +278,15 @@ class Policy(Playable):
 
 
 def check_policies(policies: Iterable[object]) -> None:
-    """Raise :class:`ModelError` unless all of these are policies; a solution has one."""
+    """Raise :class:`ModelError` unless all arguments are policies; a solution has one."""
     for one in policies:
         if not isinstance(one, Policy):
-            told = "; pass solution.policy" if hasattr(one, "policy") else ""
-            raise ModelError(f"a policy is needed, not {in_short(one)}{told}")
+            hint = "; pass solution.policy" if hasattr(one, "policy") else ""
+            raise ModelError(f"a policy is needed, not {in_short(one)}{hint}")
 
 
 def check_costs(costs: FloatArray | float) -> None:
-    """Raise :class:`ModelError` unless costs of steps are numbers >= 0, and finite."""
+    """Raise :class:`ModelError` unless costs that a policy observes are finite numbers >= 0."""
     paid = np.atleast_1d(costs)
     wrong = ~((paid >= 0.0) & np.isfinite(paid))
     if wrong.any():
@@ -294,7 +294,7 @@ def check_costs(costs: FloatArray | float) -> None:
         raise ModelError(f"observed cost {cost!r} must be >= 0 and finite")
 
 
-_OTHER_WORLD = "start(rng, world='other') plays where the model does not hold"
+_OTHER_WORLD = "start(seed, world='other') plays where the model does not hold"
 
 
 class EpisodeBatch:
@@ -334,7 +334,7 @@ class EpisodeBatch:
         self.failed = np.zeros(len(drawn), dtype=np.bool_)  # [episodes] the goal is given up, lost
 
     def actions(self, states: Sequence[Hashable]) -> list[Hashable]:
-        """The action of each episode in its state, [episodes].
+        """The policy's action in each episode of the batch, [episodes].
 
         It is :data:`GIVE_UP` from where an episode gives up, and None where one is over, in a goal
         or in a dead-end; what state is said of it then does not matter. One that gives up and goes
@@ -363,13 +363,13 @@ class EpisodeBatch:
         self.over |= self._pairs == GIVE_UP_CODE
         self.failed |= self.over & ~self.model.goal_mask[here]
         self._state, self._is_observed = here, False
-        told = {GIVE_UP_CODE: GIVE_UP, UNDECIDED: None}
+        codes = {GIVE_UP_CODE: GIVE_UP, UNDECIDED: None}
         shown = np.where(self.over & (self._pairs >= 0), UNDECIDED, self._pairs)
-        return [told[k] if k in told else self.model.action_of(k) for k in shown.tolist()]
+        return [codes[k] if k in codes else self.model.action_of(k) for k in shown.tolist()]
 
     @explained
     def observe(self, successors: Sequence[Hashable], costs: Sequence[float] | FloatArray) -> None:
-        """Tell where the step of each episode led and what it cost; this moves the memories.
+        """Tell the batch where steps led and what they cost, to move the policies' memories.
 
         Args:
             successors: [episodes]; of those that are over, any state.
@@ -397,8 +397,8 @@ class EpisodeBatch:
             mass = segment_sums(np.where(hit, model.probabilities[index], 0.0), offsets_of(count))
             if (mass == 0.0).any():
                 k = int(np.argmin(mass))
-                told, to = model.describe_pair(int(pairs[k])), model.states[int(successor[k])]
-                raise ModelError(f"{told} cannot lead to {to!r}; {_OTHER_WORLD}")
+                pair_words, to = model.describe_pair(int(pairs[k])), model.states[int(successor[k])]
+                raise ModelError(f"{pair_words} cannot lead to {to!r}; {_OTHER_WORLD}")
         going = ~self._ends[successor]
         self.remember(moved[going], pairs[going], successor[going], paid[moved[going]])
         self._state[moved] = successor
@@ -406,16 +406,16 @@ class EpisodeBatch:
         self._is_observed = True
 
     def staying(self) -> IntArray:
-        """Of the only episode: see ``Policy.staying``, [states]."""
+        """Staying pairs of the only episode's policy: see ``Policy.staying``, [states]."""
         return self._members[int(self._drawn[0])].staying
 
     def begin(self, states: IntArray, going: BoolArray) -> None:
-        """Set the memories of the episodes that do not end where they start, [episodes]."""
+        """Set the policies' memories of the episodes that do not end where they start."""
         for member, mine in self.shares(begun := np.flatnonzero(going)):
             self.memory[begun[mine]] = member.start_memory(states[begun[mine]])
 
     def decide(self, episodes: IntArray, states: IntArray) -> IntArray:
-        """A pair or GIVE_UP_CODE for each of the given episodes, in these states.
+        """The policies' pair or GIVE_UP_CODE for each of the given episodes in these states.
 
         Those that give up where the policy knows what to do afterwards begin with that.
         """
@@ -433,7 +433,7 @@ class EpisodeBatch:
     def remember(
         self, episodes: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
     ) -> None:
-        """Move the memories of the given episodes."""
+        """Move the policies' memories of the given episodes."""
         for member, mine in self.shares(episodes):
             kept, step = self.memory[episodes[mine]], (pairs[mine], successors[mine], costs[mine])
             self.memory[episodes[mine]] = member.remember(kept, *step)
@@ -447,11 +447,11 @@ class EpisodeBatch:
 
     @cached_property
     def _ends(self) -> BoolArray:
-        """The states in which episodes are over, [states]."""
+        """States in which episodes of the policy are over, [states]."""
         return np.asarray(np.all([member.ended for member in self._members], axis=0))
 
     def _indices(self, states: Sequence[Hashable]) -> IntArray:
-        """The positions of the episodes' states."""
+        """Positions of the states of a batch's episodes."""
         if len(states) != len(self._drawn):
             raise ModelError(f"{len(states)} states given for {len(self._drawn)} episodes")
         return np.array([self.model.index_of(state) for state in states], dtype=np.int64)
@@ -469,7 +469,7 @@ class Episode:
         self._staying: IntArray | None = None  # [states], once it goes on after giving up
 
     def action(self, state: Hashable) -> Hashable:
-        """The action in this state; :data:`GIVE_UP` or None from where the episode is over.
+        """The policy's action in this state; :data:`GIVE_UP` or None once the episode is over.
 
         It is over from giving up on, or from a goal or a dead-end, unless the policy knows what to
         do then: it does where its problem counts what happens after failing. ``failed`` says from
@@ -489,7 +489,7 @@ class Episode:
 
     @explained
     def observe(self, successor: Hashable, cost: float) -> None:
-        """Tell where the step led and what it cost; this moves the memory.
+        """Tell the episode where the step led and what it cost, to move the policy's memory.
 
         Args:
             successor: the state that the action led to.
@@ -508,7 +508,7 @@ class Episode:
 
     @property
     def failed(self) -> bool:
-        """Whether the goal has been lost or given up, as far as the last action tells."""
+        """Whether the policy's episode has lost the goal or given up, by its last action."""
         return bool(self._alone.failed[0])
 
     def continue_after_give_up(self) -> None:
@@ -517,7 +517,7 @@ class Episode:
 
 
 def staying_policy(model: SSP) -> IntArray:
-    """A pair that surely avoids the goal in each state that has one, else UNDECIDED, [states]."""
+    """Pair of a policy that surely avoids the goal in each state, else UNDECIDED, [states]."""
     pairs = np.flatnonzero(attention_pairs(model, attention_states(model)))
     states = model.pair_state[pairs]
     first = np.flatnonzero(np.diff(states, prepend=-1))
@@ -556,12 +556,12 @@ class DeterministicPolicy(Policy):
         return cls(model, decision)
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """The one decision of each state."""
+        """The deterministic policy's one decision of each state."""
         n = len(states)
         return Branches(np.arange(n), self.decision[states].astype(np.int64), np.ones(n))
 
     def actions(self) -> dict[Hashable, Hashable]:
-        """``{state: action or GIVE_UP}`` over the states in which the policy has a decision."""
+        """``{state: action or GIVE_UP}`` where the deterministic policy has a decision."""
         return {
             self.model.states[s]: GIVE_UP if p == GIVE_UP_CODE else self.model.action_of(int(p))
             for s, p in enumerate(self.decision)
@@ -576,7 +576,7 @@ class DeterministicPolicy(Policy):
 
 
 def find_pair(model: SSP, state: int, action: Hashable) -> int:
-    """Index of the pair (state, action).
+    """Index of a policy's pair (state, action).
 
     Raises:
         ModelError: the state does not have the action.
@@ -664,7 +664,7 @@ class StochasticPolicy(Policy):
         flows: FloatArray,
         carrier: Policy | None = None,
     ) -> StochasticPolicy:
-        """The policy that takes each decision with its share of its situation's flow.
+        """The stochastic policy that takes each decision with its share of a situation's flow.
 
         Args:
             model: the model.
@@ -684,13 +684,13 @@ class StochasticPolicy(Policy):
         return cls(model, situation, offsets, pair - 1, share, carrier)
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """The carrier's start memory, [episodes]."""
+        """Start memory of the stochastic policy's carrier, [episodes]."""
         if self.carrier is None:
             return super().start_memory(states)
         return self.carrier.start_memory(states)
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """The decisions with their probabilities; UNDECIDED in situations that are not listed."""
+        """The stochastic policy's decisions with probabilities; UNDECIDED where none is listed."""
         key = np.asarray(memory, dtype=np.int64) * self.model.n_states + states
         keys = np.append(self.situation_key, -1)  # a key that no situation has
         at = np.searchsorted(self.situation_key, key)
@@ -711,7 +711,7 @@ class StochasticPolicy(Policy):
     def remember(
         self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
     ) -> IntArray:
-        """Move the carrier's memory."""
+        """Move the memory of the stochastic policy's carrier."""
         step = memory, pairs, successors, costs
         return memory if self.carrier is None else self.carrier.remember(*step)
 
@@ -750,13 +750,13 @@ class MixedPolicy(Playable):
 
     @property
     def model(self) -> SSP:
-        """The model that the members act on."""
+        """The model that the mixed policy's members act on."""
         return self.policies[0].model
 
     def draw(
         self, episodes: int, rng: np.random.Generator | None
     ) -> tuple[tuple[Policy, ...], IntArray]:
-        """The members, and the position of the one that plays each episode, [episodes].
+        """The mixed policy's members, and the position of the one that plays, [episodes].
 
         Raises:
             ModelError: there are several members and no generator.
@@ -764,7 +764,7 @@ class MixedPolicy(Playable):
         if rng is not None:
             return self.policies, rng.choice(len(self.policies), size=episodes, p=self.weights)
         if len(self.policies) > 1:
-            raise ModelError("a lottery over policies needs a random generator: start(rng)")
+            raise ModelError("a lottery over policies needs a seed or a generator: start(0)")
         return self.policies[0].draw(episodes, rng)
 
     def __repr__(self) -> str:
@@ -777,7 +777,7 @@ class MixedPolicy(Playable):
 
 
 def as_lottery(policy: Policy | MixedPolicy) -> MixedPolicy:
-    """The policy as a lottery, of one member if it is none.
+    """A policy as a lottery, of one member if it is none.
 
     Raises:
         ModelError: it is no policy.

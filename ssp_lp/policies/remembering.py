@@ -59,30 +59,30 @@ class TimedPolicy(Policy):
 
     @property
     def model(self) -> SSP:  # type: ignore[override]
-        """The model that the stages act on."""
+        """The model that the timed policy's stages act on."""
         return self.stages[0].model
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """The first stage and its start memory, [episodes]."""
+        """The timed policy's first stage and its start memory, [episodes]."""
         return self.stages[0].start_memory(states) * len(self.stages)
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """The decisions of each situation's stage."""
+        """The timed policy's decisions, those of each situation's stage."""
         inner, stage = np.divmod(memory, len(self.stages))
         nothing = np.zeros(0, dtype=np.int64)
-        found = [(nothing, nothing, np.zeros(0))]
+        parts = [(nothing, nothing, np.zeros(0))]
         for number in np.unique(stage):
             some = np.flatnonzero(stage == number)
             branch = self.stages[number].branches(states[some], inner[some])
-            found.append((some[branch.situation], branch.pair, branch.probability))
-        situation, pair, probability = (np.concatenate(part) for part in zip(*found, strict=True))
+            parts.append((some[branch.situation], branch.pair, branch.probability))
+        situation, pair, probability = (np.concatenate(part) for part in zip(*parts, strict=True))
         order = np.argsort(situation, kind="stable")
         return Branches(situation[order], pair[order], probability[order])
 
     def remember(
         self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
     ) -> IntArray:
-        """Move the memory that the stages share, and go on to the next stage."""
+        """Move the memory that the timed policy's stages share, and go on to the next stage."""
         count = len(self.stages)
         inner, stage = np.divmod(memory, count)
         inner = self.stages[0].remember(inner, pairs, successors, costs)
@@ -107,15 +107,15 @@ class JointMemory(Policy):
         object.__setattr__(self, "model", self.decider.model)
 
     def followed_by(self, decider: Policy) -> JointMemory:
-        """The same memories with another policy to decide."""
+        """The joint memory with another policy to decide."""
         return JointMemory(self.keepers, decider)
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """Each keeper's start memory, [episodes]."""
+        """Start of a joint memory: each keeper's, [episodes]."""
         return self._joined([k.start_memory(states) for k in self.keepers])
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """What the decider does, given its own part of the memory."""
+        """Decisions by a joint memory: the decider's, given its own part."""
         meanings = [meaning_of(k) for k in self.keepers]
         mine = meaning_of(self.decider)
         if mine in meanings:
@@ -127,7 +127,7 @@ class JointMemory(Policy):
     def remember(
         self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
     ) -> IntArray:
-        """Move each keeper's memory."""
+        """Move each keeper's part of a joint memory."""
         parts = zip(self.keepers, self._parts(memory), strict=True)
         return self._joined([k.remember(part, pairs, successors, costs) for k, part in parts])
 
@@ -141,12 +141,12 @@ class JointMemory(Policy):
 
     @property
     def _sizes(self) -> tuple[int, ...]:
-        """How many values each keeper's memory takes."""
+        """Number of values of each keeper's part of a joint memory."""
         return tuple(memory_size(keeper) for keeper in self.keepers)
 
 
 def common_memory(policy: MixedPolicy) -> JointMemory | None:
-    """All that the members of a lottery remember, decided by the first; None: nothing.
+    """Joint memory of a lottery's members with the first to decide; None: they remember nothing.
 
     Raises:
         ModelError: a member is of a class whose memory is not known here.
@@ -159,7 +159,7 @@ def common_memory(policy: MixedPolicy) -> JointMemory | None:
 
 
 def memory_size(policy: Policy) -> int:
-    """How many values the memory of a policy takes at most.
+    """Number of values that a policy's memory takes at most.
 
     Raises:
         ModelError: the policy is of a class whose memory is not known here.
@@ -179,7 +179,7 @@ def memory_size(policy: Policy) -> int:
 
 
 def meaning_of(policy: Policy) -> tuple[object, ...]:
-    """What a joint memory means: equal for policies that understand each other's memory."""
+    """Meaning of a joint memory: equal for policies that understand each other's memory."""
     match policy:
         case TimedPolicy():
             return len(policy.stages), *meaning_of(policy.stages[0])
@@ -209,17 +209,17 @@ class RememberingPolicy(Policy):
 
     @property
     def product(self) -> ProductSSP:
-        """The product that the inner policy lives on."""
+        """Product that the policy remembering its memory lives on."""
         return check_product(self.inner.model)
 
     @property
     def model(self) -> SSP:  # type: ignore[override]
-        """The original model."""
+        """Original model of a policy that remembers a product's memory."""
         return self.product.original
 
     @property
     def step_limit(self) -> int | None:
-        """The fewest of the products that it was made for."""
+        """Step limit of a policy that remembers: the fewest of its products."""
         own = self.product.steps if isinstance(self.product, HorizonSSP) else None
         return min((n for n in (own, self.inner.step_limit) if n is not None), default=None)
 
@@ -229,7 +229,7 @@ class RememberingPolicy(Policy):
         return np.asarray(self.product.table[states, number] >= 0)
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """The memory's start, and the inner policy's, [episodes]."""
+        """Start of the product's memory and of the inner policy's, remembered, [episodes]."""
         product = self.product
         first = product.memory_number[product.memory.start]
         inner = self.inner.start_memory(self._at(states, np.full(len(states), first)))
@@ -237,39 +237,39 @@ class RememberingPolicy(Policy):
 
     @property
     def goes_on(self) -> bool:
-        """Whether the inner policy does."""
+        """Whether the remembering policy's inner one goes on after failing."""
         return self.inner.goes_on
 
     @property
     def ended(self) -> BoolArray:
-        """Goals, and dead-ends in which the inner policy acts with no memory, [states]."""
+        """Goals, and dead-ends in which the remembering policy's inner one acts without memory."""
         over = super().ended.copy()
         over[self.product.original_state[~self.inner.ended]] = False
         return over
 
     def after_giving_up(self, states: IntArray, memory: IntArray) -> IntArray:
-        """As the inner policy goes on, [episodes]."""
+        """Memory of a remembering policy after giving up, the inner one's, [episodes]."""
         inner, number = np.divmod(memory, len(self.product.memories))
         moved = self.inner.after_giving_up(self._at(states, number), inner)
         return np.where(moved < 0, -1, moved * len(self.product.memories) + number)
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """The inner policy's decisions, as pairs of the original; giving up where all is lost."""
+        """Decisions of a remembering policy as pairs of the original; giving up where lost."""
         product = self.product
         inner, number = np.divmod(memory, len(product.memories))
         here = self._at(states, number)
-        found = self.inner.branches(here, inner)
+        inside = self.inner.branches(here, inner)
         shift = product.pair_offsets[here] - self.model.pair_offsets[states]
-        pair = np.where(found.pair >= 0, found.pair - shift[found.situation], found.pair)
+        pair = np.where(inside.pair >= 0, inside.pair - shift[inside.situation], inside.pair)
         over = (np.diff(product.pair_offsets) == 0) & ~product.goal_mask
-        lost = dead_ends(product)[here][found.situation] & (found.pair == UNDECIDED)
-        pair = np.where(over[here][found.situation] | lost, GIVE_UP_CODE, pair)
-        return Branches(found.situation, pair, found.probability)
+        lost = dead_ends(product)[here][inside.situation] & (inside.pair == UNDECIDED)
+        pair = np.where(over[here][inside.situation] | lost, GIVE_UP_CODE, pair)
+        return Branches(inside.situation, pair, inside.probability)
 
     def remember(
         self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
     ) -> IntArray:
-        """Update the memory with each step, and the inner policy's, [episodes].
+        """Update the remembered memory with each step, and the inner policy's, [episodes].
 
         Raises:
             ModelError: a cost is negative or not finite, or a step leads to a memory that the
@@ -298,19 +298,19 @@ class RememberingPolicy(Policy):
         return np.asarray(moved * len(product.memories) + after)
 
     def _at(self, states: IntArray, numbers: IntArray) -> IntArray:
-        """The product's states.
+        """States of the product by what is remembered.
 
         Raises:
             ModelError: a state and a memory that do not occur together.
         """
-        found = self.product.table[states, numbers]
-        if (found < 0).any():
-            k = int(np.argmax(found < 0))
+        places = self.product.table[states, numbers]
+        if (places < 0).any():
+            k = int(np.argmax(places < 0))
             raise ModelError(
                 f"state {self.model.states[int(states[k])]!r} with the memory "
                 f"{self.product.memories[int(numbers[k])]!r} does not occur in the product"
             )
-        return found
+        return places
 
     def __repr__(self) -> str:
         """One line: how many memories there are, and the inner policy."""
@@ -345,42 +345,42 @@ class LabelledPolicy(_GoingOn):
 
     @property
     def product(self) -> FailureSSP:
-        """The product with the label that the inner policy lives on."""
+        """Product with the remembered label of failing that the inner policy lives on."""
         return check_label(self.inner.model)
 
     @property
     def model(self) -> SSP:  # type: ignore[override]
-        """The original model."""
+        """Original model of a policy that remembers the label of failing."""
         return self.product.original
 
     @property
     def ended(self) -> BoolArray:
-        """Goals, and dead-ends from which nothing counts, [states]."""
+        """Goals, and dead-ends from which nothing counts after the remembered failing, [states]."""
         return super().ended & ~self.product.is_open
 
     @property
     def staying(self) -> IntArray:
-        """As of all policies, but for ever where that adds nothing to what counts, [states]."""
+        """Staying pairs of a policy that remembers failing: for ever where that adds nothing."""
         decision, pairs = super().staying, self.product.staying_after
         decision[self.model.pair_state[pairs]] = pairs
         return decision
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """The inner policy's, before failing, [episodes]."""
+        """Start memory of a policy that remembers failing, before it, [episodes]."""
         return np.asarray(self.inner.start_memory(states) * len(_Label) + _Label.BEFORE)
 
     def after_giving_up(self, states: IntArray, memory: IntArray) -> IntArray:
-        """Memory of giving up now, -1 where nothing counts from there on, [episodes]."""
+        """Memory of a policy that remembers giving up now, -1: nothing counts on, [episodes]."""
         inner, label = np.divmod(memory, len(_Label))
         goes_on = (label == _Label.BEFORE) & self.product.is_open[states] & ~super().ended[states]
         quits = np.zeros(len(states), dtype=np.bool_)
-        found = self.inner.branches(states[goes_on], inner[goes_on])
-        taking = (found.pair >= 0) & self.product.fails[found.pair]
-        quits[np.flatnonzero(goes_on)[found.situation[taking]]] = True
+        branches = self.inner.branches(states[goes_on], inner[goes_on])
+        taking = (branches.pair >= 0) & self.product.fails[branches.pair]
+        quits[np.flatnonzero(goes_on)[branches.situation[taking]]] = True
         return np.where(quits, inner * len(_Label) + _Label.GIVING_UP, -1)
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """The inner policy's decisions as pairs of the original, those with giving up as such."""
+        """Decisions of a policy that remembers failing, as the original's pairs or giving up."""
         product, (inner, label) = self.product, np.divmod(memory, len(_Label))
         here = states + product.n_original * (label == _Label.AFTER)
         situation, pair, chance = self.inner.branches(here, inner)
@@ -397,7 +397,7 @@ class LabelledPolicy(_GoingOn):
     def remember(
         self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
     ) -> IntArray:
-        """Move the inner policy's memory, and the label, [episodes].
+        """Move the remembered label of failing, and the inner policy's memory, [episodes].
 
         What is paid after failing is none of the inner policy's costs.
         """
@@ -406,8 +406,8 @@ class LabelledPolicy(_GoingOn):
         taking = label == _Label.GIVING_UP
         taken = np.where(taking, product.giving_up_by(pairs), product.placed(here, pairs))
         if (taken < 0).any():
-            told = self.model.describe_pair(int(pairs[int(np.argmax(taken < 0))]))
-            raise ModelError(f"{told} may lead to the goal: it is not taken after failing")
+            pair_words = self.model.describe_pair(int(pairs[int(np.argmax(taken < 0))]))
+            raise ModelError(f"{pair_words} may lead to the goal: it is not taken after failing")
         moved = product.moved(taken, successors)
         failed = product.after[moved]
         charge = product.costs[product.outcome_offsets[taken]]
@@ -426,7 +426,7 @@ FAILING_WORDS = ("before failing", "giving up", "after failing")
 
 
 class _Label(enum.IntEnum):
-    """What a policy remembers of failing."""
+    """Label of failing in a policy's memory."""
 
     BEFORE = 0
     GIVING_UP = 1  # with the action that comes next
@@ -567,7 +567,7 @@ def acting_everywhere(
 
 
 def on_original(policy: Policy | MixedPolicy) -> MixedPolicy:
-    """A policy of a product as one remembering its memory on the original model.
+    """Policy of a product as one that remembers its memory on the original model.
 
     Args:
         policy: such as a solution's, of a problem on ``product(model, memory)``.

@@ -17,7 +17,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import pairs_into
 from ssp_lp.processes.failure_semantics import Counting
-from ssp_lp.processes.rows import costless_pairs
+from ssp_lp.processes.live_rows import costless_pairs
 
 FAILURE_ROW = "failure"
 """Name of the row of the failure budget; no other constraint may bear it."""
@@ -50,7 +50,7 @@ class StepTerm:
         return costless_pairs(self.model)
 
     def at(self, counting: Counting) -> tuple[FloatArray, float]:
-        """The cost that the condition counts, [pairs], and at the source."""
+        """Cost of each pair in the condition, [pairs], and at the source."""
         return counting.cost(self.model)
 
 
@@ -72,7 +72,7 @@ class ArrivalTerm:
         return ~pairs_into(self.model, self.states)
 
     def at(self, counting: Counting) -> tuple[FloatArray, float]:
-        """The probability of arriving where the condition counts, [pairs], and at the source."""
+        """Probability of arriving where the condition counts, [pairs], and at the source."""
         if self.others:
             return counting.other_endings(self.states)
         return counting.arrivals(self.states)
@@ -103,11 +103,11 @@ class UpperRow:
         return result
 
     def activity(self, value: float) -> float:
-        """The row's left side where the quantity has a value."""
+        """Left side of the condition's row at a value of the quantity."""
         return self.offset + self.sign * value
 
     def at(self, counting: Counting) -> tuple[FloatArray, float]:
-        """Its coefficient at each pair, [pairs], and at the source."""
+        """Coefficient of each pair in the condition's row, [pairs], and at the source."""
         constant = np.zeros(len(counting.goal)), 0.0
         if self.constant > 0.0:
             constant = counting.endings()
@@ -131,7 +131,7 @@ class Condition:
 
     @property
     def wants_ends(self) -> bool:
-        """Whether it asks for an end other than the goal.
+        """Whether the condition counts an end other than the goal.
 
         A policy on its way to such an end has not failed before it is there, though it will not
         reach the goal any more.
@@ -145,25 +145,25 @@ class Condition:
 
     @cached_property
     def rows(self) -> tuple[UpperRow, ...]:
-        """One row for each bound.
+        """Rows of a condition, one for each bound.
 
         Raises:
             ModelError: costs or visits are bounded from below.
         """
-        found = []
+        rows = []
         if self.upper is not None:
-            found.append(self._row(self.name, 1.0, self.upper))
+            rows.append(self._row(self.name, 1.0, self.upper))
         if self.lower is not None:
             name = self.name if self.upper is None else f"{self.name}, at least"
             row = self._row(name, -1.0, -self.lower)
             if self.lower == self.upper:  # rounded complements must not contradict each other
                 room = _ROOM * max(abs(row.offset), abs(row.bound))
                 row = replace(row, bound=row.bound + room)
-            found.append(row)
-        return tuple(found)
+            rows.append(row)
+        return tuple(rows)
 
     def minimised(self) -> UpperRow:
-        """The quantity itself, as a row without a bound.
+        """The condition's quantity as a row without a bound, to be minimised.
 
         Raises:
             ModelError: costs or visits would be maximised.
@@ -171,7 +171,7 @@ class Condition:
         return self._row(self.name, 1.0, np.inf)
 
     def _row(self, name: str, sign: float, bound: float) -> UpperRow:
-        """``sign * quantity <= bound`` with weights >= 0."""
+        """A condition's row ``sign * quantity <= bound`` with weights >= 0."""
         terms, offset = [], 0.0
         for stated, term in self.terms:
             weight = sign * stated

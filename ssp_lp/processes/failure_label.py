@@ -18,7 +18,7 @@ from ssp_lp.model import SSP
 from ssp_lp.model.graph import goal_pairs, pairs_into, surely_reaching
 from ssp_lp.policies.policy import DeterministicPolicy
 from ssp_lp.processes.conditions import UpperRow
-from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.explicit_process import ExplicitProcess
 from ssp_lp.processes.failure_semantics import (
     Aim,
     Counting,
@@ -28,8 +28,8 @@ from ssp_lp.processes.failure_semantics import (
     stage_costs,
     survival_of,
 )
+from ssp_lp.processes.live_rows import successor_means
 from ssp_lp.processes.quotient import Quotient, build_quotient
-from ssp_lp.processes.rows import successor_means
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,11 +42,11 @@ class FailureLabelled:
 
     @property
     def own_cost(self) -> FloatArray:
-        """What is minimised, [process pairs]."""
+        """Cost that is minimised with the failure label, [process pairs]."""
         return self.process.cost
 
     def policy(self, choice: IntArray) -> DeterministicPolicy:
-        """Pull a choice back to the model.
+        """Policy on the model of a choice in the process with the failure label.
 
         Args:
             choice: one pair of the process per state of the process, [states].
@@ -55,7 +55,7 @@ class FailureLabelled:
         return DeterministicPolicy(self.quotient.model, decision)
 
     def nearer_goal(self, *, safely: bool = False) -> IntArray | None:
-        """A pair of each state by which it may come nearer to the goal; -1: none, [states].
+        """A pair of each state, with the failure label, that may come nearer to the goal, or -1.
 
         None where it has to be found on the process itself (see ``Quotient.nearer``).
 
@@ -63,15 +63,15 @@ class FailureLabelled:
             safely: by pairs that risk no dead-end, where these are enough.
         """
         model = self.quotient.model
-        found = self.quotient.nearer(goal_pairs(model))
-        if safely and found is not None:
+        nearer = self.quotient.nearer(goal_pairs(model))
+        if safely and nearer is not None:
             safe = ~pairs_into(model, self.quotient.dead)
             guarded = self.quotient.nearer(goal_pairs(model) & safe, safe)
-            found = found if guarded is None else np.where(guarded >= 0, guarded, found)
-        return None if found is None else self._with_source(found)
+            nearer = nearer if guarded is None else np.where(guarded >= 0, guarded, nearer)
+        return None if nearer is None else self._with_source(nearer)
 
     def placed(self, decision: IntArray) -> IntArray | None:
-        """A policy of the model as a choice here, [states]; None where it is not one of its pairs.
+        """A policy of the model as a choice in the labelled process, [states]; None: it is none.
 
         Args:
             decision: pair of the model, negative for none, [model states].
@@ -82,7 +82,7 @@ class FailureLabelled:
         return None if (choice < 0).any() else self._with_source(choice).astype(np.int32)
 
     def _with_source(self, choice: IntArray) -> IntArray:
-        """A choice of the nodes with the source state's only pair, where there is one."""
+        """A choice of the labelled process with the source's only pair, where there is one."""
         if self.process.n_states == len(choice):
             return choice
         return np.append(choice, self.process.n_pairs - 1)
@@ -97,7 +97,7 @@ def label_failure(
     side: Sequence[UpperRow] = (),
     objective: UpperRow | None = None,
 ) -> FailureLabelled:
-    """Build the process of case M.
+    """Build the process of case M: the states with the failure label.
 
     Args:
         model: the model.
@@ -152,7 +152,7 @@ def counting_of(
     semantics: FailureSemantics,
     discount: float | None = None,
 ) -> Counting:
-    """How anything else is counted at the pairs of the process with a failure label.
+    """Counting of other quantities at the pairs of the process with a failure label.
 
     Args:
         labelled: the process, in which only what is free in everything counted is collapsed.
@@ -169,7 +169,7 @@ def counting_of(
 def _with_start(
     process: ExplicitProcess, quotient: Quotient, start: FloatArray, entering: FloatArray
 ) -> ExplicitProcess:
-    """Set the start; mass on goals or dead-ends enters through a source state, the last one."""
+    """Set the labelled process's start; mass on goals or dead-ends enters through a source."""
     model, live_start = quotient.model, quotient.gather(start)
     at_goal = float(start[model.goal_mask].sum())
     at_dead = float(start[quotient.dead].sum())

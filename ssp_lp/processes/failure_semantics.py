@@ -32,8 +32,8 @@ from ssp_lp.errors import (
 )
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import attention_pairs, attention_states, goal_pairs
+from ssp_lp.processes.live_rows import cost_means, costless_pairs, successor_means
 from ssp_lp.processes.quotient import Quotient
-from ssp_lp.processes.rows import cost_means, costless_pairs, successor_means
 
 if TYPE_CHECKING:
     from ssp_lp.accumulated_cost.cost_law import CostLaw
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 class GiveUp(enum.StrEnum):
-    """Where a policy of case M may give up (mathematics, section 2).
+    """States in which a policy of case M may give up (mathematics, section 2).
 
     ``ANYWHERE`` is the linear program of Trevizan et al. (2017); ``ATTENTION`` is the paper's
     stopping time of section 2.4, which may only fall where the goal can be avoided for sure;
@@ -54,7 +54,7 @@ class GiveUp(enum.StrEnum):
 
 
 class Aim(enum.StrEnum):
-    """What a criterion asks for: little cost, or much or little of the goal."""
+    """Aim of a criterion: little cost, or much or little of the goal."""
 
     LEAST_COST = "least_cost"
     GREATEST_GOAL = "greatest_goal"
@@ -102,23 +102,23 @@ class FailureSemantics:
 
     @property
     def failing_worth(self) -> float:
-        """What a run that fails is worth by the measure; 0 without one."""
+        """Worth of a run that fails, by the measure; 0 without one."""
         return 0.0 if self.measure is None else self.measure.failing
 
     @property
     def maximises(self) -> bool:
-        """Whether what is asked for is a worth, the greater the better."""
+        """Whether failure semantics ask for a worth, the greater the better."""
         return self.measure is not None and self.measure.maximised
 
     def charge(self, ratio: bool) -> Charge | None:
-        """What arriving is charged for the total cost; None: no total is counted (case M)."""
+        """Charge of arriving by these failure semantics; None: no total is counted (case M)."""
         if self.measure is not None:
             return self.measure.charge
         return TOTAL_COST if ratio else None
 
     @property
     def sense(self) -> ObjectiveSense:
-        """How what is minimised stands for what is asked, no quantity being minimised instead."""
+        """Sense of the objective by the failure semantics, no quantity being minimised instead."""
         if self.aim is Aim.GREATEST_GOAL:
             return ObjectiveSense(0.0)
         return ObjectiveSense(self.failing_worth) if self.maximises else AS_ASKED
@@ -141,11 +141,11 @@ class ObjectiveSense:
     offset: float = 0.0  # what is minimised is so much more than what is asked
 
     def worth(self, value: float) -> float:
-        """What is asked for, where what is minimised has a value."""
+        """Worth asked for, from the minimised objective's value."""
         return value - self.offset if self.constant is None else self.constant - value
 
     def settled_bound(self, value: float, bound: float, paid: float = 0.0) -> float:
-        """The bound, or the value where only the rounding of a difference parts them.
+        """The objective's bound, or its value where only rounding parts them.
 
         Args:
             value: what a lottery attains, in what is minimised.
@@ -161,12 +161,12 @@ AS_ASKED = ObjectiveSense()
 
 
 def survival_of(discount: float | None) -> float:
-    """Factor of every transition: the discount, 1 in the exact setting."""
+    """Survival factor of every transition: the discount, 1 in the exact setting."""
     return 1.0 if discount is None else discount
 
 
 def parse_give_up(value: str | GiveUp) -> GiveUp:
-    """Turn a word into a :class:`GiveUp`; raises :class:`ModelError` naming the choices."""
+    """Turn a word into a :class:`GiveUp` of failure semantics; :class:`ModelError` if unknown."""
     try:
         return GiveUp(value)
     except ValueError as error:
@@ -177,7 +177,7 @@ def parse_give_up(value: str | GiveUp) -> GiveUp:
 def dead_end_charges(
     model: SSP, dead: BoolArray, semantics: FailureSemantics, costs: FloatArray | None = None
 ) -> FloatArray:
-    """What entering each dead-end costs once: its least expected stage cost, [states].
+    """Charge of entering each dead-end, once: its least expected stage cost, [states].
 
     Zero for other states, for dead-ends without actions and without ``charge_failing_step``.
 
@@ -199,7 +199,7 @@ def give_up_charges(
     semantics: FailureSemantics,
     costs: FloatArray | None = None,
 ) -> FloatArray:
-    """What giving up in each state costs, infinite where it is not allowed, [states].
+    """Charge of giving up in each state, infinite where it is not allowed, [states].
 
     Args:
         attention: attention states, [states].
@@ -229,7 +229,7 @@ def give_up_charges(
 
 
 def giving_up_states(model: SSP, give_up: GiveUp, usable: BoolArray | None = None) -> BoolArray:
-    """States in which a policy may give up, dead-ends included where it may at all, [states].
+    """States in which the failure semantics allow giving up, dead-ends included, [states].
 
     Args:
         model: the model.
@@ -273,7 +273,7 @@ def start_distribution(model: SSP, start: Hashable | Mapping[Hashable, float]) -
 
 
 def check_penalty(penalty: float) -> None:
-    """Check the price of failing.
+    """Check the penalty of failing, a number of the failure semantics.
 
     Raises:
         ModelError: it is not a positive number, or is infinite.
@@ -289,7 +289,7 @@ def check_failure_setting(
     reach_fraction: float | None = None,
     charge_failing_step: object = False,
 ) -> None:
-    """Check budget, discount, share, and whether the step that fails is paid.
+    """Check budget, discount, share, and whether the failing step is paid.
 
     Raises:
         ModelError: a budget or a share outside [0, 1], both of them, a discount outside (0, 1),
@@ -321,14 +321,14 @@ def check_failure_setting(
 
 
 def as_percentage(share: float) -> str:
-    """What a number may have meant that is no probability."""
+    """Hint for a failure budget above 1: the percentage that it may have meant."""
     return f"; did you mean {float(share) / 100.0:.12g}?" if 1.0 < share <= 100.0 else ""
 
 
 def free_pairs(
     model: SSP, aim: Aim, side: Iterable[UpperRow] = (), objective: UpperRow | None = None
 ) -> BoolArray:
-    """Pairs that add nothing to what is minimised and limited, [pairs].
+    """Pairs free in all that is minimised and limited, failing included, [pairs].
 
     To move among them for ever is a way to fail that costs nothing, whatever the model's own cost
     is: that counts only where it is asked for.
@@ -370,7 +370,7 @@ class Counting:
     survival: float  # the discount, 1 in the exact setting
 
     def cost(self, model: SSP) -> tuple[FloatArray, float]:
-        """Another cost of the same model, charged as its own is, [pairs].
+        """A secondary cost of the model, charged by failure semantics as its own is, [pairs].
 
         Args:
             model: the model with the other costs.
@@ -379,17 +379,17 @@ class Counting:
         return cost / self.departs, float(self.start @ entering)
 
     def arrivals(self, states: BoolArray) -> tuple[FloatArray, float]:
-        """Probability of stepping into some states, [pairs], and of starting in those that end."""
+        """Probability of stepping into some states until failing, [pairs], and at the start."""
         into = self.quotient.at_pairs(successor_means(self.quotient.model, states))
         ended = states & (self.quotient.node_of < 0)
         return self.survival * into / self.departs, float(self.start[ended].sum())
 
     def endings(self) -> tuple[FloatArray, float]:
-        """Mass that leaves the process, [pairs]."""
+        """Mass that leaves the process with each pair, by goal or failure, [pairs]."""
         return self.goal + self.failure, float(self.start[self.quotient.node_of < 0].sum())
 
     def other_endings(self, states: BoolArray) -> tuple[FloatArray, float]:
-        """Mass that leaves otherwise than by stepping into some final states, [pairs]."""
+        """Mass that ends otherwise than by stepping into some final states, [pairs]."""
         if (states == self.quotient.model.goal_mask).all():
             return self.failure, float(self.start[self.quotient.dead].sum())
         (every, at_once), (into, there) = self.endings(), self.arrivals(states)
@@ -400,7 +400,7 @@ class Counting:
 def stage_costs(
     model: SSP, quotient: Quotient, semantics: FailureSemantics, survival: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Expected cost of each pair, charges included, and what entering each dead-end costs.
+    """Expected cost of each pair with charges of failing; what entering each dead-end costs.
 
     Args:
         model: the model whose costs are meant.

@@ -22,8 +22,14 @@ from ssp_lp.dynamic_programming.policy_iteration import first_of_equals, iterate
 from ssp_lp.model import SSP, graph
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
 from ssp_lp.processes.failure_semantics import Aim
+from ssp_lp.processes.live_rows import (
+    RowChoice,
+    cost_means,
+    costless_pairs,
+    live_rows,
+    successor_means,
+)
 from ssp_lp.processes.quotient import Quotient, build_quotient
-from ssp_lp.processes.rows import RowChoice, cost_means, costless_pairs, live_rows, successor_means
 
 _RARE = 1e-4  # failure below which what sweeps enclose a success by leaves it few digits
 
@@ -40,11 +46,11 @@ class GoalReach:
 
     @cached_property
     def usable(self) -> BoolArray:
-        """Pairs that attain the extreme, [model pairs]."""
+        """Pairs that attain the extreme goal probability, [model pairs]."""
         if self.solved is None:
             return self.surely
-        quotient, found = self.solved
-        usable, pairs = self.surely | quotient.inside, quotient.pair_at[attaining_pairs(found)]
+        quotient, reach = self.solved
+        usable, pairs = self.surely | quotient.inside, quotient.pair_at[attaining_pairs(reach)]
         usable[pairs[pairs >= 0]] = True
         return usable
 
@@ -82,22 +88,22 @@ def greatest_goal_reach(
         return _extreme_reach(quotient, model.goal_mask, lost, *setting, greatest=True)
     sure, keeping, nearer = graph.surely_reaching(model)
     inside = sure & ~model.goal_mask
-    surely, asked = lost | (keeping & inside[model.pair_state]), ~hopeless
+    surely, starts = lost | (keeping & inside[model.pair_state]), ~hopeless
     if start is not None:
-        asked &= start > 0.0
-    if not (asked & ~sure).any():  # the graph decides it all
+        starts &= start > 0.0
+    if not (starts & ~sure).any():  # the graph decides it all
         reached, bound = sure.astype(np.float64), (~hopeless).astype(np.float64)
         return GoalReach(reached, bound, np.where(nearer < 0, UNDECIDED, nearer), surely)
     everything = np.ones(model.n_pairs, dtype=np.bool_)
     # moving about in a component risks nothing
     quotient = build_quotient(model, free=everything, ended=sure | hopeless)
     setting = survival, start, last_digits
-    found = _extreme_reach(quotient, sure, surely, *setting, greatest=True)
-    return replace(found, decision=np.where(inside, nearer, found.decision))
+    reach = _extreme_reach(quotient, sure, surely, *setting, greatest=True)
+    return replace(reach, decision=np.where(inside, nearer, reach.decision))
 
 
-def greatest_from(model: SSP, start: FloatArray) -> float:
-    """The greatest goal probability from a start, [states]; where failing is rare, to its digits.
+def greatest_goal_from(model: SSP, start: FloatArray) -> float:
+    """Greatest goal probability from a start, [states]; rare failing to its last digits.
 
     Raises:
         Stop: the time ended before it was settled.
@@ -110,7 +116,7 @@ def greatest_from(model: SSP, start: FloatArray) -> float:
 
 
 def extreme_goal_reach(model: SSP, aim: Aim, start: FloatArray) -> GoalReach:
-    """MAXPROB or MINPROB, exact, as the aim says, for a start, [states]."""
+    """Extreme goal probability from a start, MAXPROB or MINPROB as the aim says, [states]."""
     if aim is Aim.GREATEST_GOAL:
         return greatest_goal_reach(model, start=start, last_digits=False)
     return least_goal_reach(model, start=start)
@@ -131,9 +137,9 @@ def least_goal_reach(
     quotient = build_quotient(model, ended=attention | bound_to)
     inside = bound_to & ~model.goal_mask
     surely = inside[model.pair_state]
-    found = _extreme_reach(quotient, bound_to, surely, survival, start, True, greatest=False)
-    decision = np.where(attention & ~quotient.dead, GIVE_UP_CODE, found.decision)
-    return replace(found, decision=np.where(inside, model.pair_offsets[:-1], decision))
+    reach = _extreme_reach(quotient, bound_to, surely, survival, start, True, greatest=False)
+    decision = np.where(attention & ~quotient.dead, GIVE_UP_CODE, reach.decision)
+    return replace(reach, decision=np.where(inside, model.pair_offsets[:-1], decision))
 
 
 def _extreme_reach(
@@ -146,7 +152,7 @@ def _extreme_reach(
     *,
     greatest: bool,
 ) -> GoalReach:
-    """The greatest or the least E[survival^T; hit] over the live states.
+    """Extreme goal probability E[survival^T; hit] over the live states.
 
     Args:
         quotient: the live states.
@@ -165,24 +171,24 @@ def _extreme_reach(
     if survival < 1.0:
         miss = miss + (1.0 - survival)
     begun = None if start is None else quotient.gather(start)
-    found = extreme_reach(
+    reach = extreme_reach(
         dynamics, hit, miss, greatest=greatest, start=begun, last_digits=last_digits
     )
-    first, totals = found.choice, found.totals
+    first, totals = reach.choice, reach.totals
     if totals is not None:
         known = totals.values, totals.runs, begun
-        first = first_of_equals(dynamics, found.both, first, *known)
+        first = first_of_equals(dynamics, reach.both, first, *known)
     return GoalReach(
-        goal=np.where(hit_states, 1.0, quotient.lift(found.reach)),
-        bound=np.where(hit_states, 1.0, quotient.lift(found.bound)),
+        goal=np.where(hit_states, 1.0, quotient.lift(reach.reach)),
+        bound=np.where(hit_states, 1.0, quotient.lift(reach.bound)),
         decision=quotient.pull_back(first),
         surely=surely,
-        solved=(quotient, found),
+        solved=(quotient, reach),
     )
 
 
 def cheapest_reach(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy:
-    """Among the policies that attain the extreme, the least E[survival^(T-1) * cost; goal].
+    """Cheapest of the policies that attain the extreme goal probability, by E[cost; goal].
 
     A transition to x' is priced g * reach(x'), reach taken one step early under discounting, so
     the second stage is an ordinary problem without accumulated cost (paper, S3P; mathematics,
@@ -220,7 +226,7 @@ def cheapest_reach(model: SSP, reach: GoalReach, survival: float = 1.0) -> Reach
 def _failing_to_reach(
     model: SSP, surely: BoolArray, node_of: IntArray, missed: FloatArray
 ) -> FloatArray:
-    """The probability of failing from each state; 1 where no node stands for it.
+    """Probability of not reaching the goal from each state; 1 where no node stands for it.
 
     Args:
         model: the model.

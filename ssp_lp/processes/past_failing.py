@@ -18,7 +18,7 @@ from ssp_lp.model import SSP, graph
 from ssp_lp.model.failure_product import FailureSSP, label_failing
 from ssp_lp.processes.conditions import ArrivalTerm, Condition, StepTerm, Term
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, GiveUp, free_pairs
-from ssp_lp.processes.rows import cost_means
+from ssp_lp.processes.live_rows import cost_means
 
 
 def labelled_past_failing(
@@ -30,7 +30,7 @@ def labelled_past_failing(
     ratio: bool,
     discount: float | None,
 ) -> FailureSSP | None:
-    """The model with the label of failing; None where nothing is counted after failing.
+    """Model with the label of failing, to count past failing; None: nothing counts there.
 
     Args:
         model: the model.
@@ -40,9 +40,9 @@ def labelled_past_failing(
         ratio: whether the cost is counted given success.
         discount: with one everything that is counted stays finite.
     """
-    asked = (*limits, *(() if objective is None else (objective,)))
-    terms = [term for condition in asked for _, term in condition.terms]
-    ends, targets = _asked_for(model, terms)
+    limits_and_objective = (*limits, *(() if objective is None else (objective,)))
+    terms = [term for condition in limits_and_objective for _, term in condition.terms]
+    ends, targets = _ends_past_failing(model, terms)
     dear = [term for term in terms if isinstance(term, StepTerm) and term.through]
     if semantics.forbids_failing or not (targets.any() or dear):
         return None
@@ -77,13 +77,13 @@ def labelled_past_failing(
     open_pairs = usable & is_open[model.pair_state]
     label = label_failing(model, open_pairs, stops, charged, free)
     charges = semantics.charge_failing_step and not totals
-    return replace(label, charges=charges, costs=_costs_before(label, model.costs, charges))
+    return replace(label, charges=charges, costs=_costs_until_failing(label, model.costs, charges))
 
 
 def check_counted_past_failing(
     model: SSP, asked: Condition, semantics: FailureSemantics, *, ratio: bool
 ) -> None:
-    """Check that a process tells apart what a quantity counts after failing.
+    """Check that a process tells apart what a quantity counts past failing.
 
     Args:
         model: of the process.
@@ -99,7 +99,7 @@ def check_counted_past_failing(
     if (label := model.failure_label) is None:
         is_told = needed is None
     else:
-        ends = _asked_for(asked.model, [term for _, term in asked.terms])[0]
+        ends = _ends_past_failing(asked.model, [term for _, term in asked.terms])[0]
         is_told = bool(label.ended[: label.n_original][ends].all())
         if needed is not None:
             is_told &= not (needed.open_pairs & ~label.open_pairs).any()
@@ -111,8 +111,8 @@ def check_counted_past_failing(
     )
 
 
-def _asked_for(model: SSP, terms: Iterable[Term]) -> tuple[BoolArray, BoolArray]:
-    """The dead-ends that are ends, and all states to arrive in which may count after failing."""
+def _ends_past_failing(model: SSP, terms: Iterable[Term]) -> tuple[BoolArray, BoolArray]:
+    """Dead-ends that are ends, and all states in which arriving may count past failing."""
     ends, targets = np.zeros((2, model.n_states), dtype=np.bool_)
     for term in terms:
         if isinstance(term, ArrivalTerm) and term.final:
@@ -122,8 +122,8 @@ def _asked_for(model: SSP, terms: Iterable[Term]) -> tuple[BoolArray, BoolArray]
     return ends, targets | ends
 
 
-def _costs_before(label: FailureSSP, costs: FloatArray, charges: bool) -> FloatArray:
-    """A cost of the original, [outcomes], until failing and as failing is charged, [outcomes]."""
+def _costs_until_failing(label: FailureSSP, costs: FloatArray, charges: bool) -> FloatArray:
+    """A cost of the original until failing, and as failing is charged, not past it, [outcomes]."""
     charge = np.zeros(label.n_original)
     if charges:
         means = cost_means(replace(label.original, costs=read_only(costs)))
@@ -134,7 +134,7 @@ def _costs_before(label: FailureSSP, costs: FloatArray, charges: bool) -> FloatA
 
 
 def past_failing_term(label: FailureSSP, term: Term) -> Term:
-    """What a term counts on the model, counted on that with the label.
+    """A term's count on the model as one on that with the label, past failing.
 
     Ends are the true ones, after failing as before; costs and visits count until failing unless
     they are asked for through it.
@@ -147,7 +147,7 @@ def past_failing_term(label: FailureSSP, term: Term) -> Term:
             nothing = np.zeros(label.n_original)
             counted = read_only(label.spread_costs(costs, nothing, through=True))
         else:
-            counted = _costs_before(label, costs, label.charges)
+            counted = _costs_until_failing(label, costs, label.charges)
         return StepTerm(replace(label, costs=counted, exact_costs={}), term.through)
     later = term.states & ~label.original.goal_mask if term.final or term.through else False
     states = np.append(term.states, np.broadcast_to(later, label.n_original))

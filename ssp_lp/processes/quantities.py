@@ -178,7 +178,7 @@ class Constraint:
 
 
 def expected_cost() -> Quantity:
-    """The model's own expected total cost, counted as the criterion counts costs."""
+    """The quantity "expected total cost" of the model, counted as the criterion counts costs."""
     return Quantity(((1.0, _StageCosts()),))
 
 
@@ -198,7 +198,7 @@ def secondary_cost(
 
 
 def visits(*states: Hashable, through_failure: bool = False) -> Quantity:
-    """How often some states are entered or started in, in expectation; staying counts each time.
+    """The quantity "expected visits" of some states, entered or begun in; staying counts too.
 
     Counted until the goal is reached or failure declared; a dead-end is entered once at most.
 
@@ -216,7 +216,7 @@ def visits(*states: Hashable, through_failure: bool = False) -> Quantity:
 
 
 def end_probability(*ways: Hashable) -> Quantity:
-    """The probability that an episode ends in one of some ways.
+    """The quantity "probability that an episode ends in one of some ways".
 
     Failing ends the cost, not the run: from a dead-end that has actions, and from where a policy
     gave up, it goes on to its true end (mathematics, section 2). That is the goal, the first
@@ -231,19 +231,19 @@ def end_probability(*ways: Hashable) -> Quantity:
 
 
 def goal_probability() -> Quantity:
-    """The probability of reaching the goal."""
+    """The quantity "probability of reaching the goal"."""
     return end_probability("goal")
 
 
 def failure_probability() -> Quantity:
-    """The probability of never reaching the goal."""
+    """The quantity "probability of never reaching the goal"."""
     return Quantity(((1.0, _Ends(("goal",), others=True)),))
 
 
 def arrival_cost(
     function: Callable[[FloatArray], FloatArray] | None = None, *, affine_from: float = 0.0
 ) -> Quantity:
-    """What arriving at the goal costs, a function of the total cost: minimised given success.
+    """The quantity "cost of arriving", a function of the total cost: minimised given success.
 
     As the ``quantity`` of a criterion of one's own with ``ratio = True`` it is E[f(C) | goal], such
     as the mean lateness ``arrival_cost(lambda c: np.maximum(c - due, 0.0), affine_from=due)``.
@@ -275,8 +275,8 @@ def _quantity_number(value: object) -> float:
     """A finite number that a quantity goes with."""
     if is_number(value) and isfinite(number := float(value)):
         return number
-    told = f"a quantity goes with finite numbers, not with {in_short(value)}"
-    raise ModelError(told + beside_cvxpy(value))
+    complaint = f"a quantity goes with finite numbers, not with {in_short(value)}"
+    raise ModelError(complaint + cvxpy_hint(value))
 
 
 _WITH_CVXPY = (
@@ -286,8 +286,8 @@ _WITH_CVXPY = (
 )
 
 
-def beside_cvxpy(value: object) -> str:
-    """What to write, in an error, where a number is to be an expression of cvxpy."""
+def cvxpy_hint(value: object) -> str:
+    """Hint of an error for a quantity's number that is to be an expression of cvxpy."""
     return _WITH_CVXPY if hasattr(value, "is_dcp") else ""
 
 
@@ -306,7 +306,7 @@ class CostLimit:
 
 
 def constraints_of(limits: Mapping[str, CostLimit]) -> dict[str, Constraint]:
-    """Limits of secondary costs as constraints.
+    """Limits of secondary costs as constraints on quantities.
 
     Raises:
         ModelError: no mapping, no limit, or a bound that is not a finite number >= 0.
@@ -364,12 +364,12 @@ def outcome_costs(model: SSP, name: str, cost: NestedCosts | npt.ArrayLike | str
 
 
 def is_amount(value: object) -> bool:
-    """Whether a value is a finite number >= 0, and no integer beyond all floats."""
+    """Whether a quantity's bound or cost is a finite number >= 0 that a float can hold."""
     return is_number(value) and 0.0 <= float(value) < float("inf")
 
 
 def _listed_costs(model: SSP, name: str, cost: NestedCosts) -> FloatArray:
-    """Costs from nested dicts, 0 where nothing is listed, [pairs]."""
+    """A quantity's costs from nested dicts, 0 where nothing is listed, [pairs]."""
     result = np.zeros(model.n_pairs)
     for state, actions in cost.items():
         try:
@@ -391,14 +391,14 @@ def _listed_costs(model: SSP, name: str, cost: NestedCosts) -> FloatArray:
                 if not is_amount(value):
                     raise ModelError(
                         f"limit {name!r}, action {action!r} of state {model.states[place]!r}: the "
-                        f"cost must be finite and >= 0, not {in_short(value)}{beside_cvxpy(value)}"
+                        f"cost must be finite and >= 0, not {in_short(value)}{cvxpy_hint(value)}"
                     )
                 result[pair_of[action]] = float(value)
     return result
 
 
 def _spread_costs(model: SSP, name: str, given: FloatArray) -> FloatArray:
-    """Costs from an array of pairs or of outcomes, also of a product's original, [outcomes]."""
+    """A quantity's costs from an array of pairs or outcomes, also of an original, [outcomes]."""
     if isinstance(model, ProductSSP) and model.is_hidden:
         return np.asarray(_spread_costs(model.original, name, given)[model.original_outcome])
     own, theirs = _costs_by_outcome(model, given), None
@@ -410,17 +410,17 @@ def _spread_costs(model: SSP, name: str, given: FloatArray) -> FloatArray:
             f"limit {name!r}: an array of shape {given.shape} fits both the product and its "
             "original: give {state: {action: cost}}"
         )
-    found = theirs if own is None else own
-    if found is None:
+    spread = theirs if own is None else own
+    if spread is None:
         raise ModelError(
             f"limit {name!r}: the cost has shape {given.shape}; {model.n_pairs} pairs or "
             f"{model.n_outcomes} outcomes are needed"
         )
-    return found
+    return spread
 
 
 def _costs_by_outcome(model: SSP, given: FloatArray) -> FloatArray | None:
-    """Costs by pair or by outcome, [outcomes]; None if they are neither."""
+    """A quantity's costs by pair or by outcome, [outcomes]; None if they are neither."""
     if given.shape == (model.n_outcomes,):
         return given
     if given.shape == (model.n_pairs,):
@@ -431,7 +431,7 @@ def _costs_by_outcome(model: SSP, given: FloatArray) -> FloatArray | None:
 def conditions(
     model: SSP, start: FloatArray, constraints: Mapping[str, Constraint]
 ) -> tuple[Condition, ...]:
-    """Check constraints, and look up what they count.
+    """Check constraints on quantities, and look up their names in the model.
 
     Args:
         model: the model.
@@ -444,7 +444,7 @@ def conditions(
     """
     if not isinstance(constraints, Mapping):
         raise ModelError(f"constraints must be {{name: quantity <= bound}}, not {constraints!r}")
-    found = []
+    looked_up = []
     for name, constraint in constraints.items():
         if not isinstance(name, str) or not name:
             raise ModelError(f"the name of a limit must be a word, not {name!r}")
@@ -452,18 +452,18 @@ def conditions(
             raise ModelError(f"{name!r} names {RESERVED[name]}: give the limit another name")
         if not isinstance(constraint, Constraint):
             raise ModelError(f"limit {name!r} must be a quantity <= or >= a number: {constraint!r}")
-        found.append(_looked_up_terms(model, start, name, constraint))
-    named = [row.name for condition in found for row in condition.rows]
+        looked_up.append(_looked_up_terms(model, start, name, constraint))
+    named = [row.name for condition in looked_up for row in condition.rows]
     if len(set(named)) < len(named):
         twice = next(name for name in named if named.count(name) > 1)
         raise ModelError(f"two rows would be named {twice!r}: give one constraint another name")
-    return tuple(found)
+    return tuple(looked_up)
 
 
 def objective_of(
     model: SSP, start: FloatArray, quantity: Quantity, *, signed: bool = False
 ) -> Condition:
-    """Look up what a quantity that is to be minimised counts.
+    """The quantity to be minimised, its names looked up in the model.
 
     Args:
         model: the model.
@@ -477,10 +477,10 @@ def objective_of(
     """
     if not isinstance(quantity, Quantity):
         raise ModelError(f"the objective must be a quantity, such as visits(...), not {quantity!r}")
-    found = _looked_up_terms(model, start, OBJECTIVE, Constraint(quantity))
+    objective = _looked_up_terms(model, start, OBJECTIVE, Constraint(quantity))
     if not signed:
-        found.minimised()
-    return found
+        objective.minimised()
+    return objective
 
 
 def arrival_measure(quantity: Quantity) -> ExpectedArrivalCost | None:
@@ -510,7 +510,7 @@ def arrival_measure(quantity: Quantity) -> ExpectedArrivalCost | None:
 
 
 def _looked_up_terms(model: SSP, start: FloatArray, name: str, constraint: Constraint) -> Condition:
-    """A constraint whose terms were looked up."""
+    """A constraint with the terms of its quantity looked up in the model."""
     weights: dict[Counted, float] = {}
     for weight, counted in constraint.quantity.terms:  # those that count the same are added up
         weights[counted] = weights.get(counted, 0.0) + weight
@@ -526,7 +526,7 @@ def _looked_up_terms(model: SSP, start: FloatArray, name: str, constraint: Const
 
 
 def _looked_up_term(model: SSP, name: str, counted: Counted) -> Term:
-    """What one counted thing is in the model, looked up."""
+    """One term of a quantity, looked up in the model."""
     if (label := model.failure_label) is not None:
         return past_failing_term(label, _looked_up_term(label.original, name, counted))
     match counted:
@@ -550,7 +550,7 @@ def _looked_up_term(model: SSP, name: str, counted: Counted) -> Term:
 def _looked_up_states(
     model: SSP, name: str, words: tuple[Hashable, ...], *, final: bool = False
 ) -> BoolArray:
-    """States by their own names or by that of a label; or those that end in a way, [states]."""
+    """A quantity's states, by their names or a label's; or those that end in a way, [states]."""
     marks, labels = end_marks(model), model.state_labels
     named: list[Hashable] = ["goal", *labels, "dead_end"]
     mask = np.zeros(model.n_states, dtype=np.bool_)

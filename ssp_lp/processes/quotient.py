@@ -37,7 +37,7 @@ from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends, end_components, hopeless_states, nearer_pairs, pairs_into
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED
-from ssp_lp.processes.rows import LiveRows, RowChoice, live_rows
+from ssp_lp.processes.live_rows import LiveRows, RowChoice, live_rows
 
 _TOGETHER = 1_000_000  # decisions, states times layers, that are pulled back at once
 
@@ -57,7 +57,7 @@ class Quotient:
     pair_offsets: IntArray  # [nodes + 1]
 
     def transitions(self, survival: float, *, departing: bool) -> LiveRows:
-        """Probability of going from each pair to each node, and of ending, [pairs, nodes].
+        """Transitions of the quotient: from each pair to each node, and to an end, [pairs, nodes].
 
         Args:
             survival: factor of every probability, the discount.
@@ -69,12 +69,12 @@ class Quotient:
         )
 
     def dynamics(self, survival: float, *, departing: bool) -> tuple[Dynamics, FloatArray]:
-        """The same as a process to be solved, and what its rows were divided by, [pairs]."""
+        """The quotient as a process to be solved, and what its rows were divided by, [pairs]."""
         rows = self.transitions(survival, departing=departing)
         return Dynamics(self.pair_offsets, rows.matrix, rows.exits), rows.departs
 
     def at_pairs(self, per_pair: FloatArray, give_up: float | FloatArray = 0.0) -> FloatArray:
-        """Values of the model's pairs, in the order of the pairs here, [pairs].
+        """Values of the model's pairs, in the order of the quotient's pairs, [pairs].
 
         Args:
             per_pair: [model pairs].
@@ -85,11 +85,11 @@ class Quotient:
 
     @property
     def gives_up(self) -> BoolArray:
-        """Pairs that give up, [pairs]."""
+        """Pairs of the quotient that give up, [pairs]."""
         return np.asarray(self.pair_at == GIVE_UP_CODE)
 
     def named(self, pair: int) -> tuple[Hashable, Hashable]:
-        """The state and the action of a pair; of one that gives up, the node's first state."""
+        """State and action of a quotient's pair; of one that gives up, the node's first state."""
         acting = int(self.pair_at[pair])
         if acting == GIVE_UP_CODE:
             return self.model.states[int(self.first_states[self.pair_node[pair]])], GIVE_UP
@@ -97,12 +97,12 @@ class Quotient:
 
     @cached_property
     def first_states(self) -> IntArray:
-        """The first state of each node, [nodes]."""
+        """First state of each node of the quotient, [nodes]."""
         live = (self.node_of >= 0).nonzero()[0]
         return live[np.unique(self.node_of[live], return_index=True)[1]]
 
     def split(self) -> Quotient:
-        """The same live states without collapsing any: each a node, with all pairs that it has."""
+        """The quotient with nothing collapsed: each live state a node, with all of its pairs."""
         live, none = self.node_of >= 0, np.zeros_like(self.merged)
         kept, gives_up = self.inside.copy(), np.zeros(self.n_nodes, dtype=np.bool_)
         kept[self.pair_at[self.pair_at >= 0]] = True
@@ -112,7 +112,7 @@ class Quotient:
         return _quotient_with_pairs(self.model, self.dead, node_of, inside, none, kept, leaving)
 
     def nearer(self, leaving: BoolArray, usable: BoolArray | None = None) -> IntArray | None:
-        """A pair of each node by which it may come nearer to a leaving pair; -1: none, [nodes].
+        """A pair of each quotient node that may come nearer to a leaving pair; -1: none, [nodes].
 
         None where components are merged, whose members need not be equally near.
 
@@ -126,7 +126,7 @@ class Quotient:
         return self.placed(nearer_pairs(self.model, leaving, kept))
 
     def placed(self, decision: IntArray) -> IntArray:
-        """Where the pairs of the live states stand here, -1: nowhere or no pair, [nodes].
+        """The quotient's pairs that are pairs of the live states, -1: nowhere or no pair, [nodes].
 
         Args:
             decision: pair of the model, negative for none, [states]; no components are merged.
@@ -136,35 +136,35 @@ class Quotient:
 
     @cached_property
     def places(self) -> IntArray:
-        """Where each pair of the model stands here, -1: nowhere, [model pairs]."""
+        """The quotient's pair of each pair of the model, -1: none, [model pairs]."""
         place = np.full(self.model.n_pairs, -1, dtype=np.int32)
         acting = (self.pair_at >= 0).nonzero()[0]
         place[self.pair_at[acting]] = acting
         return place
 
     def least_over_members(self, values: FloatArray) -> FloatArray:
-        """Minimum of state values over the members of each node, [nodes]."""
+        """Minimum of state values over the members of each quotient node, [nodes]."""
         result = np.full(self.n_nodes, np.inf)
         live = self.node_of >= 0
         np.minimum.at(result, self.node_of[live], values[live])
         return result
 
     def lift(self, values: FloatArray) -> FloatArray:
-        """Values of nodes as values of states, 0 at goals and dead-ends, [states]."""
+        """Values of quotient nodes as values of states, 0 at goals and dead-ends, [states]."""
         result = np.zeros(self.model.n_states)
         live = self.node_of >= 0
         result[live] = values[self.node_of[live]]
         return result
 
     def gather(self, distribution: FloatArray) -> FloatArray:
-        """Sum a distribution over states by node, [nodes]."""
+        """Sum a distribution over states by quotient node, [nodes]."""
         live = self.node_of >= 0
         return np.bincount(
             self.node_of[live], weights=distribution[live], minlength=self.n_nodes
         ).astype(np.float64)
 
     def positions(self, first: IntArray, choice: IntArray) -> IntArray:
-        """Decisions on states in many layers, as positions among the states' pairs.
+        """Decisions on states in many layers from a quotient's, as positions among their pairs.
 
         Args:
             first: what a choice is counted from among this quotient's pairs, [nodes].
@@ -175,25 +175,25 @@ class Quotient:
         """
         model, offsets = self.model, self.model.pair_offsets[:-1]
         most = int(np.diff(model.pair_offsets).max(initial=1))
-        found = np.full((len(choice), model.n_states), UNDECIDED, dtype=least_integer_type(most))
+        places = np.full((len(choice), model.n_states), UNDECIDED, dtype=least_integer_type(most))
         if not self.merged.any() and accelerated(choice.size):
-            from ssp_lp.compiled.rows import place_layers
+            from ssp_lp.compiled.matrix_rows import place_layers
 
-            place_layers(choice, unsigned(first), self.pair_at, offsets, self.node_of, found)
-            return found
+            place_layers(choice, unsigned(first), self.pair_at, offsets, self.node_of, places)
+            return places
         live, several = (self.node_of >= 0).nonzero()[0], max(_TOGETHER // max(len(offsets), 1), 1)
         nodes, own, last = self.node_of[live], self.pair_offsets[:-1], self.pair_offsets[1:] - 1
         # the ways of a node's members depend on its pair alone: each once
         most = int(np.diff(self.pair_offsets).max(initial=1))
         pairs = np.stack([self.pull_back(np.minimum(own + k, last)) for k in range(most)])
-        table = np.where(pairs < 0, pairs, pairs - offsets)[:, live].astype(found.dtype)
+        table = np.where(pairs < 0, pairs, pairs - offsets)[:, live].astype(places.dtype)
         for begin in range(0, len(choice), several):
             taken = (first + choice[begin : begin + several])[:, nodes] - own[nodes]
-            found[begin : begin + several, live] = table[taken, np.arange(len(live))]
-        return found
+            places[begin : begin + several, live] = table[taken, np.arange(len(live))]
+        return places
 
     def pull_back(self, choice: IntArray) -> IntArray:
-        """Decisions on states from one chosen pair per node.
+        """Decisions on states from one chosen pair per quotient node.
 
         Inside a component the other members move, for free, to the member whose pair is chosen.
 
@@ -227,7 +227,7 @@ def build_quotient(
     free_exits: bool = False,
     ended: BoolArray | None = None,
 ) -> Quotient:
-    """Group the live states into nodes and list the pairs by which each can be left.
+    """Build the quotient: group live states into nodes, and list the pairs that leave each.
 
     Args:
         usable: pairs of the model that may be used, [model pairs]; all if left out.
@@ -261,7 +261,7 @@ def build_quotient(
 
 
 def _numbered_nodes(live: BoolArray, component: IntArray) -> IntArray:
-    """Node of each state in the order of their first states, -1 where it is not live, [states]."""
+    """Quotient node of each state, in the order of first states, -1 if not live, [states]."""
     group = np.where(component >= 0, component + live.size, np.arange(live.size))
     first = np.arange(live.size)
     members = (component >= 0).nonzero()[0]
@@ -324,17 +324,17 @@ class Spread:
     departs: FloatArray  # [its pairs] chance that taking it is departing from the merged node
 
     def per_taking(self, per_departure: FloatArray) -> FloatArray:
-        """What each pair takes whenever it is taken, of what its departures take, [pairs]."""
+        """A number per pair taken, from that per departure of the quotient, [pairs]."""
         return np.where(self.place >= 0, per_departure[self.place] * self.departs, 0.0)
 
     def departures(self, visits: FloatArray) -> FloatArray:
-        """How often nodes are departed from, [merged quotient's pairs], by visits [pairs]."""
+        """Departures from the quotient's nodes, [merged pairs], from visits [pairs]."""
         own, size = self.place >= 0, int(self.place.max(initial=-1)) + 1
         gone = visits[own] * self.departs[own]
         return np.bincount(self.place[own], weights=gone, minlength=size).astype(np.float64)
 
     def visits(self, flow: ModelFlow) -> FloatArray:
-        """The model's flow at these pairs, [pairs]."""
+        """The model's flow at these pairs of the quotient, [pairs]."""
         given_up = flow.give_up[self.quotient.first_states[self.quotient.pair_node]]
         return self.quotient.at_pairs(flow.pairs, 0.0) + np.where(
             self.quotient.gives_up, given_up, 0.0
@@ -342,7 +342,7 @@ class Spread:
 
 
 def spread_out(quotient: Quotient, departs: FloatArray) -> Spread | None:
-    """Undo what is collapsed and left out; None: nothing is.
+    """Undo a quotient's collapsing and leaving out; None: there is none.
 
     Args:
         quotient: the live part of a model.
@@ -361,13 +361,13 @@ def spread_out(quotient: Quotient, departs: FloatArray) -> Spread | None:
 
 @dataclass(frozen=True, eq=False)
 class ModelFlow:
-    """How often each pair of the model is taken, and each state gives up, in expectation."""
+    """Expected visits of each pair of the model, and of giving up in each state."""
 
     pairs: FloatArray  # [model pairs]
     give_up: FloatArray  # [states]
 
     def entering(self, quotient: Quotient) -> FloatArray:
-        """How often each state is entered, [states]."""
+        """Flow into each state of the model, undone from a quotient, [states]."""
         model = quotient.model
         taken = np.repeat(self.pairs, np.diff(model.outcome_offsets))
         return np.bincount(
@@ -376,7 +376,7 @@ class ModelFlow:
 
 
 def model_flow(quotient: Quotient, visits: FloatArray) -> ModelFlow:
-    """The visits that a process itself speaks of; moves within its components are missing.
+    """The model's flow from a quotient's visits; moves within components are missing.
 
     Args:
         quotient: the live part of the model.
@@ -392,7 +392,7 @@ def model_flow(quotient: Quotient, visits: FloatArray) -> ModelFlow:
 
 
 def moving_within(quotient: Quotient, flow: ModelFlow, entering: FloatArray) -> ModelFlow:
-    """The model's flow with the moves within components, and giving up shared among members.
+    """The model's flow with the moves within a quotient's components, giving up shared.
 
     Args:
         quotient: the live part of the model.
@@ -414,7 +414,7 @@ def moving_within(quotient: Quotient, flow: ModelFlow, entering: FloatArray) -> 
 def _flow_of_moves(
     quotient: Quotient, members: IntArray, entering: FloatArray, leaving: FloatArray
 ) -> FloatArray:
-    """How often each pair inside a component is taken, [model pairs].
+    """Flow of each pair inside a collapsed component, [model pairs].
 
     Each component's first exit is served first, then the second one of each that has one, and so
     on: moves of different components never meet.
@@ -459,7 +459,7 @@ def _flow_of_moves(
 def decisions(
     quotient: Quotient, flow: ModelFlow, otherwise: IntArray
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Each decision that is taken, with its flow; where there is none, another with flow 1.
+    """Decisions on the model with their flows from a quotient; where there is none, one of flow 1.
 
     Args:
         quotient: the live part of the model.

@@ -21,7 +21,7 @@ from ssp_lp.model.product import ProductSSP
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import GIVE_UP, DeterministicPolicy, StochasticPolicy, find_pair
 from ssp_lp.processes.conditions import Term
-from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.explicit_process import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of
 from ssp_lp.processes.failure_semantics import FailureSemantics
 from ssp_lp.processes.quotient import (
@@ -35,7 +35,7 @@ from ssp_lp.processes.quotient import (
 
 
 class ColumnLabel(NamedTuple):
-    """What a column counts: how often an action is taken in a state, at an accumulated cost."""
+    """Label of a column: an action taken in a state, at an accumulated cost."""
 
     state: Hashable  # of a collapsed component the member that acts, or the first one
     action: Hashable  # an action of the model, ``GIVE_UP``, or one of the words below
@@ -43,7 +43,7 @@ class ColumnLabel(NamedTuple):
 
     @property
     def paid(self) -> str:
-        """The cost paid before in words, where there is one."""
+        """The cost paid before a column of the augmented process, in words, where there is one."""
         return "" if self.cost is None else f" at cost {self.cost:g}"
 
     def __str__(self) -> str:
@@ -71,32 +71,32 @@ class Augmented(ABC):
 
     @property
     def process(self) -> ExplicitProcess:
-        """The process, whose pairs are the columns."""
+        """The augmented process, whose pairs are the program's columns."""
         return self.inner.process
 
     @property
     @abstractmethod
     def live(self) -> FailureLabelled | AccumulatedCost:
-        """What stands in the process once for each cost that is told apart."""
+        """The live part of the augmented process, once for each cost told apart."""
 
     @property
     def copies(self) -> int:
-        """How often it stands there."""
+        """Number of copies of the live part in the augmented process."""
         return 1
 
     @property
     def quotient(self) -> Quotient:
-        """The live part of the model."""
+        """The live part of the augmented model."""
         return self.live.quotient
 
     @property
     def departs(self) -> FloatArray:
-        """What rows of a copy were divided by, see ``live_rows``, [quotient pairs]."""
+        """Divisors of the rows of an augmented copy, see ``live_rows``, [quotient pairs]."""
         return self.live.departs
 
     @abstractmethod
     def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
-        """The model's flow in each copy, moves within collapsed components included.
+        """The model's flow in each augmented copy, moves within collapsed components included.
 
         Args:
             visits: expected visits, [process pairs].
@@ -104,29 +104,29 @@ class Augmented(ABC):
 
     @abstractmethod
     def spread(self, spread: Spread) -> Augmented:
-        """The same with nothing collapsed and every self-loop in its place."""
+        """The augmented process with nothing collapsed and every self-loop in its place."""
 
     @abstractmethod
     def counted(self, term: Term) -> FloatArray:
-        """How much of what a quantity counts each pair takes, [process pairs]."""
+        """Coefficient of a quantity at each pair of the augmented process, [process pairs]."""
 
     def paid(self, copy: int) -> float | None:
-        """The cost paid before, in one of the copies; None: it is not counted."""
+        """The cost paid before, in one of the augmented copies; None: it is not counted."""
         return None
 
     @property
     def model(self) -> SSP:
-        """The model that it augments."""
+        """The model that is augmented."""
         return self.quotient.model
 
     @property
     def gives_up(self) -> BoolArray:
-        """Pairs by which a policy gives up, [process pairs]."""
+        """Pairs of the augmented process by which a policy gives up, [process pairs]."""
         own = np.tile(self.quotient.gives_up, self.copies)
         return np.append(own, np.zeros(self.process.n_pairs - own.size, dtype=np.bool_))
 
     def label(self, pair: int) -> ColumnLabel:
-        """What a pair of the process stands for; one beyond the copies is the start."""
+        """The column label of a pair of the augmented process; beyond the copies, the start."""
         width = len(self.quotient.pair_at)
         if pair >= self.copies * width:
             return ColumnLabel(None, START, self.paid(0))
@@ -134,7 +134,7 @@ class Augmented(ABC):
         return ColumnLabel(*self.quotient.named(inner), self.paid(copy))
 
     def pairs_of(self, states: IntArray, action: Hashable | None) -> IntArray:
-        """The process's pairs that act in some states of the model, an action or any.
+        """Pairs of the augmented process in some states of the model, by an action or any.
 
         Args:
             states: of the model.
@@ -155,7 +155,7 @@ class Augmented(ABC):
         return np.asarray((firsts + inner.nonzero()[0]).ravel())
 
     def policy(self, choice: IntArray) -> DeterministicPolicy | CostAwarePolicy:
-        """A deterministic choice as a policy on the model.
+        """A deterministic choice in the augmented process as a policy on the model.
 
         Args:
             choice: one pair of each state of the process, [process states].
@@ -163,7 +163,7 @@ class Augmented(ABC):
         return self.inner.policy(choice)
 
     def randomised_policy(self, visits: FloatArray, choice: IntArray) -> StochasticPolicy:
-        """The policy that draws each pair with its share of its state's visits.
+        """The policy on the model by shares of the augmented process's visits.
 
         Args:
             visits: expected visits, [process pairs].
@@ -190,17 +190,17 @@ class LabelledModel(Augmented):
 
     @property
     def live(self) -> FailureLabelled:
-        """The labelled states, costs not counted."""
+        """The labelled states, the augmented model's live part where no cost counts."""
         return self.inner
 
     def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
-        """One flow."""
+        """The augmented model's one flow with labels."""
         quotient = self.quotient
         flow = model_flow(quotient, visits[: len(quotient.pair_at)] / self.departs)
         yield moving_within(quotient, flow, self.start + flow.entering(quotient))
 
     def spread(self, spread: Spread) -> LabelledModel:
-        """Rows of the live states themselves; what pairs take, whenever they are taken."""
+        """Rows of the augmented model's live states themselves, nothing collapsed."""
         process, single, width = self.process, spread.quotient, len(self.quotient.pair_at)
         rows = single.transitions(1.0, departing=False).matrix  # a discount collapses nothing
         start, offsets, shape = single.gather(self.start), single.pair_offsets, rows.shape
@@ -221,17 +221,17 @@ class LabelledModel(Augmented):
         return replace(self, inner=FailureLabelled(whole, single, ones))
 
     def may_start(self, start: FloatArray) -> bool:
-        """Whether start mass enters at places alone, here and from elsewhere, [states]."""
+        """Whether start mass enters the augmented model at places alone, [states]."""
         ends = self.quotient.node_of < 0
         return not start[ends].any() and not self.start[ends].any()
 
     def started(self, start: FloatArray) -> LabelledModel:
-        """The same from another start, which may be one."""
+        """The augmented model with labels from another start."""
         process = replace(self.process, start=self.quotient.gather(start))
         return replace(self, inner=replace(self.inner, process=process), start=start)
 
     def counted(self, term: Term) -> FloatArray:
-        """Counted under the label of failing, [process pairs]."""
+        """Coefficient of a quantity in the augmented model with labels, [process pairs]."""
         counting = counting_of(self.inner, self.start, self.semantics, self.discount)
         return np.append(*term.at(counting))[: self.process.n_pairs]
 
@@ -246,11 +246,11 @@ class LayeredModel(Augmented):
 
     @property
     def live(self) -> AccumulatedCost:
-        """A layer."""
+        """A layer, the augmented model's live part where the cost paid counts."""
         return self.inner.base
 
     def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
-        """One flow for each layer, the open end included; what enters a layer left another."""
+        """The augmented model's flow in each layer; what enters a layer left another."""
         base, quotient = self.inner.base, self.quotient
         model, merged, n_pairs = quotient.model, bool(quotient.merged.any()), len(base.gain)
         entering = np.zeros((self.copies + base.width if merged else 0, model.n_states))
@@ -269,19 +269,19 @@ class LayeredModel(Augmented):
             yield flow
 
     def spread(self, spread: Spread) -> LayeredModel:
-        """The layers spread out."""
+        """The augmented model's layers with nothing collapsed."""
         base = spread_layer(self.inner.base, spread, self.start)
         return replace(self, inner=replace(self.inner, base=base))
 
     def counted(self, term: Term) -> FloatArray:
-        """The same in all layers, [process pairs]."""
+        """Coefficient of a quantity in all layers of the augmented model, [process pairs]."""
         return self.inner.everywhere(*term.at(self.inner.counting()))
 
     @property
     def copies(self) -> int:
-        """The layers up to the cap, which stands for all costs beyond it."""
+        """Layers of the augmented model, up to the cap, which stands for all beyond it."""
         return self.inner.cap + 1
 
     def paid(self, copy: int) -> float:
-        """The layer's total; the last stands for more."""
+        """The cost paid in a layer of the augmented model; the last stands for more."""
         return float(self.inner.totals.values[copy])

@@ -80,7 +80,7 @@ class ConvexProgram:
         return vars(self) | {"_compiled": None}
 
     def visits(self, state: Hashable, action: Hashable | None = None) -> Any:
-        """How often a state is visited, or an action taken there, over all copies.
+        """Expected visits of a state or action as an expression of cvxpy, over all copies.
 
         An expression of cvxpy; of a ratio (case S) one that is compared with numbers as it is,
         see :class:`ScaledExpression`.
@@ -91,7 +91,7 @@ class ConvexProgram:
         return self._expressed(self.program.visits(state, action), 0.0)
 
     def expression(self, quantity: Quantity) -> Any:
-        """A quantity as an expression of the visits, as :meth:`visits` is one.
+        """A quantity as a cvxpy expression of the convex program's visits.
 
         Raises:
             ModelError: unknown states, actions or ends, or costs of the wrong shape.
@@ -99,7 +99,7 @@ class ConvexProgram:
         return self._expressed(*self.program.expression(quantity))
 
     def _expressed(self, coefficients: FloatArray, constant: float) -> Any:
-        """An affine expression of the visits."""
+        """A cvxpy expression, affine in the convex program's visits."""
         scaled = coefficients @ self.x + constant * self.scale
         return ScaledExpression(scaled, self.scale) if self.program.ratio else scaled
 
@@ -123,7 +123,7 @@ class ConvexProgram:
         objective: Quantity | None = None,
         **options: Any,
     ) -> OccupationMeasure:
-        """Solve by one of cvxpy's solvers; where a row is not kept, again as exactly as it can.
+        """Solve the convex program by cvxpy; where a row is not kept, again as exactly as it can.
 
         Bounds, start and costs that are given here stand until others are.
 
@@ -178,7 +178,7 @@ class ConvexProgram:
                           f"policy comes to: those of the policy break it {excess}")  # fmt: skip
 
     def _answer(self, began: float) -> tuple[OccupationMeasure, dict[str, float], set[str]]:
-        """The variables' values as a policy's, by how much rows are broken, and which before.
+        """The convex program's answer as a policy's visits, by how much rows are broken, and which.
 
         As little is taken for a solver's noise as makes them a policy's that keeps the rows.
         """
@@ -210,7 +210,7 @@ class ConvexProgram:
         return measure, broken, by_solver
 
     def _least_proved(self) -> float | None:
-        """The least objective that the duals of all rows prove, recomputed from the model.
+        """Lower bound of the convex program by the duals of all rows, recomputed from the model.
 
         Objective and rows at their prices make one linear function of the visits, to be minimised
         over all that balance. Prices of what is to be enough, too high by a solver's tolerance, may
@@ -251,17 +251,17 @@ class ConvexProgram:
 
     @property
     def _minimised(self) -> Any:
-        """The objective as an expression of the variables."""
+        """The convex program's objective as a cvxpy expression."""
         return getattr(self.objective, "scaled", self.objective)
 
     @property
     def _minimises_cost(self) -> bool:
-        """Whether the objective is the program's, with its costs."""
+        """Whether the convex program's objective is still the stated one, with its costs."""
         unchanged = np.array_equal(np.asarray(self.cost.value), self.program.process.cost)
         return self.objective is self._stated[1] and unchanged and self._constant.value == 0.0
 
     def conflict(self, solver: str | None = None, **options: Any) -> Conflict:
-        """Rows that contradict each other, those that were added included; empty: none do.
+        """Rows of the convex program that contradict each other, added ones too; empty: none do.
 
         Without any of them the others can be kept.
 
@@ -277,7 +277,7 @@ class ConvexProgram:
         return contradicting(rows, kept, self.x, self.scale, solver, **options)
 
     def measure(self) -> OccupationMeasure:
-        """The visits that the variables' values are, after any cvxpy problem with them was solved.
+        """The occupation measure of the cvxpy variables' values, whatever problem was solved.
 
         Raises:
             SolverError: they have no values.
@@ -288,28 +288,28 @@ class ConvexProgram:
 
     @property
     def _scale(self) -> float:
-        """The scale's value."""
+        """Value of the convex program's scale."""
         return float(self.scale.value) if self.program.ratio else 1.0
 
     @property
     def _is_as_stated(self) -> bool:
-        """Whether objective and costs are the program's, and no constraint was changed."""
+        """Whether objective, costs and constraints of the convex program are unchanged."""
         left = [(name, id(row)) for name, row in self.constraints.items()]
         return self._minimises_cost and left == [(n, id(row)) for n, row in self._stated[0].items()]
 
     @property
     def _added(self) -> dict[str, Any]:
-        """The constraints that were added."""
+        """Constraints that were added to the convex program."""
         return {n: row for n, row in self.constraints.items() if not self._is_stated(n)}
 
     @property
     def _now(self) -> dict[str, float]:
-        """The bounds that the parameters have now, by name."""
+        """Bounds that the convex program's cvxpy parameters have now, by name."""
         return {name: np.asarray(bound.value).item() for name, bound in self.bounds.items()}
 
     @property
     def _begun(self) -> dict[Hashable, float] | None:
-        """The start that the parameter has now; None: the program's."""
+        """Start that the convex program's parameter has now; None: the stated one."""
         start, augmented = np.asarray(self.start.value), self.program.augmented
         if np.array_equal(start, self.program.process.start):
             return None
@@ -321,7 +321,7 @@ class ConvexProgram:
 
     @property
     def _bounded(self) -> OccupationProgram:
-        """The program with the rows that are left, and with bounds and start as they are now."""
+        """The linear program with the convex program's remaining rows, bounds and start."""
         program = self.program if self._begun is None else self.program.started(self._begun)
         program = program.bounded_by(self._now, anew=False)
         if all(map(self._is_stated, self.bounds)):
@@ -334,6 +334,6 @@ class ConvexProgram:
         return name in self._stated[0] and self.constraints.get(name) is self._stated[0][name]
 
     def _price(self, name: str, sign: float = 1.0) -> float:
-        """A row's multiplier as the solver gives it; 0 where it has none."""
+        """Multiplier of a row of the convex program from cvxpy; 0 where it has none."""
         value = getattr(self.constraints.get(name), "dual_value", None)
         return 0.0 if value is None else max(sign * float(np.ravel(value)[0]), 0.0)

@@ -23,9 +23,9 @@ from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.errors import ModelError, SolverError, optional_module
 from ssp_lp.linear_programming.linear_program import MeasuredRow
 from ssp_lp.model.graph import nearer_pairs
-from ssp_lp.model.naming import ByName
+from ssp_lp.model.text_tables import ByName
 from ssp_lp.policies.policy import MixedPolicy, StochasticPolicy
-from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.explicit_process import ExplicitProcess
 from ssp_lp.programs.augmented import ColumnLabel
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ class OccupationMeasure:
 
     @cached_property
     def rows(self) -> tuple[MeasuredRow, ...]:
-        """Every row with what is spent and what its bound is worth, those that were added last.
+        """Rows of the occupation measure's program with activity and dual, added ones last.
 
         In case S the price is that of the ratio: at it, ``cost + price * (spent - bound)`` over the
         goal's probability is c* at least, whatever the policy. Another unit of the bound improves
@@ -92,27 +92,27 @@ class OccupationMeasure:
 
     @cached_property
     def duals(self) -> Mapping[str, float]:
-        """How much another unit of each row's bound improves c*, by name."""
+        """Dual of each row at the occupation measure, by name: gain in c* per unit of bound."""
         return ByName({row.name: row.dual for row in self.rows if row.dual is not None})
 
     @cached_property
     def activity(self) -> Mapping[str, float]:
-        """What is spent of each row's quantity, by name."""
+        """Activity of each row at the occupation measure, by name."""
         return ByName({row.name: row.spent for row in self.rows})
 
     @cached_property
     def slack(self) -> Mapping[str, float]:
-        """What each row leaves of its bound, by name."""
+        """Slack of each row at the occupation measure, by name."""
         return ByName({row.name: row.slack for row in self.rows})
 
     @property
     def _goal(self) -> float:
-        """The goal's probability, discounted where the problem is."""
+        """Goal probability of the occupation measure, discounted where the problem is."""
         return float(self.program.process.goal @ self.visits)
 
     @cached_property
     def objective(self) -> float:
-        """The program's objective at these visits; infinite given success where there is none."""
+        """The program's objective at the occupation measure; infinite where success is missing."""
         cost, goal = float(self.program.process.cost @ self.visits), self._goal
         if self.program.ratio:
             cost = cost / goal if goal > 0.0 else np.inf
@@ -120,7 +120,7 @@ class OccupationMeasure:
 
     @cached_property
     def imbalance(self) -> float:
-        """By how much flow balance or x >= 0 is violated at most."""
+        """Greatest violation of flow balance or x >= 0 by the occupation measure."""
         process = self.program.process
         outflow = np.bincount(process.pair_state, weights=self.visits, minlength=process.n_states)
         off = np.abs(outflow - process.transitions.T @ self.visits - process.start).max(initial=0.0)
@@ -128,12 +128,12 @@ class OccupationMeasure:
 
     @property
     def residual(self) -> float:
-        """By how much flow balance, x >= 0 or, relative to its bound, a row is violated at most."""
+        """Greatest violation of flow balance, x >= 0 or a row by the occupation measure."""
         over = [row.violation(self.activity[row.name]) for row in self.program.rows]
         return max(self.imbalance, *over, 0.0)
 
     def value(self, state: Hashable, cost: float | None = None) -> float:
-        """The dual of a state's balance, as :meth:`StateValues.at`.
+        """Dual of a state's flow balance at the occupation measure, as :meth:`StateValues.at`.
 
         Raises:
             ModelError: no such state, or none that the program has, or nothing is known of duals.
@@ -144,7 +144,7 @@ class OccupationMeasure:
 
     @property
     def beyond(self) -> float:
-        """Probability of succeeding at a cost beyond those that the program tells apart.
+        """The occupation measure's probability of succeeding beyond the costs told apart.
 
         Such successes are charged as if the last of them had just been reached, too little; a
         greater ``cost_cap`` of the problem tells more apart.
@@ -158,14 +158,14 @@ class OccupationMeasure:
 
     @property
     def gap(self) -> float:
-        """Distance of the objective from what the duals prove, relative; nan without a proof."""
+        """Relative gap of the occupation measure's objective to what the duals prove; or nan."""
         if self.optimal_value_from_dual is None:
             return float("nan")
         value = self.objective if self.minimised is None else self.minimised
         return abs(value - self.optimal_value_from_dual) / max(abs(value), 1.0)
 
     def balanced(self, noise: tuple[float, float] = NOISES[0]) -> OccupationMeasure:
-        """The measure of the policy that draws each pair with its share of these visits.
+        """The occupation measure of the policy that draws each pair by its share of visits.
 
         They are the same where they balance, but for what goes round and is never come to.
 
@@ -178,7 +178,7 @@ class OccupationMeasure:
         return replace(self, visits=visits)
 
     def randomised_policy(self) -> StochasticPolicy:
-        """The policy that draws each action with its share of the visits: x / outflow.
+        """Randomised policy of the occupation measure: x / outflow.
 
         It lives on the model's states with the memory of the process, and visits every pair as
         often as the measure says (paper, section 2.2).
@@ -192,7 +192,7 @@ class OccupationMeasure:
         )
 
     def mixed_policy(self) -> MixedPolicy:
-        """The same visits as a lottery over deterministic policies, drawn once at the start.
+        """Lottery over deterministic policies, drawn at the start, with this occupation measure.
 
         Where the measure is a vertex of the program there is at most one more member than there
         are rows met with equality; else finitely many. Of an optimal measure objective and failure
@@ -228,7 +228,7 @@ class OccupationMeasure:
         raise SolverError(refusal)
 
     def to_frame(self) -> Any:
-        """The columns as a pandas ``DataFrame``, a row for each.
+        """Columns of the occupation measure as a pandas ``DataFrame``, a row for each.
 
         Columns: state, action, cost (paid before, in case S), visits, probability (the share of the
         visits of its state); where duals are known, value (where it is taken first) and advantage.
@@ -298,7 +298,7 @@ class StateValues:
     def at(
         self, state: Hashable, action: Hashable | None = None, cost: float | None = None
     ) -> float:
-        """A state's value; with an action, the least that follows where that is taken first.
+        """Dual value of a state; with an action, of taking that first.
 
         Args:
             state: a state in which the problem is open.
@@ -321,7 +321,7 @@ class StateValues:
         return float(self.states[rows[0]])
 
     def advantage(self, state: Hashable, action: Hashable, cost: float | None = None) -> float:
-        """What an action costs more than the best one of its state: 0 of those that are optimal.
+        """Reduced cost of an action by the dual values: 0 of those that are optimal.
 
         Raises:
             ModelError: no such column, or several.
@@ -336,7 +336,7 @@ def balanced_visits(
     gives_up: BoolArray | None = None,
     noise: tuple[float, float] = NOISES[0],
 ) -> FloatArray:
-    """The visits of the policy that draws each pair with its share of a solver's visits, [pairs].
+    """Occupation measure of the policy that draws pairs by shares of a solver's visits, [pairs].
 
     A solver's answer balances within its tolerance only; these are a policy's own, to rounding.
     Where nothing can come of going on, the policy gives up, if it may and ``gives_up`` is given.
@@ -378,7 +378,7 @@ def balanced_visits(
 def _decomposed_shares(
     process: ExplicitProcess, visits: FloatArray, unseen: BoolArray, otherwise: IntArray
 ) -> FloatArray:
-    """Probability of each pair in its state, [pairs]."""
+    """Share of each pair in its state's visits, to decompose an occupation measure, [pairs]."""
     share = np.where(unseen[process.pair_state], 0.0, visits)
     share[otherwise[unseen]] = 1.0
     return np.asarray(share / segment_sums(share, process.pair_offsets)[process.pair_state])
@@ -387,7 +387,7 @@ def _decomposed_shares(
 def decomposed(
     process: ExplicitProcess, visits: FloatArray
 ) -> tuple[tuple[IntArray, ...], FloatArray, FloatArray]:
-    """Deterministic policies and weights whose expected visits are the given ones.
+    """Decompose an occupation measure into deterministic policies and weights.
 
     The measures of a process are a polytope whose vertices are those of deterministic policies
     (Altman 1999; paper, section 2.2). A policy that only takes pairs with positive visits is split
@@ -441,13 +441,13 @@ def decomposed(
 
 
 def _least_pairs(process: ExplicitProcess, values: FloatArray) -> IntArray:
-    """The pair of least value in each state, [states]."""
+    """The pair of least value in each state, to decompose an occupation measure, [states]."""
     offsets = process.pair_offsets
     return first_minimisers(values, segment_minima(values, offsets), offsets)
 
 
 def _within_support(process: ExplicitProcess, visits: FloatArray, safe: IntArray) -> IntArray:
-    """A policy for the decomposition that leaves, by pairs that are visited where there are such.
+    """A policy within an occupation measure's support that leaves, where it can.
 
     The most visited pair of each state is taken where that leaves, else one by which a visited pair
     that leaves comes nearer.
@@ -460,7 +460,7 @@ def _within_support(process: ExplicitProcess, visits: FloatArray, safe: IntArray
 
 
 def _nearer_to_leaving(process: ExplicitProcess, visits: FloatArray, safe: IntArray) -> IntArray:
-    """Visited pairs by which one that leaves comes nearer; ``safe`` where none does."""
+    """Visited pairs, of an occupation measure, that come nearer to leaving; else ``safe``."""
     supported, dynamics = visits > 0.0, process.dynamics
     nearer = nearer_pairs(dynamics.graph, supported & (dynamics.exits > 0.0), supported)
     return np.where(nearer >= 0, nearer, safe)

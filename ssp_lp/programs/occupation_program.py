@@ -21,14 +21,14 @@ import numpy.typing as npt
 from ssp_lp.arrays import BELOW_RATIO, FloatArray
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, is_number, wrong_argument
 from ssp_lp.linear_programming.backends import answers_in_turn, backends_for, run_backend
-from ssp_lp.linear_programming.in_full import as_latex, as_table, is_small, words_as_latex
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer, check_bounds
+from ssp_lp.linear_programming.program_text import as_latex, as_table, is_small, words_as_latex
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.naming import ByName, html_text
 from ssp_lp.model.product import ProductSSP
+from ssp_lp.model.text_tables import ByName, html_text
 from ssp_lp.policies.policy import GIVE_UP
 from ssp_lp.processes.conditions import ArrivalTerm
-from ssp_lp.processes.explicit import ExplicitProcess, PricedMinimum, priced_minimum
+from ssp_lp.processes.explicit_process import ExplicitProcess, PricedMinimum, priced_minimum
 from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense, start_distribution
 from ssp_lp.processes.past_failing import check_counted_past_failing
 from ssp_lp.processes.quantities import Quantity, objective_of
@@ -109,11 +109,11 @@ class OccupationProgram:
 
     @property
     def process(self) -> ExplicitProcess:
-        """The process, whose pairs are the columns."""
+        """The occupation program's process, whose pairs are the columns."""
         return self.augmented.process
 
     def bounded_by(self, bounds: Mapping[str, float], *, anew: bool = True) -> OccupationProgram:
-        """The problem's program with other bounds, by name of the row; see :meth:`row`.
+        """The occupation program with other bounds, by name of the row; see :meth:`row`.
 
         What was cut off for the old ones is made anew: accumulated costs that are told apart, and
         the actions that attain the least failure.
@@ -138,14 +138,14 @@ class OccupationProgram:
         return self.with_rows(lambda row: replace(row, bound=then[row.name]))
 
     def with_rows(self, changed: Callable[[ProgramRow], ProgramRow | None]) -> OccupationProgram:
-        """The program with each row changed, or without those of which nothing is made."""
+        """The occupation program with each row changed, or without it where it becomes None."""
         inner = self.reduced and replace(
             self.reduced, program=self.reduced.program.with_rows(changed)
         )
         return replace(self, rows=tuple(filter(None, map(changed, self.rows))), reduced=inner)
 
     def started(self, start: Hashable | Mapping[Hashable, float]) -> OccupationProgram:
-        """The problem's program from another start: a state, or a distribution.
+        """The occupation program from another start: a state, or a distribution.
 
         What was made for the old one is made anew: accumulated costs that are told apart, steps
         under a horizon, and the source of episodes that end where they begin.
@@ -171,7 +171,7 @@ class OccupationProgram:
         return make({row.name: row.bound for row in self.rows}, start=start)
 
     def spread_out(self) -> OccupationProgram:
-        """The program with a column for each pair of the model, of one that methods can solve.
+        """The occupation program with a column for each pair of the model, nothing collapsed.
 
         These collapse components in which moving is free, and leave out self-loops.
         """
@@ -185,12 +185,12 @@ class OccupationProgram:
 
     @cached_property
     def linear(self) -> LinearProgram:
-        """The arrays that a solver is given."""
+        """Arrays of the occupation program for a solver."""
         limits = {row.name: (row.coefficients, row.bound) for row in self.rows}
         return rows_program(self.process, limits, self.ratio)
 
     def label(self, column: int) -> ColumnLabel:
-        """What a column counts.
+        """State, action and cost paid that a column of the occupation program counts.
 
         Raises:
             ModelError: there is no such pair; the scale t of case S has no label.
@@ -218,7 +218,7 @@ class OccupationProgram:
         return tuple(augmented.pairs_of(augmented.model.places_of(state), action).tolist())
 
     def visits(self, state: Hashable, action: Hashable | None = None) -> FloatArray:
-        """Coefficients of x that count how often a state is visited, or acts so, [pairs].
+        """Coefficients in the occupation program that count visits of a state or action, [pairs].
 
         Args:
             state: a state of the model, or of the one that it is a product of; where episodes end,
@@ -239,7 +239,7 @@ class OccupationProgram:
         return counted
 
     def expression(self, quantity: Quantity) -> tuple[FloatArray, float]:
-        """A quantity as ``<coefficients, x> + constant``: coefficients, [pairs], and constant.
+        """A quantity as coefficients of x in the occupation program, [pairs], and a constant.
 
         Raises:
             ModelError: unknown states, actions or ends, costs of the wrong shape, or what happens
@@ -275,7 +275,7 @@ class OccupationProgram:
         )
 
     def row(self, name: str) -> ProgramRow:
-        """A constraint by its name.
+        """A named row of the occupation program.
 
         Raises:
             ModelError: there is none.
@@ -294,7 +294,7 @@ class OccupationProgram:
         time_limit: float = np.inf,
         warm_start: OccupationMeasure | None = None,
     ) -> OccupationMeasure:
-        """Solve the program and recompute what the solver says.
+        """Solve the occupation program and recompute what the solver says.
 
         Args:
             backend: "highs", "highs-simplex", "highs-ipx", "clarabel" or "cvxpy"; None: by size.
@@ -333,7 +333,7 @@ class OccupationProgram:
         raise SolverError(f"no backend's answer passes its check ({'; '.join(tried)})")
 
     def infeasible(self) -> InfeasibleError:
-        """The error that says that no visits satisfy all rows."""
+        """The error that no visits satisfy all rows of the occupation program."""
         budgets = [row.bound for row in self.rows if row.name == "failure"]
         if self.remade is not None:
             try:  # names the least failure, or what contradicts what
@@ -349,7 +349,7 @@ class OccupationProgram:
 
     @explained
     def measure(self, x: npt.ArrayLike) -> OccupationMeasure:
-        """Any solution of the program's rows, however it was found, as a measure.
+        """Any solution of the occupation program's rows, however it was found, as a measure.
 
         It is taken as it is; ``residual`` says how far it is from keeping to the rows. Nothing is
         known of duals.
@@ -369,7 +369,7 @@ class OccupationProgram:
         return OccupationMeasure(self, values, {}, None, "given", "as given", 0.0)
 
     def read_solution(self, path: str | Path) -> OccupationMeasure:
-        """A solver's solution of a file that :meth:`write` wrote, columns found by their names.
+        """A solver's solution file of the program that :meth:`write` wrote, as a measure.
 
         Args:
             path: a ``.sol`` of HiGHS, or any text in which a name is followed by its value; columns
@@ -383,7 +383,7 @@ class OccupationProgram:
         return self.measure(read_columns(Path(path), self.process.n_pairs + self.ratio))
 
     def _answered(self, answer: LPAnswer) -> OccupationMeasure:
-        """A solver's answer to ``linear`` as a measure."""
+        """A solver's answer to the occupation program as a measure."""
         program, dual = self.linear, answer.dual
         scale = float(answer.x[-1]) if self.ratio else 1.0
         prices = {row.name: max(-float(dual[program.rows[row.name]][0]), 0.0) for row in self.rows}
@@ -394,7 +394,7 @@ class OccupationProgram:
         return self.optimal(measure, ratio)
 
     def optimal(self, measure: OccupationMeasure, ratio: float) -> OccupationMeasure:
-        """A solver's optimum of the program as it is stated, with what its duals prove.
+        """A solver's optimum of the occupation program, with what its duals prove.
 
         Args:
             measure: what the solver said, its visits not balanced yet.
@@ -412,7 +412,7 @@ class OccupationProgram:
         return replace(measure, visits=visits, optimal_value_from_dual=value, values=values)
 
     def values_at(self, prices: Mapping[str, float], ratio: float = 0.0) -> StateValues:
-        """The least that can follow in each state, at any prices of the rows.
+        """State values of the occupation program at any prices of the rows.
 
         Args:
             prices: >= 0, by name; a row that is not named costs nothing.
@@ -434,7 +434,7 @@ class OccupationProgram:
     def proved(
         self, prices: Mapping[str, float], ratio: float = 0.0
     ) -> tuple[PricedMinimum, float]:
-        """The optimum as far as prices prove it, and what is best at them.
+        """Optimum of the occupation program as far as prices prove it, and the best at them.
 
         For prices l >= 0 of the rows <q, x> <= b every measure satisfies ``<cost, x> >= <cost +
         l q, x> - l b``, and what is minimised there has no rows but balance. Of a program that
@@ -486,7 +486,7 @@ class OccupationProgram:
         return minimum, value
 
     def _lagrangian(self, prices: Mapping[str, float]) -> tuple[FloatArray, float]:
-        """The costs with what each row takes at its price, [pairs]; less price times bound."""
+        """Lagrangian of the occupation program at prices of the rows: costs, [pairs], constant."""
         cost, constant = self.process.cost, 0.0
         for row in self.rows:
             if price := prices.get(row.name, 0.0):  # a bound that limits nothing may be infinite
@@ -495,7 +495,7 @@ class OccupationProgram:
 
     @cached_property
     def _least_goal(self) -> float:
-        """What every measure within the rows reaches the goal with at least."""
+        """Least goal probability of the measures within the occupation program's rows."""
         budgets = [1.0 - row.bound for row in self.rows if row.name == "failure"]
         priced = self.process.goal
         least = max([priced_minimum(self.process, priced).bound, *budgets])
@@ -511,18 +511,18 @@ class OccupationProgram:
         return max(priced_minimum(self.process, priced).bound - paid, 0.0)
 
     def to_cvxpy(self) -> ConvexProgram:
-        """The program in cvxpy, to which convex objectives and constraints may be added."""
+        """The occupation program in cvxpy, to add convex objectives and constraints."""
         from ssp_lp.programs.convex_program import ConvexProgram
 
         return ConvexProgram(self)
 
     def conflict(self, solver: str | None = None) -> Conflict:
-        """Rows that contradict each other, as :meth:`ConvexProgram.conflict`; empty: none do."""
+        """Rows of the occupation program that contradict each other; empty: none do."""
         return self.to_cvxpy().conflict(solver)
 
     @explained
     def write(self, path: str | Path) -> None:
-        """Write the program as ``.mps``, ``.mps.gz`` or ``.lp``, columns and rows named.
+        """Write the occupation program as ``.mps``, ``.mps.gz`` or ``.lp``, with names.
 
         Raises:
             ModelError: another ending.
@@ -533,7 +533,7 @@ class OccupationProgram:
         write_program(self.linear, Path(path), self._columns)
 
     def ranges(self) -> Mapping[str, tuple[float, float]]:
-        """How far each row's bound may move before its price changes, by name.
+        """Range of each bound of the occupation program in which its price stays, by name.
 
         Worked out by HiGHS at a vertex; where the optimum has several prices, for one of them.
 
@@ -551,7 +551,7 @@ class OccupationProgram:
 
     @property
     def _columns(self) -> list[str]:
-        """Names of the columns of ``linear``, as their labels, in bulk."""
+        """Names of the occupation program's columns, as their labels, in bulk."""
         augmented, quotient, model = self.augmented, self.augmented.quotient, self.augmented.model
         states, actions = list(map(str, model.states)), list(map(str, model.action_names))
         acting = np.maximum(quotient.pair_at, 0)
@@ -568,14 +568,14 @@ class OccupationProgram:
 
     @property
     def _rows(self) -> list[str]:
-        """Names of the rows of ``linear``: states, and the cost paid there."""
+        """Names of the occupation program's rows: states, and the cost paid there."""
         acting = map(self.label, self.process.pair_offsets[:-1].tolist())
         states = [START if k.state is None else f"{k.state}{k.paid}" for k in acting]
         return [*states, *(row.name for row in self.rows), *["normaliser"] * self.ratio]
 
     @property
     def aim(self) -> tuple[str, str]:
-        """What is done, minimise or maximise, and to what."""
+        """The occupation program's aim: minimise or maximise, and what."""
         verb, aim = "minimise", f"<{self.objective}, x>" + " / <goal, x>" * self.ratio
         if self.sense.offset:
             aim = f"{aim} - {self.sense.offset:g}"
@@ -584,7 +584,7 @@ class OccupationProgram:
         return verb, aim
 
     def to_latex(self) -> str:
-        """The program in LaTeX, for a displayed equation; in full where it is small."""
+        """The occupation program in LaTeX, for a displayed equation; in full if small."""
         if is_small(self.linear):
             return as_latex(self.linear, self._columns, self._rows)
         stated = [("", "<outflow, x> - <inflow, x> = start")]
@@ -592,7 +592,7 @@ class OccupationProgram:
         return words_as_latex(*self.aim, stated)
 
     def _repr_html_(self) -> str:
-        """The same page as ``str``, for notebooks."""
+        """The occupation program's page as ``str`` has it, for notebooks."""
         return html_text(str(self))
 
     def __str__(self) -> str:

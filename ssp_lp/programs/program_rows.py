@@ -22,13 +22,13 @@ import scipy.sparse as sp
 
 from ssp_lp.arrays import FloatArray
 from ssp_lp.linear_programming.linear_program import LinearProgram
-from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.explicit_process import ExplicitProcess
 
 
 def rows_program(
     process: ExplicitProcess, limits: Mapping[str, tuple[FloatArray, float]], ratio: bool
 ) -> LinearProgram:
-    """Compile a process with any named rows to its program.
+    """The occupation program of a process with any named program rows.
 
     Args:
         process: the substochastic process.
@@ -70,21 +70,21 @@ class ProgramRow:
 
     @property
     def words(self) -> str:
-        """What is bounded, in words."""
+        """The program row's quantity in words."""
         return self.told or self.name
 
     @property
     def largest(self) -> float:
-        """The size of the greatest coefficient."""
+        """Size of the program row's greatest coefficient."""
         return float(np.abs(self.coefficients).max(initial=0.0))
 
     @property
     def scale(self) -> float:
-        """The size of the row's numbers: of the bound, or of the greatest coefficient."""
+        """Scale of a program row: its bound, or its greatest coefficient."""
         return max(abs(self.bound), self.largest)
 
     def violation(self, activity: float) -> float:
-        """By how much an activity exceeds the bound, relative to that; 0 where it does not.
+        """Violation of a program row by an activity, relative to the bound; 0 if kept.
 
         What is nothing beside the coefficients is excused.
         """

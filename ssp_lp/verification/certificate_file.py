@@ -40,7 +40,7 @@ _SHIFT = Fraction(1, 10**9)  # of a lottery, which may be moved to another one
 
 
 def write_certificate(solution: Solution, path: str | Path) -> Checked:
-    """Write a proof of a solution's optimum that others can check without this library.
+    """Write a certificate file: a proof of a solution's optimum, to check without this library.
 
     Covered are the criteria of case M: expected costs and quantities, also with a discount, with a
     failure budget, a share of the greatest goal probability, a penalty or failing forbidden, the
@@ -70,27 +70,27 @@ def write_certificate(solution: Solution, path: str | Path) -> Checked:
     digest = sha256(b"\n".join(lines)).hexdigest()
     try:
         lines += _proof(model, solved, digest)
-        found = checker.check_lines(lines)
+        checked = checker.check_lines(lines)
     except checker.RefusedError as error:
         raise SolverError(f"the answer is not proved: {error}") from error
     with open(path, "wb") as raw, gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as file:
         file.write(b"\n".join(lines))
-    return found
+    return checked
 
 
 def _line(content: Mapping[str, Any]) -> bytes:
-    """A line of the file."""
+    """A line of a certificate file."""
     return json.dumps(content, separators=(",", ":")).encode()
 
 
 @cache
 def _decimal_of(value: float) -> str:
-    """The shortest decimal of a float."""
+    """Shortest decimal of a float, for a certificate file."""
     return repr(value).removesuffix(".0")
 
 
 def _check_covered(problem: Problem) -> None:
-    """Refuse criteria whose proofs take more than is written here.
+    """Refuse criteria whose proofs no certificate file can hold.
 
     Raises:
         ModelError: the criterion, and what of it is not covered.
@@ -117,7 +117,7 @@ class _Statement:
     sets: dict[str, BoolArray] = field(default_factory=dict)
 
     def lines(self) -> Iterator[bytes]:
-        """The question, and a line for each state."""
+        """Lines of a certificate file for the question and each state."""
         model = self.problem.model
         _check_covered(self.problem)
         self.costs.append((model.costs, model.exact_costs))
@@ -134,15 +134,15 @@ class _Statement:
             actions = []
             for k in range(pairs[x], pairs[x + 1]):
                 some = slice(bounds[k], bounds[k + 1])
-                told = [list(pair) for pair in zip(chances[some], successors[some], strict=True)]
+                moves = [list(pair) for pair in zip(chances[some], successors[some], strict=True)]
                 paid = [t[some] if len(set(t[some])) > 1 else t[some][0] for t in texts]
-                actions.append([str(model.action_of(k)), told, paid])
+                actions.append([str(model.action_of(k)), moves, paid])
             sets = [name for name, mask in self.sets.items() if mask[x]]
             sets = ["goal", *sets] if goal[x] else sets
             yield _line({"name": str(model.states[x]), "sets": sets, "actions": actions})
 
     def _question(self) -> dict[str, Any]:
-        """What is asked, in the checker's terms."""
+        """The question of a certificate file, in the checker's terms."""
         problem, semantics = self.problem, self.problem.semantics
         objective, to_goal = objective_of(problem), [["1", "end", "goal"]]
         penalty = 0.0 if semantics.forbids_failing else semantics.penalty
@@ -181,7 +181,7 @@ class _Statement:
         }
 
     def _failure(self) -> Any:
-        """How much failing is allowed."""
+        """Allowed failure in a certificate file's question."""
         problem, share = self.problem, getattr(self.problem, "reach_fraction", None)
         if problem.semantics.forbids_failing:
             return "0"
@@ -193,7 +193,7 @@ class _Statement:
         return None if budget >= 1.0 else _decimal_of(max(float(budget), 0.0))
 
     def _quantity(self, condition: Condition, stated: Any) -> dict[str, Any]:
-        """A quantity whose words were looked up."""
+        """A quantity of the model, looked up, in a certificate file."""
         terms: list[list[Any]] = []
         constant = Fraction(_decimal_of(condition.constant if stated is None else stated.constant))
         for weight, term in condition.terms:
@@ -208,7 +208,7 @@ class _Statement:
         return {"constant": str(constant), "terms": terms}
 
     def _cost(self, model: SSP) -> int:
-        """The position of a cost among those that are written."""
+        """Position of a cost among those in the certificate file."""
         for number, (costs, exact) in enumerate(self.costs):
             if exact == model.exact_costs and np.array_equal(costs, model.costs):
                 return number
@@ -216,7 +216,7 @@ class _Statement:
         return len(self.costs) - 1
 
     def _set(self, mask: BoolArray) -> str:
-        """The name of a set of states: the goal, a label's own, or a number."""
+        """Name of a set of states in a certificate file: the goal, a label, or a number."""
         model = self.problem.model
         if np.array_equal(mask, model.goal_mask):
             return "goal"
@@ -235,12 +235,12 @@ class _Statement:
 
 
 def _text_of(value: Any) -> str:
-    """A number as a text: a fraction as it is, else the shortest decimal."""
+    """A number as a text of a certificate file: a fraction, else the shortest decimal."""
     return str(value) if isinstance(value, (int, Fraction)) else _decimal_of(float(value))
 
 
 def _proof(model: checker.Model, solution: Solution, digest: str) -> Iterator[bytes]:
-    """The lines of a proof: its head, and a line for each state."""
+    """Lines of a certificate file's proof: its head, and a line for each state."""
     ssp, weights = solution.problem.model, solution.policy.weights
     drawn = zip(solution.policy.policies, weights.tolist(), strict=True)
     members = [_decisions(model, policy) for policy, weight in drawn if weight > 0.0]
@@ -271,7 +271,7 @@ def _priced_values(
     members: Sequence[Mapping[int, int]],
     totals: Sequence[Sequence[Fraction]],
 ) -> tuple[list[Fraction], list[int]]:
-    """Prices of the rows, and values that bound all policies at these, in units."""
+    """Prices of the rows and values that bound all policies, in units of a certificate file."""
     given = [max(solution.prices.get(row.name, 0.0), 0.0) for row in model.rows]
     prices, at = [Fraction(_decimal_of(price)) for price in given], None
     weighed = totals[: int((solution.policy.weights > 0.0).sum())]
@@ -309,7 +309,7 @@ def _priced_values(
 def _exact_solution(
     table: Sequence[Sequence[Fraction]], right: Sequence[Fraction]
 ) -> list[Fraction]:
-    """The solution of a small square system by elimination; empty where there is none."""
+    """Exact solution of a small system by elimination, for a certificate file; or empty."""
     rows, n = [[*row, r] for row, r in zip(table, right, strict=True)], len(right)
     if any(len(row) != n + 1 for row in rows):
         return []
@@ -326,20 +326,20 @@ def _exact_solution(
 
 
 def _decisions(model: checker.Model, policy: Policy) -> dict[int, int]:
-    """A member's pair at each state that it comes to; GIVE_UP_CODE where it stops or wanders.
+    """A member's decisions in a certificate file by state; GIVE_UP_CODE: it stops or wanders.
 
     Raises:
         ModelError: it remembers something, draws its actions, or lacks a decision.
     """
     live = np.array(sorted(model.live), dtype=np.int64)
-    found = policy.branches(live, np.zeros(live.size, dtype=np.int64))
-    if not policy.is_stationary or len(found.situation) != live.size:
+    branches = policy.branches(live, np.zeros(live.size, dtype=np.int64))
+    if not policy.is_stationary or len(branches.situation) != live.size:
         raise ModelError("no certificate of a policy that remembers or draws its actions")
-    return _reached(model, dict(zip(live.tolist(), found.pair.tolist(), strict=True)))
+    return _reached(model, dict(zip(live.tolist(), branches.pair.tolist(), strict=True)))
 
 
 def _reached(model: checker.Model, pair_at: Mapping[int, int]) -> dict[int, int]:
-    """The part of a policy that is met from the start; who can never end stops at once."""
+    """Part of a member met from the start, for a certificate file; endless parts stop at once."""
     met = {x for _, x in model.start if x in model.live}
     ahead, before = list(met), dict[int, list[int]]()
     ending = []
@@ -365,7 +365,7 @@ def _reached(model: checker.Model, pair_at: Mapping[int, int]) -> dict[int, int]
 def _weights(
     model: checker.Model, drawn: FloatArray, totals: Sequence[Sequence[Fraction]]
 ) -> list[Fraction]:
-    """Weights near those of the lottery at which every row is kept exactly, where that can be."""
+    """Weights of a certificate file's lottery that keep every row exactly, where they can."""
     weights = [Fraction(_decimal_of(w)) for w in drawn.tolist()]
     weights += [Fraction(0)] * (len(totals) - len(weights))
     largest = max(range(len(weights)), key=weights.__getitem__)

@@ -16,7 +16,7 @@ from ssp_lp.errors import ModelError, OutOfTimeError
 from ssp_lp.methods.approaches import Case, approach_to
 from ssp_lp.methods.incumbent import broken_limit, by_moments, prove_by_cheapest_way
 from ssp_lp.methods.refinement import Proved
-from ssp_lp.model.naming import Reported
+from ssp_lp.model.text_tables import Reported
 from ssp_lp.options import Status, progress_shown
 from ssp_lp.policies.policy import as_lottery
 from ssp_lp.problem import objective_of, on_one_model
@@ -28,7 +28,7 @@ _LOG = logging.getLogger("ssp_lp.certificate")
 def certify(
     solution: Solution, *, verbose: bool = False, time_limit: float | None = None
 ) -> Certificate:
-    """Recompute both sides of a solution from its model, policy, price and value function.
+    """Certify a solution: recompute both sides from model, policy, price and value function.
 
     The objective and the failure come from an exact evaluation of the policy on the model; where
     the law of its costs takes too large a table, the objective is a bound of it by mean and
@@ -75,7 +75,7 @@ def certify(
 
 
 def _evaluated(solution: Solution) -> tuple[Evaluation, list[Evaluation]]:
-    """The evaluation of a policy and of its members; by moments where a law is too long a table."""
+    """Evaluation of a policy to be certified, and its members'; by moments if laws are long."""
     problem = solution.problem
     try:
         return evaluate_each(solution.policy, problem)
@@ -88,7 +88,7 @@ def _evaluated(solution: Solution) -> tuple[Evaluation, list[Evaluation]]:
 
 
 def _proved(solution: Solution, evaluation: Evaluation, members: list[Evaluation]) -> Proved:
-    """The bound that the approach to the problem proves; without a search that of no search."""
+    """Bound to certify by, which the problem's approach proves; else the one without a search."""
     case = Case.of_solution(solution)
     approach = approach_to(case)
     unsearched = solution.value_function is None and solution.status is not Status.OPTIMAL
@@ -115,7 +115,7 @@ _BUDGET_ROUNDING = 1e-12
 
 @dataclass(frozen=True, repr=False)
 class Certificate(Reported):
-    """What was recomputed. ``accepted`` says that the policy keeps to the budget and all limits."""
+    """Recomputed values. ``accepted`` says that the policy keeps to the budget and all limits."""
 
     objective: float  # exact value of the policy
     lower_bound: float  # no policy within the budget is cheaper
@@ -129,7 +129,7 @@ class Certificate(Reported):
 
     @property
     def gap(self) -> float:
-        """Relative gap between the objective and the bound that limits it; infinite if refused."""
+        """Certified relative gap between objective and bound; infinite if refused."""
         if not self.accepted:
             return float("inf")
         if self.upper_bound is not None:
@@ -158,7 +158,7 @@ def certificate_of(
     tail: float = 0.0,
     above: bool = False,
 ) -> Certificate:
-    """The verdict on a policy.
+    """Certificate with the verdict on a policy.
 
     Args:
         evaluation: what it attains.

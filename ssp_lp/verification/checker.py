@@ -45,24 +45,24 @@ FAILURE = {"constant": "1", "terms": [["-1", "end", "goal"]]}
 
 
 class RefusedError(Exception):
-    """What is claimed does not follow: which inequality fails, and where."""
+    """A claim that does not follow: which inequality fails, and where."""
 
 
 def need(holds: bool, *words: object) -> None:
-    """Refuse, in these words, unless something holds."""
+    """Refuse the certificate being checked, in these words, unless something holds."""
     if not holds:
         raise RefusedError(" ".join(map(str, words)))
 
 
 def at_most(left: int, right: int, *words: object) -> None:
-    """Refuse unless an inequality of numbers in units holds."""
+    """Refuse the certificate being checked unless an inequality in units holds."""
     if left > right:
         need(False, *words, "fails:", f"{left / ONE:.17g} > {right / ONE:.17g}")
 
 
 @cache
 def number(text: str) -> Fraction:
-    """The number that a text states."""
+    """Number that a text of the checked certificate states."""
     need(isinstance(text, str) and len(text) < 4000, "no text of a number:", repr(text)[:99])
     exponent = text.lower().partition("e")[2]
     need(not exponent or abs(int(exponent)) < 4000, text, "has too large an exponent")
@@ -70,23 +70,23 @@ def number(text: str) -> Fraction:
 
 
 def whole(value: Any, below: int) -> int:
-    """A whole number >= 0 below another."""
+    """Whole number >= 0 below another, in the checked certificate."""
     need(type(value) is int and 0 <= value < below, repr(value), "is no whole number below", below)
     return int(value)
 
 
 def down(value: Fraction) -> int:
-    """A number in units of 1/ONE, rounded down; ``-down(-value)`` rounds up."""
+    """Number of the checked certificate in units of 1/ONE, rounded down; ``-down(-value)``: up."""
     return value.numerator * ONE // value.denominator
 
 
 def dot(weights: Iterable[Fraction], values: Iterable[Fraction]) -> Fraction:
-    """A weighted sum."""
+    """Weighted sum of the checker's numbers."""
     return sum((w * c for w, c in zip(weights, values, strict=True) if w), ZERO)
 
 
 class Quantity:
-    """What is counted, with weights >= 0, and a constant; as a row it has a bound."""
+    """A quantity counted with weights >= 0, and a constant; as a row it has a bound."""
 
     def __init__(self, model: "Model", stated: Mapping[str, Any], sign: int, name: str) -> None:
         n, self.name, self.stop = len(model.names), name, ZERO
@@ -112,7 +112,7 @@ class Quantity:
             self.arrival[x] += dot(self.costs, model.failing[x])
 
     def at_stop(self, model: "Model", x: int, free: set[int]) -> Fraction | None:
-        """What giving up takes in x, or wandering in free states; None: neither is possible."""
+        """Checker's count of giving up in x, or of wandering in free states; None: not possible."""
         if x in free or x not in model.giving_up:
             return self.stop if x in free else None
         return self.stop + dot(self.costs, model.failing[x])
@@ -156,7 +156,7 @@ class Model:
         self._keep_sure()
 
     def _charge(self, attention: set[int], stays: Sequence[bool]) -> None:
-        """Where one may give up, and what failing charges of each cost."""
+        """States where the checked model may give up, and what failing charges of each cost."""
         where, charged = self.question["give_up"], self.question["charge_failing_step"]
         need(where in ("anywhere", "attention", "dead_ends"), "give_up is", where)
         places = {"anywhere": self.live, "attention": self.live & attention}
@@ -167,7 +167,7 @@ class Model:
             self.failing[x] = list(map(min, zip(*means, strict=True))) or [ZERO] * self.n_costs
 
     def _ask(self, exact: bool) -> None:
-        """The objective and the rows, and where wandering is free in all of them."""
+        """Objective and rows of the checked question, and where wandering is free in them."""
         question, budget = self.question, self.question["failure"]
         self.sign = -1 if question["greatest"] else 1
         self.objective = Quantity(self, question["objective"], self.sign, "objective")
@@ -192,7 +192,7 @@ class Model:
         self.free = self.staying(self.live, costless)[0]
 
     def _keep_sure(self) -> None:
-        """The states and pairs of the bound below: all, or those that can keep the goal sure."""
+        """States and pairs for the checker's lower bound: all, or those that keep the goal sure."""
         goal, budget = self.sets["goal"], self.question["failure"]
         sure, last, keeps = self.live, {-1}, self.every
         while sure != last:
@@ -208,7 +208,7 @@ class Model:
         self.moving, self.keeps = (self.live, self.every) if self.may_fail else (sure, keeps)
 
     def _pair(self, stated: Any, n: int, gamma: Fraction) -> Pair:
-        """Name, total T, outcomes (a, y) of probability a / T, and each mean cost times T.
+        """A pair of the checked model: name, total T, outcomes (a, y) of probability a / T, costs.
 
         With a discount 1 - gamma of every step comes to state n, whose failing costs nothing.
         """
@@ -228,16 +228,16 @@ class Model:
         return str(name), total * of, outcomes, [of * cost for cost in paid]
 
     def reaching(self, allowed: Sequence[bool]) -> set[int]:
-        """States from which allowed pairs may lead to the goal."""
-        found, ahead = set(self.sets["goal"]), list(self.sets["goal"])
+        """States of the checked model from which allowed pairs may lead to the goal."""
+        reached, ahead = set(self.sets["goal"]), list(self.sets["goal"])
         while ahead:
-            more = {self.home[k] for k in self.before[ahead.pop()] if allowed[k]} - found
-            found.update(more)
+            more = {self.home[k] for k in self.before[ahead.pop()] if allowed[k]} - reached
+            reached.update(more)
             ahead.extend(more)
-        return found
+        return reached
 
     def staying(self, states: set[int], allowed: Sequence[bool]) -> tuple[set[int], list[bool]]:
-        """The largest part of some states where each has no pairs, or an allowed one that stays."""
+        """Largest part of some checked states with no pairs, or an allowed one that stays."""
         inside, stays = set(states), [allowed[k] and x in states for k, x in enumerate(self.home)]
         left = [sum(stays[k] for k in self.of[x]) for x in range(len(self.names))]
         lost = [x for x in range(len(left)) if x not in states or (self.of[x] and not left[x])]
@@ -251,7 +251,7 @@ class Model:
         return inside, stays
 
     def priced(self, prices: Sequence[Fraction]) -> Quantity:
-        """The objective and, at prices, by how much the bounds of rows are exceeded."""
+        """Checked objective, and at prices the excess of rows over their bounds."""
         c = Quantity(self, self.question["objective"], self.sign, "priced")
         for price, row in zip(prices, self.rows, strict=True):
             c.constant += price * (row.constant - row.loose)
@@ -262,7 +262,7 @@ class Model:
         return c
 
     def below(self, v: Sequence[int], c: Quantity, free: set[int]) -> Fraction:
-        """The least of c that v proves, every inequality of which is checked."""
+        """Checked lower bound of c that v proves, every inequality of it."""
         after = [down(a) + (v[x] if x in self.moving else 0) for x, a in enumerate(c.arrival)]
         for x in self.moving:
             stop = c.at_stop(self, x, free) if self.may_fail else None
@@ -276,7 +276,7 @@ class Model:
         return c.constant + sum((p * Fraction(after[x], ONE) for p, x in self.start), ZERO)
 
     def above(self, member: Mapping[int, Sequence[Any]], words: str) -> list[Fraction]:
-        """What a member takes at most of the objective and of each row."""
+        """Checked upper bound of a member's objective and rows."""
         u = {x: [-down(-number(text)) for text in entry[1:]] for x, entry in member.items()}
         need({len(q) for q in u.values()} <= {1 + len(self.each)}, words, "a number a row, fails")
         arrival = [[ZERO] * len(self.names), *(q.arrival for q in self.each)]  # steps, quantities
@@ -305,7 +305,7 @@ class Model:
                 for q, values in zip(self.each, after[1:], strict=True)]  # fmt: skip
 
     def set_share(self, w: Sequence[int], members: Iterable[Sequence[Fraction]]) -> None:
-        """The budget 1 - share * greatest goal probability, from both sides."""
+        """Set the checked budget 1 - share * greatest goal probability, from both sides."""
         row, free = self.rows[0], self.staying(self.live, self.every)[0]
         row.bound = 1 - Fraction(self.share or 0) * (1 - self.below(w, row, free))
         row.loose = 1 - Fraction(self.share or 0) * (1 - min(member[1] for member in members))
@@ -313,7 +313,7 @@ class Model:
 
 @dataclass(frozen=True)
 class Checked:
-    """What a certificate proves: an interval that holds the optimum, or why it is refused."""
+    """Proved result of a certificate: an interval that holds the optimum, or why it is refused."""
 
     accepted: bool
     reason: str = ""  # the inequality that fails, and where
@@ -353,7 +353,7 @@ def check_certificate(path: Any) -> Checked:
 
 
 def check_lines(lines: Sequence[bytes]) -> Checked:
-    """Check the lines of a file; raises where it is refused."""
+    """Check the lines of a certificate's file; raises where it is refused."""
     question = json.loads(lines[0])
     n = whole(question["states"], len(lines))
     need(len(lines) == 2 * n + 2, len(lines), "lines where there should be", 2 * n + 2)

@@ -13,7 +13,7 @@ from ssp_lp.analysis.evaluation import evaluate_each
 from ssp_lp.arrays import LEAST_BUDGET
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, check_between_0_and_1
 from ssp_lp.methods.approaches import refusal
-from ssp_lp.model.naming import Summarised, text_table
+from ssp_lp.model.text_tables import Summarised, text_table
 from ssp_lp.options import LinearProgramming, parse_method, progress_shown
 from ssp_lp.problem import Problem, check_problem, requirements
 from ssp_lp.solution import Solution
@@ -37,7 +37,7 @@ class Member:
 
 @dataclass(frozen=True)
 class MethodResult:
-    """What one method says. A method that gave no answer has a note and no numbers."""
+    """One method in a cross-check. A method that gave no answer has a note and no numbers."""
 
     name: str
     note: str = ""
@@ -58,12 +58,12 @@ class MethodResult:
 
     @property
     def answered(self) -> bool:
-        """Whether there is an answer to compare."""
+        """Whether a cross-checked method has an answer to compare."""
         return self.objective is not None
 
     @property
     def spent(self) -> float | None:
-        """The failure that the budget limits: discounted under a discount, else the real one."""
+        """Failure of a cross-checked method that the budget limits: discounted under a discount."""
         surrogate = self.discounted_failure
         return self.failure_probability if surrogate is None else surrogate
 
@@ -74,7 +74,7 @@ class MethodResult:
 
 
 def result_of(name: str, solution: Solution) -> MethodResult:
-    """The row of a solution, its policy and each member evaluated on the model."""
+    """Row of the cross-check for a solution, its policy and members evaluated on the model."""
     evaluation, each = evaluate_each(solution.policy, solution.problem)
     members = []
     for member, weight in zip(each, solution.policy.weights, strict=True):
@@ -103,7 +103,7 @@ def result_of(name: str, solution: Solution) -> MethodResult:
 def result_by(
     name: str, problem: Problem, lp_backend: str | None = None, time_limit: float | None = None
 ) -> MethodResult:
-    """Ask one method, unless it cannot be asked.
+    """Ask one method for the cross-check, unless it cannot be asked.
 
     Args:
         name: "lp", "columns" or "game".
@@ -182,12 +182,12 @@ class CrossCheck(Summarised):
 
     @property
     def agrees(self) -> bool:
-        """Whether no method that answered disagrees."""
+        """Whether no cross-checked method that answered disagrees."""
         return not self.disagreeing
 
     @property
     def failed(self) -> tuple[str, ...]:
-        """The methods that were asked and gave no answer."""
+        """Cross-checked methods that were asked and gave no answer."""
         return tuple(method.name for method in self.methods if method.failed)
 
     def __repr__(self) -> str:
@@ -196,7 +196,7 @@ class CrossCheck(Summarised):
         return f"CrossCheck({names}: {self._verdict()})"
 
     def summary(self) -> str:
-        """The methods as a table, their policies, the remarks, and one line with the verdict."""
+        """The cross-check as a table of methods, policies and remarks, and a line: the verdict."""
         rows = [["method", *_COLUMNS]]
         for one in self.methods:
             values = [(getattr(one, name), digits) for name, digits in _COLUMNS.values()]
@@ -233,7 +233,7 @@ def cross_check(
     time_limit: float | None = None,
     verbose: bool = False,
 ) -> CrossCheck:
-    """Solve a problem on every method there is, and compare.
+    """Cross-check a problem: solve it by every method there is, and compare.
 
     Args:
         problem: a formulation, such as ``MCMP(...)`` or ``S3P(...)``.
@@ -327,8 +327,8 @@ def compare_methods(
                 reason = f"the bound misses c* by {method.gap:.1e}"
                 findings[method.name] = f"its price is not proved: {reason}"
     if answered:
-        findings |= _refusing(methods, budget)
-    findings |= _outvoted(sound, agree) | _refuted(sound, agree)
+        findings |= _infeasibility_objections(methods, budget)
+    findings |= _minority_objections(sound, agree) | _refuted(sound, agree)
     named = tuple(method.name for method in methods if method.name in findings)
     remarks = [f"{name}: {findings[name]}" for name in named]
     if _spread([method for method in sound if is_proved(method)]) > weight_tolerance:
@@ -346,20 +346,20 @@ def compare_methods(
 
 
 def _spread(methods: Sequence[MethodResult]) -> float:
-    """The largest distance between two alpha*, among methods that have one."""
+    """Largest distance between two methods' alpha* in a cross-check."""
     weights = [w for method in methods if (w := method.adversary_weight) is not None]
     return max(weights) - min(weights) if weights else 0.0
 
 
-def _refusing(methods: Sequence[MethodResult], budget: float) -> dict[str, str]:
-    """What is held against methods that call infeasible what another one's policy attains."""
+def _infeasibility_objections(methods: Sequence[MethodResult], budget: float) -> dict[str, str]:
+    """Objections of a cross-check to methods that call infeasible what another attains."""
     findings = {}
     for method in methods:
         if (error := method.infeasible) is not None:
-            least = error.least_discounted_failure
-            least = error.least_failure if least is None else least
-            if least is not None and least - budget > _EDGE:
-                findings[method.name] = f"it says that no policy fails less than {least:.12g}"
+            lowest = error.least_discounted_failure
+            lowest = error.least_failure if lowest is None else lowest
+            if lowest is not None and lowest - budget > _EDGE:
+                findings[method.name] = f"it says that no policy fails less than {lowest:.12g}"
     return findings
 
 
@@ -368,7 +368,7 @@ _Agree = Callable[[float | None, float | None], bool]
 
 
 def _refuted(methods: Sequence[MethodResult], agree: _Agree) -> dict[str, str]:
-    """What is held against methods whose bound exceeds what a policy within the budget attains."""
+    """Objections of a cross-check to methods whose bound exceeds an attained value."""
     findings = {}
     for method, other in permutations(methods, 2):
         low, value = method.lower_bound, other.evaluated
@@ -380,8 +380,8 @@ def _refuted(methods: Sequence[MethodResult], agree: _Agree) -> dict[str, str]:
     return findings
 
 
-def _outvoted(methods: Sequence[MethodResult], agree: _Agree) -> dict[str, str]:
-    """What is held against methods outside the majority; all of them where no two agree."""
+def _minority_objections(methods: Sequence[MethodResult], agree: _Agree) -> dict[str, str]:
+    """Objections of a cross-check to methods outside the majority; to all if no two agree."""
     near = [[s.name for s in methods if agree(r.objective, s.objective)] for r in methods]
     majority = max(near, key=len, default=[])
     if len(majority) == len(methods):

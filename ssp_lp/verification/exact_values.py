@@ -40,14 +40,14 @@ class Row(NamedTuple):
 
 
 def decimal_text(value: int) -> str:
-    """A number in units as a decimal."""
+    """Exact number in units as a decimal text."""
     digits = f"{abs(value):061d}"
     text = f"{digits[:-60]}.{digits[-60:]}".rstrip("0").rstrip(".")
     return f"-{text}" if value < 0 else text
 
 
 def member_vectors(model: Model, decided: Mapping[int, int]) -> dict[int, list[Any]]:
-    """A member of a lottery as the checker reads it: decisions, steps, and each quantity.
+    """Exact values of a lottery's member for the checker: decisions, steps, quantities.
 
     Args:
         model: the question and the model.
@@ -87,7 +87,7 @@ def member_vectors(model: Model, decided: Mapping[int, int]) -> dict[int, list[A
 def values_below(
     model: Model, ssp: SSP, c: Quantity, free: set[int], members: Sequence[Mapping[int, int]]
 ) -> tuple[list[int], dict[int, int]]:
-    """Values that bound a quantity of all policies from below, in units, and a best policy.
+    """Exact values that bound a quantity of all policies from below, in units; a best policy.
 
     States that may be gone about in for nothing are one node, as such loops say nothing of them.
 
@@ -135,7 +135,7 @@ def values_below(
 
 
 def sub_solution(rows: Sequence[Row], choice: Sequence[int]) -> tuple[Sequence[int], list[int]]:
-    """Values v of nodes with ``v <= own + mean v`` for each row, near the greatest; a best choice.
+    """Exact sub-solution v of ``v <= own + mean v`` for each row, near the greatest; a choice.
 
     Args:
         rows: of all nodes.
@@ -163,7 +163,7 @@ def sub_solution(rows: Sequence[Row], choice: Sequence[int]) -> tuple[Sequence[i
 def best_values(
     rows: Sequence[Row], choice: Sequence[int]
 ) -> tuple[Sequence[int], list[int], list[int]]:
-    """Policy iteration: a best choice, its values, and by how much each row exceeds them.
+    """Policy iteration in exact values: a best choice, its values, each row's excess.
 
     Raises:
         SolverError: it does not end.
@@ -186,7 +186,7 @@ def best_values(
 
 
 def _solved(chosen: Sequence[Row]) -> list[int]:
-    """Values of nodes at which a row each holds as an equation, but for some units."""
+    """Exact values of nodes, in units, at which a row each holds as an equation."""
     n, entries = (
         len(chosen),
         [(i, j, a / row.total) for i, row in enumerate(chosen) for a, j in row.outcomes],
@@ -209,7 +209,7 @@ def _solved(chosen: Sequence[Row]) -> list[int]:
 
 
 def _leaving_choice(rows: Sequence[Row], n_nodes: int, preferred: Sequence[bool]) -> list[int]:
-    """A row of each node by which it may come nearer to an end, a preferred one where that does."""
+    """Choice of a row per node that comes nearer to an end, for exact values."""
     choice = [-1] * n_nodes
     for some in ([r for r, first in enumerate(preferred) if first], range(len(rows))):
         before: dict[int, list[int]] = {}

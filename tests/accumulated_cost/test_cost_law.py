@@ -31,7 +31,7 @@ from ssp_lp import (
     success_costs,
     trace_frontier,
 )
-from ssp_lp.accumulated_cost import cost_law, law as following
+from ssp_lp.accumulated_cost import arrivals as following, cost_law
 from ssp_lp.policies.chain import policy_chain
 from written_models import written
 
@@ -414,7 +414,7 @@ def test_simulated_totals_follow_the_law():
     problem = S3P(WALK, start={"a": 0.75, "b": 0.25}, failure_budget=0.15)
     policy = solve(problem).policy
     law = success_costs(policy, problem)
-    report = simulate(policy, problem, episodes=40_000, rng=np.random.default_rng(3))
+    report = simulate(policy, problem, episodes=40_000, seed=np.random.default_rng(3))
     sample = report.success_costs
     assert sample.size == report.ends["goal"]
     width = sqrt(log(2 / 1e-6) / (2 * sample.size))

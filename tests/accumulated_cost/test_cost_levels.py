@@ -12,7 +12,7 @@ from small_models import model_of
 from ssp_lp import InfeasibleError, ModelError, certify, evaluate, secondary_cost, solve
 from ssp_lp.accumulated_cost.totals import (
     Totals,
-    _walked_sums,
+    _sums_of_walks,
     common_unit,
     exact_cost,
     layers_of,
@@ -123,8 +123,8 @@ def test_the_sums_that_walks_make(seed):
         met = met | fresh
     kinds = np.unique(np.append(price, 0.0))
     expected = sorted({total for _, total in met})
-    assert _walked_sums(model, kinds, cap, len(expected)) == pytest.approx(expected)
-    assert _walked_sums(model, kinds, cap, len(expected) - 1) is None
+    assert _sums_of_walks(model, kinds, cap, len(expected)) == pytest.approx(expected)
+    assert _sums_of_walks(model, kinds, cap, len(expected) - 1) is None
 
 
 def test_a_sum_of_decimals_is_the_decimal_that_was_meant():

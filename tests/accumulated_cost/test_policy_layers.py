@@ -27,8 +27,8 @@ from ssp_lp import (
 from ssp_lp.accumulated_cost import policy_layers
 from ssp_lp.accumulated_cost.policy_layers import chain_of_law
 from ssp_lp.analysis import evaluation
-from ssp_lp.analysis.cost_law import law_of_chains
 from ssp_lp.analysis.evaluation import layered_measures
+from ssp_lp.analysis.success_costs import law_of_chains
 from ssp_lp.policies.chain import policy_chain, reaching_in_chain
 from ssp_lp.policies.policy import UNDECIDED
 from ssp_lp.processes.failure_semantics import start_distribution
@@ -259,7 +259,7 @@ def test_the_law_of_rounded_costs_is_that_of_every_run(problem):
     reached = totals[np.searchsorted(np.cumsum(masses), level * masses.sum())]
     assert law.quantile(level) == pytest.approx(reached, rel=1e-9)
     assert law.exponential(-0.7) == pytest.approx(masses @ np.exp(-0.7 * totals), rel=1e-10)
-    played = simulate(policy, problem, episodes=4_000, rng=1, confidence=0.9999)
+    played = simulate(policy, problem, episodes=4_000, seed=1, confidence=0.9999)
     assert played.conditional_cost.low <= law.conditional_mean <= played.conditional_cost.high
     if problem is EXACT:
         assert law.conditional_mean == pytest.approx(0.25 + np.pi / 6.0)

@@ -186,5 +186,5 @@ def test_a_frontier_is_traced_once_however_often_its_process_is_refined(coarse_r
 
 
 def test_bounds_that_are_near_to_each_other_are_told_apart():
-    assert frontier_module._apart_on_curve(1.0, 1.0 + 1e-12) == "1 and 1.000000000001"
-    assert frontier_module._apart_on_curve(15.123456789, 16.0) == "15.1234568 and 16"
+    assert frontier_module._digits_apart(1.0, 1.0 + 1e-12) == "1 and 1.000000000001"
+    assert frontier_module._digits_apart(15.123456789, 16.0) == "15.1234568 and 16"

@@ -77,7 +77,7 @@ def simulated(problem, **asked):
 def test_ends_and_costs_of_a_lottery(formulation, discount, budget):
     """Ends by label; the cost estimates of a case-M solution that has an end to its episodes."""
     problem = formulation(WALK, {"a": 0.75, "b": 0.25}, failure_budget=budget, discount=discount)
-    report, evaluation = simulated(problem, episodes=20_000, rng=7, max_steps=2_000)
+    report, evaluation = simulated(problem, episodes=20_000, seed=7, max_steps=2_000)
     for end in ("goal", "wall", "dead_end", "gave_up"):
         found, exact = report.ends.get(end, 0), evaluation.ends.get(end, 0.0)
         assert close_in_probability(found, 20_000, exact), end
@@ -92,7 +92,7 @@ def test_drawn_problems(drawn, formulation, place):
     budget = 0.5 if isinstance(place, str) else place
     problem = formulation(library_model(drawn), start=drawn.start, failure_budget=budget)
     try:
-        simulated(problem, episodes=4_000, rng=11, max_steps=300)
+        simulated(problem, episodes=4_000, seed=11, max_steps=300)
     except InfeasibleError:
         return
 
@@ -134,7 +134,7 @@ def test_costs_until_failing_and_after_it_are_one_number_each(seed):
             except SSPError:
                 continue
             report = simulate(
-                policy, problem, episodes=2_000, rng=seed, max_steps=400, confidence=0.99999
+                policy, problem, episodes=2_000, seed=seed, max_steps=400, confidence=0.99999
             )
             goes_on = problem.unrolled is not problem
             assert (exact.cost_after_failing is not None) == goes_on
@@ -164,7 +164,7 @@ def test_what_is_paid_once_the_goal_is_lost_is_not_the_cost():
     counted = replace(plain, constraints={"p": end_probability("pit") <= 0.5})
     for problem, later in ((plain, None), (counted, 1.5), (S3P(model, "a", 1.0), None)):
         exact = evaluate(policy, problem)
-        report = simulate(policy, problem, episodes=1_000, rng=0)
+        report = simulate(policy, problem, episodes=1_000, seed=0)
         assert exact.expected_cost == report.expected_cost.value == 1.0
         assert exact.cost_after_failing == later
         if later is not None:
@@ -211,7 +211,7 @@ def test_a_simulation_that_shows_no_rare_event_knows_of_it():
     policy = DeterministicPolicy.from_actions(toll, {"gate": "cross"})
     problem, held = MCMP(toll, "gate"), 0
     for seed in range(60):
-        report = simulate(policy, problem, episodes=1000, rng=seed)
+        report = simulate(policy, problem, episodes=1000, seed=seed)
         for found in (report.conditional_cost, report.expected_cost):
             assert found.high < 40.0
             held += found.low <= 1.2997 <= found.high
@@ -237,13 +237,13 @@ def test_the_greatest_total_of_an_episode():
 
 def test_costs_that_are_cut_say_so_and_too_many_episodes_are_refused():
     problem = MCMP(TRIES, "door")
-    report = simulate(GO, problem, episodes=500, rng=0, max_steps=2)
+    report = simulate(GO, problem, episodes=500, seed=0, max_steps=2)
     cut = report.ends["unfinished"]
     assert report.note == f"costs are cut: {cut} episodes were unfinished after 2 steps"
     assert report.note in repr(report)
-    assert simulate(GO, problem, episodes=500, rng=0).note == ""
+    assert simulate(GO, problem, episodes=500, seed=0).note == ""
     words = "episodes must be a whole number >= 1 and <= 100,000,000, not 1000000000000"
     with pytest.raises(ModelError, match=words):
-        simulate(GO, problem, episodes=10**12, rng=0)
+        simulate(GO, problem, episodes=10**12, seed=0)
     with pytest.raises(ModelError, match=words):
         GO.start_many(10**12)

@@ -25,7 +25,7 @@ from ssp_lp.dynamic_programming.bellman import (
 )
 from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.model import SSP
-from ssp_lp.processes.rows import RowChoice, live_rows
+from ssp_lp.processes.live_rows import RowChoice, live_rows
 from tests.support.compiled import assert_same, both
 
 pytest.importorskip("numba")
@@ -180,7 +180,7 @@ def test_nothing_is_compiled_for_the_first_time_in_a_short_call(monkeypatch):
 
 def test_rows_are_filled_within_their_arrays():
     """As plain Python, where reading beyond an array's end is an error rather than luck."""
-    from ssp_lp.compiled import rows
+    from ssp_lp.compiled import matrix_rows as rows
 
     n, none = 5, np.zeros(0, dtype=np.int32)
     numbers = np.arange(n + 1, dtype=np.int32)
@@ -234,7 +234,9 @@ def test_all_layers_in_one_pass_are_as_layer_by_layer(
 def test_compiling_for_the_first_time_is_announced_once(monkeypatch, caplog):
     monkeypatch.setattr(accelerator, "has_accelerator", lambda: True)
     monkeypatch.setattr(accelerator, "_is_compiled_before", lambda: False)
-    monkeypatch.setattr(accelerator, "_is_announced", cache(accelerator._is_announced.__wrapped__))
+    monkeypatch.setattr(
+        accelerator, "_announces_compiling", cache(accelerator._announces_compiling.__wrapped__)
+    )
     with caplog.at_level("INFO", "ssp_lp.compiling"):
         assert all(accelerator.accelerated(10**9) for _ in range(3))
     assert [message.split(",")[0] for message in caplog.messages] == [

@@ -20,8 +20,8 @@ from ssp_lp.dynamic_programming.bellman import (
     safe_minima,
 )
 from ssp_lp.model import SSP
-from ssp_lp.processes import rows as module
-from ssp_lp.processes.rows import RowChoice, live_rows, shared_live_rows
+from ssp_lp.processes import live_rows as module
+from ssp_lp.processes.live_rows import RowChoice, live_rows, shared_live_rows
 from tests.support.compiled import assert_same, both
 
 pytest.importorskip("numba")

@@ -11,17 +11,17 @@ import scipy.sparse as sp
 from ssp_lp import SolverError
 from ssp_lp.compiled import accelerator
 from ssp_lp.compiled.deadline import Stop, until
-from ssp_lp.dynamic_programming import equations, solvers
+from ssp_lp.dynamic_programming import chain_solvers as solvers, equations
+from ssp_lp.dynamic_programming.chain_solvers import factorised
 from ssp_lp.dynamic_programming.dual_bound import dual_bound, shortfall, sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.equations import DIRECT_STATES, System, strong_components
 from ssp_lp.dynamic_programming.evaluation import acyclic_totals, advantage_bounds, evaluate_chain
 from ssp_lp.dynamic_programming.policy_iteration import (
     improve_along_chain,
+    improve_backwards,
     iterate_policy,
-    least_backwards,
 )
-from ssp_lp.dynamic_programming.solvers import factorised
 
 
 @pytest.fixture(params=[False, True], ids=["numpy", "numba"])
@@ -257,7 +257,7 @@ def test_one_pass_without_cycles_chooses_and_knows_its_errors(seed, monkeypatch)
         assert totals.are_within(1e-12)
         assert (2.0 * totals.runs >= exact.runs).all()
     monkeypatch.setattr(accelerator, "least_entries", lambda: 1 << 62)
-    _, least = least_backwards(dynamics, rewards @ priced, held)
+    _, least = improve_backwards(dynamics, rewards @ priced, held)
     assert np.allclose(settled[1].values @ priced, least, rtol=1e-14)
 
 

@@ -143,7 +143,7 @@ def test_the_drones_limits_hold_when_its_plan_is_flown(monkeypatch, tmp_path):
         assert ends[name] == pytest.approx(careful.secondary_costs[name], abs=1e-9)
         assert ends[name] <= most + 1e-9
     assert certify(careful).gap <= 1e-7
-    flights = simulate(careful.policy, careful.problem, episodes=5_000, rng=3)
+    flights = simulate(careful.policy, careful.problem, episodes=5_000, seed=3)
     for name in (*drone.LIMITS, "landed"):
         flown = proportion_estimate(flights.ends[name], 5_000, 0.9999)
         assert flown.low <= ends[name] <= flown.high

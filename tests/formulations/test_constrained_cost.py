@@ -36,7 +36,7 @@ from ssp_lp.linear_programming.highs import solve_with_highs
 from ssp_lp.methods.rows import phase_one
 from ssp_lp.options import SolveOptions
 from ssp_lp.problem import compiled_constrained
-from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.explicit_process import ExplicitProcess
 from ssp_lp.programs.program_rows import rows_program
 from strategies import discounts, often, problems, semantics
 
@@ -331,7 +331,7 @@ def test_certificates_are_not_taken_in():
 
 def test_what_else_is_done_with_it_and_what_is_refused():
     problem = ConstrainedCost(RISKY, "a", BURNT, failure_budget=0.01)
-    assert simulate(solve(problem).policy, problem, episodes=500, rng=1).episodes == 500
+    assert simulate(solve(problem).policy, problem, episodes=500, seed=1).episodes == 500
     for ask in (
         lambda: solve(problem, "game"),
         lambda: solve(problem, "deterministic"),

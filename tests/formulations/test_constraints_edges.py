@@ -232,7 +232,7 @@ def test_what_uses_none_of_the_quantity_may_go_on_for_ever(method: str, give_up:
     assert found.objective == 0.0
     forever = np.inf if give_up == "dead_ends" else 0.0
     assert found.expected_cost == forever
-    report = simulate(solution.policy, problem, episodes=100, rng=np.random.default_rng(1))
+    report = simulate(solution.policy, problem, episodes=100, seed=np.random.default_rng(1))
     assert report.expected_cost.value == np.inf if forever else report.expected_cost.value < 1.0
 
 

@@ -171,7 +171,7 @@ def test_entering_a_dead_end_costs_its_cheapest_step_once(problem, value, paid):
         assert game.objective == pytest.approx(value, rel=1e-6)
         return
     assert solution.expected_cost == pytest.approx(paid, **CLOSE)
-    played = simulate(solution.policy, problem, episodes=4_000, rng=1, confidence=0.9999)
+    played = simulate(solution.policy, problem, episodes=4_000, seed=1, confidence=0.9999)
     assert played.expected_cost.low <= paid <= played.expected_cost.high
 
 
@@ -318,7 +318,7 @@ def test_the_other_verbs_and_words_for_people():
         solution, agreement = solve(problem), cross_check(problem)
         assert solution.summary().startswith(words)
         assert agreement.agrees, agreement.summary()
-        assert simulate(solution.policy, problem, episodes=200, rng=rng).episodes == 200
+        assert simulate(solution.policy, problem, episodes=200, seed=rng).episodes == 200
     assert "upper bound" in solve(MaxProb(model, "x")).summary()
 
 

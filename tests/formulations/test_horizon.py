@@ -255,14 +255,14 @@ def test_playing_and_simulating_know_what_time_it_is() -> None:
     assert told.startswith("MCMP, failure budget 0.2, within 2 steps, exact")
     assert "out of time " in told
     assert "horizon=2" in repr(problem)
-    report = simulate(solution.policy, problem, episodes=4_000, rng=7)
+    report = simulate(solution.policy, problem, episodes=4_000, seed=7)
     assert report.goal_probability.low <= 0.8 <= report.goal_probability.high
     assert report.ends[LATE] > 0
     assert report.ends["unfinished"] == 0
     world = ModelSimulator(model, np.eye(model.n_states)[model.index_of("camp")])
-    outside = simulate(solution.policy, problem, episodes=4_000, rng=7, simulator=world)
+    outside = simulate(solution.policy, problem, episodes=4_000, seed=7, simulator=world)
     assert outside.ends == report.ends
-    (path,) = simulate(solution.policy, problem, episodes=1, rng=1, record=1).paths
+    (path,) = simulate(solution.policy, problem, episodes=1, seed=1, record=1).paths
     assert {model.states[k] for k in path} <= {"camp", "top", "gorge"}
     visited, gave_up = pair_visits(solution.policy, problem)
     walks = {"walks": visits("camp") <= 9.0}
@@ -275,7 +275,7 @@ def test_playing_and_simulating_know_what_time_it_is() -> None:
     assert found.ends[LATE] == pytest.approx(0.48**2)
     assert found.goal_probability == pytest.approx(0.5 * 1.48)
     assert success_costs(ignorant, problem).within(7.0) == pytest.approx(0.5)
-    late = simulate(ignorant, problem, episodes=4_000, rng=7).ends[LATE]
+    late = simulate(ignorant, problem, episodes=4_000, seed=7).ends[LATE]
     assert abs(late / 4_000 - 0.48**2) < 4 * np.sqrt(0.48**2 * (1 - 0.48**2) / 4_000)
 
     episode = solution.policy.start(3)

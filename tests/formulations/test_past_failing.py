@@ -77,7 +77,7 @@ def checked(problem) -> float:
     found = evaluate(solution.policy, problem)
     assert found.objective == pytest.approx(solution.objective, rel=1e-9, abs=1e-12)
     assert solve(problem, "lp").objective == pytest.approx(solution.objective, rel=1e-7, abs=1e-9)
-    played = simulate(solution.policy, problem, episodes=20_000, rng=1, confidence=CONFIDENCE)
+    played = simulate(solution.policy, problem, episodes=20_000, seed=1, confidence=CONFIDENCE)
     for name, share in found.ends.items():
         if name != "wandering":
             spread = 4.0 * np.sqrt(share * (1.0 - share) / 20_000) + 1e-9

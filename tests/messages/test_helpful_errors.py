@@ -175,7 +175,7 @@ def test_a_model_is_no_problem_and_a_solution_no_policy() -> None:
         with pytest.raises(ModelError, match="takes a policy, such as"):
             verb({"depot": "alley"}, PROBLEM)  # type: ignore[arg-type]
     with pytest.raises(ModelError, match=r"pass solution\.policy"):
-        simulate(SOLUTION, PROBLEM, rng=0)  # type: ignore[arg-type]
+        simulate(SOLUTION, PROBLEM, seed=0)  # type: ignore[arg-type]
 
 
 def test_a_policy_of_a_product_is_recognised() -> None:
@@ -186,8 +186,8 @@ def test_a_policy_of_a_product_is_recognised() -> None:
 
 
 def test_a_seed_is_a_generator() -> None:
-    by_seed = simulate(SOLUTION.policy, PROBLEM, rng=3, episodes=500)
-    by_generator = simulate(SOLUTION.policy, PROBLEM, rng=np.random.default_rng(3), episodes=500)
+    by_seed = simulate(SOLUTION.policy, PROBLEM, seed=3, episodes=500)
+    by_generator = simulate(SOLUTION.policy, PROBLEM, seed=np.random.default_rng(3), episodes=500)
     assert by_seed.ends == by_generator.ends
     assert SOLUTION.policy.start(0).action("depot") == "alley"
     given = np.random.default_rng(1)
@@ -240,9 +240,12 @@ def test_a_seed_is_a_generator() -> None:
         (lambda: trace_frontier(PROBLEM, time_limit="long"), "time_limit must be"),
         (lambda: trace_frontier(PROBLEM, steepest_price="high"), "steepest_price must be"),
         (lambda: trace_frontier(PROBLEM).objective_at(5), r"did you mean 0\.05"),
-        (lambda: simulate(SOLUTION.policy, PROBLEM, rng=0, episodes=1e4), "episodes must be a who"),
-        (lambda: simulate(SOLUTION.policy, PROBLEM, rng=0, record=-1), "record must be a whole"),
-        (lambda: simulate(SOLUTION.policy, PROBLEM, rng=0, confidence=95), r"did you mean 0\.95"),
+        (
+            lambda: simulate(SOLUTION.policy, PROBLEM, seed=0, episodes=1e4),
+            "episodes must be a who",
+        ),
+        (lambda: simulate(SOLUTION.policy, PROBLEM, seed=0, record=-1), "record must be a whole"),
+        (lambda: simulate(SOLUTION.policy, PROBLEM, seed=0, confidence=95), r"did you mean 0\.95"),
         (lambda: success_costs(SOLUTION.policy, PROBLEM).quantile(95), r"did you mean 0\.95"),
     ],
 )
@@ -254,7 +257,7 @@ def test_what_was_mixed_up_is_told(said: Any, words: str) -> None:
 def test_values_by_name_have_a_nearest_name() -> None:
     problem = MCMP(MODEL, "depot", 0.2, constraints={"fuel": secondary_cost({}) <= 1.0})
     solution = solve(problem)
-    report = simulate(solution.policy, problem, rng=0, episodes=5)
+    report = simulate(solution.policy, problem, seed=0, episodes=5)
     for values, slip, meant in (
         (solution.prices, "feul", "'fuel'"),
         (solution.secondary_costs, "Fuel", "'fuel'"),

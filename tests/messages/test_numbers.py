@@ -207,7 +207,7 @@ def arrays(**other: Any) -> SSP:
 
 
 def simulated(**numbers: Any) -> ssp_lp.analysis.simulation.SimulationReport:
-    return ssp_lp.simulate(SOLUTION.policy, PROBLEM, rng=0, **{"episodes": 3} | numbers)
+    return ssp_lp.simulate(SOLUTION.policy, PROBLEM, seed=0, **{"episodes": 3} | numbers)
 
 
 def observed(cost: Any) -> None:

@@ -35,7 +35,7 @@ def line(states: int) -> SSP:
 
 def test_nothing_is_told_unless_asked(capfd: pytest.CaptureFixture[str]) -> None:
     policy = solve(PROBLEM).policy
-    simulate(policy, PROBLEM, rng=0, episodes=10)
+    simulate(policy, PROBLEM, seed=0, episodes=10)
     trace_frontier(PROBLEM)
     compare_criteria(FIRST, "depot")
     line(10)
@@ -52,7 +52,7 @@ def test_verbose_tells_each_phase(capsys: pytest.CaptureFixture[str]) -> None:
     assert "columns: 3 pricing calls, objective 6.66666667" in told
 
     trace_frontier(PROBLEM, verbose=True)
-    simulate(solution.policy, PROBLEM, rng=0, episodes=10, verbose=True)
+    simulate(solution.policy, PROBLEM, seed=0, episodes=10, verbose=True)
     certify(solution, verbose=True)
     cross_check(replace(PROBLEM, discount=0.99, horizon=None), verbose=True)
     compare_criteria(FIRST, "depot", failure_budgets=(), penalties=(), verbose=True)

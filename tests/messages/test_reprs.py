@@ -123,7 +123,7 @@ def test_reprs_are_short(solution: Solution) -> None:
         policy.policies[0],
         solution.evaluation,
         certify(solution),
-        simulate(policy, PROBLEM, rng=0, episodes=100, record=100),
+        simulate(policy, PROBLEM, seed=0, episodes=100, record=100),
         PROBLEM,
         MODEL,
         compare_criteria(MODEL, "s"),
@@ -252,7 +252,7 @@ def test_every_report_has_a_summary() -> None:
     reports = [
         solution,
         evaluate(solution.policy, PROBLEM),
-        simulate(solution.policy, PROBLEM, episodes=100, rng=0),
+        simulate(solution.policy, PROBLEM, episodes=100, seed=0),
         certify(solution),
         cross_check(PROBLEM),
         trace_frontier(PROBLEM),

@@ -12,7 +12,7 @@ from own_criteria import Lateness
 from ssp_lp import SSP, ModelError, OutOfTimeError, Status, certify, evaluate, solve, visits
 from ssp_lp.compiled import deadline
 from ssp_lp.compiled.deadline import Stop
-from ssp_lp.methods.incumbent import Incumbent, _judged, by_moments, worth_bound
+from ssp_lp.methods.incumbent import Incumbent, _incumbent_value, by_moments, worth_bound
 from written_models import written
 
 LAYERED = layered(6, 5, seed=2)
@@ -179,8 +179,8 @@ def test_rounding_of_a_budget_is_measured_by_the_budget():
     problem = S3P(model, "x", failure_budget=1e-12)
     policy = solve(S3P(model, "x", failure_budget=1.0)).policy
     assert evaluate(policy, problem).failure_probability == pytest.approx(5e-11)
-    assert _judged(problem, policy, 0.0) is None
-    assert _judged(problem, policy, 1e-10) is not None
+    assert _incumbent_value(problem, policy, 0.0) is None
+    assert _incumbent_value(problem, policy, 1e-10) is not None
 
 
 @pytest.mark.parametrize("level", [0.3, 0.9])

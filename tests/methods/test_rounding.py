@@ -30,7 +30,7 @@ from ssp_lp.methods.risk import exactly_refuted, question_of_compiled
 from ssp_lp.methods.rounding import is_split, with_split_costs
 from ssp_lp.model.graph import dead_ends
 from ssp_lp.problem import requirements
-from ssp_lp.processes.rows import cost_means
+from ssp_lp.processes.live_rows import cost_means
 from ssp_lp.verification.certify import certificate_of
 from written_models import written
 

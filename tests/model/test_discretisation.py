@@ -274,7 +274,7 @@ def test_where_cells_are_exact_so_is_the_interval():
     problem, policy = MCMP(model, 2, 1.0), always(model, "hop")
     exact = evaluate(policy, problem)
     world = WorldSimulator(walk(), [Distribution.uniform(2.0, 3.0)])
-    report = simulate(policy, problem, episodes=20_000, rng=1, simulator=world, confidence=0.99)
+    report = simulate(policy, problem, episodes=20_000, seed=1, simulator=world, confidence=0.99)
     failed = report.failure_probability
     assert failed.low < exact.failure_probability < failed.high
     assert failed.value == pytest.approx(report.ends["pit"] / 20_000, rel=1e-12)
@@ -404,7 +404,7 @@ FINER = {"episodes": 10, "simulator": WorldSimulator(FINE, start=(3.5,))}
         (lambda: allowing(lambda at, action: [True]), "allowed must return a truth value"),
         (lambda: allowing(lambda at: True), "allowed must be a function of 2 arguments"),
         (lambda: discretise(replace(TWO_COSTS, alike=lambda c, a: c * 0)), "alike"),
-        (lambda: simulate(always(MODEL, "hop"), MCMP(MODEL, 3, 1.0), rng=0, **FINER), "14 states"),
+        (lambda: simulate(always(MODEL, "hop"), MCMP(MODEL, 3, 1.0), seed=0, **FINER), "14 states"),
     ],
 )
 def test_what_cannot_be_is_refused(build, words):

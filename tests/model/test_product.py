@@ -134,7 +134,7 @@ def test_the_original_evaluates_it_where_reaching_the_goal_is_all_that_counts():
     exact = evaluate(policy, problem)
     assert exact.goal_probability == pytest.approx(solution.goal_probability, abs=1e-12)
     assert exact.expected_cost == pytest.approx(solution.expected_cost, rel=1e-12)
-    report = simulate(policy, problem, episodes=4_000, rng=3, confidence=0.9999)
+    report = simulate(policy, problem, episodes=4_000, seed=3, confidence=0.9999)
     assert report.goal_probability.low <= exact.goal_probability <= report.goal_probability.high
 
 

@@ -40,7 +40,7 @@ def test_surviving_can_be_the_goal(steps: int, tmp_path: Path) -> None:
         solution.policy,
         problem,
         episodes=4_000,
-        rng=np.random.default_rng(steps),
+        seed=np.random.default_rng(steps),
         confidence=0.9999,
     )
     interval = report.failure_probability

@@ -166,7 +166,7 @@ def test_a_cell_is_a_dead_end_where_all_its_states_are():
 def test_episodes_are_those_of_the_seed():
     policy = solve(PROBLEM).policy
     first, again, other = (
-        plot_episodes(policy, PROBLEM, CELLS, episodes=60, rng=seed) for seed in (1, 1, 2)
+        plot_episodes(policy, PROBLEM, CELLS, episodes=60, seed=seed) for seed in (1, 1, 2)
     )
     drawn = [[line.get_xydata().tolist() for line in ax.lines] for ax in (first, again, other)]
     assert drawn[0] == drawn[1] != drawn[2]

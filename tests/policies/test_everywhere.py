@@ -148,7 +148,7 @@ def test_who_gave_up_does_not_come_back() -> None:
     problem = MCMP(model, "a", 1.0)
     for policy in (quits, acting_everywhere(quits)):
         assert evaluate(policy, problem).failure_probability == pytest.approx(0.5)
-        assert simulate(policy, problem, episodes=100, rng=0).ends["gave_up"] > 20
+        assert simulate(policy, problem, episodes=100, seed=0).ends["gave_up"] > 20
 
 
 @pytest.mark.parametrize("horizon", [None, 6])

@@ -68,7 +68,7 @@ def test_a_bound_outlives_the_time_for_evaluating_policies(
             rows.rows_optimum(
                 stated := rows.compiled_constrained(problem),
                 SolveOptions(1e-6),
-                rows.truth_of(problem, stated),
+                rows.true_figures(problem, stated),
             )
     assert stopped.value.choice.value == np.inf
     assert stopped.value.choice.bound == pytest.approx(optimum.lower_bound, rel=5e-2)

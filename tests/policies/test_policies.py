@@ -75,7 +75,7 @@ def test_policies_that_are_none():
     for ask, words in (
         (lambda: evaluate(gives_up, MCMP(TRIES, "door", give_up="dead_ends")), "gives up"),
         (lambda: evaluate(knows_nothing, PROBLEM), "no decision in state 'door'"),
-        (lambda: simulate(knows_nothing, PROBLEM, rng=0), "no decision in state 'door'"),
+        (lambda: simulate(knows_nothing, PROBLEM, seed=0), "no decision in state 'door'"),
     ):
         with pytest.raises(ModelError, match=words):
             ask()
@@ -106,7 +106,7 @@ def test_a_randomised_policy_by_hand():
     assert found.goal_probability == pytest.approx(0.6)
     assert found.expected_cost == pytest.approx(1.2)
     assert found.ends["gave_up"] == pytest.approx(0.4)
-    report = simulate(policy, problem, episodes=20_000, rng=1, confidence=0.9999)
+    report = simulate(policy, problem, episodes=20_000, seed=1, confidence=0.9999)
     assert report.goal_probability.low <= 0.6 <= report.goal_probability.high
     assert report.expected_cost.low <= 1.2 <= report.expected_cost.high
 
@@ -146,7 +146,7 @@ def test_a_world_of_the_users_own():
     assert [len(path) for path in report.paths] == [3, 3, 3]
     assert simulate(GO, PROBLEM, max_steps=1, **asked).ends["unfinished"] == 10
     with pytest.raises(ModelError, match="left the model"):
-        simulate(GO, PROBLEM, rng=0, simulator=Broken())
+        simulate(GO, PROBLEM, seed=0, simulator=Broken())
 
 
 # Side by side: each episode is what it would be alone

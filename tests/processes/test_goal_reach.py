@@ -29,8 +29,8 @@ from ssp_lp.dynamic_programming import extreme_reach
 from ssp_lp.model.graph import attention_states
 from ssp_lp.policies import DeterministicPolicy
 from ssp_lp.processes.goal_reach import greatest_goal_reach
+from ssp_lp.processes.live_rows import costless_pairs
 from ssp_lp.processes.quotient import build_quotient
-from ssp_lp.processes.rows import costless_pairs
 
 _ENDS = 60.0  # seconds; what is looked at here took for ever
 

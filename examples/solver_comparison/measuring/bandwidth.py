@@ -20,7 +20,7 @@ from examples.solver_comparison.instances.models import build
 from examples.solver_comparison.measuring.memory import usable_cores
 from examples.solver_comparison.measuring.process import DONE, Report
 from ssp_lp.dynamic_programming.bellman import best_pairs
-from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.explicit_process import ExplicitProcess
 
 _READ_BYTES = 1 << 30  # far larger than any cache
 _CHUNK = 1 << 16  # numbers summed in one go

@@ -7,7 +7,7 @@ import scipy.sparse as sp
 from scipy.sparse import csgraph
 
 from examples.solver_comparison.instances.models import ReadyInstance
-from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.explicit_process import ExplicitProcess
 
 
 def written_out(ready: ReadyInstance) -> ExplicitProcess:

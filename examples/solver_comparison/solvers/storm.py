@@ -24,7 +24,7 @@ from examples.solver_comparison.instances.models import ReadyInstance
 from examples.solver_comparison.solvers.answer import Answer, Prepared, joined
 from examples.solver_comparison.solvers.catalogue import Order
 from examples.solver_comparison.solvers.explicit import describe, size_of, written_out
-from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.explicit_process import ExplicitProcess
 
 _CHUNK = 20_000  # states handed over at a time: lists of Python numbers are large
 

@@ -76,7 +76,7 @@ def read_drn(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFile
 
 
 def _drn_header(file: TextFile, lines: Iterator[str]) -> dict[str, str]:
-    """The sections up to the line ``@model``, by name.
+    """Sections of a DRN file up to the line ``@model``, by name.
 
     Raises:
         ModelError: naming the line: a section that is unknown, twice there or missing, or a model
@@ -106,7 +106,7 @@ def _drn_header(file: TextFile, lines: Iterator[str]) -> dict[str, str]:
 def _drn_body(
     file: TextFile, lines: Iterator[str], header: dict[str, str], cost: str | None
 ) -> RawModel:
-    """States, actions and transitions, checked against the header.
+    """States, actions and transitions of a DRN file, checked against its header.
 
     Raises:
         ModelError: naming the line at fault, or no cost of this name.
@@ -177,7 +177,7 @@ def _drn_costs(
 
 
 def _drn_transition(line: str, file: TextFile, n_states: int) -> tuple[int, float]:
-    """The successor and the probability on a line."""
+    """Successor and probability on a line of a DRN file."""
     words = line.replace(":", " : ").split()
     if len(words) != 3 or words[1] != ":":
         raise file.fault("a transition is written 'successor : probability'")
@@ -196,7 +196,7 @@ def _listed_rewards(listed: str | None, n_rewards: int, file: TextFile) -> list[
 
 
 def _labels_of_line(text: str, file: TextFile) -> dict[str, None]:
-    """The labels of a state, each in quotation marks or not."""
+    """Labels of a state in a DRN file, each in quotation marks or not."""
     if text[:1] in ("{", "!"):
         raise file.fault("observations and exit rates are not read")
     labels = [quoted or bare for quoted, bare in _LABEL.findall(text)]
@@ -229,7 +229,7 @@ def write_drn(model: SSP, path: FilePath, *, start: Hashable) -> None:
 
 
 def _drn_text(process: Exported) -> Iterator[str]:
-    """The lines of the DRN file."""
+    """Lines of a DRN file for a model."""
     marks: dict[int, str] = {}  # what stands behind the number of a state: its labels
     for name, members in process.labels.items():
         shown = name if re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII) else f'"{name}"'
@@ -318,13 +318,13 @@ def read_prism(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFi
 
 
 def _without_ending(path: FilePath) -> Path:
-    """A path without the ending of a file of transitions."""
+    """Path of PRISM's explicit files without the ending of the file of transitions."""
     base = Path(path)
     return base.with_name(base.name.removesuffix(".gz").removesuffix(".tra"))
 
 
 def _existing(base: Path, ending: str) -> Path | None:
-    """The file with this ending, plain or gzip; None where there is none."""
+    """PRISM's explicit file with this ending, plain or gzip; None where there is none."""
     files = (base.with_name(base.name + ending + packed) for packed in ("", ".gz"))
     return next((file for file in files if file.is_file()), None)
 
@@ -387,7 +387,7 @@ def _read_labels(path: Path, n_states: int) -> dict[str, IntArray]:
 
 
 def _entries(file: TextFile, lines: Iterator[str], n_states: int) -> Iterator[tuple[int, str]]:
-    """Lines ``state: ...``, taken apart."""
+    """Lines ``state: ...`` of PRISM's explicit files, taken apart."""
     for line in filter(None, lines):
         state, colon, listed = line.partition(":")
         if not colon or not WHOLE.fullmatch(state) or not 0 <= int(state) < n_states:
@@ -437,7 +437,7 @@ def _reward_files(base: Path) -> dict[tuple[Path | None, Path | None], str | Non
 def _costs(
     of_states: Path | None, of_transitions: Path | None, n_states: int, keys: IntArray
 ) -> FloatArray:
-    """The reward of each outcome: of the state, and of the transition, [outcomes].
+    """Cost of each outcome from PRISM's rewards, of state and transition, [outcomes].
 
     Raises:
         ModelError: naming the file and what does not fit the transitions.
@@ -458,7 +458,7 @@ def _costs(
 
 
 def _read_rewards(path: Path, widths: dict[int, int], n_states: int) -> _Table:
-    """A file of rewards; raises :class:`ModelError` unless it is one of these states."""
+    """PRISM's explicit file of rewards; :class:`ModelError` unless it is one of these states."""
     table = _read_table(path, widths)
     state = table.keys[:, 0]
     if table.header[0] != n_states or (state < 0).any() or (state >= n_states).any():
@@ -521,7 +521,7 @@ def _reward_lines(process: Exported, k: int) -> Iterator[str]:
 
 
 def _label_lines(process: Exported) -> Iterator[str]:
-    """The file of labels."""
+    """PRISM's explicit file of labels, as lines."""
     yield " ".join(f'{k}="{name}"' for k, name in enumerate(process.labels)) + "\n"
     borne: dict[int, list[str]] = {}
     for number, members in enumerate(process.labels.values()):
@@ -532,7 +532,7 @@ def _label_lines(process: Exported) -> Iterator[str]:
 
 
 def _state_lines(n_states: int, model: SSP) -> Iterator[str]:
-    """The file of states: what the model calls them, if those are tuples, else their numbers."""
+    """PRISM's explicit file of states: their names, if those are tuples, else their numbers."""
     rows: list[tuple[Hashable, ...]] = [s for s in model.states if isinstance(s, tuple)]
     plain = n_states == len(rows) and len(set(map(len, rows))) == 1 and rows[0] != ()
     if not plain or any(type(value) not in (int, bool) for row in rows for value in row):

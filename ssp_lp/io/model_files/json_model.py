@@ -21,7 +21,7 @@ _LONGEST = 1 << 30  # characters of a file, so that a packed one cannot ask for 
 
 
 def read_json(path: Path, goal: Sequence[str], cost: str | None = None) -> StatedModel:
-    """Read a model from a file, plain or gzip; see :func:`parse_json`.
+    """Read a model from a JSON file, plain or gzip; see :func:`parse_json`.
 
     Raises:
         ModelError: no model.
@@ -33,7 +33,7 @@ def read_json(path: Path, goal: Sequence[str], cost: str | None = None) -> State
 
 
 def parse_json(text: str, source: str, goal: Sequence[str], cost: str | None = None) -> StatedModel:
-    """The model that a text states, a table by name or an explicit case.
+    """The model that a JSON text states, a table by name or an explicit case.
 
     In a table names are words, a cost is a number or ``{name: number}``, and a number may be a
     fraction in words, "1/3".
@@ -65,7 +65,7 @@ def parse_json(text: str, source: str, goal: Sequence[str], cost: str | None = N
 def _explicit_json(
     table: Mapping[str, Any], source: str, goal: Sequence[str], cost: str | None
 ) -> dict[str, Any]:
-    """A published case, which numbers its states and lists the choices of each, as a document."""
+    """A published case in JSON, which lists choices by numbered state, as a model's document."""
     if not str(table["format"]).startswith(EXPLICIT):
         raise ModelError(f"{source}: the format {table['format'][:40]!r} is not known")
     try:
@@ -97,12 +97,12 @@ def _explicit_json(
 
 def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """A JSON object, in which no name may stand twice."""
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    members = dict(pairs)
+    if len(members) < len(pairs):
         names = [name for name, _ in pairs]
-        twice = next(name for name in found if names.count(name) > 1)
+        twice = next(name for name in members if names.count(name) > 1)
         raise ModelError(f"{twice!r} stands twice in one object")
-    return found
+    return members
 
 
 UNIT = "unit"
@@ -122,7 +122,7 @@ class StatedModel(NamedTuple):
 def _stated_model(
     table: Mapping[str, Any], source: str, goal: Sequence[str], cost: str | None
 ) -> StatedModel:
-    """The model of a document: transitions by state and action, with goal, start and labels.
+    """The model of a JSON document: transitions by state and action, goal, start and labels.
 
     Raises:
         ModelError: see :func:`parse_json`.
@@ -207,7 +207,7 @@ def _counted_cost(where: str, costs: Mapping[str, Any], cost: str | None) -> str
 
 
 def _json_number(value: Any) -> Any:
-    """A number in words as the fraction that it is; anything else as it stands."""
+    """A number of a JSON model as the fraction that its digits state; else as it stands."""
     if isinstance(value, str) and _FRACTION.fullmatch(value) and not re.search(r"/0+$", value):
         return Fraction(value)
     return value
@@ -216,7 +216,7 @@ def _json_number(value: Any) -> Any:
 def model_in_json(
     model: SSP, start: Hashable | Mapping[Hashable, float] | None = None
 ) -> Iterator[str]:
-    """A model as the text of a JSON file that says all that it holds, a line for each state.
+    """A model as a JSON text that says all that it holds, a line for each state.
 
     States and actions become words.
 

@@ -38,7 +38,7 @@ WHOLE = re.compile(r"-?\d{1,18}", re.ASCII)  # of 64 bits
 
 @contextmanager
 def opened_text(path: Path, what: str = "text") -> Iterator[TextIO]:
-    """A file of text, plain or gzip.
+    """A text file of a model, plain or gzip, opened to be read.
 
     Raises:
         ModelError: no UTF-8, or a broken gzip file.
@@ -62,7 +62,7 @@ class TextFile:
         self._comment = re.compile(comment)
 
     def lines(self) -> Iterator[str]:
-        """The lines without comments and outer spaces.
+        """Lines of a model's text file without comments and outer spaces.
 
         Raises:
             ModelError: a line without end, no UTF-8, or a broken gzip file.
@@ -76,17 +76,17 @@ class TextFile:
                 yield self._comment.sub("", line).strip()
 
     def fault(self, complaint: str) -> ModelError:
-        """The error that names the file and the line last read."""
+        """The error that names a model's text file and the line last read."""
         return ModelError(f"{self.path}, line {self.number}: {complaint}")
 
     def integer(self, word: str) -> int:
-        """A word as a whole number of 64 bits; raises :class:`ModelError` where it is none."""
+        """A word of a model's text file as a whole number of 64 bits, or :class:`ModelError`."""
         if not WHOLE.fullmatch(word):
             raise self.fault(f"{word[:60]!r} is no whole number")
         return int(word)
 
     def float(self, word: str) -> float:
-        """A word as a number, a fraction such as 1/3 too; raises :class:`ModelError` else."""
+        """A word of a model's text file as a number or fraction, or :class:`ModelError`."""
         plain = word if word.isascii() and "_" not in word else ""
         above, slash, below = plain.partition("/")
         try:
@@ -96,7 +96,7 @@ class TextFile:
 
 
 def write_text(path: FilePath, pieces: Iterable[str]) -> None:
-    """Write pieces of text one after the other; gzip where the name ends in .gz."""
+    """Write a model's text file piece by piece; gzip where the name ends in .gz."""
     place = Path(path)
     if place.suffix == ".gz":
         with gzip.open(place, "wt", _GZIP_LEVEL, encoding="utf-8", newline="\n") as packed:
@@ -129,9 +129,9 @@ def chosen_reward(source: object, names: Sequence[str | None], cost: str | None)
     if len(places) == 1:
         return places[0]
     said = "" if cost is None else f"no reward model {cost!r}; "
-    known = ", ".join(map(repr, names)) or "none"
-    told = f"{source}: {said}choose one of the reward models ("
-    raise ModelError(told, Argument("cost"), f"): {known}")
+    choices = ", ".join(map(repr, names)) or "none"
+    message = f"{source}: {said}choose one of the reward models ("
+    raise ModelError(message, Argument("cost"), f"): {choices}")
 
 
 INITIAL, DEADLOCK, PAYING = "init", "deadlock", "paying"
@@ -158,7 +158,7 @@ class RawModel(NamedTuple):
 
 
 def without_paying_states(raw: RawModel, goals: IntArray) -> RawModel:
-    """Give outcomes the cost that is paid in a state of its own.
+    """Undo a raw model's states that only pay: their cost is that of the outcome before.
 
     Such a state has the label "paying", one action, "pay", and one certain successor; it is what
     :func:`exported` makes where the outcomes of an action differ in cost. What is counted until a
@@ -250,7 +250,7 @@ class ModelFile:
 
 
 def finished(raw: RawModel, goal: str, source: object) -> ModelFile:
-    """Make a model of a raw one whose goal states bear a label.
+    """Make a model of a raw model whose goal states bear a label.
 
     Actions of goal states are dropped, and of states with the label "deadlock" that no action
     leaves: they are dead-ends. States that only pay what an action has not paid are taken out.
@@ -265,8 +265,8 @@ def finished(raw: RawModel, goal: str, source: object) -> ModelFile:
     """
     goals = raw.labels.get(goal)
     if goals is None or not goals.size:
-        known = ", ".join(sorted(map(repr, raw.labels))) or "none"
-        raise ModelError(f"{source}: no state has the label {goal!r}; labels: {known}")
+        labels = ", ".join(sorted(map(repr, raw.labels))) or "none"
+        raise ModelError(f"{source}: no state has the label {goal!r}; labels: {labels}")
     raw = without_paying_states(raw, goals)
     goals = raw.labels[goal]
     own = {INITIAL, DEADLOCK, goal, *ENDS}
@@ -356,7 +356,7 @@ class Exported(NamedTuple):
 
 
 def exported(model: SSP, start: Hashable) -> Exported:
-    """Rewrite a model for another tool.
+    """Rewrite a model as a raw model for another tool's file.
 
     Args:
         model: the model.
@@ -435,7 +435,7 @@ def _split_costs(
 
 
 def _exported_words(names: Sequence[Hashable]) -> list[str]:
-    """Names as distinct words of letters, digits and a few signs."""
+    """Names in a raw model's file as distinct words of letters, digits and a few signs."""
     taken: set[str] = set()
     words = []
     for position, name in enumerate(names):
@@ -450,7 +450,7 @@ def _exported_words(names: Sequence[Hashable]) -> list[str]:
 def _exported_labels(
     model: SSP, start: Hashable, idle: IntArray, n_paying: int
 ) -> Mapping[str, IntArray]:
-    """The labels of the model, and those that the files give a meaning."""
+    """Labels of an exported raw model, and those that the files give a meaning."""
     if isinstance(start, Mapping):
         raise ModelError("such files begin in one state: name it, or add one that draws the start")
     goals = np.flatnonzero(model.goal_mask)
@@ -476,7 +476,7 @@ _MOST_DISTINCT = 100_000
 def decimal_sum(
     one: FloatArray, other: FloatArray, exact: Mapping[float, Fraction] | None = None
 ) -> FloatArray:
-    """Add two arrays of one shape, each number meaning its shortest decimal.
+    """Add two arrays of a raw model's costs, each number meaning its shortest decimal.
 
     Args:
         one: [numbers].
@@ -502,7 +502,7 @@ def decimal_sum(
 
 
 def _distinct_pairs(one: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
-    """The distinct pairs of finite numbers, sorted.
+    """Distinct pairs of a raw model's finite costs, sorted.
 
     Args:
         one: [numbers].

@@ -36,7 +36,7 @@ def test_steps_are_the_environments(name, grid, end):
             _, _, terminated, _, _ = other.step(action)
             assert np.allclose([part[k] for part in after], other.unwrapped.state)
             assert ends[k] == end * terminated
-    assert discretise(world, Samples(3, rng=0)).n_states == grid.n_cells + 3
+    assert discretise(world, Samples(3, seed=0)).n_states == grid.n_cells + 3
 
 
 @pytest.mark.parametrize(

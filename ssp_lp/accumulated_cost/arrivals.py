@@ -56,14 +56,14 @@ class ChainProspect:
 
     @classmethod
     def of(cls, chain: Chain) -> ChainProspect:
-        """The prospects of a live chain, by two linear solves."""
+        """Goal probability and E[cost; goal] to come at each node of a chain, by two solves."""
         alive = reaching_in_chain(chain, chain.goal > 0) & (chain.goal == 0)
         goal = chain.accumulate(chain.per_node(chain.goal[chain.target]), alive) + chain.goal
         paid = chain.per_node(goal[chain.target] * chain.cost)
         return cls(chain, alive, read_only(goal), read_only(chain.accumulate(paid, alive)))
 
     def exponential(self, rate: float) -> float:
-        """E[exp(rate * C); goal], rate <= 0: what a step's factor takes away counts as given up."""
+        """E[exp(rate * C); goal] of a chain, rate <= 0: a step's factor counts as giving up."""
         chain = self.chain
         lost = chain.per_node(-np.expm1(rate * chain.cost))
         tilted = replace(
@@ -93,7 +93,7 @@ class LiveChain:
 
     @classmethod
     def of(cls, prospects: Sequence[ChainProspect], weights: FloatArray) -> LiveChain:
-        """Live chains side by side, entered with the weights of a lottery."""
+        """The live chain, able to arrive, of a lottery's members side by side."""
         size = sum(int(p.alive.sum()) for p in prospects)
         first, start, ahead, moves = 0, np.zeros(size + 1), np.zeros((3, size + 1)), []
         for prospect, weight in zip(prospects, weights, strict=True):
@@ -178,14 +178,14 @@ class _LayerPower(NamedTuple):
     leaves: FloatArray  # [places] probability of having lost it
 
     def scaled(self) -> _LayerPower:
-        """The same power, where the probabilities of going on add up to what the exits leave."""
+        """A power of a layer's transition, its rows scaled to what the exits leave."""
         exits, total = self.lands + self.leaves, self.onward.sum(axis=1)
         stays = exits <= _MOSTLY_STAYS
         factor = np.divide(1.0 - exits, total, out=np.ones_like(exits), where=stays)
         return self._replace(onward=self.onward * factor[:, None])
 
     def doubled(self) -> _LayerPower:
-        """The power of twice as many layers."""
+        """A power of a layer's transition, squared: the step of twice as many layers."""
         lands = self.lands + self.onward @ self.lands
         leaves = self.leaves + self.onward @ self.leaves
         return _LayerPower(self.onward @ self.onward, lands, leaves).scaled()
@@ -340,7 +340,7 @@ class Arrivals:
         self._lists: tuple[Any, ...] = ()  # of what waits, and of moves, once loops are compiled
 
     def _begin(self, live: LiveChain, unit: Fraction, steps: IntArray, block: IntArray) -> None:
-        """Begin at total cost 0, nothing settled.
+        """Begin the sweep over arrivals at total cost 0, no layer settled.
 
         Args:
             live: the chain.
@@ -360,12 +360,12 @@ class Arrivals:
         self._masses: list[float] = []
 
     def cost_of(self, layers: IntArray) -> FloatArray:
-        """Total cost of whole layers, rounded once, like ``layers``."""
+        """Total cost of arriving in whole layers, rounded once, like ``layers``."""
         return totals_of(layers, self.unit)
 
     @property
     def frontier(self) -> float:
-        """The total cost from which on nothing is settled."""
+        """The total cost from which on arrivals are not settled yet."""
         return float(self.settled * self.unit)
 
     def atoms(self) -> tuple[IntArray, FloatArray]:
@@ -373,7 +373,7 @@ class Arrivals:
         return np.array(self._layers, dtype=self._number), np.array(self._masses, dtype=np.float64)
 
     def followed(self, enough: int | None = None) -> Iterator[int]:
-        """Settle twice as many layers each time, up to ``enough`` or to the end of the support.
+        """Settle arrivals in twice as many layers each time, up to ``enough`` or the support's end.
 
         Yields:
             How many layers are settled; at least once.
@@ -393,14 +393,14 @@ class Arrivals:
         return not self._occupied.any()
 
     def last_layer(self, bound: float | Fraction) -> int:
-        """The last layer of a total cost of at most a finite bound, decided in whole numbers."""
+        """The last layer of arrivals within a finite total cost, decided in whole numbers."""
         far = float(_LAST_LAYER * self.unit)
         if not isinstance(bound, Rational) and not 0.0 < bound < far:
             return 0 if bound == 0.0 else -1 if bound < 0.0 else _LAST_LAYER
         return min(max(last_layer(bound, self.unit), -1), _LAST_LAYER)
 
     def settle(self, layers: int) -> None:
-        """Settle all layers below the given number.
+        """Settle the arrivals of all layers below the given number.
 
         Raises:
             ModelError: this would take too long.
@@ -421,7 +421,7 @@ class Arrivals:
 
     @property
     def leaps(self) -> bool:
-        """Whether layers that are not settled can be asked for: the places are few.
+        """Whether arrivals in layers that are not settled can be asked for: the places are few.
 
         So it is after as much work of settling as the powers will take, and not before.
         """
@@ -430,13 +430,13 @@ class Arrivals:
         return few and self._work >= _WORK_OF_POWERS * size**3
 
     def arrived(self, layer: int) -> float:
-        """Pr(goal, C lies below the layer); the layer is settled, or :attr:`leaps`."""
+        """Mass that arrives below a layer, Pr(goal, C < layer); it is settled, or :attr:`leaps`."""
         layers, masses = self.atoms()
         arrived = float(masses[np.asarray(layers < layer, dtype=np.bool_)].sum())
         return arrived + self._ahead(layer)[0] if layer > self.settled and self.leaps else arrived
 
     def first_reaching(self, mass: float) -> int:
-        """The layer in which the arrivals reach a mass that the settled ones do not; where leaps.
+        """The layer in which arrivals reach a mass that the settled ones do not; where leaps.
 
         Raises:
             ModelError: there are more layers before it than can be counted.
@@ -448,7 +448,7 @@ class Arrivals:
         return self.settled + layers
 
     def remaining(self, layer: int | None = None) -> tuple[float, float]:
-        """Of the runs that arrive at a layer or later: Pr(goal), and E[C - that layer; goal].
+        """Arrivals in a layer or later: Pr(goal), and E[C - that layer; goal].
 
         Args:
             layer: the first that is not settled if left out; a later one where :attr:`leaps`.
@@ -465,20 +465,20 @@ class Arrivals:
 
     @cached_property
     def _powers(self) -> _LayerPowers:
-        """Of the transition of one layer, between the places where mass that will arrive waits."""
+        """Powers of one layer's transition between the places where mass waits to arrive."""
         return _LayerPowers(self._onward, self._live.lost, self._free)
 
     def _here(self) -> FloatArray:
-        """What waits before the first layer that is not settled, [places]."""
+        """Mass waiting to arrive before the first layer that is not settled, [places]."""
         rows = (self.settled + self._powers.delay) % self._width
         return np.asarray(self._waiting[rows * self._size + self._powers.node])
 
     def _ahead(self, layer: int) -> tuple[float, FloatArray]:
-        """What arrives from the settled layers to a later one, and what waits then, [places]."""
+        """Mass that arrives from the settled layers to a later one, and what waits, [places]."""
         return self._powers.after(self._here(), layer - self.settled)
 
     def _to_next(self) -> int | None:
-        """How many layers ahead the next one is at which mass may wait; None: there is none."""
+        """Number of layers ahead at which mass next waits to arrive; None: there is none."""
         row = self.settled % self._width
         for begin, part in ((0, self._occupied[row:]), (-row, self._occupied[:row])):
             first = int(np.argmax(part)) if part.size else 0
@@ -487,7 +487,7 @@ class Arrivals:
         return None
 
     def _settle_one(self) -> None:
-        """Settle one more layer: what arrives there is known."""
+        """Settle the arrivals of one more layer."""
         row, size = self.settled % self._width, self._size
         here = self._waiting[row * size : (row + 1) * size]
         visits = here[:-1].copy()
@@ -506,7 +506,7 @@ class Arrivals:
         self.settled += 1
 
     def _settle_together(self, layers: int) -> None:
-        """Settle several layers, none of which has moves that cost nothing, in compiled loops."""
+        """Settle arrivals of several layers without moves at no cost, in compiled loops."""
         from ssp_lp.compiled.layers import stream_layers
 
         if not self._lists:  # where mass waits, layer by layer of the ring
@@ -529,13 +529,13 @@ class Arrivals:
         self._count(int(followed) + layers * _WORK_OF_A_LAYER)
 
     def _count(self, work: int) -> None:
-        """Count what has been followed; ModelError where it is too much."""
+        """Count the moves followed for arrivals; ModelError where they are too many."""
         self._work += work
         if self._work > _MOST_WORK:
             raise ModelError(self._too_large("the answer lies too far out"))
 
     def _send(self, visits: FloatArray, active: IntArray, begin: int) -> None:
-        """Send visits on along the moves that pay or arrive, into the ring that begins here."""
+        """Send mass on to later arrivals along moves that pay or arrive, into the ring."""
         moves, waiting = self._onward, self._waiting
         if active.size >= _MOSTLY * visits.size:
             active = np.arange(visits.size)
@@ -573,7 +573,7 @@ class TooManySumsError(ModelError):
 
 
 class FollowedSums(Arrivals):
-    """The same in layers of a tiny unit, of which only those at which mass waits are looked at."""
+    """Arrivals in layers of a tiny unit, of which only those at which mass waits are looked at."""
 
     _number = object
     leaps = False
@@ -589,25 +589,25 @@ class FollowedSums(Arrivals):
         nodes = np.flatnonzero(live.start)
         self._pending: dict[int, list[tuple[IntArray, FloatArray]]] = {}
         self._next: list[int] = []
-        self._let_wait(0, nodes, live.start[nodes])
+        self._queue_mass(0, nodes, live.start[nodes])
 
     @property
     def exhausted(self) -> bool:
-        """Whether no sum is left to follow: every atom is known."""
+        """Whether no sum of costs is left to arrive at: every atom is known."""
         return not self._next
 
     def cost_of(self, layers: IntArray) -> FloatArray:
-        """Total cost of a followed sum, rounded once, like ``layers``."""
+        """Total cost of a followed sum at which mass arrives, rounded once, like ``layers``."""
         up, down = self.unit.numerator, self.unit.denominator
         totals = [int(layer) * up / down for layer in np.ravel(layers).tolist()]
         return np.array(totals, dtype=np.float64).reshape(np.shape(layers))
 
     def last_layer(self, bound: float | Fraction) -> int:
-        """The last sum of at most a bound, which may itself be a sum rounded otherwise."""
+        """The last followed sum of at most a bound, which may itself be a sum rounded otherwise."""
         return int(Fraction(bound) * (1 + Fraction(SAME_TOTAL) / 2) // self.unit)
 
     def settle(self, layers: int) -> None:
-        """Settle all sums below the given layer.
+        """Settle the arrivals at all sums of costs below the given layer.
 
         Raises:
             TooManySumsError: there are too many sums below it.
@@ -616,14 +616,14 @@ class FollowedSums(Arrivals):
         while self._next and self._next[0] < layers:
             check_time()
             self._followed += 1
-            if not self._are_few:
+            if not self._may_be_exhausted:
                 raise TooManySumsError(f"more than {self._followed:,} sums of costs can occur")
             self._settle_sum(heappop(self._next))
         self.settled = max(self.settled, layers)
 
     @property
-    def _are_few(self) -> bool:
-        """Whether there is hope that the sums come to an end of what is asked."""
+    def _may_be_exhausted(self) -> bool:
+        """Whether there is hope that the followed sums of costs come to an end."""
         if self._followed <= _EARLY:
             return self._followed <= self._most and len(self._units) <= _MOST_STEPS
         arrived = float(np.sum(self._masses)) + float(self._live.start[-1])
@@ -631,7 +631,7 @@ class FollowedSums(Arrivals):
         return self._followed <= self._most and arrived >= _SOME * goal
 
     def remaining(self, layer: int | None = None) -> tuple[float, float]:
-        """Of the runs that arrive at sums not settled: Pr(goal), and E[C - frontier; goal]."""
+        """Arrivals at sums not settled: Pr(goal), and E[C - frontier; goal]."""
         goal, cost, frontier = 0.0, 0.0, self.settled if layer is None else layer
         for begun, parts in self._pending.items():
             delay = float((begun - frontier) * self.unit)
@@ -642,7 +642,7 @@ class FollowedSums(Arrivals):
         return goal, cost
 
     def _settle_sum(self, layer: int) -> None:
-        """Settle the least sum that is still followed."""
+        """Settle the arrivals at the least sum that is still followed."""
         parts = self._pending.pop(layer)
         nodes = np.concatenate([part[0] for part in parts])
         masses = np.concatenate([part[1] for part in parts])
@@ -659,10 +659,10 @@ class FollowedSums(Arrivals):
         step, target = np.divmod(moves.indices.astype(np.int64), self._size)
         for one in np.unique(step).tolist():
             chosen, ahead = step == one, layer + self._units[one]
-            self._let_wait(ahead, target[chosen], share[chosen])
+            self._queue_mass(ahead, target[chosen], share[chosen])
 
-    def _let_wait(self, layer: int, nodes: IntArray, masses: FloatArray) -> None:
-        """Let mass wait for the sums that steps make of its own."""
+    def _queue_mass(self, layer: int, nodes: IntArray, masses: FloatArray) -> None:
+        """Let mass wait to arrive at the sums that steps make of its own."""
         if layer not in self._pending:
             self._pending[layer] = []
             heappush(self._next, layer)

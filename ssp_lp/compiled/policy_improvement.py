@@ -27,7 +27,7 @@ def improve_components(
     rows: Rows, order: Array, components: Array, most: int, cost: Array, noise: float, tied: float,
     choice: Array, values: Array,
 ) -> int:  # fmt: skip
-    """Least values of a process with small components, each solved once and for all, ends first.
+    """Compiled policy improvement, component by component, ends first: least values.
 
     A component of one state takes its best pair; in a larger one Howard's rounds start from the
     given policy, which leaves it.
@@ -74,7 +74,7 @@ def improve_acyclic(
     rows: Rows, order: Array, rewards: Array, weights: Array, keeps: bool, epsilon: float,
     choice: Array, x: Array, runs: Array, missed: Array,
 ) -> bool:  # fmt: skip
-    """The best pairs of a process without cycles, or those it keeps, and their totals in one pass.
+    """Compiled policy improvement in one pass over a process without cycles; all totals.
 
     The rounding of each total is summed beside it (a running error analysis, Higham 2002).
 
@@ -144,7 +144,7 @@ def improve_component(
     rows: Rows, states: Array, place: Array, cost: Array, noise: float, floor: float, rounds: int,
     choice: Array, values: Array, inner: Array, low: Array, leaving: Array, right: Array,
 ) -> tuple[int, bool]:  # fmt: skip
-    """Howard's rounds within one component, in place; a policy that does not leave is taken back.
+    """Compiled policy improvement within a component by Howard's rounds, in place.
 
     Returns:
         How often a pair was changed, and whether all policies left.
@@ -188,7 +188,7 @@ def improve_component(
 def _best_pair(
     rows: Rows, cost: Array, values: Array, s: int, held: int, tied: float
 ) -> tuple[int, float, float, float]:
-    """The first of a state's best pairs, the least value, the held pair's, and what it sums."""
+    """Compiled: a state's first best pair, for policy improvement, and the least value."""
     offsets, indptr, indices, data, exits = rows
     pick, least, kept, size, below = held, np.inf, np.inf, 0.0, np.inf
     for pair in range(offsets[s], offsets[s + np.uint32(1)]):
@@ -215,7 +215,7 @@ def improve_blocks(
     cost: Array, noise: float, floor: float, entering: Array, entering_offsets: Array, owner: Array,
     choice: Array, values: Array, stale: Array,
 ) -> int:  # fmt: skip
-    """Improve a policy block by block, in place, at the latest values of all that lies around.
+    """Compiled policy improvement block by block, in place, at the latest values around.
 
     A block is solved exactly and improved by Howard's rounds until none of its states changes.
     Blocks without a stale state, one that leads to values that are newer than its own, are passed
@@ -281,7 +281,7 @@ def improve_blocks(
 def _mark_entering(
     entering: Array, entering_offsets: Array, owner: Array, s: int, stale: Array
 ) -> None:
-    """Mark states to be improved again, as a successor's value has changed."""
+    """Compiled: mark states for policy improvement again, as a successor's value has changed."""
     for k in range(entering_offsets[s], entering_offsets[s + np.uint32(1)]):
         stale[owner[entering[k]]] = True
 
@@ -290,7 +290,7 @@ def _mark_entering(
 def improve_states(
     rows: Rows, order: Array, cost: Array, noise: float, floor: float, choice: Array, values: Array
 ) -> int:
-    """Back up each state in turn, in place; it changes its pair only for a gain above the noise.
+    """Compiled policy improvement, state by state: pairs change for gains above the noise.
 
     Args:
         rows: of the process.
@@ -329,7 +329,7 @@ def improve_states(
 def sweep_reach(
     rows: Rows, order: Array, wanted: Array, epsilon: float, up: bool, choice: Array, values: Array
 ) -> float:
-    """Back up greatest probabilities of leaving as is wanted, in turn, in place, rounded.
+    """Compiled policy improvement of the greatest probabilities of leaving, state by state.
 
     Rounded down they only rise, and a state that rises takes the pair that it rises by; rounded up
     they are at most 1, and the choice stays.
@@ -370,7 +370,7 @@ def sweep_reach(
 def follow_reach(
     rows: Rows, order: Array, wanted: Array, epsilon: float, choice: Array, values: Array
 ) -> None:
-    """The same along the chosen pairs alone, rounded down."""
+    """Compiled: probabilities of leaving along the chosen pairs, state by state, rounded down."""
     _, indptr, indices, data, _ = rows
     for s in order:
         pair = choice[s]
@@ -387,7 +387,7 @@ def take_first_of_equals(
     rows: Rows, rewards: Array, totals: Array, slack: Array, runs: Array, nearer: float,
     choice: Array,
 ) -> None:  # fmt: skip
-    """Change to the first pair of each state that keeps to the equations of all totals.
+    """Compiled: change a policy to each state's first pair that keeps all totals' equations.
 
     Args:
         rows: of the process.
@@ -420,7 +420,7 @@ def take_first_of_equals(
 
 @njit(cache=True)
 def _ahead(rows: Rows, values: Array, pair: Any) -> float:
-    """The expected value after a pair."""
+    """Compiled: expected value after a pair, in policy improvement."""
     _, indptr, indices, data, _ = rows
     ahead = 0.0
     for k in range(indptr[pair], indptr[pair + np.uint32(1)]):

@@ -31,13 +31,13 @@ from ssp_lp.model import SSP
 
 
 def uniform_cost(model: SSP) -> float | None:
-    """The cost of every outcome, where it was given as one number; else None."""
+    """The cost of every outcome in the rows, where it was given as one number; else None."""
     same = model.n_outcomes > 0 and model.costs.strides == (0,)
     return float(model.costs[0]) if same else None
 
 
 def successor_means(model: SSP, values: FloatArray | BoolArray) -> FloatArray:
-    """E[value of the successor] under each pair, [pairs].
+    """Row by row of the model, E[value of the successor] under each pair, [pairs].
 
     Args:
         values: [states], finite.
@@ -50,7 +50,7 @@ def successor_means(model: SSP, values: FloatArray | BoolArray) -> FloatArray:
             (model.probabilities, model.successors, narrow(model.outcome_offsets)), shape=shape
         )
         return np.asarray(matrix @ values)
-    from ssp_lp.compiled import rows as compiled
+    from ssp_lp.compiled import matrix_rows as compiled
 
     every, result = np.arange(model.n_pairs, dtype=np.uint32), np.empty(model.n_pairs)
     offsets, successors = model.outcome_offsets.view(np.uint64), model.successors.view(np.uint32)
@@ -60,7 +60,7 @@ def successor_means(model: SSP, values: FloatArray | BoolArray) -> FloatArray:
 
 
 def cost_means(model: SSP, weights: FloatArray | BoolArray | None = None) -> FloatArray:
-    """E[stage cost * weight of the successor] under each pair, [pairs].
+    """Row by row of the model, E[stage cost * weight of the successor] of each pair, [pairs].
 
     Args:
         weights: [states]; 1 everywhere if left out: the expected stage cost E[g(x, u, w)].
@@ -83,7 +83,7 @@ def cost_means(model: SSP, weights: FloatArray | BoolArray | None = None) -> Flo
 
 
 def costless_pairs(model: SSP, weights: FloatArray | BoolArray | None = None) -> BoolArray:
-    """Pairs whose every possible outcome costs nothing, [pairs].
+    """Pairs in whose row every possible outcome costs nothing, [pairs].
 
     Args:
         weights: factor of the costs by successor, [states]; 1 everywhere if left out.
@@ -105,7 +105,7 @@ _NOWHERE = np.zeros(0, dtype=np.int32)
 
 @dataclass(frozen=True, eq=False)
 class RowChoice:
-    """Which outcomes make up the rows of a process, and in which columns they go."""
+    """Outcomes that make up the rows of a process, and the columns in which they go."""
 
     model: SSP
     node_of: IntArray  # [states] int32 node, -1 where the process ends
@@ -125,7 +125,7 @@ class LiveRows(NamedTuple):
 
 
 def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
-    """Probabilities of going from each row's pair to each node.
+    """Live rows: probabilities of going from each row's pair to each node.
 
     Where a home is given, rows are seen on departing only: waiting in place changes no total but
     divides everything else by the probability of departing. That is summed from what leaves,
@@ -145,7 +145,7 @@ def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
 
 
 def shared_live_rows(rows: RowChoice, survival: float = 1.0) -> SparseRows:
-    """The matrix of live rows alone, with each probability once where rows repeat each other.
+    """The matrix of live rows, each probability once where rows repeat each other.
 
     Args:
         rows: the rows.
@@ -157,7 +157,7 @@ def shared_live_rows(rows: RowChoice, survival: float = 1.0) -> SparseRows:
     bounds, entries = _row_bounds(rows, counts), int(counts.sum())
     if entries < _WORTH_SHARING:
         return _filled_rows(rows, survival, departs, bounds)
-    from ssp_lp.compiled.rows import share_rows
+    from ssp_lp.compiled.matrix_rows import share_rows
 
     n_rows, n_outcomes = len(rows.pair_at), rows.model.n_outcomes
     indices = np.empty(entries, dtype=bounds.dtype)
@@ -177,7 +177,7 @@ def shared_live_rows(rows: RowChoice, survival: float = 1.0) -> SparseRows:
 
 
 def _row_bounds(rows: RowChoice, counts: IntArray) -> IntArray:
-    """Where the entries of each row begin, and the end, [rows + 1]."""
+    """Offsets of the entries of each live row, and the end, [rows + 1]."""
     bounds = offsets_of(counts)
     small = max(int(bounds[-1]), rows.width * rows.n_nodes) < 2**31
     return bounds.astype(np.int32) if small else bounds
@@ -192,8 +192,8 @@ def _fill_compiled(
     indices: IntArray,
     data: FloatArray,
 ) -> None:
-    """Write columns and probabilities of some rows, whose entries lie at the bounds."""
-    from ssp_lp.compiled.rows import fill_rows
+    """Write columns and probabilities of some live rows, at given bounds, in compiled loops."""
+    from ssp_lp.compiled.matrix_rows import fill_rows
 
     model, home = rows.model, _row_array(rows.home)
     fill_rows(
@@ -206,7 +206,7 @@ def _fill_compiled(
 def _filled_rows(
     rows: RowChoice, survival: float, departs: FloatArray, bounds: IntArray
 ) -> sp.csr_array:
-    """The rows that were counted, each entry's probability beside its column."""
+    """The live rows that were counted, each entry's probability beside its column."""
     n_rows, n_columns = len(rows.pair_at), rows.width * rows.n_nodes
     indices, data = np.empty(int(bounds[-1]), dtype=bounds.dtype), np.empty(int(bounds[-1]))
     for some in pieces(n_rows, rows.model.n_outcomes):
@@ -217,7 +217,7 @@ def _filled_rows(
 
 def _count_live(rows: RowChoice) -> tuple[IntArray, FloatArray, FloatArray]:
     """Entries of each live row, its probability of departing, and what ends there, [rows] each."""
-    from ssp_lp.compiled.rows import count_rows
+    from ssp_lp.compiled.matrix_rows import count_rows
 
     n_rows, model, home = len(rows.pair_at), rows.model, _row_array(rows.home)
     counts, departs, leaks = np.zeros(n_rows, dtype=np.int32), np.ones(n_rows), np.ones(n_rows)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from ssp_lp.accumulated_cost.arrivals import ChainProspect
 from ssp_lp.accumulated_cost.cost_law import CostLaw
-from ssp_lp.accumulated_cost.law import ChainProspect
 from ssp_lp.accumulated_cost.policy_layers import chains_of_law
 from ssp_lp.arrays import FloatArray
 from ssp_lp.policies.chain import Chain
@@ -15,7 +15,7 @@ from ssp_lp.processes.failure_semantics import FailureSemantics, start_distribut
 
 
 def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> CostLaw:
-    """The law of the total cost of a policy on the runs that reach the goal.
+    """The law of a policy's total cost on the runs that reach the goal.
 
     Costs and probabilities are undiscounted, whatever the problem's discount. The law of a lottery
     is the mixture of its members' laws, so that a quantile is the mixture's, never a mean of the
@@ -46,7 +46,7 @@ def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Co
 
 
 def measured_costs(policy: MixedPolicy, problem: Problem) -> CostLaw:
-    """The law that a problem's measure goes by: of costs as the policy's members count them.
+    """The cost law that a problem's measure goes by: of costs as the policy's members count them.
 
     Members may round costs up. A measure that is one of the totals goes by costs as they are paid,
     where such a law is soon followed.
@@ -60,14 +60,14 @@ def measured_costs(policy: MixedPolicy, problem: Problem) -> CostLaw:
 def measured_law(
     chains: Iterable[tuple[Chain, Chain]], weights: FloatArray, semantics: FailureSemantics
 ) -> CostLaw:
-    """The law of :func:`measured_costs` from its members' chains, as :func:`law_of_chains`."""
+    """The cost law of :func:`measured_costs` from its members' chains, as :func:`law_of_chains`."""
     if semantics.risk is not None and semantics.risk.is_a_total:
         return law_of_chains(chains, weights)
     return law_of_chains(((counted, counted) for _, counted in chains), weights)
 
 
 def law_of_chains(chains: Iterable[tuple[Chain, Chain]], weights: FloatArray) -> CostLaw:
-    """The law of a lottery from its members' chains.
+    """The cost law of a lottery from its members' chains.
 
     Args:
         chains: of the members, as costs are paid and as the members count them.

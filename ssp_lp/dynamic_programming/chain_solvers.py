@@ -86,12 +86,12 @@ class LargeComponent:
 
     @property
     def is_solved_reward_by_reward(self) -> bool:
-        """Whether a Krylov method took the rewards one after the other, and long for each."""
+        """Whether the component's Krylov solver took long for each reward by itself."""
         return self._iteration.dearest > _DEAR
 
     @cached_property
     def direct_work(self) -> float:
-        """About the multiplications of a direct solution: as a band, or by sparse factors."""
+        """Multiplications of a direct solver of the component, as a band or by sparse factors."""
         size = len(self._states)
         if not self._is_compiled:
             return float(size) * self._band[1] ** 2
@@ -104,7 +104,7 @@ class LargeComponent:
 
     @cached_property
     def _band(self) -> tuple[IntArray, int]:
-        """An order in which the component is narrow, and how far moves lead in it at most."""
+        """An order in which the large component is a narrow band, and how wide."""
         order = csgraph.reverse_cuthill_mckee(self._own, symmetric_mode=False)
         place = np.empty(len(order), dtype=np.int64)
         place[order] = np.arange(len(order))
@@ -112,7 +112,7 @@ class LargeComponent:
         return order, int(np.abs(place[entry.row] - place[entry.col]).max(initial=0))
 
     def solve(self, rewards: FloatArray, x: FloatArray, accuracy: float) -> int:
-        """Solve for the members in place, given the totals of all that they lead to.
+        """Solve a large component's equations, in place, given the totals of all it leads to.
 
         Args:
             rewards: of the whole chain, [states, rewards].
@@ -132,7 +132,7 @@ class LargeComponent:
         return max(self._iteration.products - before, 1)
 
     def reduce(self, rewards: FloatArray, x: FloatArray) -> None:
-        """The same as ``solve`` without any subtraction: for chains that are hardly left.
+        """Solve a large component's equations by reduction without any subtraction.
 
         Raises:
             SolverError: the component is not narrow enough, or numba is missing.
@@ -147,7 +147,7 @@ class LargeComponent:
         x[self._states] = band_solver(self._own, exits, order, width)(right)
 
     def _gathered(self, exits: FloatArray) -> tuple[sp.csr_array, FloatArray, FloatArray]:
-        """Moves among members divided by the probability of departing, that, and what leaves."""
+        """Matrix of a large component for its solver: moves by departing, that, and what leaves."""
         size, states = len(self._states), self._states
         if not self._is_compiled:
             rows = self._chain[states]
@@ -171,11 +171,11 @@ class LargeComponent:
 
     @property
     def _arrays(self) -> tuple[IntArray, IntArray, FloatArray]:
-        """The chain's arrays, as compiled sweeps of a large component read them."""
+        """The chain's arrays as the compiled solvers of a large component read them."""
         return unsigned(self._chain.indptr), unsigned(self._chain.indices), self._chain.data
 
     def _right(self, rewards: FloatArray, x: FloatArray) -> FloatArray:
-        """Rewards of the members and what lies beyond, on departing, [members, rewards]."""
+        """Right side for a component's solver, on departing, [members, rewards]."""
         if not self._is_compiled:
             outside = np.where((self._place < 0)[:, None], x, 0.0)
             beyond = rewards[self._states] + self._chain[self._states] @ outside
@@ -188,7 +188,7 @@ class LargeComponent:
         return right
 
     def _direct_solver(self) -> Solver:
-        """The component reduced as a band where it is narrow, else its sparse factors."""
+        """Direct solver of the component: reduced as a band if narrow, else sparse factors."""
         exits = self._leaving / self._departs
         if self.direct_work <= _BAND_WORK:
             order, width = self._band
@@ -218,13 +218,13 @@ class Iteration:
 
     @property
     def _passes_left(self) -> int:
-        """How many more passes take less, with those before, than a direct solution."""
+        """Passes that an iterative solver has left before a direct one would have been cheaper."""
         work = self._direct_work()
         most = work / (_ENTRY * max(self.own.nnz, 1)) if work > _LITTLE_WORK else 0.0
         return max(int(most) - self.products, 0)
 
     def solve(self, right: FloatArray, y: FloatArray, accuracy: float) -> bool:
-        """Solve in place by what converges; false where a direct solution takes less.
+        """Solve in place by the iterative solver that converges; false: a direct one takes less.
 
         Args:
             right: [members, rewards].
@@ -247,11 +247,11 @@ class Iteration:
 
     @cached_property
     def _own_arrays(self) -> tuple[IntArray, IntArray, FloatArray]:
-        """The arrays of the matrix, as compiled sweeps read them."""
+        """The arrays of the matrix, as the iterative solver's compiled sweeps read them."""
         return unsigned(self.own.indptr), unsigned(self.own.indices), self.own.data
 
     def _sweep(self, right: FloatArray, y: FloatArray) -> tuple[float, float]:
-        """One sweep in place: the greatest change and the greatest size."""
+        """One sweep of the iterative solver, in place: greatest change and greatest size."""
         check_time()
         self.products += 1
         if self._is_compiled:
@@ -264,7 +264,7 @@ class Iteration:
         return change, float(np.abs(ahead).max())
 
     def _swept(self, right: FloatArray, y: FloatArray, target: float) -> bool:
-        """Sweep while it contracts well; whether that reached the target."""
+        """Sweeps of the iterative solver while they contract well; whether the target is met."""
         changes: list[float] = []
         most = float(np.abs(right).max())
         while len(changes) <= _SWEEPS:
@@ -281,7 +281,7 @@ class Iteration:
         return False
 
     def _by_krylov(self, right: FloatArray, y: FloatArray, target: float) -> bool:
-        """BiCGStab on each reward; whether all reached the target, or what must do."""
+        """BiCGStab, the iterative solver for each reward; whether all met the target."""
         for j in range(right.shape[1]):
             before = self.products
             column, wanted = np.ascontiguousarray(y[:, j]), np.ascontiguousarray(right[:, j])
@@ -293,7 +293,7 @@ class Iteration:
         return True
 
     def _krylov(self, right: FloatArray, y: FloatArray, target: float) -> float:
-        """The same for one reward, in place; the relative change of one more sweep."""
+        """BiCGStab on one reward, in place; the relative change of one more sweep."""
         kept, before = y.copy(), np.inf
         for attempt in range(_RESTARTS + 1):
             swept = y.copy()
@@ -315,7 +315,7 @@ class Iteration:
         return np.inf
 
     def _step(self, residual: FloatArray, target: float) -> FloatArray:
-        """What BiCGStab adds until the residual is at most the target, [members]."""
+        """Correction of the iterative solver BiCGStab to a residual of at most the target."""
         most = min(_KRYLOV_STEPS, self._passes_left // 2 + 1)
         if self._is_compiled:
             from ssp_lp.compiled.equations import bicgstab, start_bicgstab
@@ -394,9 +394,9 @@ def factor_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray | Non
     def solve(right: FloatArray) -> FloatArray:
         """The totals of a right side, refined once, like ``right``."""
         ordered = right if order is None else right[order]
-        found = factors.solve(ordered)
-        found = found + factors.solve(ordered - system @ found)
-        return _solved_in_place(found, order)
+        solution = factors.solve(ordered)
+        solution = solution + factors.solve(ordered - system @ solution)
+        return _solved_in_place(solution, order)
 
     return solve
 
@@ -436,7 +436,7 @@ def band_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray, width:
 
 
 def _solved_in_place(ordered: FloatArray, order: IntArray | None) -> FloatArray:
-    """What was worked out in some order, in the order of the states."""
+    """A solver's results in the order of the states, from that in which it worked."""
     if order is None:
         return np.asarray(ordered)
     result = np.empty_like(ordered)
@@ -471,7 +471,7 @@ def departures(
 def equations(
     matrix: sp.csr_array, exits: FloatArray, order: IntArray | None = None
 ) -> sp.csc_array:
-    """Equations of a direct solver: ``I - chain``, its diagonal a sum of where states depart to.
+    """Matrix of a direct solver: ``I - chain``, its diagonal summed from what departs.
 
     Args:
         matrix: [states, states].
@@ -504,19 +504,19 @@ def factorised(system: sp.csc_array, *, in_order: bool = False) -> linalg.SuperL
     """
     order = "NATURAL" if in_order else "MMD_AT_PLUS_A"
     try:
-        found: linalg.SuperLU = linalg.splu(
+        factors: linalg.SuperLU = linalg.splu(
             system,  # type: ignore[call-overload]
             permc_spec=order,
             diag_pivot_thresh=0.0,  # diagonally dominant by rows: no pivot is needed
             options={"SymmetricMode": not in_order},  # fill in as the order foresees
         )
-        return found
+        return factors
     except RuntimeError as error:
         raise SolverError(HOLDS_MASS) from error
 
 
 def reduce_states(inner: FloatArray, leaving: FloatArray, rewards: FloatArray) -> FloatArray:
-    """Expected total rewards of a chain, with every entry's relative accuracy where they are >= 0.
+    """Direct solver by state reduction: totals with relative accuracy in every entry.
 
     Grassmann, Taksar and Heyman (1985): a state is taken out by sending what would enter it to
     where it goes next; the probability of departing is summed, never formed as 1 - p.

@@ -47,22 +47,22 @@ class ExplicitProcess:
 
     @property
     def n_states(self) -> int:
-        """Number of states of the process."""
+        """Number of states of the explicit process."""
         return len(self.pair_offsets) - 1
 
     @property
     def n_pairs(self) -> int:
-        """Number of pairs of the process."""
+        """Number of pairs of the explicit process."""
         return len(self.cost)
 
     @cached_property
     def dynamics(self) -> Dynamics:
-        """What the process does, whatever it costs."""
+        """Dynamics of the explicit process, whatever it costs."""
         return Dynamics(self.pair_offsets, self.transitions, self.goal + self.failure)
 
     @cached_property
     def pair_state(self) -> IntArray:
-        """The state of each pair, [pairs]."""
+        """The state of each pair of the explicit process, [pairs]."""
         return np.repeat(np.arange(self.n_states), np.diff(self.pair_offsets))
 
 
@@ -76,13 +76,13 @@ class Contraction:
     inside: BoolArray  # [pairs] of the process: pairs that stay in a component
 
     def least(self, values: FloatArray) -> FloatArray:
-        """Least value over the states of each node, [nodes]."""
+        """Least value over the explicit states of each contracted node, [nodes]."""
         result = np.full(self.dynamics.n_states, np.inf)
         np.minimum.at(result, self.node_of, values)
         return result
 
     def begun(self, process: ExplicitProcess, choice: IntArray) -> IntArray:
-        """A policy that leaves the contracted process, from one that leaves the process, [nodes].
+        """A policy that leaves the contraction, from one that leaves the explicit process, [nodes].
 
         Each node takes the pair of its state that is nearest to leaving, in number of steps: that
         pair leads out of the node, to a node that is nearer.
@@ -101,7 +101,7 @@ class Contraction:
         return place[choice[order[first]]]
 
     def expanded(self, process: ExplicitProcess, choice: IntArray) -> IntArray:
-        """The policy on the process that moves about for free to the pairs chosen, [states].
+        """Policy on the explicit process that moves for free to the pairs chosen, [states].
 
         Args:
             process: the process.
@@ -121,7 +121,7 @@ def bound_of(
     floor: float = 0.0,
     choice: IntArray | None = None,
 ) -> DualBound:
-    """A checked sub-solution of a process, proved on its contraction.
+    """Checked sub-solution of an explicit process, proved on its contraction.
 
     Args:
         process: the process.
@@ -141,12 +141,12 @@ def bound_of(
     if smaller is None:
         return dual_bound(process.dynamics, pair_cost, values, floor, choice)
     kept, least = pair_cost[smaller.pairs], smaller.least(values)
-    found = dual_bound(smaller.dynamics, kept, least, floor)
-    return DualBound(found.values[smaller.node_of], found.low[smaller.node_of])
+    bound = dual_bound(smaller.dynamics, kept, least, floor)
+    return DualBound(bound.values[smaller.node_of], bound.low[smaller.node_of])
 
 
 def contract(process: ExplicitProcess, free: BoolArray) -> Contraction | None:
-    """Contract the end components of pairs that cost nothing.
+    """Contract the end components of an explicit process's pairs that cost nothing.
 
     Args:
         process: the process.
@@ -195,7 +195,7 @@ class PricedMinimum:
     excess: FloatArray  # [pairs] reduced costs: what each costs more than the best of its state
 
     def without_noise(self, visits: FloatArray) -> FloatArray:
-        """A solver's visits without those of pairs that are not optimal, [pairs].
+        """Visits of an explicit process without those of pairs that are not optimal, [pairs].
 
         An interior point gives a little to every pair.
         """
@@ -205,7 +205,7 @@ class PricedMinimum:
 
 
 def priced_minimum(process: ExplicitProcess, pair_cost: FloatArray) -> PricedMinimum:
-    """Minimise a cost over all policies.
+    """Minimise a cost over all policies of an explicit process.
 
     Cycles that cost nothing are contracted first: rounding would find policies that stay there.
 

@@ -23,7 +23,7 @@ class ByName(dict[str, _Value]):
 
 
 def text_table(rows: Iterable[Sequence[str]], left: int = 1) -> list[str]:
-    """Rows of text in columns as wide as what they hold, the first ``left`` of them flush left."""
+    """A text table of rows in aligned columns, the first ``left`` of them flush left."""
     table = [*rows]
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     return [
@@ -37,14 +37,14 @@ class Summarised:
 
     @abstractmethod
     def summary(self) -> str:
-        """The answer as text, perhaps in columns."""
+        """Summary of an object as text, perhaps in a table."""
 
     def __str__(self) -> str:
         """The summary."""
         return self.summary()
 
     def _repr_html_(self) -> str:
-        """The summary, for notebooks: text in columns as it stands, escaped."""
+        """Summary for notebooks: text in a table as it stands, escaped."""
         return html_text(self.summary())
 
 
@@ -67,7 +67,7 @@ class Reported:
 def html_table(
     title: str, rows: Iterable[Sequence[str]], head: Sequence[str] = (), notes: Iterable[str] = ()
 ) -> str:
-    """Rows of text as an HTML table under a title, with notes below it, escaped."""
+    """An HTML table of rows of text under a title, with notes below it, escaped."""
     lines = [f'<caption style="white-space: nowrap">{escape(title)}</caption>']
     tagged = [(head, "th")] if head else []
     for cells, tag in [*tagged, *((row, "td") for row in rows)]:
@@ -78,5 +78,5 @@ def html_table(
 
 
 def html_text(text: str) -> str:
-    """Text in columns as it stands, escaped."""
+    """Text in a table as it stands, escaped for HTML."""
     return f'<pre style="line-height: 1.2">{escape(text)}</pre>'

@@ -9,7 +9,7 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray
 from ssp_lp.linear_programming.linear_program import LinearProgram
-from ssp_lp.model.naming import text_table
+from ssp_lp.model.text_tables import text_table
 
 _WIDEST = 100  # characters of a table that can be read
 _MOST = 12  # columns, and as many rows
@@ -18,12 +18,12 @@ _RELATIONS = {"=": "=", "<=": r"\le"}
 
 
 def is_small(program: LinearProgram) -> bool:
-    """Whether a program can be read in full."""
+    """Whether a linear program is small enough to be printed in full."""
     return max(program.matrix.shape) <= _MOST
 
 
 def as_table(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]) -> list[str]:
-    """A line for each column, what the objective and each row take of it; then the bounds.
+    """A linear program printed in full: a line for each column, then the bounds.
 
     Nothing where that is wider than a page.
 
@@ -42,7 +42,7 @@ def as_table(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]
 
 
 def as_latex(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]) -> str:
-    """LaTeX: the objective and each row as sums over the columns that they take.
+    """A linear program in full in LaTeX: objective and rows as sums over their columns.
 
     Args:
         program: the program.
@@ -60,7 +60,7 @@ def as_latex(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]
 
 
 def words_as_latex(verb: str, aim: str, rows: Iterable[tuple[str, str]]) -> str:
-    """LaTeX of a program told in words, in which ``<cost, x>`` is a product.
+    """A linear program told in words, in LaTeX, ``<cost, x>`` being a product.
 
     Args:
         verb: minimise or maximise.
@@ -73,32 +73,32 @@ def words_as_latex(verb: str, aim: str, rows: Iterable[tuple[str, str]]) -> str:
 
 
 def _products(words: str) -> str:
-    """Words of a row in LaTeX."""
+    """Words of a linear program's row in LaTeX."""
     text = re.sub(r"<(.*?), x>", r"\\langle \\text{\1}, x \\rangle", _latex_text(words))
     return text.replace(" <= ", r" \le ").replace("= start", r"= \text{start}")
 
 
 def _aligned(lines: list[str]) -> str:
-    """Lines of an equation."""
+    """Lines of a linear program's equations in LaTeX, aligned."""
     body = " \\\\\n".join(lines)
     return f"\\begin{{aligned}}\n{body}\n\\end{{aligned}}"
 
 
 def _latex_text(text: str) -> str:
-    """Text for LaTeX, what has a meaning there escaped."""
+    """Text for a program in LaTeX, special characters escaped."""
     escaped = re.sub(r"([#$%&_{}])", r"\\\1", text.replace("\\", "/"))
     return re.sub(r"([~^])", r"\\\1{}", escaped)
 
 
 def _sides(program: LinearProgram) -> Iterator[tuple[str, float]]:
-    """How each row is bounded."""
+    """Bounds of each row of a program printed in full."""
     equal = program.equality
     for k, bound in enumerate(program.upper.tolist()):
         yield "=" if equal[k] else "<=", bound
 
 
 def _sum_of(taken: FloatArray, columns: Sequence[str]) -> str:
-    """A sum over columns, in LaTeX."""
+    """A row of a program in LaTeX as a sum over columns."""
     text = ""
     for k in np.flatnonzero(taken).tolist():
         sign, size = ("-" if taken[k] < 0.0 else "+"), abs(float(taken[k]))

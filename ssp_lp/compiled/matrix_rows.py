@@ -17,7 +17,7 @@ def count_rows(
     outcome_offsets: Array, successors: Array, probabilities: Array, node_of: Array, pair_at: Array,
     home: Array, counts: Array, departs: Array, leaks: Array,
 ) -> None:  # fmt: skip
-    """Entries of each row, the mass that departs where waiting is left out, what ends there."""
+    """Compiled: count the entries of live rows, the mass that departs, and what ends there."""
     departing = home.size > 0
     for row in range(pair_at.size):
         entries, loops, leak, away = 0, 0, 0.0, 0.0
@@ -49,7 +49,7 @@ def fill_rows(
     n_nodes: int, pair_at: Array, home: Array, departs: Array, survival: float, indptr: Array,
     indices: Array, data: Array,
 ) -> None:  # fmt: skip
-    """Columns and probabilities of the entries that ``count_rows`` counted."""
+    """Compiled: columns and probabilities of the rows' entries that ``count_rows`` counted."""
     departing, layered = home.size > 0, ahead.size > 0
     for row in range(pair_at.size):
         place, end = indptr[row], indptr[row + 1]
@@ -80,7 +80,7 @@ def fill_rows(
 def share_rows(
     indptr: Array, numbers: Array, begins: Array, data: Array, slots: Array, used: int
 ) -> int:
-    """Keep the numbers of the rows that differ, and say where those of each row are.
+    """Compiled: keep the numbers of the rows that differ, and say where those of each row are.
 
     Args:
         indptr: where each row's numbers lie, [rows + 1].
@@ -94,7 +94,7 @@ def share_rows(
     Returns:
         How many of the data are used now; -1 where there is no room for more.
     """
-    bits, known = numbers.view(np.uint64), data.view(np.uint64)
+    bits, shared = numbers.view(np.uint64), data.view(np.uint64)
     for row in range(begins.size):
         first, length = np.int64(indptr[row]), np.int64(indptr[row + 1]) - np.int64(indptr[row])
         mixed = np.uint64(length)
@@ -105,7 +105,7 @@ def share_rows(
         while slots[slot] >= 0:
             begin, same = slots[slot], 0
             if begin + length <= used:
-                while same < length and known[begin + same] == bits[first + same]:
+                while same < length and shared[begin + same] == bits[first + same]:
                     same += 1
             if same == length:
                 break
@@ -125,7 +125,7 @@ def row_product(
     choice: Array, indptr: Array, begins: Array, indices: Array, data: Array, x: Array,
     result: Array,
 ) -> None:  # fmt: skip
-    """Chosen rows of a matrix times one vector."""
+    """Compiled: chosen rows of a matrix times one vector."""
     for s in prange(choice.size):
         row = choice[s]
         total, first, begin = 0.0, indptr[row], begins[row]
@@ -139,7 +139,7 @@ def row_products(
     choice: Array, indptr: Array, begins: Array, indices: Array, data: Array, x: Array,
     result: Array,
 ) -> None:  # fmt: skip
-    """Chosen rows times several vectors, [states, vectors]."""
+    """Compiled: chosen rows of a matrix times several vectors, [states, vectors]."""
     for s in prange(choice.size):
         first, begin = indptr[choice[s]], begins[choice[s]]
         result[s] = 0.0
@@ -154,7 +154,7 @@ def copy_rows(
     choice: Array, indptr: Array, begins: Array, indices: Array, data: Array, own_indptr: Array,
     own_indices: Array, own_data: Array,
 ) -> None:  # fmt: skip
-    """Copy the chosen rows one after the other, so that products read memory in order."""
+    """Compiled: copy chosen rows of a matrix one after the other, to be read in order."""
     for s in prange(choice.size):
         first, begin, place = indptr[choice[s]], begins[choice[s]], own_indptr[s]
         for k in range(own_indptr[s + 1] - place):
@@ -166,7 +166,7 @@ def copy_rows(
 def place_layers(
     choice: Array, first: Array, pair_at: Array, offsets: Array, node_of: Array, found: Array
 ) -> None:
-    """Choices of nodes in many layers as positions among their states' pairs.
+    """Compiled: choices of rows by node in many layers as positions among states' pairs.
 
     Args:
         choice: [layers, nodes].

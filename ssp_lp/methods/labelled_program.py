@@ -13,13 +13,13 @@ from ssp_lp.accumulated_cost.charges import TotalCostCharge
 from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.column_generation.compiled_problem import CompiledExplicit
 from ssp_lp.errors import ModelError
-from ssp_lp.methods.rows import rows_optimum, truth_of
+from ssp_lp.methods.rows import rows_optimum, true_figures
 from ssp_lp.options import CERTIFYING
 from ssp_lp.problem import Problem, compiled_constrained, has_rows, requirements, unrolled
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_label import label_failure
 from ssp_lp.processes.failure_semantics import Aim
-from ssp_lp.processes.rows import cost_means
+from ssp_lp.processes.live_rows import cost_means
 from ssp_lp.programs.augmented import Augmented, LabelledModel, LayeredModel
 from ssp_lp.programs.occupation_program import OccupationProgram
 from ssp_lp.programs.program_rows import ProgramRow
@@ -30,7 +30,7 @@ def program_of(
     bounds: Mapping[str, float] | None = None,
     start: Hashable | Mapping[Hashable, float] | None = None,
 ) -> OccupationProgram:
-    """The linear program over expected visits whose optimum is the problem's.
+    """The labelled program of a problem: linear, over expected visits, with its optimum.
 
     At least failure (``failure_budget=None``) it is the program of the second stage: over the
     actions that attain the greatest goal probability, without a failure row (mathematics, section
@@ -68,7 +68,7 @@ def program_of(
     if total and compiled.budget is None and not has_rows(inner) and compiled.fixed_cap is None:
         augmented = _cost_given_success(compiled)  # where no total has to be remembered
     elif compiled.charge is not None and (compiled.fixed_cap is None or compiled.resolution):
-        compiled = rows_optimum(compiled, CERTIFYING, truth_of(inner, compiled)).compiled
+        compiled = rows_optimum(compiled, CERTIFYING, true_figures(inner, compiled)).compiled
         if compiled.totals is not None and not compiled.totals.exact:
             raise ModelError(
                 f"the costs have more than {compiled.layers:,} sums: on a grid of totals the "
@@ -89,9 +89,9 @@ def program_of(
             limits[0] = compiled.budget  # a row even where it limits nothing: sweeps begin there
         taken = (augmented.process.failure, *compiled.row_coefficients(compiled.side))
         bounded = zip(compiled.names, limits, compiled.told, taken, strict=True)
-        for name, bound, told, each in bounded:
+        for name, bound, words, each in bounded:
             if np.isfinite(bound):
-                rows.append(ProgramRow(name, np.ascontiguousarray(each), float(bound), told))
+                rows.append(ProgramRow(name, np.ascontiguousarray(each), float(bound), words))
     asked = "least failure" if budget is None else f"failure budget {budget:g}"
     discount = "" if inner.discount is None else f", discount {inner.discount:g}"
     within = "" if horizon is None else f", within {horizon:,} steps"
@@ -109,7 +109,7 @@ def program_of(
 
 
 def _cost_given_success(compiled: CompiledExplicit) -> LabelledModel:
-    """At least failure: each step costs by the probability of succeeding from where it leads.
+    """Cost in the labelled program at least failure: each step's, by success from its end.
 
     All policies have the greatest one there, so that no total needs to be remembered.
     """
@@ -124,7 +124,7 @@ def _cost_given_success(compiled: CompiledExplicit) -> LabelledModel:
 
 
 def _objective_word(problem: Problem, compiled: CompiledExplicit) -> str:
-    """What the program minimises, in a word."""
+    """The labelled program's objective in a word."""
     semantics = problem.semantics
     if compiled.objective is not None:
         return "objective"
