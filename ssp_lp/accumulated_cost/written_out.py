@@ -182,10 +182,10 @@ class OpenEnded(ChargedLayers):
         """
         return np.append(np.tile(per_pair, self.cap + 1), at_source)
 
-    def counting(self) -> Counting:
+    def counting(self, semantics: FailureSemantics) -> Counting:
         """Counting of quantities other than the total at the pairs of a layer written out."""
         base = self.base
-        goal, semantics = base.survival * base.gain, FailureSemantics()
+        goal = base.survival * base.gain
         return Counting(
             base.quotient, base.departs, goal, base.failure, self.start, semantics, base.survival
         )

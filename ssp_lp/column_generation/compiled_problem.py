@@ -958,7 +958,7 @@ class CompiledExplicit(CompiledProblem):
         layered = self.augmented
         if not isinstance(layered, written_out.OpenEnded) or not self._is_swept:
             return self.explicit_pricing
-        counting = layered.counting()
+        counting = layered.counting(self.semantics)
         return OpenEndedPricing(layered, self.precise, tuple(row.at(counting) for row in self.side))
 
     @property
@@ -980,7 +980,7 @@ class CompiledExplicit(CompiledProblem):
         """Coefficients of the compiled problem's rows at each pair, [process pairs] each."""
         augmented = self.augmented
         if isinstance(augmented, written_out.OpenEnded):
-            counting = augmented.counting()
+            counting = augmented.counting(self.semantics)
             return [augmented.everywhere(*row.at(counting)) for row in rows]
         counting = counting_of(augmented, self.start, self.semantics, self.discount)
         return [np.append(*row.at(counting))[: augmented.process.n_pairs] for row in rows]

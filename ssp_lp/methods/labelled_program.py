@@ -78,7 +78,7 @@ def program_of(
     if augmented is None:
         inside = compiled.augmented
         if isinstance(inside, OpenEnded):
-            augmented = LayeredModel(inside, compiled.start)
+            augmented = LayeredModel(inside, compiled.start, compiled.semantics)
         else:  # what is minimised as the cost
             cost = np.ascontiguousarray(compiled.explicit_pricing.rewards[:, 0])
             labelled = replace(inside, process=replace(inside.process, cost=cost))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -242,7 +242,7 @@ class LayeredModel(Augmented):
 
     inner: OpenEnded
     start: FloatArray  # [states]
-    semantics: FailureSemantics = field(default_factory=FailureSemantics)  # who avoids the goal
+    semantics: FailureSemantics
 
     @property
     def live(self) -> AccumulatedCost:
@@ -275,7 +275,7 @@ class LayeredModel(Augmented):
 
     def counted(self, term: Term) -> FloatArray:
         """Coefficient of a quantity in all layers of the augmented model, [process pairs]."""
-        return self.inner.everywhere(*term.at(self.inner.counting()))
+        return self.inner.everywhere(*term.at(self.inner.counting(self.semantics)))
 
     @property
     def copies(self) -> int:
