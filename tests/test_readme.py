@@ -34,7 +34,7 @@ SHOWN = {
     "docs/guides/own_criterion.md": 2,
     "docs/guides/own_memory.md": 1,
     "docs/guides/own_simulator.md": 0,
-    "docs/models.md": 4,
+    "docs/models.md": 5,
     "docs/program.md": 15,
     "docs/solving.md": 2,
     "docs/tutorial.md": 6,
