@@ -63,9 +63,9 @@ from ssp_lp.solve import solve as solve
 from ssp_lp.verification.certify import Certificate as Certificate, certify as certify
 
 if TYPE_CHECKING:
-    from ssp_lp.analysis.frontier import Frontier as Frontier
     from ssp_lp.analysis.simulation import simulate as simulate
     from ssp_lp.formulation import Formulation as Formulation
+    from ssp_lp.methods.frontier import Frontier as Frontier
     from ssp_lp.methods.trade_off import (
         Surface as Surface,
         trace_frontier as trace_frontier,

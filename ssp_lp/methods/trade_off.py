@@ -1,6 +1,6 @@
 """The trade-off between the objective and any limit, the other limits held at their bounds.
 
-Over the failure budget alone columns are priced (:mod:`ssp_lp.analysis.frontier`). Over a named
+Over the failure budget alone columns are priced (:mod:`ssp_lp.methods.frontier`). Over a named
 limit, and wherever others are held, the problem is solved at one bound after another, with all its
 rows. An optimum at a bound says two things of every other bound:
 
@@ -33,7 +33,6 @@ from typing import Any
 import numpy as np
 
 from ssp_lp.analysis.evaluation import evaluate
-from ssp_lp.analysis.frontier import Frontier, TraceLimits, traced_over_failure
 from ssp_lp.arrays import MACHINE_EPSILON, RELATIVE_GAP, FloatArray, ReadOnlyCopies
 from ssp_lp.column_generation.column import FailureRow
 from ssp_lp.column_generation.restricted_master import solve_master
@@ -49,6 +48,7 @@ from ssp_lp.errors import (
     optional_module,
     wrong_argument,
 )
+from ssp_lp.methods.frontier import Frontier, TraceLimits, traced_over_failure
 from ssp_lp.methods.rows import rows_optimum, true_figures
 from ssp_lp.model.text_tables import Reported
 from ssp_lp.options import SolveOptions, Status, deadline_of, progress_shown

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ssp_lp.accumulated_cost.cost_law import CostLaw
-from ssp_lp.analysis.frontier import Frontier
 from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.column import FailureRow
 from ssp_lp.errors import ModelError, SolverError, in_short, optional_module
+from ssp_lp.methods.frontier import Frontier
 from ssp_lp.model.arguments import explained
 from ssp_lp.problem import Problem, requirements
 from ssp_lp.processes.failure_semantics import Aim

@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 
 from ssp_lp.analysis.evaluation import Evaluation, evaluate, pair_visits
-from ssp_lp.analysis.frontier import Frontier
 from ssp_lp.analysis.simulation import simulate
 from ssp_lp.analysis.success_costs import success_costs
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_ids
 from ssp_lp.errors import ModelError, check_whole, in_short, optional_module
+from ssp_lp.methods.frontier import Frontier
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import end_marks

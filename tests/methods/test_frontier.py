@@ -9,7 +9,7 @@ import pytest
 from formulations import MCMP, S3P
 from small_models import model_of
 from ssp_lp import InfeasibleError, ModelError, SolverError, evaluate, solve, trace_frontier
-from ssp_lp.analysis import frontier as frontier_module
+from ssp_lp.methods import frontier as frontier_module
 from written_models import written
 
 ROADS = written(
