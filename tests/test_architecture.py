@@ -26,10 +26,10 @@ ORDER = [
     ("programs",),
     ("column_generation",),
     ("problem",),
-    ("analysis", "plotting"),
+    ("analysis",),
     ("solution",),
     ("methods", "game"),
-    ("solve", "formulation", "verification", "io"),
+    ("solve", "formulation", "verification", "io", "plotting"),
 ]
 WITH_SOLVERS = {"deterministic.py", "convex_program.py"}
 
