@@ -87,7 +87,7 @@ IN_PYTHON: list[tuple[Callable[[], Any], str]] = [
     (lambda: asked(limit=0.5), "c"),
     (lambda: trace_frontier(PROBLEM, over="crash"), "'failure' or the name of a limit"),
     (lambda: simulate(solve(PROBLEM).policy, MCMP(model(), "depot"), seed=1), "another model"),
-    (lambda: simulate(solve(PROBLEM).policy, PROBLEM, seed=-1), "rng"),
+    (lambda: simulate(solve(PROBLEM).policy, PROBLEM, seed=-1), "seed"),
     (lambda: evaluate({"depot": "road"}, MCMP(model(), "depot", 0.05)), "policy"),
     (lambda: SSP.from_frame({"state": ["a"]}, ("b",)), "the table has no column 'successor'"),
 ]  # fmt: skip

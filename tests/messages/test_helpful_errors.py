@@ -193,7 +193,7 @@ def test_a_seed_is_a_generator() -> None:
     given = np.random.default_rng(1)
     assert generator_of(given) is given
     for wrong in (-1, 0.5, "0", True, None):
-        with pytest.raises(ModelError, match="a seed such as 0"):
+        with pytest.raises(ModelError, match="seed must be a number such as 0"):
             generator_of(wrong)  # type: ignore[arg-type]
 
 

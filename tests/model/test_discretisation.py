@@ -212,7 +212,7 @@ def test_actions_that_are_allowed_in_some_cells_only():
     alike = corridor(allowed=early, alike=lambda c, a: 6 * a + c[0])
     assert fingerprint(discretise(alike)) == fingerprint(some)
     world, problem = corridor(allowed=early), MCMP(some, 0, failure_budget=0.0)
-    play = {"episodes": 20, "rng": 0, "simulator": WorldSimulator(world, [0.5])}
+    play = {"episodes": 20, "seed": 0, "simulator": WorldSimulator(world, [0.5])}
     assert simulate(solve(problem).policy, problem, **play).conditional_cost.value == 4.0
 
 
@@ -287,7 +287,7 @@ def test_giving_up_ends_an_episode_as_a_failure():
     model = discretise(world, Quadrature(1))
     decisions = {cell: "hop" if cell < 4 else GIVE_UP for cell in range(6)}
     policy = DeterministicPolicy.from_actions(model, decisions)
-    play = {"episodes": 7, "rng": 0, "simulator": WorldSimulator(world, [2.5]), "record": 1}
+    play = {"episodes": 7, "seed": 0, "simulator": WorldSimulator(world, [2.5]), "record": 1}
     report = simulate(policy, MCMP(model, 2, 1.0, give_up="anywhere"), **play)
     assert report.ends["gave_up"] == 7
     assert report.failure_probability.value == 1.0
@@ -391,7 +391,7 @@ FINER = {"episodes": 10, "simulator": WorldSimulator(FINE, start=(3.5,))}
         (lambda: discretise(walk(), Quadrature((4, 4, 4))), "1 of them for the axes"),
         (lambda: discretise(walk(), Quadrature(4, "simpson")), "gauss-legendre"),
         (lambda: Samples(0, 0), "whole number >= 1"),
-        (lambda: Samples(5, None), "seed such as 0"),
+        (lambda: Samples(5, None), "seed must be a number such as 0"),
         (lambda: Samples(5, 0).deviation(1, 0), "reachable"),
         (lambda: discretise(replace(walk(), alike=lambda c, a: a * 0.5)), "whole numbers"),
         (lambda: discretise(replace(walk(), alike=lambda c, a: c[0])), "'creep' in cell 0"),

@@ -51,7 +51,7 @@ def test_an_episode_step_by_step():
 
 def test_a_lottery_is_drawn_once():
     lottery = MixedPolicy((STAY, GO), np.array([0.25, 0.75]))
-    with pytest.raises(ModelError, match="random generator"):
+    with pytest.raises(ModelError, match="a seed or a generator"):
         lottery.start()
     rng, drawn = np.random.default_rng(3), []
     for _ in range(2000):
@@ -139,7 +139,7 @@ class Broken(KindDoor):
 
 
 def test_a_world_of_the_users_own():
-    asked = {"rng": 0, "episodes": 10, "simulator": KindDoor()}
+    asked = {"seed": 0, "episodes": 10, "simulator": KindDoor()}
     report = simulate(GO, PROBLEM, record=3, **asked)
     assert report.ends["goal"] == 10
     assert report.conditional_cost.value == 2.0
@@ -203,7 +203,7 @@ def test_a_loop_of_ones_own_fails_as_often_as_evaluated():
 
 def test_what_cannot_be_played_is_named():
     lottery = solve(MCMP(FIRST, "depot", failure_budget=0.05)).policy
-    with pytest.raises(ModelError, match="needs a random generator"):
+    with pytest.raises(ModelError, match="needs a seed or a generator"):
         lottery.start_many(2)
     batch = lottery.start_many(2, 0)
     with pytest.raises(ModelError, match="1 states given for 2 episodes"):
