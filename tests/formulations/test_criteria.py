@@ -33,6 +33,7 @@ from ssp_lp import (
     certify,
     cross_check,
     evaluate,
+    expected_cost,
     simulate,
     solve,
     trace_frontier,
@@ -346,3 +347,23 @@ def test_policies_that_fail_alike_and_rarely_are_told_apart_by_cost(method: str)
     assert certify(solution).accepted
     within = solve(MCMP(model, start, 1.1e-9, give_up="dead_ends"), method=method)
     assert within.objective <= 0.5060060071
+
+
+def test_a_limit_on_the_cost_counts_what_entering_a_dead_end_costs_given_success():
+    """Failing costs 100: mean costs are 21 on the fast way, 10 on the slow one, 15.5 allowed."""
+
+    class ChargedS3P(S3P):
+        charge_failing_step = True
+
+    ways = {
+        "a": {"fast": [(0.8, "g", 1.0), (0.2, "pit", 1.0)], "slow": [(1.0, "g", 10.0)]},
+        "pit": {"roll": [(1.0, "pit", 104.0)], "sink": [(0.5, "bog", 101.0), (0.5, "pit", 99.0)]},
+        "bog": {},
+    }
+    limits = {"cost": expected_cost() <= 15.5}
+    problem = ChargedS3P(model_of(ways, "g"), "a", 1.0, constraints=limits)
+    for method in ("columns", "lp"):
+        solution = solve(problem, method=method)
+        assert solution.objective == pytest.approx((0.5 * 0.8 * 1.0 + 0.5 * 10.0) / 0.9)
+        assert certify(solution).accepted
+    assert problem.program().solve().objective == pytest.approx(6.0)
