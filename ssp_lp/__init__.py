@@ -94,9 +94,9 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _MODULES = {
-    "analysis.frontier": "Frontier",
     "analysis.simulation": "simulate",
     "formulation": "Formulation",
+    "methods.frontier": "Frontier",
     "methods.trade_off": "Surface trace_frontier trace_surface",
     "model.continuous_model": "Axis ContinuousModel Distribution Grid WorldSimulator",
     "model.discretise": "Quadrature Samples discretise",

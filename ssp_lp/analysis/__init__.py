@@ -1,1 +1,1 @@
-"""What a policy does: evaluation, simulation, the law of its total cost, the frontier."""
+"""What a policy does: evaluation, simulation, the law of its total cost."""
