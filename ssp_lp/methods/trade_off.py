@@ -28,7 +28,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -36,7 +36,7 @@ from ssp_lp.analysis.evaluation import evaluate
 from ssp_lp.arrays import MACHINE_EPSILON, RELATIVE_GAP, FloatArray, ReadOnlyCopies
 from ssp_lp.column_generation.column import FailureRow
 from ssp_lp.column_generation.restricted_master import solve_master
-from ssp_lp.compiled.deadline import Stop, WithIncumbent, until
+from ssp_lp.compiled.deadline import Deadline, Stop, WithIncumbent, until
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import (
     Argument,
@@ -131,19 +131,16 @@ def trace_frontier(
     deadline = deadline_of(time_limit, time.perf_counter())
     limits = TraceLimits(gap, steepest_price, point_limit, deadline < np.inf, progress)
     asked = _traceable(unrolled(problem), over, limits)
-    with progress_shown(verbose), until(deadline) as ended:
-        try:
-            if over == FAILURE_ROW and not has_rows(asked):
-                traced = traced_over_failure(asked, limits)
-            else:
-                traced = _Tracing(asked, [over], limits).traced()
-        except Stop:
-            if ended.is_interrupted:
-                raise KeyboardInterrupt from None
-            told = f"the time limit ended before the least {over} was known: allow more time"
-            raise OutOfTimeError(told) from None
-    status = ended.status(np.inf if traced.ends_early else traced.gap, gap)
-    return replace(traced, _problem=problem, status=status)
+
+    def traced() -> Frontier:
+        """The frontier, traced over failure alone or over any limit."""
+        if over == FAILURE_ROW and not has_rows(asked):
+            return traced_over_failure(asked, limits)
+        return _Tracing(asked, [over], limits).traced()
+
+    frontier, ended = _within_time(traced, deadline, over, verbose=verbose)
+    status = ended.status(np.inf if frontier.ends_early else frontier.gap, gap)
+    return replace(frontier, _problem=problem, status=status)
 
 
 def trace_surface(
@@ -197,15 +194,35 @@ def trace_surface(
     inner = unrolled(problem)
     for name in over:
         inner = _traceable(inner, name, limits)
+    surface, ended = _within_time(
+        lambda: _surface_of(_Tracing(inner, over, limits), problem),
+        deadline,
+        " and ".join(over),
+        verbose=verbose,
+    )
+    return replace(surface, status=ended.status(surface.gap, gap))
+
+
+_Traced = TypeVar("_Traced")
+
+
+def _within_time(
+    trace: Callable[[], _Traced], deadline: float, over: str, *, verbose: bool
+) -> tuple[_Traced, Deadline]:
+    """What was traced by a deadline, and how that ended it.
+
+    Raises:
+        OutOfTimeError: the time ended before there was a point.
+        KeyboardInterrupt: Ctrl-C came before there was one.
+    """
     with progress_shown(verbose), until(deadline) as ended:
         try:
-            traced = _surface_of(_Tracing(inner, over, limits), problem)
+            return trace(), ended
         except Stop:
             if ended.is_interrupted:
                 raise KeyboardInterrupt from None
-            told = "the time limit ended before any bounds were settled: allow more time"
+            told = f"the time limit ended before the least {over} was known: allow more time"
             raise OutOfTimeError(told) from None
-    return replace(traced, status=ended.status(traced.gap, gap))
 
 
 def _traceable(problem: Problem, over: str, limits: TraceLimits) -> Problem:
