@@ -30,6 +30,7 @@ from ssp_lp.column_generation.search import _initial_column_within
 from ssp_lp.compiled import deadline
 from ssp_lp.compiled.deadline import Stop, until
 from ssp_lp.problem import compiled_constrained
+from ssp_lp.processes.failure_semantics import FailureSemantics
 from written_models import drawn_table, written
 
 FIELD = navigation(6, 5)
@@ -168,7 +169,7 @@ def test_pricing_by_layers_is_pricing_on_the_process_written_out(seed):
     compiled = compiled_constrained(S3P(model, "s0", 0.4, constraints=limits))
     layered, written_out = compiled.augmented, compiled.explicit_pricing
     assert isinstance(layered, OpenEnded)
-    counting = layered.counting()
+    counting = layered.counting(FailureSemantics())
     swept = OpenEndedPricing(layered, False, tuple(row.at(counting) for row in compiled.side))
     assert swept.value_shape == written_out.value_shape
     assert swept.n_rewards == written_out.n_rewards
