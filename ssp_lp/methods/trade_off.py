@@ -26,6 +26,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, TypeVar
@@ -161,7 +162,7 @@ def trace_surface(
     Args:
         problem: what it allows of what is traced does not matter; all other limits are kept.
         over: "failure", or names of limits that bound a quantity from above.
-        gap: how far both bounds may lie apart on the grid, as a share of the objective there.
+        gap: how far both bounds may lie apart on the grid, as a share of the largest objective.
         point_limit: most bounds at which the problem is solved.
         time_limit: seconds after which no further ones are solved.
         progress: called after each of them with (pricing calls, how many were solved).
@@ -187,7 +188,8 @@ def trace_surface(
         [6.48, 6.48]
     """
     check_problem(problem, "trace_surface")
-    if isinstance(over, str) or len(set(over)) != len(list(over)) or len(over) < 2:
+    over = over if isinstance(over, str) else list(over)
+    if isinstance(over, str) or len(set(over)) != len(over) or len(over) < 2:
         raise wrong_argument("over", "be several different limits", over)
     deadline = deadline_of(time_limit, time.perf_counter())
     limits = TraceLimits(gap, None, point_limit, deadline < np.inf, progress)
@@ -366,10 +368,15 @@ class _Tracing:
         self.options = SolveOptions(_FINER * limits.gap)
         self.optima: list[_Optimum] = []
 
+    @property
+    def unlimited(self) -> list[float]:
+        """Bounds of what is traced that allow everything."""
+        return [1.0 if name == FAILURE_ROW else np.inf for name in self.over]
+
     def free(self) -> float:
         """The optimum where nothing of what is traced is limited is the first; what it is worth."""
         _ = self.stated.pricing()  # for all bounds
-        self.add([1.0 if name == FAILURE_ROW else np.inf for name in self.over])
+        self.add(self.unlimited)
         return self.optima[0].value
 
     def traced(self) -> Frontier:
@@ -552,7 +559,7 @@ class Surface(Reported, ReadOnlyCopies):
     spent: FloatArray  # [points, limits]
     objective: FloatArray  # [points]
     price: FloatArray  # [points, limits] of the bounds at which each point was solved
-    gap: float  # on the grid the bounds lie apart by no more than this share
+    gap: float  # on the grid both lie apart by no more than this share of the largest objective
     ratio: bool
     maximises: bool
     pricing_calls: int
@@ -627,8 +634,12 @@ class Surface(Reported, ReadOnlyCopies):
 
     def _checked(self, bounds: tuple[float, ...]) -> FloatArray:
         """Bounds as an array, [limits]."""
-        if len(bounds) != len(self.over) or not all(is_number(b) and b >= 0.0 for b in bounds):
-            raise ModelError(f"give a bound >= 0 for each of {', '.join(self.over)}: {bounds!r}")
+        if len(bounds) != len(self.over) or not all(
+            is_number(b) and 0.0 <= b < np.inf for b in bounds
+        ):
+            raise ModelError(
+                f"give a finite bound >= 0 for each of {', '.join(self.over)}: {bounds!r}"
+            )
         return np.array(bounds, dtype=np.float64)
 
 
@@ -644,10 +655,13 @@ def _surface_of(tracing: _Tracing, problem: Problem) -> Surface:
         Stop: the time ended before the ends were known.
     """
     tracing.free()
-    ends = [
-        (min(tracing.least(k), high), high)
-        for k, high in enumerate(tracing.optima[0].spends.tolist())
-    ]
+    least = np.minimum(
+        [tracing.least(k) for k in range(len(tracing.over))], tracing.optima[0].spends
+    )
+    for k, low in enumerate(least.tolist()):  # where one is tight more of the others may help
+        with suppress(InfeasibleError):
+            tracing.add([low if k == j else b for j, b in enumerate(tracing.unlimited)])
+    ends = list(zip(least, np.max([o.spends for o in tracing.optima], axis=0), strict=True))
     many = max(min(_GRID, int(_MOST_PLACES ** (1.0 / len(ends)))), 2)
     axes = (np.linspace(low, high, many) for low, high in ends)
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(ends))
@@ -702,7 +716,7 @@ def _apart_at(tracing: _Tracing, place: FloatArray) -> float:
     attained, _ = _best_lottery(spent, value, goal, place, tracing.stated.ratio)
     if not np.isfinite(attained):
         return np.inf
-    worth = max(abs(tracing.stated.sense.worth(attained)), 1e-300)
+    worth = max(abs(tracing.stated.sense.worth(v)) for v in (attained, *value.tolist())) or 1.0
     return (attained - tracing.lines.least(place)) / worth
 
 

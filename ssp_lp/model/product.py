@@ -26,7 +26,7 @@ from ssp_lp.arrays import (
     segment_ids,
 )
 from ssp_lp.compiled.deadline import check_time
-from ssp_lp.errors import Argument, ModelError, check_whole, did_you_mean
+from ssp_lp.errors import Argument, ModelError, check_whole, did_you_mean, wrong_argument
 from ssp_lp.model.arguments import check_fields, explained
 from ssp_lp.model.graph import dead_ends
 from ssp_lp.model.ssp import SSP, Costs, check_model, no_lone_string
@@ -430,10 +430,20 @@ def within_steps(
     check_model(model, "within_steps")
     check_whole("steps", steps)
     labels = (survive,) if isinstance(survive, str) else survive
+    if not isinstance(labels, (bool, Iterable)):
+        raise wrong_argument("survive", "be True, False or labels of states", survive)
     lost = (None, ())[labels] if isinstance(labels, bool) else tuple(labels)
     for label in set(lost or ()) - model.state_labels.keys():
         near = did_you_mean(label, model.state_labels)
         raise ModelError(f"no state bears the label {label!r}{near}")
+    if lost:
+        inside = np.zeros(model.n_states, dtype=np.bool_)
+        inside[np.concatenate([model.state_labels[label] for label in lost])] = True
+        source = model.pair_state[segment_ids(model.outcome_offsets)]
+        leaving = inside[source] & ~inside[model.successors] & (model.probabilities > 0.0)
+        if leaving.any():
+            state = model.states[int(source[int(np.argmax(leaving))])]
+            raise ModelError(f"state {state!r} can be left: what is survived is where all stays")
     begin = None
     if start is not None:
         begin = [model.index_of(state) for state in no_lone_string(start, "start")]

@@ -15,6 +15,7 @@ from ssp_lp import (
     ModelError,
     end_probability,
     evaluate,
+    secondary_cost,
     solve,
     trace_frontier,
     trace_surface,
@@ -135,8 +136,8 @@ def test_what_is_no_surface_is_refused() -> None:
     with pytest.raises(ModelError, match="no linear program"):
         trace_surface(CVaR(problem.model, 0, 0.9, 0.1, constraints=limits), ["fall", "cold"])
     surface = trace_surface(problem, ["fall", "cold"], point_limit=6)
-    for bounds in [(0.1,), (0.1, -0.1), (0.1, "much")]:
-        with pytest.raises(ModelError, match="a bound >= 0 for each of fall, cold"):
+    for bounds in [(0.1,), (0.1, -0.1), (0.1, np.inf), (0.1, "much")]:
+        with pytest.raises(ModelError, match="a finite bound >= 0 for each of fall, cold"):
             surface.bounds_at(*bounds)
     with pytest.raises(ModelError, match="point_limit"):
         trace_surface(problem, ["fall", "cold"], point_limit=0)
@@ -145,3 +146,24 @@ def test_what_is_no_surface_is_refused() -> None:
         trace_surface(
             MCMP(problem.model, 0, 0.5, constraints={**must, "c": visits(1) <= 2.0}), ["fall", "c"]
         )
+
+
+def test_where_one_limit_is_tight_more_of_another_helps():
+    """The cheapest policy quits and needs no fuel; who may not fail needs up to 5 of it."""
+    ways = {
+        "a": {
+            "fast": [(0.9, "g", 1.0), (0.1, "pit", 1.0)],
+            "slow": [(1.0, "g", 10.0)],
+            "quit": [(1.0, "pit", 0.5)],
+        },
+        "pit": {},
+    }
+    model = SSP.from_transitions(ways, goal={"g"}, treat_actionless_as_dead_ends=True)
+    fuel = secondary_cost({"a": {"fast": 2.0, "slow": 5.0, "quit": 0.0}})
+
+    def asked(failure, most):
+        return MCMP(model, "a", failure, constraints={"fuel": fuel <= most})
+
+    surface = trace_surface(asked(0.1, 5.0), ["failure", "fuel"])
+    for bounds in [(0.05, 5.0), (0.05, 3.5), (0.0, 5.0), (0.3, 2.0), (1.0, 0.0)]:
+        assert surface.bounds_at(*bounds) == pytest.approx([solve(asked(*bounds)).objective] * 2)

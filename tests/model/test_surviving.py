@@ -64,3 +64,9 @@ def test_states_that_are_to_be_survived_may_have_actions() -> None:
     assert solve(MaxProb(alive, ("rope", 0))).objective == pytest.approx(1.0)
     with pytest.raises(ModelError, match="label 'falen'; did you mean 'fallen'"):
         within_steps(model, 5, survive=["falen"])
+    back = model_of({"rope": {"go": [(1.0, "net", 1.0)]}, "net": {"up": [(1.0, "rope", 1.0)]}},
+                    "nowhere", labels={"fallen": ["net"]})  # fmt: skip
+    with pytest.raises(ModelError, match="'net' can be left"):
+        within_steps(back, 2, survive="fallen")
+    with pytest.raises(ModelError, match="survive must be True, False or labels"):
+        within_steps(model, 2, survive=None)
