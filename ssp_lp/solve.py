@@ -111,8 +111,8 @@ def _solved_with_proof(
         if solution is None or not isfinite(solution.objective):
             with closing():
                 incumbent.find()
-            solution = incumbent.solution if solution is None else incumbent.improving(solution)
-            solution = solution if solution is None or isfinite(solution.objective) else None
+            if solution is None or incumbent.solution is None:
+                solution = incumbent.solution  # else it keeps its bound, and gets that policy below
         if solution is None and too_large is not None:
             raise too_large
         if solution is None:

@@ -285,8 +285,7 @@ def load_policy(path: FilePath, model: SSP, *, check: bool = True) -> AnyPolicy:
         if horizon is not None and not isinstance(model, HorizonSSP):
             begin = arrays[horizon["begin"]]
             if begin.max(initial=0) < model.n_states:  # else it is another model: its pairs differ
-                lost = horizon.get("survive")
-                lost = None if lost is None else tuple(lost)
+                lost = None if horizon["survive"] is None else tuple(horizon["survive"])
                 model = unroll_steps(model, horizon["steps"], begin.tolist(), lost)
         label = header.get("label")
         if label is not None and len(arrays[label["open_pairs"]]) == model.n_pairs:

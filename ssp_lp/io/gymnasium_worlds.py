@@ -163,7 +163,9 @@ def from_gymnasium(
     paid: CostFunction = cost if callable(cost) else _COSTS[cost]
     model: SSP
     begin: Mapping[Hashable, float]
-    continuous, steps = None, limit if horizon == "env" else horizon
+    continuous, steps = None, horizon
+    if isinstance(steps, str):  # the environment's own, which is no horizon of a grid
+        steps = limit if grid is None else None
     if grid is None:
         table, begin = _table_of(env), _start_of(env, start)
         model = _model_of_table(table, begin, goal, paid)
@@ -176,7 +178,7 @@ def from_gymnasium(
         points = start if isinstance(start, Mapping) else {start: 1.0}
         begin = {grid.cell_of(cast("tuple[float, ...]", p)): w for p, w in points.items()}
     logging.getLogger("ssp_lp.building").info("%r", model)
-    if steps is None or (grid is not None and horizon == "env"):
+    if steps is None:
         if survive:
             raise ModelError("surviving needs a number of steps: ", Argument("horizon"))
         return GymnasiumWorld(model, begin, limit, None, continuous)

@@ -62,7 +62,7 @@ class Frontier:
     tolerance: float  # share below a segment up to which it was not split
     hidden: float  # share by which what a cap on the accumulated cost hides may lie below
     ratio: bool  # case S
-    complete: bool  # whether it begins at the least failure, not at the steepest price asked for
+    complete: bool  # whether it begins at the least, not at a price asked for or near the least
     pricing_calls: int
     work: Work  # passes over the process
     _pricing: PricingProblem
@@ -348,9 +348,11 @@ class Frontier:
             raise ModelError(f"budget must be a probability, not {budget!r}{as_percentage(budget)}")
         lowest, spent = float(self.spent[0]), self.spent
         if not self.complete and not budget >= lowest:
+            of_failure = self.over == FAILURE_ROW
+            more = "; a steeper steepest_price traces more of it" if of_failure else ""
             raise ModelError(
-                f"the frontier was traced from failure {lowest:.12g} on, which the budget "
-                f"{budget!r} is below; a steeper steepest_price traces more of it"
+                f"the frontier was traced from {self.over} {lowest:.12g} on, which the budget "
+                f"{budget!r} is below{more}"
             )
         if not budget >= lowest - LEAST_BUDGET:
             told = "fails with" if self.over == FAILURE_ROW else f"takes of {self.over!r}"

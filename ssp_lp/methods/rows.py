@@ -143,10 +143,10 @@ def rows_optimum(
         stated = replace(stated, resolution=stated.resolution.up_to(lossless))
     try:
         best = refine(_rows_attempts(stated, options, truth, guess), options.tolerance)
-    except Stop as stop:
-        raise (
-            stop if guess is None else Stop(replace(guess, value=np.inf, note=CUT_SHORT))
-        ) from None
+    except Stop:
+        if guess is None:
+            raise
+        best = replace(guess, value=np.inf)
     if best.gap <= options.tolerance:
         return best
     compiled, note = best.compiled, best.note or (CUT_SHORT if is_late() else "")

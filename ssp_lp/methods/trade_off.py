@@ -66,12 +66,13 @@ from ssp_lp.problem import (
     unrolled,
 )
 from ssp_lp.processes.conditions import FAILURE_ROW
-from ssp_lp.processes.failure_semantics import AS_ASKED, Aim, GiveUp, ObjectiveSense
+from ssp_lp.processes.failure_semantics import AS_ASKED, Aim, ObjectiveSense
 
 _LOG = logging.getLogger("ssp_lp.frontier")
 _FINER = 0.1  # of the gap that is asked for: how exactly the problem is solved at each bound
 _STRAIGHT = 1e-11  # relative: a point so little below the line of its neighbours is none that turns
 _NARROW = 1e-9  # of the whole range: segments are not split further
+_NEAR = 1e-4, 1e-2, 0.1  # of the range: so near to a least that no policy that counts attains
 _INSIDE = 1e-4  # of a segment: so far from its ends it is split at least
 _RAREST = 1e-12  # goal probability below which nothing is proved of a cost given success
 _SPLITS = 0.25, 0.5, 0.75  # of a segment, given success, where lines meet nowhere in particular
@@ -373,11 +374,24 @@ class _Tracing:
         """Bounds of what is traced that allow everything."""
         return [1.0 if name == FAILURE_ROW else np.inf for name in self.over]
 
-    def free(self) -> float:
-        """The optimum where nothing of what is traced is limited is the first; what it is worth."""
+    def begin(self) -> None:
+        """Solve where nothing of what is traced is limited."""
         _ = self.stated.pricing()  # for all bounds
         self.add(self.unlimited)
-        return self.optima[0].value
+
+    def add_at_least(self) -> bool:
+        """Solve at the least that can be spent, or near it; whether that is where it began.
+
+        Near it, where only policies spend the least that do not count: they never succeed.
+        """
+        least, free = self.least(0), self.optima[0].spent
+        if least >= free:
+            return True
+        for share in (0.0, *_NEAR):
+            with suppress(InfeasibleError):
+                self.add([least + share * (free - least)])
+                return share == 0.0
+        return False
 
     def traced(self) -> Frontier:
         """The frontier.
@@ -386,9 +400,8 @@ class _Tracing:
             InfeasibleError: the other limits cannot be kept.
             Stop: the time ended before both ends were known.
         """
-        self.free()
-        if (least := self.least(0)) < self.optima[0].spent:
-            self.add([least])
+        self.begin()
+        complete = self.add_at_least()
         settled: set[tuple[float, float]] = set()
         with WithIncumbent():
             while self.limits.allows(len(points := self._points())):
@@ -410,7 +423,7 @@ class _Tracing:
                 self.add([bound])
                 if not any(p.spent < o.spent < q.spent for o in self.optima):
                     settled.add((p.spent, q.spent))
-        return self._frontier()
+        return replace(self._frontier(), complete=complete)
 
     def _points(self) -> list[_Optimum]:
         """The optima that cost less than all that spend no more, by what they spend."""
@@ -464,7 +477,7 @@ class _Tracing:
 
     def least(self, number: int) -> float:
         """The least that can be spent of one of what is traced, the limits that are not, held."""
-        problem, name, ratio = self.problem, self.over[number], self.stated.charge is not None
+        problem, name = self.problem, self.over[number]
         semantics = replace(problem.semantics, aim=Aim.LEAST_COST, measure=None)
         conditions, objective = conditions_of(problem), None
         held = tuple(each for each in conditions if each.name not in self.over)
@@ -473,11 +486,10 @@ class _Tracing:
             semantics = replace(semantics, aim=Aim.GREATEST_GOAL)
         else:
             objective = next(condition for condition in conditions if condition.name == name)
-        if ratio:  # whoever is asked for a cost given success fails for real
-            semantics = replace(semantics, give_up=GiveUp.DEAD_ENDS)
         asked = problem.model, problem.start, False, budget, semantics, held, problem.discount
         safest = compiled_constrained(Restated(*asked, objective))
-        return float(self._spent(rows_optimum(safest, self.options).policy)[0][number])
+        least = safest.sense.worth(rows_optimum(safest, self.options).value)
+        return 1.0 - least if name == FAILURE_ROW else least
 
     def _spent(self, policy: MixedPolicy) -> tuple[FloatArray, float]:
         """What a policy spends of what is traced, [limits], and its goal probability."""
@@ -556,20 +568,30 @@ class Surface(Reported, ReadOnlyCopies):
 
     problem: Problem
     over: tuple[str, ...]
-    spent: FloatArray  # [points, limits]
-    objective: FloatArray  # [points]
-    price: FloatArray  # [points, limits] of the bounds at which each point was solved
     gap: float  # on the grid both lie apart by no more than this share of the largest objective
     ratio: bool
     maximises: bool
     pricing_calls: int
     work: Work
-    status: Status
-    _value: FloatArray  # [points] in what is minimised
-    _goal: FloatArray  # [points]
+    _optima: tuple[_Optimum, ...]
     _lines: _Lines
-    _members: tuple[MixedPolicy, ...]  # [points]
     _sense: ObjectiveSense
+    status: Status = Status.OPTIMAL
+
+    @property
+    def spent(self) -> FloatArray:
+        """What each point spends of what is traced, [points, limits]."""
+        return np.array([o.spends for o in self._optima])
+
+    @property
+    def objective(self) -> FloatArray:
+        """Objective of each point, [points]."""
+        return np.array([self._sense.worth(o.value) for o in self._optima])
+
+    @property
+    def price(self) -> FloatArray:
+        """Prices of the bounds at which each point was solved, [points, limits]."""
+        return np.array([o.prices for o in self._optima])
 
     def bounds_at(self, *bounds: float) -> tuple[float, float]:
         """What the optimum within bounds surely lies between; nothing is solved.
@@ -581,20 +603,10 @@ class Surface(Reported, ReadOnlyCopies):
             ModelError: another number of bounds, or one that is no number >= 0.
             InfeasibleError: no lottery over the points keeps to them.
         """
-        asked = self._checked(bounds)
-        attained, _ = _best_lottery(self.spent, self._value, self._goal, asked, self.ratio)
-        worth = self._sense.worth
-        if not np.isfinite(attained):
-            told = ", ".join(f"{n} <= {b:g}" for n, b in zip(self.over, bounds, strict=True))
-            budget = dict(zip(self.over, bounds, strict=True)).get(
-                FAILURE_ROW, self.problem.failure_budget
-            )
-            raise InfeasibleError(
-                f"no lottery over what was found keeps to {told}",
-                failure_budget=budget,
-                least_failure=1.0 - float(self._goal.max()),
-            )
-        low, high = worth(min(self._lines.least(asked), attained)), worth(attained)
+        asked, attained, _ = self._best_at(bounds)
+        low, high = (
+            self._sense.worth(v) for v in (min(self._lines.least(asked), attained), attained)
+        )
         return (high, low) if self.maximises else (low, high)
 
     def policy_at(self, *bounds: float) -> MixedPolicy:
@@ -604,10 +616,33 @@ class Surface(Reported, ReadOnlyCopies):
             ModelError: another number of bounds, or one that is no number >= 0.
             InfeasibleError: no lottery over the points keeps to them.
         """
-        self.bounds_at(*bounds)
-        asked = self._checked(bounds)
-        _, weights = _best_lottery(self.spent, self._value, self._goal, asked, self.ratio)
-        return pulled_back(_mixed_of(self._members, weights), self.problem)
+        *_, weights = self._best_at(bounds)
+        return pulled_back(_mixed_of([o.policy for o in self._optima], weights), self.problem)
+
+    def _best_at(self, bounds: tuple[float, ...]) -> tuple[FloatArray, float, FloatArray]:
+        """Bounds as an array, [limits], the least that a lottery attains within, and its weights.
+
+        Raises:
+            ModelError: another number of bounds, or one that is no number >= 0.
+            InfeasibleError: no lottery over the points keeps to them.
+        """
+        if len(bounds) != len(self.over) or not all(
+            is_number(b) and 0.0 <= b < np.inf for b in bounds
+        ):
+            raise ModelError(
+                f"give a finite bound >= 0 for each of {', '.join(self.over)}: {bounds!r}"
+            )
+        asked = np.array(bounds, dtype=np.float64)
+        attained, weights = _best_lottery(self._optima, asked, ratio=self.ratio)
+        if not np.isfinite(attained):
+            named = dict(zip(self.over, bounds, strict=True))
+            told = ", ".join(f"{name} <= {bound:g}" for name, bound in named.items())
+            raise InfeasibleError(
+                f"no lottery over what was found keeps to {told}",
+                failure_budget=named.get(FAILURE_ROW, self.problem.failure_budget),
+                least_failure=1.0 - max(o.goal for o in self._optima),
+            )
+        return asked, attained, weights
 
     def facts(self) -> list[tuple[str, str]]:
         """What was traced, how finely, and between which bounds."""
@@ -632,16 +667,6 @@ class Surface(Reported, ReadOnlyCopies):
         columns |= {f"price of {name}": self.price[:, k] for k, name in enumerate(self.over)}
         return pandas.DataFrame(columns)
 
-    def _checked(self, bounds: tuple[float, ...]) -> FloatArray:
-        """Bounds as an array, [limits]."""
-        if len(bounds) != len(self.over) or not all(
-            is_number(b) and 0.0 <= b < np.inf for b in bounds
-        ):
-            raise ModelError(
-                f"give a finite bound >= 0 for each of {', '.join(self.over)}: {bounds!r}"
-            )
-        return np.array(bounds, dtype=np.float64)
-
 
 _GRID = 16  # bounds of each limit at which a surface is compared
 _MOST_PLACES = 1_000  # of the grid
@@ -654,7 +679,7 @@ def _surface_of(tracing: _Tracing, problem: Problem) -> Surface:
         InfeasibleError: the other limits cannot be kept.
         Stop: the time ended before the ends were known.
     """
-    tracing.free()
+    tracing.begin()
     least = np.minimum(
         [tracing.least(k) for k in range(len(tracing.over))], tracing.optima[0].spends
     )
@@ -671,7 +696,12 @@ def _surface_of(tracing: _Tracing, problem: Problem) -> Surface:
 
     def look(place: int) -> None:
         """How far what is attained and what is proved lie apart at a place, with all optima."""
-        apart[place], looked[place] = _apart_at(tracing, grid[place]), len(tracing.optima)
+        bounds, optima = grid[place], tracing.optima
+        looked[place], worth = len(optima), tracing.stated.sense.worth
+        attained, _ = _best_lottery(optima, bounds, ratio=tracing.stated.ratio)
+        if np.isfinite(attained):
+            scale = max(abs(worth(value)) for value in (attained, *(o.value for o in optima)))
+            apart[place] = (attained - tracing.lines.least(bounds)) / (scale or 1.0)
 
     with WithIncumbent():
         while tracing.limits.allows(len(tracing.optima)):
@@ -688,52 +718,37 @@ def _surface_of(tracing: _Tracing, problem: Problem) -> Surface:
                 is_kept &= (grid > grid[place]).any(axis=1)
     for place in np.flatnonzero(is_kept & (looked < len(tracing.optima))).tolist():
         look(place)
-    optima, sense = tracing.optima, tracing.stated.sense
+    sense = tracing.stated.sense
     return Surface(
         problem=problem,
         over=tracing.over,
-        spent=np.array([o.spends for o in optima]),
-        objective=np.array([sense.worth(o.value) for o in optima]),
-        price=np.array([o.prices for o in optima]),
         gap=max(float(apart[is_kept].max(initial=0.0)), 0.0),
         ratio=tracing.stated.ratio,
         maximises=sense.constant is not None,
         pricing_calls=tracing.calls,
         work=tracing.work,
-        status=Status.OPTIMAL,
-        _value=np.array([o.value for o in optima]),
-        _goal=np.array([o.goal for o in optima]),
+        _optima=tuple(tracing.optima),
         _lines=tracing.lines,
-        _members=tuple(o.policy for o in optima),
         _sense=sense,
     )
 
 
-def _apart_at(tracing: _Tracing, place: FloatArray) -> float:
-    """How far what is attained and what is proved lie apart at some bounds, as a share."""
-    spent = np.array([o.spends for o in tracing.optima])
-    value, goal = np.array([(o.value, o.goal) for o in tracing.optima]).T
-    attained, _ = _best_lottery(spent, value, goal, place, tracing.stated.ratio)
-    if not np.isfinite(attained):
-        return np.inf
-    worth = max(abs(tracing.stated.sense.worth(v)) for v in (attained, *value.tolist())) or 1.0
-    return (attained - tracing.lines.least(place)) / worth
-
-
 def _best_lottery(
-    spent: FloatArray, value: FloatArray, goal: FloatArray, bounds: FloatArray, ratio: bool
+    optima: Sequence[_Optimum], bounds: FloatArray, *, ratio: bool
 ) -> tuple[float, FloatArray]:
-    """The least that a lottery over points within bounds attains, infinite for none; its weights.
+    """The least that a lottery over optima within bounds attains, infinite for none; its weights.
 
     Args:
-        spent: [points, limits].
-        value: of each point, in what is minimised, [points].
-        goal: of each point, [points].
+        optima: at any bounds.
         bounds: [limits].
-        ratio: whether it is a cost given success (Charnes and Cooper: points are weighed by the
+        ratio: whether it is a cost given success (Charnes and Cooper: optima are weighed by the
             goal mass that they bring).
     """
-    mass = goal if ratio else np.ones(len(value))
+    spent, (value, goal) = (
+        np.array([o.spends for o in optima]),
+        np.array([(o.value, o.goal) for o in optima]).T,
+    )
+    mass = goal if ratio else np.ones(len(optima))
     taken = (spent - bounds).T / mass  # of a unit of mass
     scales = np.maximum(np.abs(bounds), np.abs(spent).max(axis=0))
     scales = np.where(scales > 0.0, scales, 1.0)

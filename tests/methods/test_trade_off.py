@@ -153,3 +153,43 @@ def test_a_utility_over_a_limit():
     assert frontier.maximises
     assert (np.diff(frontier.objective) > 0.0).all()
     assert frontier.objective[0] == pytest.approx(np.exp(-1.0) + 1.0)
+
+
+def quitting(fuel, calls=1.0):
+    """Who gives up takes 1 of fuel; who goes takes 5, or 1 and 4, and has paid 2."""
+    ways = {
+        "a": {"go": [(1.0, "g", 2.0)], "quit": [(1.0, "b", 1.0)]},
+        "b": {"on": [(1.0, "pit", 1.0)], "back": [(1.0, "g", 1.0)]},
+    }
+    taken = secondary_cost({"a": {"go": 5.0, "quit": 1.0}, "b": {"on": 3.0, "back": 4.0}})
+    limits = {"fuel": taken <= fuel, "calls": visits("b") <= calls}
+    return S3P(model_of(ways, "g"), "a", 1.0, constraints=limits)
+
+
+def test_the_least_that_is_spent_may_be_that_of_giving_up():
+    """Given success 2 is paid whatever fuel there is: a tenth of the runs go with 0.5 of it."""
+    assert solve(quitting(0.5)).objective == pytest.approx(2.0)
+    assert trace_frontier(quitting(0.5)).spent == pytest.approx([0.9])
+    assert trace_frontier(quitting(0.5), over="calls").objective == pytest.approx([2.0])
+    frontier = trace_frontier(quitting(5.0), over="fuel")
+    assert not frontier.complete  # nobody succeeds with none of it
+    for fuel in (0.5, 1.0, 4.5):
+        assert frontier.bounds_at(fuel) == pytest.approx((2.0, 2.0))
+    with pytest.raises(ModelError, match="was traced from"):
+        frontier.bounds_at(0.0)
+
+
+def test_who_may_not_give_up_may_wait_for_ever():
+    """The least visits are those of waiting, which is dear: the frontier begins where one goes."""
+    ways = {
+        "a": {"stay": [(1.0, "a", 1.0)], "go": [(0.5, "b", 1.0), (0.5, "g", 1.0)]},
+        "b": {"on": [(0.5, "g", 1.0), (0.5, "pit", 1.0)]},
+    }
+    problem = MCMP(
+        model_of(ways, "g"), "a", 1.0, give_up="dead_ends", charge_failing_step=False,
+        constraints={"b": visits("b") <= 1.0},
+    )  # fmt: skip
+    frontier = trace_frontier(problem, over="b")
+    assert frontier.spent == pytest.approx([0.5])
+    assert frontier.objective.tolist() == pytest.approx([1.5])
+    assert solve(problem).objective == pytest.approx(1.5)
