@@ -304,7 +304,8 @@ class Sweep:
             )
             if not rooms:  # one after the other in the same memory; blocks differ by one layer
                 size = many + 1 + max(span, len(values))
-                rooms = [np.zeros((size, *a.shape[1:])) for a in ahead]
+                make = np.empty if whole.turns == 1 else np.zeros
+                rooms = [make((size, *a.shape[1:])) for a in ahead]
             parts = [room[: many + len(a)] for room, a in zip(rooms, ahead, strict=True)]
             for part, later in zip(parts, ahead, strict=True):
                 part[many:] = later

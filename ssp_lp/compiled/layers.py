@@ -57,25 +57,51 @@ def _best_pair(
         if factor != 0.0:
             stage += factor * layers.growth[pair]
         total = stage + total
-        if total < least:
-            least = total
-            if total < below:
-                below, pick = total - tied * abs(total), pair
+        edge = total - tied * abs(total)
+        least = min(least, total)
+        if total < below:
+            below, pick = edge, pair
     return least, pick
+
+
+@njit(cache=True, inline="always")
+def _measure_of(
+    pick: Any, layers: Layers, begin: Array, charged: Array, factor: float, measured: Array
+) -> tuple[float, float, float]:
+    """Compiled: charge, failure and goal of a pair in a layer."""
+    paying, failed, reached = 0.0, 0.0, 0.0
+    for k in range(layers.indptr[pick], layers.indptr[pick + 1]):
+        place, share = begin[layers.classes[k]] + layers.nodes[k], layers.data[k]
+        paying += share * measured[place, 0]
+        failed += share * measured[place, 1]
+        reached += share * measured[place, 2]
+    if factor != 0.0:
+        paying += factor * layers.growth[pick]
+    paying += charged[layers.column[pick]]
+    return paying, failed + layers.failure[pick], reached + layers.goal[pick]
 
 
 @njit(cache=True)
 def _settle(
     layers: Layers, begin: Array, charged: Array, factor: float, due: Array,
-    row: int, values: Array, picks: Array,
+    row: int, values: Array, picks: Array, measured: Array,
 ) -> None:  # fmt: skip
     """Compiled: least values of a layer of cost, and the pairs that attain them, written.
 
     Where free steps go round, the layer is gone over forwards and backwards (Gauss-Seidel): a
-    choice is followed until nothing changes, and then made anew.
+    choice is followed until nothing changes, and then made anew. Where they do not, charge, failure
+    and goal of the choice are written as well, while its pair is at hand.
     """
     n, is_greedy = picks.size, True
-    tied = TIED if layers.turns == 1 else 0.0
+    if layers.turns == 1:
+        for s in layers.order:
+            first = np.uint64(layers.offsets[s])
+            past = np.uint64(layers.offsets[s + 1])
+            least, pick = _best_pair(first, past, layers, begin, charged, factor, due, values, TIED)
+            here = _measure_of(pick, layers, begin, charged, factor, measured)
+            values[row + s], picks[s] = least, pick - first
+            measured[row + s, 0], measured[row + s, 1], measured[row + s, 2] = here
+        return
     for turn in range(layers.turns):
         change, scale = 0.0, 0.0
         for i in range(n):
@@ -83,7 +109,7 @@ def _settle(
             first = np.uint64(layers.offsets[s])
             pick = first if is_greedy else first + np.uint64(picks[s])
             past = np.uint64(layers.offsets[s + 1]) if is_greedy else pick + np.uint64(1)
-            least, pick = _best_pair(pick, past, layers, begin, charged, factor, due, values, tied)
+            least, pick = _best_pair(pick, past, layers, begin, charged, factor, due, values, 0.0)
             change, scale = max(change, abs(least - values[row + s])), max(scale, abs(least))
             values[row + s], picks[s] = least, pick - first
         is_same = change <= ACCURATE * scale
@@ -103,19 +129,8 @@ def _measure(
         is_same = True
         for i in range(n):
             s = layers.order[i] if turn % 2 == 0 else layers.order[n - 1 - i]
-            pick = np.uint64(layers.offsets[s]) + np.uint64(picks[s])
-            paying, failed, reached = 0.0, 0.0, 0.0
-            for k in range(layers.indptr[pick], layers.indptr[pick + 1]):
-                place, share = begin[layers.classes[k]] + layers.nodes[k], layers.data[k]
-                paying += share * measured[place, 0]
-                failed += share * measured[place, 1]
-                reached += share * measured[place, 2]
-            if factor != 0.0:
-                paying += factor * layers.growth[pick]
-            paying += charged[layers.column[pick]]
-            failed += layers.failure[pick]
-            reached += layers.goal[pick]
-            was = measured[row + s]
+            pick, was = np.uint64(layers.offsets[s]) + np.uint64(picks[s]), measured[row + s]
+            paying, failed, reached = _measure_of(pick, layers, begin, charged, factor, measured)
             if layers.turns > 1 and (
                 abs(paying - was[0]) > ACCURATE * abs(paying)
                 or abs(failed - was[1]) > ACCURATE * failed
@@ -192,24 +207,26 @@ def sweep_layers(
     """
     n, due, is_bound = layers.order.size, owed - saved, given.size > 0
     rows = max(values.size, measured.shape[0]) // n
-    begin, unkept = np.empty(layers.leads.shape[1], np.int64), np.empty(n, position.dtype)
+    begin, unkept = np.empty(layers.leads.shape[1], np.uint64), np.empty(n, position.dtype)
     for layer in range(layers.paid.size - 1, -1, -1):
         ahead = layers.leads[0] + layer if layers.leads.shape[0] == 1 else layers.leads[layer]
-        begin[:] = ahead * n
+        for step in range(begin.size):
+            begin[step] = np.uint64(ahead[step] * n)
         charged = layers.charge[layer if layers.charge.shape[0] > 1 else 0]
         factor = layers.paid[layer] if layers.growth.size > 0 else 0.0
-        row, later = layer * n, (layer + 1) % rows * n
+        row, later = np.uint64(layer * n), (layer + 1) % rows * n
         picks = unkept if is_bound else position[layer]
         if is_bound and layers.turns == 1:
             values[row : row + n] = given[layer]
         elif not keeps:
-            values[row : row + n] = values[later : later + n]
-            _settle(layers, begin, charged, factor, due, row, values, picks)
+            if layers.turns > 1:
+                values[row : row + n] = values[later : later + n]
+            _settle(layers, begin, charged, factor, due, row, values, picks, measured)
             if is_bound:
                 values[row : row + n] = np.minimum(values[row : row + n], given[layer])
         if is_bound:
             _lower(layers, begin, charged, factor, owed, saved, row, values, within)
-        else:
+        elif keeps or layers.turns > 1:
             if layers.turns > 1:
                 measured[row : row + n] = 0.0
             _measure(layers, begin, charged, factor, picks, row, measured)

@@ -54,6 +54,7 @@ _HOPELESS = 1e-3
 _LONGEST = 1e9  # steps, beyond which shrinking by the lack's share cannot help
 _RAISING, _MOST_RAISING = 20, 5_000  # sweeps between two looks at what is lost still, and of all
 _RAISED = 0.9  # share of the loss from which sweeps are too slow
+_RAISED_OF_FEW = 0.6  # the same where equations of few states are solved in less time than sweeps
 _ONE = np.ones(1)
 
 
@@ -320,15 +321,13 @@ def raised(
     lost, size = values - lowered, np.abs(pair_cost)
     offsets, rows, cost = dynamics.pair_offsets, dynamics.transitions, PairCost(pair_cost)
     never, sweeps = np.full(len(size), -1.0), 0
+    slow = _RAISED if dynamics.n_states > DIRECT_STATES else _RAISED_OF_FEW
     while lost[asked].max(initial=0.0) > enough and sweeps < _MOST_RAISING:
         for _ in range(_RAISING):
             lowered = np.maximum(lowered, safe_minima(offsets, rows, cost, size, never, lowered))
         before, lost = lost, values - lowered
         sweeps += _RAISING
-        if (
-            lost.max() > _RAISED * before.max()
-            and lost[asked].max() > _RAISED * before[asked].max()
-        ):
+        if lost.max() > slow * before.max() and lost[asked].max() > slow * before[asked].max():
             break
     return lowered, float(lost[asked].max(initial=0.0))
 

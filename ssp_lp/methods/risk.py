@@ -58,7 +58,7 @@ from ssp_lp.column_generation.compiled_problem import (
     checked_least_failure,
 )
 from ssp_lp.column_generation.search import DualGuess
-from ssp_lp.compiled.deadline import Stop, WithIncumbent, ensure_incumbent, is_late
+from ssp_lp.compiled.deadline import Stop, WithIncumbent, is_late
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.columns import refined_optimum
 from ssp_lp.methods.exact_totals import ExactTotals, rises_by_each_step
@@ -98,7 +98,6 @@ def least_risk(
         InfeasibleError: the budget is below the least failure, or the goal is out of reach.
         ModelError: a table of costs that would be too large.
     """
-    ensure_incumbent()
     question = question_of(problem) if question is None else question
     is_quantile = isinstance(problem.semantics.risk, CostQuantileOf)
     search = least_quantile if is_quantile else least_tail_mean

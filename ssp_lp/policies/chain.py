@@ -28,7 +28,8 @@ from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
 _Step = tuple[IntArray, IntArray, FloatArray, FloatArray, IntArray, IntArray, IntArray, FloatArray]
 
 _MOST_KEYS = 2_000_000_000
-_MANY_ROUNDS = 64  # of a few nodes each: then all that there may be are searched at once
+_MANY_ROUNDS = 64  # of a few nodes each: then all that there may be are searched at once,
+_PAIRS_IN_ROUND = 6_000  # where that takes as long as the rounds till then, in memories times pairs
 _FEW_NODES = 1_000_000  # memories times pairs, so that this takes no longer than many rounds
 
 
@@ -142,13 +143,14 @@ def policy_chain(
     memory = np.where(ended[first], 0, policy.start_memory(first))
     start_key = memory * model.n_states + first
     visited, waves, reached = np.zeros(model.n_states, dtype=np.bool_), list[_Step](), 0
-    few = _FEW_NODES // max(model.n_pairs, 1)
     frontier = sorted_unique(start_key)
-    if (size := policy.memory_size) == 1:
+    size = policy.memory_size
+    turn = max(_MANY_ROUNDS, (size or 0) * model.n_pairs // _PAIRS_IN_ROUND)
+    if size == 1:
         frontier = _reachable_nodes(model, policy, frontier, ended, 1)
     while frontier.size:
         check_time()
-        if len(waves) == _MANY_ROUNDS and size is not None and size <= few:
+        if len(waves) == turn and size is not None and size * model.n_pairs <= _FEW_NODES:
             visited = _with_room(visited, size * model.n_states)
             frontier = _reachable_nodes(model, policy, frontier, ended, size)
             frontier = frontier[~visited[frontier]]

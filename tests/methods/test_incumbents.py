@@ -147,6 +147,7 @@ def test_ctrl_c_while_an_answer_is_looked_for_ends_the_call(monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Incumbent, "_cheapest_policy", interrupted)
+    monkeypatch.setattr(deadline, "_PREPARED_SHARE", 0.0)
     with pytest.raises(KeyboardInterrupt):
         solve(CVaR(LAYERED, 0, 0.7, 0.1), time_limit=60.0)
 
