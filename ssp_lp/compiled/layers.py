@@ -84,7 +84,7 @@ def _measure_of(
 @njit(cache=True)
 def _settle(
     layers: Layers, begin: Array, charged: Array, factor: float, due: Array,
-    row: int, values: Array, picks: Array, measured: Array,
+    row: Any, values: Array, picks: Array, measured: Array,
 ) -> None:  # fmt: skip
     """Compiled: least values of a layer of cost, and the pairs that attain them, written.
 
@@ -121,7 +121,7 @@ def _settle(
 @njit(cache=True)
 def _measure(
     layers: Layers, begin: Array, charged: Array, factor: float, picks: Array,
-    row: int, measured: Array,
+    row: Any, measured: Array,
 ) -> None:  # fmt: skip
     """Compiled: charge, failure and goal of a layer's choice, written; unmet nodes keep 0."""
     n = picks.size
@@ -145,7 +145,7 @@ def _measure(
 @njit(cache=True)
 def _lower(
     layers: Layers, begin: Array, charged: Array, factor: float, owed: Array, saved: Array,
-    row: int, values: Array, within: Array,
+    row: Any, values: Array, within: Array,
 ) -> None:  # fmt: skip
     """Compiled: values of a layer lowered to their backups, rounding counted against each.
 

@@ -31,6 +31,7 @@ _DOUBTED = (
     highspy.HighsModelStatus.kInfeasible,
 )
 _BASIC, _NONBASIC = highspy.HighsBasisStatus.kBasic, highspy.HighsBasisStatus.kNonbasic
+_POLL = 0.1  # seconds between two looks at whether HiGHS has ended
 _BROKEN = 1e-6  # violation of a row of an answer that is called optimal
 _NUMBERED = "x"  # before a column's number, with which its name begins
 ENDINGS = (".mps", ".lp", ".mps.gz", ".lp.gz")
@@ -121,7 +122,7 @@ def _solved_by_highs(
     if basis is None and (broken > _BROKEN if is_optimal else status in _DOUBTED):
         solver.setOptionValue("presolve", "off")
         solver.clearSolver()
-        solver.run()
+        run_highs(solver)
     return solver
 
 
@@ -150,13 +151,31 @@ def highs_solver(lp: highspy.HighsLp, options: HighsOptions) -> highspy.Highs:
 
 
 def run_highs(solver: highspy.Highs) -> None:
-    """Run HiGHS; where it ran before in this process, as cvxpy's, on as many threads as then.
+    """Run HiGHS beside this thread, which so hears of Ctrl-C and ends it.
 
-    Once it has threads it refuses any other number.
+    Where it ran before in this process, as cvxpy's, it runs on as many threads as then: once it has
+    threads it refuses any other number.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C came.
     """
-    if solver.run() == highspy.HighsStatus.kError:
+    solver.HandleUserInterrupt = True
+    if _run_beside(solver) == highspy.HighsStatus.kError:
         solver.setOptionValue("threads", 0)
-        solver.run()
+        _run_beside(solver)
+
+
+def _run_beside(solver: highspy.Highs) -> highspy.HighsStatus | None:
+    """Status of a run of HiGHS in a thread of its own."""
+    solver.startSolve()
+    try:
+        while not (ended := solver.wait(_POLL))[0]:
+            pass
+    except KeyboardInterrupt:
+        solver.cancelSolve()  # type: ignore[no-untyped-call]
+        solver.wait()
+        raise
+    return ended[1]
 
 
 def highs_lp(program: LinearProgram) -> highspy.HighsLp:

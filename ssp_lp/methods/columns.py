@@ -330,14 +330,16 @@ def refined_optimum(
         Stop: the time ended before a policy that keeps to the budget was found.
     """
     compiled = compiled if options.program is None else compiled.for_program()
-    row = FailureRow(budget, compiled.ratio)
+    row, least = FailureRow(budget, compiled.ratio), None
     with WithIncumbent() as search:
         row = replace(row, lowest=compiled.lowest)
-        if guess is None and options.program is None:
+        if options.program is not None:
+            least = checked_least_failure(compiled, budget)
+        elif guess is None:
             compiled, guess = _capped_by_case_m(compiled, budget)
-        outcome = _attempt(compiled, row, None, options, guess)
+        outcome = _attempt(compiled, row, least, options, guess)
     if search.stop:
-        return _safest_outcome(compiled, row, search.stop)
+        return _safest_outcome(compiled, row, least, search.stop)
     best = refine(_finer_outcomes(outcome, options), options.tolerance)
     if not is_late():
         return best
@@ -395,7 +397,7 @@ def _capped_by_case_m(
 
 
 def _safest_outcome(
-    compiled: CompiledProblem, row: FailureRow, stop: BaseException
+    compiled: CompiledProblem, row: FailureRow, least: LeastFailure | None, stop: BaseException
 ) -> RefinedOutcome:
     """The column of least failure, where time ended before any other within the budget.
 
@@ -405,10 +407,10 @@ def _safest_outcome(
     if prepared() is not None:  # there is a better one already
         raise Stop from stop
     with WithIncumbent(), closing():
-        safest = checked_least_failure(compiled, row.budget)
-        rule = columns_at(compiled.pricing(), safest, row)
+        least = checked_least_failure(compiled, row.budget) if least is None else least
+        rule = columns_at(compiled.pricing(), least, row)
         generated = generate(rule, SolveOptions(_TRIAL_TOLERANCE))
-        return RefinedOutcome(replace(generated, finished=False), compiled, rule.row, safest)
+        return RefinedOutcome(replace(generated, finished=False), compiled, rule.row, least)
     words = stop.told if isinstance(stop, Stop) else ""
     raise Stop(told=words or "no policy was measured by then") from stop
 
@@ -426,8 +428,7 @@ def _attempt(
     the first column is the answer, and its own bound holds.
     """
     optimum = None
-    if options.program is not None:
-        least = checked_least_failure(compiled, row.budget) if least is None else least
+    if options.program is not None and least is not None:
         row = replace(row, budget=max(row.budget, least.column.failure))
         if row.budget > least.column.failure + LEAST_BUDGET:
             process = compiled.explicit()

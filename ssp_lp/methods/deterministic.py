@@ -392,7 +392,6 @@ def _reached_states(process: ExplicitProcess) -> BoolArray:
 
 
 _LEAST_GAP = 1e-10
-_POLL = 0.1  # seconds between two looks at whether HiGHS has ended
 
 _OPTIONS: HighsOptions = {
     "mip_abs_gap": _LEAST_GAP,
@@ -470,7 +469,6 @@ class _IntegerProgram:
             highspy.HighsVarType.kInteger
         ] * self.pairs.size
         self._solver = highs_solver(lp, {**_OPTIONS, "mip_rel_gap": gap})
-        self._solver.HandleUserInterrupt = True
 
     def forbid(self, pairs: IntArray) -> None:
         """Exclude all policies that take these pairs, one for each state that they reach."""
@@ -484,14 +482,7 @@ class _IntegerProgram:
         solver, n = self._solver, self.process.n_pairs
         if not _has_time(solver, cost, deadline):
             return _IntegerAnswer(None, None, -np.inf, finished=False)
-        solver.startSolve()  # beside this thread, which so hears of Ctrl-C and ends it
-        try:
-            while not solver.wait(_POLL)[0]:
-                pass
-        except KeyboardInterrupt:
-            solver.cancelSolve()  # type: ignore[no-untyped-call]
-            solver.wait()
-            raise
+        run_highs(solver)
         status, info = solver.getModelStatus(), solver.getInfo()
         if status in _OVER:
             return _IntegerAnswer(None, None, np.inf, finished=True)

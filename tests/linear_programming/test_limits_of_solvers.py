@@ -2,6 +2,7 @@
 
 import time
 
+import highspy
 import numpy as np
 import pytest
 
@@ -59,3 +60,27 @@ def test_no_second_backend_is_asked_past_the_deadline(monkeypatch):
     assert asked == ["highs-ipx"]
     assert solution.status in (Status.TIME_LIMIT, Status.OPTIMAL)
     assert solution.failure_probability <= 0.1 + 1e-12
+
+
+def test_ctrl_c_ends_highs_and_leaves_the_policy_of_least_failure(monkeypatch):
+    """It is cancelled where it runs; the policy found before it, and its bound, come back."""
+    ended = []
+
+    def pressed(self, *_):
+        monkeypatch.setattr(highspy.Highs, "wait", wait)
+        raise KeyboardInterrupt
+
+    def cancel(self):
+        ended.append(self)
+        return stop(self)
+
+    wait, stop = highspy.Highs.wait, highspy.Highs.cancelSolve
+    monkeypatch.setattr(backends, "_LARGE", np.inf)
+    monkeypatch.setattr(highspy.Highs, "wait", pressed)
+    monkeypatch.setattr(highspy.Highs, "cancelSolve", cancel)
+    stopped, best = solve(PROBLEM, LinearProgramming("highs-ipx")), solve(PROBLEM)
+    assert len(ended) == 1
+    assert not ended[0].is_solver_running()
+    assert stopped.status in (Status.INTERRUPTED, Status.OPTIMAL)
+    assert stopped.failure_probability <= PROBLEM.failure_budget + 1e-12
+    assert stopped.lower_bound <= best.objective <= stopped.objective * (1.0 + 1e-12)
