@@ -550,7 +550,8 @@ def rollout(
     goes on with that; the episode counts as it failed, whatever it comes to.
 
     Args:
-        env: the environment; it is reset before each episode, and not closed.
+        env: the environment; it is reset before each episode, and not closed. One that renders
+            each step, or a wrapper that records, shows the policy at play.
         policy: of a problem on ``from_gymnasium(env).model``, or on a product with that model.
         episodes: how many to play.
         seed: of the environment and of the policy's draws.

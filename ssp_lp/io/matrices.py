@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence, Set
 from typing import Any
 
 import numpy as np
@@ -14,16 +14,18 @@ from ssp_lp.errors import ModelError, in_short
 from ssp_lp.io.model_files.raw_model import RawModel, absorbed
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
+from ssp_lp.model.ssp import StateSet
 
 
 @explained
 def from_matrices(
     transitions: Sequence[Any] | npt.NDArray[Any],
-    goal: npt.ArrayLike,
+    goal: npt.ArrayLike | Set[int],
     *,
     costs: Any = None,
     rewards: Any = None,
     actions: Sequence[str] | None = None,
+    state_labels: Mapping[str, StateSet] | None = None,
 ) -> SSP:
     """Build a model from a transition matrix for each action.
 
@@ -38,6 +40,7 @@ def from_matrices(
             or the rewards.
         rewards: likewise, none positive: the costs with the other sign.
         actions: [actions] names; their positions if left out.
+        state_labels: names for sets of states, as in ``SSP.from_transitions``.
 
     Returns:
         The model; its states are the indices.
@@ -53,7 +56,7 @@ def from_matrices(
         raise ModelError("give either costs or rewards")
     if actions is not None and len(actions) != len(matrices):
         raise ModelError(f"{len(actions)} names for {len(matrices)} actions")
-    goals = np.atleast_1d(np.asarray(goal))
+    goals = np.atleast_1d(np.asarray(sorted(goal) if isinstance(goal, Set) else goal))
     if goals.ndim != 1 or not np.issubdtype(goals.dtype, np.integer) or not goals.size:
         raise ModelError("goal must be indices of states, at least one")
     if (goals < 0).any() or (goals >= n_states).any():
@@ -86,7 +89,8 @@ def from_matrices(
         actions=[names[k] for k in (pairs % n_actions).tolist()],
         labels={},
     )
-    return absorbed(raw, goals, np.zeros(0, dtype=np.int64), "the matrices")
+    model = absorbed(raw, goals, np.zeros(0, dtype=np.int64), "the matrices")
+    return model.with_labels(state_labels or {})
 
 
 def _matrix(matrix: Any) -> Any:

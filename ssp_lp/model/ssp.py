@@ -41,6 +41,9 @@ Costs = float | Mapping[str, float]
 
 Outcomes = Iterable[tuple[float, Hashable, Costs]]
 
+StateSet = Iterable[Hashable] | Callable[[Any], bool]
+"""States by their labels, or what holds of just them."""
+
 ENDS = ("goal", "dead_end", "gave_up", "wandering", "unfinished")
 """Names that reports give to the ways in which an episode ends."""
 
@@ -83,7 +86,7 @@ class SSP(Graph, ReadOnlyCopies):
         goal: Iterable[Hashable],
         *,
         cost: str | None = None,
-        state_labels: Mapping[str, Iterable[Hashable]] | None = None,
+        state_labels: Mapping[str, StateSet] | None = None,
         treat_actionless_as_dead_ends: bool = False,
         normalise: bool = False,
     ) -> SSP:
@@ -97,7 +100,8 @@ class SSP(Graph, ReadOnlyCopies):
             goal: the labels of the goal states.
             cost: which of several costs is the model's own; the others are limited by
                 ``secondary_cost("fuel")``.
-            state_labels: names for sets of states ("wall"), used in reports.
+            state_labels: names for sets of states ("wall"), used in reports and limits; each is
+                given by its states, or by what holds of just them.
             treat_actionless_as_dead_ends: accept states without actions that are not goals.
             normalise: divide out sums of probabilities that miss 1 by up to 1e-5.
 
@@ -147,7 +151,7 @@ class SSP(Graph, ReadOnlyCopies):
         cost: str | None = None,
         state_limit: int = 1_000_000,
         progress: Callable[[int], None] | None = None,
-        state_labels: Mapping[str, Callable[[Any], bool]] | None = None,
+        state_labels: Mapping[str, StateSet] | None = None,
         treat_actionless_as_dead_ends: bool = False,
         normalise: bool = False,
     ) -> SSP:
@@ -161,7 +165,7 @@ class SSP(Graph, ReadOnlyCopies):
             cost: which of several costs is the model's own.
             state_limit: raise when more states than this are found.
             progress: called now and then with the number of states found so far.
-            state_labels: label -> predicate on states.
+            state_labels: names for sets of states, as in ``from_transitions``.
             treat_actionless_as_dead_ends: accept states without actions that are not goals.
             normalise: divide out sums of probabilities that miss 1 by up to 1e-5.
 
@@ -187,13 +191,9 @@ class SSP(Graph, ReadOnlyCopies):
             if progress is not None and (done % _PROGRESS_EVERY == 0 or done == count):
                 progress(count)
         _EXPLORING.info("%d states found", len(flat.states))
-        marked = {
-            name: [s for s in flat.states if holds(s)]
-            for name, holds in (state_labels or {}).items()
-        }
         return cls.from_arrays(
             **flat.arrays,
-            state_labels=marked,
+            state_labels=state_labels,
             treat_actionless_as_dead_ends=treat_actionless_as_dead_ends,
             normalise=normalise,
         )
@@ -210,7 +210,7 @@ class SSP(Graph, ReadOnlyCopies):
         successor: str | Sequence[str] = "successor",
         probability: str = "probability",
         cost: str | Sequence[str] = "cost",
-        state_labels: Mapping[str, Iterable[Hashable]] | None = None,
+        state_labels: Mapping[str, StateSet] | None = None,
         normalise: bool = False,
     ) -> SSP:
         """Build a model from a table of outcomes, a row for each, in any order.
@@ -228,7 +228,7 @@ class SSP(Graph, ReadOnlyCopies):
             probability: the column of the probability.
             cost: the column of the cost, or of several, the first of which is the model's own; each
                 of several can be limited, ``secondary_cost("fuel") <= 3``.
-            state_labels: names for sets of states, used in reports.
+            state_labels: names for sets of states, as in ``from_transitions``.
             normalise: divide out sums of probabilities that miss 1 by up to 1e-5.
 
         Raises:
@@ -277,7 +277,7 @@ class SSP(Graph, ReadOnlyCopies):
         goal_states: npt.ArrayLike,
         states: Sequence[Hashable] | None = None,
         actions: Sequence[Hashable] | None = None,
-        state_labels: Mapping[str, Iterable[Hashable]] | None = None,
+        state_labels: Mapping[str, StateSet] | None = None,
         exact_costs: Mapping[float, Fraction] | None = None,
         named_costs: Mapping[str, npt.ArrayLike] | None = None,
         treat_actionless_as_dead_ends: bool = False,
@@ -295,7 +295,7 @@ class SSP(Graph, ReadOnlyCopies):
             goal_states: indices of the goal states, which must have no pairs.
             states: labels of the states; their indices if left out.
             actions: [pairs] labels of the actions; their position within the state if left out.
-            state_labels: names for sets of states, given by their labels.
+            state_labels: names for sets of states, as in ``from_transitions``.
             exact_costs: the fraction meant by a float cost such as 1/3; others mean their
                 shortest decimal. It decides the lattice of accumulated costs.
             named_costs: costs by name, each as ``costs`` is given, for ``secondary_cost("fuel")``.
@@ -355,6 +355,21 @@ class SSP(Graph, ReadOnlyCopies):
             ModelError: it has no cost of this name.
         """
         return replace(self, costs=self.cost_named(name))
+
+    @explained
+    def with_labels(self, state_labels: Mapping[str, StateSet]) -> SSP:
+        """The same model with further names for sets of states, as in ``from_transitions``.
+
+        Raises:
+            ModelError: an unknown member, or a name that reports use for something else.
+
+        Example:
+            >>> model = SSP.from_transitions({"a": {"go": [(1.0, "b", 1.0)]}}, goal={"b"})
+            >>> model.with_labels({"begin": ["a"]}).state_labels["begin"].tolist()
+            [0]
+        """
+        further = _indexed_labels(self, state_labels)
+        return replace(self, state_labels={**self.state_labels, **further})
 
     @property
     def costs_by_name(self) -> Mapping[str, FloatArray]:
@@ -805,7 +820,7 @@ def _action_table(
     return tuple(table), code
 
 
-def _indexed_labels(model: SSP, labels: Mapping[str, Iterable[Hashable]]) -> Mapping[str, IntArray]:
+def _indexed_labels(model: SSP, labels: Mapping[str, StateSet]) -> Mapping[str, IntArray]:
     """State labels of a model with their members as sorted indices.
 
     Raises:
@@ -815,6 +830,9 @@ def _indexed_labels(model: SSP, labels: Mapping[str, Iterable[Hashable]]) -> Map
     for name, members in labels.items():
         if name in ENDS:
             raise ModelError(f"state label {name!r} is taken: reports use {', '.join(ENDS)}")
-        places = sorted({model.index_of(state) for state in no_lone_string(members, name)})
+        if callable(members):
+            places = [place for place, state in enumerate(model.states) if members(state)]
+        else:
+            places = sorted({model.index_of(state) for state in no_lone_string(members, name)})
         indexed[name] = read_only(np.array(places, dtype=np.int64))
     return indexed

@@ -8,8 +8,9 @@ import pytest
 from formulations import MCMP, S3P
 from refusing import refused
 from small_models import model_of
-from ssp_lp import SSP, solve
+from ssp_lp import SSP, ModelError, solve
 from ssp_lp.arrays import chunks, pieces_of_chunks
+from ssp_lp.io import from_matrices
 
 CHAIN = {
     0: {"on": [(0.5, 1, 1.0), (0.5, 0, 2.0)]},
@@ -233,3 +234,35 @@ def test_pieces_cover_every_segment_once(chunk):
         assert piece.firsts.tolist() == begins.tolist()
     covered = [k for some in chunks(11) for k in range(some.start, some.stop)]
     assert covered == list(range(11))
+
+
+def test_state_labels_are_given_alike_in_every_builder():
+    """By members, or by what holds of just them; names may be added to any model."""
+    chain = {0: {"go": [(0.9, 1, 1.0), (0.1, 2, 1.0)]}, 1: {"go": [(1.0, 3, 1.0)]}}
+    low = {"low": [0, 1]}, {"low": lambda s: s < 2}
+    table = {
+        "state": [0, 0, 1], "action": ["go"] * 3, "successor": [1, 2, 3],
+        "probability": [0.9, 0.1, 1.0], "cost": [1.0] * 3,
+    }  # fmt: skip
+    arrays = {
+        "pair_offsets": [0, 1, 2, 2, 2], "outcome_offsets": [0, 2, 3], "successors": [1, 2, 3],
+        "probabilities": [0.9, 0.1, 1.0], "costs": 1.0, "goal_states": [3],
+    }  # fmt: skip
+    step = np.zeros((1, 4, 4))
+    step[0, [0, 0, 1], [1, 2, 3]] = 0.9, 0.1, 1.0
+    lax = {"treat_actionless_as_dead_ends": True}
+    for labels in low:
+        models = [
+            SSP.from_transitions(chain, {3}, state_labels=labels, **lax),
+            SSP.from_successors(0, lambda s: chain.get(s, {}), {3}, state_labels=labels, **lax),
+            SSP.from_frame(table, {3}, state_labels=labels),
+            SSP.from_arrays(**arrays, state_labels=labels, **lax),
+            from_matrices(step, {3}, costs=np.ones(4), state_labels=labels),
+            SSP.from_transitions(chain, {3}, **lax).with_labels(labels),
+        ]
+        for model in models:
+            assert {model.states[k] for k in model.state_labels["low"]} == {0, 1}
+            both = model.with_labels({"high": [3]})
+            assert {*both.state_labels} == {"low", "high"}
+    with pytest.raises(ModelError, match="not a state"):
+        models[0].with_labels({"low": [7]})

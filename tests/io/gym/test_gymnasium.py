@@ -277,3 +277,10 @@ def test_the_missing_package_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "gymnasium", None)
     words = r"pip install 'ssp-lp\[gym\]'"
     refused(words, from_gymnasium, env, error=MissingDependencyError)
+
+
+def test_a_wrapper_that_records_sees_every_step():
+    env = gym.make("FrozenLake-v1", render_mode="ansi")
+    recorded = gym.wrappers.RenderCollection(env, pop_frames=False, reset_clean=False)
+    report = rollout(recorded, solved(from_gymnasium(env), 0.3).policy, episodes=3, seed=1)
+    assert len(recorded.render()) >= 3 + 3 * report.mean_steps  # each begins with a picture
