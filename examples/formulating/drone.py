@@ -88,7 +88,7 @@ def town() -> tuple[SSP, Flight]:
         start,
         actions,
         {"delivered"},
-        state_labels={name: ends.__contains__ for name, ends in ENDS.items()},
+        state_labels=ENDS,
         treat_actionless_as_dead_ends=True,
     )
     return model, start
