@@ -36,6 +36,7 @@ from ssp_lp.dynamic_programming.equations import System, strong_components
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import (
+    attention_states,
     dead_ends,
     goal_pairs,
     nearer_pairs,
@@ -311,9 +312,14 @@ _AT_ONCE = 1_000_000  # decisions between two looks at the time
 def giving_up_where_lost(policy: MixedPolicy) -> MixedPolicy:
     """A lottery whose members, layer by layer of cost, give up once the goal is lost.
 
+    It is lost in an attention state, or nowhere.
+
     Raises:
         Stop: the time ended.
     """
+    acting = np.diff(policy.model.pair_offsets) > 0
+    if not (attention_states(policy.model) & acting).any():
+        return policy
     return replace(policy, policies=tuple(_giving_up_layers(member) for member in policy.policies))
 
 
