@@ -11,20 +11,24 @@ from __future__ import annotations
 
 import gzip
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache
 from hashlib import sha256
+from heapq import heappop, heappush
+from math import lcm
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.optimize import linprog
 
+from ssp_lp.accumulated_cost.charges import Charge, TotalCostCharge, WithinBound
 from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.errors import Argument, ModelError, SolverError
 from ssp_lp.model import SSP
+from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
 from ssp_lp.problem import Problem, conditions_of, objective_of, requirements
 from ssp_lp.processes.conditions import Condition, StepTerm
@@ -36,6 +40,9 @@ from ssp_lp.verification.exact_values import decimal_text, member_vectors, value
 
 _MOVED = Fraction(1, 10**6)  # of a price, by which it may be corrected
 _RAISES = 60  # of a price that is not known
+_LESS = Fraction(1, 10**12)  # of a ratio, than which nothing less is told apart where totals count
+_CAPS, _WIDTH = 12, 1e-10  # of totals tried, until an interval is as narrow as this
+_MOST_NODES = 2_000_000
 _SHIFT = Fraction(1, 10**9)  # of a lottery, which may be moved to another one
 
 
@@ -99,9 +106,11 @@ def _check_covered(problem: Problem) -> None:
     if problem.discount is not None and getattr(problem, "reach_fraction", None) is not None:
         shares = Argument("reach_fraction"), " and ", Argument("discount")
         raise ModelError(f"no certificate of {name} with ", *shares)
-    if asks.counts_totals:
-        raise ModelError(f"no certificate of {name}: its cost counts by the total of a run that "
-                         "succeeds, which certificates do not tell apart yet")  # fmt: skip
+    charge = problem.semantics.charge(problem.ratio)
+    is_line = isinstance(charge, (TotalCostCharge, WithinBound)) and problem.semantics.risk is None
+    if asks.counts_totals and not is_line:
+        raise ModelError(f"no certificate of {name}: what its total cost is charged is no line and "
+                         "no step, which certificates do not tell apart yet")  # fmt: skip
     if problem.model.failure_label is not None:
         raise ModelError(f"no certificate of this {name}: it counts what happens after failing, "
                          "and certificates end where the goal is lost")  # fmt: skip
@@ -145,12 +154,15 @@ class _Statement:
         """The question of a certificate file, in the checker's terms."""
         problem, semantics = self.problem, self.problem.semantics
         objective, to_goal = objective_of(problem), [["1", "end", "goal"]]
+        charge = semantics.charge(problem.ratio) if objective is None else None
         penalty = 0.0 if semantics.forbids_failing else semantics.penalty
         least: dict[str, Any] = {"constant": _decimal_of(penalty), "terms": [["1", "cost", 0]]}
         if penalty > 0.0:
             least["terms"] += [[f"-{_decimal_of(penalty)}", "end", "goal"]]
         if objective is not None:
             least = self._quantity(objective, getattr(problem, "quantity", None))
+        elif charge is not None:
+            least = {"constant": _decimal_of(semantics.failing_worth), "terms": []}
         elif semantics.aim is not Aim.LEAST_COST:
             least = {"constant": "0", "terms": to_goal}
         rows = []
@@ -173,11 +185,14 @@ class _Statement:
             "start": begins,
             "give_up": str(semantics.give_up),
             "charge_failing_step": bool(semantics.charge_failing_step),
-            "greatest": objective is None and semantics.aim is Aim.GREATEST_GOAL,
+            "greatest": objective is None
+            and (semantics.aim is Aim.GREATEST_GOAL or semantics.maximises),
             "objective": least,
             "failure": self._failure(),
             "discount": None if problem.discount is None else _decimal_of(problem.discount),
             "rows": rows,
+            **({"ratio": True} if problem.ratio else {}),
+            **({} if charge is None else {"charge": _charge_steps(charge)}),
         }
 
     def _failure(self) -> Any:
@@ -234,35 +249,130 @@ class _Statement:
         return known
 
 
+def _charge_steps(charge: Charge) -> list[list[str]]:
+    """A charge of the total cost in a certificate file: after which total, its value, its slope."""
+    if isinstance(charge, WithinBound):
+        return [["-1", "1", "0"], [_text_of(charge.bound), "0", "0"]]
+    return [["0", "0", "1"]]
+
+
 def _text_of(value: Any) -> str:
     """A number as a text of a certificate file: a fraction, else the shortest decimal."""
     return str(value) if isinstance(value, (int, Fraction)) else _decimal_of(float(value))
 
 
 def _proof(model: checker.Model, solution: Solution, digest: str) -> Iterator[bytes]:
-    """Lines of a certificate file's proof: its head, and a line for each state."""
-    ssp, weights = solution.problem.model, solution.policy.weights
+    """Lines of a certificate file's proof: its head, a line for each state, and for each node."""
+    if not model.counts:
+        model.spread(Fraction(0), [])
+        yield from _proof_at(model, solution, digest)[1]
+        return
+    cap, lines, last, failed = _first_cap(model, solution), list[bytes](), np.inf, 0
+    for _ in range(_CAPS):
+        nodes = _nodes_below(model, cap)
+        model.spread(cap, nodes)
+        width, more = _proof_at(model, solution, digest)
+        failed += width >= 0.9 * last
+        if width < last:
+            lines, last = more, width
+        if last <= _WIDTH or failed > 1 or len(nodes) > _MOST_NODES // 2:
+            break
+        cap = cap * 2
+    yield from lines
+
+
+def _proof_at(model: checker.Model, solution: Solution, digest: str) -> tuple[float, list[bytes]]:
+    """Relative width of what a certificate file proves from some nodes, and its lines of proof."""
+    ssp, weights, n = solution.problem.model, solution.policy.weights, len(model.names)
     drawn = zip(solution.policy.policies, weights.tolist(), strict=True)
     members = [_decisions(model, policy) for policy, weight in drawn if weight > 0.0]
-    w = [0] * len(model.names)
+    w = [0] * n
     if model.share is not None:  # a member of weight 0 shows how likely the goal can be
         failure, free = model.rows[0], model.staying(model.live, model.every)[0]
-        w, likely = values_below(model, ssp, failure, free, members)
-        members.append(_reached(model, likely))
+        w, likely = values_below(model, ssp, failure, free, members, below=False)
+        pairs = [likely.get(x, UNDECIDED) for x in range(n)]
+        members.append(_reached(model, lambda x, r: pairs[x]))
     vectors = [member_vectors(model, decided) for decided in members]
     totals = [model.above(entries, f"member {m}") for m, entries in enumerate(vectors)]
     if model.share is not None:
         model.set_share(w, totals)
+    slope = [0] * n
+    if model.counts:
+        attention = model.staying(model.live, model.every)[0]
+        model.slopes.charge = lambda r: down(model.rise)
+        slope, _ = values_below(model, ssp, model.slopes, attention, members, below=False)
     chosen = _weights(model, weights[weights > 0.0], totals)
-    prices, v = _priced_values(model, solution, members, totals)
-    yield _line({
+    prices, v, bound = _priced_values(model, solution, members, totals, slope)
+    head = {
         "sha256": digest,
         "prices": [str(price) for price in prices],
         "weights": [str(weight) for weight in chosen],
-    })  # fmt: skip
-    for x in range(model.question["states"]):
-        line = {"v": decimal_text(v[x]), "members": [entries.get(x) for entries in vectors]}
-        yield _line(line if model.share is None else {**line, "w": decimal_text(w[x])})
+    }
+    lines = [_line({**head, "cap": str(Fraction(model.cap, model.unit))} if model.counts else head)]
+    for i in [*range(n - 1), *range(n, len(model.nodes))]:
+        line: dict[str, Any] = {}
+        if i >= n:
+            x, total = model.nodes[i]
+            line = {"state": x, "total": str(Fraction(total, model.unit))}
+        line |= {"v": decimal_text(v[i]), "members": [entries.get(i) for entries in vectors]}
+        if model.counts and i < n:
+            line["slope"] = decimal_text(slope[i])
+        lines.append(
+            _line(line if model.share is None or i >= n else {**line, "w": decimal_text(w[i])})
+        )
+    upper = dot(chosen, [total[0] for total in totals])
+    if model.ratio:
+        upper /= max(1 - dot(chosen, [total[1] for total in totals]), Fraction(1, ONE))
+    return abs(float(upper - bound)) / max(1.0, abs(float(upper))), lines
+
+
+def _first_cap(model: checker.Model, solution: Solution) -> Fraction:
+    """Total from which on a certificate's proof tells none apart, at first."""
+    steps = {t for pair in model.pairs for t in pair[4]}
+    breaks = [checker.number(step[0]) for step in model.question["charge"]]
+    cap = max(2 * max(steps), max(breaks) + 1, Fraction(1, 10**6))
+    for policy in solution.policy.policies:
+        if isinstance(policy, CostAwarePolicy):
+            last = policy.cap * policy.unit if policy.levels is None else policy.levels[-1]
+            cap = max(cap, Fraction(last).limit_denominator(1000))
+    return cap
+
+
+def _nodes_below(model: checker.Model, cap: Fraction) -> list[tuple[int, Fraction]]:
+    """Nodes of a certificate's proof: states with the totals below a cap at which they are met.
+
+    Raises:
+        ModelError: they are too many.
+    """
+    unit = lcm(*{t.denominator for pair in model.pairs for t in pair[4]}, cap.denominator)
+    steps = [
+        sorted({(y, int(t * unit)) for k in model.of[x] if model.keeps[k]
+                for (_, y), t in zip(model.pairs[k][2], model.pairs[k][4], strict=True)
+                if y in model.live})
+        for x in range(len(model.names))
+    ]  # fmt: skip
+    met: dict[int, set[int]] = {0: {x for _, x in model.start if x in model.live}}
+    last, ahead, count = int(cap * unit), [0], 0
+    nodes = list[tuple[int, Fraction]]()
+    while ahead:
+        r = heappop(ahead)
+        states, stack = met[r], list(met[r])
+        while stack:
+            for y, t in steps[stack.pop()]:
+                if r + t < last:
+                    if (there := met.get(r + t)) is None:
+                        there = met[r + t] = set()
+                        heappush(ahead, r + t)
+                    if y not in there:
+                        there.add(y)
+                        if t == 0:
+                            stack.append(y)
+        count += len(states)
+        if count > _MOST_NODES:
+            raise ModelError(f"no certificate: more than {_MOST_NODES:,} states with totals")
+        total = Fraction(r, unit)
+        nodes += [(x, total) for x in sorted(met.pop(r))]
+    return nodes
 
 
 def _priced_values(
@@ -270,40 +380,56 @@ def _priced_values(
     solution: Solution,
     members: Sequence[Mapping[int, int]],
     totals: Sequence[Sequence[Fraction]],
-) -> tuple[list[Fraction], list[int]]:
-    """Prices of the rows and values that bound all policies, in units of a certificate file."""
+    slope: Sequence[int],
+) -> tuple[list[Fraction], list[int], Fraction]:
+    """Prices of the rows, values that bound all policies, in units of a file, and that bound."""
     given = [max(solution.prices.get(row.name, 0.0), 0.0) for row in model.rows]
-    prices, at = [Fraction(_decimal_of(price)) for price in given], None
+    prices, at, ratio = [Fraction(_decimal_of(price)) for price in given], None, Fraction(0)
     weighed = totals[: int((solution.policy.weights > 0.0).sum())]
     some = [j for j, price in enumerate(given) if price > 0.0 and (j > 0 or model.may_fail)]
     if not model.may_fail:
         prices[0] = Fraction(0)  # only what keeps the goal sure counts
-    elif model.rows and model.rows[0].name == "failure" and solution.failure_price is None:
+    elif model.question["failure"] is not None and solution.failure_price is None:
         at = 0  # the budget was met by failing as little as possible, which has no price
+    elif model.counts and len(weighed) == 1 and given[:1] > [0.0]:
+        at = 0  # a budget that only one policy keeps to: any price that is high enough
     if at is None:  # at the right prices all members are worth the same
         first, *others = weighed
-        exact = _exact_solution(
-            [[t[1 + j] - first[1 + j] for j in some] for t in others],
-            [first[0] - t[0] for t in others],
-        )
+        table = [[t[1 + j] - first[1 + j] for j in some] for t in others]
+        right = [first[0] - t[0] for t in others]
+        if model.ratio:  # and their cost is the ratio times their goal probability
+            beyond = [[model.rows[j].bound - t[1 + j] for j in some] for t in weighed]
+            table = [[1 - t[1], *row] for t, row in zip(weighed, beyond, strict=True)]
+            right = [t[0] for t in weighed]
+        exact = _exact_solution(table, right)
+        if exact and model.ratio:
+            ratio, *exact = exact
         if exact and all(
             abs(e - prices[j]) <= _MOVED * prices[j] for e, j in zip(exact, some, strict=True)
         ):
             for e, j in zip(exact, some, strict=True):
                 prices[j] = Fraction(down(e), ONE)
+    if model.ratio and model.may_fail:  # failing goes without the ratio besides
+        ratio = ratio or Fraction(_decimal_of(solution.objective))
+        ratio -= abs(ratio) * _LESS if model.rows[0].loose == 1 else 0
+        prices[0] += Fraction(down(ratio), ONE)
     best: tuple[Fraction, list[Fraction], list[int]] | None = None
     for _ in range(_RAISES if at is not None else 1):
         c = model.priced(prices)
-        v, _ = values_below(model, solution.problem.model, c, model.free, members)
-        bound = c.constant + sum(p * (c.arrival[x] + Fraction(v[x], ONE)) for p, x in model.start)
-        if best is not None and bound <= best[0]:
+        past = slope if any(slope) else []
+        v, _ = values_below(model, solution.problem.model, c, model.free, members, past)
+        after = [down(c.arrival[x]) + value for (x, _), value in zip(model.nodes, v, strict=True)]
+        bound = c.constant + model.begin(after, 0, c.charge)
+        if model.ratio:
+            bound = model.given_success(bound, prices[0])
+        if best is not None and bound <= best[0] + (_LESS * abs(best[0]) if model.counts else 0):
             break
         best = bound, list(prices), v
         if at is not None:
             prices[at] = max(8 * prices[at], abs(totals[0][0]), Fraction(1, 1000))
     if best is None:
         raise SolverError("no price was tried")
-    return best[1], best[2]
+    return best[1], best[2], best[0]
 
 
 def _exact_solution(
@@ -326,40 +452,70 @@ def _exact_solution(
 
 
 def _decisions(model: checker.Model, policy: Policy) -> dict[int, int]:
-    """A member's decisions in a certificate file by state; GIVE_UP_CODE: it stops or wanders.
+    """A member's decisions in a certificate file by node; GIVE_UP_CODE: it stops or wanders.
 
     Raises:
-        ModelError: it remembers something, draws its actions, or lacks a decision.
+        ModelError: it remembers something else than totals, draws its actions, or lacks a decision.
     """
     live = np.array(sorted(model.live), dtype=np.int64)
+    if isinstance(policy, CostAwarePolicy) and model.counts:
+        offsets = policy.model.pair_offsets[:-1]
+
+        @cache
+        def row(r: int) -> list[int]:
+            """Pair of each state at a total."""
+            total = float(Fraction(r, model.unit))
+            if policy.levels is None:
+                layer = round(total / policy.unit)
+                place = float(layer)
+            else:
+                layer, place = int(np.abs(policy.levels - total).argmin()), total
+            if layer < policy.cap:
+                taken = policy.decision[layer].astype(np.int64)
+                return list(np.where(taken < 0, taken, offsets + taken).tolist())
+            tail = np.where(place >= policy.tail_threshold, len(policy.tails) - 1, 0)
+            if policy.tail_table is not None:
+                tail = policy.tail_table[min(layer - policy.cap, len(policy.tail_table) - 1)]
+            states = np.arange(len(offsets))
+            return list(policy.tails[tail.astype(np.int64), states].tolist())
+
+        return _reached(model, lambda x, r: row(r)[x])
     branches = policy.branches(live, np.zeros(live.size, dtype=np.int64))
     if not policy.is_stationary or len(branches.situation) != live.size:
         raise ModelError("no certificate of a policy that remembers or draws its actions")
-    return _reached(model, dict(zip(live.tolist(), branches.pair.tolist(), strict=True)))
+    pair_at = dict(zip(live.tolist(), branches.pair.tolist(), strict=True))
+    return _reached(model, lambda x, r: pair_at[x])
 
 
-def _reached(model: checker.Model, pair_at: Mapping[int, int]) -> dict[int, int]:
-    """Part of a member met from the start, for a certificate file; endless parts stop at once."""
-    met = {x for _, x in model.start if x in model.live}
-    ahead, before = list(met), dict[int, list[int]]()
+def _reached(model: checker.Model, pair_at: Callable[[int, int], int]) -> dict[int, int]:
+    """Part of a member met from the start, for a certificate file; endless parts stop at once.
+
+    Args:
+        model: the question and the model, its nodes spread.
+        pair_at: pair, or a code, of each state and total in units.
+    """
+    met = {model.at(x, 0) for _, x in model.start if x in model.live}
+    ahead, before, pairs = list(met), dict[int, list[int]](), dict[int, int]()
     ending = []
     while ahead:
-        x = ahead.pop()
-        if (k := pair_at[x]) == UNDECIDED:
+        i = ahead.pop()
+        x, r = model.nodes[i]
+        pairs[i] = k = pair_at(x, r)
+        if k == UNDECIDED:
             raise ModelError(f"the policy has no decision in state {model.names[x]!r}")
-        after = {y for _, y in model.pairs[k][2]} if k >= 0 else set()
+        after = {j for _, j in model.leads(k, r)} if k >= 0 else set()
         if k < 0 or after & model.ended:
-            ending.append(x)
-        for y in after & model.live:
-            before.setdefault(y, []).append(x)
-        ahead += (after & model.live) - met
-        met |= after & model.live
+            ending.append(i)
+        for j in after - model.ended:
+            before.setdefault(j, []).append(i)
+        ahead += after - model.ended - met
+        met |= after - model.ended
     ends = set(ending)
     while ending:
         more = set(before.get(ending.pop(), ())) - ends
         ends |= more
         ending += more
-    return {x: pair_at[x] if x in ends else GIVE_UP_CODE for x in met}
+    return {i: pairs[i] if i in ends else GIVE_UP_CODE for i in met}
 
 
 def _weights(

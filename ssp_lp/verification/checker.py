@@ -29,7 +29,8 @@ import gzip
 import hashlib
 import json
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from bisect import bisect_left
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache
@@ -40,8 +41,11 @@ FORMAT, ZERO = "ssp-lp certificate 1", Fraction(0)
 ONE = 10**60  # a proof's numbers are compared in units of 1/ONE, rounded against the proof
 EXCESS = Fraction(1, 10**9)  # of a bound: so much a lottery may exceed it, which is told
 KEYS = "asked charge_failing_step costs discount failure format give_up greatest objective rows"
-Pair = tuple[str, int, list[tuple[int, int]], list[Fraction]]
+OPTIONAL = {"charge", "ratio"}  # keys of questions that have them
+Pair = tuple[str, int, list[tuple[int, int]], list[Fraction], list[Fraction]]
+Charge = Callable[[int], int]  # of a total, in units
 FAILURE = {"constant": "1", "terms": [["-1", "end", "goal"]]}
+NOTHING: dict[str, Any] = {"constant": "0", "terms": []}
 
 
 class RefusedError(Exception):
@@ -85,8 +89,17 @@ def dot(weights: Iterable[Fraction], values: Iterable[Fraction]) -> Fraction:
     return sum((w * c for w, c in zip(weights, values, strict=True) if w), ZERO)
 
 
+class Places(dict[tuple[int, int], int]):
+    """Nodes of the checked proof, by state and total."""
+
+    def __missing__(self, key: tuple[int, int]) -> int:
+        raise RefusedError(f"no line of the proof tells of state {key[0]} at total {key[1]} units")
+
+
 class Quantity:
     """A quantity counted with weights >= 0, and a constant; as a row it has a bound."""
+
+    charge: Charge | None = None  # of the total at the goal
 
     def __init__(self, model: "Model", stated: Mapping[str, Any], sign: int, name: str) -> None:
         n, self.name, self.stop = len(model.names), name, ZERO
@@ -123,11 +136,13 @@ class Model:
 
     def __init__(self, question: dict[str, Any], lines: Sequence[bytes]) -> None:
         need(question.get("format") == FORMAT, "this is no certificate of this format")
-        need(set(question) == {*KEYS.split(), "sets", "start", "states"}, "an unknown question")
+        known = {*KEYS.split(), "sets", "start", "states"}
+        need(known <= set(question) <= known | OPTIONAL, "an unknown question")
         self.question, self.n_costs, n = question, whole(question["costs"], 1000), len(lines)
         self.sets: dict[str, set[int]] = {name: set() for name in ["goal", *question["sets"]]}
         gamma = number("1" if question["discount"] is None else question["discount"])
         need(0 < gamma <= 1, "a discount lies in (0, 1)")
+        self.gamma, self.counts = gamma, "charge" in question
         self.names, self.of, self.home = list[str](), list[range](), list[int]()
         self.pairs = list[Pair]()
         for x, state in enumerate(map(json.loads, lines)):
@@ -175,16 +190,19 @@ class Model:
         need(self.share is None or 0 <= self.share <= 1, "a share is no probability")
         exact = exact or (self.share is None and budget != "least")
         need(exact, "a share, or least failure, is of the real probability: without discount")
-        self.rows = [] if budget is None else [Quantity(self, FAILURE, 1, "failure")]
-        if budget not in (None, "least") and self.share is None:
-            self.rows[0].bound = self.rows[0].loose = number(budget)
+        self.ratio = question.get("ratio", False)
+        need(self.ratio in (False, not question["greatest"]), "a ratio is to be small")
+        is_limited = self.ratio or budget is not None
+        self.rows = [Quantity(self, FAILURE, 1, "failure")] if is_limited else []
+        if is_limited and budget != "least" and self.share is None:
+            self.rows[0].bound = self.rows[0].loose = number(budget or "1")
         for row in question["rows"]:
             sign, side = (1, "at_most") if "at_most" in row else (-1, "at_least")
             need(row.keys() == {"name", "quantity", side}, "a row has a name and one bound")
             self.rows.append(q := Quantity(self, row["quantity"], sign, str(row["name"])))
             q.bound = q.loose = sign * number(row[side]) - q.constant
             q.constant = ZERO
-        self.each = [self.objective, *self.rows]
+        self.each, self.slopes = [self.objective, *self.rows], Quantity(self, NOTHING, 1, "slope")
         paying = [k for k in range(self.n_costs) if any(q.costs[k] for q in self.each)]
         seen = {x for x in self.live if any(q.visits[x] for q in self.each)}
         costless = [not any(p[3][k] for k in paying) and all(y not in seen for _, y in p[2])
@@ -225,7 +243,9 @@ class Model:
         goes, of, total = gamma.numerator, gamma.denominator, sum(parts)
         outcomes = [(a * goes, whole(y, n)) for a, (_, y) in zip(parts, told, strict=True) if a]
         outcomes += [(total * (of - goes), n)] if goes < of else []
-        return str(name), total * of, outcomes, [of * cost for cost in paid]
+        first = [c for a, c in zip(parts, (each or [[ZERO] * len(parts)])[0], strict=True) if a]
+        first += [ZERO] * (len(outcomes) - len(first))
+        return str(name), total * of, outcomes, [of * cost for cost in paid], first
 
     def reaching(self, allowed: Sequence[bool]) -> set[int]:
         """States of the checked model from which allowed pairs may lead to the goal."""
@@ -250,9 +270,81 @@ class Model:
                     lost += [] if left[x] else [x]
         return inside, stays
 
+    def spread(self, cap: Fraction, listed: Sequence[tuple[int, Fraction]]) -> None:
+        """Nodes of the checked proof: all states from a total on, and below it those listed.
+
+        Totals are told in a unit of which each is a multiple, as each step of the first cost.
+        """
+        stated = self.question.get("charge", [])
+        steps = [(number(after), value, number(slope)) for after, value, slope in stated]
+        told = {cap, *(t for _, t in listed), *(t for t, _, _ in steps)}
+        told.update(*(pair[4] for pair in self.pairs) if self.counts else ())
+        self.unit = lcm(*(t.denominator for t in told))
+        self.cap, goes, of = int(cap * self.unit), *self.gamma.as_integer_ratio()
+        self.nodes, self.place = [(x, self.cap) for x in range(len(self.names))], Places()
+        for x, total in listed:
+            need(x in self.live and 0 <= total < cap, "a line is of a total below the cap, fails")
+            self.place[x, int(total * self.unit)] = len(self.nodes)
+            self.nodes.append((x, int(total * self.unit)))
+        if self.counts:
+            self.moves = [[(a, y, int(t * self.unit)) for (a, y), t in zip(p[2], p[4], strict=True)]
+                          for p in self.pairs]  # fmt: skip
+            self.comes = [[(a // goes * of, t) for a, y, t in moves if y in self.sets["goal"]]
+                          for moves in self.moves]  # fmt: skip
+            low, high = ([(t, self.sign * number(v[i] if isinstance(v, list) else v), self.sign * s)
+                          for t, v, s in steps] for i in (0, -1)[:: self.sign])  # fmt: skip
+            self.low, self.objective.charge = self.ladder(low, 1), self.ladder(high, -1)
+
+    def ladder(self, steps: Sequence[tuple[Fraction, ...]], side: int) -> Charge:
+        """Charge of totals in the checked proof, rounded down (side 1), or negative and up (-1).
+
+        After each start, the first of which is <= 0, it is a value and a slope times the excess.
+        """
+        starts = [int(start * self.unit) for start, _, _ in steps]
+        need(starts[0] <= 0 and starts == sorted(set(starts)), "a charge begins at 0, fails")
+        need(len(starts) == 1 or starts[-1] < self.cap, "the charge is a line from the cap on")
+        need(steps[-1][2] >= 0, "the charge does not fall in the end, fails")
+        self.rise = steps[-1][2]
+
+        @cache
+        def charge(r: int) -> int:
+            k = max(bisect_left(starts, r) - 1, 0)
+            _, value, slope = steps[k]
+            return down(side * (value + slope * Fraction(r - starts[k], self.unit)))
+
+        return charge
+
+    def at(self, x: int, r: int) -> int:
+        """Node of a state of the checked model at a total."""
+        return x if r >= self.cap or x in self.ended else self.place[x, r]
+
+    def leads(self, k: int, r: int) -> list[tuple[int, int]]:
+        """Nodes that a checked pair leads to from a total: (a, node), of probability a / T."""
+        if not self.counts:
+            return self.pairs[k][2]
+        return [(a, self.at(y, r + t)) for a, y, t in self.moves[k]]
+
+    def charged(self, k: int, r: int, charge: Charge | None, slope: Sequence[int]) -> int:
+        """T times what a checked pair takes by totals: at the goal, and by slopes past the cap."""
+        if charge is None:
+            return 0
+        taken, far = sum(a * charge(r + t) for a, t in self.comes[k]), r - self.cap
+        if not slope:
+            return taken
+        past = sum(a * slope[y] * (far + t) for a, y, t in self.moves[k] if far + t > 0)
+        return taken + past // self.unit
+
+    def begin(self, after: Sequence[int], r: int, charge: Charge | None) -> Fraction:
+        """Checked mean over the start at a total, of what comes after arriving."""
+        charges = {x: charge(0) if charge and x in self.sets["goal"] else 0 for _, x in self.start}
+        return sum(
+            (p * Fraction(after[self.at(x, r)] + charges[x], ONE) for p, x in self.start), ZERO
+        )
+
     def priced(self, prices: Sequence[Fraction]) -> Quantity:
         """Checked objective, and at prices the excess of rows over their bounds."""
         c = Quantity(self, self.question["objective"], self.sign, "priced")
+        c.charge = self.low if self.counts else None
         for price, row in zip(prices, self.rows, strict=True):
             c.constant += price * (row.constant - row.loose)
             c.stop += price * row.stop
@@ -261,48 +353,87 @@ class Model:
                          for a, b in zip(c.arrival, row.arrival, strict=True)]  # fmt: skip
         return c
 
-    def below(self, v: Sequence[int], c: Quantity, free: set[int]) -> Fraction:
+    def below(
+        self, v: Sequence[int], c: Quantity, free: set[int], slope: Sequence[int] = ()
+    ) -> Fraction:
         """Checked lower bound of c that v proves, every inequality of it."""
-        after = [down(a) + (v[x] if x in self.moving else 0) for x, a in enumerate(c.arrival)]
-        for x in self.moving:
+        nodes, own = self.nodes[: len(v)], [down(dot(c.costs, p[3])) for p in self.pairs]
+        arrival = [down(a) for a in c.arrival]
+        after = [arrival[x] + (v[i] if x in self.moving else 0) for i, (x, _) in enumerate(nodes)]
+        for i, (x, r) in enumerate(nodes):
+            if x not in self.moving:
+                continue
             stop = c.at_stop(self, x, free) if self.may_fail else None
             if stop is not None:
-                at_most(v[x], down(stop), "v <= giving up or wandering in", self.names[x])
+                at_most(v[i], down(stop), "v <= giving up or wandering in", self.name_of(i))
             for k in self.of[x]:
-                name, total, outcomes, paid = self.pairs[k]
-                most = sum(a * after[y] for a, y in outcomes) + down(dot(c.costs, paid))
-                if self.keeps[k] and v[x] * total > most:
-                    at_most(v[x], most // total, "v <= c + sum p v at", self.names[x], name)
-        return c.constant + sum((p * Fraction(after[x], ONE) for p, x in self.start), ZERO)
+                if self.keeps[k]:
+                    most = own[k] + sum(a * after[j] for a, j in self.leads(k, r))
+                    most += self.charged(k, r, c.charge, slope)
+                    name, total, *_ = self.pairs[k]
+                    if v[i] * total > most:
+                        at_most(v[i], most // total, "v <= c + sum p v at", self.name_of(i), name)
+        r = 0 if len(v) == len(self.nodes) else self.cap
+        return c.constant + self.begin(after, r, c.charge)
+
+    def name_of(self, i: int) -> str:
+        """Name of a node of the checked proof."""
+        (x, r), total = self.nodes[i], "" if i < len(self.names) else " at total "
+        return self.names[x] + (total and f"{total}{Fraction(r, self.unit)}")
 
     def above(self, member: Mapping[int, Sequence[Any]], words: str) -> list[Fraction]:
-        """Checked upper bound of a member's objective and rows."""
-        u = {x: [-down(-number(text)) for text in entry[1:]] for x, entry in member.items()}
-        need({len(q) for q in u.values()} <= {1 + len(self.each)}, words, "a number a row, fails")
-        arrival = [[ZERO] * len(self.names), *(q.arrival for q in self.each)]  # steps, quantities
-        after = [[-down(-a) + (u[x][j] if x in u else 0) for x, a in enumerate(values)]
+        """Checked upper bound of a member's objective and rows. Values are those of - u."""
+        each, n = [self.slopes, *self.each, *[self.slopes][: self.counts]], len(self.names)
+        u = {i: [down(-number(text)) for text in entry[1:]] for i, entry in member.items()}
+        sizes = {len(q) - (self.counts and i < n) for i, q in u.items()}
+        need(sizes <= {1 + len(self.each)}, words, "a number a row, fails")
+        arrival = [[down(-a) for a in q.arrival] for q in each]
+        after = [[values[x] + (u[i][j] if i in u and j < len(u[i]) else 0)
+                  for i, (x, _) in enumerate(self.nodes)]
                  for j, values in enumerate(arrival)]  # fmt: skip
-        decided, names = self.ended | member.keys(), ["1", *(q.name for q in self.each)]
-        need(decided >= {x for _, x in self.start}, words, "decides at the start, fails")
-        for x, (decision, *_) in member.items():
+        decided, names = self.ended | member.keys(), ["1", *(q.name for q in each[1:])]
+        self.slopes.charge = lambda r: down(-self.rise)
+        charges = [None, *(q.charge for q in each[1:])]
+        slope = [u[x][-1] if self.counts and x in u else 0 for x in range(n)]
+        need(
+            decided >= {self.at(x, 0) for _, x in self.start}, words, "decides at the start, fails"
+        )
+        for i, (decision, *_) in member.items():
+            x, r = self.nodes[i]
             need(x in self.live, words, "decides where nothing has ended, fails in", self.names[x])
-            total, outcomes, own = 1, list[tuple[int, int]](), [Fraction(1)]
+            total, leads, own, k = 1, list[tuple[int, int]](), [Fraction(1)], -1
             if decision == "stop":
-                stops = [q.at_stop(self, x, self.free) for q in self.each]
+                stops = [q.at_stop(self, x, self.free) for q in each[1:]]
                 own += [stop for stop in stops if stop is not None]
                 need(None not in stops, words, "stops where it may, fails in", self.names[x])
             else:
                 k = self.of[x].start + whole(decision, len(self.of[x]))
-                _, total, outcomes, paid = self.pairs[k]
-                own = [Fraction(total), *(dot(q.costs, paid) for q in self.each)]
-            need(decided >= {y for _, y in outcomes}, words, "decides after", self.names[x])
-            for j, (mine, value) in enumerate(zip(own, u[x], strict=True)):
-                least = -down(-mine) + sum(a * after[j][y] for a, y in outcomes)
-                if value * total < least:
-                    what = words, names[j], "+ sum p u <= u at", self.names[x], decision
-                    at_most(-(-least // total), value, *what)
-        return [q.constant + sum((p * Fraction(values[x], ONE) for p, x in self.start), ZERO)
-                for q, values in zip(self.each, after[1:], strict=True)]  # fmt: skip
+                total, leads = self.pairs[k][1], self.leads(k, r)
+                own = [Fraction(total), *(dot(q.costs, self.pairs[k][3]) for q in each[1:])]
+            need(decided >= {j for _, j in leads}, words, "decides after", self.name_of(i))
+            for j, value in enumerate(u[i]):
+                most = down(-own[j]) + sum(a * after[j][y] for a, y in leads)
+                most += self.charged(k, r, charges[j], slope if j == 1 else ()) if k >= 0 else 0
+                if value * total > most:
+                    what = words, names[j], "+ sum p u <= u at", self.name_of(i), decision
+                    at_most(-(most // total), -value, *what)
+        return [q.constant - self.begin(values, 0, q.charge)
+                for q, values in zip(self.each, after[1:], strict=False)]  # fmt: skip
+
+    def slopes_below(self, proof: Sequence[Mapping[str, Any]]) -> list[int]:
+        """Checked slopes of v in the total, of each state from the cap on; empty if all are 0."""
+        slope = [
+            down(number(line["slope"])) if x in self.moving else 0 for x, line in enumerate(proof)
+        ]
+        slope, self.slopes.charge = [*slope, 0], lambda r: down(self.rise)
+        self.below(slope, self.slopes, self.staying(self.live, self.every)[0])
+        return slope if any(slope) else []
+
+    def given_success(self, bound: Fraction, price: Fraction) -> Fraction:
+        """Checked bound of cost / goal from that of cost + price * (failure - most failure)."""
+        most = self.rows[0].loose  # a ratio of two lines, least at failure 0 or at the most
+        need(most < 1 or bound >= 0, "0 <= cost + price * (failure - 1) of all policies, fails")
+        return min([bound + price * most, *([bound / (1 - most)] if most < 1 else [])])
 
     def set_share(self, w: Sequence[int], members: Iterable[Sequence[Fraction]]) -> None:
         """Set the checked budget 1 - share * greatest goal probability, from both sides."""
@@ -356,32 +487,45 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
     """Check the lines of a certificate's file; raises where it is refused."""
     question = json.loads(lines[0])
     n = whole(question["states"], len(lines))
-    need(len(lines) == 2 * n + 2, len(lines), "lines where there should be", 2 * n + 2)
+    need(len(lines) >= 2 * n + 2, len(lines), "lines where there should be", 2 * n + 2)
     digest, head = hashlib.sha256(b"\n".join(lines[: n + 1])).hexdigest(), json.loads(lines[n + 1])
-    need(head.keys() == {"sha256", "prices", "weights"}, "the proof has no head in line", n + 2)
-    need(digest == head["sha256"], "the SHA-256 is not that of the question and the model")
+    need(digest == head.get("sha256"), "the SHA-256 is not that of the question and the model")
     model, proof = Model(question, lines[1 : n + 1]), [json.loads(line) for line in lines[n + 2 :]]
+    expected = {"sha256", "prices", "weights", *["cap"][: model.counts]}
+    need(head.keys() == expected, "the proof has no head in line", n + 2)
+    need(model.counts or len(proof) == n, len(lines), "lines where there should be", 2 * n + 2)
     weights, prices = [[number(text) for text in head[name]] for name in ("weights", "prices")]
     need(min(weights) >= 0 and sum(weights) == 1, "weights are >= 0 and sum to 1, fails")
     need(min([ZERO, *prices]) >= 0, "prices are >= 0, fails")
     need(len(prices) == len(model.rows), len(prices), "prices of", len(model.rows), "rows")
-    keys = {"v", "members"} | ({"w"} if model.share is not None else set())
-    told = {line.keys() == keys and len(line["members"]) for line in proof}
+    keys = {"v", "members", *["w"][: model.share is not None], *["slope"][: model.counts]}
+    told = {line.keys() == keys and len(line["members"]) for line in proof[:n]}
+    keys = {"v", "members", "state", "total"}
+    told |= {line.keys() == keys and len(line["members"]) for line in proof[n:]}
     need(told == {len(weights)}, "a line of proof has values, and each member, fails")
-    members = list[list[Fraction]]()
+    listed = [(whole(line["state"], n), number(line["total"])) for line in proof[n:]]
+    model.spread(number(head.get("cap", "0")), listed)
+    places, members = [*range(n), *range(n + 1, len(proof) + 1)], list[list[Fraction]]()
     for m in range(len(weights)):
-        decided = {x: line["members"][m] for x, line in enumerate(proof) if line["members"][m]}
+        decided = {i: line["members"][m] for i, line in zip(places, proof, strict=True)
+                   if line["members"][m]}  # fmt: skip
         members.append(model.above(decided, f"member {m}:"))
     if model.share is not None:
-        model.set_share([down(number(line["w"])) for line in proof], members)
+        model.set_share([down(number(line["w"])) for line in proof[:n]], members)
     c, v = model.priced(prices), [down(number(line["v"])) for line in proof]
-    lower, exceeded = model.below(v, c, model.free), dict[str, Fraction]()
+    v[n:n] = [0]
+    slope = model.slopes_below(proof[:n]) if model.counts else []
+    lower, exceeded = model.below(v, c, model.free, slope), dict[str, Fraction]()
     upper, *taken = [dot(weights, each) for each in zip(*members, strict=True)]
     for row, value in zip(model.rows, taken, strict=True):
         if value > row.bound:
             exceeded[row.name] = value - row.bound
             if value - row.bound > EXCESS * abs(row.bound):
                 at_most(down(value), down(row.bound), "lottery <= bound of row", row.name)
+    if model.ratio:
+        need(taken[0] < 1, "the lottery reaches the goal, fails")
+        lower = model.given_success(lower, prices[0])
+        upper = max(upper, upper / (1 - taken[0]))
     ends = (-upper, -lower) if question["greatest"] else (lower, upper)
     return Checked(True, "", *ends, exceeded, str(question["asked"]), digest)
 

@@ -8,7 +8,8 @@ room than the digits that are left out. An upper vector is a lower one with its 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +25,7 @@ from ssp_lp.verification.checker import ONE, Model, Quantity, dot, down
 _LOST = 10**28
 """Values are lowered by at most one part in so many of the largest."""
 
+_KEPT = ONE // 10**32  # of a value that follows from others directly
 _REFINEMENTS = 60  # of a system, each of which gains the digits that its condition leaves of 16
 _IMPROVEMENTS = 500  # of a policy, until which iteration has always ended
 _UNITS = 4.0  # what an equation may lack in the end
@@ -46,92 +48,194 @@ def decimal_text(value: int) -> str:
     return f"-{text}" if value < 0 else text
 
 
-def member_vectors(model: Model, decided: Mapping[int, int]) -> dict[int, list[Any]]:
-    """Exact values of a lottery's member for the checker: decisions, steps, quantities.
+def layers_of(model: Model, *, below: bool) -> Iterator[list[int]]:
+    """Nodes for exact values, all of one total each, the states from the cap on first.
 
     Args:
-        model: the question and the model.
-        decided: pair, or GIVE_UP_CODE, of each state that it comes to, from all of which it ends.
+        model: the question and the model, its nodes spread.
+        below: whether totals below the cap follow, the highest first.
+    """
+    yield list(range(len(model.names)))
+    later: dict[int, list[int]] = {}
+    for i in range(len(model.names), len(model.nodes) if below else 0):
+        later.setdefault(model.nodes[i][1], []).append(i)
+    for total in sorted(later, reverse=True):
+        yield later[total]
+
+
+def member_vectors(model: Model, decided: Mapping[int, int]) -> dict[int, list[Any]]:
+    """Exact values of a lottery's member for the checker: decisions, steps, quantities, slope.
+
+    Args:
+        model: the question and the model, its nodes spread.
+        decided: pair, or GIVE_UP_CODE, of each node that it comes to, from all of which it ends.
 
     Raises:
         ModelError: it gives up where it may not.
     """
-    place, vectors = {x: i for i, x in enumerate(decided)}, list[list[int]]()
+    n, slope, vectors = len(model.names), list[int](), list[list[int]]()
+    if model.counts:
+        rising = model.slopes
+        rising.charge = lambda r: down(-model.rise)
+        slope = _member_values(model, {i: k for i, k in decided.items() if i < n}, rising, [])
     for q in [None, *model.each]:
-        arrival, rows = [0 if q is None else down(-a) for a in (q or model.objective).arrival], []
-        for x, k in decided.items():
-            _, total, outcomes, paid = model.pairs[k] if k >= 0 else ("", 1, [], [])
+        past = slope if q is model.objective and any(slope) else []
+        vectors.append(_member_values(model, decided, q, past))
+    return {
+        i: ["stop" if k < 0 else k - model.of[model.nodes[i][0]].start]
+        + [decimal_text(-values[i]) for values in vectors]
+        + ([decimal_text(-slope[i])] if model.counts and i < n else [])
+        for i, k in decided.items()
+    }
+
+
+def _member_values(
+    model: Model, decided: Mapping[int, int], q: Quantity | None, slope: Sequence[int]
+) -> list[int]:
+    """Exact values of one quantity of a member, negative, [nodes]; None: steps, with some more."""
+    charge = None if q is None else q.charge
+    arrival = [0 if q is None else down(-a) for a in (q or model.objective).arrival]
+    values = [0] * len(model.nodes)
+    after = [arrival[x] for x, _ in model.nodes]
+    for layer in layers_of(model, below=len(decided) > 0):
+        here = [i for i in layer if i in decided]
+        place, rows = {i: row for row, i in enumerate(here)}, list[Row]()
+        for i in here:
+            (x, r), k = model.nodes[i], decided[i]
+            _, total, _, paid, _ = model.pairs[k] if k >= 0 else ("", 1, [], [], [])
             own = -total * ONE
+            leads = model.leads(k, r) if k >= 0 else []
             if q is not None:
                 takes = q.at_stop(model, x, model.free) if k < 0 else dot(q.costs, paid)
                 if takes is None:
                     raise ModelError(
                         f"the policy gives up in state {model.names[x]!r}: not so here"
                     )
-                own = down(-takes) + sum(a * arrival[y] for a, y in outcomes)
-            after = [(a, place[y]) for a, y in outcomes if y in place]
-            rows.append(Row(place[x], total, after, own))
-        if q is None:  # so many steps, a few digits of which serve as a witness
-            steps = best_values(rows, range(len(rows)))[1]
-            vectors.append([n * 101 // ONE * (ONE // 100) for n in steps])
-        else:  # what takes nothing takes exactly nothing
-            nothing = not any(row.own for row in rows)
-            vectors.append([0] * len(rows) if nothing else sub_solution(rows, range(len(rows)))[1])
-    return {
-        x: ["stop" if k < 0 else k - model.of[x].start]
-        + [decimal_text(-values[place[x]]) for values in vectors]
-        for x, k in decided.items()
-    }
+                own = down(-takes) + (model.charged(k, r, charge, slope) if k >= 0 else 0)
+            inside = [(a, place[j]) for a, j in leads if j in place]
+            own += sum(a * after[j] for a, j in leads)  # nothing but the arrival yet, if inside
+            rows.append(Row(place[i], total, inside, own))
+        for i, value in zip(here, _one_way_values(rows, q is None), strict=True):
+            values[i] = value
+            after[i] += value
+    return values
+
+
+def _one_way_values(rows: Sequence[Row], is_steps: bool) -> list[int]:
+    """Exact values of nodes that have one row each."""
+    if not any(row.own for row in rows):
+        return [0] * len(rows)  # what takes nothing takes exactly nothing
+    if not any(row.outcomes for row in rows):
+        values = [_shortened(row.own // row.total) for row in rows]
+    elif not is_steps:
+        return sub_solution(rows, range(len(rows)))[1]
+    else:
+        values = best_values(rows, range(len(rows)))[1]
+    # of steps a few digits serve as a witness
+    return [v * 101 // ONE * (ONE // 100) for v in values] if is_steps else values
 
 
 def values_below(
-    model: Model, ssp: SSP, c: Quantity, free: set[int], members: Sequence[Mapping[int, int]]
+    model: Model,
+    ssp: SSP,
+    c: Quantity,
+    free: set[int],
+    members: Sequence[Mapping[int, int]],
+    slope: Sequence[int] = (),
+    *,
+    below: bool = True,
 ) -> tuple[list[int], dict[int, int]]:
     """Exact values that bound a quantity of all policies from below, in units; a best policy.
 
     States that may be gone about in for nothing are one node, as such loops say nothing of them.
 
     Args:
-        model: the question and the model.
+        model: the question and the model, its nodes spread.
         ssp: the same model, for its graph.
         c: the quantity, such as the objective at prices of the rows.
         free: where wandering is free.
         members: policies near the best one.
+        slope: of the values in the total, from the cap on; empty: none.
+        below: whether the nodes below the cap are asked for.
     """
-    arrival = [down(a) for a in c.arrival]
-    own = {
-        k: down(dot(c.costs, model.pairs[k][3])) + sum(a * arrival[y] for a, y in model.pairs[k][2])
-        for x in model.moving
-        for k in model.of[x]
-        if model.keeps[k]
-    }
+    paid = [down(dot(c.costs, pair[3])) for pair in model.pairs]
+    chosen = {k for member in members for k in member.values() if k >= 0}
+    arrival, n = [down(a) for a in c.arrival], len(model.names)
+    values = [0] * (len(model.nodes) if below else n)
+    after, best = [arrival[x] for x, _ in model.nodes[: len(values)]], dict[int, int]()
+    still = {model.home[k] for k, moves in enumerate(model.moves if model.counts else [])
+             if any(t == 0 and y in model.moving for _, y, t in moves)}  # fmt: skip
+    for layer in layers_of(model, below=below):
+        here = [i for i in layer if model.nodes[i][0] in model.moving]
+        r, own, leads = model.nodes[layer[0]][1], dict[int, int](), dict[int, list[Any]]()
+        for i in here:
+            for k in model.of[model.nodes[i][0]]:
+                if model.keeps[k]:
+                    leads[k] = model.leads(k, r)
+                    own[k] = paid[k] + sum(a * after[j] for a, j in leads[k])
+                    own[k] += model.charged(k, r, c.charge, slope)
+        stops = {i: None if not model.may_fail else c.at_stop(model, model.nodes[i][0], free)
+                 for i in here}  # fmt: skip
+        if layer[0] >= n and not any(model.nodes[i][0] in still for i in here):
+            for i in here:
+                worth = {k: own[k] // model.pairs[k][1] for k in model.of[model.nodes[i][0]]
+                         if k in own}  # fmt: skip
+                if (stop := stops[i]) is not None:
+                    worth[GIVE_UP_CODE] = down(stop)
+                best[i] = min(worth, key=worth.__getitem__)
+                values[i] = _shortened(worth[best[i]])
+        else:
+            found = _connected_values(model, ssp, here, own, leads, stops, chosen)
+            for i, (value, k) in found.items():
+                values[i], best[i] = value, k
+        for i in here:
+            after[i] += values[i]
+    return values, best
+
+
+def _connected_values(
+    model: Model,
+    ssp: SSP,
+    here: Sequence[int],
+    own: Mapping[int, int],
+    leads: Mapping[int, Sequence[tuple[int, int]]],
+    stops: Mapping[int, Fraction | None],
+    chosen: set[int],
+) -> dict[int, tuple[int, int]]:
+    """Exact values of nodes of one total that lead to each other, and a best decision of each."""
+    met = set(here)
     costless = np.zeros(ssp.n_pairs, dtype=np.bool_)
-    for k, paid in own.items():
-        costless[k] = paid == 0 and all(y in model.moving for _, y in model.pairs[k][2])
+    for k, takes in own.items():
+        costless[k] = takes == 0 and all(j in met for _, j in leads[k])
     component, inside = end_components(ssp, costless)
-    group = {x: int(component[x]) if component[x] >= 0 else -1 - x for x in model.moving}
+    at = {i: model.nodes[i][0] for i in here}
+    group = {i: int(component[x]) if component[x] >= 0 else -1 - x for i, x in at.items()}
     number = {name: i for i, name in enumerate(dict.fromkeys(group.values()))}
-    node = {x: number[name] for x, name in group.items()}
+    node = {i: number[name] for i, name in group.items()}
     rows, pairs = list[Row](), list[int]()
-    for x in model.moving:
+    for i, x in at.items():
         for k in model.of[x]:
             if k in own and not inside[k]:
-                _, total, outcomes, _ = model.pairs[k]
-                after = [(a, node[y]) for a, y in outcomes if y in node]
-                rows.append(Row(node[x], total, after, own[k]))
+                after = [(a, node[j]) for a, j in leads[k] if j in node]
+                rows.append(Row(node[i], model.pairs[k][1], after, own[k]))
                 pairs.append(k)
-        stop = c.at_stop(model, x, free) if model.may_fail else None
-        if stop is not None:
-            rows.append(Row(node[x], 1, [], down(stop)))
+        if (stop := stops[i]) is not None:
+            rows.append(Row(node[i], 1, [], down(stop)))
             pairs.append(GIVE_UP_CODE)
-    chosen = {k for member in members for k in member.values() if k >= 0}
     first = _leaving_choice(rows, len(number), [k in chosen for k in pairs])
     choice, values = sub_solution(rows, first)
     taken = np.zeros(ssp.n_pairs, dtype=np.bool_)
     taken[[pairs[r] for r in choice if pairs[r] >= 0]] = True
     nearer = nearer_pairs(ssp, taken, taken | inside)  # within a node to where it is left
-    best = {x: GIVE_UP_CODE if pairs[choice[i]] < 0 else int(nearer[x]) for x, i in node.items()}
-    return [values[node[x]] if x in node else 0 for x in range(len(model.names))], best
+    return {
+        i: (values[g], GIVE_UP_CODE if pairs[choice[g]] < 0 else int(nearer[at[i]]))
+        for i, g in node.items()
+    }
+
+
+def _shortened(value: int) -> int:
+    """Exact value rounded down to the digits that a file keeps of it, where no row needs more."""
+    return value // _KEPT * _KEPT
 
 
 def sub_solution(rows: Sequence[Row], choice: Sequence[int]) -> tuple[Sequence[int], list[int]]:

@@ -16,7 +16,9 @@ LEAST_ROOM = 1e-11  # beyond the least failure, where that is asked for
 
 def optimum(lines: Sequence[bytes]) -> float | None:
     """The optimum of the question in the first line, on the states of the others; None: none."""
-    question, *states = [json.loads(line) for line in lines]
+    question, *states = [json.loads(line) for line in lines[: json.loads(lines[0])["states"] + 1]]
+    if "charge" in question:
+        question, states = by_totals(question, states)
     n = len(states)
     members = {name: set() for name in ["goal", *question["sets"]]}
     for x, state in enumerate(states):
@@ -106,15 +108,25 @@ def optimum(lines: Sequence[bytes]) -> float | None:
     )
     failed = sum(p for p, x in start if x in dead)
 
-    def least(objective: np.ndarray, rows: list[tuple[np.ndarray, float]]) -> float | None:
-        """The least of an objective within rows."""
+    def least(
+        objective: np.ndarray, rows: list[tuple[np.ndarray, float]], at_start: float | None = None
+    ) -> float | None:
+        """The least of an objective within rows; given success, with what it takes at the start."""
         if not columns:
             return 0.0 if all(bound >= -1e-9 for _, bound in rows) else None
         upper = np.array([r for r, _ in rows]) if rows else None
         bounds = np.array([b for _, b in rows]) if rows else None
+        equal, right = balance, begins
+        if at_start is not None:  # all is scaled so that the goal has probability one
+            objective = np.append(objective, at_start)
+            upper = None if upper is None else np.column_stack([upper, -bounds])
+            bounds = None if bounds is None else np.zeros(len(bounds))
+            equal = np.column_stack([balance, -begins])
+            equal = np.vstack([equal, np.append(-fails, 1.0 - failed)])
+            right = np.append(np.zeros(len(begins)), 1.0)
         for presolve in (True, False):
             answer = linprog(
-                objective, upper, bounds, balance, begins, method="highs-ds",
+                objective, upper, bounds, equal, right, method="highs-ds",
                 options={"primal_feasibility_tolerance": 1e-10,
                          "dual_feasibility_tolerance": 1e-10, "presolve": presolve},
             )  # fmt: skip
@@ -142,6 +154,8 @@ def optimum(lines: Sequence[bytes]) -> float | None:
             rows.append((-takes, at_start - float(Fraction(stated["at_least"]))))
     sign = -1.0 if question["greatest"] else 1.0
     takes, at_start = row(question["objective"])
+    if question.get("ratio"):
+        return least(takes, rows, at_start)
     found = least(sign * takes, rows)
     return None if found is None else sign * found + at_start
 
@@ -165,3 +179,52 @@ def _action(stated: list) -> tuple[list[tuple[float, int]], np.ndarray]:
 def _within(outs: list[tuple[float, int]], states: set[int]) -> bool:
     """Whether all outcomes lie in some states."""
     return all(y in states for _, y in outs)
+
+
+def charge_of(steps: list, total: Fraction) -> Fraction:
+    """What a total is charged; of a value that lies between two, the middle."""
+    after, value, slope = max(
+        [step for step in steps if Fraction(step[0]) < total] or steps[:1],
+        key=lambda step: Fraction(step[0]),
+    )
+    values = [Fraction(v) for v in (value if isinstance(value, list) else [value])]
+    return sum(values) / len(values) + Fraction(slope) * (total - Fraction(after))
+
+
+def by_totals(question: dict, states: list[dict], most: int = 1500) -> tuple[dict, list[dict]]:
+    """The same question on (state, total), the charge a cost; totals stop growing far out.
+
+    They do where there are so many nodes.
+    """
+    paid, place, told = question["costs"], dict[tuple[int, Fraction], int](), list[dict]()
+    nodes = list[tuple[int, Fraction]]()
+
+    def at(x: int, total: Fraction) -> int:
+        if "goal" in states[x]["sets"] or not states[x]["actions"]:
+            total = Fraction(0)
+        elif len(nodes) >= most:
+            total = max((r for y, r in nodes if y == x), default=total)
+        if (x, total) not in place:
+            place[x, total] = len(nodes)
+            nodes.append((x, total))
+        return place[x, total]
+
+    start = [[p, at(x, Fraction(0))] for p, x in question["start"]]
+    for x, total in nodes:  # it grows while it is walked
+        actions = []
+        for name, outs, costs in states[x]["actions"]:
+            first = costs[0] if isinstance(costs[0], list) else [costs[0]] * len(outs)
+            moved = [total + Fraction(c) for c in first]
+            charged = [str(charge_of(question["charge"], t)) if "goal" in states[y]["sets"] else "0"
+                       for (_, y), t in zip(outs, moved, strict=True)]  # fmt: skip
+            leads = [[p, at(y, t)] for (p, y), t in zip(outs, moved, strict=True)]
+            actions.append([name, leads, [*costs, charged]])
+        told.append({**states[x], "actions": actions})
+    objective = question["objective"]
+    begun = sum(Fraction(p) for p, _ in question["start"])
+    won = sum(Fraction(p) for p, x in question["start"] if "goal" in states[x]["sets"])
+    constant = Fraction(objective["constant"])
+    constant += won / begun * charge_of(question["charge"], Fraction(0))
+    objective = {"constant": str(constant), "terms": [*objective["terms"], ["1", "cost", paid]]}
+    question = {**question, "costs": paid + 1, "objective": objective, "start": start}
+    return {**question, "states": len(nodes)}, told
