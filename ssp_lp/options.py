@@ -75,9 +75,32 @@ class Game:
     """The paper's value iteration and zero-sum game (section 3.5).
 
     It needs a discount and a budget above 0.
+
+    Args:
+        tail: in case S the paper's M, a total cost above 0: of all policies those of
+            Pi_{M,pi'_or}, which fail as surely as they can once it is paid. What the answer costs
+            is then measured as that of any policy, and its bound holds for all policies; c-hat_M
+            of the paper is :func:`ssp_lp.game.stationary_game` with the same tail. None: M grows
+            until nothing is lost beyond it.
+
+    Raises:
+        ModelError: a tail that is no number above 0.
     """
 
+    tail: float | None = None
+
     name: ClassVar[str] = "game"
+
+    def __post_init__(self) -> None:
+        if self.tail is not None:
+            object.__setattr__(self, "tail", check_tail(self.tail))
+
+
+def check_tail(tail: object) -> float:
+    """The game's M as a number; raise :class:`ModelError` unless it is above 0 and finite."""
+    if not (is_number(tail) and 0.0 < float(tail) < float("inf")):
+        raise wrong_argument("tail", "be a total cost above 0", tail)
+    return float(tail)
 
 
 @dataclass(frozen=True)
@@ -129,6 +152,7 @@ class SolveOptions:
     progress: Progress | None = None
     program: LinearProgramming | None = None  # solve the full linear program first
     deterministic: bool = False  # no lottery will do
+    tail: float | None = None  # the M of the game, in case S
 
     @property
     def method(self) -> str:
@@ -181,7 +205,8 @@ def options_of(
     single = isinstance(method, DeterministicPolicies)
     relaxation = method.relaxation if isinstance(method, DeterministicPolicies) else method
     program = relaxation if isinstance(relaxation, LinearProgramming) else None
-    return SolveOptions(float(tolerance), deadline, told, program, single)
+    tail = method.tail if isinstance(method, Game) else None
+    return SolveOptions(float(tolerance), deadline, told, program, single, tail)
 
 
 def deadline_of(time_limit: float | None, began: float) -> float:

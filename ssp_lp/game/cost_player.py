@@ -13,7 +13,13 @@ from ssp_lp.accumulated_cost.charges import TailValues
 from ssp_lp.accumulated_cost.process import AccumulatedCost, LayeredProcess, LayeredTails
 from ssp_lp.accumulated_cost.sweep import Sweep
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, Totals, step_costs, sums_in
-from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
+from ssp_lp.arrays import (
+    MACHINE_EPSILON,
+    SAME_TOTAL,
+    FloatArray,
+    IntArray,
+    least_integer_type,
+)
 from ssp_lp.compiled.deadline import backward
 from ssp_lp.errors import ModelError
 from ssp_lp.game.best_response import BestResponse, Discounted, iterate_values
@@ -38,6 +44,7 @@ _STALLED = 1e-8
 
 _ACCURACY = 1e-13  # relative, of the tails' values
 _SETTLED = 1e-10  # accuracy at which it is settled how many layers a value function has
+_ROUNDED = 8.0 * MACHINE_EPSILON  # relative, of what a tail is worth
 _DEAREST = 1e100  # a price of J_cond at which nothing else counts
 
 _FIRST_HORIZON = 32
@@ -205,6 +212,69 @@ class CostPlayer:
         return BestResponse(objective, failed, float(bound), strategy, 2 * process.cap, self.origin)
 
 
+@dataclass(frozen=True, eq=False)
+class CappedCostPlayer:
+    """Best responses within Pi_{M,pi'_or}: once M has been paid pi'_or is followed (section 3.5.1).
+
+    J_obj is discounted below M only, J_cond everywhere: V of the paper as it is printed. A bound is
+    one for the policies of this class.
+    """
+
+    base: AccumulatedCost
+    cap: float  # M, in units of cost
+
+    @cached_property
+    def process(self) -> LayeredProcess:
+        """Totals below M, and pi'_or from there on.
+
+        Raises:
+            ModelError: the totals are too many.
+        """
+        stationary, units = CostPlayer(self.base), self.cap / self.base.unit
+        units = units if self.base.by_steps else float(np.ceil(units * (1.0 - SAME_TOTAL)))
+        return LayeredProcess(self.base, stationary.totals(units), undiscounted_tail(stationary))
+
+    def response(
+        self, objective_weight: float, condition_weight: float, accuracy: float
+    ) -> BestResponse:
+        """The capped cost player's best response, by one sweep: its own bound but for rounding."""
+        base, process, sweep = self.base, self.process, Sweep(self.process)
+        choice, only_failing = sweep.room_for_choice(), objective_weight == 0.0
+        price = _DEAREST if only_failing else condition_weight / objective_weight
+        objective, failure, _ = sweep.minimise(price, price, choice).tolist()
+        scale = condition_weight / price if only_failing else objective_weight
+        bound = scale * self._least(price, price)
+        strategy = LayeredStrategy(process, choice, price)
+        failing = failure + base.start_failure
+        return BestResponse(objective, failing, bound, strategy, 2 * process.cap)
+
+    def surplus(self, price: float, accuracy: float) -> float:
+        """The capped cost player's lower bound of ``J_obj - price * (1 - J_cond)``."""
+        return self._least(price, 0.0)
+
+    def _least(self, price: float, failing: float) -> float:
+        """Lower bound of the class at the start, rounding counted; ``failing`` as in a sweep."""
+        process, base = self.process, self.base
+        anything = np.broadcast_to(np.inf, (process.cap, base.n_nodes))
+        charge, failure, goal = process.beyond(price)
+        size = charge + failing * failure + (price - failing) * goal
+        beyond = process.beyond_value(price, failing) - _ROUNDED * size
+        return float(Sweep(process).bound(price, failing, anything, beyond)[0][0])
+
+    def policy(self, response: BestResponse) -> CostAwarePolicy:
+        """The capped cost player's response on the model's states, with the cost paid as memory."""
+        strategy: LayeredStrategy = response.strategy
+        return strategy.process.policy(strategy.choice, strategy.price)
+
+
+def undiscounted_tail(stationary: CostPlayer) -> LayeredTails:
+    """The tail pi'_or alone of a cost player; J_obj is undiscounted there, J_cond discounted."""
+    pairs, tails = stationary.outer_tails
+    goal, cost = followed_tails(stationary.base, pairs[1:], 1.0)
+    values = TailValues(*(each[1:] for each in tails.values))._replace(early=goal, cost=cost)
+    return replace(tails, decisions=tails.decisions[1:], values=values)
+
+
 def lower_bounds(sweep: Sweep, price: float, failing: float) -> tuple[FloatArray, FloatArray]:
     """The cost player's lower bounds of every policy's J_obj and, at a price, J_cond.
 
@@ -307,10 +377,7 @@ class BayesCostPlayer:
 
         J_obj is undiscounted, while J_cond stays discounted (section 3.3).
         """
-        pairs, tails = self.stationary.outer_tails
-        goal, cost = followed_tails(self.base, pairs[1:], 1.0)
-        values = TailValues(*(each[1:] for each in tails.values))._replace(early=goal, cost=cost)
-        return replace(tails, decisions=tails.decisions[1:], values=values)
+        return undiscounted_tail(self.stationary)
 
     def _surplus(self, paid: FloatArray, weights: FloatArray) -> FloatArray:
         """The Bayesian cost player's bound of weighted cost less sure failure's, [totals, nodes].

@@ -25,11 +25,11 @@ from ssp_lp.errors import (
     wrong_argument,
 )
 from ssp_lp.game.best_response import BestResponse, Player, check_alpha
-from ssp_lp.game.cost_player import BayesCostPlayer, CostPlayer
+from ssp_lp.game.cost_player import BayesCostPlayer, CappedCostPlayer, CostPlayer
 from ssp_lp.game.label_player import BayesLabelPlayer, LabelModels, LabelPlayer, label_models
 from ssp_lp.game.threshold import Threshold, extremes, find_threshold
 from ssp_lp.model.graph import dead_ends
-from ssp_lp.options import Progress
+from ssp_lp.options import Progress, check_tail
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem, unrolled
 from ssp_lp.processes.failure_semantics import start_distribution
@@ -68,7 +68,9 @@ def checked_setting(problem: Problem) -> tuple[float, float]:
     return budget, discount
 
 
-def check_budget(problem: Problem, budget: float, safest: BestResponse) -> None:
+def check_budget(
+    problem: Problem, budget: float, safest: BestResponse, tail: float | None = None
+) -> None:
     """Raise :class:`InfeasibleError` where the game has no policy within the discounted budget."""
     discounted = safest.bound + safest.origin
     if discounted <= budget + LEAST_BUDGET:
@@ -76,10 +78,12 @@ def check_budget(problem: Problem, budget: float, safest: BestResponse) -> None:
     problem = unrolled(problem)
     start = start_distribution(problem.model, problem.start)
     real = max(1.0 - float(start @ max_goal_probability(problem.model)), 0.0)
-    nearer = "; a discount nearer to 1 is feasible" if real < budget else ""
+    could = real < budget and tail is None
+    nearer = "; a discount nearer to 1 is feasible" if could else ""
+    among = "" if tail is None else f" that follows pi'_or from a total cost of {tail:g} on"
     raise InfeasibleError(
-        f"the discounted failure of every policy is at least {discounted:.12g}, above the budget "
-        f"{budget:g}; the least real failure probability is {real:.12g}{nearer}",
+        f"the discounted failure of every policy{among} is at least {discounted:.12g}, above the "
+        f"budget {budget:g}; the least real failure probability is {real:.12g}{nearer}",
         failure_budget=budget,
         least_failure=real,
         least_discounted_failure=discounted,
@@ -150,7 +154,7 @@ def find_optimum(
     budget, share, best, is_least = float(problem.failure_budget or 0.0), 1.0, None, True
     spent, room = budget, None
     responses = extremes(player, 0.1 * tolerance)
-    check_budget(problem, budget, responses[0])
+    check_budget(problem, budget, responses[0], tail_of(player))
     if problem.ratio:
         best, responses, is_least = _least_ratio(player, responses, tolerance)
         at_goal = best.condition == 0.0  # from the start on: c* of every epsilon' is 0
@@ -162,7 +166,7 @@ def find_optimum(
     c, lower = threshold.high, threshold.low
     is_slack = best is not None and best.failing <= budget - best.origin
     if is_slack or not (best is None or is_least or best.ratio < lower):
-        lower = _slack_bound_of_optimum(cast(CostPlayer, player), c, budget, tolerance)
+        lower = _slack_bound_of_optimum(cast(_Surplus, player), c, budget, tolerance)
     if is_slack:
         return GameSolution(problem, player, threshold, spent, c, lower, alpha=share, price=c)
     return GameSolution(
@@ -172,7 +176,7 @@ def find_optimum(
 
 
 def _slack_bound_of_optimum(
-    player: CostPlayer | BayesCostPlayer, ratio: float, budget: float, tolerance: float
+    player: _Surplus, ratio: float, budget: float, tolerance: float
 ) -> float:
     """Ratio a little below the game's optimum, such that every policy is seen to have more.
 
@@ -232,19 +236,43 @@ def _least_ratio(
     return best, tuple(tried), False
 
 
-def stationary_player(problem: Problem) -> LabelPlayer | CostPlayer:
+_Surplus = CostPlayer | CappedCostPlayer | BayesCostPlayer
+"""The players of case S."""
+
+
+def stationary_player(
+    problem: Problem, tail: float | None = None
+) -> LabelPlayer | CostPlayer | CappedCostPlayer:
     """Player of the game for the optimum: operator T_alpha of the problem's case.
 
+    Args:
+        problem: says the case, the start and the discount.
+        tail: in case S the M of section 3.5.1, a total cost: pi'_or is followed once it is paid,
+            with J_obj undiscounted from there on. None: M grows until nothing is lost beyond it.
+
     Raises:
-        ModelError: no discount, or a budget that is not above 0.
+        ModelError: no discount, a budget that is not above 0, or a tail that is none or in case M.
         InfeasibleError: case S, and the goal cannot be reached from the start.
     """
+    if tail is not None and not problem.ratio:
+        raise wrong_argument("tail", "be None in case M, whose states hold no cost paid", tail)
     built = construct(problem)
-    return LabelPlayer(built) if isinstance(built, LabelModels) else CostPlayer.of(built)
+    if isinstance(built, LabelModels):
+        return LabelPlayer(built)
+    return CostPlayer.of(built) if tail is None else CappedCostPlayer(built, check_tail(tail))
+
+
+def tail_of(player: Player) -> float | None:
+    """M of a player that follows pi'_or once it is paid; None: another one."""
+    return player.cap if isinstance(player, CappedCostPlayer) else None
 
 
 def stationary_game(
-    problem: Problem, *, tolerance: float = 1e-9, progress: Progress | None = None
+    problem: Problem,
+    *,
+    tail: float | None = None,
+    tolerance: float = 1e-9,
+    progress: Progress | None = None,
 ) -> GameSolution:
     """Solve a problem by the paper's game and value iteration (Theorems 3-5 and 3-11).
 
@@ -253,16 +281,18 @@ def stationary_game(
 
     Args:
         problem: with a discount and a failure budget above 0.
+        tail: in case S the M of section 3.5.1 (see :func:`stationary_player`): then c-hat is
+            c-hat_M, the least within Pi_{M,pi'_or}. It falls to c-hat of None as M grows.
         tolerance: relative distance between c-hat and its lower bound to reach.
         progress: told after each game of (responses, price of failure, upper end).
 
     Raises:
-        ModelError: no discount, no budget or one of 0, a tolerance outside (0, 1), or a table of
-            decisions that would be too large.
+        ModelError: no discount, no budget or one of 0, a tolerance outside (0, 1), a tail that is
+            none, or a table of decisions that would be too large.
         InfeasibleError: the discounted failure of every policy exceeds the budget.
     """
     check_between_0_and_1("tolerance", tolerance)
-    player = stationary_player(problem)
+    player = stationary_player(problem, tail)
     return find_optimum(problem, player, tolerance=tolerance, progress=progress)
 
 
@@ -283,7 +313,11 @@ def value_function(solution: GameSolution) -> FloatArray:
 
 
 def thresholds(
-    problem: Problem, budgets: Iterable[float], *, tolerance: float = 1e-9
+    problem: Problem,
+    budgets: Iterable[float],
+    *,
+    tail: float | None = None,
+    tolerance: float = 1e-9,
 ) -> list[Threshold]:
     """Optimum c* of each epsilon' by itself: the curve that Theorem 3-1 minimises in case S.
 
@@ -291,6 +325,7 @@ def thresholds(
         problem: says the case, the start and the discount; of its own budget only that there is
             one above 0.
         budgets: each at least the least discounted failure, and in case S below 1.
+        tail: the M of section 3.5.1, as of :func:`stationary_game`.
         tolerance: relative distance between each c* and its lower bound to reach.
 
     Raises:
@@ -298,14 +333,14 @@ def thresholds(
         InfeasibleError: a budget below the least discounted failure.
     """
     check_between_0_and_1("tolerance", tolerance)
-    player = stationary_player(problem)
+    player = stationary_player(problem, tail)
     responses: tuple[BestResponse, ...] = extremes(player, 0.1 * tolerance)
     curve: list[Threshold] = []
     for budget in budgets:
         if not 0.0 < budget <= 1.0 or (problem.ratio and budget == 1.0):
             raise ModelError(f"c* of epsilon' = {budget!r} is not defined: it must be above 0, in "
                              "case S below 1")  # fmt: skip
-        check_budget(problem, budget, responses[0])
+        check_budget(problem, budget, responses[0], tail)
         share = 1.0 - budget if problem.ratio else 1.0
         curve.append(find_threshold(player, budget, share, responses, tolerance=tolerance))
         responses = curve[-1].responses

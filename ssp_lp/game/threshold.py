@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -115,15 +115,14 @@ def find_threshold(
         members, weights, cost = cheapest_mixture(responses, room)
         high = cost / share
         answer = Threshold(
-            budget, min(low, high), high, played, members, weights, games, tuple(responses),
-            not is_late(),
+            budget, min(low, high), high, played, members, weights, games, tuple(responses)
         )  # fmt: skip
         with WithIncumbent():  # a stop that is asked for by who is told ends the search
             if progress is not None:
                 progress(len(responses), answer.failure_price, high)
         late = is_late() or games >= _MOST_GAMES
         if late or (high - low <= tolerance * high and at == high):
-            return answer
+            return replace(answer, in_time=not is_late())
         if games % 2 == 1:
             if high - low > _STALLED * width:
                 return answer

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ssp_lp.analysis.evaluation import Evaluation
+from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.arrays import BELOW_RATIO, LEAST_BUDGET, RELATIVE_GAP
 from ssp_lp.column_generation.column import CONTRADICTION, FailureRow, relative_gap
 from ssp_lp.column_generation.compiled_problem import (
@@ -252,7 +252,10 @@ def _bound_by_values(
 
 
 def solve_by_game(problem: Problem, options: SolveOptions) -> Solution:
-    """Solve by the paper's own construction, the game, which knows neither columns nor programs."""
+    """Solve by the paper's own construction, the game, which knows neither columns nor programs.
+
+    Of a fixed M the policy is measured like any other, and the bound is that of all policies.
+    """
     from ssp_lp.game.optimum import stationary_game, value_function
 
     equilibrium = stationary_game(problem, tolerance=options.tolerance, progress=options.progress)
@@ -271,6 +274,12 @@ def solve_by_game(problem: Problem, options: SolveOptions) -> Solution:
         values=value_function(equilibrium),
         note=remarks(problem, equilibrium.threshold.budget, equilibrium.threshold.in_time),
     )
+    if options.tail is not None:
+        capped = stationary_game(problem, tail=options.tail, tolerance=options.tolerance)
+        value = evaluate(capped.policy, problem).objective
+        note = f"c-hat_M is {capped.objective:.10g} where M is {options.tail:g} (section 3.5.1)"
+        failure = capped.threshold.condition
+        answer = replace(answer, policy=capped.policy, value=value, failure=failure, note=note)
     return assembled(problem, answer, Run(Game.name, reason, len(replies), 0.0, work))
 
 

@@ -13,7 +13,7 @@ from ssp_lp.compiled import accelerator
 from ssp_lp.compiled.deadline import Stop, until
 from ssp_lp.dynamic_programming import chain_solvers as solvers, equations
 from ssp_lp.dynamic_programming.chain_solvers import factorised
-from ssp_lp.dynamic_programming.dual_bound import dual_bound, shortfall, sub_solution
+from ssp_lp.dynamic_programming.dual_bound import DualBound, dual_bound, shortfall, sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.equations import DIRECT_STATES, System, strong_components
 from ssp_lp.dynamic_programming.evaluation import acyclic_totals, advantage_bounds, evaluate_chain
@@ -27,8 +27,8 @@ from ssp_lp.dynamic_programming.policy_iteration import (
 @pytest.fixture(params=[False, True], ids=["numpy", "numba"])
 def compiled(request, monkeypatch):
     """Run every loop compiled, or none."""
-    if request.param:
-        pytest.importorskip("numba")
+    if request.param and not accelerator.has_accelerator():
+        pytest.skip("no compiled loops here")
     monkeypatch.setattr(accelerator, "least_entries", lambda: 0 if request.param else 1 << 62)
     return bool(request.param)
 
@@ -230,7 +230,8 @@ def test_totals_are_had_however_seldom_a_chain_is_left(compiled, leak):
 @pytest.mark.parametrize("seed", range(3))
 def test_one_pass_without_cycles_chooses_and_knows_its_errors(seed, monkeypatch):
     """Layers with self-loops: the values of numpy, and totals as wrong as they say, at most."""
-    pytest.importorskip("numba")
+    if not accelerator.has_accelerator():
+        pytest.skip("no compiled loops here")
     rng, depth, width, outcomes = np.random.default_rng(seed), 150, 8, 3
     n = depth * width
     home = np.repeat(np.arange(n), 2)
@@ -332,3 +333,23 @@ def test_a_chain_of_waits_is_bounded_to_its_last_digits(compiled):
         proved = fractions(bound.values) + fractions(bound.low)
         assert (proved <= optimum).all()
         assert (proved >= optimum * (1 - Fraction(1, 10**11))).all()
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 17, 400])
+def test_a_bound_at_the_start_is_rounded_down(n):
+    """Beside the sum in fractions, for values of both signs and sizes, and shares of all kinds."""
+    rng = np.random.default_rng(n)
+    for _ in range(60):
+        values = rng.normal(size=n) * 10.0 ** rng.uniform(-6, 6, n)
+        low = rng.choice([0.0, 1e-17], n) * values * rng.random(n)
+        start = rng.random(n) * (rng.random(n) < 0.7)
+        start = start / start.sum() if start.any() else np.eye(n)[0]
+        bound = DualBound(values, low)
+        exact = (fractions(start) * (fractions(values) + fractions(low))).sum()
+        told = Fraction(bound.at(start))
+        assert told <= exact
+        size = Fraction(float(start @ np.abs(values)))
+        assert exact - told <= (n + 4) * Fraction(1, 2**51) * size
+        first = np.eye(n)[0]  # a term of its own is no sum
+        assert DualBound(values, np.zeros(n)).at(first) == values[0]
+        assert (fractions(bound.rounded) <= fractions(values) + fractions(low)).all()

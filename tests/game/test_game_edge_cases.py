@@ -3,8 +3,9 @@
 import pytest
 
 from formulations import MCMP, S3P
+from games import WASTE, hand_problem
 from small_models import EXACT, model_of
-from ssp_lp import InfeasibleError, MixedPolicy, ModelError, Status, certify, solve
+from ssp_lp import Game, InfeasibleError, MixedPolicy, ModelError, Status, certify, solve
 from ssp_lp.analysis.evaluation import equivalent_randomised_policy
 from ssp_lp.game import bayes_adaptive, stationary_game, thresholds
 from ssp_lp.policies import DeterministicPolicy
@@ -55,6 +56,36 @@ def test_a_slack_budget_is_bounded_at_any_tolerance(budget, tolerance):
     for game in (stationary_game, bayes_adaptive):
         found = game(problem, tolerance=tolerance)
         assert (1 - tolerance) * found.objective <= found.lower_bound <= found.objective
+
+
+@pytest.mark.parametrize("tail", [2, 300])
+def test_a_fixed_cap_is_answered_by_a_policy_and_a_bound_of_all(tail):
+    """What the policy costs is measured like any other's; c-hat_M, which is more, is told."""
+    problem = hand_problem(S3P, WASTE, 0.5, 0.99)
+    capped, best = stationary_game(problem, tail=tail), solve(problem, method="game")
+    solution = solve(problem, method=Game(tail=tail))
+    assert best.lower_bound <= solution.lower_bound * (1 + 1e-9)
+    assert solution.lower_bound <= best.objective <= solution.objective * (1 + 1e-12)
+    assert solution.objective <= capped.objective * (1 + 1e-12)
+    assert f"c-hat_M is {capped.objective:.10g} where M is {tail:g}" in solution.note
+    certificate = certify(solution)
+    assert certificate.accepted
+    assert certificate.objective == pytest.approx(solution.objective, rel=1e-12)
+    assert certificate.lower_bound <= best.objective * (1 + 1e-12)
+    assert (solution.gap <= 1e-9) == (tail == 300)  # by when hardly a run goes on
+
+
+def test_which_fixed_caps_there_are():
+    for tail in (0.0, -1.0, float("inf"), float("nan"), "far"):
+        with pytest.raises(ModelError, match="tail must be a total cost above 0"):
+            Game(tail=tail)
+        with pytest.raises(ModelError, match="tail must be a total cost above 0"):
+            stationary_game(ratio_problem(), tail=tail)
+    in_case_m = MCMP(FOUR_MOVES, start="x", failure_budget=0.5, discount=0.99)
+    with pytest.raises(ModelError, match="a tail is for a cost given success, not MCMP"):
+        solve(in_case_m, method=Game(tail=2))
+    with pytest.raises(ModelError, match="tail must be None in case M"):
+        stationary_game(in_case_m, tail=2)
 
 
 @pytest.mark.parametrize("game", [stationary_game, bayes_adaptive])

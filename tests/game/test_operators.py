@@ -1,7 +1,7 @@
 """The players' best responses against the operators of the paper, written out literally."""
 
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import given, reject, strategies as st
 
 from checks import library_model, plain
 from formulations import MCMP, S3P
@@ -9,8 +9,9 @@ from games import RETRY, hand_problem
 from operators import bayes_label, cost_game, cost_tail, stationary_label
 from references.chain import mean, plain_model, start_distribution
 from small_models import TWO_MOVES
+from ssp_lp import InfeasibleError
 from ssp_lp.game.optimum import bayes_player, stationary_player
-from strategies import often, problems
+from strategies import Draw, often, problems
 
 few = often(25)
 alphas = st.sampled_from([0.5, 0.1, 0.9, 0.99])
@@ -99,6 +100,76 @@ def test_a_failed_run_may_still_reach_the_goal_as_printed():
         player = stationary_player(hand_problem(MCMP, choices, 0.5, gamma))
         reply = player.response(alpha, (1 - alpha) * scale, 1e-12)
         assert reply.bound == pytest.approx(honest, rel=1e-6)
+
+
+def dearer(drawn):
+    """The drawn problem whose steps cost 1 more, as the operators of case S want it."""
+    choices = {
+        s: {a: [(p, x, cost + 1) for p, x, cost in outcomes] for a, outcomes in actions.items()}
+        for s, actions in drawn.choices.items()
+    }
+    return Draw(choices, drawn.goals, drawn.start)
+
+
+def in_case_s(drawn, gamma, **tail):
+    """The drawn problem, its model written out, and its player; unless the goal is out of reach."""
+    problem = S3P(library_model(drawn), drawn.start, failure_budget=0.5, discount=gamma)
+    try:
+        return plain(drawn), problem, stationary_player(problem, **tail)
+    except InfeasibleError:
+        reject()
+
+
+def rule_of(model, tails):
+    """pi'_or of a player, by state."""
+    pairs = zip(model.states, tails.decisions[-1].tolist(), strict=True)
+    return {state: model.action_of(pair) for state, pair in pairs if pair >= 0}
+
+
+def literal(drawn, reference, gamma, alpha, scale, cap, tail, *, bayes):
+    """The value of case S at the start; on a dead-end failure is all there is."""
+    return sum(
+        mass * cost_game(reference, x, gamma, alpha, scale, cap, tail, bayes=bayes)
+        for x, mass in start_distribution(drawn.start).items()
+    )
+
+
+draws_of_s = problems(most_live=2, most_cost=1).map(dearer)
+
+
+@few
+@given(draws_of_s, alphas, scales)
+def test_the_operators_of_case_s_on_drawn_models(drawn, alpha, scale):
+    """T_alpha of 3.5.1 and T of 3.3, over policies that follow pi'_or beyond all that matters."""
+    gamma, cap = 0.5, 60
+    reference, problem, player = in_case_s(drawn, gamma)
+    rule, weights = rule_of(problem.model, player.tails), (alpha, (1 - alpha) * scale)
+    tails = [cost_tail(reference, rule, gamma, scale, discounted=d) for d in (True, False)]
+    for bayes, tail, found in (
+        (False, tails[0], player.response(*weights, 1e-12)),
+        (True, tails[1], bayes_player(problem).response(*weights, 1e-10)),
+    ):
+        exact = literal(drawn, reference, gamma, alpha, scale, cap, tail, bayes=bayes)
+        assert found.payoff(*weights) == pytest.approx(exact, rel=1e-7, abs=1e-9)
+        assert found.bound == pytest.approx(exact, rel=1e-7, abs=1e-9)
+
+
+@few
+@given(draws_of_s, st.sampled_from([0.5, 0.9, 0.99]), alphas, scales)
+def test_the_operator_of_case_s_at_a_fixed_cap(drawn, gamma, alpha, scale):
+    """T_alpha of 3.5.1 as printed, V undiscounted beyond M: at every M, not in the limit only."""
+    weights, before = (alpha, (1 - alpha) * scale), float("inf")
+    for cap in (0.5, 1, 2, 3, 7):
+        reference, problem, player = in_case_s(drawn, gamma, tail=cap)
+        rule = rule_of(problem.model, player.process.tails)
+        tail = cost_tail(reference, rule, gamma, scale, discounted=False)
+        exact = literal(drawn, reference, gamma, alpha, scale, cap, tail, bayes=False)
+        found = player.response(*weights, 1e-12)
+        assert found.payoff(*weights) == pytest.approx(exact, rel=1e-11, abs=1e-13)
+        assert exact * (1 - 1e-11) - 1e-13 <= found.bound <= found.payoff(*weights) + 1e-13
+        assert exact <= before + 1e-11
+        before = exact
+    assert stationary_player(problem).response(*weights, 1e-12).bound <= before * (1 + 1e-11)
 
 
 @pytest.mark.parametrize("alpha", [0.2, 0.5, 0.9])

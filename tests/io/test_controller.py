@@ -145,6 +145,67 @@ def test_the_file_holds_every_probability(name, tmp_path):
     assert found == {(r.member, r.state, r.memory, r.action): r.probability for r in rows}
 
 
+def shelves(**parts):
+    """A state with two actions that is left for itself, for one that rests, or for the goal."""
+    model = SSP.from_transitions(
+        {
+            "x": {
+                "a": [(0.5, "x", 1.0), (0.25, "rest", 0.5), (0.25, "g", 1.0)],
+                "b": [(0.5, "x", 1.0), (0.5, "g", 1.0)],
+            },
+            "rest": {},
+        },
+        goal={"g"},
+        treat_actionless_as_dead_ends=True,
+    )
+    drawn = np.array([[k % 2, -2, -2] for k in range(4)])
+    tails = np.array([[0, -2, -2], [1, -2, -2]])
+    parts = {"unit": 1.0, "tail_threshold": np.array([6.0, np.inf, np.inf])} | parts
+    return CostAwarePolicy(model, decision=drawn, tails=tails, **parts)
+
+
+def played_costs(policy, costs, tmp_path):
+    """Actions of a policy and of its controller where each step leads back and costs so much."""
+    said = []
+    controller, episode = written(policy, tmp_path), policy.start(world="other")
+    controller.reset(0, world="other")
+    for player in (episode, controller):
+        for cost in costs:
+            player.action("x")
+            player.observe("x", cost)
+        said.append(player.action("x"))
+    return said
+
+
+@pytest.mark.parametrize(
+    ("costs", "level"),
+    [([0.5], 0), ([1.5], 1), ([2.5], 2), ([3.5], 3), ([0.5 + 1e-9], 1), ([1.0, 0.5, 0.5], 1)],
+)
+def test_a_total_half_way_between_two_levels_is_the_lower_one(costs, level, tmp_path):
+    """Levels 0, 1, 2, 3 below 4: even ones take ``a``, odd ones ``b``, in policy and controller."""
+    policy = shelves(levels=np.arange(5.0))
+    assert played_costs(policy, costs, tmp_path) == ["ab"[level % 2]] * 2
+
+
+@pytest.mark.parametrize("levels", [None, np.arange(5.0)])
+@pytest.mark.parametrize(("total", "action"), [(5.0, "a"), (6.0, "b"), (7.0, "b")])
+def test_the_last_tail_begins_at_its_threshold(levels, total, action, tmp_path):
+    assert played_costs(shelves(levels=levels), [total], tmp_path) == [action] * 2
+
+
+def test_a_last_step_may_cost_what_is_no_whole_number_of_units(tmp_path):
+    """Where nothing is decided any more nothing is counted: at the goal, and in a state of rest."""
+    for there in ("g", "rest"):
+        controller, episode = written(shelves(), tmp_path), shelves().start(world="other")
+        controller.reset(0, world="other")
+        for player in (episode, controller):
+            assert player.action("x") == "a"
+            player.observe(there, 0.37)
+            assert player.action(there) is None
+    rests = acting_everywhere(shelves())
+    acts_the_same(rests, tmp_path, "x", surprise=0.0)
+
+
 CLIFF = SSP.from_transitions(
     {
         "a": {"over": [(0.9, "home", 1.0), (0.1, "edge", 1.0)], "round": [(1.0, "home", 3.0)]},

@@ -188,3 +188,14 @@ def test_a_frontier_is_traced_once_however_often_its_process_is_refined(coarse_r
 def test_bounds_that_are_near_to_each_other_are_told_apart():
     assert frontier_module._digits_apart(1.0, 1.0 + 1e-12) == "1 and 1.000000000001"
     assert frontier_module._digits_apart(15.123456789, 16.0) == "15.1234568 and 16"
+
+
+def test_a_proof_that_counts_success_is_kept_beside_one_that_counts_failing():
+    """At one price, in either order: J + price * failure, and the same less the price."""
+    for first in (False, True):
+        frontier = trace_frontier(S3P(ROADS, "s"))
+        column, price = frontier._columns[-1], float(frontier.objective[-1])
+        proofs = {k: frontier._proof(price, column, slack=k) for k in (first, not first)}
+        assert (proofs[False].failing, proofs[True].failing) == (price, 0.0)
+        assert proofs[False].bound == pytest.approx(proofs[True].bound + price, rel=1e-12)
+        assert frontier._proof(price, column, slack=first) is proofs[first]

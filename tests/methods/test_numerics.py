@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from ssp_lp import certify, evaluate, solve
 from ssp_lp.accumulated_cost.totals import Window
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
+from ssp_lp.methods.rows import lagrange_bound
 from ssp_lp.processes.goal_reach import max_goal_probability, min_goal_probability
 
 
@@ -139,3 +141,18 @@ def test_sub_solutions_are_sub_solutions(seed: int) -> None:
         checked = sub_solution(dynamics, cost, given)
         assert (checked <= optimum * (1 + 1e-12)).all()
     assert sub_solution(dynamics, cost, optimum) == pytest.approx(optimum)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 7, 40])
+def test_what_prices_take_off_a_bound_is_rounded_up(rows: int) -> None:
+    """``least - prices @ bounds`` beside fractions, where the two nearly cancel, too."""
+    rng = np.random.default_rng(rows)
+    for _ in range(100):
+        prices = rng.random(rows) * 10.0 ** rng.uniform(-3, 3, rows)
+        bounds = rng.normal(size=rows)
+        paid = sum((Fraction(p) * Fraction(b) for p, b in zip(prices, bounds, strict=True)), 0)
+        least = float(paid) * float(rng.choice([1.0, 1.0 + 1e-15, 0.5]))
+        told = Fraction(lagrange_bound(least, prices, bounds))
+        size = Fraction(float(prices @ np.abs(bounds))) + abs(Fraction(least))
+        assert told <= Fraction(least) - paid
+        assert Fraction(least) - paid - told <= (rows + 4) * Fraction(1, 2**50) * size

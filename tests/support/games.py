@@ -1,7 +1,6 @@
 """What the tests of the paper's game share: problems with room in the budget, matrix games."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ from references.frontier import Point
 from small_models import model_of
 from ssp_lp import InfeasibleError, evaluate
 from ssp_lp.game import Equilibrium, Game, bayes_adaptive
-from ssp_lp.game.best_response import BestResponse
 from ssp_lp.game.optimum import stationary_player
 from strategies import Draw
 
@@ -34,12 +32,12 @@ RETRY = {
 }
 """Every run that fails pays for ever (assumption a2-3); ``rush`` reaches the goal least often."""
 
-FORK = {
-    "x": {"on": [(1.0, "y", 1)]},
-    "y": {"safe": [(1.0, "g", 1)], "dear": [(0.1, "g", 10), (0.9, "d", 10)]},
-    "d": {"stuck": [(1.0, "d", 1)]},
+
+WASTE = {
+    "x": {**RETRY["x"], "dear": [(0.1, "g", 3), (0.6, "x", 3), (0.3, "d", 3)]},
+    "d": RETRY["d"],
 }
-"""The policy that fails most plays ``dear``, which costs more and fails more."""
+"""The policy that reaches the goal least often pays three times as much a step."""
 
 
 def with_room(criterion: Any, model: Any, start: Any, share: float, gamma: float) -> Any:
@@ -125,25 +123,6 @@ def max_min(points: Sequence[Point], game: Game) -> float:
             if abs(s - t) > 1e-12:
                 alphas.add(min(max((k - h) / (s - t), 0.0), 1.0))
     return max(least_payoff(points, game, alpha) for alpha in alphas)
-
-
-@dataclass(frozen=True)
-class Capped:
-    """The player of section 3.5.1 restricted to the policies of one fixed M, in layers."""
-
-    player: Any
-    cap: int
-
-    def response(
-        self, objective_weight: float, condition_weight: float, accuracy: float
-    ) -> BestResponse:
-        """The best response of the class, which is its own bound."""
-        found = self.player._response(np.array([objective_weight, condition_weight]), self.cap)
-        return replace(found, bound=found.payoff(objective_weight, condition_weight))
-
-    def policy(self, reply: BestResponse) -> Any:
-        """The reply's policy."""
-        return self.player.policy(reply)
 
 
 def bayes(problem: Any, tolerance: float = 1e-9) -> Any:

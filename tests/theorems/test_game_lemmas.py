@@ -8,9 +8,8 @@ from hypothesis import given, strategies as st
 
 from formulations import MCMP, S3P
 from games import (
-    FORK,
     RETRY,
-    Capped,
+    WASTE,
     criteria,
     drawn_problem,
     game_at,
@@ -21,7 +20,8 @@ from games import (
 from operators import cost_game, cost_tail
 from references import s3p
 from references.chain import plain_model
-from ssp_lp.game import bayes_adaptive, play, stationary_game
+from ssp_lp import InfeasibleError, evaluate
+from ssp_lp.game import bayes_adaptive, play, stationary_game, thresholds
 from ssp_lp.game.optimum import bayes_player, stationary_player
 from ssp_lp.game.threshold import extremes, find_threshold
 from strategies import often, problems
@@ -60,30 +60,27 @@ def test_t3_m1_above_c_the_game_can_be_held_and_its_policy_keeps_to_the_budget(
         assert play(player, game, known, accuracy=1e-9).lower > game.stake
 
 
-def _capped_thresholds(problem, budget, caps):
-    player = stationary_player(problem)
-    for cap in caps:
-        capped = Capped(player, cap)
-        known = extremes(capped, 1e-12)
-        yield find_threshold(capped, budget, 1.0 - budget, known, tolerance=1e-10).high
+@pytest.mark.parametrize("gamma", [0.9, 0.99, 0.999])
+def test_t3_5_the_threshold_of_a_cap_falls_to_that_of_none(gamma):
+    """t3-5, M -> infinity: whoever follows pi'_or from M on does so from each M' beyond it, too.
 
-
-def test_t3_5_the_threshold_of_a_cap_falls_to_that_of_none():
-    """t3-5, M -> infinity: the classes of policies are nested, so c-hat_M never rises with M.
-
-    This needs J_obj to be discounted beyond M as before it, which is how the library reads it.
+    J_obj is discounted up to M' then, so that c-hat_M never rises with M, at any gamma.
     """
-    choices = {
-        "x": {**RETRY["x"], "dear": [(0.1, "g", 3), (0.6, "x", 3), (0.3, "d", 3)]},
-        "d": RETRY["d"],
-    }
-    problem = hand_problem(S3P, choices, 0.2, 0.99)
+    problem = hand_problem(S3P, WASTE, 0.5, gamma)
     found = stationary_game(problem)
-    spent = found.spent
-    values = list(_capped_thresholds(problem, spent, (6, 8, 12, 16, 24, 32, 48, 96)))
+    capped = [stationary_game(problem, tail=cap) for cap in (2, 3, 4, 6, 8, 12, 24, 48, 96)]
+    values = [each.objective for each in capped]
     assert all(later <= earlier * (1 + 1e-9) for earlier, later in pairwise(values))
     assert values[0] > found.objective * (1 + 1e-4)
     assert values[-1] == pytest.approx(found.objective, rel=1e-8)
+    for each in capped:  # the second limit: its policy keeps to the budget, and costs as much
+        assert each.lower_bound == pytest.approx(each.objective, rel=1e-8)
+        told = evaluate(each.policy, problem)
+        assert told.discounted_failure <= 0.5 + 1e-12
+        assert found.lower_bound <= told.objective <= each.objective * (1 + 1e-12)
+    tight = hand_problem(S3P, WASTE, 0.1, gamma)  # there is room, but not at M = 2
+    with pytest.raises(InfeasibleError, match="follows pi'_or from a total cost of 2 on"):
+        stationary_game(tight, tail=2)
 
 
 def test_l3_8_the_value_of_a_cap_tends_to_that_of_none():
@@ -173,20 +170,53 @@ def test_l3_9_at_a_fixed_cap():
     assert gaps[-1] <= 1e-5
 
 
-def test_l3_10_is_true_in_the_limit_of_the_cap_only():
-    """FORK with M = 1: pi'_or is forced on every policy from y on, so c-hat_M is near 11 > c*.
+def test_l3_8_at_a_fixed_cap_is_the_literal_operator():
+    """The player of Pi_{M, pi'_or} and T_alpha written out, at every alpha, M and gamma."""
+    model = plain_model(RETRY, {"g"})
+    for gamma in (0.9, 0.999):
+        problem = hand_problem(S3P, RETRY, 0.2, gamma)
+        game = game_at(problem, 3.0)
+        tail = cost_tail(model, {"x": "rush"}, gamma, game.scale, discounted=False)
+        for cap in (1, 2, 5, 20):
+            player = stationary_player(problem, tail=cap)
+            for alpha in ALPHAS.tolist():
+                exact = cost_game(model, "x", gamma, alpha, game.scale, cap, tail, bayes=False)
+                told = game.best_response(player, alpha, 1e-12)
+                assert game.payoff(alpha, told) == pytest.approx(exact, rel=1e-12)
 
-    The lemma is printed for every M and called obvious. It holds for c-hat = lim c-hat_M.
+
+DEAR = {
+    "x": {"on": [(1.0, "y", 1)]},
+    "y": {"safe": [(1.0, "g", 1)], "dear": [(0.9, "g", 10), (0.1, "d", 10)]},
+    "d": {"stuck": [(1.0, "d", 1)]},
+}
+"""pi'_or plays ``dear``: it fails more, and costs ten times as much."""
+
+
+def test_l3_10_is_true_in_the_limit_of_the_cap_only():
+    """DEAR with M = 1: pi'_or is forced on every policy from y on.
+
+    The lemma is printed for every M and called obvious; it holds for c-hat = lim c-hat_M. At
+    epsilon 1/2 c-hat_1 is (0.9 * 11) gamma / (1 - epsilon) = 19.78, and c* = 2 / (1 - epsilon).
     """
-    gamma, budget = 0.999, 0.95
-    problem = hand_problem(S3P, FORK, budget, gamma)
-    true = bayes_adaptive(problem, tolerance=1e-8)
-    (small,) = _capped_thresholds(problem, 1 - 0.1 * gamma**2, [1])
-    assert true.objective < 2.1
-    assert small == pytest.approx(11 / gamma, rel=1e-6)
-    *_, large = _capped_thresholds(problem, true.spent, [1 << k for k in range(3, 7)])
-    assert stationary_game(problem).objective <= large * (1 + 1e-9)
-    assert stationary_game(problem).objective <= true.objective * (1 + 1e-9)
+    gamma, budget = 0.999, 0.5
+    problem = hand_problem(S3P, DEAR, budget, gamma)
+    (least,) = thresholds(problem, [budget])
+    values = []
+    for cap in (1, 2, 4, 64):
+        (capped,) = thresholds(problem, [budget], tail=cap)
+        assert capped.low == pytest.approx(capped.high, rel=1e-9)
+        values.append(capped.high)
+    true = 2.0 / (1.0 - budget)  # undiscounted, of ``safe``
+    assert values[0] == pytest.approx(9.9 * gamma / (1.0 - budget), rel=1e-12)
+    assert values[0] > 4.9 * true
+    for value in values[1:]:  # beyond the cap nothing is left
+        assert value == pytest.approx(2.0 * gamma / (1.0 - budget), rel=1e-12)
+        assert least.low <= value <= true
+    assert bayes_adaptive(problem, tolerance=1e-8).objective == pytest.approx(2 / gamma**2)
+    whole = stationary_game(problem, tail=1)  # the least over epsilon', too: slack within 1/2
+    assert whole.objective == pytest.approx(11 / gamma, rel=1e-9)
+    assert whole.objective > 5 * stationary_game(problem).objective
 
 
 @few

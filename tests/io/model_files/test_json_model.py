@@ -78,6 +78,9 @@ def test_what_is_written_is_read_again(tmp_path):
     again = read_json(tmp_path / "m.json.gz", ())
     assert again.start == {"(0, 'a')": 1.0}
     check_the_same(model, again.model)
+    named = {word: at.tolist() for word, at in model.state_labels.items()}
+    assert {word: at.tolist() for word, at in again.model.state_labels.items()} == named
+    assert list(named) == ["first"]
     assert list(again.model.states) == [str(state) for state in model.states]
 
 
