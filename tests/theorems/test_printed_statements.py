@@ -5,13 +5,10 @@ import pytest
 
 from formulations import MCMP, S3P
 from games import game_at, hand_problem
-from references import s3p
-from references.chain import plain_model
 from small_models import TWO_MOVES
 from ssp_lp import evaluate, solve
 from ssp_lp.game import Game, delta_mixture, play, stationary_game
-from ssp_lp.game.best_response import BestResponse
-from ssp_lp.game.optimum import stationary_player, thresholds
+from ssp_lp.game.optimum import stationary_player
 from ssp_lp.policies import DeterministicPolicy
 
 EXACT = {"rel": 1e-9}
@@ -36,33 +33,6 @@ def test_c_star_is_an_infimum_over_positive_c():
     found = stationary_game(problem)
     assert found.objective == pytest.approx(10 / 3, **EXACT)
     assert solve(problem).objective == pytest.approx(10 / 3, **EXACT)
-
-
-def test_l3_10_at_one_epsilon_and_a_cap_of_one():
-    """Slip 6: with M = 1 every policy follows pi'_or from y on, which plays ``dear``.
-
-    c-hat_M of epsilon = 0.5 is then E[gamma^T r; goal] / (1 - epsilon) under that one policy, far
-    above c* = 4, which is what going on to ``safe`` costs at that epsilon.
-    """
-    gamma, epsilon = 0.999, 0.5
-    choices = {
-        "x": {"on": [(1.0, "y", 1)]},
-        "y": {"safe": [(1.0, "g", 1)], "dear": [(0.9, "g", 10), (0.1, "d", 10)]},
-        "d": {"stuck": [(1.0, "d", 1)]},
-    }
-    goal, cost = s3p.values(plain_model(choices, {"g"}), {"x": "on", "y": "dear"}, gamma)
-    worst = BestResponse(cost["x"], 1.0 - goal["x"], 0.0, None, 1, 0.0)
-
-    def value(c: float) -> float:
-        game = Game(c * (1.0 - epsilon), epsilon)
-        return max(game.payoff(alpha, worst) for alpha in (0.0, 1.0)) - game.stake
-
-    capped = cost["x"] / (1.0 - epsilon)
-    assert value(capped) <= 1e-12 < value(capped * (1 - 1e-6))
-    assert capped == pytest.approx(19.78, abs=5e-3)
-    (free,) = thresholds(hand_problem(S3P, choices, epsilon, gamma), [epsilon])
-    assert free.high == pytest.approx(2 * gamma / (1.0 - epsilon), **EXACT)
-    assert free.high < 4.0 < capped
 
 
 def test_three_readings_of_the_discount_of_an_arrival():
