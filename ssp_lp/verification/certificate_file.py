@@ -67,7 +67,7 @@ def write_certificate(solution: Solution, path: str | Path) -> Checked:
         SolverError: the answer could not be proved: the policy breaks a row by more than rounding.
     """
     asked, solved = repr(solution.problem), as_solved(solution, "write_certificate")
-    statement = _Statement(solved.problem, asked)
+    statement = Statement(solved.problem, asked)
     lines = list(statement.lines())
     question = json.loads(lines[0])
     try:
@@ -117,7 +117,7 @@ def _check_covered(problem: Problem) -> None:
 
 
 @dataclass
-class _Statement:
+class Statement:
     """The question and the model, line by line. Sets and costs are gathered while it is made."""
 
     problem: Problem

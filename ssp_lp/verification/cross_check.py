@@ -1,23 +1,37 @@
-"""The agreement of the methods: the linear program, column generation and the paper's game."""
+"""The agreement of the methods: the linear program, column generation and the paper's game.
+
+What they all take from one room is read a second time: dead-ends, attention states, what failing
+charges and where wandering is free, by the loops of ``ssp_lp.verification.checker``, in fractions.
+"""
 
 from __future__ import annotations
 
+import json
 import logging
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations
 from math import inf, isnan
+from typing import cast
+
+import numpy as np
 
 from ssp_lp.analysis.evaluation import evaluate_each
-from ssp_lp.arrays import LEAST_BUDGET
+from ssp_lp.arrays import LEAST_BUDGET, BoolArray
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, check_between_0_and_1
 from ssp_lp.methods.approaches import refusal
+from ssp_lp.model.graph import attention_states, end_components, hopeless_states
 from ssp_lp.model.text_tables import Summarised, text_table
 from ssp_lp.options import LinearProgramming, parse_method, progress_shown
-from ssp_lp.problem import Problem, check_problem, requirements
+from ssp_lp.problem import Problem, check_problem, requirements, unrolled
+from ssp_lp.processes.failure_semantics import dead_end_charges, give_up_charges
+from ssp_lp.processes.live_rows import costless_pairs
 from ssp_lp.solution import Solution
 from ssp_lp.solve import solve
+from ssp_lp.verification import checker
+from ssp_lp.verification.certificate_file import Statement
 
 METHODS = ("lp", "columns", "game")
 
@@ -144,6 +158,11 @@ step: below it lies the rounding of sums of such steps."""
 _EDGE = 1e-9
 """A budget this near to the least failure may be feasible for one method and not for another."""
 
+MOST_OUTCOMES = 1_000_000
+"""Outcomes up to which a model is read a second time: some ten microseconds each."""
+
+_SAME = 1e-9  # relative, of a charge: the library's is a sum of rounded terms
+
 _LOG = logging.getLogger("ssp_lp.comparison")
 
 _COLUMNS = {
@@ -159,6 +178,21 @@ _COLUMNS = {
     "seconds": ("seconds", 2),
 }
 """The table's columns: what of a method's result each shows, and its significant digits."""
+
+
+@dataclass(frozen=True)
+class SecondReading:
+    """How many states play which part, and where two readings of a model differ."""
+
+    dead_ends: int
+    giving_up: int  # states in which a policy may give up
+    free: int  # states in which wandering costs nothing
+    faults: tuple[str, ...]  # a sentence for each difference
+
+    def __str__(self) -> str:
+        """The second reading as one line."""
+        counts = f"{self.dead_ends:,} dead-ends, {self.giving_up:,} states to give up in"
+        return f"read twice: {counts}, {self.free:,} where wandering is free"
 
 
 @dataclass(frozen=True, repr=False)
@@ -179,11 +213,12 @@ class CrossCheck(Summarised):
     budget_overrun: float  # by which the worst policy breaks the budget; 0 if none does
     disagreeing: tuple[str, ...]  # names of methods
     remarks: tuple[str, ...]  # a sentence for each thing that was noticed
+    reading: SecondReading | None = None  # of the model, which the methods share
 
     @property
     def agrees(self) -> bool:
-        """Whether no cross-checked method that answered disagrees."""
-        return not self.disagreeing
+        """Whether no cross-checked method that answered disagrees, and the model is read alike."""
+        return not self.disagreeing and not (self.reading and self.reading.faults)
 
     @property
     def failed(self) -> tuple[str, ...]:
@@ -207,6 +242,8 @@ class CrossCheck(Summarised):
             lines += [f"  {one.name}: {' + '.join(lottery)}"] * bool(one.members)
         lines += [f"  {r.name}: {r.note}" for r in self.methods if r.note]
         lines += [f"  {remark}" for remark in self.remarks]
+        if self.reading is not None:
+            lines += [f"  {each}" for each in (self.reading, *self.reading.faults)]
         return "\n".join([*lines, self._verdict()])
 
     def _verdict(self) -> str:
@@ -217,6 +254,8 @@ class CrossCheck(Summarised):
             f"policies within {self.evaluated_distance:.1e}, budget overrun "
             f"{self.budget_overrun:.1e}"
         )
+        if self.reading is not None and self.reading.faults:
+            return f"THE MODEL IS MISREAD: {self.reading.faults[0]}"
         if self.disagreeing:
             return f"DISAGREEMENT of {', '.join(self.disagreeing)}: {distances}"
         if count < 2:
@@ -234,6 +273,9 @@ def cross_check(
     verbose: bool = False,
 ) -> CrossCheck:
     """Cross-check a problem: solve it by every method there is, and compare.
+
+    What the methods share, the reading of the model, is compared with a second one by the plain
+    loops of the certificates' checker (:class:`SecondReading`).
 
     Args:
         problem: a formulation, such as ``MCMP(...)`` or ``S3P(...)``.
@@ -280,6 +322,8 @@ def cross_check(
         comparison = compare_methods(
             methods, problem, tolerance=tolerance, weight_tolerance=weight_tolerance
         )
+        with suppress(ModelError):  # a criterion that no certificate in a file covers
+            comparison = replace(comparison, reading=second_reading(problem))
         _LOG.info("%r", comparison)
     return comparison
 
@@ -391,3 +435,50 @@ def _minority_objections(methods: Sequence[MethodResult], agree: _Agree) -> dict
     others = ", ".join(sorted(majority))
     reason = f"its c* is not that of {others}"
     return {method.name: reason for method in methods if method.name not in majority}
+
+
+def second_reading(problem: Problem) -> SecondReading | None:
+    """Read a problem's model a second time and compare; None: it is too large.
+
+    Raises:
+        ModelError: a criterion that certificates in files do not cover.
+    """
+    problem = unrolled(problem)
+    model, semantics = problem.model, problem.semantics
+    if model.n_outcomes > MOST_OUTCOMES:
+        return None
+    lines = list(Statement(problem, "").lines())
+    apart = checker.Model(json.loads(lines[0]), lines[1:])
+    dead, nobody = hopeless_states(model), np.zeros(model.n_states, dtype=np.bool_)
+    entering = dead_end_charges(model, dead, semantics)
+    stopping = give_up_charges(model, attention_states(model), nobody, semantics)
+    may_stop = np.isfinite(stopping) & ~dead & ~model.goal_mask
+    wandering = (end_components(model, costless_pairs(model))[0] >= 0) & ~dead
+    # at a total all wandering is free, and with a discount every step may be the last
+    differs = apart.counts or problem.discount is not None
+    free = set(np.flatnonzero(wandering).tolist()) if differs else apart.free
+    faults: list[str] = []
+
+    def compare(part: str, ours: BoolArray, theirs: set[int]) -> int:
+        """Count the states that play a part, and note one that does in one reading only."""
+        told = nobody.copy()
+        told[sorted(theirs - {model.n_states})] = True  # the last is the checker's own
+        for x in np.flatnonzero(told != ours)[:1].tolist():
+            where, word = repr(model.states[x]), "is" if ours[x] else "is not"
+            faults.append(f"{where} {word} {part}, the second reading says otherwise")
+        return int(ours.sum())
+
+    counts = (
+        compare("a dead-end", dead, apart.dead),
+        compare("a state to give up in", may_stop, apart.giving_up),
+        compare("a state where wandering is free", wandering, free),
+    )
+    charged = np.where(dead, entering, np.where(may_stop, stopping, 0.0))
+    for x, costs in apart.failing.items():
+        own, other = (charged[x] if x < model.n_states else 0.0), float(costs[0])
+        if abs(own - other) > _SAME * max(abs(own), abs(other)):
+            states = cast("list[object]", [*model.states, "the end"])
+            faults.append(f"failing in {states[x]!r} charges {own:.12g}, by the second reading "
+                          f"{other:.12g}")  # fmt: skip
+            break
+    return SecondReading(*counts, tuple(faults))
