@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import gzip
 import json
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache
 from hashlib import sha256
 from heapq import heappop, heappush
-from math import lcm
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,7 @@ from ssp_lp.verification.exact_values import decimal_text, member_vectors, value
 _MOVED = Fraction(1, 10**6)  # of a price, by which it may be corrected
 _RAISES = 60  # of a price that is not known
 _LESS = Fraction(1, 10**12)  # of a ratio, than which nothing less is told apart where totals count
+_SMALLER = Fraction(1, 10**4)  # by so much a ratio may be proved to be at least
 _CAPS, _WIDTH = 12, 1e-10  # of totals tried, until an interval is as narrow as this
 _MOST_NODES = 2_000_000
 _SHIFT = Fraction(1, 10**9)  # of a lottery, which may be moved to another one
@@ -344,7 +345,7 @@ def _nodes_below(model: checker.Model, cap: Fraction) -> list[tuple[int, Fractio
     Raises:
         ModelError: they are too many.
     """
-    unit = lcm(*{t.denominator for pair in model.pairs for t in pair[4]}, cap.denominator)
+    unit = math.lcm(*{t.denominator for pair in model.pairs for t in pair[4]}, cap.denominator)
     steps = [
         sorted({(y, int(t * unit)) for k in model.of[x] if model.keeps[k]
                 for (_, y), t in zip(model.pairs[k][2], model.pairs[k][4], strict=True)
@@ -411,22 +412,28 @@ def _priced_values(
                 prices[j] = Fraction(down(e), ONE)
     if model.ratio and model.may_fail:  # failing goes without the ratio besides
         ratio = ratio or Fraction(_decimal_of(solution.objective))
-        ratio -= abs(ratio) * _LESS if model.rows[0].loose == 1 else 0
         prices[0] += Fraction(down(ratio), ONE)
     best: tuple[Fraction, list[Fraction], list[int]] | None = None
-    for _ in range(_RAISES if at is not None else 1):
+    less = _LESS
+    for _ in range(_RAISES):
         c = model.priced(prices)
         past = slope if any(slope) else []
         v, _ = values_below(model, solution.problem.model, c, model.free, members, past)
         after = [down(c.arrival[x]) + value for (x, _), value in zip(model.nodes, v, strict=True)]
         bound = c.constant + model.begin(after, 0, c.charge)
+        if model.ratio and bound < 0 and model.rows[0].loose == 1 and less < _SMALLER:
+            # no policy goes below a somewhat smaller ratio; of few digits, which are exact
+            prices[0] = Fraction(math.floor(prices[0] * (1 - less) * 10**20), 10**20)
+            less *= 100
+            continue
         if model.ratio:
             bound = model.given_success(bound, prices[0])
         if best is not None and bound <= best[0] + (_LESS * abs(best[0]) if model.counts else 0):
             break
         best = bound, list(prices), v
-        if at is not None:
-            prices[at] = max(8 * prices[at], abs(totals[0][0]), Fraction(1, 1000))
+        if at is None:
+            break
+        prices[at] = max(8 * prices[at], abs(totals[0][0]), Fraction(1, 1000))
     if best is None:
         raise SolverError("no price was tried")
     return best[1], best[2], best[0]
