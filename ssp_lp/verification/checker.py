@@ -28,6 +28,7 @@ objective and each row, so that it takes at most u.
 import gzip
 import hashlib
 import json
+import re
 import sys
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -42,6 +43,7 @@ ONE = 10**60  # a proof's numbers are compared in units of 1/ONE, rounded agains
 EXCESS = Fraction(1, 10**9)  # of a bound: so much a lottery may exceed it, which is told
 KEYS = "asked charge_failing_step costs discount failure format give_up greatest objective rows"
 OPTIONAL = {"charge", "ratio"}  # keys of questions that have them
+NUMBER = re.compile(r"-?[0-9]+(/[0-9]+|(\.[0-9]+)?([eE][-+]?[0-9]+)?)")
 Pair = tuple[str, int, list[tuple[int, int]], list[Fraction], list[Fraction]]
 Charge = Callable[[int], int]  # of a total, in units
 FAILURE = {"constant": "1", "terms": [["-1", "end", "goal"]]}
@@ -68,6 +70,7 @@ def at_most(left: int, right: int, *words: object) -> None:
 def number(text: str) -> Fraction:
     """Number that a text of the checked certificate states."""
     need(isinstance(text, str) and len(text) < 4000, "no text of a number:", repr(text)[:99])
+    need(NUMBER.fullmatch(text) is not None, "no decimal and no fraction:", repr(text)[:99])
     exponent = text.lower().partition("e")[2]
     need(not exponent or abs(int(exponent)) < 4000, text, "has too large an exponent")
     return Fraction(text)

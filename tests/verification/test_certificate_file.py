@@ -385,3 +385,26 @@ def test_questions_that_are_not_known(folder, tmp_path, name, value):
     lines = lines_of(folder / "budget")
     lines[0] = json.dumps(json.loads(lines[0]) | {name: value}).encode()
     assert not read(signed(lines), tmp_path / "x").accepted
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["1_0", " 1", "1 ", "+1", ".5", "5.", "\u0661", "1/\u0663", "1e1_0", "0x1", "1/-2", "--1", "",
+     "nan", "inf", "1e", "1/2/3", "1.0/2", "1e99999", "1/0", True, 1, 0.5, None],
+)  # fmt: skip
+def test_a_number_is_written_in_one_way(folder, tmp_path, text):
+    """What two readers may take for two numbers, or for none, is none."""
+    lines = lines_of(folder / "sure")
+    for line, *where in [
+        (QUESTION, "start", 0, 0),
+        (FIRST_STATE, "actions", 0, 2, 0),
+        (PROOF, "v"),
+    ]:
+        content = json.loads(lines[line])
+        _set(*where, to=text)(content)
+        changed = [*lines]
+        changed[line] = json.dumps(content).encode()
+        reason = read(signed(changed), tmp_path / "x").reason
+        assert re.search("no text of a number|no decimal|too large|division by|Fraction", reason), (
+            where
+        )
