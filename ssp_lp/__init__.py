@@ -64,6 +64,7 @@ from ssp_lp.verification.certify import Certificate as Certificate, certify as c
 
 if TYPE_CHECKING:
     from ssp_lp.analysis.simulation import simulate as simulate
+    from ssp_lp.answers import Answers as Answers, solve_many as solve_many, sweep as sweep
     from ssp_lp.formulation import Formulation as Formulation
     from ssp_lp.methods.frontier import Frontier as Frontier
     from ssp_lp.methods.trade_off import (
@@ -95,6 +96,7 @@ __version__ = "0.1.0"
 
 _MODULES = {
     "analysis.simulation": "simulate",
+    "answers": "Answers solve_many sweep",
     "formulation": "Formulation",
     "methods.frontier": "Frontier",
     "methods.trade_off": "Surface trace_frontier trace_surface",

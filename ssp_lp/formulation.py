@@ -202,6 +202,15 @@ class Formulation(_Inherited):
             _ = condition.rows
         _ = self.objective_condition
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What was stated of a formulation, and the one that is solved, where policies may live.
+
+        What follows from these, such as arrays over all states, is made anew after a pickle.
+        """
+        made, kind = vars(self), type(self)
+        follows = (k for k in made if isinstance(getattr(kind, k, None), cached_property))
+        return {k: made[k] for k in made.keys() - {*follows} | made.keys() & {"unrolled"}}
+
     @cached_property
     def unrolled(self) -> Self:
         """The formulation on the model that is solved: on (state, steps) or labelled, if need be.

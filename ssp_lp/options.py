@@ -209,14 +209,14 @@ def options_of(
     return SolveOptions(float(tolerance), deadline, told, program, single, tail)
 
 
-def deadline_of(time_limit: float | None, began: float) -> float:
-    """End of the time limit option, on the clock of ``time.perf_counter``.
+def deadline_of(time_limit: float | None, began: float, name: str = "time_limit") -> float:
+    """End of the time limit option of this name, on the clock of ``time.perf_counter``.
 
     Raises:
         ModelError: a limit that is no number of seconds.
     """
     if time_limit is not None and not (is_number(time_limit) and time_limit >= 0.0):
-        raise wrong_argument("time_limit", "be a number of seconds", time_limit)
+        raise wrong_argument(name, "be a number of seconds", time_limit)
     return float("inf") if time_limit is None else began + float(time_limit)
 
 

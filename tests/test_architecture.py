@@ -30,6 +30,7 @@ ORDER = [
     ("solution",),
     ("methods", "game"),
     ("solve", "formulation", "verification", "io", "plotting"),
+    ("answers",),
 ]
 WITH_SOLVERS = {"deterministic.py", "convex_program.py"}
 

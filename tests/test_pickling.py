@@ -8,6 +8,7 @@ import multiprocessing
 import os
 import pickle
 import re
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -115,6 +116,8 @@ def of_solving():
     yield ssp_lp.trace_frontier(criteria.S3P(MODEL, START, failure_budget=0.3))
     limits = {"seen": ssp_lp.visits(START) <= 2.0}
     yield ssp_lp.trace_surface(criteria.MCMP(MODEL, START, constraints=limits), ["failure", "seen"])
+    asked = ssp_lp.sweep(criteria.MCMP, MODEL, START, failure_budget=[0.01, 0.2])
+    yield ssp_lp.solve_many(asked, executor=ThreadPoolExecutor(1))
     comparison = criteria.compare_criteria(MODEL, START)
     yield from (comparison, comparison.rows[0])
 

@@ -36,7 +36,7 @@ SHOWN = {
     "docs/guides/own_simulator.md": 0,
     "docs/models.md": 5,
     "docs/program.md": 15,
-    "docs/solving.md": 2,
+    "docs/solving.md": 3,
     "docs/tutorial.md": 6,
 }
 """Pages with code, and how often each shows what it prints."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from html.parser import HTMLParser
 
@@ -33,6 +34,7 @@ from ssp_lp import (
     secondary_cost,
     simulate,
     solve,
+    solve_many,
     trace_frontier,
     visits,
 )
@@ -256,6 +258,7 @@ def test_every_report_has_a_summary() -> None:
         certify(solution),
         cross_check(PROBLEM),
         trace_frontier(PROBLEM),
+        solve_many([PROBLEM], executor=ThreadPoolExecutor(1)),
         PROBLEM.program().solve(),
     ]
     for report in reports:

@@ -1,0 +1,788 @@
+"""Many problems at once: solved side by side by processes, threads or machines, answered in order.
+
+A model goes to the workers once, as a file that they map into memory; in problems and answers
+its place there stands for it, so that both are small and an answer is on the caller's own model.
+"""
+
+from __future__ import annotations
+
+import logging
+import mmap
+import os
+import pickle
+import signal
+import sys
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, fields, is_dataclass
+from functools import lru_cache
+from io import BytesIO
+from itertools import product as combinations
+from math import inf, isfinite
+from multiprocessing.context import SpawnContext, SpawnProcess
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from tempfile import TemporaryDirectory
+from typing import Any, BinaryIO, NoReturn
+
+import numpy as np
+
+from ssp_lp.arrays import RELATIVE_GAP, FloatArray
+from ssp_lp.errors import (
+    ModelError,
+    OutOfTimeError,
+    SolverError,
+    SSPError,
+    check_whole,
+    in_short,
+    is_number,
+    optional_module,
+    wrong_argument,
+)
+from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
+from ssp_lp.model.text_tables import Summarised, text_table
+from ssp_lp.options import Method, deadline_of, options_of, parse_method, progress_shown
+from ssp_lp.problem import Problem, as_stated, check_problem
+from ssp_lp.solution import Solution
+from ssp_lp.solve import solve
+
+Answer = Solution | SSPError
+"""What a problem comes to: its solution, or why it has none."""
+
+_LOG = logging.getLogger("ssp_lp.answers")
+_SHOWN = 20  # problems in a summary
+_ALIGNED = 64  # bytes: arrays of a file begin at multiples, as compiled loops want them
+_AHEAD = 2  # problems in hand for each process, one of them waiting, so that none idles
+_LATE = 2.0  # seconds beyond the limit of the whole in which answers that were begun may come
+_LEAVING = 0.5  # seconds for a process that is told to end, before it is killed
+_ASKED = 3  # times that a problem is given to a process, if those before died of it
+_DIED = (
+    f"{_ASKED} processes died while they solved it, perhaps for want of memory: try it by itself"
+)
+
+
+@explained
+def sweep(criterion: Callable[..., Problem], *given: Any, **named: Any) -> list[Problem]:
+    """Problems of one criterion, one for each combination of what is given as a list.
+
+    Args:
+        criterion: such as ``MCMP``.
+        given: its arguments in their order. Lists, ranges and arrays are swept, the last one
+            fastest; anything else is the same in all problems.
+        named: its arguments by name, likewise.
+
+    Raises:
+        ModelError: as of the criterion, or a list is empty.
+
+    Example:
+        >>> from formulations import MCMP
+        >>> model = SSP.from_transitions({"depot": {"road": [(1.0, "home", 9.0)]}}, goal={"home"})
+        >>> sweep(MCMP, model, "depot", failure_budget=[0.01, 0.05], horizon=[1, None])[1]
+        MCMP(SSP(2 states, 1 pairs, 1 outcomes, 1 goals), start='depot', failure_budget=0.01)
+    """
+    swept = [_swept(value) for value in (*given, *named.values())]
+    for place, values in enumerate(swept):
+        if len(values) == 0:
+            names = [*(f"argument {k}" for k in range(1, len(given) + 1)), *named]
+            raise ModelError(f"nothing to sweep over: {names[place]} is empty")
+    return [
+        criterion(*chosen[: len(given)], **dict(zip(named, chosen[len(given) :], strict=True)))
+        for chosen in combinations(*swept)
+    ]
+
+
+def _swept(value: Any) -> Sequence[Any]:
+    """The values of an argument of a sweep."""
+    if isinstance(value, np.ndarray):
+        listed: list[Any] = value.tolist()
+        return listed
+    return value if isinstance(value, (list, range)) else [value]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Answers(Summarised):
+    """Answers to many problems, in their order: each a solution, or the error in its place."""
+
+    problems: tuple[Problem, ...]
+    answers: tuple[Answer, ...]
+    seconds: float  # wall clock, for all
+
+    def __len__(self) -> int:
+        """Number of problems."""
+        return len(self.problems)
+
+    def __iter__(self) -> Iterator[Answer]:
+        """The answers in the order of the problems."""
+        return iter(self.answers)
+
+    def __getitem__(self, place: int) -> Answer:
+        """The answer to a problem by its place."""
+        return self.answers[place]
+
+    @property
+    def errors(self) -> Mapping[int, SSPError]:
+        """The answers that are errors, by their places."""
+        return {k: answer for k, answer in enumerate(self) if isinstance(answer, SSPError)}
+
+    @property
+    def objectives(self) -> FloatArray:
+        """The answers' optimal values, nan where there is an error, [problems]."""
+        return np.array([getattr(answer, "objective", np.nan) for answer in self])
+
+    def to_frame(self) -> Any:
+        """The answers as a pandas ``DataFrame``, a row for each problem.
+
+        Columns: criterion, whatever else was asked differently (models by their numbers), then
+        objective, bound (certified), gap, failure (as limited), price, seconds, status or the kind
+        of error, and the error in words.
+
+        Raises:
+            MissingDependencyError: pandas is not installed.
+        """
+        found: dict[str, list[Any]] = {name: [] for name in _FACTS}
+        for answer in self:
+            facts = _facts_of(answer)
+            for name, column in found.items():
+                column.append(facts.get(name))
+        return optional_module("pandas", "frames").DataFrame(self._asked() | found)
+
+    def __repr__(self) -> str:
+        """One line: how many problems there are, and how many have no solution."""
+        failed = f", {len(self.errors):,} of them errors" if self.errors else ""
+        return f"Answers({len(self):,}{failed}, {self.seconds:.3g} s)"
+
+    def summary(self) -> str:
+        """The answers in a table, of which the first lines are shown."""
+        if not self.problems:
+            return repr(self)
+        columns = {
+            name: [_cell(value) for value in column] for name, column in self._asked().items()
+        }
+        for name in ("objective", "failure", "price", "status"):
+            facts = (_facts_of(answer).get(name) for answer in self.answers[:_SHOWN])
+            columns[name] = [_cell(fact) for fact in facts]
+        rows = [list(row) for row in zip(*columns.values(), strict=False)]
+        lines = text_table([[*columns], *rows])
+        if (more := len(self) - _SHOWN) > 0:
+            lines.append(f"and {more:,} more: to_frame() has all")
+        notes = [f"{k}: {error}" for k, error in self.errors.items()]
+        return "\n".join([*lines, *notes[:_SHOWN]])
+
+    def _asked(self) -> dict[str, list[Any]]:
+        """What was asked in each answer's problem, by name, as far as it is not the same in all."""
+        numbers: dict[int, int] = {}  # id of a model -> how many came before it
+        rows: list[dict[str, Any]] = []
+        for problem in self.problems:
+            stated = {"failure_budget": None} | as_stated(problem)
+            stated["model"] = numbers.setdefault(id(problem.model), len(numbers))
+            names = _stated_names(problem)
+            rows.append({k: _plain(stated.get(k, getattr(problem, k, None))) for k in names})
+        every = dict.fromkeys(name for row in rows for name in row)
+        columns = {name: [row.get(name) for row in rows] for name in every}
+        several = {k: column for k, column in columns.items() if len(set(map(repr, column))) > 1}
+        return {"criterion": [type(problem).__name__ for problem in self.problems], **several}
+
+
+_FACTS = ("objective", "bound", "gap", "failure", "price", "seconds", "status", "error")
+
+
+def _stated_names(problem: Problem) -> list[str]:
+    """Names of what is stated of an answer's problem, in the order in which it is."""
+    parts: Sequence[Any] = fields(problem) if is_dataclass(problem) else ()
+    return [part.name for part in sorted(parts, key=lambda part: part.kw_only is True)]
+
+
+def _plain(value: Any) -> Any:
+    """A value of an answer's problem for a table."""
+    return value if value is None or isinstance(value, str) or is_number(value) else in_short(value)
+
+
+def _cell(value: Any) -> str:
+    """A value of an answer's problem as text."""
+    return "-" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _facts_of(answer: Answer) -> dict[str, Any]:
+    """Facts of an answer by name; nothing is worked out for it."""
+    if isinstance(answer, SSPError):
+        return {"status": type(answer).__name__, "error": str(answer)}
+    return {
+        "objective": answer.objective,
+        "bound": answer.lower_bound if answer.upper_bound is None else answer.upper_bound,
+        "gap": answer.gap,
+        "failure": answer.budget_used,
+        "price": answer.failure_price,
+        "seconds": answer.seconds,
+        "status": answer.status.name.lower(),
+        "error": "",
+    }
+
+
+@explained
+def solve_many(
+    problems: Iterable[Problem],
+    method: Method | str | None = None,
+    *,
+    executor: Executor | None = None,
+    workers: int | None = None,
+    tolerance: float = RELATIVE_GAP,
+    time_limit: float | None = None,
+    total_time_limit: float | None = None,
+    progress: Callable[[int, Answer], None] | None = None,
+    verbose: bool = False,
+) -> Answers:
+    """Solve many problems side by side, each as ``solve`` does.
+
+    A process of one's own that dies, such as for want of memory, is replaced, and what it may have
+    worked on is asked again, alone. Ctrl-C ends the call at once with what is there. In a script
+    the call stands under ``if __name__ == "__main__":``, as processes read the script anew.
+
+    Args:
+        problems: formulations such as ``MCMP(...)``, of any kinds and on any models, such as those
+            of :func:`sweep`. Functions of your own in them stand in a module.
+        method: as of ``solve``, for all.
+        executor: anything with the interface of ``concurrent.futures.Executor``: a pool of threads
+            or processes, mpi4py's, Dask's. It is not shut down. None: a pool of processes, each
+            with one thread.
+        workers: processes of that pool; None: one for each core.
+        tolerance: relative gap to reach, for each.
+        time_limit: seconds for each, as of ``solve``.
+        total_time_limit: seconds for all. What is being solved then ends with its best policy so
+            far; what was not begun has an OutOfTimeError in its place.
+        progress: called with (place, answer) as each answer comes, in whatever order.
+        verbose: show how many are answered (``progress_shown``).
+
+    Returns:
+        The answers in the order of the problems: a solution each, or an ``SSPError``: infeasible,
+        out of time, stated wrongly, or a SolverError about what else happened.
+
+    Raises:
+        ModelError: a wrong argument, or something that is no problem.
+        SolverError: no process of the pool could be started.
+
+    Example:
+        >>> from concurrent.futures import ThreadPoolExecutor
+        >>> from formulations import MCMP
+        >>> model = SSP.from_transitions(
+        ...     {"road": {"fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)],
+        ...               "safe": [(1.0, "home", 3.0)]}, "ditch": {}},
+        ...     goal={"home"}, treat_actionless_as_dead_ends=True)
+        >>> asked = sweep(MCMP, model, "road", failure_budget=[0.0, 0.05])
+        >>> solve_many(asked, executor=ThreadPoolExecutor(1)).objectives.round(6).tolist()
+        [3.0, 2.0]
+    """
+    began = time.perf_counter()
+    asked, chosen = _checked_problems(problems), parse_method(method)
+    options_of(chosen, tolerance, began, time_limit, None)
+    left = deadline_of(total_time_limit, 0.0, "total_time_limit")
+    if executor is not None and workers is not None:
+        raise ModelError("workers is for a pool of this call's own: leave out one of both")
+    if workers is not None:
+        check_whole("workers", workers)
+    if progress is not None and not callable(progress):
+        raise wrong_argument("progress", "be a function or None", progress)
+    order = _Order(method, tolerance, time_limit, time.time() + left)
+    with progress_shown(verbose):
+        answers = _answers_to(asked, order, executor, workers or _n_cores(), progress)
+        made = Answers(tuple(asked), answers, time.perf_counter() - began)
+        _LOG.info("%r", made)
+    return made
+
+
+def _answers_to(
+    asked: Sequence[Problem],
+    order: _Order,
+    executor: Executor | None,
+    workers: int,
+    progress: Callable[[int, Answer], None] | None,
+) -> tuple[Answer, ...]:
+    """The answers of ``solve_many``, in order.
+
+    Raises:
+        ModelError: a model that cannot be pickled.
+        SolverError: no process could be started.
+    """
+    answers: dict[int, Answer] = {}
+    if not asked:
+        return ()
+
+    def come(place: int, answer: Answer) -> None:
+        """Keep an answer, and tell of it."""
+        answers[place], done = answer, len(answers) + 1
+        _LOG.debug("%d of %d", done, len(asked), extra={"share": done / len(asked)})
+        if progress is not None:
+            progress(place, answer)
+
+    with (
+        TemporaryDirectory(prefix="ssp-lp-", ignore_cleanup_errors=True) as folder,
+        _Crew(executor, min(workers, len(asked))) as crew,
+    ):
+        cargo, path = _Cargo(), Path(folder, "models")
+        with path.open("wb") as file, _sending():
+            cargo.load(_models_of(asked), file)
+            size = file.tell()
+        packed: dict[int, bytes] = {}
+        for place, problem in enumerate(asked):
+            try:
+                with _sending():
+                    packed[place] = cargo.pack(problem)
+            except ModelError as error:
+                come(place, error)
+        mean = sum(map(len, packed.values())) // max(len(packed), 1)
+        told = "%d problems of %d bytes on average, models of %d bytes in all, %s"
+        _LOG.info(told, len(asked), mean, size, crew)
+        late = _Dispatch(crew, cargo, _Shipment(str(path)), packed, order).collect(come)
+        for place in range(len(asked)):
+            if place not in answers:
+                come(place, late)
+    return tuple(answers[place] for place in range(len(asked)))
+
+
+def _checked_problems(problems: Iterable[Problem]) -> list[Problem]:
+    """The problems to be answered, in a list.
+
+    Raises:
+        ModelError: one alone, or something that is no problem.
+    """
+    if hasattr(problems, "model"):
+        raise ModelError("solve_many takes several problems: pass a list, or call solve")
+    asked = [*problems]
+    for problem in asked:
+        check_problem(problem, "solve_many")
+    return asked
+
+
+def _n_cores() -> int:
+    """Cores that this process may use for answers."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@contextmanager
+def _sending() -> Iterator[None]:
+    """Context in which something is pickled for those who answer.
+
+    Raises:
+        ModelError: it cannot be.
+    """
+    try:
+        yield
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise ModelError(
+            f"it cannot be sent to another process: {error}; functions of your own must stand in "
+            "a module"
+        ) from error
+
+
+def _models_of(problems: Iterable[Problem]) -> list[SSP]:
+    """The distinct models of all problems to be answered, what a product is made of before it."""
+    models: dict[int, SSP] = {}
+    for problem in problems:
+        chain: list[SSP] = []
+        model: SSP | None = problem.model
+        while model is not None and id(model) not in models:
+            chain.append(model)
+            model = getattr(model, "original", None)
+        models |= {id(one): one for one in reversed(chain)}
+    return [*models.values()]
+
+
+class _Pickler(pickle.Pickler):
+    """A pickler that leaves out models of the answers' problems: their places stand for them."""
+
+    def __init__(
+        self,
+        stream: BinaryIO,
+        places: Mapping[int, int],
+        keep: Callable[[pickle.PickleBuffer], None] | None = None,
+    ) -> None:
+        super().__init__(stream, protocol=5, buffer_callback=keep)
+        self._places = places
+
+    def persistent_id(self, thing: Any) -> int | None:
+        """Place of a model in the file; None for all else."""
+        return self._places.get(id(thing)) if isinstance(thing, SSP) else None
+
+    def reducer_override(self, thing: Any) -> Any:
+        """A number for all outcomes takes no more room on the way than before."""
+        if type(thing) is np.ndarray and thing.strides == (0,) and thing.size > 1:
+            return np.broadcast_to, (thing[:1].copy(), thing.shape)
+        return NotImplemented
+
+
+class _Unpickler(pickle.Unpickler):
+    """An unpickler that finds models of the answers' problems by their places."""
+
+    def __init__(
+        self, packed: bytes, model_at: Callable[[int], SSP], buffers: Iterable[memoryview] = ()
+    ) -> None:
+        super().__init__(BytesIO(packed), buffers=buffers)
+        self._model_at = model_at
+
+    def persistent_load(self, place: Any) -> SSP:
+        """The model at a place of the file."""
+        return self._model_at(place)
+
+
+class _Cargo:
+    """Problems and answers on their way, without the models, which lie in a file by their places.
+
+    Of a model the file holds the arrays as they are, aligned, for any process to map; then, at its
+    place, its pickle without them and where they begin and end.
+    """
+
+    def __init__(self, content: bytes | memoryview = b"") -> None:
+        """Know no model yet.
+
+        Args:
+            content: of the file, where it was written by another process.
+        """
+        self._content = memoryview(content)
+        self._models: dict[int, SSP] = {}  # place -> model
+        self._places: dict[int, int] = {}  # id of a model -> place
+
+    def load(self, models: Iterable[SSP], file: BinaryIO) -> None:
+        """Write models to a file for other processes, those first that others are made of."""
+        file.write(b"ssp-lp")  # an empty file cannot be mapped
+        for model in models:
+            buffers: list[pickle.PickleBuffer] = []
+            stream, spans = self._stream(model, buffers.append), []
+            for buffer in buffers:
+                file.write(bytes(-file.tell() % _ALIGNED))
+                begin = file.tell()
+                file.write(buffer.raw())
+                spans.append((begin, file.tell()))
+            self._know(file.tell(), model)
+            pickle.dump((stream, spans), file)
+
+    def pack(self, thing: object) -> bytes:
+        """Pickle a problem or an answer without its models."""
+        return self._stream(thing)
+
+    def unpack(self, packed: bytes) -> Any:
+        """The problem or answer that was packed, on the models that are known here."""
+        return _Unpickler(packed, self._model_at).load()
+
+    def _stream(
+        self, thing: object, keep: Callable[[pickle.PickleBuffer], None] | None = None
+    ) -> bytes:
+        """Pickle of a cargo, arrays handed to ``keep`` where that is given."""
+        stream = BytesIO()
+        _Pickler(stream, self._places, keep).dump(thing)
+        return stream.getvalue()
+
+    def _know(self, place: int, model: SSP) -> SSP:
+        """The cargo's model at a place; the first one that was found there stays."""
+        model = self._models.setdefault(place, model)
+        self._places[id(model)] = place
+        return model
+
+    def _model_at(self, place: int) -> SSP:
+        """A cargo's model, read from the file when it is first asked for."""
+        if place not in self._models:
+            content = self._content
+            stream, spans = pickle.loads(content[place:])  # noqa: S301 (of the caller's process)
+            buffers = [content[begin:end] for begin, end in spans]
+            self._know(place, _Unpickler(stream, self._model_at, buffers).load())
+        return self._models[place]
+
+
+@dataclass(frozen=True)
+class _Shipment:
+    """A file of models for the answers; where it cannot be seen, what is in it comes along."""
+
+    path: str
+    content: bytes | None = field(default=None, compare=False, repr=False)
+
+
+@lru_cache(maxsize=1)
+def _unloaded(shipment: _Shipment) -> _Cargo:
+    """A shipment's cargo as this process knows it: a worker keeps the models of one call's answers.
+
+    Raises:
+        OSError: the file cannot be seen from here.
+    """
+    if shipment.content is not None:
+        return _Cargo(shipment.content)
+    with Path(shipment.path).open("rb") as file:
+        return _Cargo(memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)))
+
+
+@dataclass(frozen=True)
+class _Order:
+    """How each answer is to be found: the options of ``solve``, and when all must be there."""
+
+    method: Method | str | None
+    tolerance: float
+    time_limit: float | None
+    ends: float  # on the clock of time.time, which machines share
+
+    def solution_of(self, problem: Problem) -> Solution:
+        """The answer to a problem, which is a solution.
+
+        Raises:
+            SSPError: as of ``solve``, or the time for all ended before.
+        """
+        left = self.ends - time.time()
+        if left <= 0.0:
+            raise _too_late()
+        limit = min(left, inf if self.time_limit is None else self.time_limit)
+        limited = limit if isfinite(limit) else None
+        return solve(problem, self.method, tolerance=self.tolerance, time_limit=limited)
+
+
+def _too_late() -> OutOfTimeError:
+    """The answer to a problem for which there was no time."""
+    return OutOfTimeError("total_time_limit ended before this problem was solved: allow more time")
+
+
+def _answer(shipment: _Shipment, packed: bytes, order: _Order) -> bytes | None:
+    """A worker's answer to a problem, packed; None: it cannot see the shipment's file."""
+    try:
+        cargo = _unloaded(shipment)
+    except OSError:
+        return None
+    try:
+        try:
+            return cargo.pack(order.solution_of(cargo.unpack(packed)))
+        except SSPError as error:
+            return cargo.pack(error)
+        except Exception as error:  # one problem's, from which the others do not suffer
+            return cargo.pack(SolverError(f"it ended in {type(error).__name__}: {error}"))
+    except _Leaving:  # told to leave: what runs beside has been ended on the way here
+        os._exit(1)
+
+
+class _Dispatch:
+    """The way of packed problems to a crew, and of answers back, as they come."""
+
+    def __init__(
+        self,
+        crew: _Crew,
+        cargo: _Cargo,
+        shipment: _Shipment,
+        packed: Mapping[int, bytes],
+        order: _Order,
+    ) -> None:
+        """Have everything wait.
+
+        Args:
+            crew: whom they are given to.
+            cargo: what unpacks the answers.
+            shipment: the models.
+            packed: place -> problem.
+            order: how they are solved, and for how long.
+        """
+        self._crew, self._cargo, self._shipment = crew, cargo, shipment
+        self._packed, self._order = packed, order
+        self._waiting, self._suspects = deque(packed), deque[int]()
+        self._deaths = Counter[int]()  # of workers that had a problem in hand, by its place
+        self._blind: set[int] = set()  # places of problems for workers that do not see the file
+        self._flying: dict[Future[bytes | None], int] = {}
+        self._back: SimpleQueue[Future[bytes | None]] = SimpleQueue()
+
+    def collect(self, come: Callable[[int, Answer], None]) -> SSPError:
+        """Give out the problems and hand on what comes back, until all have an answer, or an end.
+
+        Args:
+            come: called with each place and its answer.
+
+        Returns:
+            The answer to those that have none.
+
+        Raises:
+            SolverError: no process could be started, or the executor takes nothing.
+        """
+        missing, late = len(self._packed), _too_late()
+        try:
+            while missing:
+                self._give_out()
+                if self._crew.is_broken and not self._flying:
+                    if self._crew.renew():
+                        continue
+                    if missing == len(self._packed):
+                        raise self._crew.error()
+                    return self._crew.error()
+                left = self._order.ends + _LATE - time.time()
+                future = self._back.get(timeout=max(left, 0.0) if isfinite(left) else None)
+                place = self._flying.pop(future)
+                answer = self._answer(place, future)
+                if answer is not None:
+                    missing -= 1
+                    come(place, answer)
+        except Empty:
+            self._end()
+        except KeyboardInterrupt:
+            self._end()
+            return OutOfTimeError("Ctrl-C came before this problem was solved")
+        return late
+
+    def _end(self) -> None:
+        """Have nobody of the crew begin anything more."""
+        for future in self._flying:
+            future.cancel()
+        self._crew.leave()
+
+    def _give_out(self) -> None:
+        """Give the crew what it has room for; what a worker may have died of goes by itself."""
+        crew, flying = self._crew, self._flying
+        while not crew.is_broken:
+            alone = bool(self._suspects) or any(self._deaths[place] for place in flying.values())
+            queue = self._suspects or self._waiting
+            if not queue or len(flying) >= (1 if alone else crew.room):
+                return
+            place = queue.popleft()
+            try:
+                future = crew.submit(self._shipment_for(place), self._packed[place], self._order)
+            except RuntimeError:  # it is broken, or has been shut down
+                queue.appendleft(place)
+                crew.is_broken = True
+                return
+            flying[future] = place
+            future.add_done_callback(self._back.put)
+
+    def _shipment_for(self, place: int) -> _Shipment:
+        """The shipment for a worker, with its content if the file could not be seen."""
+        path = self._shipment.path
+        return _Shipment(path, Path(path).read_bytes()) if place in self._blind else self._shipment
+
+    def _answer(self, place: int, future: Future[bytes | None]) -> Answer | None:
+        """The answer that came back from the crew; None: the problem has to be given out again."""
+        error = CancelledError() if future.cancelled() else future.exception()
+        if isinstance(error, BrokenExecutor):
+            self._crew.is_broken = True
+            self._deaths[place] += 1
+            if not self._crew.is_own:
+                return self._crew.error()
+            if self._deaths[place] == _ASKED:
+                return SolverError(_DIED)
+            self._suspects.append(place)
+            return None
+        if error is not None:  # the executor's, or of what it could not send
+            return SolverError(f"the executor raised {type(error).__name__}: {error}")
+        packed = future.result()
+        if packed is not None:
+            answer: Answer = self._cargo.unpack(packed)
+            return answer
+        if place in self._blind:
+            return SolverError("its worker could not read the models that came with it")
+        self._blind.add(place)
+        self._waiting.appendleft(place)
+        return None
+
+
+class _Spawning(SpawnContext):
+    """Starts processes anew, forks none, and knows those that it has started for answers."""
+
+    def __init__(self) -> None:
+        """Have started none."""
+        super().__init__()
+        self.started: list[SpawnProcess] = []
+
+    def Process(self, *given: Any, **named: Any) -> SpawnProcess:  # type: ignore[override]  # noqa: N802 (multiprocessing's name)
+        """A process to be started, which is remembered."""
+        made = SpawnProcess(*given, **named)
+        self.started.append(made)
+        return made
+
+
+class _Crew:
+    """Who answers: the executor that was given, or a pool of processes, made anew if it breaks."""
+
+    def __init__(self, given: Executor | None, count: int) -> None:
+        """Begin to start processes, where none is given.
+
+        Args:
+            given: the executor.
+            count: of the processes, where none is given.
+        """
+        self.is_own, self.is_broken, self._count = given is None, False, max(count, 1)
+        self.room = _AHEAD * self._count if given is None else inf
+        self._spawning = _Spawning()
+        self._first: Future[None] | None = None  # of the pool: it could be started
+        self._executor = self._new_pool() if given is None else given
+
+    def __enter__(self) -> _Crew:
+        """The crew is there already."""
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        """Send home who is one's own; who is not keeps no models."""
+        _unloaded.cache_clear()  # of threads
+        if raised[0] is not None:
+            self.leave()
+        elif self.is_own:
+            self._executor.shutdown(wait=not self.is_broken, cancel_futures=True)
+
+    def __repr__(self) -> str:
+        """Who they are."""
+        return f"{self._count} processes" if self.is_own else type(self._executor).__name__
+
+    def submit(self, shipment: _Shipment, packed: bytes, order: _Order) -> Future[bytes | None]:
+        """Give a problem to the crew."""
+        return self._executor.submit(_answer, shipment, packed, order)
+
+    def renew(self) -> bool:
+        """Replace a broken pool; whether that can be done."""
+        if self._first is None or self._first.exception() is not None:
+            return False
+        self._executor, self.is_broken = self._new_pool(), False
+        return True
+
+    def leave(self) -> None:
+        """End the crew's processes at once; who is not one's own goes on with what is in hand."""
+        if not self.is_own:
+            return
+        self.is_broken = True
+        self._executor.shutdown(wait=False, cancel_futures=True)
+        ends = time.monotonic() + _LEAVING
+        for process in self._spawning.started:
+            with suppress(ValueError, AssertionError):  # it has been closed, or was not started
+                process.terminate()
+        for process in self._spawning.started:
+            with suppress(ValueError, AssertionError):
+                process.join(max(ends - time.monotonic(), 0.0))
+                process.kill()
+
+    def error(self) -> SolverError:
+        """The answer to what is left where the crew is broken for good."""
+        if not self.is_own:
+            return SolverError("the executor broke or was shut down: give a new one, or none")
+        return SolverError(
+            "no process could be started (in a script solve_many stands under "
+            'if __name__ == "__main__":)'
+        )
+
+    def _new_pool(self) -> ProcessPoolExecutor:
+        """A pool of processes that answer."""
+        pool = ProcessPoolExecutor(self._count, self._spawning, _prepare_worker)
+        self._first = pool.submit(_nothing)
+        return pool
+
+
+class _Leaving(SystemExit):
+    """A process of the crew was told to end."""
+
+
+def _leave(*_: object) -> NoReturn:
+    """End a process of the crew, from wherever it is."""
+    raise _Leaving(1)
+
+
+def _nothing() -> None:
+    """What a process of the crew does first: it has been started then."""
+
+
+def _prepare_worker() -> None:
+    """Make a process of the crew one that uses one core and leaves Ctrl-C to its caller."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _leave)
+    if numba := sys.modules.get("numba"):
+        numba.set_num_threads(1)
+    else:
+        os.environ["NUMBA_NUM_THREADS"] = "1"
