@@ -177,10 +177,9 @@ class Answers(Summarised):
         numbers: dict[int, int] = {}  # id of a model -> how many came before it
         rows: list[dict[str, Any]] = []
         for problem in self.problems:
-            stated = {"failure_budget": None} | as_stated(problem)
+            stated = vars(problem) | as_stated(problem)
             stated["model"] = numbers.setdefault(id(problem.model), len(numbers))
-            names = _stated_names(problem)
-            rows.append({k: _plain(stated.get(k, getattr(problem, k, None))) for k in names})
+            rows.append({k: _plain(stated.get(k)) for k in _stated_names(problem)})
         every = dict.fromkeys(name for row in rows for name in row)
         columns = {name: [row.get(name) for row in rows] for name in every}
         several = {k: column for k, column in columns.items() if len(set(map(repr, column))) > 1}

@@ -346,7 +346,8 @@ def test_answers_are_shown_and_put_in_a_table() -> None:
     frame = solve_many(mixed_problems(), executor=AtOnce()).to_frame()
     assert list(frame)[:5] == ["criterion", "model", "start", "failure_budget", "give_up"]
     assert frame["model"].tolist() == [0] * 8 + [1, 2, 0, 0]
-    assert frame["failure_budget"].tolist()[:4] == BUDGETS
+    assert frame["failure_budget"].tolist()[:6] == [*BUDGETS, 0.05, 0.05]
+    assert frame["failure_budget"].tolist()[10:] == [0.05, 0.09]
     assert frame["error"][0] == ""
     assert "at least 0.01" in frame["error"][1]
     assert frame["objective"][2] == pytest.approx(20 / 3)
