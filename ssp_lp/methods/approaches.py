@@ -125,8 +125,7 @@ def refusal(problem: Problem, method: options.Method) -> ModelError | None:
     if asks.rows:
         return ModelError(named, f" knows one row only, not {name}: take 'columns' or 'lp'")
     if asks.ratio and getattr(problem, "cost_cap", None) is not None:
-        told = "the game chooses its own cap M, or is told its tail: leave "
-        return ModelError(told, Argument("cost_cap"), " out")
+        return ModelError("the game chooses its own cap M: leave ", Argument("cost_cap"), " out")
     if method.tail is not None and not asks.ratio:
         return ModelError(f"a tail is for a cost given success, not {name}: leave it out")
     try:

@@ -202,8 +202,27 @@ def test_a_last_step_may_cost_what_is_no_whole_number_of_units(tmp_path):
             assert player.action("x") == "a"
             player.observe(there, 0.37)
             assert player.action(there) is None
-    rests = acting_everywhere(shelves())
-    acts_the_same(rests, tmp_path, "x", surprise=0.0)
+
+
+def test_the_last_step_of_a_horizon_may_cost_anything(tmp_path):
+    """Two tries, of which both count: what the second one costs is remembered by nobody."""
+    tries = SSP.from_transitions(
+        {"x": {"a": [(0.5, "x", 1.0), (0.25, "g", 1.0), (0.25, "g", 3.0)]}}, goal={"g"}
+    )
+    (policy,) = solve(S3P(tries, "x", failure_budget=0.3, horizon=2)).policy.policies
+    controller, episode = written(policy, tmp_path), policy.start(world="other")
+    controller.reset(0, world="other")
+    for player in (episode, controller):
+        for cost in (1.0, 0.37):
+            assert player.action("x") == "a"
+            player.observe("x", cost)
+        assert player.action("x") in (GIVE_UP, "give up")
+    for player in (policy.start(world="other"), controller):
+        if player is controller:
+            controller.reset(0, world="other")
+        player.action("x")
+        words, errors = "no whole number of units", (ModelError, ValueError)
+        refused(words, player.observe, "x", 0.37, error=errors)
 
 
 CLIFF = SSP.from_transitions(

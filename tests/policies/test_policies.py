@@ -12,6 +12,7 @@ from ssp_lp import (
     MixedPolicy,
     ModelError,
     StochasticPolicy,
+    TimedPolicy,
     evaluate,
     simulate,
     solve,
@@ -47,6 +48,19 @@ def test_an_episode_step_by_step():
     episode.observe("door", 3.0)
     assert episode.action("door") == "wait"
     assert solution.policy.start(0).action("door") == "try"
+
+
+def test_the_last_stage_of_a_timed_policy_is_followed_for_good():
+    policy, states = TimedPolicy((GO, STAY, GO, STAY)), np.array([TRIES.index_of("door")])
+    episode, memory, said = policy.start(0), policy.start_memory(states), []
+    for _ in range(9):
+        said.append(episode.action("door"))
+        pair = policy.branches(states, memory).pair
+        assert TRIES.action_of(int(pair[0])) == said[-1]
+        cost = 1.0 if said[-1] == "try" else 3.0
+        episode.observe("door", cost)
+        memory = policy.remember(memory, pair, states, np.array([cost]))
+    assert said == ["try", "wait", "try"] + 6 * ["wait"]
 
 
 def test_a_lottery_is_drawn_once():

@@ -1,0 +1,167 @@
+"""Mutants of a package of the core, drawn by cosmic-ray, against the tests of its room.
+
+Run from the repository's root, with cosmic-ray installed or named; a scratch copy is mutated::
+
+    pip install cosmic-ray
+    python tests/campaigns/mutation.py --packages game policies --count 60 --seed 0
+
+Of all mutants of a package so many are drawn by the seed. Left out are those of annotations, which
+nothing runs, and of an operator by one that numbers or values do not have (bits, shifts, identity,
+powers, remainders): any test that comes there kills them. Loops run as numpy expressions
+(SSP_LP_ACCELERATOR=none), and ``ssp_lp/compiled`` is no package here: its twins are compared with
+them by ``tests/compiled``. Prints a table, and the
+change of each survivor.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import json
+import random
+import re
+import sqlite3
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from tests.campaigns.planted_faults import environment, scratch_copy
+
+LIMIT = 150.0
+"""Seconds that the tests of one mutant may take, several times what they take without it."""
+
+BREAKING = re.compile(
+    r"_(Add|Sub|Mult?|Div|Mod|FloorDiv|Pow)_(Bit\w+|\wShift|Mod|FloorDiv|Pow)$|_Is(Not)?$"
+)
+"""Operators of cosmic-ray whose mutants any test that comes there kills."""
+
+ROOMS = {
+    "accumulated_cost": "tests/accumulated_cost -k 'not levels_grids and not CVaR'",
+    "column_generation": "tests/column_generation",
+    "dynamic_programming": "tests/dynamic_programming tests/methods/test_numerics.py",
+    "game": "tests/game tests/theorems/test_game_lemmas.py -k 'not robot and not feasible'",
+    "methods": "tests/methods/test_frontier.py tests/methods/test_surfaces.py "
+    "tests/methods/test_trade_off.py tests/methods/test_deterministic.py "
+    "tests/methods/test_quantiles.py tests/methods/test_rounding.py tests/methods/test_numerics.py",
+    "policies": "tests/policies/test_policies.py tests/policies/test_episodes.py "
+    "tests/accumulated_cost/test_drawn_laws.py tests/io/test_controller.py -k 'not distribution'",
+    "processes": "tests/processes -k 'not grid and not racetrack and not exponentially'",
+    "verification": "tests/verification/test_certificate.py "
+    "tests/verification/test_certificate_file.py",
+}
+"""The tests of each package, without those that take seconds and say nothing of their own."""
+
+
+class Mutant(NamedTuple):
+    """A mutant, and what the tests of its room said."""
+
+    path: str
+    line: int
+    operator: str
+    outcome: str  # "killed", "timed out", "survived"
+    change: str  # as a diff
+
+
+def annotated_lines(source: str) -> set[tuple[int, int]]:
+    """Lines and columns of annotations, which are words here and never run."""
+    places: set[tuple[int, int]] = set()
+    for node in ast.walk(ast.parse(source)):
+        kept = [getattr(node, name, None) for name in ("annotation", "returns")]
+        for part in (part for part in kept if isinstance(part, ast.AST)):
+            for inner in ast.walk(part):
+                if isinstance(inner, ast.expr):
+                    first, last = inner.lineno, inner.end_lineno or inner.lineno
+                    end = inner.end_col_offset or 0
+                    places |= {(first, column) for column in range(inner.col_offset, end)}
+                    places |= {(line, c) for line in range(first + 1, last + 1) for c in range(200)}
+    return places
+
+
+def draw(session: Path, folder: Path, count: int, seed: int) -> int:
+    """Keep so many mutants of a session, drawn by the seed; how many there were."""
+    with sqlite3.connect(session) as database:
+        rows = database.execute(
+            "SELECT job_id, module_path, start_pos_row, start_pos_col, operator_name "
+            "FROM mutation_specs "
+            "ORDER BY module_path, operator_name, occurrence, start_pos_row, start_pos_col"
+        ).fetchall()
+        notes = {path: annotated_lines((folder / path).read_text()) for _, path, *_ in rows}
+        live = [
+            job
+            for job, path, line, column, operator in rows
+            if (line, column) not in notes[path] and not BREAKING.search(operator)
+        ]
+        kept = set(random.Random(seed).sample(live, min(count, len(live))))
+        gone = [(job,) for job, *_ in rows if job not in kept]
+        for table in ("mutation_specs", "work_items"):
+            database.executemany(f"DELETE FROM {table} WHERE job_id = ?", gone)  # noqa: S608
+    return len(live)
+
+
+def results(session: Path) -> Iterator[Mutant]:
+    """The mutants of a session that was run."""
+    with sqlite3.connect(session) as database:
+        for path, line, operator, said, output, diff in database.execute(
+            "SELECT module_path, start_pos_row, operator_name, test_outcome, output, diff "
+            "FROM mutation_specs NATURAL JOIN work_results ORDER BY module_path, start_pos_row"
+        ):
+            late = "timeout" in (output or "")[:40].lower()
+            outcome = "survived" if "SURVIVED" in said.upper() else "killed"
+            yield Mutant(path, line, operator, "timed out" if late else outcome, diff or "")
+
+
+def mutate(package: str, count: int, seed: int, tool: str) -> tuple[int, list[Mutant]]:
+    """How many mutants a package has, and those drawn, each tried by the tests of its room."""
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        scratch_copy(folder)
+        tests = f"{sys.executable} -m pytest -x -q -p no:cacheprovider {ROOMS[package]}"
+        settings, session = folder / "mutation.toml", folder / "mutation.sqlite"
+        settings.write_text(
+            f"[cosmic-ray]\nmodule-path = {json.dumps('ssp_lp/' + package)}\ntimeout = {LIMIT}\n"
+            f"excluded-modules = []\ntest-command = {json.dumps(tests)}\n"
+            '[cosmic-ray.distributor]\nname = "local"\n'
+        )
+        asked = {"cwd": folder, "env": environment(folder), "check": True}
+        subprocess.run([tool, "init", settings.name, session.name], **asked)  # noqa: S603
+        total = draw(session, folder, count, seed)
+        subprocess.run([tool, "baseline", settings.name], **asked)  # noqa: S603
+        subprocess.run([tool, "exec", settings.name, session.name], **asked)  # noqa: S603
+        return total, list(results(session))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Try the mutants of some packages, and print a table and the survivors."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--packages", nargs="+", choices=ROOMS, default=list(ROOMS))
+    parser.add_argument("--count", type=int, default=60, help="of each package")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--cosmic-ray", default="cosmic-ray", help="the command")
+    asked = parser.parse_args(arguments)
+    rows = [
+        "| package | mutants | drawn | killed | timed out | survived |",
+        "|---|---|---|---|---|---|",
+    ]
+    for package in asked.packages:
+        total, tried = mutate(package, asked.count, asked.seed, asked.cosmic_ray)
+        counts = Counter(mutant.outcome for mutant in tried)
+        columns = [counts[word] for word in ("killed", "timed out", "survived")]
+        numbers = " | ".join(f"{number:,}" for number in (total, len(tried), *columns))
+        rows.append(f"| `{package}` | {numbers} |")
+        for mutant in tried:
+            if mutant.outcome == "survived":
+                print(
+                    f"{mutant.path}:{mutant.line} {mutant.operator}\n{mutant.change}\n", flush=True
+                )
+    print("\n".join(rows))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
