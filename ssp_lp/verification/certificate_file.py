@@ -13,7 +13,7 @@ import gzip
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cache
 from hashlib import sha256
@@ -24,19 +24,30 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linprog
 
-from ssp_lp.accumulated_cost.charges import Charge, TotalCostCharge, WithinBound
-from ssp_lp.arrays import BoolArray, FloatArray
+from ssp_lp.accumulated_cost.charges import (
+    TOTAL_COST,
+    Charge,
+    ExpectedArrivalCost,
+    ExpectedUtility,
+    ExponentialUtility,
+    Reward,
+    TailMeanOf,
+    TotalCostCharge,
+    WithinBound,
+)
+from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray
 from ssp_lp.errors import Argument, ModelError, SolverError
 from ssp_lp.model import SSP
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
-from ssp_lp.problem import Problem, conditions_of, objective_of, requirements
+from ssp_lp.problem import Problem, Restated, conditions_of, objective_of, requirements
 from ssp_lp.processes.conditions import Condition, StepTerm
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.solution import Solution, as_solved
+from ssp_lp.solve import solve
 from ssp_lp.verification import checker
 from ssp_lp.verification.checker import ONE, Checked, dot, down
-from ssp_lp.verification.exact_values import decimal_text, member_vectors, values_below
+from ssp_lp.verification.exact_values import decimal_text, leads, member_vectors, values_below
 
 _MOVED = Fraction(1, 10**6)  # of a price, by which it may be corrected
 _RAISES = 60  # of a price that is not known
@@ -44,6 +55,14 @@ _LESS = Fraction(1, 10**12)  # of a ratio, than which nothing less is told apart
 _SMALLER = Fraction(1, 10**4)  # by so much a ratio may be proved to be at least
 _CAPS, _WIDTH = 12, 1e-10  # of totals tried, until an interval is as narrow as this
 _MOST_NODES = 2_000_000
+_TABLES = (ExpectedUtility, ExponentialUtility, ExpectedArrivalCost)
+"""Charges that are told of one total after the other, as far as they change."""
+
+_ROUNDED = 1e-15  # of an exponential
+_FARTHEST, _USED_UP = (
+    10**6,
+    1e-11,
+)  # total up to which a utility is told, or until so little is left
 _SHIFT = Fraction(1, 10**9)  # of a lottery, which may be moved to another one
 
 
@@ -70,9 +89,13 @@ def write_certificate(solution: Solution, path: str | Path) -> Checked:
     asked, solved = repr(solution.problem), as_solved(solution, "write_certificate")
     statement = Statement(solved.problem, asked)
     lines = list(statement.lines())
-    question = json.loads(lines[0])
     try:
-        model = checker.Model(question, lines[1:])
+        model = checker.Model(json.loads(lines[0]), lines[1:])
+        charge = solved.problem.semantics.charge(solved.problem.ratio)
+        if isinstance(charge, _TABLES) and model.counts:
+            statement.totals = _told_apart(model, charge)
+            lines = list(statement.lines())
+            model = checker.Model(json.loads(lines[0]), lines[1:])
     except checker.RefusedError as error:
         raise ModelError(f"no certificate of {type(solved.problem).__name__}: {error}") from error
     digest = sha256(b"\n".join(lines)).hexdigest()
@@ -107,11 +130,13 @@ def _check_covered(problem: Problem) -> None:
     if problem.discount is not None and getattr(problem, "reach_fraction", None) is not None:
         shares = Argument("reach_fraction"), " and ", Argument("discount")
         raise ModelError(f"no certificate of {name} with ", *shares)
+    if isinstance(problem.semantics.risk, TailMeanOf):
+        raise ModelError(f"no certificate of {name}: a mean of the costliest runs takes proofs for "
+                         "every threshold, which certificates do not have yet")  # fmt: skip
     charge = problem.semantics.charge(problem.ratio)
-    is_line = isinstance(charge, (TotalCostCharge, WithinBound)) and problem.semantics.risk is None
-    if asks.counts_totals and not is_line:
-        raise ModelError(f"no certificate of {name}: what its total cost is charged is no line and "
-                         "no step, which certificates do not tell apart yet")  # fmt: skip
+    if asks.counts_totals and not isinstance(charge, (TotalCostCharge, WithinBound, *_TABLES)):
+        raise ModelError(f"no certificate of {name}: its charge of the total cost, a "
+                         f"{type(charge).__name__}, is none that certificates know")  # fmt: skip
     if problem.model.failure_label is not None:
         raise ModelError(f"no certificate of this {name}: it counts what happens after failing, "
                          "and certificates end where the goal is lost")  # fmt: skip
@@ -125,12 +150,13 @@ class Statement:
     asked: str
     costs: list[tuple[FloatArray, Mapping[float, Fraction]]] = field(default_factory=list)
     sets: dict[str, BoolArray] = field(default_factory=dict)
+    totals: Sequence[Fraction] = ()  # that a charge is told of one by one
 
     def lines(self) -> Iterator[bytes]:
         """Lines of a certificate file for the question and each state."""
         model = self.problem.model
         _check_covered(self.problem)
-        self.costs.append((model.costs, model.exact_costs))
+        self.costs, self.sets = [(model.costs, model.exact_costs)], {}
         yield _line(self._question())
         texts = [
             [str(exact[c]) if c in exact else _decimal_of(c) for c in costs.tolist()]
@@ -163,7 +189,8 @@ class Statement:
         if objective is not None:
             least = self._quantity(objective, getattr(problem, "quantity", None))
         elif charge is not None:
-            least = {"constant": _decimal_of(semantics.failing_worth), "terms": []}
+            worth = semantics.failing_worth if semantics.maximises else 0.0
+            least = {"constant": _decimal_of(worth), "terms": []}
         elif semantics.aim is not Aim.LEAST_COST:
             least = {"constant": "0", "terms": to_goal}
         rows = []
@@ -193,8 +220,17 @@ class Statement:
             "discount": None if problem.discount is None else _decimal_of(problem.discount),
             "rows": rows,
             **({"ratio": True} if problem.ratio else {}),
-            **({} if charge is None else {"charge": _charge_steps(charge)}),
+            **({} if charge is None else self._totals(charge)),
         }
+
+    def _totals(self, charge: Charge) -> dict[str, Any]:
+        """What is asked of totals in a certificate file."""
+        risk = self.problem.semantics.risk
+        if risk is not None:
+            return {"quantile": _decimal_of(risk.level)}
+        is_table = isinstance(charge, _TABLES) and len(self.totals) > 0
+        told = charge if is_table or not isinstance(charge, _TABLES) else TOTAL_COST
+        return {"charge": _charge_steps(told, self.totals)}
 
     def _failure(self) -> Any:
         """Allowed failure in a certificate file's question."""
@@ -250,11 +286,48 @@ class Statement:
         return known
 
 
-def _charge_steps(charge: Charge) -> list[list[str]]:
-    """A charge of the total cost in a certificate file: after which total, its value, its slope."""
+def _charge_steps(charge: Charge, totals: Sequence[Fraction]) -> list[list[str]]:
+    """A charge of totals in a certificate file: after which total, its least, greatest, slope.
+
+    Args:
+        charge: of the problem; where much is better it is less than nothing.
+        totals: that can occur at the goal, where they have to be told apart; the last is a cap.
+    """
     if isinstance(charge, WithinBound):
-        return [["-1", "1", "0"], [_text_of(charge.bound), "0", "0"]]
-    return [["0", "0", "1"]]
+        return [["-1", "1", "1", "0"], [_text_of(charge.bound), "0", "0", "0"]]
+    if isinstance(charge, TotalCostCharge):
+        return [["0", "0", "0", "1"]]
+    sign = -1.0 if charge.lowest < 0.0 else 1.0
+    values = (sign * charge.at(np.array([float(t) for t in totals]))).tolist()
+    room = _ROUNDED if isinstance(charge, ExponentialUtility) else 0.0
+    steps, last = list[list[str]](), "-1"
+    for total, value in zip(totals, values, strict=True):
+        ends = [_decimal_of(value * (1.0 + side * room)) for side in (-1.0, 1.0)]
+        steps.append([last, *ends, "0"])
+        last = str(total)
+    if isinstance(charge, ExpectedArrivalCost):
+        value = _decimal_of(float(charge.at(np.array([charge.affine_from]))[0]))
+        return [*steps, [_decimal_of(charge.affine_from), value, value, _decimal_of(charge.slope)]]
+    return [*steps, [last, _decimal_of(sign * charge.offset), steps[-1][2], "0"]]
+
+
+def _told_apart(model: checker.Model, charge: Charge) -> list[Fraction]:
+    """Totals at the goal that a certificate file's charge is told of, one by one."""
+    most = Fraction(1)
+    worth = -float(charge.at(np.zeros(1))[0]) + charge.offset
+    while isinstance(charge, Reward) and most < _FARTHEST:  # until a utility is used up
+        left = -float(charge.at(np.array([float(most)]))[0]) + charge.offset
+        if left <= _USED_UP * worth:
+            break
+        most *= 2
+    if isinstance(charge, ExpectedArrivalCost):
+        most = Fraction(charge.affine_from)
+    cap = Fraction(math.ceil(most * model.unit) + 1, model.unit)
+    nodes, goal = _nodes_below(model, cap), model.sets["goal"]
+    lasts = [{t for k in model.of[x] for _, y, t in model.pairs[k][2] if y in goal}
+             for x in range(len(model.names))]  # fmt: skip
+    ends = {total + Fraction(t, model.unit) for x, total in nodes for t in lasts[x]}
+    return sorted(t for t in ends | {Fraction(0)} if t <= most)
 
 
 def _text_of(value: Any) -> str:
@@ -265,14 +338,17 @@ def _text_of(value: Any) -> str:
 def _proof(model: checker.Model, solution: Solution, digest: str) -> Iterator[bytes]:
     """Lines of a certificate file's proof: its head, a line for each state, and for each node."""
     if not model.counts:
-        model.spread(Fraction(0), [])
-        yield from _proof_at(model, solution, digest)[1]
+        model.spread({}, [])
+        yield from _proof_at(model, solution, solution, {"sha256": digest})[1]
         return
+    claim, dual = dict[str, str](), solution
+    if "quantile" in model.question:  # below it too much is late, which is a problem of its own
+        claim, dual = {"claim": _text_of(solution.objective)}, _late_from(solution)
     cap, lines, last, failed = _first_cap(model, solution), list[bytes](), np.inf, 0
     for _ in range(_CAPS):
         nodes = _nodes_below(model, cap)
-        model.spread(cap, nodes)
-        width, more = _proof_at(model, solution, digest)
+        model.spread({**claim, "cap": str(cap)}, nodes)
+        width, more = _proof_at(model, solution, dual, {"sha256": digest, **claim})
         failed += width >= 0.9 * last
         if width < last:
             lines, last = more, width
@@ -282,15 +358,18 @@ def _proof(model: checker.Model, solution: Solution, digest: str) -> Iterator[by
     yield from lines
 
 
-def _proof_at(model: checker.Model, solution: Solution, digest: str) -> tuple[float, list[bytes]]:
+def _proof_at(
+    model: checker.Model, solution: Solution, dual: Solution, head: dict[str, Any]
+) -> tuple[float, list[bytes]]:
     """Relative width of what a certificate file proves from some nodes, and its lines of proof."""
     ssp, weights, n = solution.problem.model, solution.policy.weights, len(model.names)
     drawn = zip(solution.policy.policies, weights.tolist(), strict=True)
     members = [_decisions(model, policy) for policy, weight in drawn if weight > 0.0]
     w = [0] * n
     if model.share is not None:  # a member of weight 0 shows how likely the goal can be
-        failure, free = model.rows[0], model.staying(model.live, model.every)[0]
-        w, likely = values_below(model, ssp, failure, free, members, below=False)
+        failure = checker.Quantity(model, checker.FAILURE, 1, "w")
+        failure.free = model.attention
+        w, likely = values_below(model, ssp, failure, members, below=False)
         pairs = [likely.get(x, UNDECIDED) for x in range(n)]
         members.append(_reached(model, lambda x, r: pairs[x]))
     vectors = [member_vectors(model, decided) for decided in members]
@@ -299,17 +378,16 @@ def _proof_at(model: checker.Model, solution: Solution, digest: str) -> tuple[fl
         model.set_share(w, totals)
     slope = [0] * n
     if model.counts:
-        attention = model.staying(model.live, model.every)[0]
         model.slopes.charge = lambda r: down(model.rise)
-        slope, _ = values_below(model, ssp, model.slopes, attention, members, below=False)
+        slope, _ = values_below(model, ssp, model.slopes, members, below=False)
     chosen = _weights(model, weights[weights > 0.0], totals)
-    prices, v, bound = _priced_values(model, solution, members, totals, slope)
-    head = {
-        "sha256": digest,
-        "prices": [str(price) for price in prices],
-        "weights": [str(weight) for weight in chosen],
-    }
-    lines = [_line({**head, "cap": str(Fraction(model.cap, model.unit))} if model.counts else head)]
+    weighed = [] if "quantile" in model.question else totals[: int((weights > 0.0).sum())]
+    prices, v, bound = _priced_values(model, dual, members, weighed, slope)
+    head["prices"] = [str(price) for price in prices]
+    head["weights"] = [str(weight) for weight in chosen]
+    if model.counts:
+        head |= {"cap": str(Fraction(model.cap, model.unit)), "nodes": len(model.nodes) - n}
+    lines = [_line(head)]
     for i in [*range(n - 1), *range(n, len(model.nodes))]:
         line: dict[str, Any] = {}
         if i >= n:
@@ -327,16 +405,36 @@ def _proof_at(model: checker.Model, solution: Solution, digest: str) -> tuple[fl
     return abs(float(upper - bound)) / max(1.0, abs(float(upper))), lines
 
 
+def _late_from(solution: Solution) -> Solution:
+    """Solution of the problem whose proof a certificate's quantile takes: least from it on."""
+    problem, quantile = solution.problem, solution.objective
+    late = ExpectedArrivalCost(
+        lambda total: (total >= quantile * (1.0 - SAME_TOTAL)).astype(np.float64), quantile
+    )
+    semantics = replace(problem.semantics, measure=late)
+    asked = Restated(
+        problem.model,
+        problem.start,
+        True,
+        problem.failure_budget,
+        semantics,
+        conditions_of(problem),
+    )
+    return solve(asked)
+
+
 def _first_cap(model: checker.Model, solution: Solution) -> Fraction:
     """Total from which on a certificate's proof tells none apart, at first."""
-    steps = {t for pair in model.pairs for t in pair[4]}
-    breaks = [checker.number(step[0]) for step in model.question["charge"]]
-    cap = max(2 * max(steps), max(breaks) + 1, Fraction(1, 10**6))
+    longest = max((t for pair in model.pairs for _, _, t in pair[2]), default=0)
+    breaks = [checker.number(step[0]) for step in model.question.get("charge", [])]
+    if "quantile" in model.question:
+        breaks = [Fraction(_text_of(solution.objective))]
+    cap = max(Fraction(2 * longest, model.unit), max(breaks) + 1)
     for policy in solution.policy.policies:
         if isinstance(policy, CostAwarePolicy):
             last = policy.cap * policy.unit if policy.levels is None else policy.levels[-1]
-            cap = max(cap, Fraction(last).limit_denominator(1000))
-    return cap
+            cap = max(cap, Fraction(last))
+    return Fraction(math.ceil(cap * model.unit), model.unit)
 
 
 def _nodes_below(model: checker.Model, cap: Fraction) -> list[tuple[int, Fraction]]:
@@ -345,10 +443,9 @@ def _nodes_below(model: checker.Model, cap: Fraction) -> list[tuple[int, Fractio
     Raises:
         ModelError: they are too many.
     """
-    unit = math.lcm(*{t.denominator for pair in model.pairs for t in pair[4]}, cap.denominator)
+    unit = model.unit
     steps = [
-        sorted({(y, int(t * unit)) for k in model.of[x] if model.keeps[k]
-                for (_, y), t in zip(model.pairs[k][2], model.pairs[k][4], strict=True)
+        sorted({(y, t) for k in model.of[x] if model.keeps[k] for _, y, t in model.pairs[k][2]
                 if y in model.live})
         for x in range(len(model.names))
     ]  # fmt: skip
@@ -380,13 +477,12 @@ def _priced_values(
     model: checker.Model,
     solution: Solution,
     members: Sequence[Mapping[int, int]],
-    totals: Sequence[Sequence[Fraction]],
+    weighed: Sequence[Sequence[Fraction]],
     slope: Sequence[int],
 ) -> tuple[list[Fraction], list[int], Fraction]:
     """Prices of the rows, values that bound all policies, in units of a file, and that bound."""
     given = [max(solution.prices.get(row.name, 0.0), 0.0) for row in model.rows]
     prices, at, ratio = [Fraction(_decimal_of(price)) for price in given], None, Fraction(0)
-    weighed = totals[: int((solution.policy.weights > 0.0).sum())]
     some = [j for j, price in enumerate(given) if price > 0.0 and (j > 0 or model.may_fail)]
     if not model.may_fail:
         prices[0] = Fraction(0)  # only what keeps the goal sure counts
@@ -394,7 +490,7 @@ def _priced_values(
         at = 0  # the budget was met by failing as little as possible, which has no price
     elif model.counts and len(weighed) == 1 and given[:1] > [0.0]:
         at = 0  # a budget that only one policy keeps to: any price that is high enough
-    if at is None:  # at the right prices all members are worth the same
+    if at is None and weighed:  # at the right prices all members are worth the same
         first, *others = weighed
         table = [[t[1 + j] - first[1 + j] for j in some] for t in others]
         right = [first[0] - t[0] for t in others]
@@ -418,9 +514,11 @@ def _priced_values(
     for _ in range(_RAISES):
         c = model.priced(prices)
         past = slope if any(slope) else []
-        v, _ = values_below(model, solution.problem.model, c, model.free, members, past)
-        after = [down(c.arrival[x]) + value for (x, _), value in zip(model.nodes, v, strict=True)]
-        bound = c.constant + model.begin(after, 0, c.charge)
+        v, _ = values_below(model, solution.problem.model, c, members, past)
+        bound = c.constant
+        for p, x in model.start:
+            won = c.charge(0) if c.charge and x in model.sets["goal"] else 0
+            bound += p * (c.arrival[x] + Fraction(v[model.at(x, 0)] + won, ONE))
         if model.ratio and bound < 0 and model.rows[0].loose == 1 and less < _SMALLER:
             # no policy goes below a somewhat smaller ratio; of few digits, which are exact
             prices[0] = Fraction(math.floor(prices[0] * (1 - less) * 10**20), 10**20)
@@ -433,7 +531,8 @@ def _priced_values(
         best = bound, list(prices), v
         if at is None:
             break
-        prices[at] = max(8 * prices[at], abs(totals[0][0]), Fraction(1, 1000))
+        scale = abs(Fraction(_decimal_of(solution.objective)))
+        prices[at] = max(8 * prices[at], scale, Fraction(1, 1000))
     if best is None:
         raise SolverError("no price was tried")
     return best[1], best[2], best[0]
@@ -510,7 +609,7 @@ def _reached(model: checker.Model, pair_at: Callable[[int, int], int]) -> dict[i
         pairs[i] = k = pair_at(x, r)
         if k == UNDECIDED:
             raise ModelError(f"the policy has no decision in state {model.names[x]!r}")
-        after = {j for _, j in model.leads(k, r)} if k >= 0 else set()
+        after = {j for _, j in leads(model, k, r)} if k >= 0 else set()
         if k < 0 or after & model.ended:
             ending.append(i)
         for j in after - model.ended:

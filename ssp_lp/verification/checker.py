@@ -35,19 +35,20 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache
-from math import lcm
+from math import floor, lcm
 from typing import Any
 
 FORMAT, ZERO = "ssp-lp certificate 1", Fraction(0)
 ONE = 10**60  # a proof's numbers are compared in units of 1/ONE, rounded against the proof
 EXCESS = Fraction(1, 10**9)  # of a bound: so much a lottery may exceed it, which is told
 KEYS = "asked charge_failing_step costs discount failure format give_up greatest objective rows"
-OPTIONAL = {"charge", "ratio"}  # keys of questions that have them
+OPTIONAL = {"charge", "quantile", "ratio"}  # keys of questions that have them
 NUMBER = re.compile(r"-?[0-9]+(/[0-9]+|(\.[0-9]+)?([eE][-+]?[0-9]+)?)")
-Pair = tuple[str, int, list[tuple[int, int]], list[Fraction], list[Fraction]]
-Charge = Callable[[int], int]  # of a total, in units
 FAILURE = {"constant": "1", "terms": [["-1", "end", "goal"]]}
 NOTHING: dict[str, Any] = {"constant": "0", "terms": []}
+Pair = tuple[str, int, list[tuple[int, int, int]], list[Fraction]]
+Charge = Callable[[int], int]  # of a total, in units
+Step = tuple[int, Fraction, Fraction, Fraction]  # of a charge: start, value, slope, where from
 
 
 class RefusedError(Exception):
@@ -92,46 +93,42 @@ def dot(weights: Iterable[Fraction], values: Iterable[Fraction]) -> Fraction:
     return sum((w * c for w, c in zip(weights, values, strict=True) if w), ZERO)
 
 
-class Places(dict[tuple[int, int], int]):
-    """Nodes of the checked proof, by state and total."""
-
-    def __missing__(self, key: tuple[int, int]) -> int:
-        raise RefusedError(f"no line of the proof tells of state {key[0]} at total {key[1]} units")
-
-
 class Quantity:
     """A quantity counted with weights >= 0, and a constant; as a row it has a bound."""
-
-    charge: Charge | None = None  # of the total at the goal
 
     def __init__(self, model: "Model", stated: Mapping[str, Any], sign: int, name: str) -> None:
         n, self.name, self.stop = len(model.names), name, ZERO
         self.bound = self.loose = ZERO  # what a lottery keeps to; what none within the row exceeds
+        self.charge: Charge | None = None  # of the total at the goal
+        self.free: set[int] | None = (
+            None  # where wandering is; None: where it is in all that is asked
+        )
+        self.step = 0  # of each step
         self.constant = sign * number(stated["constant"])
-        self.costs, self.visits, ends = [ZERO] * model.n_costs, [ZERO] * n, [ZERO] * n
+        self.costs, self.visits, self.arrival = [ZERO] * model.n_costs, [ZERO] * n, [ZERO] * n
         for text, kind, what in stated["terms"]:
             weight = sign * number(text)
             need(kind in ("cost", "visits", "end"), "no quantity is called", kind)
             if kind == "cost":
                 self.costs[whole(what, model.n_costs)] += weight
                 continue
-            states, counts = model.sets[what], self.visits if kind == "visits" else ends
+            states = model.sets[what]
             need(kind == "visits" or states <= model.ended, "not all states end:", what)
             if kind == "end" and weight < 0:  # P(end) = 1 - P(no such end)
                 self.constant, self.stop = self.constant + weight, self.stop - weight
                 states, weight = model.ended - states, -weight
             for x in states:
-                counts[x] += weight
+                self.arrival[x] += weight  # on coming to x
+                self.visits[x] += weight if kind == "visits" else 0
         need(min([*self.costs, *self.visits]) >= 0, "costs or visits count negatively")
-        self.arrival = [a + b for a, b in zip(self.visits, ends, strict=True)]  # on coming to x
         for x in model.dead:
             self.arrival[x] += dot(self.costs, model.failing[x])
 
-    def at_stop(self, model: "Model", x: int, free: set[int]) -> Fraction | None:
+    def at_stop(self, model: "Model", x: int) -> Fraction | None:
         """Checker's count of giving up in x, or of wandering in free states; None: not possible."""
-        if x in free or x not in model.giving_up:
-            return self.stop if x in free else None
-        return self.stop + dot(self.costs, model.failing[x])
+        if x in (model.free if self.free is None else self.free):
+            return self.stop
+        return self.stop + dot(self.costs, model.failing[x]) if x in model.giving_up else None
 
 
 class Model:
@@ -143,34 +140,39 @@ class Model:
         need(known <= set(question) <= known | OPTIONAL, "an unknown question")
         self.question, self.n_costs, n = question, whole(question["costs"], 1000), len(lines)
         self.sets: dict[str, set[int]] = {name: set() for name in ["goal", *question["sets"]]}
-        gamma = number("1" if question["discount"] is None else question["discount"])
-        need(0 < gamma <= 1, "a discount lies in (0, 1)")
-        self.gamma, self.counts = gamma, "charge" in question
+        self.gamma = number("1" if question["discount"] is None else question["discount"])
+        need(0 < self.gamma <= 1, "a discount lies in (0, 1)")
         self.names, self.of, self.home = list[str](), list[range](), list[int]()
-        self.pairs = list[Pair]()
-        for x, state in enumerate(map(json.loads, lines)):
+        self.pairs, states = list[Pair](), [json.loads(line) for line in lines]
+        self.counts, self.unit = "charge" in question or "quantile" in question, 1
+        if self.counts:  # totals are multiples of 1 / unit
+            first = [action[2][0] for state in states for action in state["actions"]]
+            told = {t for cost in first for t in (cost if isinstance(cost, list) else [cost])}
+            self.unit = lcm(*(number(text).denominator for text in told))
+        for x, state in enumerate(states):
             self.names.append(str(state["name"]))
             for name in state["sets"]:
                 self.sets[name].add(x)
-            self.pairs += [self._pair(action, n, gamma) for action in state["actions"]]
+            self.pairs += [self._pair(action, n) for action in state["actions"]]
             self.of.append(range(len(self.home), len(self.pairs)))  # the pairs of a state
             self.home += [x] * len(self.of[x])
         self.names.append("what a discount takes")  # state n: a dead-end without actions
         self.of.append(range(0))
-        goal, states, self.every = self.sets["goal"], set(range(n + 1)), [True] * len(self.pairs)
+        goal, every, self.every = self.sets["goal"], set(range(n + 1)), [True] * len(self.pairs)
         need(not goal & set(self.home), "a goal has actions")
         self.before: list[list[int]] = [[] for _ in self.names]  # pairs that may lead to a state
         for k, pair in enumerate(self.pairs):
-            for _, y in pair[2]:
+            for _, y, _ in pair[2]:
                 self.before[y].append(k)
-        self.dead = states - self.reaching(self.every)
-        self.ended, self.live = goal | self.dead, states - goal - self.dead
+        self.dead = every - self.reaching(self.every)
+        self.ended, self.live = goal | self.dead, every - goal - self.dead
         start = [(number(p), whole(x, n)) for p, x in question["start"]]
         total = sum(p for p, _ in start) or ZERO
         need(total > 0 and min(start)[0] >= 0, "the start is no distribution")
         self.start = [(p / total, x) for p, x in start if p > 0]
-        self._charge(*self.staying(states - goal, self.every))
-        self._ask(gamma == 1)
+        self.attention, stays = self.staying(every - goal, self.every)
+        self._charge(self.attention, stays)
+        self._ask()
         self._keep_sure()
 
     def _charge(self, attention: set[int], stays: Sequence[bool]) -> None:
@@ -184,20 +186,18 @@ class Model:
             means = [[c / self.pairs[k][1] for c in self.pairs[k][3]] for k in paid]
             self.failing[x] = list(map(min, zip(*means, strict=True))) or [ZERO] * self.n_costs
 
-    def _ask(self, exact: bool) -> None:
+    def _ask(self) -> None:
         """Objective and rows of the checked question, and where wandering is free in them."""
         question, budget = self.question, self.question["failure"]
-        self.sign = -1 if question["greatest"] else 1
-        self.objective = Quantity(self, question["objective"], self.sign, "objective")
+        self.sign, self.ratio = -1 if question["greatest"] else 1, question.get("ratio", False)
+        need(not (question["greatest"] and self.ratio), "a ratio is to be small")
         self.share = number(budget["share"]) if isinstance(budget, dict) else None
         need(self.share is None or 0 <= self.share <= 1, "a share is no probability")
-        exact = exact or (self.share is None and budget != "least")
-        need(exact, "a share, or least failure, is of the real probability: without discount")
-        self.ratio = question.get("ratio", False)
-        need(self.ratio in (False, not question["greatest"]), "a ratio is to be small")
+        is_told = budget != "least" and self.share is None
+        need(is_told or self.gamma == 1, "a share, or least failure, is of the real probability")
         is_limited = self.ratio or budget is not None
         self.rows = [Quantity(self, FAILURE, 1, "failure")] if is_limited else []
-        if is_limited and budget != "least" and self.share is None:
+        if is_limited and is_told:
             self.rows[0].bound = self.rows[0].loose = number(budget or "1")
         for row in question["rows"]:
             sign, side = (1, "at_most") if "at_most" in row else (-1, "at_least")
@@ -205,10 +205,13 @@ class Model:
             self.rows.append(q := Quantity(self, row["quantity"], sign, str(row["name"])))
             q.bound = q.loose = sign * number(row[side]) - q.constant
             q.constant = ZERO
-        self.each, self.slopes = [self.objective, *self.rows], Quantity(self, NOTHING, 1, "slope")
+        self.objective = Quantity(self, question["objective"], self.sign, "objective")
+        self.each = [self.objective, *self.rows]
+        self.steps, self.slopes = (Quantity(self, NOTHING, 1, name) for name in ("1", "slope"))
+        self.steps.step, self.steps.stop, self.slopes.free = 1, Fraction(1), self.attention
         paying = [k for k in range(self.n_costs) if any(q.costs[k] for q in self.each)]
         seen = {x for x in self.live if any(q.visits[x] for q in self.each)}
-        costless = [not any(p[3][k] for k in paying) and all(y not in seen for _, y in p[2])
+        costless = [not any(p[3][k] for k in paying) and all(y not in seen for _, y, _ in p[2])
                     for p in self.pairs]  # fmt: skip
         self.free = self.staying(self.live, costless)[0]
 
@@ -218,7 +221,7 @@ class Model:
         sure, last, keeps = self.live, {-1}, self.every
         while sure != last:
             last = sure
-            keeps = [x in last and all(y in last or y in goal for _, y in p[2])
+            keeps = [x in last and all(y in last or y in goal for _, y, _ in p[2])
                      for x, p in zip(self.home, self.pairs, strict=True)]  # fmt: skip
             sure = self.reaching(keeps) & last
         is_sure = {x for _, x in self.start} <= sure | goal
@@ -228,10 +231,11 @@ class Model:
         need(self.may_fail or is_sure, "failure 0: the goal can be reached surely, fails")
         self.moving, self.keeps = (self.live, self.every) if self.may_fail else (sure, keeps)
 
-    def _pair(self, stated: Any, n: int, gamma: Fraction) -> Pair:
-        """A pair of the checked model: name, total T, outcomes (a, y) of probability a / T, costs.
+    def _pair(self, stated: Any, n: int) -> Pair:
+        """A pair of the checked model: name, total T, outcomes (a, y, t), mean costs times T.
 
-        With a discount 1 - gamma of every step comes to state n, whose failing costs nothing.
+        With probability a / T it comes to y at t more units of the total. With a discount
+        1 - gamma of every step comes to state n, whose failing costs nothing.
         """
         name, told, costs = stated
         chances, where = [number(p) for p, _ in told], f"{self.names[-1]}, {name}:"
@@ -243,12 +247,12 @@ class Model:
         each = [[number(text) for text in cost] for cost in costs]
         need(min(map(min, each)) >= 0, where, "costs >= 0")
         paid = [sum((a * c for a, c in zip(parts, cost, strict=True)), ZERO) for cost in each]
-        goes, of, total = gamma.numerator, gamma.denominator, sum(parts)
-        outcomes = [(a * goes, whole(y, n)) for a, (_, y) in zip(parts, told, strict=True) if a]
-        outcomes += [(total * (of - goes), n)] if goes < of else []
-        first = [c for a, c in zip(parts, (each or [[ZERO] * len(parts)])[0], strict=True) if a]
-        first += [ZERO] * (len(outcomes) - len(first))
-        return str(name), total * of, outcomes, [of * cost for cost in paid], first
+        (goes, of), total = self.gamma.as_integer_ratio(), sum(parts)
+        steps = [int(c * self.unit) for c in each[0]] if self.counts else [0] * len(parts)
+        outcomes = [(a * goes, whole(y, n), t)
+                    for a, (_, y), t in zip(parts, told, steps, strict=True) if a]  # fmt: skip
+        outcomes += [(total * (of - goes), n, 0)] if goes < of else []
+        return str(name), total * of, outcomes, [of * cost for cost in paid]
 
     def reaching(self, allowed: Sequence[bool]) -> set[int]:
         """States of the checked model from which allowed pairs may lead to the goal."""
@@ -273,76 +277,49 @@ class Model:
                     lost += [] if left[x] else [x]
         return inside, stays
 
-    def spread(self, cap: Fraction, listed: Sequence[tuple[int, Fraction]]) -> None:
-        """Nodes of the checked proof: all states from a total on, and below it those listed.
-
-        Totals are told in a unit of which each is a multiple, as each step of the first cost.
-        """
-        stated = self.question.get("charge", [])
-        steps = [(number(after), value, number(slope)) for after, value, slope in stated]
-        told = {cap, *(t for _, t in listed), *(t for t, _, _ in steps)}
-        told.update(*(pair[4] for pair in self.pairs) if self.counts else ())
-        self.unit = lcm(*(t.denominator for t in told))
-        self.cap, goes, of = int(cap * self.unit), *self.gamma.as_integer_ratio()
-        self.nodes, self.place = [(x, self.cap) for x in range(len(self.names))], Places()
+    def spread(self, head: Mapping[str, Any], listed: Sequence[tuple[int, Fraction]]) -> None:
+        """Nodes of the checked proof: all states from the cap on, and below it those listed."""
+        cap, sign = number(head.get("cap", "0")) * self.unit, self.sign
+        need(cap.denominator == 1, "the cap is a sum of costs, fails")
+        self.cap, self.place = int(cap), dict[tuple[int, int], int]()
+        self.nodes = [(x, self.cap) for x in range(len(self.names))]
         for x, total in listed:
-            need(x in self.live and 0 <= total < cap, "a line is of a total below the cap, fails")
+            need(x in self.live and 0 <= total * self.unit < cap, "a total below the cap, fails")
             self.place[x, int(total * self.unit)] = len(self.nodes)
             self.nodes.append((x, int(total * self.unit)))
+        if "quantile" in self.question:  # what comes late, or in time, is told by two steps
+            at, one = number(head["claim"]) * self.unit, Fraction(1)
+            low, high = ([(-1, ZERO, ZERO, ZERO), (floor(late), one, ZERO, ZERO)]
+                         for late in (-floor(-at) - one, at))  # fmt: skip
+        else:
+            steps = [(number(after), [sign * number(v) for v in values], sign * number(slope))
+                     for after, *values, slope in self.question.get("charge", [])]  # fmt: skip
+            low, high = ([(floor(after * self.unit), most(values), slope, after)
+                          for after, values, slope in steps] for most in (min, max))  # fmt: skip
         if self.counts:
-            self.moves = [[(a, y, int(t * self.unit)) for (a, y), t in zip(p[2], p[4], strict=True)]
-                          for p in self.pairs]  # fmt: skip
-            self.comes = [[(a // goes * of, t) for a, y, t in moves if y in self.sets["goal"]]
-                          for moves in self.moves]  # fmt: skip
-            low, high = ([(t, self.sign * number(v[i] if isinstance(v, list) else v), self.sign * s)
-                          for t, v, s in steps] for i in (0, -1)[:: self.sign])  # fmt: skip
             self.low, self.objective.charge = self.ladder(low, 1), self.ladder(high, -1)
 
-    def ladder(self, steps: Sequence[tuple[Fraction, ...]], side: int) -> Charge:
-        """Charge of totals in the checked proof, rounded down (side 1), or negative and up (-1).
-
-        After each start, the first of which is <= 0, it is a value and a slope times the excess.
-        """
-        starts = [int(start * self.unit) for start, _, _ in steps]
-        need(starts[0] <= 0 and starts == sorted(set(starts)), "a charge begins at 0, fails")
+    def ladder(self, steps: Sequence[Step], side: int) -> Charge:
+        """Charge of totals in the checked proof, rounded down (side 1), or negative and up (-1)."""
+        starts = [step[0] for step in steps]
+        need(starts[0] <= 0 and starts == sorted(starts), "a charge is told from 0 on, fails")
         need(len(starts) == 1 or starts[-1] < self.cap, "the charge is a line from the cap on")
-        need(steps[-1][2] >= 0, "the charge does not fall in the end, fails")
         self.rise = steps[-1][2]
+        need(self.rise >= 0, "the charge does not fall in the end, fails")
 
         @cache
         def charge(r: int) -> int:
-            k = max(bisect_left(starts, r) - 1, 0)
-            _, value, slope = steps[k]
-            return down(side * (value + slope * Fraction(r - starts[k], self.unit)))
+            _, value, slope, after = steps[max(bisect_left(starts, r) - 1, 0)]
+            return down(side * (value + slope * (Fraction(r, self.unit) - after)))
 
         return charge
 
     def at(self, x: int, r: int) -> int:
         """Node of a state of the checked model at a total."""
-        return x if r >= self.cap or x in self.ended else self.place[x, r]
-
-    def leads(self, k: int, r: int) -> list[tuple[int, int]]:
-        """Nodes that a checked pair leads to from a total: (a, node), of probability a / T."""
-        if not self.counts:
-            return self.pairs[k][2]
-        return [(a, self.at(y, r + t)) for a, y, t in self.moves[k]]
-
-    def charged(self, k: int, r: int, charge: Charge | None, slope: Sequence[int]) -> int:
-        """T times what a checked pair takes by totals: at the goal, and by slopes past the cap."""
-        if charge is None:
-            return 0
-        taken, far = sum(a * charge(r + t) for a, t in self.comes[k]), r - self.cap
-        if not slope:
-            return taken
-        past = sum(a * slope[y] * (far + t) for a, y, t in self.moves[k] if far + t > 0)
-        return taken + past // self.unit
-
-    def begin(self, after: Sequence[int], r: int, charge: Charge | None) -> Fraction:
-        """Checked mean over the start at a total, of what comes after arriving."""
-        charges = {x: charge(0) if charge and x in self.sets["goal"] else 0 for _, x in self.start}
-        return sum(
-            (p * Fraction(after[self.at(x, r)] + charges[x], ONE) for p, x in self.start), ZERO
-        )
+        if r >= self.cap or x in self.ended:
+            return x
+        need((x, r) in self.place, "no line tells of", self.names[x], "at", Fraction(r, self.unit))
+        return self.place[x, r]
 
     def priced(self, prices: Sequence[Fraction]) -> Quantity:
         """Checked objective, and at prices the excess of rows over their bounds."""
@@ -356,81 +333,83 @@ class Model:
                          for a, b in zip(c.arrival, row.arrival, strict=True)]  # fmt: skip
         return c
 
-    def below(
-        self, v: Sequence[int], c: Quantity, free: set[int], slope: Sequence[int] = ()
-    ) -> Fraction:
-        """Checked lower bound of c that v proves, every inequality of it."""
-        nodes, own = self.nodes[: len(v)], [down(dot(c.costs, p[3])) for p in self.pairs]
-        arrival = [down(a) for a in c.arrival]
-        after = [arrival[x] + (v[i] if x in self.moving else 0) for i, (x, _) in enumerate(nodes)]
-        for i, (x, r) in enumerate(nodes):
-            if x not in self.moving:
-                continue
-            stop = c.at_stop(self, x, free) if self.may_fail else None
-            if stop is not None:
-                at_most(v[i], down(stop), "v <= giving up or wandering in", self.name_of(i))
-            for k in self.of[x]:
-                if self.keeps[k]:
-                    most = own[k] + sum(a * after[j] for a, j in self.leads(k, r))
-                    most += self.charged(k, r, c.charge, slope)
-                    name, total, *_ = self.pairs[k]
-                    if v[i] * total > most:
-                        at_most(v[i], most // total, "v <= c + sum p v at", self.name_of(i), name)
-        r = 0 if len(v) == len(self.nodes) else self.cap
-        return c.constant + self.begin(after, r, c.charge)
+    def prove(
+        self, v: Mapping[int, int], q: Quantity, choice: Mapping[int, Sequence[int]],
+        slope: Sequence[int] = (), words: str = "", begin: int = 0,
+    ) -> Fraction:  # fmt: skip
+        """Bound of a quantity that v proves at each choice; with words an upper one, by - v."""
+        side, goal, (goes, of) = (
+            -1 if words else 1,
+            self.sets["goal"],
+            self.gamma.as_integer_ratio(),
+        )
+        arrival = [down(side * a) for a in q.arrival]
+        after = [arrival[x] + v.get(i, 0) for i, (x, _) in enumerate(self.nodes)]
+        own = [down(side * (dot(q.costs, p[3]) + q.step * p[1])) for p in self.pairs]
+        for i, value in v.items():
+            x, r = self.nodes[i]
+            for k in choice[i]:
+                if k < 0:
+                    name, total, most = "stop", 1, down(side * (q.at_stop(self, x) or ZERO))
+                else:
+                    name, total, moves, _ = self.pairs[k]
+                    most = own[k] + sum(a * after[self.at(y, r + t)] for a, y, t in moves)
+                    if q.charge:
+                        won = sum(a * q.charge(r + t) for a, y, t in moves if y in goal)
+                        most += won // goes * of  # in full
+                    if slope and q.charge:
+                        far = [(a * slope[y], r + t - self.cap) for a, y, t in moves]
+                        most += sum(b * t for b, t in far if t > 0) // self.unit
+                if value * total > most:
+                    what = f"{words} {q.name} + sum p u <= u at" if words else "v <= c + sum p v at"
+                    action = k - self.of[x].start if words and k >= 0 else name
+                    sides = [side * bound for bound in (value, most // total)[::side]]
+                    at_most(*sides, what, self.names[x], *self.below_cap(i), action)
+        ends = {x: q.charge(0) if q.charge and x in goal else 0 for _, x in self.start}
+        begun = [(p, after[self.at(x, begin)] + ends[x]) for p, x in self.start]
+        return q.constant + side * sum((p * Fraction(value, ONE) for p, value in begun), ZERO)
 
-    def name_of(self, i: int) -> str:
-        """Name of a node of the checked proof."""
-        (x, r), total = self.nodes[i], "" if i < len(self.names) else " at total "
-        return self.names[x] + (total and f"{total}{Fraction(r, self.unit)}")
+    def below_cap(self, i: int) -> list[str]:
+        """Total of a node of the checked proof, for messages; none from the cap on."""
+        return [f"with {Fraction(self.nodes[i][1], self.unit)}"] if i >= len(self.names) else []
+
+    def below(
+        self, v: Sequence[int], q: Quantity, slope: Sequence[int] = (), begin: int = 0
+    ) -> Fraction:
+        """Checked lower bound of a quantity that v proves, every inequality of it."""
+        nodes = [(i, x) for i, (x, _) in enumerate(self.nodes[: len(v)]) if x in self.moving]
+        stops = {x for x in self.moving if self.may_fail and q.at_stop(self, x) is not None}
+        at = {
+            x: [k for k in self.of[x] if self.keeps[k]] + [-1] * (x in stops) for x in self.moving
+        }
+        values, choice = {i: v[i] for i, _ in nodes}, {i: at[x] for i, x in nodes}
+        return self.prove(values, q, choice, slope, begin=begin)
 
     def above(self, member: Mapping[int, Sequence[Any]], words: str) -> list[Fraction]:
-        """Checked upper bound of a member's objective and rows. Values are those of - u."""
-        each, n = [self.slopes, *self.each, *[self.slopes][: self.counts]], len(self.names)
+        """Checked upper bounds of a member's objective and rows."""
+        n, each, choice = len(self.names), [self.steps, *self.each], dict[int, list[int]]()
+        decided, slope = self.ended | member.keys(), [0] * n
+        begun = {self.at(x, 0) for _, x in self.start}
+        need(decided >= begun, words, "decides at the start, fails")
+        for i, (decision, *values) in member.items():
+            (x, r), size = self.nodes[i], len(each) + (self.counts and i < n)
+            place = self.names[x], *self.below_cap(i)
+            need(x in self.live, words, "decides where nothing has ended, fails in", *place)
+            need(len(values) == size, words, "a number a row, fails in", *place)
+            k = -1 if decision == "stop" else self.of[x].start + whole(decision, len(self.of[x]))
+            may_stop = k >= 0 or self.objective.at_stop(self, x) is not None
+            need(may_stop, words, "stops where it may, fails in", *place)
+            ahead = {self.at(y, r + t) for _, y, t in self.pairs[k][2]} if k >= 0 else set()
+            need(decided >= ahead, words, "decides after", *place)
+            choice[i] = [k]
         u = {i: [down(-number(text)) for text in entry[1:]] for i, entry in member.items()}
-        sizes = {len(q) - (self.counts and i < n) for i, q in u.items()}
-        need(sizes <= {1 + len(self.each)}, words, "a number a row, fails")
-        arrival = [[down(-a) for a in q.arrival] for q in each]
-        after = [[values[x] + (u[i][j] if i in u and j < len(u[i]) else 0)
-                  for i, (x, _) in enumerate(self.nodes)]
-                 for j, values in enumerate(arrival)]  # fmt: skip
-        decided, names = self.ended | member.keys(), ["1", *(q.name for q in each[1:])]
-        self.slopes.charge = lambda r: down(-self.rise)
-        charges = [None, *(q.charge for q in each[1:])]
-        slope = [u[x][-1] if self.counts and x in u else 0 for x in range(n)]
-        need(
-            decided >= {self.at(x, 0) for _, x in self.start}, words, "decides at the start, fails"
-        )
-        for i, (decision, *_) in member.items():
-            x, r = self.nodes[i]
-            need(x in self.live, words, "decides where nothing has ended, fails in", self.names[x])
-            total, leads, own, k = 1, list[tuple[int, int]](), [Fraction(1)], -1
-            if decision == "stop":
-                stops = [q.at_stop(self, x, self.free) for q in each[1:]]
-                own += [stop for stop in stops if stop is not None]
-                need(None not in stops, words, "stops where it may, fails in", self.names[x])
-            else:
-                k = self.of[x].start + whole(decision, len(self.of[x]))
-                total, leads = self.pairs[k][1], self.leads(k, r)
-                own = [Fraction(total), *(dot(q.costs, self.pairs[k][3]) for q in each[1:])]
-            need(decided >= {j for _, j in leads}, words, "decides after", self.name_of(i))
-            for j, value in enumerate(u[i]):
-                most = down(-own[j]) + sum(a * after[j][y] for a, y in leads)
-                most += self.charged(k, r, charges[j], slope if j == 1 else ()) if k >= 0 else 0
-                if value * total > most:
-                    what = words, names[j], "+ sum p u <= u at", self.name_of(i), decision
-                    at_most(-(most // total), -value, *what)
-        return [q.constant - self.begin(values, 0, q.charge)
-                for q, values in zip(self.each, after[1:], strict=False)]  # fmt: skip
-
-    def slopes_below(self, proof: Sequence[Mapping[str, Any]]) -> list[int]:
-        """Checked slopes of v in the total, of each state from the cap on; empty if all are 0."""
-        slope = [
-            down(number(line["slope"])) if x in self.moving else 0 for x, line in enumerate(proof)
-        ]
-        slope, self.slopes.charge = [*slope, 0], lambda r: down(self.rise)
-        self.below(slope, self.slopes, self.staying(self.live, self.every)[0])
-        return slope if any(slope) else []
+        if self.counts:
+            self.slopes.charge = lambda r: down(-self.rise)
+            past = {i: q[-1] for i, q in u.items() if i < n}
+            self.prove(past, self.slopes, choice, words=words)
+            slope = [past.get(x, 0) for x in range(n)]
+        return [self.prove({i: values[j] for i, values in u.items()}, q, choice, slope, words)
+                for j, q in enumerate(each)][1:]  # fmt: skip
 
     def given_success(self, bound: Fraction, price: Fraction) -> Fraction:
         """Checked bound of cost / goal from that of cost + price * (failure - most failure)."""
@@ -440,9 +419,14 @@ class Model:
 
     def set_share(self, w: Sequence[int], members: Iterable[Sequence[Fraction]]) -> None:
         """Set the checked budget 1 - share * greatest goal probability, from both sides."""
-        row, free = self.rows[0], self.staying(self.live, self.every)[0]
-        row.bound = 1 - Fraction(self.share or 0) * (1 - self.below(w, row, free))
-        row.loose = 1 - Fraction(self.share or 0) * (1 - min(member[1] for member in members))
+        row, failure, share = (
+            self.rows[0],
+            Quantity(self, FAILURE, 1, "w"),
+            Fraction(self.share or 0),
+        )
+        failure.free = self.attention
+        row.bound = 1 - share * (1 - self.below(w, failure, begin=self.cap))
+        row.loose = 1 - share * (1 - min(member[1] for member in members))
 
 
 @dataclass(frozen=True)
@@ -490,35 +474,48 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
     """Check the lines of a certificate's file; raises where it is refused."""
     question = json.loads(lines[0])
     n = whole(question["states"], len(lines))
-    need(len(lines) >= 2 * n + 2, len(lines), "lines where there should be", 2 * n + 2)
     digest, head = hashlib.sha256(b"\n".join(lines[: n + 1])).hexdigest(), json.loads(lines[n + 1])
+    size = 2 * n + 2 + whole(head.get("nodes", 0), len(lines))
+    need(len(lines) == size, len(lines), "lines where there should be", size)
     need(digest == head.get("sha256"), "the SHA-256 is not that of the question and the model")
     model, proof = Model(question, lines[1 : n + 1]), [json.loads(line) for line in lines[n + 2 :]]
-    expected = {"sha256", "prices", "weights", *["cap"][: model.counts]}
-    need(head.keys() == expected, "the proof has no head in line", n + 2)
-    need(model.counts or len(proof) == n, len(lines), "lines where there should be", 2 * n + 2)
+    told = (
+        {"cap", "nodes", *(["claim"] if "quantile" in question else [])} if model.counts else set()
+    )
+    need(
+        head.keys() == {"sha256", "prices", "weights", *told},
+        "the proof has no head in line",
+        n + 2,
+    )
     weights, prices = [[number(text) for text in head[name]] for name in ("weights", "prices")]
     need(min(weights) >= 0 and sum(weights) == 1, "weights are >= 0 and sum to 1, fails")
     need(min([ZERO, *prices]) >= 0, "prices are >= 0, fails")
     need(len(prices) == len(model.rows), len(prices), "prices of", len(model.rows), "rows")
     keys = {"v", "members", *["w"][: model.share is not None], *["slope"][: model.counts]}
-    told = {line.keys() == keys and len(line["members"]) for line in proof[:n]}
-    keys = {"v", "members", "state", "total"}
-    told |= {line.keys() == keys and len(line["members"]) for line in proof[n:]}
-    need(told == {len(weights)}, "a line of proof has values, and each member, fails")
-    listed = [(whole(line["state"], n), number(line["total"])) for line in proof[n:]]
-    model.spread(number(head.get("cap", "0")), listed)
-    places, members = [*range(n), *range(n + 1, len(proof) + 1)], list[list[Fraction]]()
+    is_told = all(line.keys() == keys for line in proof[:n])
+    is_told &= all(line.keys() == {"v", "members", "state", "total"} for line in proof[n:])
+    is_told &= all(len(line["members"]) == len(weights) for line in proof if is_told)
+    need(is_told, "a line of proof has values, and each member, fails")
+    model.spread(head, [(whole(line["state"], n), number(line["total"])) for line in proof[n:]])
+    proof[n:n], members = [{"v": "0", "members": [None] * len(weights)}], list[list[Fraction]]()
     for m in range(len(weights)):
-        decided = {i: line["members"][m] for i, line in zip(places, proof, strict=True)
-                   if line["members"][m]}  # fmt: skip
+        decided = {i: line["members"][m] for i, line in enumerate(proof) if line["members"][m]}
         members.append(model.above(decided, f"member {m}:"))
     if model.share is not None:
         model.set_share([down(number(line["w"])) for line in proof[:n]], members)
+    slope = list[int]()
+    if model.counts:  # from the cap on v is a line, whose slope is at most that of the charge
+        texts = [line["slope"] if x in model.moving else "0" for x, line in enumerate(proof[:n])]
+        slope, model.slopes.charge = (
+            [*(down(number(text)) for text in texts), 0],
+            lambda r: down(model.rise),
+        )
+        model.below(slope, model.slopes)
     c, v = model.priced(prices), [down(number(line["v"])) for line in proof]
-    v[n:n] = [0]
-    slope = model.slopes_below(proof[:n]) if model.counts else []
-    lower, exceeded = model.below(v, c, model.free, slope), dict[str, Fraction]()
+    lower, exceeded = (
+        model.below(v, c, slope if any(slope) else ()),
+        dict[str, Fraction](),
+    )
     upper, *taken = [dot(weights, each) for each in zip(*members, strict=True)]
     for row, value in zip(model.rows, taken, strict=True):
         if value > row.bound:
@@ -527,8 +524,12 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
                 at_most(down(value), down(row.bound), "lottery <= bound of row", row.name)
     if model.ratio:
         need(taken[0] < 1, "the lottery reaches the goal, fails")
-        lower = model.given_success(lower, prices[0])
-        upper = max(upper, upper / (1 - taken[0]))
+        lower, upper = model.given_success(lower, prices[0]), max(upper, upper / (1 - taken[0]))
+    if "quantile" in question:
+        late = 1 - number(question["quantile"])
+        need(model.ratio and upper <= late, "the lottery exceeds the quantile as rarely, fails")
+        need(lower > late, "no lottery stays below the quantile as often, fails")
+        lower = upper = number(head["claim"])
     ends = (-upper, -lower) if question["greatest"] else (lower, upper)
     return Checked(True, "", *ends, exceeded, str(question["asked"]), digest)
 

@@ -75,12 +75,11 @@ def member_vectors(model: Model, decided: Mapping[int, int]) -> dict[int, list[A
     """
     n, slope, vectors = len(model.names), list[int](), list[list[int]]()
     if model.counts:
-        rising = model.slopes
-        rising.charge = lambda r: down(-model.rise)
-        slope = _member_values(model, {i: k for i, k in decided.items() if i < n}, rising, [])
-    for q in [None, *model.each]:
-        past = slope if q is model.objective and any(slope) else []
-        vectors.append(_member_values(model, decided, q, past))
+        model.slopes.charge = lambda r: down(-model.rise)
+        late = {i: k for i, k in decided.items() if i < n}
+        slope = _member_values(model, late, model.slopes, [])
+    for q in [model.steps, *model.each]:
+        vectors.append(_member_values(model, decided, q, slope if any(slope) else []))
     return {
         i: ["stop" if k < 0 else k - model.of[model.nodes[i][0]].start]
         + [decimal_text(-values[i]) for values in vectors]
@@ -89,33 +88,47 @@ def member_vectors(model: Model, decided: Mapping[int, int]) -> dict[int, list[A
     }
 
 
+def leads(model: Model, k: int, r: int) -> list[tuple[int, int]]:
+    """Nodes that a pair leads to from a total, for exact values: (a, node)."""
+    return [(a, model.at(y, r + t)) for a, y, t in model.pairs[k][2]]
+
+
+def charged(model: Model, k: int, r: int, q: Quantity, slope: Sequence[int]) -> int:
+    """What a pair takes by totals, times its total, in exact units: at the goal, past the cap."""
+    if q.charge is None:
+        return 0
+    moves, goal, (goes, of) = model.pairs[k][2], model.sets["goal"], model.gamma.as_integer_ratio()
+    won = sum(a * q.charge(r + t) for a, y, t in moves if y in goal) // goes * of
+    far = [(a * slope[y], r + t - model.cap) for a, y, t in moves] if slope else []
+    return won + sum(b * t for b, t in far if t > 0) // model.unit
+
+
 def _member_values(
-    model: Model, decided: Mapping[int, int], q: Quantity | None, slope: Sequence[int]
+    model: Model, decided: Mapping[int, int], q: Quantity, slope: Sequence[int]
 ) -> list[int]:
-    """Exact values of one quantity of a member, negative, [nodes]; None: steps, with some more."""
-    charge = None if q is None else q.charge
-    arrival = [0 if q is None else down(-a) for a in (q or model.objective).arrival]
+    """Exact values of one quantity of a member, negative, [nodes]; of steps with some more."""
+    arrival = [down(-a) for a in q.arrival]
     values = [0] * len(model.nodes)
     after = [arrival[x] for x, _ in model.nodes]
-    for layer in layers_of(model, below=len(decided) > 0):
+    for layer in layers_of(model, below=True):
         here = [i for i in layer if i in decided]
         place, rows = {i: row for row, i in enumerate(here)}, list[Row]()
         for i in here:
             (x, r), k = model.nodes[i], decided[i]
-            _, total, _, paid, _ = model.pairs[k] if k >= 0 else ("", 1, [], [], [])
-            own = -total * ONE
-            leads = model.leads(k, r) if k >= 0 else []
-            if q is not None:
-                takes = q.at_stop(model, x, model.free) if k < 0 else dot(q.costs, paid)
-                if takes is None:
+            if k < 0:
+                if (takes := q.at_stop(model, x)) is None:
                     raise ModelError(
                         f"the policy gives up in state {model.names[x]!r}: not so here"
                     )
-                own = down(-takes) + (model.charged(k, r, charge, slope) if k >= 0 else 0)
-            inside = [(a, place[j]) for a, j in leads if j in place]
-            own += sum(a * after[j] for a, j in leads)  # nothing but the arrival yet, if inside
+                rows.append(Row(place[i], 1, [], down(-takes)))
+                continue
+            _, total, _, paid = model.pairs[k]
+            ahead = leads(model, k, r)
+            inside = [(a, place[j]) for a, j in ahead if j in place]
+            own = down(-dot(q.costs, paid) - q.step * total) + charged(model, k, r, q, slope)
+            own += sum(a * after[j] for a, j in ahead)  # nothing but the arrival yet, if inside
             rows.append(Row(place[i], total, inside, own))
-        for i, value in zip(here, _one_way_values(rows, q is None), strict=True):
+        for i, value in zip(here, _one_way_values(rows, q is model.steps), strict=True):
             values[i] = value
             after[i] += value
     return values
@@ -139,7 +152,6 @@ def values_below(
     model: Model,
     ssp: SSP,
     c: Quantity,
-    free: set[int],
     members: Sequence[Mapping[int, int]],
     slope: Sequence[int] = (),
     *,
@@ -153,7 +165,6 @@ def values_below(
         model: the question and the model, its nodes spread.
         ssp: the same model, for its graph.
         c: the quantity, such as the objective at prices of the rows.
-        free: where wandering is free.
         members: policies near the best one.
         slope: of the values in the total, from the cap on; empty: none.
         below: whether the nodes below the cap are asked for.
@@ -163,18 +174,18 @@ def values_below(
     arrival, n = [down(a) for a in c.arrival], len(model.names)
     values = [0] * (len(model.nodes) if below else n)
     after, best = [arrival[x] for x, _ in model.nodes[: len(values)]], dict[int, int]()
-    still = {model.home[k] for k, moves in enumerate(model.moves if model.counts else [])
+    still = {model.home[k] for k, moves in enumerate(p[2] for p in model.pairs)
              if any(t == 0 and y in model.moving for _, y, t in moves)}  # fmt: skip
     for layer in layers_of(model, below=below):
         here = [i for i in layer if model.nodes[i][0] in model.moving]
-        r, own, leads = model.nodes[layer[0]][1], dict[int, int](), dict[int, list[Any]]()
+        r, own, ahead = model.nodes[layer[0]][1], dict[int, int](), dict[int, list[Any]]()
         for i in here:
             for k in model.of[model.nodes[i][0]]:
                 if model.keeps[k]:
-                    leads[k] = model.leads(k, r)
-                    own[k] = paid[k] + sum(a * after[j] for a, j in leads[k])
-                    own[k] += model.charged(k, r, c.charge, slope)
-        stops = {i: None if not model.may_fail else c.at_stop(model, model.nodes[i][0], free)
+                    ahead[k] = leads(model, k, r)
+                    own[k] = paid[k] + sum(a * after[j] for a, j in ahead[k])
+                    own[k] += charged(model, k, r, c, slope)
+        stops = {i: None if not model.may_fail else c.at_stop(model, model.nodes[i][0])
                  for i in here}  # fmt: skip
         if layer[0] >= n and not any(model.nodes[i][0] in still for i in here):
             for i in here:
@@ -185,7 +196,7 @@ def values_below(
                 best[i] = min(worth, key=worth.__getitem__)
                 values[i] = _shortened(worth[best[i]])
         else:
-            found = _connected_values(model, ssp, here, own, leads, stops, chosen)
+            found = _connected_values(model, ssp, here, own, ahead, stops, chosen)
             for i, (value, k) in found.items():
                 values[i], best[i] = value, k
         for i in here:
@@ -198,7 +209,7 @@ def _connected_values(
     ssp: SSP,
     here: Sequence[int],
     own: Mapping[int, int],
-    leads: Mapping[int, Sequence[tuple[int, int]]],
+    ahead: Mapping[int, Sequence[tuple[int, int]]],
     stops: Mapping[int, Fraction | None],
     chosen: set[int],
 ) -> dict[int, tuple[int, int]]:
@@ -206,7 +217,7 @@ def _connected_values(
     met = set(here)
     costless = np.zeros(ssp.n_pairs, dtype=np.bool_)
     for k, takes in own.items():
-        costless[k] = takes == 0 and all(j in met for _, j in leads[k])
+        costless[k] = takes == 0 and all(j in met for _, j in ahead[k])
     component, inside = end_components(ssp, costless)
     at = {i: model.nodes[i][0] for i in here}
     group = {i: int(component[x]) if component[x] >= 0 else -1 - x for i, x in at.items()}
@@ -216,7 +227,7 @@ def _connected_values(
     for i, x in at.items():
         for k in model.of[x]:
             if k in own and not inside[k]:
-                after = [(a, node[j]) for a, j in leads[k] if j in node]
+                after = [(a, node[j]) for a, j in ahead[k] if j in node]
                 rows.append(Row(node[i], model.pairs[k][1], after, own[k]))
                 pairs.append(k)
         if (stop := stops[i]) is not None:

@@ -17,6 +17,8 @@ LEAST_ROOM = 1e-11  # beyond the least failure, where that is asked for
 def optimum(lines: Sequence[bytes]) -> float | None:
     """The optimum of the question in the first line, on the states of the others; None: none."""
     question, *states = [json.loads(line) for line in lines[: json.loads(lines[0])["states"] + 1]]
+    if "quantile" in question:
+        return quantile(question, states)
     if "charge" in question:
         question, states = by_totals(question, states)
     n = len(states)
@@ -183,15 +185,15 @@ def _within(outs: list[tuple[float, int]], states: set[int]) -> bool:
 
 def charge_of(steps: list, total: Fraction) -> Fraction:
     """What a total is charged; of a value that lies between two, the middle."""
-    after, value, slope = max(
+    after, least, greatest, slope = max(
         [step for step in steps if Fraction(step[0]) < total] or steps[:1],
         key=lambda step: Fraction(step[0]),
     )
-    values = [Fraction(v) for v in (value if isinstance(value, list) else [value])]
-    return sum(values) / len(values) + Fraction(slope) * (total - Fraction(after))
+    middle = (Fraction(least) + Fraction(greatest)) / 2
+    return middle + Fraction(slope) * (total - Fraction(after))
 
 
-def by_totals(question: dict, states: list[dict], most: int = 1500) -> tuple[dict, list[dict]]:
+def by_totals(question: dict, states: list[dict], most: int = 120) -> tuple[dict, list[dict]]:
     """The same question on (state, total), the charge a cost; totals stop growing far out.
 
     They do where there are so many nodes.
@@ -228,3 +230,28 @@ def by_totals(question: dict, states: list[dict], most: int = 1500) -> tuple[dic
     objective = {"constant": str(constant), "terms": [*objective["terms"], ["1", "cost", paid]]}
     question = {**question, "costs": paid + 1, "objective": objective, "start": start}
     return {**question, "states": len(nodes)}, told
+
+
+def quantile(question: dict, states: list[dict], most: int = 12) -> float | None:
+    """The least of the first totals at the goal that is exceeded rarely enough; None: none is."""
+    met = {(x, Fraction(0)) for _, x in question["start"]}
+    begun = {Fraction(0) for _, x in question["start"] if "goal" in states[x]["sets"]}
+    ends, ahead = begun, sorted(met)
+    while ahead and len(ends) < most:
+        x, total = ahead.pop(0)
+        for _, outs, costs in states[x]["actions"]:
+            paid = costs[0] if isinstance(costs[0], list) else [costs[0]] * len(outs)
+            for (p, y), c in zip(outs, paid, strict=True):
+                node = y, total + Fraction(c)
+                if "goal" in states[y]["sets"] and Fraction(p):
+                    ends.add(node[1])
+                elif Fraction(p) and node not in met:
+                    met.add(node)
+                    ahead = sorted([*ahead, node], key=lambda node: node[1])
+    asked = {key: value for key, value in question.items() if key != "quantile"}
+    for total in sorted(ends):
+        late = {**asked, "charge": [["-1", "0", "0", "0"], [str(total), "1", "1", "0"]]}
+        share = optimum([json.dumps(line).encode() for line in (late, *states)])
+        if share is not None and share <= 1.0 - float(Fraction(question["quantile"])) + 1e-9:
+            return float(total)
+    return None

@@ -6,7 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from hashlib import sha256
 
@@ -15,6 +15,8 @@ import pytest
 
 from cases import ROBOT_VALUES, published
 from formulations import (
+    EGUBS,
+    GUBS,
     ISSPUDE,
     MCMP,
     S3P,
@@ -23,6 +25,7 @@ from formulations import (
     CostBoundedReach,
     CostBudgetedMaxProb,
     CostLimit,
+    CostQuantile,
     CVaR,
     FinitePenalty,
     LeastQuantity,
@@ -36,9 +39,12 @@ from references.stated import optimum
 from refusing import refused
 from small_models import FIRST, FREE_LOOP, FREE_PAIR, PAYING_LOOP, TRIES, TWO_MOVES, model_of
 from ssp_lp import (
+    SSP,
     DeterministicPolicy,
     MixedPolicy,
+    Quantity,
     SolverError,
+    arrival_cost,
     check_certificate,
     end_probability,
     expected_cost,
@@ -49,6 +55,7 @@ from ssp_lp import (
     visits,
     write_certificate,
 )
+from ssp_lp.formulation import Formulation
 from ssp_lp.processes import failure_label, failure_semantics
 from ssp_lp.verification import checker
 
@@ -73,9 +80,41 @@ PITS = model_of(
 )
 RARE = model_of({"x": {"go": [(1e-6, "g", 1.0), (0.999999, "x", 1.0)]}})
 LATE = model_of({"x": {"go": [(0.5, "g", 1.0), (0.5, "x", 1.0)]}})
+TOWN = model_of(
+    {
+        "road": {
+            "fast": [(0.5, "home", 1.0), (0.4, "road", 1.0), (0.1, "ditch", 1.0)],
+            "safe": [(1.0, "home", 4.0)],
+        },
+        "ditch": {},
+    },
+    "home",
+)
 ROBOT = published("prism_robot_goal1", "time")[0]
 FUEL = {"road": {"fast": 4.0, "safe": 1.0}}
 DITCH, CHEAP = end_probability("ditch"), {"c": expected_cost() <= 2.5}
+
+
+def patience(cost):
+    """A utility that is used up at 4."""
+    return np.maximum(1.0 - cost / 4.0, 0.0)
+
+
+def squares():
+    """The square of a total up to 4, and its tangent from there on."""
+    return arrival_cost(lambda c: np.where(c <= 4.0, c * c, 8.0 * c - 16.0), affine_from=4.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Arrivals(Formulation):
+    """What arriving costs, given success, of a criterion that is one's own."""
+
+    model: SSP
+    start: object
+    quantity: Quantity
+    failure_budget: float | None = 1.0
+    ratio = True
+
 
 KNOWN = [
     (MCMP(ROAD, "road", 0.05), 2),
@@ -135,6 +174,16 @@ KNOWN += [
     (CostBoundedReach(LATE, "x", 2.5), "3/4"),
     (CostBoundedReach(ROAD, "road", 0), 0),
     (CostBoundedReach(ROAD, "road", 1, 0.05), "9/20"),
+    (GUBS(ROAD, "road", patience, 0.0), "27/40"),
+    (GUBS(ROAD, "road", patience, 10.0), "41/4"),
+    (GUBS(ROAD, "road", patience, 10.0, -1.0), "41/4"),
+    (EGUBS(ROAD, "road", -0.5, 10.0), Fraction(10.0 + np.exp(-1.5))),
+    (CostQuantile(TOWN, "road", 0.75), 4),
+    (CostQuantile(TOWN, "road", 0.75, 0.2), 2),
+    (CostQuantile(TOWN, "road", 0.75, 1.0), 2),
+    (S3P(TOWN, "road", 0.2), "5/3"),
+    (Arrivals(ROAD, "road", squares()), 1),
+    (Arrivals(TOWN, "road", squares(), 0.0), 16),
 ]
 KNOWN += [
     (MCMP(ROBOT, 0, 0.75, give_up=give_up, charge_failing_step=charged), known)
@@ -221,7 +270,7 @@ def few(label):
     ("problem", "words"),
     [
         (MCMP(ROAD, "road", reach_fraction=0.9, discount=0.99), "MCMP with reach_fraction"),
-        (CVaR(ROAD, "road", 0.9, 0.05), "CVaR: what its total cost is charged"),
+        (CVaR(ROAD, "road", 0.9, 0.05), "CVaR: a mean of the costliest runs"),
         (few("crash"), "this MCMP: it counts what happens after failing"),
     ],
 )
