@@ -3,7 +3,8 @@
     python examples/checks/certificate_check.py --count 1000 --seed 0 --changes 4
 
 Problems are those of `program_check.py`: models of 2 to 30 states with loops, dead-ends and several
-starts, every `give_up`, discounts, horizons, memories, up to four limits. Of each answer a
+starts, every `give_up`, discounts, horizons, memories, up to four limits; and S3P, quantiles, the
+goal within a cost and exponential utilities where costs go round in loops. Of each answer a
 certificate is written and checked. Its interval must hold the optimum of a linear program that is
 written from the words of the question in the file (`tests/references/stated.py`), that of
 `program_check.py`'s own, and what `solve` said, and be narrower than 1e-9.
@@ -26,30 +27,54 @@ from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from examples.checks.program_check import CRITERIA, Draw, drawn
-from ssp_lp import InfeasibleError, ModelError, Solution, SSPError, solve
+from examples.checks.program_check import CRITERIA, GOAL, drawn, drawn_task
+from formulations import EGUBS, S3P, CostBoundedReach, CostQuantile
+from ssp_lp import SSP, InfeasibleError, ModelError, SSPError, solve
 from ssp_lp.verification.certificate_file import write_certificate
 from ssp_lp.verification.checker import Checked, check_certificate
+from tests.references.combined import Task
 from tests.references.stated import optimum
 
-COVERED = list(CRITERIA)
-"""Criteria that certificates cover: ten that tell no totals apart, and five that do."""
+LOOPING: dict[str, Callable[[SSP, Task, np.random.Generator], Any]] = {
+    "S3P": lambda m, t, rng: S3P(m, t.start, t.most_failure),
+    "CostQuantile": lambda m, t, rng: CostQuantile(
+        m, t.start, float(rng.choice([0.3, 0.5, 0.8, 0.95])), t.most_failure
+    ),
+    "CostBoundedReach": lambda m, t, rng: CostBoundedReach(
+        m, t.start, int(rng.integers(1, 12)), t.most_failure
+    ),
+    "EGUBS": lambda m, t, rng: EGUBS(m, t.start, -0.4, 0.7),
+}
+"""Criteria of the total cost on models in which steps that cost something may lead anywhere."""
 
+MOST = 400  # states with totals in a program
 WIDTH, AGREED = 1e-9, 1e-7  # of an interval; of solvers in floating point; both of 1 + |value|
 Lines = list[bytes]
 
 
-def certified(seed: int) -> tuple[Draw, Solution | None]:
-    """A draw of a criterion that certificates cover, and its answer; None: there is none."""
-    draw = drawn(seed)
-    try:
-        return draw, solve(draw.problem)
-    except InfeasibleError:
-        return draw, None
+class Asked(NamedTuple):
+    """A problem, and its optimum by a program that knows nothing of the library."""
+
+    name: str
+    problem: Any
+    known: Callable[[], float | None]
+
+
+def asked(seed: int) -> Asked:
+    """A problem: of `program_check.py`, or of the total cost where that has no bound."""
+    kind = seed % (len(CRITERIA) + len(LOOPING))
+    if kind < len(CRITERIA):
+        draw = drawn(seed // (len(CRITERIA) + len(LOOPING)) * len(CRITERIA) + kind)
+        return Asked(draw.name, draw.problem, lambda: draw.optimum(draw.task))
+    name, rng = list(LOOPING)[kind - len(CRITERIA)], np.random.default_rng([seed, 2800])
+    task = drawn_task(rng, loops=True)
+    model = SSP.from_transitions(task.choices, goal=set(GOAL), treat_actionless_as_dead_ends=True)
+    problem = LOOPING[name](model, task, rng)
+    return Asked(f"{name}, looping", problem, lambda: solve(problem).objective)
 
 
 def lines_of(path: Path) -> Lines:
@@ -65,10 +90,20 @@ def signed(lines: Lines) -> Lines:
     return [*lines[: n + 1], json.dumps(head).encode(), *lines[n + 2 :]]
 
 
+def known_of(lines: Lines) -> float | None:
+    """The optimum of what a file asks, by a program; not a number where totals go on too far."""
+    try:
+        return optimum(lines, MOST, whole=True)
+    except OverflowError:
+        return float("nan")
+
+
 def holds(checked: Checked, known: float | None) -> bool:
     """Whether an interval holds an optimum, but for the rounding of the latter."""
     if known is None:
         return bool(checked.exceeded)
+    if np.isnan(known):
+        return True
     room = AGREED * (1.0 + abs(known))
     return float(checked.lower) - room <= known <= float(checked.upper) + room
 
@@ -96,7 +131,15 @@ def _place(rng: np.random.Generator, some: Sequence[Any]) -> Any:
 def change_question(content: dict[str, Any], rng: np.random.Generator) -> bool:
     """Change what is asked; whether something was changed."""
     kind = int(rng.integers(9))
-    if kind == 8:
+    if "charge" in content and rng.random() < 0.3:
+        step = _place(rng, content["charge"])
+        step[0], step[1] = (
+            (moved(step[0], rng), step[1]) if rng.random() < 0.5 else (step[0], moved(step[1], rng))
+        )
+        step[2] = step[1]
+    elif "quantile" in content and rng.random() < 0.3:
+        content["quantile"] = _place(rng, ["0.2", "0.5", "0.9", "0.99"])
+    elif kind == 8:
         content["discount"] = _place(rng, [None, "0.9", "99/100"])
     elif kind == 0:
         content["give_up"] = _place(rng, ["anywhere", "attention", "dead_ends"])
@@ -164,7 +207,10 @@ def change_state(
 
 def change_head(content: dict[str, Any], rng: np.random.Generator) -> bool:
     """Change weights or prices; whether something was changed."""
-    name = _place(rng, ["weights", "prices", "sha256"])
+    name = _place(rng, [key for key in content if key != "nodes"])
+    if name in ("cap", "claim"):
+        content[name] = moved(content[name], rng)
+        return True
     if name == "sha256":
         content[name] = content[name][::-1]
         return True
@@ -186,7 +232,7 @@ def change_proof(content: dict[str, Any], rng: np.random.Generator) -> bool:
     kind, entries = int(rng.integers(5)), content["members"]
     m = int(rng.integers(len(entries)))
     if kind == 0:
-        name = _place(rng, [key for key in ("v", "w") if key in content])
+        name = _place(rng, [key for key in ("v", "w", "slope", "total") if key in content])
         content[name] = moved(content[name], rng)
     elif kind == 1:
         entries[m], entries[-1] = entries[-1], entries[m]
@@ -255,7 +301,7 @@ def check_changed(
     if stated and not again:
         yield f"a {kind} was changed, and the file accepted as it was signed"
     tally[f"changed {kind}, accepted"] += 1
-    known = optimum(found[: n + 1])
+    known = known_of(found)
     if not holds(checked, known):
         path.rename(folder.parent / f"lie-{sha256(b''.join(found)).hexdigest()[:8]}.cert")
         yield f"{kind}: {interval(checked)} is accepted, the optimum is {known!r}"
@@ -263,8 +309,10 @@ def check_changed(
 
 def check(seed: int, changes: int, tally: Counter[str]) -> Iterator[str]:
     """One problem: its certificate, and changed ones; yield what is not as it should be."""
-    draw, solution = certified(seed)
-    if solution is None:
+    draw = asked(seed)
+    try:
+        solution = solve(draw.problem)
+    except InfeasibleError:
         tally["infeasible"] += 1
         return
     with tempfile.TemporaryDirectory() as name:
@@ -287,10 +335,10 @@ def check(seed: int, changes: int, tally: Counter[str]) -> Iterator[str]:
         if not -AGREED < width < WIDTH:
             yield f"{draw.name}: an interval of width {width:.1e}"
         lines = lines_of(path)
-        n = json.loads(lines[0])["states"]
+        tally[f"certificates of {draw.name}"] += 1
         for told, known in (
-            ("the question's program", optimum(lines[: n + 1])),
-            ("the program of the draw", draw.optimum(draw.task)),
+            ("the question's program", known_of(lines)),
+            ("the program of the draw", draw.known()),
             ("solve", solution.objective),
         ):
             if not holds(written, known):

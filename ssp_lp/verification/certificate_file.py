@@ -379,7 +379,8 @@ def _proof_at(
     slope = [0] * n
     if model.counts:
         model.slopes.charge = lambda r: down(model.rise)
-        slope, _ = values_below(model, ssp, model.slopes, members, below=False)
+        rising, _ = values_below(model, ssp, model.slopes, members, below=False)
+        slope = [max(one, 0) for one in rising]
     chosen = _weights(model, weights[weights > 0.0], totals)
     weighed = [] if "quantile" in model.question else totals[: int((weights > 0.0).sum())]
     prices, v, bound = _priced_values(model, dual, members, weighed, slope)

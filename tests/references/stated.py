@@ -14,13 +14,17 @@ from scipy.optimize import linprog
 LEAST_ROOM = 1e-11  # beyond the least failure, where that is asked for
 
 
-def optimum(lines: Sequence[bytes]) -> float | None:
-    """The optimum of the question in the first line, on the states of the others; None: none."""
+def optimum(lines: Sequence[bytes], most: int = 120, *, whole: bool = False) -> float | None:
+    """The optimum of the question in the first line, on the states of the others; None: none.
+
+    Where totals count, so many states with totals are told apart; an OverflowError says that these
+    are not all, where the whole is asked for.
+    """
     question, *states = [json.loads(line) for line in lines[: json.loads(lines[0])["states"] + 1]]
     if "quantile" in question:
-        return quantile(question, states)
+        return quantile(question, states, whole=whole)
     if "charge" in question:
-        question, states = by_totals(question, states)
+        question, states = by_totals(question, states, most, whole=whole)
     n = len(states)
     members = {name: set() for name in ["goal", *question["sets"]]}
     for x, state in enumerate(states):
@@ -193,7 +197,9 @@ def charge_of(steps: list, total: Fraction) -> Fraction:
     return middle + Fraction(slope) * (total - Fraction(after))
 
 
-def by_totals(question: dict, states: list[dict], most: int = 120) -> tuple[dict, list[dict]]:
+def by_totals(
+    question: dict, states: list[dict], most: int, *, whole: bool
+) -> tuple[dict, list[dict]]:
     """The same question on (state, total), the charge a cost; totals stop growing far out.
 
     They do where there are so many nodes.
@@ -205,6 +211,8 @@ def by_totals(question: dict, states: list[dict], most: int = 120) -> tuple[dict
         if "goal" in states[x]["sets"] or not states[x]["actions"]:
             total = Fraction(0)
         elif len(nodes) >= most:
+            if whole:
+                raise OverflowError
             total = max((r for y, r in nodes if y == x), default=total)
         if (x, total) not in place:
             place[x, total] = len(nodes)
@@ -232,7 +240,7 @@ def by_totals(question: dict, states: list[dict], most: int = 120) -> tuple[dict
     return {**question, "states": len(nodes)}, told
 
 
-def quantile(question: dict, states: list[dict], most: int = 12) -> float | None:
+def quantile(question: dict, states: list[dict], most: int = 12, *, whole: bool) -> float | None:
     """The least of the first totals at the goal that is exceeded rarely enough; None: none is."""
     met = {(x, Fraction(0)) for _, x in question["start"]}
     begun = {Fraction(0) for _, x in question["start"] if "goal" in states[x]["sets"]}
@@ -248,6 +256,8 @@ def quantile(question: dict, states: list[dict], most: int = 12) -> float | None
                 elif Fraction(p) and node not in met:
                     met.add(node)
                     ahead = sorted([*ahead, node], key=lambda node: node[1])
+    if ahead and whole:
+        raise OverflowError
     asked = {key: value for key, value in question.items() if key != "quantile"}
     for total in sorted(ends):
         late = {**asked, "charge": [["-1", "0", "0", "0"], [str(total), "1", "1", "0"]]}
