@@ -41,6 +41,7 @@ from typing import Any
 FORMAT, ZERO = "ssp-lp certificate 1", Fraction(0)
 ONE = 10**60  # a proof's numbers are compared in units of 1/ONE, rounded against the proof
 EXCESS = Fraction(1, 10**9)  # of a bound: so much a lottery may exceed it, which is told
+KINDS = {"asked": str, "charge_failing_step": bool, "greatest": bool, "rows": list, "sets": list}
 KEYS = "asked charge_failing_step costs discount failure format give_up greatest objective rows"
 OPTIONAL = {"charge", "quantile", "ratio"}  # keys of questions that have them
 NUMBER = re.compile(r"-?[0-9]+(/[0-9]+|(\.[0-9]+)?([eE][-+]?[0-9]+)?)")
@@ -77,6 +78,25 @@ def number(text: str) -> Fraction:
     return Fraction(text)
 
 
+def read(line: bytes) -> Any:
+    """Content of a line of the checked certificate, in which no key comes twice."""
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        need(len(dict(pairs)) == len(pairs), "a key comes twice:", *(key for key, _ in pairs))
+        return dict(pairs)
+
+    return json.loads(line, object_pairs_hook=once)
+
+
+def fields(stated: Any, **kinds: type) -> list[Any]:
+    """Values of an object in the checked certificate: of these keys, and types, and no others."""
+    need(type(stated) is dict, "no object:", repr(stated)[:99])
+    need(stated.keys() == kinds.keys(), "the keys", *stated, "where", *kinds, "should be")
+    for key, kind in kinds.items():
+        need(type(stated[key]) is kind, key, "is no", f"{kind.__name__}:", repr(stated[key])[:99])
+    return [stated[key] for key in kinds]
+
+
 def whole(value: Any, below: int) -> int:
     """Whole number >= 0 below another, in the checked certificate."""
     need(type(value) is int and 0 <= value < below, repr(value), "is no whole number below", below)
@@ -104,9 +124,10 @@ class Quantity:
             None  # where wandering is; None: where it is in all that is asked
         )
         self.step = 0  # of each step
-        self.constant = sign * number(stated["constant"])
+        constant, terms = fields(stated, constant=str, terms=list)
+        self.constant = sign * number(constant)
         self.costs, self.visits, self.arrival = [ZERO] * model.n_costs, [ZERO] * n, [ZERO] * n
-        for text, kind, what in stated["terms"]:
+        for text, kind, what in terms:
             weight = sign * number(text)
             need(kind in ("cost", "visits", "end"), "no quantity is called", kind)
             if kind == "cost":
@@ -138,22 +159,27 @@ class Model:
         need(question.get("format") == FORMAT, "this is no certificate of this format")
         known = {*KEYS.split(), "sets", "start", "states"}
         need(known <= set(question) <= known | OPTIONAL, "an unknown question")
+        for key, kind in KINDS.items():
+            need(type(question[key]) is kind, key, "is", repr(question[key])[:99])
         self.question, self.n_costs, n = question, whole(question["costs"], 1000), len(lines)
         self.sets: dict[str, set[int]] = {name: set() for name in ["goal", *question["sets"]]}
         self.gamma = number("1" if question["discount"] is None else question["discount"])
         need(0 < self.gamma <= 1, "a discount lies in (0, 1)")
         self.names, self.of, self.home = list[str](), list[range](), list[int]()
-        self.pairs, states = list[Pair](), [json.loads(line) for line in lines]
+        self.pairs, states = (
+            list[Pair](),
+            [fields(read(line), name=str, sets=list, actions=list) for line in lines],
+        )
         self.counts, self.unit = "charge" in question or "quantile" in question, 1
         if self.counts:  # totals are multiples of 1 / unit
-            first = [action[2][0] for state in states for action in state["actions"]]
+            first = [action[2][0] for state in states for action in state[2]]
             told = {t for cost in first for t in (cost if isinstance(cost, list) else [cost])}
             self.unit = lcm(*(number(text).denominator for text in told))
-        for x, state in enumerate(states):
-            self.names.append(str(state["name"]))
-            for name in state["sets"]:
-                self.sets[name].add(x)
-            self.pairs += [self._pair(action, n) for action in state["actions"]]
+        for x, (name, sets, actions) in enumerate(states):
+            self.names.append(name)
+            for one in sets:
+                self.sets[one].add(x)
+            self.pairs += [self._pair(action, n) for action in actions]
             self.of.append(range(len(self.home), len(self.pairs)))  # the pairs of a state
             self.home += [x] * len(self.of[x])
         self.names.append("what a discount takes")  # state n: a dead-end without actions
@@ -191,7 +217,7 @@ class Model:
         question, budget = self.question, self.question["failure"]
         self.sign, self.ratio = -1 if question["greatest"] else 1, question.get("ratio", False)
         need(not (question["greatest"] and self.ratio), "a ratio is to be small")
-        self.share = number(budget["share"]) if isinstance(budget, dict) else None
+        self.share = number(*fields(budget, share=str)) if isinstance(budget, dict) else None
         need(self.share is None or 0 <= self.share <= 1, "a share is no probability")
         is_told = budget != "least" and self.share is None
         need(is_told or self.gamma == 1, "a share, or least failure, is of the real probability")
@@ -205,6 +231,7 @@ class Model:
             self.rows.append(q := Quantity(self, row["quantity"], sign, str(row["name"])))
             q.bound = q.loose = sign * number(row[side]) - q.constant
             q.constant = ZERO
+        need(len({q.name for q in self.rows}) == len(self.rows), "two rows are called alike")
         self.objective = Quantity(self, question["objective"], self.sign, "objective")
         self.each = [self.objective, *self.rows]
         self.steps, self.slopes = (Quantity(self, NOTHING, 1, name) for name in ("1", "slope"))
@@ -238,6 +265,8 @@ class Model:
         1 - gamma of every step comes to state n, whose failing costs nothing.
         """
         name, told, costs = stated
+        need(type(name) is str, "an action is called", repr(name)[:99])
+        need(type(costs) is list, name, "has for its costs", repr(costs)[:99])
         chances, where = [number(p) for p, _ in told], f"{self.names[-1]}, {name}:"
         scale = lcm(*(p.denominator for p in chances))
         parts = [p.numerator * (scale // p.denominator) for p in chances]
@@ -252,7 +281,7 @@ class Model:
         outcomes = [(a * goes, whole(y, n), t)
                     for a, (_, y), t in zip(parts, told, steps, strict=True) if a]  # fmt: skip
         outcomes += [(total * (of - goes), n, 0)] if goes < of else []
-        return str(name), total * of, outcomes, [of * cost for cost in paid]
+        return name, total * of, outcomes, [of * cost for cost in paid]
 
     def reaching(self, allowed: Sequence[bool]) -> set[int]:
         """States of the checked model from which allowed pairs may lead to the goal."""
@@ -443,7 +472,8 @@ class Checked:
 
     def __str__(self) -> str:
         """The verdict in a few lines."""
-        lines = [f"accepted: {self.asked}", f"  SHA-256   {self.digest}"]
+        asked = self.asked if self.asked.isprintable() else ascii(self.asked)
+        lines = [f"accepted: {asked}", f"  SHA-256   {self.digest}"]
         for name, bound in (("at least", self.lower), ("at most", self.upper)):
             exact, digits = str(bound), f"{abs(round(bound * 10**25)):026d}"
             exact = exact if len(exact) < 60 else f"{exact[:24]}...{exact[-24:]}"
@@ -472,21 +502,16 @@ def check_certificate(path: Any) -> Checked:
 
 def check_lines(lines: Sequence[bytes]) -> Checked:
     """Check the lines of a certificate's file; raises where it is refused."""
-    question = json.loads(lines[0])
+    question = read(lines[0])
     n = whole(question["states"], len(lines))
-    digest, head = hashlib.sha256(b"\n".join(lines[: n + 1])).hexdigest(), json.loads(lines[n + 1])
+    digest, head = hashlib.sha256(b"\n".join(lines[: n + 1])).hexdigest(), read(lines[n + 1])
     size = 2 * n + 2 + whole(head.get("nodes", 0), len(lines))
     need(len(lines) == size, len(lines), "lines where there should be", size)
     need(digest == head.get("sha256"), "the SHA-256 is not that of the question and the model")
-    model, proof = Model(question, lines[1 : n + 1]), [json.loads(line) for line in lines[n + 2 :]]
-    told = (
-        {"cap", "nodes", *(["claim"] if "quantile" in question else [])} if model.counts else set()
-    )
-    need(
-        head.keys() == {"sha256", "prices", "weights", *told},
-        "the proof has no head in line",
-        n + 2,
-    )
+    model, proof = Model(question, lines[1 : n + 1]), [read(line) for line in lines[n + 2 :]]
+    told: dict[str, type] = {"cap": str, "nodes": int} if model.counts else {}
+    told |= {"claim": str} if "quantile" in question else {}
+    fields(head, sha256=str, prices=list, weights=list, **told)
     weights, prices = [[number(text) for text in head[name]] for name in ("weights", "prices")]
     need(min(weights) >= 0 and sum(weights) == 1, "weights are >= 0 and sum to 1, fails")
     need(min([ZERO, *prices]) >= 0, "prices are >= 0, fails")
@@ -499,7 +524,8 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
     model.spread(head, [(whole(line["state"], n), number(line["total"])) for line in proof[n:]])
     proof[n:n], members = [{"v": "0", "members": [None] * len(weights)}], list[list[Fraction]]()
     for m in range(len(weights)):
-        decided = {i: line["members"][m] for i, line in enumerate(proof) if line["members"][m]}
+        decided = {i: line["members"][m] for i, line in enumerate(proof)
+                   if line["members"][m] is not None}  # fmt: skip
         members.append(model.above(decided, f"member {m}:"))
     if model.share is not None:
         model.set_share([down(number(line["w"])) for line in proof[:n]], members)
@@ -521,7 +547,7 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
         if value > row.bound:
             exceeded[row.name] = value - row.bound
             if value - row.bound > EXCESS * abs(row.bound):
-                at_most(down(value), down(row.bound), "lottery <= bound of row", row.name)
+                at_most(-down(-value), down(row.bound), "lottery <= bound of row", row.name)
     if model.ratio:
         need(taken[0] < 1, "the lottery reaches the goal, fails")
         lower, upper = model.given_success(lower, prices[0]), max(upper, upper / (1 - taken[0]))

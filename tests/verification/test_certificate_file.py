@@ -457,3 +457,64 @@ def test_a_number_is_written_in_one_way(folder, tmp_path, text):
         assert re.search("no text of a number|no decimal|too large|division by|Fraction", reason), (
             where
         )
+
+
+AMBIGUOUS = [
+    ("sure", QUESTION, b'"failure":"0"', b'"failure":"0","failure":null', "a key comes twice"),
+    ("budget", QUESTION, b'"failure":"0.07"', b'"failure":"0.07","failure":"1"', "comes twice"),
+    ("budget", QUESTION, b'"greatest":false', b'"greatest":"false"', "greatest is"),
+    ("budget", QUESTION, b'"greatest":false', b'"greatest":0', "greatest is"),
+    ("budget", QUESTION, b'"greatest":false', b'"greatest":NaN', "greatest is"),
+    ("budget", QUESTION, b'step":true', b'step":"false"', "charge_failing_step is"),
+    ("budget", QUESTION, b'step":true', b'step":1', "charge_failing_step is"),
+    ("budget", QUESTION, b'"constant":"0"', b'"constant":"0","square":true', "the keys"),
+    ("share", QUESTION, b'"share":"0.93"', b'"share":"0.93","of":"each start"', "the keys"),
+    ("limit", QUESTION, b'"name":"hurt"', b'"name":"failure"', "two rows are called alike"),
+    ("budget", FIRST_STATE, b'"actions"', b'"give_up":false,"actions"', "the keys"),
+    ("budget", FIRST_STATE, b'"actions"', b'"actions":[],"actions"', "comes twice"),
+    ("budget", HEAD, b'"prices"', b'"prices":["0"],"prices"', "comes twice"),
+    ("budget", PROOF, b'"members"', b'"members":[null,null],"members"', "comes twice"),
+    ("sure", PROOF, b'"members":[[', b'"members":[0,[', "has values, and each member"),
+]
+
+
+@pytest.mark.parametrize(("name", "line", "old", "new", "words"), AMBIGUOUS)
+def test_what_may_be_read_in_two_ways_is_refused(folder, tmp_path, name, line, old, new, words):
+    lines = lines_of(folder / name)
+    assert old in lines[line]
+    lines[line] = lines[line].replace(old, new, 1)
+    lines = signed(lines) if line in (QUESTION, FIRST_STATE) else lines
+    assert words in read(lines, tmp_path / "x").reason
+
+
+def test_a_question_in_words_cannot_pose_as_a_verdict(folder, tmp_path):
+    lines = lines_of(folder / "sure")
+    content = json.loads(lines[QUESTION]) | {"asked": "MinCost\n  at most   0.0 = 0\x1b[8m"}
+    lines[QUESTION] = json.dumps(content).encode()
+    checked = read(signed(lines), tmp_path / "x")
+    assert checked.accepted
+    assert str(checked).startswith("accepted: 'MinCost\\n  at most   0.0 = 0\\x1b[8m'\n  SHA-256 ")
+
+
+def test_a_row_is_not_exceeded_by_less_than_the_units_of_a_proof(tmp_path):
+    """A bound of 0 leaves no room, and half of a tenth of a unit is more than nothing."""
+    row = {"constant": "0", "terms": [["1e-61", "cost", 0]]}
+    question = {
+        "format": checker.FORMAT, "asked": "", "states": 2, "costs": 1, "sets": [],
+        "start": [["1", 0], ["1", 1]], "give_up": "dead_ends", "charge_failing_step": False,
+        "greatest": False, "objective": {"constant": "0", "terms": [["1", "cost", 0]]},
+        "failure": None, "discount": None,
+    }  # fmt: skip
+    states = [
+        {"name": "x", "sets": [], "actions": [["go", [["1", 1]], ["1"]]]},
+        {"name": "g", "sets": ["goal"], "actions": []},
+    ]
+    proof = [{"v": "1", "members": [[0, "1", "1", "1e-60"]]}, {"v": "0", "members": [None]}]
+    for bound, accepted in (("0", False), ("1e-60", True)):
+        asked = question | {"rows": [{"name": "r", "quantity": row, "at_most": bound}]}
+        lines = [json.dumps(line).encode() for line in (asked, *states)]
+        head = {"sha256": sha256(b"\n".join(lines)).hexdigest(), "prices": ["0"], "weights": ["1"]}
+        lines += [json.dumps(line).encode() for line in (head, *proof)]
+        checked = read(lines, tmp_path / "x")
+        assert checked.accepted == accepted
+        assert accepted or "lottery <= bound of row r fails" in checked.reason
