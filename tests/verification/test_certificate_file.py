@@ -475,6 +475,7 @@ AMBIGUOUS = [
     ("limit", QUESTION, b'"name":"hurt"', b'"name":"failure"', "two rows are called alike"),
     ("budget", FIRST_STATE, b'"actions"', b'"give_up":false,"actions"', "the keys"),
     ("budget", FIRST_STATE, b'"actions"', b'"actions":[],"actions"', "comes twice"),
+    ("budget", FIRST_STATE, b'0]],["1"]', b'0]],"1"', "has for its costs"),
     ("budget", HEAD, b'"prices"', b'"prices":["0"],"prices"', "comes twice"),
     ("budget", PROOF, b'"members"', b'"members":[null,null],"members"', "comes twice"),
     ("sure", PROOF, b'"members":[[', b'"members":[0,[', "has values, and each member"),
