@@ -42,7 +42,6 @@
 enum { DIGITS = 60, LONGEST = 4000, NONE = -1, STOP = -2 };
 enum kind { VISITS, END, OTHER_END };
 
-struct text { const char *start; int length; };  /* a string, as it is written */
 struct term { mpq_t weight; enum kind kind; bool *states; };
 struct quantity {
     char *name;
@@ -66,20 +65,21 @@ static uint32_t hash[8], k[64];
 static unsigned char block[64];
 static uint64_t hashed;
 static size_t n_lines, n_sets, n_start, n_rows, n_members, n_columns, n_pairs, n_outcomes, told;
-static long n, n_costs, state, *start_state, *next;  /* the state and the action that are read: */
-static struct text state_name, action;
-static mpq_t *part, sum, *paid, *least_paid;  /* parts of a sum; means, times it; least ones */
+static long n, n_costs, *start_state;
+static char **sets, *asked, digest[65];
 static mpq_t one, a, b, c, left, right, discount, share, *start_part, *prices, *weights;
 static mpz_t units, z;
-static char **sets, *asked, digest[65];
+static long state, *next;             /* what is read: a state and an action, that lead to others */
+static char *state_name, *action;     /* with parts of a sum; means of the costs, times the sum; */
+static mpq_t *part, sum, *paid, *least_paid;              /* and the least ones of the state */
 static bool **in_set, *goal, *dead, *live, *giving_up, *wandering, *roaming, *sure;
 static bool anywhere, attention, charging, greatest, least, sharing, budgeted, may_fail;
 static struct quantity *quantities;  /* the objective, and the rows */
 static struct column *columns;       /* v, w; then of each member -t, and -u of each quantity */
 static struct pair *pairs;
 static struct outcome *outcomes;
-static size_t *first_pair;                  /* of each state */
-static uint32_t *coming;                    /* 1 + an outcome that comes to each state, or 0 */
+static size_t *first_pair;           /* of each state */
+static uint32_t *coming;             /* 1 + an outcome that comes to each state, or 0 */
 
 static _Noreturn void refuse(const char *format, ...) {
     va_list words;
@@ -184,6 +184,7 @@ static bool next_line(void) {
     at = NULL;
     while ((byte = gzgetc(file)) != -1 && byte != '\n') {
         if (byte < ' ' || byte > '~') refuse("line %zu is no printable ASCII", n_lines + 1);
+        if (length > INT32_MAX) refuse("line %zu is too long", n_lines + 1);
         if (length == room) line = resized(line, room = 2 * room + 100, 1);
         line[length++] = (char)byte;
     }
@@ -205,26 +206,21 @@ static bool take(const char *word) {
 }
 
 /* A string. Each has one way to be written, so that it may be compared as it is written. */
-static struct text string(void) {
+static char *string(void) {
     if (!take("\"")) refuse("\"%.40s\" is no text", at);
-    struct text text = {at, 0};
+    char *text = at;
     for (; *at != '"'; at++) {
         if (!*at) refuse("a text does not end");
         if (*at != '\\' || (*++at && strchr("\"\\bfnrt", *at))) continue;
         bool four = *at == 'u' && strspn(at + 1, "0123456789abcdef") >= 4;
         if (!four || strncmp(at, "u007f", 5) < 0) refuse("a letter is escaped that is not to be");
     }
-    text.length = (int)(at++ - text.start);
+    *at++ = 0;
     return text;
 }
 
-static bool same(struct text text, const char *other) {
-    return strlen(other) == (size_t)text.length && !strncmp(text.start, other, strlen(other));
-}
-
-static char *kept(struct text text) {
-    char *copy = zeros((size_t)text.length, 1);
-    return memcpy(copy, text.start, (size_t)text.length);
+static char *kept(const char *text) {
+    return strcpy(zeros(strlen(text), 1), text);
 }
 
 static bool truth(void) {
@@ -242,11 +238,10 @@ static long whole(long below) {
     return value;
 }
 
-/* Digits at a place, of which there are some, as a whole number or more digits of one. */
+/* Digits at a place, of which there are some, are put behind others; what follows them. */
 static const char *take_digits(const char *s, char *digits) {
-    size_t size = 0;
-    while (isdigit(s[size])) size++;
-    if (!size) refuse("no number: \"%.40s\"", s);
+    size_t size = strspn(s, "0123456789");
+    if (!size) refuse("no number ends in \"%.40s\"", s);
     strncat(digits, s, size);
     return s + size;
 }
@@ -254,13 +249,12 @@ static const char *take_digits(const char *s, char *digits) {
 /* A decimal or a fraction, not in lowest terms. */
 static void number(mpq_t q) {
     static char digits[LONGEST], more[LONGEST];
-    struct text text = string();
-    const char *s = text.start, *point;
+    const char *s = string(), *point;
     long power = 0;
-    if (text.length >= LONGEST) refuse("a number is too long");
+    if (strlen(s) >= LONGEST) refuse("a number is too long");
     strcpy(digits, *s == '-' ? "-" : "");
     s = take_digits(s + (*s == '-'), digits);
-    *more = 0;
+    strcpy(more, "");
     mpz_set_ui(z, 1);
     if (*s == '/') {
         s = take_digits(s + 1, more);
@@ -268,15 +262,14 @@ static void number(mpq_t q) {
     } else {
         if (*(point = s) == '.') power = point + 1 - (s = take_digits(point + 1, digits));
         if (*s == 'e' || *s == 'E') {
-            int sign = s[1] == '-' ? -1 : 1;
-            s = take_digits(s + 1 + (s[1] == '-' || s[1] == '+'), more);
+            bool negative = s[1] == '-';
+            s = take_digits(s + 1 + (negative || s[1] == '+'), more);
             if (strtol(more, NULL, 10) >= LONGEST) refuse("an exponent is too large: %s", more);
-            power += sign * strtol(more, NULL, 10);
+            power += negative ? -strtol(more, NULL, 10) : strtol(more, NULL, 10);
         }
         mpz_ui_pow_ui(z, 10, (unsigned long)labs(power));
     }
-    if (s != text.start + text.length || !mpz_sgn(z))
-        refuse("no number: \"%.*s\"", text.length, text.start);
+    if (*s || !mpz_sgn(z)) refuse("no number ends in \"%.40s\"", s);
     mpz_set_str(mpq_numref(q), digits, 10);
     mpz_set_ui(mpq_denref(q), 1);
     if (power > 0) mpz_mul(mpq_numref(q), mpq_numref(q), z);
@@ -299,7 +292,7 @@ static void scan(const char *form, ...) {
     va_list to;
     va_start(to, form);
     for (bool quoted = false; *form; form++) {
-        if (*form == '%' && form[1] == 's') *va_arg(to, struct text *) = string();
+        if (*form == '%' && form[1] == 's') *va_arg(to, char **) = string();
         else if (*form == '%' && form[1] == 'q') rational(va_arg(to, mpq_ptr));
         else if (*form == '%' && form[1] == 'p') not_negative(va_arg(to, mpq_ptr));
         else if (*form == '%' && form[1] == 'b') *va_arg(to, bool *) = truth();
@@ -341,10 +334,10 @@ static void floored(mpz_t rounded, const mpq_t q) {
 
 /* ---- The question ---- */
 
-static size_t set_of(struct text name) {
+static size_t set_of(const char *name) {
     for (size_t s = 0; s < n_sets; s++)
-        if (same(name, sets[s])) return s;
-    refuse("there is no set \"%.*s\"", name.length, name.start);
+        if (!strcmp(name, sets[s])) return s;
+    refuse("there is no set \"%s\"", name);
 }
 
 static struct quantity *new_quantity(char *name) {
@@ -367,16 +360,16 @@ static void add_term(struct quantity *q, const mpq_t weight, enum kind kind, boo
 static void read_quantity(struct quantity *q) {
     scan("{'constant':%q,'terms':[", q->constant);
     for (size_t i = 0; goes_on(&i); scan("]")) {
-        struct text kind, set;
+        char *kind, *set;
         long cost;
         scan("[%q,%s,", a, &kind);
-        if (same(kind, "cost")) {
+        if (!strcmp(kind, "cost")) {
             scan("%i", n_costs, &cost);
             mpq_add(q->costs[cost], q->costs[cost], a);
-        } else if (same(kind, "visits") || same(kind, "end")) {
+        } else if (!strcmp(kind, "visits") || !strcmp(kind, "end")) {
             scan("%s", &set);
-            add_term(q, a, same(kind, "end") ? END : VISITS, in_set[set_of(set)]);
-        } else refuse("no quantity is called \"%.*s\"", kind.length, kind.start);
+            add_term(q, a, !strcmp(kind, "end") ? END : VISITS, in_set[set_of(set)]);
+        } else refuse("no quantity is called \"%s\"", kind);
     }
     scan("}");
 }
@@ -412,15 +405,15 @@ static void read_failure(void) {
 }
 
 static void read_row(void) {
-    struct text name, side;
+    char *name, *side;
     scan("{'name':%s,'quantity':", &name);
     struct quantity *q = new_quantity(kept(name));
     for (struct quantity *other = quantities + 1; other < q; other++)
         if (!strcmp(other->name, q->name)) refuse("two rows are called %s", q->name);
     read_quantity(q);
     scan(",%s:%q}", &side, q->bound);
-    bool turns = same(side, "at_least");
-    if (!turns && !same(side, "at_most")) refuse("a row has a name and one bound");
+    bool turns = !strcmp(side, "at_least");
+    if (!turns && strcmp(side, "at_most")) refuse("a row has a name and one bound");
     settle(q, turns);
     if (turns) mpq_neg(q->bound, q->bound);
     mpq_sub(q->bound, q->bound, q->constant);
@@ -435,7 +428,7 @@ static void new_set(char *name) {
 }
 
 static void read_question(void) {
-    struct text text;
+    char *text;
     scan("{'format':'ssp-lp certificate 1','asked':%s,", &text);
     asked = kept(text);
     scan("'states':%i,'costs':%i,'sets':[", (long)INT32_MAX, &n, 1000L, &n_costs);
@@ -458,10 +451,10 @@ static void read_question(void) {
     for (size_t i = 0; i < n_start; i++) mpq_div(start_part[i], start_part[i], sum);
     scan(",'give_up':%s,'charge_failing_step':%b,", &text, &charging);
     scan("'greatest':%b,'objective':", &greatest);
-    anywhere = same(text, "anywhere");
-    attention = same(text, "attention");
-    if (!anywhere && !attention && !same(text, "dead_ends"))
-        refuse("give_up is \"%.*s\"", text.length, text.start);
+    anywhere = !strcmp(text, "anywhere");
+    attention = !strcmp(text, "attention");
+    if (!anywhere && !attention && strcmp(text, "dead_ends"))
+        refuse("give_up is \"%s\"", text);
     read_quantity(new_quantity("objective"));
     settle(quantities, greatest);
     scan(",'failure':");
@@ -528,7 +521,7 @@ static void read_model(void (*at_actions)(void)) {
     need_line();
     if (!asked) read_question();
     for (state = 0; state < n; state++) {
-        struct text set;
+        char *set;
         need_line();
         scan("{'name':%s,'sets':[", &state_name);
         for (size_t i = 0; goes_on(&i); in_set[set_of(set)][state] = true) scan("%s", &set);
@@ -592,14 +585,12 @@ static void shrink(bool *inside, bool *allowed, bool all) {
     free(ways);
 }
 
-static bool ended(long x) { return !live[x]; }
-
 /* What a quantity counts on arriving in a state, but for charges; of its visits, or of all. */
 static void arrivals(mpq_t count, const struct quantity *q, long x, bool all) {
     mpq_set_ui(count, 0, 1);
     for (const struct term *t = q->terms; t < q->terms + q->size; t++)
         if (t->kind == VISITS || all)
-            if (t->kind == OTHER_END ? ended(x) && !t->states[x] : t->states[x])
+            if (t->kind == OTHER_END ? !live[x] && !t->states[x] : t->states[x])
                 mpq_add(count, count, t->weight);
 }
 
@@ -686,10 +677,10 @@ static size_t read_numbers(mpq_t **numbers) {
 }
 
 static void read_head(void) {
-    struct text signature;
+    char *signature;
     need_line();
     scan("{'sha256':%s,'prices':[", &signature);
-    if (!same(signature, digest)) refuse("the SHA-256 is not that of the question and the model");
+    if (strcmp(signature, digest)) refuse("the SHA-256 is not that of the question and the model");
     if (read_numbers(&prices) != n_rows - 1) refuse("a price a row, fails");
     scan(",'weights':[");
     n_members = read_numbers(&weights);
@@ -830,8 +821,7 @@ static void check(struct column *y, bool stopping) {
     mpq_mul(right, a, b);
     for (size_t i = 0; i < told; i++) {
         if (y->decision && live[next[i]] && y->decision[next[i]] == NONE && mpq_sgn(part[i]))
-            refuse("%s decides after %.*s %.*s, fails", y->name, state_name.length,
-                   state_name.start, action.length, action.start);
+            refuse("%s decides after %s %s, fails", y->name, state_name, action);
         mpq_set_z(a, y->after[next[i]]);
         add_product(right, part[i], a);
     }
@@ -844,13 +834,13 @@ static void check(struct column *y, bool stopping) {
     mpq_mul(b, b, sum);
     mpq_div(left, left, b);
     mpq_div(right, right, b);
-    refuse("%s <= own + sum p %s at %.*s %.*s fails: %.17g > %.17g", y->name, y->name,
-           state_name.length, state_name.start, action.length, action.start, mpq_get_d(left),
-           mpq_get_d(right));
+    refuse("%s <= own + sum p %s at %s %s fails: %.17g > %.17g", y->name, y->name, state_name,
+           action, mpq_get_d(left), mpq_get_d(right));
 }
 
 static void check_state(void) {
-    if (ended(state)) return;
+    if (!live[state]) return;
+    static char stopping[] = "stopping";
     size_t i = 0, charged = 0;
     for (long cost = 0; cost < n_costs; cost++) mpq_set_ui(least_paid[cost], 0, 1);
     for (size_t pair = first_pair[state]; goes_on(&i); pair++) {
@@ -861,7 +851,7 @@ static void check_state(void) {
     }
     told = 0;
     mpq_set(sum, one);
-    action = (struct text){"stopping", 8};
+    action = stopping;
     for (long cost = 0; cost < n_costs; cost++)
         if (wandering[state]) mpq_set_ui(paid[cost], 0, 1);
         else mpq_set(paid[cost], least_paid[cost]);
