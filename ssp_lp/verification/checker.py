@@ -161,6 +161,7 @@ class Model:
         need(known <= set(question) <= known | OPTIONAL, "an unknown question")
         for key, kind in KINDS.items():
             need(type(question[key]) is kind, key, "is", repr(question[key])[:99])
+        need(not {"charge", "quantile"} <= set(question), "a charge, or a quantile")
         self.question, self.n_costs, n = question, whole(question["costs"], 1000), len(lines)
         self.sets: dict[str, set[int]] = {name: set() for name in ["goal", *question["sets"]]}
         self.gamma = number("1" if question["discount"] is None else question["discount"])
@@ -347,7 +348,8 @@ class Model:
         """Node of a state of the checked model at a total."""
         if r >= self.cap or x in self.ended:
             return x
-        need((x, r) in self.place, "no line tells of", self.names[x], "at", Fraction(r, self.unit))
+        if (x, r) not in self.place:
+            need(False, "no line tells of", self.names[x], "with", Fraction(r, self.unit))
         return self.place[x, r]
 
     def priced(self, prices: Sequence[Fraction]) -> Quantity:
@@ -367,11 +369,7 @@ class Model:
         slope: Sequence[int] = (), words: str = "", begin: int = 0,
     ) -> Fraction:  # fmt: skip
         """Bound of a quantity that v proves at each choice; with words an upper one, by - v."""
-        side, goal, (goes, of) = (
-            -1 if words else 1,
-            self.sets["goal"],
-            self.gamma.as_integer_ratio(),
-        )
+        side, goal, gamma = -1 if words else 1, self.sets["goal"], self.gamma
         arrival = [down(side * a) for a in q.arrival]
         after = [arrival[x] + v.get(i, 0) for i, (x, _) in enumerate(self.nodes)]
         own = [down(side * (dot(q.costs, p[3]) + q.step * p[1])) for p in self.pairs]
@@ -385,7 +383,7 @@ class Model:
                     most = own[k] + sum(a * after[self.at(y, r + t)] for a, y, t in moves)
                     if q.charge:
                         won = sum(a * q.charge(r + t) for a, y, t in moves if y in goal)
-                        most += won // goes * of  # in full
+                        most += won // gamma.numerator * gamma.denominator  # in full
                     if slope and q.charge:
                         far = [(a * slope[y], r + t - self.cap) for a, y, t in moves]
                         most += sum(b * t for b, t in far if t > 0) // self.unit
@@ -408,9 +406,8 @@ class Model:
         """Checked lower bound of a quantity that v proves, every inequality of it."""
         nodes = [(i, x) for i, (x, _) in enumerate(self.nodes[: len(v)]) if x in self.moving]
         stops = {x for x in self.moving if self.may_fail and q.at_stop(self, x) is not None}
-        at = {
-            x: [k for k in self.of[x] if self.keeps[k]] + [-1] * (x in stops) for x in self.moving
-        }
+        at = {x: [*filter(self.keeps.__getitem__, self.of[x]), *[-1][: x in stops]]
+              for x in self.moving}  # fmt: skip
         values, choice = {i: v[i] for i, _ in nodes}, {i: at[x] for i, x in nodes}
         return self.prove(values, q, choice, slope, begin=begin)
 
@@ -448,14 +445,10 @@ class Model:
 
     def set_share(self, w: Sequence[int], members: Iterable[Sequence[Fraction]]) -> None:
         """Set the checked budget 1 - share * greatest goal probability, from both sides."""
-        row, failure, share = (
-            self.rows[0],
-            Quantity(self, FAILURE, 1, "w"),
-            Fraction(self.share or 0),
-        )
+        failure, share = Quantity(self, FAILURE, 1, "w"), Fraction(self.share or 0)
         failure.free = self.attention
-        row.bound = 1 - share * (1 - self.below(w, failure, begin=self.cap))
-        row.loose = 1 - share * (1 - min(member[1] for member in members))
+        self.rows[0].bound = 1 - share * (1 - self.below(w, failure, begin=self.cap))
+        self.rows[0].loose = 1 - share * (1 - min(member[1] for member in members))
 
 
 @dataclass(frozen=True)
