@@ -49,6 +49,22 @@ PITS = model_of(
         "hole": {},
     },
 )
+CELLAR = model_of(
+    {
+        "x": {"fast": [(0.5, "g", 1.0), (0.5, "pit", 1.0)], "slow": [(1.0, "g", 5.0)]},
+        "pit": {"dear": [(1.0, "hole", 9.0)], "cheap": [(0.5, "pit", 6.0), (0.5, "hole", 2.0)]},
+        "hole": {},
+    }
+)
+STAYS = model_of({"x": {"go": [(0.5, "g", 1.0), (0.5, "x", 1.0)], "stay": [(1.0, "x", 4.0)]}})
+CHAIN = model_of(
+    {
+        "x": {"short": [(1.0, "y", 1.0)], "long": [(1.0, "g", 9.0)]},
+        "y": {"on": [(0.5, "z", 1.0), (0.5, "g", 1.0)]},
+        "z": {"jump": [(0.5, "g", 1.0), (0.5, "d", 1.0)]},
+        "d": {},
+    }
+)
 SLOPE = model_of(
     {
         "x": {
@@ -81,6 +97,10 @@ PROBLEMS = {
     "discount": MCMP(MAZE, "start", 0.2, discount=0.97),
     "discounted charge": FinitePenalty(PITS, "x", 10.0, 0.9, charge_failing_step=True),
     "horizon": MCMP(MAZE, "start", 0.2, horizon=4),
+    "dearer first": MCMP(CELLAR, "x", 0.25),
+    "charge of staying": MCMP(STAYS, "x", 0.5, give_up="attention"),
+    "surely by a chain": MinCost(CHAIN, "x"),
+    "least of a risk": MCMP(FIRST, "depot"),
     "share": AlphaMCMP(MAZE, "start", 0.93),
     "share of a start": AlphaMCMP(FIRST, "depot", 0.995),
     "most": MaxProb(MAZE, "start"),
@@ -230,6 +250,93 @@ def test_both_say_the_same_of_what_was_tampered_with(program, folder, tmp_path, 
         if way > 0.2 and b'"sha256"' in tampered[n + 1]:
             tampered = signed(tampered, n)
         agreed(program, written(tampered, tmp_path / "x"))
+
+
+def edges(lines):
+    """Files that differ in a number of the proof by next to nothing, or in a decision."""
+    n = len(lines) // 2 - 1
+    rows = len(json.loads(lines[n + 1])["prices"])
+    for k in range(n + 2, 2 * n + 2):
+        stated = json.loads(lines[k])
+        acts = len(json.loads(lines[k - n - 1])["actions"])
+        for name in stated.keys() - {"members"}:
+            for step in ("1e-30", "1e-61"):
+                yield k, stated | {name: str(Fraction(stated[name]) + Fraction(step))}
+        for m, entry in enumerate(stated["members"]):
+            others = [None, *(["stop", *range(acts + 1)])]
+            big = ["1000", "1000", *["1"] * rows]
+            changes = [[other, *big] if other is not None else None for other in others]
+            for j in range(1, len(entry or "")):
+                for step in ("1e-30", "1e-61"):
+                    lower = str(Fraction(entry[j]) - Fraction(step))
+                    changes.append([*entry[:j], lower, *entry[j + 1 :]])
+            for change in changes:
+                members = [*stated["members"][:m], change, *stated["members"][m + 1 :]]
+                yield k, stated | {"members": members}
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_both_say_the_same_at_the_edge(program, folder, tmp_path, name):
+    """Each number of a proof by a little more than is true, and each decision by another."""
+    lines = lines_of(folder / name)
+    n = len(lines) // 2 - 1
+    every = list(edges(lines))
+    low = [json.dumps(json.loads(line) | {"v": "-1000"}).encode() for line in lines[n + 2 :]]
+    for k, stated in random.Random(name).sample(every, min(len(every), 60)):
+        tampered = [*lines]
+        if any(entry and entry[1] == "1000" for entry in stated["members"]):
+            tampered[n + 2 :] = low  # so that only members are in question
+            stated["v"] = "-1000"
+        tampered[k] = json.dumps(stated).encode()
+        agreed(program, written(tampered, tmp_path / "x"))
+
+
+@pytest.mark.parametrize("lowered", ["0", "1e-30", "1/100"])
+@pytest.mark.parametrize("name", ["share", "share of a start", "least of a risk"])
+def test_both_find_the_same_budget_of_a_share(program, folder, tmp_path, name, lowered):
+    """It lies between what w proves of failing and what a member attains."""
+    lines = lines_of(folder / name)
+    n = len(lines) // 2 - 1
+    for bounds in ({}, {"prices": ["3"]}):
+        for weights in (
+            {},
+            {"weights": ["0", "0", "1"][-len(json.loads(lines[n + 1])["weights"]) :]},
+        ):
+            changed = [*lines]
+            changed[n + 1] = json.dumps(json.loads(lines[n + 1]) | bounds | weights).encode()
+            for k in range(n + 2, 2 * n + 2):
+                line = json.loads(lines[k])
+                line["w"] = str(Fraction(line["w"]) - Fraction(lowered))
+                line["v"] = "-1000" if bounds else line["v"]
+                changed[k] = json.dumps(line).encode()
+            agreed(program, written(changed, tmp_path / "x"))
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "value", "words"),
+    [
+        ("sure", "objective", [["-1", "cost", 0]], "costs .*count negatively"),
+        ("sure", "objective", [["-1", "visits", "goal"]], "visits count negatively"),
+        ("quantity", "objective", [["1", "end", "town"]], "ends in state|not all states end"),
+        ("thirds", "failure", "0", "the goal can be reached surely, fails"),
+        ("thirds", "failure", "least", "."),
+        ("discount", "failure", "least", "without discount"),
+        ("discount", "discount", "0", "a discount lies in"),
+        ("discount", "discount", "1.01", "a discount lies in"),
+        ("share", "failure", {"share": "1.01"}, "a share is no probability"),
+    ],
+)
+def test_questions_without_a_meaning_are_refused(
+    program, folder, tmp_path, name, key, value, words
+):
+    lines = lines_of(folder / name)
+    question = json.loads(lines[0])
+    question[key] = {"constant": "0", "terms": value} if key == "objective" else value
+    lines[0] = json.dumps(question).encode()
+    path = written(signed(lines, len(lines) // 2 - 1), tmp_path / "x")
+    assert agreed(program, path).startswith("refused")
+    assert re.search(words, run(program, path)[1])
+    assert re.search(words, check_certificate(path).reason)
 
 
 AMBIGUOUS = [
