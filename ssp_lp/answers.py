@@ -320,9 +320,9 @@ def _answers_to(
         TemporaryDirectory(prefix="ssp-lp-", ignore_cleanup_errors=True) as folder,
         _Crew(executor, min(workers, len(asked))) as crew,
     ):
-        cargo, path = _Cargo(), Path(folder, "models")
+        cargo, path = Cargo(), Path(folder, "models")
         with path.open("wb") as file, _sending():
-            cargo.load(_models_of(asked), file)
+            cargo.load(models_of(asked), file)
             size = file.tell()
         packed: dict[int, bytes] = {}
         for place, problem in enumerate(asked):
@@ -378,7 +378,7 @@ def _sending() -> Iterator[None]:
         ) from error
 
 
-def _models_of(problems: Iterable[Problem]) -> list[SSP]:
+def models_of(problems: Iterable[Problem]) -> list[SSP]:
     """The distinct models of all problems to be answered, what a product is made of before it."""
     models: dict[int, SSP] = {}
     for problem in problems:
@@ -428,7 +428,7 @@ class _Unpickler(pickle.Unpickler):
         return self._model_at(place)
 
 
-class _Cargo:
+class Cargo:
     """Problems and answers on their way, without the models, which lie in a file by their places.
 
     Of a model the file holds the arrays as they are, aligned, for any process to map; then, at its
@@ -456,7 +456,7 @@ class _Cargo:
                 begin = file.tell()
                 file.write(buffer.raw())
                 spans.append((begin, file.tell()))
-            self._know(file.tell(), model)
+            self.know(file.tell(), model)
             pickle.dump((stream, spans), file)
 
     def pack(self, thing: object) -> bytes:
@@ -475,7 +475,7 @@ class _Cargo:
         _Pickler(stream, self._places, keep).dump(thing)
         return stream.getvalue()
 
-    def _know(self, place: int, model: SSP) -> SSP:
+    def know(self, place: int, model: SSP) -> SSP:
         """The cargo's model at a place; the first one that was found there stays."""
         model = self._models.setdefault(place, model)
         self._places[id(model)] = place
@@ -487,7 +487,7 @@ class _Cargo:
             content = self._content
             stream, spans = pickle.loads(content[place:])  # noqa: S301 (of the caller's process)
             buffers = [content[begin:end] for begin, end in spans]
-            self._know(place, _Unpickler(stream, self._model_at, buffers).load())
+            self.know(place, _Unpickler(stream, self._model_at, buffers).load())
         return self._models[place]
 
 
@@ -500,16 +500,16 @@ class _Shipment:
 
 
 @lru_cache(maxsize=1)
-def _unloaded(shipment: _Shipment) -> _Cargo:
+def _unloaded(shipment: _Shipment) -> Cargo:
     """A shipment's cargo as this process knows it: a worker keeps the models of one call's answers.
 
     Raises:
         OSError: the file cannot be seen from here.
     """
     if shipment.content is not None:
-        return _Cargo(shipment.content)
+        return Cargo(shipment.content)
     with Path(shipment.path).open("rb") as file:
-        return _Cargo(memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)))
+        return Cargo(memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)))
 
 
 @dataclass(frozen=True)
@@ -563,7 +563,7 @@ class _Dispatch:
     def __init__(
         self,
         crew: _Crew,
-        cargo: _Cargo,
+        cargo: Cargo,
         shipment: _Shipment,
         packed: Mapping[int, bytes],
         order: _Order,

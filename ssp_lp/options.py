@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import ClassVar, TextIO
+from typing import Any, ClassVar, Protocol, TextIO
 
 from ssp_lp.arrays import RELATIVE_GAP
 from ssp_lp.errors import ModelError, check_between_0_and_1, check_flag, is_number, wrong_argument
@@ -41,11 +41,42 @@ _BETWEEN = 0.1  # seconds between two tellings of how far work has come
 _WIDTH, _BAR = 100, 20  # characters of a line, and of a bar in it
 
 
+Partition = Callable[[Any], Any]
+"""Makes of a process's dynamics the same, their equations and backups shared by several ranks."""
+
+
+class SharedPricing(Protocol):
+    """Pricing by several ranks, such as :class:`ssp_lp.distributed.Petsc`."""
+
+    def on_every_rank(self, problem: Any, solved: Callable[[Partition], Any]) -> Any:
+        """The solution of a problem, on every rank that asks for it.
+
+        Args:
+            problem: the problem.
+            solved: finds the solution, given what shares the pricing; called on one rank.
+        """
+
+
 @dataclass(frozen=True)
 class ColumnGeneration:
-    """Policies priced one by one into a small master program; what is chosen unless asked."""
+    """Policies priced one by one into a small master program; what is chosen unless asked.
+
+    Args:
+        pricing: who shares the pricing of case M, such as ``ssp_lp.distributed.Petsc()``; None:
+            this process does it alone.
+
+    Raises:
+        ModelError: something that shares no pricing.
+    """
+
+    pricing: SharedPricing | None = None
 
     name: ClassVar[str] = "columns"
+
+    def __post_init__(self) -> None:
+        if self.pricing is not None and not hasattr(self.pricing, "on_every_rank"):
+            wanted = "be None or, say, ssp_lp.distributed.Petsc()"
+            raise wrong_argument("pricing", wanted, self.pricing)
 
 
 @dataclass(frozen=True)
@@ -133,7 +164,7 @@ def parse_method(method: Method | str | None) -> Method:
         ModelError: it is neither.
     """
     if method is None:
-        return ColumnGeneration()
+        return _BY_NAME[ColumnGeneration.name]
     if isinstance(method, Method):
         return method
     if isinstance(method, str) and method in _BY_NAME:
@@ -153,6 +184,7 @@ class SolveOptions:
     program: LinearProgramming | None = None  # solve the full linear program first
     deterministic: bool = False  # no lottery will do
     tail: float | None = None  # the M of the game, in case S
+    partition: Partition | None = None  # who shares the pricing
 
     @property
     def method(self) -> str:

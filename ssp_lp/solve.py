@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import replace
+from functools import partial
 from math import isfinite
 
 from ssp_lp.accumulated_cost.policy_layers import giving_up_where_lost
@@ -14,8 +15,10 @@ from ssp_lp.errors import ModelError, OutOfTimeError, SolverError
 from ssp_lp.methods.approaches import Case, approach_to, refusal
 from ssp_lp.methods.incumbent import Incumbent
 from ssp_lp.options import (
+    ColumnGeneration,
     Game,
     Method,
+    Partition,
     Progress,
     SolveOptions,
     Status,
@@ -71,8 +74,36 @@ def solve(
     options = options_of(chosen, tolerance, began, time_limit, progress)
     if (refused := refusal(problem, chosen)) is not None:
         raise refused
+
+    solved = partial(_solution_to, problem, method, options, time_limit, verbose)
+    if isinstance(chosen, ColumnGeneration) and chosen.pricing is not None:
+        answer: Solution = chosen.pricing.on_every_rank(problem, solved)
+        return answer
+    return solved()
+
+
+def _solution_to(
+    problem: Problem,
+    method: Method | str | None,
+    options: SolveOptions,
+    time_limit: float | None,
+    verbose: bool,
+    partition: Partition | None = None,
+) -> Solution:
+    """Answer of ``solve`` to the problem as it is stated, with what is to be said of it.
+
+    Args:
+        problem: as stated.
+        method: as stated.
+        options: what follows from the method and the limits.
+        time_limit: as stated.
+        verbose: as stated.
+        partition: who shares the pricing.
+    """
+    began = time.perf_counter()
     with progress_shown(verbose):
-        solution, status = _solved_with_proof(problem, chosen, options)
+        shared = options if partition is None else replace(options, partition=partition)
+        solution, status = _solved_with_proof(problem, parse_method(method), shared)
     note, reason = solution.note, solution.run.reason
     if not note and solution.gap > options.tolerance:
         note = f"the gap of {solution.gap:.1e} misses the tolerance of {options.tolerance:g}"

@@ -43,6 +43,7 @@ from ssp_lp.compiled.deadline import READING, check_time, limited
 from ssp_lp.errors import Argument, InfeasibleError, ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends, goal_approach, surely_reaching
+from ssp_lp.options import Partition
 from ssp_lp.policies.policy import DeterministicPolicy, Policy
 from ssp_lp.processes import goal_reach
 from ssp_lp.processes.conditions import FAILURE_ROW, UpperRow
@@ -122,6 +123,10 @@ class CompiledProblem(ABC):
 
     def for_program(self) -> Self:
         """The compiled problem whose written-out process has the problem's optimum."""
+        return self
+
+    def shared_by(self, partition: Partition) -> Self:
+        """The compiled problem whose pricing several ranks share, where that is known how."""
         return self
 
     @abstractmethod
@@ -795,6 +800,11 @@ class CompiledExplicit(CompiledProblem):
     fixed_cap: float | None = None  # the user's cap on accumulated cost
     objective: UpperRow | None = None  # minimised in place of the cost; no charge then
     resolution: Resolution | None = None  # totals that are no multiples of a unit
+    partition: Partition | None = None  # who shares the pricing
+
+    def shared_by(self, partition: Partition) -> CompiledExplicit:
+        """The compiled problem whose explicit pricing several ranks share."""
+        return replace(self, partition=partition)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -974,7 +984,8 @@ class CompiledExplicit(CompiledProblem):
         own = () if self.objective is None else (self.objective,)
         rows = self.row_coefficients((*own, *self.side))
         counted = rows.pop(0) if own else None
-        return ExplicitPricing(self.augmented, self.precise, tuple(rows), counted)
+        how = self.precise, tuple(rows), counted
+        return ExplicitPricing(self.augmented, *how, partition=self.partition)
 
     def row_coefficients(self, rows: Sequence[UpperRow]) -> list[FloatArray]:
         """Coefficients of the compiled problem's rows at each pair, [process pairs] each."""

@@ -29,10 +29,11 @@ from ssp_lp.column_generation.column import Column, PricingProblem, Proof, requi
 from ssp_lp.compiled.deadline import Stop, is_limited
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.dynamic_programming.dual_bound import DualBound
-from ssp_lp.dynamic_programming.dynamics import leaving_choice
+from ssp_lp.dynamic_programming.dynamics import Dynamics, leaving_choice
 from ssp_lp.dynamic_programming.equations import DIRECT_STATES
 from ssp_lp.dynamic_programming.evaluation import evaluate_policy
 from ssp_lp.dynamic_programming.policy_iteration import first_of_equals, iterate_policy, switched
+from ssp_lp.options import Partition
 from ssp_lp.policies.policy import Policy
 from ssp_lp.processes.explicit_process import Contraction, ExplicitProcess, bound_of, contract
 from ssp_lp.processes.failure_label import FailureLabelled
@@ -61,12 +62,20 @@ class ExplicitPricing(PricingProblem):
     rows: tuple[FloatArray, ...] = ()  # [pairs] each: what is counted besides cost and failure
     counted: FloatArray | None = None  # [pairs] in place of the process's cost
     begun_from: IntArray | None = None  # [states] a policy that leaves, where one is known
+    partition: Partition | None = None  # who shares the equations and backups of policy iteration
     _known: dict[bytes, Contraction | None] = field(default_factory=dict)  # by what is priced
 
     @property
     def process(self) -> ExplicitProcess:
         """The written-out process of explicit pricing."""
         return self.augmented.process
+
+    @cached_property
+    def dynamics(self) -> Dynamics:
+        """Dynamics of the process of explicit pricing, shared with other ranks if there are."""
+        dynamics = self.process.dynamics
+        shared: Dynamics = dynamics if self.partition is None else self.partition(dynamics)
+        return shared
 
     @property
     def n_rewards(self) -> int:
@@ -118,7 +127,7 @@ class ExplicitPricing(PricingProblem):
         smaller, at = self.contracted(weights), None if isinstance(price, np.ndarray) else price
         run = partial(iterate_policy, precise=self.precise or None)
         if smaller is None:
-            settled = run(self.process.dynamics, self.rewards, weights, choice, guess)
+            settled = run(self.dynamics, self.rewards, weights, choice, guess)
             kept = {"runs": settled.runs, "work": settled.work, "found_at": at}
             return self._column(settled.choice, settled.totals, **kept)
         choice = smaller.begun(self.process, choice).astype(np.int32)
@@ -140,7 +149,7 @@ class ExplicitPricing(PricingProblem):
         columns = [c for c in warm if c is not None and c.choice is not None]
         if not columns:
             return self._leaving, None
-        dynamics = self.process.dynamics
+        dynamics = self.dynamics
         is_quick = dynamics.n_states <= DIRECT_STATES or dynamics.is_solved_backwards
         if is_quick or any(c.totals is None for c in columns):
             return required(columns[0].choice), columns[0].totals
@@ -174,7 +183,7 @@ class ExplicitPricing(PricingProblem):
             work: what finding it took.
             found_at: a price at which no policy is worth less.
         """
-        totals = evaluate_policy(self.process.dynamics, choice, self.rewards)
+        totals = evaluate_policy(self.dynamics, choice, self.rewards)
         kept = {"runs": totals.runs, "work": work + Work(1, 0), "found_at": found_at}
         return self._column(choice, totals.values, **kept)
 

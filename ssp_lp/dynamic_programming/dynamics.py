@@ -23,7 +23,7 @@ from ssp_lp.arrays import (
     unsigned,
 )
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.dynamic_programming.bellman import chosen_rows
+from ssp_lp.dynamic_programming.bellman import Backup, best_pairs, chosen_rows
 from ssp_lp.dynamic_programming.chain_solvers import HOLDS_MASS
 from ssp_lp.dynamic_programming.equations import (
     DIRECT_STATES,
@@ -129,6 +129,16 @@ class Dynamics:
     def levels(self) -> list[Level]:
         """States of dynamics without cycles by their greatest distance from an end."""
         return list(_levels_of_dynamics(self))
+
+    def back_up(self, pair_cost: FloatArray, values: FloatArray, held: IntArray) -> Backup:
+        """Bellman backup of the dynamics: the least values ahead, beside those of the held pairs.
+
+        Args:
+            pair_cost: [pairs].
+            values: [states].
+            held: a pair of each state, [states].
+        """
+        return best_pairs(self.pair_offsets, self.transitions, pair_cost, values, held)
 
     def chain(self, choice: IntArray) -> System:
         """Equations of a policy in the dynamics, [states]; the last few are kept with factors."""

@@ -204,9 +204,7 @@ def howard_rounds(
         latest[0] = choice
         products = evaluation.evaluate(system, choice)
         values, n_rounds, work = evaluation.values, n_rounds + 1, work + Work(1, products)
-        backup = best_pairs(
-            dynamics.pair_offsets, dynamics.transitions, evaluation.pair_cost, values, choice
-        )
+        backup = dynamics.back_up(evaluation.pair_cost, values, choice)
         better = evaluation.judge(backup)
         if better is None:  # the evaluation was too rough: the same policy again
             continue

@@ -112,10 +112,18 @@ def approach_to(case: Case) -> _Approach:
 
 def refusal(problem: Problem, method: options.Method) -> ModelError | None:
     """Why no approach of a method answers a problem; None: one does."""
-    if isinstance(method, options.ColumnGeneration | options.LinearProgramming):
+    relaxation = getattr(method, "relaxation", method)
+    pricing = getattr(relaxation, "pricing", None)
+    if pricing is None and isinstance(method, options.ColumnGeneration | options.LinearProgramming):
         return None  # a budget of a share is not worked out for it
     asks, named = requirements(problem), Argument("method", method.name)
     name = f"{type(problem).__name__}{' with limits' if conditions_of(problem) else ''}"
+    if pricing is not None:
+        shared = not (asks.counts_totals or asks.rows or asks.least_failure)
+        if shared and asks.aim is Aim.LEAST_COST and relaxation is method:
+            return None
+        return ModelError(f"pricing by {pricing!r} is for case M within a failure budget, not ",
+                          f"for {name}: leave ", Argument("pricing"), " out")  # fmt: skip
     if isinstance(method, options.DeterministicPolicies) and (
         asks.several_rows or asks.totals is TotalScale.SUMS or asks.law
     ):

@@ -108,7 +108,10 @@ def best_within_budget(problem: Problem, options: SolveOptions) -> Solution:
     """
     budget, sense = problem.failure_budget, problem.semantics.sense
     budget = 1.0 if budget is None else budget
-    outcome = refined_optimum(problem.compile(), budget, options)
+    compiled = problem.compile()
+    if options.partition is not None:
+        compiled = compiled.shared_by(options.partition)
+    outcome = refined_optimum(compiled, budget, options)
     generated = outcome.generated
     worth, bound = sense.worth(generated.objective), sense.worth(generated.lower_bound)
     gained, is_met = -generated.objective, relative_gap(bound, worth) <= options.tolerance

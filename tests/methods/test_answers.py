@@ -245,7 +245,7 @@ def test_models_are_sent_once() -> None:
 def test_a_worker_maps_the_arrays_of_a_model(tmp_path) -> None:
     """They are the file's own bytes, aligned and read-only; one cost for all takes no room."""
     model, path = replace(FIRST, costs=np.broadcast_to(1.0, FIRST.n_outcomes)), tmp_path / "models"
-    cargo = answers._Cargo()
+    cargo = answers.Cargo()
     with path.open("wb") as file:
         cargo.load([model], file)
     there = answers._unloaded(answers._Shipment(str(path)))

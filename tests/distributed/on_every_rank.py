@@ -1,0 +1,120 @@
+"""Problems of case M on all ranks of PETSc beside one process alone: a script for mpiexec.
+
+It ends with an error where the ranks' answers differ from each other or from the local one. Its
+argument is how many drawn models there are.
+"""
+
+import sys
+
+import pytest
+from mpi4py import MPI
+
+from examples.paper_robot.robot import RobotGrid, grid_model, start_state
+from formulations import MCMP, S3P, FinitePenalty, MaxProb
+from random_models import drawn_model
+from small_models import FIRST, FREE_PAIR, TWO_MOVES, model_of
+from ssp_lp import (
+    SSP,
+    ColumnGeneration,
+    DeterministicPolicies,
+    InfeasibleError,
+    ModelError,
+    certify,
+    evaluate,
+    solve,
+    visits,
+)
+from ssp_lp.distributed import Petsc
+
+RANK, SIZE = MPI.COMM_WORLD.rank, MPI.COMM_WORLD.size
+BY_PETSC = ColumnGeneration(pricing=Petsc())
+DUPLICATES = {
+    "x": {
+        "go": [
+            (0.25, "y", 1.0),
+            (0.25, "x", 1.0),
+            (0.25, "y", 2.0),
+            (0.2, "x", 4.0),
+            (0.05, "d", 0),
+        ],
+        "walk": [(0.5, "y", 4.0), (0.5, "x", 4.0)],
+    },
+    "y": {"go": [(0.125, "x", 1.0), (0.125, "x", 3.0), (0.74, "g", 1.0), (0.01, "d", 1.0)]},
+    "d": {},
+}
+"""Several outcomes of a pair lead to one state, and some back to where it was taken."""
+
+
+def problems():
+    """Problems within a failure budget, of many sizes, which the ranks do not divide evenly."""
+    yield MCMP(FIRST, "depot", 0.05)
+    yield MCMP(model_of(TWO_MOVES), "x", 0.02)
+    yield MCMP(model_of(DUPLICATES), "x", 0.03)
+    yield MCMP(model_of(DUPLICATES), {"x": 0.25, "y": 0.75}, 0.3, discount=0.9)
+    yield MCMP(model_of(FREE_PAIR), "x", 0.25)
+    yield FinitePenalty(model_of(DUPLICATES), "x", 20.0)
+    for seed in range(int(sys.argv[1])):
+        model, _ = drawn_model(seed, 11 + 3 * seed)
+        least = 1.0 - solve(MaxProb(model, "s0")).objective
+        yield MCMP(model, "s0", least + 0.3 * (1.0 - least))
+        yield MCMP(model, {"s1": 0.5, "s5": 0.5}, 0.95, discount=0.95, give_up="anywhere")
+    coarse = RobotGrid(segments=12, headings=8)
+    yield MCMP(grid_model(coarse), start_state(coarse), 0.5)
+
+
+def check_the_same(problem):
+    """All ranks have one answer on their own model, as proved and as good as the local one."""
+    answer, known = solve(problem, BY_PETSC), solve(problem)
+    members = answer.policy.policies
+    figures = (
+        answer.objective, answer.lower_bound, answer.failure_price, answer.budget_used,
+        answer.policy.weights.tolist(), [evaluate(one, problem).objective for one in members],
+    )  # fmt: skip
+    assert MPI.COMM_WORLD.allgather(figures) == [figures] * SIZE
+    assert answer.objective == pytest.approx(known.objective, rel=1e-9, abs=1e-12)
+    assert answer.budget_used == pytest.approx(known.budget_used, rel=1e-9, abs=1e-12)
+    assert answer.gap <= 1e-9
+    assert answer.policy.model is problem.model
+    assert certify(answer).accepted
+
+
+def check_errors():
+    """An error is raised on every rank, and the next problem is answered."""
+    with pytest.raises(InfeasibleError) as caught:
+        solve(MCMP(FIRST, "depot", 0.001), BY_PETSC)
+    assert caught.value.least_failure == pytest.approx(0.01)
+    few = {"few": visits("wreck") <= 0.04}
+    for problem in (S3P(FIRST, "depot", 0.05), MaxProb(FIRST, "depot"), MCMP(FIRST, "depot"),
+                    MCMP(FIRST, "depot", 0.05, constraints=few)):  # fmt: skip
+        with pytest.raises(ModelError, match="is for case M within a failure budget"):
+            solve(problem, BY_PETSC)
+    with pytest.raises(ModelError, match="is for case M within a failure budget"):
+        solve(MCMP(FIRST, "depot", 0.05), DeterministicPolicies(relaxation=BY_PETSC))
+    if SIZE > 1:
+        with pytest.raises(ModelError, match="must ask for the same"):
+            solve(MCMP(FIRST, "depot", 0.05 + 0.01 * RANK), BY_PETSC)
+
+
+def check_that_equations_are_solved_together():
+    """A chain of a long component, which no rank could solve from its own rows."""
+    n = 400
+    walk = {
+        k: {"on": [(0.6, k + 1, 1.0), (0.39, max(k - 1, 0), 1.0), (0.01, 0, 1.0)]} for k in range(n)
+    }
+    slow = {k: {"safe": [(0.5, k + 1, 1.5), (0.5, k, 1.5)]} for k in range(n)}
+    risky = {k: {"dare": [(0.999, k + 1, 1.0), (0.001, -1, 1.0)]} for k in range(n)}
+    ways = {k: {**walk[k], **slow[k], **risky[k]} for k in range(n)}
+    model = SSP.from_transitions({**ways, -1: {}}, goal={n}, treat_actionless_as_dead_ends=True)
+    problem = MCMP(model, 0, 0.1)
+    answer = solve(problem, BY_PETSC)
+    assert answer.run.products > 0
+    check_the_same(problem)
+
+
+if __name__ == "__main__":
+    for one in problems():
+        check_the_same(one)
+    check_errors()
+    check_that_equations_are_solved_together()
+    if MPI.COMM_WORLD.gather(True) is not None:
+        print(f"{SIZE} ranks: well")

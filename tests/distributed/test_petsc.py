@@ -1,0 +1,69 @@
+"""Pricing on PETSc gives every rank what one process finds; without PETSc this is skipped."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from formulations import MCMP
+from small_models import FIRST
+from ssp_lp import ColumnGeneration, MissingDependencyError, ModelError, solve
+from ssp_lp.distributed import Petsc
+
+HERE = Path(__file__).parent
+MISSING = [name for name in ("petsc4py", "mpi4py") if find_spec(name) is None]
+with_petsc = pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)}")
+with_mpiexec = pytest.mark.skipif(shutil.which("mpiexec") is None, reason="there is no mpiexec")
+
+
+def run(*before: str) -> str:
+    """What the script prints, run after some words of a command."""
+    root = HERE.parent.parent
+    places = [root, HERE.parent, HERE.parent / "support" / "problems"]
+    settings = {
+        "PYTHONPATH": os.pathsep.join(map(str, places)),
+        "OMP_NUM_THREADS": "1",
+        "OMPI_ALLOW_RUN_AS_ROOT": "1",
+        "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+        "OMPI_MCA_rmaps_base_oversubscribe": "1",
+        "OMPI_MCA_mpi_yield_when_idle": "1",
+    }
+    ended = subprocess.run(  # noqa: S603 (this very interpreter)
+        [*before, sys.executable, str(HERE / "on_every_rank.py"), "2"],
+        env=os.environ | settings,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    return ended.stdout
+
+
+@with_petsc
+def test_one_rank_needs_no_mpiexec() -> None:
+    assert run() == "1 ranks: well\n"
+
+
+@with_petsc
+@with_mpiexec
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_every_rank_gets_what_one_process_finds(ranks: int) -> None:
+    assert run("mpiexec", "-n", str(ranks)).strip() == f"{ranks} ranks: well"
+
+
+@pytest.mark.skipif(not MISSING, reason="PETSc is installed")
+def test_what_is_missing_is_named() -> None:
+    with pytest.raises(MissingDependencyError, match=r"pip install 'ssp-lp\[distributed\]'"):
+        solve(MCMP(FIRST, "depot", 0.05), ColumnGeneration(pricing=Petsc()))
+
+
+def test_what_shares_no_pricing_is_refused() -> None:
+    with pytest.raises(ModelError, match=r"pricing must be None or, say, .*Petsc\(\), not 3"):
+        ColumnGeneration(pricing=3)
