@@ -68,6 +68,12 @@ def _number_or_none(text: str) -> float | None:
     return None if text == "none" else _float_argument(text)
 
 
+def _budgets_argument(text: str) -> float | list[float | None] | None:
+    """A command-line argument that is a number or none; several, with commas between, in a list."""
+    several = [_number_or_none(one) for one in text.split(",")]
+    return several if len(several) > 1 else several[0]
+
+
 def _criterion_argument(text: str) -> str:
     """The criterion that is meant: ``min-cost``, ``MinCost`` and ``min_cost`` are one."""
     letters = re.sub("[-_]", "", text).lower()
@@ -138,6 +144,7 @@ EXAMPLES = {
   ssp-lp solve roads.json --goal home --start depot --failure-budget 0.05
   ssp-lp solve roads.json --goal home --start depot --criterion cvar --level 0.9 --json
   ssp-lp solve roads.json --goal home --start depot --failure-budget 0.05 --policy-out policy.npz
+  ssp-lp solve roads.json --goal home --start depot --failure-budget 0.02,0.05,0.08
   ssp-lp solve roads.json --goal home --start depot --criterion s3p --limit "cost <= 9"
   ssp-lp solve roads.json --start depot --property 'multi(Rmin=? [C], P>=0.95 [F "home"])'
   ssp-lp solve gym:FrozenLake-v1 --criterion cost-bounded-reach --cost-bound 40""",
@@ -277,8 +284,8 @@ def _add_model(one: ArgumentParser) -> None:
     )
 
 
-def _add_question(one: ArgumentParser, criteria: list[str]) -> None:
-    """Add the command-line arguments that ask a criterion."""
+def _add_question(one: ArgumentParser, criteria: list[str], **own: Parameter) -> None:
+    """Add the command-line arguments that ask a criterion, some of them the command's own."""
     question = one.add_argument_group("the question")
     question.add_argument(
         "--criterion", type=_criterion_argument, choices=criteria, default="mcmp", metavar="NAME",
@@ -288,7 +295,7 @@ def _add_question(one: ArgumentParser, criteria: list[str]) -> None:
         "--property", metavar="WORDS",
         help='the same in PRISM\'s words: multi(R{"time"}min=? [F "ok"], P>=0.95 [F "ok"])',
     )  # fmt: skip
-    for name, parameter in PARAMETERS.items():
+    for name, parameter in (PARAMETERS | own).items():
         settings: dict[str, Any] = {"help": parameter.help, "default": SUPPRESS}
         if parameter.type is bool:
             question.add_argument(option(name), action=BooleanOptionalAction, **settings)
@@ -304,8 +311,10 @@ def _add_question(one: ArgumentParser, criteria: list[str]) -> None:
 
 
 def _add_solve(one: ArgumentParser) -> None:
-    """Add the command-line arguments of ``solve``."""
-    _add_question(one, list(CRITERIA))
+    """Add the command-line arguments of ``solve``, which takes several budgets."""
+    budgets = PARAMETERS["failure_budget"]
+    told = f"{budgets.help}; several, 0.01,0.05, make a table"
+    _add_question(one, list(CRITERIA), failure_budget=Parameter(told, _budgets_argument, "P[,P]"))
     search = one.add_argument_group("the search")
     methods = ("columns", "lp", "game", "deterministic")
     search.add_argument("--method", choices=methods, metavar="NAME", help=", ".join(methods))

@@ -9,6 +9,7 @@ import sys
 from argparse import ArgumentTypeError, Namespace
 from ast import literal_eval
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import cache
@@ -437,6 +438,8 @@ def _solve_command(asked: Namespace) -> Iterable[str]:
     asked = with_property(asked)
     of = command_model(asked)
     tolerance = {} if asked.tolerance is None else {"tolerance": asked.tolerance}
+    if isinstance(budgets := vars(asked).get("failure_budget"), list):
+        return _several_answers(asked, of, budgets, tolerance)
     problem = problem_of(asked, of)
     solution = ssp_lp.solve(problem, asked.method, time_limit=asked.time_limit, **tolerance)
     if write is not None:
@@ -449,6 +452,43 @@ def _solve_command(asked: Namespace) -> Iterable[str]:
         plot_cost_law(ssp_lp.success_costs(solution.policy, problem), ax=figure.subplots(), **level)
         figure.savefig(asked.plot)
     return json_answer(_solution_table_of_command(solution)) if asked.json else [solution.summary()]
+
+
+_WORTH_PROCESSES = 100_000  # outcomes of a model from which answers take longer than a start
+
+
+def _several_answers(
+    asked: Namespace, of: _CommandModel, budgets: Sequence[float | None], tolerance: dict[str, Any]
+) -> Iterable[str]:
+    """The command ``solve`` for several failure budgets, side by side: a table.
+
+    Raises:
+        ModelError: something is to be made of the one answer.
+    """
+    for name in ("policy_out", "certificate_out", "plot"):
+        if getattr(asked, name) is not None:
+            raise ModelError(
+                f"{option(name)} is of one answer: give one {option('failure_budget')}"
+            )
+    each = [Namespace(**{**vars(asked), "failure_budget": budget}) for budget in budgets]
+    problems = [problem_of(one, of) for one in each]
+    is_small = of.model.n_outcomes < _WORTH_PROCESSES
+    executor = ThreadPoolExecutor(1) if is_small else None
+    answers = ssp_lp.solve_many(
+        problems, asked.method, executor=executor, time_limit=asked.time_limit, **tolerance
+    )
+    for error in answers.errors.values():
+        error.args = (with_options(error),)
+    if not asked.json:
+        return [answers.summary()]
+    tables = [
+        _solution_table_of_command(answer)
+        if isinstance(answer, Solution)
+        else {"error": str(answer)}
+        for answer in answers
+    ]
+    listed = zip(budgets, tables, strict=True)
+    return json_answer([{"failure_budget": budget, **table} for budget, table in listed])
 
 
 def _check_command(asked: Namespace) -> Iterable[str]:

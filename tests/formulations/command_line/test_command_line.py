@@ -444,6 +444,25 @@ def test_percentages(roads: Path, told: Told) -> None:
         assert answer["failure_probability"] == pytest.approx(failure)
 
 
+def test_several_budgets_make_a_table(roads: Path, run: Run, told: Told, refused: Any) -> None:
+    asked = ("solve", roads, *FROM_DEPOT, "--failure-budget", "0.1%,2%,0.05,none")
+    code, out, err = run(*asked)
+    assert (code, err) == (0, "")
+    assert [line.split()[1:3] for line in out.splitlines()[:5]] == [
+        ["failure_budget", "objective"], ["0.001", "-"], ["0.02", "8.38667"], ["0.05", "6.66667"],
+        ["-", "8.96"],
+    ]  # fmt: skip
+    assert "0: every policy fails with probability at least 0.01" in out
+    assert "--failure-budget none asks for the least" in out
+    answers = told(*asked)
+    assert [one["failure_budget"] for one in answers] == [0.001, 0.02, 0.05, None]
+    assert "at least 0.01" in answers[0]["error"]
+    assert answers[2] | {"seconds": 0} == {
+        "failure_budget": 0.05, **told("solve", roads, *WITHIN), "seconds": 0,
+    }  # fmt: skip
+    refused(*asked, "--policy-out", "x.npz", complaint="--policy-out is of one answer")
+
+
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
