@@ -6,6 +6,7 @@ import re
 import runpy
 import sys
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,11 @@ import pytest
 
 import ssp_lp.io
 from examples.domains.inventory import START, season, table
-from examples.formulating import drone
+from examples.formulating import drone, many_problems
 from examples.formulating.real_costs import LAWS, LEVELS, main as real_costs
 from examples.formulating.toy_texts import TASKS
 from examples.paper_walkthrough import cross_check
-from ssp_lp import WorldSimulator, certify, evaluate, simulate
+from ssp_lp import WorldSimulator, certify, evaluate, simulate, solve_many
 from ssp_lp.analysis.simulation import proportion_estimate
 
 ROOT = Path(__file__).parents[2]
@@ -41,6 +42,15 @@ def test_help_is_all_that_happens(script, monkeypatch, capsys):
     printed = capsys.readouterr()
     assert len(printed.out.split()) >= 10
     assert printed.err == ""
+
+
+def test_more_failing_never_costs_more_on_any_robot(capsys):
+    asked = many_problems.questions(4, segments=(5, 6))
+    assert len({problem.model for problem in asked}) == 2
+    costs = np.reshape(solve_many(asked, executor=ThreadPoolExecutor(1)).objectives, (2, 4))
+    assert (np.diff(costs, axis=1) <= 1e-9 * costs[:, 1:]).all()
+    many_problems.report(asked[:2], workers=[0])
+    assert capsys.readouterr().out.split()[-1] == f"{costs[0, :2].mean():.6f}"
 
 
 def test_the_season_keeps_to_its_budget_and_the_world_nearly():
