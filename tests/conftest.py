@@ -9,6 +9,9 @@ from ssp_lp import SSP
 from ssp_lp.compiled import accelerator
 from tests.support.compiled import Switch
 
+collect_ignore_glob = ["campaigns/[!t]*"]
+"""Campaigns are run by hand; ``campaigns/test_campaigns.py`` has samples of them."""
+
 
 @pytest.fixture(scope="session")
 def robot() -> tuple[SSP, int]:

@@ -1,6 +1,6 @@
 """Every criterion with limits of every kind, beside a linear program written from the definitions.
 
-Models, limits and most criteria are those of `examples/checks/program_check.py`, which also reads
+Models, limits and most criteria are those of `tests/campaigns/program_check.py`, which also reads
 programs back. Costs are whole numbers, or reals without a common unit: the reference tells every
 (state, total) apart in exact fractions, a float being its shortest decimal. Where totals count
 without a horizon, steps that cost something lead on, so that totals are finitely many.
@@ -16,7 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from examples.checks.program_check import (
+from formulations import EGUBS, GUBS, CostBoundedReach, CostQuantile, CVaR, LeastQuantity
+from own_criteria import Lateness
+from references import combined
+from references.combined import Limit, Program, Task
+from small_models import model_of
+from ssp_lp import InfeasibleError, certify, evaluate, secondary_cost, solve
+from tests.campaigns.program_check import (
     CRITERIA,
     Asked,
     Criterion,
@@ -25,12 +31,6 @@ from examples.checks.program_check import (
     parts,
     worth,
 )
-from formulations import EGUBS, GUBS, CostBoundedReach, CostQuantile, CVaR, LeastQuantity
-from own_criteria import Lateness
-from references import combined
-from references.combined import Limit, Program, Task
-from small_models import model_of
-from ssp_lp import InfeasibleError, certify, evaluate, secondary_cost, solve
 from tests.support.compiled import Switch
 
 ROOT = 2.0**0.5

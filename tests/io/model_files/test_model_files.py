@@ -11,7 +11,6 @@ import pytest
 import scipy.sparse as sp
 
 from checks import optima
-from examples.checks.damaged_files import GOALS, READ, REFUSED, damaged, verdict
 from formulations import MCMP
 from refusing import refused
 from small_models import AWKWARD, FIRST, model_of
@@ -25,6 +24,7 @@ from ssp_lp.io import (
     save_model,
     write_drn,
 )
+from tests.campaigns.damaged_files import GOALS, READ, REFUSED, damaged, verdict
 
 ARRAYS = ("pair_offsets", "outcome_offsets", "successors", "probabilities", "costs", "goal_mask")
 LEFT_OUT = SSP.from_arrays(
@@ -349,7 +349,7 @@ def test_a_state_that_merely_bears_the_name_is_kept(tmp_path):
     ["json", "json.gz", "nested.json", "explicit.json", "prism", "drn", "drn.gz", "tra", "npz"],
 )
 def test_damaged_files_are_read_or_refused_by_name(ending, tmp_path):
-    """A sample of `examples/checks/damaged_files.py`."""
+    """A sample of `tests/campaigns/damaged_files.py`."""
     path, texts = tmp_path / f"m.{ending}", []
     for _ in damaged(ending, tmp_path, range(100)):
         try:

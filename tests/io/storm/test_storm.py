@@ -6,7 +6,6 @@ import pytest
 import stormpy
 
 from cases import load_case
-from examples.checks.damaged_files import JANI
 from formulations import MCMP, MaxProb
 from refusing import refused
 from small_models import FIRST
@@ -14,6 +13,7 @@ from ssp_lp import SSP, MissingDependencyError, solve
 from ssp_lp.io import from_stormpy, read_with_storm, to_stormpy
 from ssp_lp.model.graph import dead_end_labels
 from storm_values import value
+from tests.campaigns.damaged_files import JANI
 
 # "time" is paid by states and actions, "coins" by actions
 PROGRAM = """mdp

@@ -3,12 +3,6 @@
 from collections.abc import Iterator
 from fractions import Fraction
 
-from examples.checks.rational.limits import limited
-from examples.checks.rational.lotteries import Point, at_budget, lower_hull
-from examples.checks.rational.models import START
-from examples.checks.rational.policies import Exact
-from examples.checks.rational.product import cost_given_success
-from examples.checks.rational.question import NEAR, ROUNDING, SPECK, Question, total_cost
 from formulations import (
     ISSPUDE,
     MCMP,
@@ -18,6 +12,12 @@ from formulations import (
     MinCost,
     MinProb,
 )
+from tests.campaigns.rational.limits import limited
+from tests.campaigns.rational.lotteries import Point, at_budget, lower_hull
+from tests.campaigns.rational.models import START
+from tests.campaigns.rational.policies import Exact
+from tests.campaigns.rational.product import cost_given_success
+from tests.campaigns.rational.question import NEAR, ROUNDING, SPECK, Question, total_cost
 
 GIVE_UP = ("attention", "anywhere", "dead_ends")
 
@@ -135,5 +135,5 @@ def _around(hull: list[Point], budget: Fraction) -> tuple[Fraction, Fraction]:
     """The optimum at the neighbours of a budget."""
     below = at_budget(hull, max(budget * (1 - ROUNDING), hull[0].failure))
     above = at_budget(hull, budget * (1 + ROUNDING))
-    assert below is not None and above is not None  # noqa: S101, PT018 (both at least the least)
+    assert below is not None and above is not None  # noqa: PT018 (both at least the least)
     return above, below

@@ -1,7 +1,7 @@
 """Files with small damages, thousands of each format: each must be read, or refused by name.
 
-    python examples/checks/damaged_files.py --formats json drn --files 10000
-    python examples/checks/damaged_files.py --formats prism --files 10000
+    python tests/campaigns/damaged_files.py --formats json drn --count 10000
+    python tests/campaigns/damaged_files.py --formats prism --count 10000
 
 A file that raises anything but an SSPError, ends the process that reads it, or takes more memory
 than a reader may is told with its number; `--first NUMBER --files 1 --keep FOLDER` makes it again.
@@ -213,12 +213,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Check formats from the command line; 1 if anything was found."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--formats", nargs="+", choices=FORMATS, default=SOUND)
-    parser.add_argument("--files", type=int, default=1000, help="of each format")
-    parser.add_argument("--first", type=int, default=0, help="the number of the first file")
+    parser.add_argument("--count", type=int, default=1000, help="of each format")
+    parser.add_argument("--seed", type=int, default=0, help="the number of the first file")
     parser.add_argument("--keep", type=Path, help="a folder for the damaged files")
     options = parser.parse_args(arguments)
     allowed = {READ, REFUSED, *LARGE}
-    counts = [check(e, options.first, options.files, options.keep) for e in options.formats]
+    counts = [check(e, options.seed, options.count, options.keep) for e in options.formats]
     return int(any(set(found) - allowed for found in counts))
 
 

@@ -1,6 +1,6 @@
 """Certificates of random problems, checked; and the same files with changes, which must not lie.
 
-    python examples/checks/certificate_check.py --count 1000 --seed 0 --changes 4
+    python tests/campaigns/certificate_check.py --count 1000 --seed 0 --changes 4
 
 Problems are those of `program_check.py`: models of 2 to 30 states with loops, dead-ends and several
 starts, every `give_up`, discounts, horizons, memories, up to four limits; and S3P, quantiles, the
@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from examples.checks.program_check import CRITERIA, GOAL, drawn, drawn_task
+from tests.campaigns.program_check import CRITERIA, GOAL, drawn, drawn_task
 from formulations import EGUBS, S3P, CostBoundedReach, CostQuantile
 from ssp_lp import SSP, InfeasibleError, ModelError, SSPError, solve
 from ssp_lp.verification.certificate_file import write_certificate

@@ -1,6 +1,6 @@
 """Occupation programs of random models beside linear programs written from the definitions.
 
-    python examples/checks/program_check.py --count 3000 --seed 0
+    python tests/campaigns/program_check.py --count 3000 --seed 0
 
 Models have 2 to 30 states with self-loops, free loops, dead-ends, one start or several, and
 outcomes that share a successor; problems are of 15 criteria, with a discount, a horizon, a memory
@@ -15,10 +15,8 @@ a linear row on visits, a quadratic, entropy or norm objective, or one action fo
 numbers; every choice of actions on small models). Prints what differs, and a table of counts.
 """
 
-import argparse
 import itertools
 import sys
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
@@ -62,6 +60,7 @@ from ssp_lp import (
 from ssp_lp.linear_programming.linear_program import MeasuredRow
 from ssp_lp.policies.policy import Policy
 from ssp_lp.programs.occupation_measure import OccupationMeasure
+from tests.campaigns.campaign import run, smaller_tables, smallest
 from tests.references import combined
 from tests.references.combined import Limit, Program, Task
 
@@ -290,6 +289,15 @@ def quantity_of(task: Task, weights: dict[str, float]) -> Quantity:
     return result
 
 
+class Setting(NamedTuple):
+    """What is asked of a model."""
+
+    criterion: str
+    asked: Asked
+    horizon: int | None
+    remembers: bool  # whether the first state was come to again; changes nothing of the optimum
+
+
 class Draw(NamedTuple):
     """A problem, and its reference: the program and what of it is bounded."""
 
@@ -299,6 +307,8 @@ class Draw(NamedTuple):
     written: Program
     objective: np.ndarray
     criterion: Criterion
+    model: Task  # as it was drawn
+    setting: Setting
 
     def optimum(self, task: Task, objective: np.ndarray | None = None) -> float | None:
         """The reference's optimum within the limits of a task, as the library states it."""
@@ -324,13 +334,19 @@ def drawn(seed: int) -> Draw:
     )
     if asked.discount is not None:
         task = task._replace(most_failure=max(0.5, task.most_failure or 0.0))
+    remembers = rng.random() < 0.2 and horizon is None
+    return posed(task, Setting(name, asked, horizon, remembers))
+
+
+def posed(task: Task, setting: Setting) -> Draw:
+    """The problem that a setting asks of a model, and its reference."""
+    name, asked, horizon, remembers = setting
+    criterion, start = CRITERIA[name], task.start
     model = SSP.from_transitions(
         task.choices, goal=set(GOAL), treat_actionless_as_dead_ends=True,
         state_labels={"wall": ["wall"]},
     )  # fmt: skip
-    start = task.start
-    remembers = rng.random() < 0.2 and horizon is None
-    if remembers:  # whether the first state was come to again; changes nothing of the optimum
+    if remembers:
         model = product(
             model,
             Memory(False, lambda seen, state, action, successor, cost: seen or successor == "s0"),
@@ -351,7 +367,24 @@ def drawn(seed: int) -> Draw:
         told, LONGEST if criterion.minimised is None else 0, give_up=asked.give_up,
         charged=asked.charged, minimised=criterion.minimised or (), discount=asked.discount or 1.0,
     )  # fmt: skip
-    return Draw(name, problem, told, written, criterion.objective(told, written, asked), criterion)
+    objective = criterion.objective(told, written, asked)
+    return Draw(name, problem, told, written, objective, criterion, task, setting)
+
+
+def smaller(case: tuple[Task, Setting]) -> Iterator[tuple[Task, Setting]]:
+    """The same with a limit, a memory, a horizon or a discount less, or a smaller model."""
+    task, setting = case
+    for k in range(len(task.limits)):
+        yield task._replace(limits=task.limits[:k] + task.limits[k + 1 :]), setting
+    if setting.remembers:
+        yield task, setting._replace(remembers=False)
+    if setting.horizon is not None:
+        yield task, setting._replace(horizon=None)
+    if setting.asked.discount is not None:
+        yield task, setting._replace(asked=setting.asked._replace(discount=None))
+    for table in smaller_tables(task.choices, kept=["s0"]):
+        left = {s: {a: task.fuel[s][a] for a in table[s]} for s in task.fuel}
+        yield task._replace(choices=table, fuel=left), setting
 
 
 def constraints_of(task: Task) -> dict[str, Any]:
@@ -384,8 +417,12 @@ def differs(value: float, known: float, room: float) -> bool:
 
 
 def check(seed: int, tally: Counter[str]) -> Iterator[str]:
+    """Compare the draw of a seed; yield what differs."""
+    yield from compared_draw(drawn(seed), seed, tally)
+
+
+def compared_draw(draw: Draw, seed: int, tally: Counter[str]) -> Iterator[str]:
     """Compare one draw; yield what differs."""
-    draw = drawn(seed)
     known = draw.optimum(draw.task)
     try:
         program = draw.problem.program()
@@ -746,26 +783,34 @@ CHANGED: tuple[Callable[..., Iterator[str]], ...] = (
 )  # fmt: skip
 
 
+def told(draw: Draw, seed: int, tally: Counter[str]) -> list[str]:
+    """What differs of a draw; an error of the library, too."""
+    try:
+        return [f"{draw.name}: {said}" for said in compared_draw(draw, seed, tally)]
+    except SSPError as error:
+        return [f"{draw.name}: {type(error).__name__}: {error}"]
+
+
+def shrunk(seed: int) -> str:
+    """The smallest problem of which something differs as of the draw of a seed."""
+    draw = drawn(seed)
+
+    def fails(case: tuple[Task, Setting]) -> bool:
+        try:
+            return bool(told(posed(*case), seed, Counter()))
+        except SSPError:
+            return False  # it says what is wrong with the question
+
+    task, setting = smallest((draw.model, draw.setting), smaller, fails)
+    return f"{task}\n{setting}"
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Check draws from the command line; 1 if anything differs."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--count", type=int, default=300)
-    parser.add_argument("--seed", type=int, default=0, help="the first draw")
-    options = parser.parse_args(arguments)
-    tally, began = Counter[str](), time.process_time()
-    for seed in range(options.seed, options.seed + options.count):
-        try:
-            wrong = list(check(seed, tally))
-        except SSPError as error:
-            wrong = [f"{type(error).__name__}: {error}"]
-        tally["wrong"] += bool(wrong)
-        for told in wrong:
-            print(f"draw {seed}, {list(CRITERIA)[seed % len(CRITERIA)]}: {told}", flush=True)
-    counts = ", ".join(f"{count:,} {what}" for what, count in tally.items())
-    print(f"{options.count:,} draws: {counts}; {time.process_time() - began:.0f} s")
-    return int(tally["wrong"] > 0)
+    return run(
+        __doc__, lambda seed, tally, _: told(drawn(seed), seed, tally), arguments, count=300,
+        shrink=lambda seed, _: shrunk(seed),
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

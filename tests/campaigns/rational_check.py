@@ -1,6 +1,6 @@
 """The library against exact fractions on random small models.
 
-    python examples/checks/rational_check.py --count 1000 --seed 0 --family loops
+    python tests/campaigns/rational_check.py --count 1000 --seed 0 --family loops
 
 Every policy of a model is enumerated and evaluated in fractions; the best lottery over them is the
 reference. Prints whatever disagrees, with the model, and a table. The families: `loops` that are
@@ -12,16 +12,17 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Any
 
-from examples.checks.rational.criteria import questions
-from examples.checks.rational.models import GOAL, draw_model
-from examples.checks.rational.policies import Exact
-from examples.checks.rational.question import Question
 from ssp_lp import SSP, InfeasibleError, certify, solve
 from ssp_lp.arrays import LEAST_BUDGET
+from tests.campaigns.campaign import smaller_tables, smallest
+from tests.campaigns.rational.criteria import questions
+from tests.campaigns.rational.models import GOAL, START, Model, draw_model
+from tests.campaigns.rational.policies import Exact
+from tests.campaigns.rational.question import Question
 
 SMALLEST = 1e-3  # values below are compared absolutely, by this share of the tolerance
 LARGEST_GAP = 1e-8
@@ -86,8 +87,30 @@ def check_model(family: str, seed: int, index: int, tally: Tally) -> None:
             print(f"    {question.asked}")
             if not shown:
                 print(f"    {given}")
+                print(f"    the smallest: {shrunk(model, question.criterion).transitions()}")
             shown = True
             sys.stdout.flush()
+
+
+def shrunk(model: Model, criterion: str) -> Model:
+    """The smallest model on which some answer to a criterion is wrong."""
+
+    def fails(case: Model) -> bool:
+        library = SSP.from_transitions(
+            case.transitions(), goal={GOAL}, treat_actionless_as_dead_ends=True
+        )
+        return any(
+            kind not in QUIET
+            for question in questions(Exact(case))
+            if question.criterion == criterion
+            for kind, _ in complaints(question, library)
+        )
+
+    def smaller(case: Model) -> Iterator[Model]:
+        for rows in smaller_tables(case.rows, kept=[START]):
+            yield replace(case, rows=rows)
+
+    return smallest(model, smaller, fails)
 
 
 def complaints(question: Question, library: SSP) -> Iterator[tuple[str, str]]:

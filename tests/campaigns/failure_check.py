@@ -1,7 +1,7 @@
 """Limits on what happens after failing, against linear programs written from the definitions.
 
-    python examples/checks/failure_check.py --problems 1500
-    python examples/checks/failure_check.py --problems 200 --first 5000 --criteria mcmp s3p
+    python tests/campaigns/failure_check.py --count 1500
+    python tests/campaigns/failure_check.py --count 200 --seed 5000 --criteria mcmp s3p
 
 Models are drawn with labelled ends behind dead-ends and attention states; limits on ends, visits
 and secondary costs at random. Each problem is also written down as a linear program over the
@@ -25,6 +25,7 @@ from ssp_lp import (
     SSP,
     InfeasibleError,
     MixedPolicy,
+    SSPError,
     certify,
     end_probability,
     evaluate,
@@ -33,6 +34,7 @@ from ssp_lp import (
     visits,
 )
 from ssp_lp.formulation import Formulation
+from tests.campaigns.campaign import run, smaller_tables, smallest
 
 CRITERIA = ("mcmp", "least failure", "discounted", "horizon", "s3p", "maxprob", "quantity")
 AGREES = 1e-6  # absolute and relative
@@ -620,24 +622,51 @@ def wrong(drawn: Drawn, counts: Counter[str], *, by_program: bool = False) -> li
     return told
 
 
+def smaller(case: Drawn) -> Iterator[Drawn]:
+    """The same with a limit, a horizon or a discount less, or a smaller model."""
+    for k in range(len(case.limits)):
+        yield replace(case, limits=case.limits[:k] + case.limits[k + 1 :])
+    if case.horizon is not None:
+        yield replace(case, horizon=None)
+    if case.discount is not None:
+        yield replace(case, discount=None)
+    for table in smaller_tables(case.moves):
+        left = {
+            s: {a: fuel for a, fuel in case.fuel[s].items() if a in table[s]} for s in case.fuel
+        }
+        yield replace(case, moves=table, fuel=left)
+
+
+def shrunk(case: Drawn, *, by_program: bool) -> Drawn:
+    """The smallest problem that is told wrongly, as this one is."""
+
+    def fails(other: Drawn) -> bool:
+        try:
+            return bool(wrong(other, Counter(), by_program=by_program))
+        except (SSPError, KeyError):
+            return False  # a question that is none any more
+
+    return smallest(case, smaller, fails)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Check problems from the command line; 1 if anything was found."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--problems", type=int, default=100)
-    parser.add_argument("--first", type=int, default=0, help="seed of the first one")
-    parser.add_argument("--criteria", nargs="+", choices=CRITERIA, default=list(CRITERIA))
-    options = parser.parse_args(arguments)
-    counts: Counter[str] = Counter()
-    for seed in range(options.first, options.first + options.problems):
-        criterion = options.criteria[seed % len(options.criteria)]
-        problem = drawn(seed, criterion)
-        counts["problems"] += 1
+
+    def options(parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("--criteria", nargs="+", choices=CRITERIA, default=list(CRITERIA))
+
+    def case(seed: int, asked: argparse.Namespace) -> Drawn:
+        return drawn(seed, asked.criteria[seed % len(asked.criteria)])
+
+    def check(seed: int, counts: Counter[str], asked: argparse.Namespace) -> list[str]:
+        problem = case(seed, asked)
         counts["past failing"] += stated(problem).unrolled.model.failure_label is not None
-        for told in wrong(problem, counts, by_program=seed % 3 == 0):
-            counts["wrong"] += 1
-            print(f"{criterion} {seed}: {told}", flush=True)
-    print(", ".join(f"{count} {what}" for what, count in counts.items()))
-    return int(counts["wrong"] > 0)
+        return wrong(problem, counts, by_program=seed % 3 == 0)
+
+    return run(
+        __doc__, check, arguments, count=100, options=options,
+        shrink=lambda seed, asked: shrunk(case(seed, asked), by_program=seed % 3 == 0),
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Families of the comparison, each with a criterion drawn for it: how many are answered in time.
 
-    python examples/checks/family_draws.py --draws 40 --time-limit 30
-    python examples/checks/family_draws.py --families holes --states 1000 40000 --draws 100
+    python tests/campaigns/family_draws.py --count 40 --time-limit 30
+    python tests/campaigns/family_draws.py --families holes --states 1000 40000 --count 100
 
 Sizes are drawn evenly on a logarithmic scale. Every draw runs in a process of its own and is told
 in one line: the states, the criterion, the objective, its gap, the gap that the certificate
@@ -201,7 +201,7 @@ def verdict(told: dict[str, Any], limit: float) -> list[str]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Draw from the command line; 1 if any draw had no policy or a certificate was refused."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--draws", type=int, default=40)
+    parser.add_argument("--count", type=int, default=40, help="of draws")
     parser.add_argument("--seed", type=int, default=0, help="of the first draw")
     parser.add_argument("--families", nargs="+", choices=sorted(SIZES), default=sorted(SIZES))
     parser.add_argument("--criteria", nargs="+", choices=CRITERIA, default=CRITERIA)
@@ -209,7 +209,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--time-limit", type=float, default=30.0)
     options = parser.parse_args(arguments)
     counts: Counter[str] = Counter()
-    for seed in range(options.seed, options.seed + options.draws):
+    for seed in range(options.seed, options.seed + options.count):
         told = watched(seed, options)
         words = verdict(told, options.time_limit)
         counts.update(words)

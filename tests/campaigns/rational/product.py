@@ -9,8 +9,8 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.sparse import coo_array
 
-from examples.checks.rational.models import GOAL, START, Model
-from examples.checks.rational.policies import Exact
+from tests.campaigns.rational.models import GOAL, START, Model
+from tests.campaigns.rational.policies import Exact
 
 HORIZONS = (8, 24, 72)
 AGREED = 1e-8

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from examples.checks.rational.policies import Evaluated, Exact
 from ssp_lp import SSP
+from tests.campaigns.rational.policies import Evaluated, Exact
 
 ROUNDING = Fraction(1, 10**14)  # relative, of budgets
 ROOM = Fraction(2, 10**10)  # relative, of limits

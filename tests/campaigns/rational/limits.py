@@ -4,12 +4,12 @@ from collections.abc import Iterator, Mapping
 from fractions import Fraction
 from typing import Any
 
-from examples.checks.rational.lotteries import Point, best_lottery
-from examples.checks.rational.models import START
-from examples.checks.rational.policies import Exact
-from examples.checks.rational.question import NEAR, ROOM, ROUNDING, Question, total_cost
 from formulations import ConstrainedCost, CostLimit
 from ssp_lp import SSP
+from tests.campaigns.rational.lotteries import Point, best_lottery
+from tests.campaigns.rational.models import START
+from tests.campaigns.rational.policies import Exact
+from tests.campaigns.rational.question import NEAR, ROOM, ROUNDING, Question, total_cost
 
 _NEARLY = Fraction(1, 10**8)  # relative; such a limit is an equation, which rounding decides
 
@@ -72,7 +72,7 @@ def _limit(
     def equals() -> tuple[Fraction, Fraction]:
         low = answer(points, ROOM, ROOM)
         high = answer(points, -ROUNDING, -ROUNDING)
-        assert low is not None  # noqa: S101 (feasible with less room)
+        assert low is not None
         return low, low * 10**9 if high is None else high
 
     exactly = answer(points, Fraction(0), Fraction(0))

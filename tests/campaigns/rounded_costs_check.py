@@ -1,6 +1,6 @@
 """Answers on rounded totals enclose the truth: small drawn models, every total told apart.
 
-    python examples/checks/rounded_costs_check.py --models 2000
+    python tests/campaigns/rounded_costs_check.py --count 2000
 
 Each model has rational, irrational or mixed costs (1e-6 beside 1e6) and a few states in a row, so
 that only finitely many totals occur. The truth is the best lottery of policies of (state, total),
@@ -9,12 +9,9 @@ may tell only a few totals apart (``cost_levels``), and has to name two bounds w
 between them, for each criterion that depends on the total cost.
 """
 
-import argparse
 import sys
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -22,6 +19,7 @@ import numpy as np
 
 from formulations import GUBS, S3P, CostBoundedReach, CostQuantile, CVaR
 from ssp_lp import SSP, Solution, SSPError, solve
+from tests.campaigns.campaign import run, smaller_tables, smallest
 
 ROOM = 1e-9  # relative
 STATES = 5  # in a row, before the goal and the pit
@@ -51,14 +49,6 @@ class Drawn(NamedTuple):
     moves: Moves
     model: SSP
     costs: str
-
-
-@dataclass
-class Tally:
-    """What was found."""
-
-    counts: Counter[str] = field(default_factory=Counter)
-    widest: float = 0.0
 
 
 class Column(NamedTuple):
@@ -172,10 +162,14 @@ def drawn(rng: np.random.Generator) -> Drawn:
         if rng.random() < 0.3:
             actions["quit"] = [(1.0, "pit", 0.0)]
         moves[f"s{number}"] = actions
-    model = SSP.from_transitions(
+    return Drawn(moves, model_of(moves), palette.name)
+
+
+def model_of(moves: Moves) -> SSP:
+    """The model of some moves."""
+    return SSP.from_transitions(
         {**moves, "pit": {}}, goal={"goal"}, treat_actionless_as_dead_ends=True, normalise=True
     )
-    return Drawn(moves, model, palette.name)
 
 
 def questions(rng: np.random.Generator, case: Drawn) -> Iterator[tuple[Solution, float, float]]:
@@ -246,37 +240,51 @@ def outside(solution: Solution, truth: float, size: float) -> str:
     return f"{type(solution.problem).__name__}: {truth!r} does not lie in [{low!r}, {high!r}]"
 
 
-def check(seed: int, tally: Tally) -> list[str]:
+def check(seed: int, tally: Counter[str]) -> list[str]:
     """Draw a model and compare all criteria on it; what is wrong, in words."""
     rng = np.random.default_rng(seed)
-    case, wrong = drawn(rng), []
-    tally.counts[f"models with {case.costs} costs"] += 1
+    return wrong(rng, drawn(rng), tally)
+
+
+def wrong(rng: np.random.Generator, case: Drawn, tally: Counter[str]) -> list[str]:
+    """Which questions about a model are answered wrongly."""
+    found = []
+    tally[f"models with {case.costs} costs"] += 1
     try:
         for solution, truth, size in questions(rng, case):
-            tally.counts["answers"] += 1
-            tally.counts["rounded"] += solution.gap > ROOM
-            tally.widest = max(tally.widest, solution.gap)
+            tally["answers"] += 1
+            tally["rounded"] += solution.gap > ROOM
             if told := outside(solution, truth, size):
-                wrong.append(f"model {seed} ({case.costs} costs): {told}; {solution.note}")
+                found.append(f"{case.costs} costs: {told}; {solution.note}")
     except SSPError as error:
-        wrong.append(f"model {seed} ({case.costs} costs): {type(error).__name__}: {error}")
-    tally.counts["outside"] += len(wrong)
-    return wrong
+        found.append(f"{case.costs} costs: {type(error).__name__}: {error}")
+    return found
+
+
+def shrunk(seed: int) -> Drawn:
+    """The smallest model about which the questions of a seed are answered wrongly."""
+
+    def fails(case: Drawn) -> bool:
+        rng = np.random.default_rng(seed)
+        drawn(rng)  # the numbers that were drawn before the questions
+        try:
+            return bool(wrong(rng, case, Counter()))
+        except (SSPError, ValueError, ZeroDivisionError):
+            return False
+
+    def smaller(case: Drawn) -> Iterator[Drawn]:
+        for moves in smaller_tables(case.moves, kept=["s0"]):
+            yield Drawn(moves, model_of(moves), case.costs)
+
+    return smallest(drawn(np.random.default_rng(seed)), smaller, fails)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Check drawn models from the command line; 1 if any answer was wrong."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--models", type=int, default=200)
-    parser.add_argument("--first", type=int, default=0, help="seed of the first")
-    options = parser.parse_args(arguments)
-    tally, began = Tally(), time.process_time()
-    for seed in range(options.first, options.first + options.models):
-        for told in check(seed, tally):
-            print(told, flush=True)
-    found = ", ".join(f"{count:,} {what}" for what, count in sorted(tally.counts.items()))
-    print(f"{found}; widest gap {tally.widest:.1e}; {time.process_time() - began:.0f} s")
-    return int(tally.counts["outside"] > 0)
+    return run(
+        __doc__, lambda seed, tally, _: check(seed, tally), arguments,
+        shrink=lambda seed, _: shrunk(seed).moves,
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """Every criterion on models of every structure: certified, and equal to linear programs and Storm.
 
-    python examples/checks/structure_check.py --family grid --sizes 50 100 --seeds 10
-    python examples/checks/structure_check.py --family corridor --sizes 12000 --storm
-    SSP_LP_ACCELERATOR=none python examples/checks/structure_check.py --family grid --sizes 50
+    python tests/campaigns/structure_check.py --family grid --sizes 50 100 --count 10
+    python tests/campaigns/structure_check.py --family corridor --sizes 12000 --storm
+    SSP_LP_ACCELERATOR=none python tests/campaigns/structure_check.py --family grid --sizes 50
 
 Each model is asked for the greatest goal probability, for the cheapest policy of least failure
 (MCMP and S3P), for budgets above it under every `give_up`, and with a limit on expected steps too.
@@ -63,9 +63,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def models(options: argparse.Namespace) -> Iterator[tuple[str, SSP]]:
     """The models asked for, with their names."""
     family = FAMILIES[options.family]
+    count = options.count if options.family in RANDOM else 1
     for size in options.sizes:
         sizes = (size,) if options.family in SQUARES else (size, max(options.width, 2))
-        for seed in range(options.seeds if options.family in RANDOM else 1):
+        for seed in range(options.seed, options.seed + count):
             drawn = {"seed": seed} if options.family in RANDOM else {}
             for wind in WINDS if options.family == "grid" else (None,):
                 windy = {} if wind is None else {"wind": wind}
@@ -177,7 +178,8 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--family", choices=sorted(FAMILIES), default="grid")
     parser.add_argument("--sizes", nargs="+", type=int, default=[50, 100])
     parser.add_argument("--width", type=int, default=100, help="the other size, where there is one")
-    parser.add_argument("--seeds", type=int, default=3, help="models of each size that are drawn")
+    parser.add_argument("--count", type=int, default=3, help="models of each size that are drawn")
+    parser.add_argument("--seed", type=int, default=0, help="of the first of them")
     parser.add_argument("--program-states", type=int, default=0, help="up to here also by HiGHS")
     parser.add_argument("--storm", action="store_true", help="also by Storm, budgets only")
     return parser.parse_args(arguments)

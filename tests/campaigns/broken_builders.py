@@ -1,6 +1,6 @@
 """Builders of the library broken on purpose: what a certificate's checker says of wrong answers.
 
-    python examples/checks/broken_builders.py --count 200 --seed 0
+    python tests/campaigns/broken_builders.py --count 200 --seed 0
 
 The library's methods, its evaluation and `certify` read a model through the same builders: what
 failing charges, where the goal can be avoided, which loops are free, what arriving costs. With one

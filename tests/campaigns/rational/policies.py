@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 
-from examples.checks.rational.models import GOAL, START, Model, Outcome, Rows
+from tests.campaigns.rational.models import GOAL, START, Model, Outcome, Rows
 
 STOP = "<stop>"
 Moves = Mapping[str, Sequence[Outcome]]

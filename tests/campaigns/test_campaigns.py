@@ -1,0 +1,187 @@
+"""Campaigns on their first draws, and draws that were once told wrongly."""
+
+import ast
+from argparse import Namespace
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from examples.solver_comparison.instances.families import FAMILIES
+from tests.campaigns import (
+    certificate_check,
+    failure_check,
+    family_draws,
+    metamorphic,
+    mutation,
+    planted_faults,
+    program_check,
+    rounded_costs_check,
+)
+from tests.campaigns.campaign import run, smaller_tables, smallest
+
+
+def test_certificates_and_changed_ones():
+    tally = Counter()
+    for seed in range(8 * len(certificate_check.EXACT)):
+        assert list(certificate_check.check(seed, 1, tally)) == [], seed
+    assert tally["certificates"] > 30
+    assert sum(count for name, count in tally.items() if name.startswith("changed")) > 30
+
+
+def test_programs_are_those_of_the_definitions():
+    """Each criterion with two of the changes."""
+    tally, criteria = Counter(), len(program_check.CRITERIA)
+    for criterion in range(criteria):
+        for change in (criterion % 5, (criterion + 2) % 5):
+            seed = criterion + criteria * change
+            assert list(program_check.check(seed, tally)) == [], seed
+    assert tally["optima"] > 16
+    assert set(program_check.CHANGES) < set(tally)
+
+
+@pytest.mark.parametrize("seed", [2431, 2461, 2797])
+def test_programs_that_were_refused(seed):
+    """States whose time is always out; noise of an interior point in a loop that is hardly left."""
+    tally = Counter()
+    assert list(program_check.check(seed, tally)) == []
+    assert tally["visits"] == 1
+
+
+@pytest.mark.parametrize("criterion", failure_check.CRITERIA)
+def test_limits_after_failing_are_those_of_the_definitions(criterion):
+    counts = Counter()
+    for seed in range(7):
+        problem = failure_check.drawn(seed, criterion)
+        assert failure_check.wrong(problem, counts, by_program=seed % 3 == 0) == [], seed
+    assert counts["with a price on what is limited"] > 1
+
+
+def test_the_truth_lies_between_the_bounds_of_few_levels():
+    tally = Counter()
+    for seed in (0, 1, 2, 3, 6, 7):  # 4, 5 and 8 take long
+        assert rounded_costs_check.check(seed, tally) == []
+    assert tally["rounded"] > 20
+
+
+def test_small_draws_of_families_are_closed(capsys):
+    assert family_draws.SIZES.keys() <= FAMILIES.keys()
+    small = ["--states", "60", "120", "--families", "blocks", "factored", "tandem"]
+    asked = ["--criteria", "MCMP", "S3P least", "MaxProb", "--count", "3", *small]
+    assert family_draws.main(asked) == 0
+    *lines, counts = capsys.readouterr().out.splitlines()
+    assert counts == "3 closed"
+    assert all("proof" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("told", "words"),
+    [
+        ({"end": "killed"}, ["without a policy"]),
+        ({"end": "answer", "gap": 1e-4, "seconds": 1.0}, ["open"]),
+        ({"end": "answer", "gap": 0.0, "seconds": 9.0}, ["late", "closed"]),
+        ({"end": "answer", "gap": 1e-4, "seconds": 1.0, "room": 1e-3}, ["closed"]),
+        ({"end": "answer", "gap": 0.0, "seconds": 1.0, "proof": "no"}, ["closed", "refused"]),
+        ({"end": "cannot", "seconds": 1.0}, ["closed"]),
+    ],
+)
+def test_verdicts_on_draws_of_families(told, words):
+    assert family_draws.verdict({**told, "hung": False}, 5.0) == words
+
+
+@pytest.mark.parametrize("relation", metamorphic.RELATIONS)
+def test_what_must_not_change_an_answer(relation):
+    """Three draws of each relation on some 20 to 40 states."""
+    criteria = ["MCMP", "S3P", "MCMP, least", "FinitePenalty", "MinProb"]
+    asked = Namespace(relations=[relation], criteria=criteria, states=(20.0, 40.0), time_limit=20.0)
+    tally = Counter()
+    for seed in range(3):
+        assert metamorphic.check(seed, tally, asked) == [], seed
+    assert tally[relation] == 3
+
+
+def test_a_statement_is_its_model_again():
+    drawn = metamorphic.drawn(
+        3, Namespace(relations=["in_another_order"], criteria=["MCMP"], states=(50.0, 90.0))
+    )
+    model = drawn[1]
+    again = metamorphic.stated(model).model
+    for name in ("pair_offsets", "successors", "costs", "goal_mask"):
+        assert (getattr(again, name) == getattr(model, name)).all()
+    assert again.probabilities == pytest.approx(model.probabilities, rel=1e-14)
+
+
+def test_the_smallest_table_that_fails_is_left():
+    """A free loop among ten states, and nothing else of them but what it takes."""
+    table = {
+        k: {
+            "on": [(0.5, k + 1, 2), (0.25, k, 3), (0.25, "pit", 1)],
+            "back": [(0.5, max(k - 1, 0), 1), (0.5, k, 0)],
+            "off": [(1.0, "pit", 5)],
+        }
+        for k in range(10)
+    }
+
+    def loops(case):
+        return any((to, cost) == (4, 0) for some in case[4].values() for _, to, cost in some)
+
+    left = smallest(table, smaller_tables, loops)
+    assert left == {k: {} for k in range(10)} | {4: {"back": [(1.0, 4, 0)]}}
+    assert smallest(table, smaller_tables, loops, most=0) is table
+    kept = smallest(table, lambda case: smaller_tables(case, kept=[4]), lambda case: True)
+    assert kept == {k: {} for k in range(10)} | {4: {"off": [(1.0, "pit", 0)]}}
+
+
+def test_a_campaign_shows_the_smallest_problem_that_it_found_wrong(monkeypatch, capsys):
+    """A reference that is wrong by 1 where the wall is limited: one limit and little else stay."""
+    least = program_check.combined.least
+
+    def wrong(task, written, objective, *, ratio=False):
+        found = least(task, written, objective, ratio=ratio)
+        limited = any("end wall" in limit.weights for limit in task.limits)
+        return found + 1.0 if found is not None and limited else found
+
+    monkeypatch.setattr(program_check.combined, "least", wrong)
+    for seed in range(0, 150, len(program_check.CRITERIA)):
+        if program_check.told(program_check.drawn(seed), seed, Counter()):
+            break
+    assert program_check.main(["--count", "1", "--seed", str(seed)]) == 1
+    said = capsys.readouterr().out
+    assert f"seed {seed}: MCMP: optimum" in said
+    smallest_one = said.partition("the smallest that fails:\n")[2]
+    assert smallest_one.count("Limit(") == 1
+    assert smallest_one.count("'a0'") + smallest_one.count("'a1'") <= 2
+
+
+def test_what_a_campaign_prints(capsys):
+    def check(seed, tally, asked):
+        tally["tried"] += 1
+        return ["odd"] * (seed % 2)
+
+    assert run("odd numbers", check, ["--count", "4", "--seed", "2"]) == 1
+    assert run("odd numbers", check, ["--count", "1", "--seed", "2"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:2] == ["seed 3: odd", "seed 5: odd"]
+    assert lines[3].startswith("4 draws, 2 wrong")
+
+
+def test_planted_faults_fit_the_source():
+    """Each replaces what stands once, by what can be read, and its tests are there."""
+    for fault in planted_faults.FAULTS:
+        text = (planted_faults.ROOT / fault.path).read_text(encoding="utf-8")
+        ast.parse(planted_faults.planted(text, fault))
+        for path in fault.tests.split():
+            assert (planted_faults.ROOT / path).exists()
+    with pytest.raises(ValueError, match="holds 0 times"):
+        planted_faults.planted("", planted_faults.FAULTS[0])
+
+
+def test_mutants_of_annotations_are_left_out():
+    source = "def f(x: int | None = 1 | 2) -> str | None:\n    return x | 3\n"
+    places = mutation.annotated_lines(source)
+    bars = [k for k, sign in enumerate(source.splitlines()[0]) if sign == "|"]
+    assert [(1, bar) in places for bar in bars] == [True, False, True]
+    assert (2, source.splitlines()[1].index("|")) not in places
+    for package in mutation.ROOMS:
+        assert "tests/" in mutation.tests_of(package, planted_faults.ROOT)
+        assert Path(planted_faults.ROOT, "ssp_lp", package).is_dir()
