@@ -12,11 +12,12 @@ from formulations import MCMP, S3P
 from games import criteria, hand_problem
 from references.chain import start_distribution
 from references.s3p import goal_probability_range
-from ssp_lp import InfeasibleError
+from small_models import model_of
+from ssp_lp import InfeasibleError, ModelError
 from ssp_lp.compiled.deadline import until
-from ssp_lp.game import Equilibrium, Game, bayes_adaptive, thresholds
+from ssp_lp.game import Equilibrium, Game, bayes_adaptive, label_player, thresholds
 from ssp_lp.game.best_response import BestResponse
-from ssp_lp.game.optimum import bayes_player, stationary_player
+from ssp_lp.game.optimum import _slack_bound_of_optimum, bayes_player, stationary_player
 from ssp_lp.game.threshold import _threshold_from_game_value, extremes, find_threshold
 from strategies import often, problems
 
@@ -185,3 +186,38 @@ def test_a_games_value_proves_no_more_than_it_does_in_fractions():
         exact = (Fraction(least) - (1 - weight) * Fraction(stake)) / weight
         assert told <= exact
         assert float(exact) - told <= 1e-14 * stake / alpha
+
+
+@pytest.mark.parametrize("budget", [0.0, 0.5, 0.9, 1.0])
+def test_a_slack_bound_without_a_margin_divides_what_is_lacking_by_the_success(budget):
+    """J >= price * (1 - J_cond) - lack for all, so J / (1 - J_cond) >= price - lack / success."""
+
+    class Lacking:
+        """A player whose surplus at each price lies a little below 0."""
+
+        def surplus(self, price, accuracy):
+            return -1e-6 * price
+
+    told = _slack_bound_of_optimum(Lacking(), 8.0, budget, 1e-9)
+    if budget == 1.0:
+        assert told == 0.0
+    else:
+        assert told == pytest.approx(8.0 * (1.0 - 1e-6 / (1.0 - budget)), rel=1e-8)
+        assert told < 8.0 * (1.0 - 1e-6 / (1.0 - budget))
+
+
+def test_a_table_of_times_may_be_too_large(monkeypatch):
+    """Entries are steps times states: 64 steps of five states, where 170 are room enough for 32."""
+    choices = {
+        k: {
+            "go": [(0.2, k + 1 if k < 4 else "g", 1), (0.8, k, 1)],
+            "rush": [(0.5, "g", 9), (0.5, "d", 9)],
+        }
+        for k in range(5)
+    }
+    problem = MCMP(model_of({**choices, "d": {}}), 0, failure_budget=0.6, discount=0.99)
+    player = bayes_player(problem)
+    assert player.response(1.0, 90.0, 1e-9).sweeps > 64
+    monkeypatch.setattr(label_player, "_MOST_ENTRIES", 170)
+    with pytest.raises(ModelError, match="64 steps on 5 states are too many"):
+        player.response(1.0, 90.0, 1e-9)
