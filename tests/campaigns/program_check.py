@@ -8,11 +8,12 @@ and up to four limits. In the reference (`tests/references/combined.py`, plain d
 counts expected visits of states, and of accumulated costs where these count; nothing is shared with
 the library.
 
-Of each draw are compared: the optimum, and what the duals prove of it; every dual with finite
-differences of the reference; one bound moved up and one down; the visits with the exact chain of
-the randomised policy, and both policies with rows and objective. Each draw has one change besides:
-a linear row on visits, a quadratic, entropy or norm objective, or one action for each state (whole
-numbers; every choice of actions on small models). Prints what differs, and a table of counts.
+Of each draw are compared: the optimum, and what the duals prove of it; what each method that
+answers such a problem says, and its certificate; every dual with finite differences of the
+reference; one bound moved up and one down; the visits with the exact chain of the randomised
+policy, and both policies with rows and objective. Each draw has one change besides: a linear row on
+visits, a quadratic, entropy or norm objective, or one action for each state (whole numbers; every
+choice of actions on small models). Prints what differs, and a table of counts.
 """
 
 import itertools
@@ -45,9 +46,11 @@ from ssp_lp import (
     SSP,
     InfeasibleError,
     Memory,
+    ModelError,
     ProductSSP,
     Quantity,
     SSPError,
+    certify,
     end_probability,
     evaluate,
     expected_cost,
@@ -55,9 +58,12 @@ from ssp_lp import (
     goal_probability,
     product,
     secondary_cost,
+    solve,
     visits,
 )
 from ssp_lp.linear_programming.linear_program import MeasuredRow
+from ssp_lp.methods.approaches import refusal
+from ssp_lp.options import parse_method
 from ssp_lp.policies.policy import Policy
 from ssp_lp.programs.occupation_measure import OccupationMeasure
 from tests.campaigns.campaign import run, smaller_tables, smallest
@@ -203,6 +209,9 @@ CRITERIA = {
         None, UNLIMITED, maximised=True, gives_up="attention",
     ),
 }  # fmt: skip
+
+
+METHODS = ("columns", "lp", "game")
 
 
 def outcomes_of(rng: np.random.Generator, ahead: Sequence[str], anywhere: Sequence[str]) -> list:
@@ -442,6 +451,7 @@ def compared_draw(draw: Draw, seed: int, tally: Counter[str]) -> Iterator[str]:
     proved = measure.optimal_value_from_dual
     if proved is None or differs(proved, known, OPTIMUM):
         yield f"the duals prove {proved!r} for {known!r}"
+    yield from wrong_methods(draw, known, tally)
     yield from wrong_duals(draw, measure, known, tally)
     yield from wrong_visits(draw, measure, tally)
     yield from wrong_policies(draw, measure, tally)
@@ -449,6 +459,31 @@ def compared_draw(draw: Draw, seed: int, tally: Counter[str]) -> Iterator[str]:
     if isinstance(draw.problem.model, ProductSSP):  # to wander there takes another round
         return
     yield from CHANGED[seed // len(CRITERIA) % len(CHANGES)](draw, measure, known, tally)
+
+
+def wrong_methods(draw: Draw, known: float, tally: Counter[str]) -> Iterator[str]:
+    """What each method that answers such a problem says of it, and what is certified."""
+    for method in METHODS:
+        if refusal(draw.problem, parse_method(method)) is not None:
+            continue
+        try:
+            solution = solve(draw.problem, method)
+        except ModelError as error:  # of a program of totals without end, say
+            if method == "columns":
+                yield f"refused: {error}"
+            continue
+        tally[f"solved by {method}"] += 1
+        ends = solution.lower_bound, solution.objective
+        if solution.upper_bound is not None:
+            ends = solution.objective, solution.upper_bound
+        room = OPTIMUM * (1.0 + abs(known))
+        if not ends[0] - room <= known <= ends[1] + room:
+            yield f"{method}: {known!r} does not lie in {ends!r}"
+        if differs(solution.objective, known, max(OPTIMUM, 2.0 * solution.gap)):
+            yield f"{method}: {solution.objective!r} for {known!r}"
+        certificate = certify(solution)
+        if not certificate.accepted:
+            yield f"{method}: refused, {certificate.reason}"
 
 
 def wrong_duals(
