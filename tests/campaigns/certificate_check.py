@@ -31,11 +31,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tests.campaigns.program_check import CRITERIA, GOAL, drawn, drawn_task
 from formulations import EGUBS, S3P, CostBoundedReach, CostQuantile
 from ssp_lp import SSP, InfeasibleError, ModelError, SSPError, solve
 from ssp_lp.verification.certificate_file import write_certificate
 from ssp_lp.verification.checker import Checked, check_certificate
+from tests.campaigns.program_check import CRITERIA, GOAL, drawn, drawn_task
 from tests.references.combined import Task
 from tests.references.stated import optimum
 
