@@ -69,11 +69,15 @@ _SHIFT = Fraction(1, 10**9)  # of a lottery, which may be moved to another one
 def write_certificate(solution: Solution, path: str | Path) -> Checked:
     """Write a certificate file: a proof of a solution's optimum, to check without this library.
 
-    Covered are the criteria of case M: expected costs and quantities, also with a discount, with a
-    failure budget, a share of the greatest goal probability, a penalty or failing forbidden, the
-    greatest and the least goal probability, each with any limits and any start, within a horizon
-    too. At least failure the policy may be shown to fail more than the least by the last digits of
-    the proof, unless these are decimals or the goal is sure: that is told as a row exceeded.
+    Covered are expected costs and quantities, also with a discount, with a failure budget, a share
+    of the greatest goal probability, a penalty or failing forbidden, the greatest and the least
+    goal probability; and of the total cost its mean given success, what arriving costs, the goal
+    within a cost, utilities and quantiles; each with any limits and any start, within a horizon
+    too. Not covered, and refused by name, are the mean of the costliest runs (CVaR) and quantities
+    of what comes after failing. Of a policy that must not be mixed the interval is told among
+    lotteries. At least failure the policy may be shown to fail more than the least by the last
+    digits of the proof, unless these are decimals or the goal is sure: that is told as a row
+    exceeded.
 
     Args:
         solution: of ``solve``; its policy and its prices are what is proved to be best.

@@ -56,6 +56,10 @@ WIDTH, AGREED = 1e-9, 1e-7  # of an interval; of solvers in floating point; both
 Lines = list[bytes]
 
 
+KINDS = (*CRITERIA, *(f"{name}, looping" for name in LOOPING))
+"""Problems, one kind after the other by their seeds."""
+
+
 class Asked(NamedTuple):
     """A problem, and its optimum by a program that knows nothing of the library."""
 
@@ -66,9 +70,9 @@ class Asked(NamedTuple):
 
 def asked(seed: int) -> Asked:
     """A problem: of `program_check.py`, or of the total cost where that has no bound."""
-    kind = seed % (len(CRITERIA) + len(LOOPING))
+    kind = seed % len(KINDS)
     if kind < len(CRITERIA):
-        draw = drawn(seed // (len(CRITERIA) + len(LOOPING)) * len(CRITERIA) + kind)
+        draw = drawn(seed // len(KINDS) * len(CRITERIA) + kind)
         return Asked(draw.name, draw.problem, lambda: draw.optimum(draw.task))
     name, rng = list(LOOPING)[kind - len(CRITERIA)], np.random.default_rng([seed, 2800])
     task = drawn_task(rng, loops=True)

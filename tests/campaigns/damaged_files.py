@@ -8,9 +8,13 @@ than a reader may is told with its number; `--first NUMBER --files 1 --keep FOLD
 What is written in a modelling language may describe a model of any size: such files are read under
 the same limits by Storm, and those that run into them are counted apart. Damaged JANI and UMB files
 may end the process in Storm's own parsers: they are checked where they are named alone.
+
+Certificates (`--formats s3p.cert quantile.cert` and others) are damaged in their text, before it is
+compressed: each is refused by the checker, or proves an interval that holds the optimum still.
 """
 
 import argparse
+import gzip
 import multiprocessing
 import resource
 import signal
@@ -18,16 +22,19 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from functools import cache
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ssp_lp import SSP, SSPError
+from formulations import EGUBS, MCMP, S3P, CostBoundedReach, CostQuantile
+from ssp_lp import SSP, SSPError, check_certificate, solve, write_certificate
 from ssp_lp.io import read_any, write_any
 
 LONGEST = 10  # seconds that a file is given
+ROUNDED = 1e-9  # of an optimum
 MOST_MEMORY = 3 << 30  # bytes of a reading process, of which Python and its libraries take 1 GiB
 READ, REFUSED = "read", "refused by name"
 LARGE = ("too long", "refused for memory")
@@ -108,8 +115,17 @@ GOALS: dict[str, tuple[str, ...]] = {
 }
 """What each format is asked for; "goal" if nothing is said."""
 
+CERTIFIED: dict[str, Any] = {
+    "mcmp.cert": MCMP(MODEL, "depot", 0.05),
+    "s3p.cert": S3P(MODEL, "depot", 0.05),
+    "within.cert": CostBoundedReach(MODEL, "depot", 5, 0.05),
+    "quantile.cert": CostQuantile(MODEL, "depot", 0.9, 0.05),
+    "utility.cert": EGUBS(MODEL, "depot", -0.3, 1.0),
+}
+"""Problems of which certificates are damaged."""
+
 TEXTS = {"explicit.json": EXPLICIT, "nested.json": NESTED, "prism": PROGRAM, "jani": JANI}
-FORMATS = (*TEXTS, "json", "json.gz", "drn", "drn.gz", "tra", "npz", "umb")
+FORMATS = (*TEXTS, *CERTIFIED, "json", "json.gz", "drn", "drn.gz", "tra", "npz", "umb")
 SOUND = tuple(ending for ending in FORMATS if ending not in ("jani", "umb"))
 
 
@@ -132,13 +148,25 @@ def sound_files(ending: str, folder: Path) -> list[Path]:
     path = folder / f"m.{ending}"
     if ending in TEXTS:
         path.write_text(TEXTS[ending], encoding="utf-8")
+    elif ending in CERTIFIED:
+        write_certificate(solve(CERTIFIED[ending]), path)
     else:
         write_any(MODEL, path, "depot")
     return sorted(folder.iterdir())
 
 
+@cache
+def certified(ending: str) -> float:
+    """The optimum that certificates of this name prove."""
+    return float(solve(CERTIFIED[ending]).objective)
+
+
 def verdict(ending: str, path: Path) -> str:
     """Read a file; what came of it."""
+    if ending in CERTIFIED:
+        checked, known = check_certificate(path), certified(ending)
+        is_true = float(checked.lower) - ROUNDED <= known <= float(checked.upper) + ROUNDED
+        return REFUSED if not checked.accepted else READ if is_true else "it lies"
     try:
         read_any(path, GOALS.get(ending, ("goal",)))
     except SSPError as error:
@@ -159,7 +187,9 @@ def damaged(ending: str, folder: Path, numbers: Sequence[int]) -> Iterator[tuple
     for number in numbers:
         rng = np.random.default_rng(number)
         broken = files[int(rng.integers(len(files)))]
-        broken.write_bytes(mutated(sound[broken], rng))
+        content, is_packed = sound[broken], ending in CERTIFIED
+        content = mutated(gzip.decompress(content) if is_packed else content, rng)
+        broken.write_bytes(gzip.compress(content) if is_packed else content)
         yield number, broken
         broken.write_bytes(sound[broken])
 

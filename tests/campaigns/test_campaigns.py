@@ -11,6 +11,7 @@ from examples.solver_comparison.instances.families import FAMILIES
 from tests.campaigns import (
     broken_builders,
     certificate_check,
+    damaged_files,
     failure_check,
     family_draws,
     metamorphic,
@@ -37,6 +38,16 @@ def test_no_wrong_answer_of_a_broken_library_is_believed(tmp_path):
             right = broken_builders.answer(seed)
             assert list(broken_builders.check(seed, fault, right, tally, tmp_path)) == []
     assert tally.total() > 5
+
+
+@pytest.mark.parametrize("ending", damaged_files.CERTIFIED)
+def test_damaged_certificates_are_refused_or_true(ending, tmp_path):
+    said = Counter(
+        damaged_files.verdict(ending, path)
+        for _, path in damaged_files.damaged(ending, tmp_path, range(60))
+    )
+    assert set(said) <= {damaged_files.READ, damaged_files.REFUSED}
+    assert said[damaged_files.REFUSED] > 40
 
 
 def test_programs_are_those_of_the_definitions():
