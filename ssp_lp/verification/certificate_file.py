@@ -435,6 +435,8 @@ def _first_cap(model: checker.Model, solution: Solution) -> Fraction:
     if "quantile" in model.question:
         breaks = [Fraction(_text_of(solution.objective))]
     cap = max(Fraction(2 * longest, model.unit), max(breaks) + 1)
+    if isinstance(solution.problem.semantics.charge(model.ratio), TotalCostCharge):
+        cap = max(cap, 2 * Fraction(_decimal_of(solution.objective)))
     for policy in solution.policy.policies:
         if isinstance(policy, CostAwarePolicy):
             last = policy.cap * policy.unit if policy.levels is None else policy.levels[-1]

@@ -23,6 +23,20 @@ the goal sure. A share of the greatest goal probability, or all of it ("least"),
 sides: failure by w as the objective is by v, and by what a member fails. Above: on the states that
 a member of the lottery comes to, t >= 1 + sum p t, so that it ends, and u >= own + sum p u for the
 objective and each row, so that it takes at most u.
+
+A ratio is objective / goal probability, "failure" its first row, with the bound 1 if none is asked:
+N + price * F >= b of all lotteries within the rows bounds N / (1 - F) for each failure F that is
+allowed, and is least at one of its ends. A lottery attains no more than its N / (1 - its F).
+
+Totals: a charge is a function of what a run that reaches the goal has paid of the first cost, paid
+with the step into the goal. Nodes are states with a total below the cap, of which the proof has
+lines, and states from the cap on. A pair leads from a node to others by the model's own costs, and
+a node that is led to must have a line; a value from the cap on is v + slope * (total - cap). From
+there on charges are lines, so the inequality at the cap and slope(x) <= mean slope, that of the
+charge at the goal, prove all others. Such slopes are at most 0 where the goal can be avoided for
+ever: only there do runs go on without end, and totals grow no faster than steps, so that what runs
+on elsewhere has no share in the limit. A quantile B is proved by a lottery that exceeds it rarely
+enough, and by v for the charge 1 from B on: whatever is done, that is too often.
 """
 
 import gzip
@@ -43,8 +57,8 @@ ONE = 10**60  # a proof's numbers are compared in units of 1/ONE, rounded agains
 EXCESS = Fraction(1, 10**9)  # of a bound: so much a lottery may exceed it, which is told
 KINDS = {"asked": str, "charge_failing_step": bool, "greatest": bool, "rows": list, "sets": list}
 KEYS = "asked charge_failing_step costs discount failure format give_up greatest objective rows"
-OPTIONAL = {"charge", "quantile", "ratio"}  # keys of questions that have them
 NUMBER = re.compile(r"-?[0-9]+(/[0-9]+|(\.[0-9]+)?([eE][-+]?[0-9]+)?)")
+OPTIONAL = {"charge", "quantile", "ratio"}  # keys of questions that have them
 FAILURE = {"constant": "1", "terms": [["-1", "end", "goal"]]}
 NOTHING: dict[str, Any] = {"constant": "0", "terms": []}
 Pair = tuple[str, int, list[tuple[int, int, int]], list[Fraction]]
@@ -120,10 +134,8 @@ class Quantity:
         n, self.name, self.stop = len(model.names), name, ZERO
         self.bound = self.loose = ZERO  # what a lottery keeps to; what none within the row exceeds
         self.charge: Charge | None = None  # of the total at the goal
-        self.free: set[int] | None = (
-            None  # where wandering is; None: where it is in all that is asked
-        )
-        self.step = 0  # of each step
+        self.free: set[int] | None = None  # where wandering is; None: as in all that is asked
+        self.step = 0  # what a step takes
         constant, terms = fields(stated, constant=str, terms=list)
         self.constant = sign * number(constant)
         self.costs, self.visits, self.arrival = [ZERO] * model.n_costs, [ZERO] * n, [ZERO] * n
@@ -525,16 +537,12 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
     slope = list[int]()
     if model.counts:  # from the cap on v is a line, whose slope is at most that of the charge
         texts = [line["slope"] if x in model.moving else "0" for x, line in enumerate(proof[:n])]
-        slope, model.slopes.charge = (
-            [*(down(number(text)) for text in texts), 0],
-            lambda r: down(model.rise),
-        )
+        slope, model.slopes.charge = [down(number(t)) for t in texts], lambda r: down(model.rise)
+        slope.append(0)
         model.below(slope, model.slopes)
     c, v = model.priced(prices), [down(number(line["v"])) for line in proof]
-    lower, exceeded = (
-        model.below(v, c, slope if any(slope) else ()),
-        dict[str, Fraction](),
-    )
+    lower = model.below(v, c, slope if any(slope) else ())
+    exceeded = dict[str, Fraction]()
     upper, *taken = [dot(weights, each) for each in zip(*members, strict=True)]
     for row, value in zip(model.rows, taken, strict=True):
         if value > row.bound:
