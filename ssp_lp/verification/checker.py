@@ -233,7 +233,7 @@ class Model:
         self.share = number(*fields(budget, share=str)) if isinstance(budget, dict) else None
         need(self.share is None or 0 <= self.share <= 1, "a share is no probability")
         is_told = budget != "least" and self.share is None
-        need(is_told or self.gamma == 1, "a share, or least failure, is of the real probability")
+        need(is_told or self.gamma == 1, "a share, or least failure, is without discount")
         is_limited = self.ratio or budget is not None
         self.rows = [Quantity(self, FAILURE, 1, "failure")] if is_limited else []
         if is_limited and is_told:
