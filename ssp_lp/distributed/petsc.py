@@ -46,12 +46,13 @@ _METHODS = ("bcgs", "gmres")  # the second where the first gets nowhere
 
 @dataclass(frozen=True)
 class Petsc:
-    """Pricing of case M by PETSc: ``solve(problem, method=ColumnGeneration(pricing=Petsc()))``.
+    """Pricing of case M, with any limits, by the ranks of PETSc.
 
-    Under ``mpiexec -n 4 python plan.py`` every rank states the same problem and gets the same
-    solution, on its own model; without ``mpiexec`` there is one rank. It needs petsc4py and mpi4py.
-    The equations of policies, and backups, are shared; the model is held by every rank, and the
-    search on it by the first.
+    ``solve(problem, method=ColumnGeneration(pricing=Petsc()))`` asks for it. Under ``mpiexec -n 4
+    python plan.py`` every rank states the same problem and gets the same solution, on its own
+    model; without ``mpiexec`` there is one rank. It needs petsc4py and mpi4py. The equations of
+    policies, and backups, are shared; the model is held by every rank, and the search on it by the
+    first.
     """
 
     def on_every_rank(self, problem: Problem, solved: Callable[[Partition], Solution]) -> Solution:

@@ -119,7 +119,7 @@ def refusal(problem: Problem, method: options.Method) -> ModelError | None:
     asks, named = requirements(problem), Argument("method", method.name)
     name = f"{type(problem).__name__}{' with limits' if conditions_of(problem) else ''}"
     if pricing is not None:
-        shared = not (asks.counts_totals or asks.rows or asks.least_failure)
+        shared = not (asks.counts_totals or asks.least_failure)
         if shared and asks.aim is Aim.LEAST_COST and relaxation is method:
             return None
         return ModelError(f"pricing by {pricing!r} is for case M within a failure budget, not ",

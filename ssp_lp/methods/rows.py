@@ -102,6 +102,8 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
             answer fails its check.
     """
     stated = compiled_constrained(problem)
+    if options.partition is not None:
+        stated = stated.shared_by(options.partition)
     try:
         optimum = rows_optimum(stated, options, true_figures(problem, stated))
     except Stop as stop:

@@ -10,7 +10,7 @@ import pytest
 from mpi4py import MPI
 
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
-from formulations import MCMP, S3P, FinitePenalty, MaxProb
+from formulations import MCMP, S3P, FinitePenalty, LeastQuantity, MaxProb
 from random_models import drawn_model
 from small_models import FIRST, FREE_PAIR, TWO_MOVES, model_of
 from ssp_lp import (
@@ -21,6 +21,7 @@ from ssp_lp import (
     ModelError,
     certify,
     evaluate,
+    secondary_cost,
     solve,
     visits,
 )
@@ -52,14 +53,29 @@ def problems():
     yield MCMP(model_of(DUPLICATES), "x", 0.03)
     yield MCMP(model_of(DUPLICATES), {"x": 0.25, "y": 0.75}, 0.3, discount=0.9)
     yield MCMP(model_of(FREE_PAIR), "x", 0.25)
+    few, rarely = visits("wreck") <= 0.04, secondary_cost({"x": {"walk": 2.0}}) <= 2.0
+    yield MCMP(FIRST, "depot", 0.09, constraints={"few": few})
+    limits = {"rarely": rarely, "seen": visits("y") <= 1.2}
+    yield MCMP(model_of(DUPLICATES), "x", 0.115, constraints=limits)
+    yield LeastQuantity(model_of(DUPLICATES), "x", visits("y"), failure_budget=0.05)
     yield FinitePenalty(model_of(DUPLICATES), "x", 20.0)
     for seed in range(int(sys.argv[1])):
-        model, _ = drawn_model(seed, 11 + 3 * seed)
-        least = 1.0 - solve(MaxProb(model, "s0")).objective
-        yield MCMP(model, "s0", least + 0.3 * (1.0 - least))
-        yield MCMP(model, {"s1": 0.5, "s5": 0.5}, 0.95, discount=0.95, give_up="anywhere")
+        model, _ = drawn_model(seed, 11 + 3 * (seed % 12))
+        asked = {"start": {"s1": 0.5, "s5": 0.5}, "discount": 0.95, "give_up": "anywhere"}
+        for question in ({"start": "s0"}, asked):
+            least = least_failure(model, question)
+            yield MCMP(model, **question, failure_budget=least + 0.3 * (1.0 - least))
     coarse = RobotGrid(segments=12, headings=8)
     yield MCMP(grid_model(coarse), start_state(coarse), 0.5)
+
+
+def least_failure(model, question):
+    """The least failure of any policy, discounted where the question is."""
+    try:
+        return solve(MCMP(model, **question, failure_budget=0.0)).budget_used
+    except InfeasibleError as error:
+        discounted = error.least_discounted_failure
+        return error.least_failure if discounted is None else discounted
 
 
 def check_the_same(problem):
@@ -83,9 +99,10 @@ def check_errors():
     with pytest.raises(InfeasibleError) as caught:
         solve(MCMP(FIRST, "depot", 0.001), BY_PETSC)
     assert caught.value.least_failure == pytest.approx(0.01)
-    few = {"few": visits("wreck") <= 0.04}
-    for problem in (S3P(FIRST, "depot", 0.05), MaxProb(FIRST, "depot"), MCMP(FIRST, "depot"),
-                    MCMP(FIRST, "depot", 0.05, constraints=few)):  # fmt: skip
+    with pytest.raises(InfeasibleError) as caught:
+        solve(MCMP(FIRST, "depot", 0.05, constraints={"few": visits("wreck") <= 0.009}), BY_PETSC)
+    assert caught.value.conflicting_rows == ("few",)
+    for problem in (S3P(FIRST, "depot", 0.05), MaxProb(FIRST, "depot"), MCMP(FIRST, "depot")):
         with pytest.raises(ModelError, match="is for case M within a failure budget"):
             solve(problem, BY_PETSC)
     with pytest.raises(ModelError, match="is for case M within a failure budget"):
