@@ -7,7 +7,6 @@ its place there stands for it, so that both are small and an answer is on the ca
 from __future__ import annotations
 
 import logging
-import mmap
 import os
 import pickle
 import signal
@@ -17,20 +16,19 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, fields, is_dataclass
-from functools import lru_cache
-from io import BytesIO
+from dataclasses import dataclass, fields, is_dataclass
 from itertools import product as combinations
 from math import inf, isfinite
 from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
-from typing import Any, BinaryIO, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
 from ssp_lp.arrays import RELATIVE_GAP, FloatArray
+from ssp_lp.cargo import Cargo, Shipment, models_of, unloaded
 from ssp_lp.errors import (
     ModelError,
     OutOfTimeError,
@@ -42,7 +40,6 @@ from ssp_lp.errors import (
     optional_module,
     wrong_argument,
 )
-from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.text_tables import Summarised, text_table
 from ssp_lp.options import Method, deadline_of, options_of, parse_method, progress_shown
@@ -55,7 +52,6 @@ Answer = Solution | SSPError
 
 _LOG = logging.getLogger("ssp_lp.answers")
 _SHOWN = 20  # problems in a summary
-_ALIGNED = 64  # bytes: arrays of a file begin at multiples, as compiled loops want them
 _AHEAD = 2  # problems in hand for each process, one of them waiting, so that none idles
 _LATE = 2.0  # seconds beyond the limit of the whole in which answers that were begun may come
 _LEAVING = 0.5  # seconds for a process that is told to end, before it is killed
@@ -80,6 +76,7 @@ def sweep(criterion: Callable[..., Problem], *given: Any, **named: Any) -> list[
 
     Example:
         >>> from formulations import MCMP
+        >>> from ssp_lp import SSP
         >>> model = SSP.from_transitions({"depot": {"road": [(1.0, "home", 9.0)]}}, goal={"home"})
         >>> sweep(MCMP, model, "depot", failure_budget=[0.01, 0.05], horizon=[1, None])[1]
         MCMP(SSP(2 states, 1 pairs, 1 outcomes, 1 goals), start='depot', failure_budget=0.01)
@@ -266,6 +263,7 @@ def solve_many(
     Example:
         >>> from concurrent.futures import ThreadPoolExecutor
         >>> from formulations import MCMP
+        >>> from ssp_lp import SSP
         >>> model = SSP.from_transitions(
         ...     {"road": {"fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)],
         ...               "safe": [(1.0, "home", 3.0)]}, "ditch": {}},
@@ -334,7 +332,7 @@ def _answers_to(
         mean = sum(map(len, packed.values())) // max(len(packed), 1)
         told = "%d problems of %d bytes on average, models of %d bytes in all, %s"
         _LOG.info(told, len(asked), mean, size, crew)
-        late = _Dispatch(crew, cargo, _Shipment(str(path)), packed, order).collect(come)
+        late = _Dispatch(crew, cargo, Shipment(str(path)), packed, order).collect(come)
         for place in range(len(asked)):
             if place not in answers:
                 come(place, late)
@@ -378,140 +376,6 @@ def _sending() -> Iterator[None]:
         ) from error
 
 
-def models_of(problems: Iterable[Problem]) -> list[SSP]:
-    """The distinct models of all problems to be answered, what a product is made of before it."""
-    models: dict[int, SSP] = {}
-    for problem in problems:
-        chain: list[SSP] = []
-        model: SSP | None = problem.model
-        while model is not None and id(model) not in models:
-            chain.append(model)
-            model = getattr(model, "original", None)
-        models |= {id(one): one for one in reversed(chain)}
-    return [*models.values()]
-
-
-class _Pickler(pickle.Pickler):
-    """A pickler that leaves out models of the answers' problems: their places stand for them."""
-
-    def __init__(
-        self,
-        stream: BinaryIO,
-        places: Mapping[int, int],
-        keep: Callable[[pickle.PickleBuffer], None] | None = None,
-    ) -> None:
-        super().__init__(stream, protocol=5, buffer_callback=keep)
-        self._places = places
-
-    def persistent_id(self, thing: Any) -> int | None:
-        """Place of a model in the file; None for all else."""
-        return self._places.get(id(thing)) if isinstance(thing, SSP) else None
-
-    def reducer_override(self, thing: Any) -> Any:
-        """A number for all outcomes takes no more room on the way than before."""
-        if type(thing) is np.ndarray and thing.strides == (0,) and thing.size > 1:
-            return np.broadcast_to, (thing[:1].copy(), thing.shape)
-        return NotImplemented
-
-
-class _Unpickler(pickle.Unpickler):
-    """An unpickler that finds models of the answers' problems by their places."""
-
-    def __init__(
-        self, packed: bytes, model_at: Callable[[int], SSP], buffers: Iterable[memoryview] = ()
-    ) -> None:
-        super().__init__(BytesIO(packed), buffers=buffers)
-        self._model_at = model_at
-
-    def persistent_load(self, place: Any) -> SSP:
-        """The model at a place of the file."""
-        return self._model_at(place)
-
-
-class Cargo:
-    """Problems and answers on their way, without the models, which lie in a file by their places.
-
-    Of a model the file holds the arrays as they are, aligned, for any process to map; then, at its
-    place, its pickle without them and where they begin and end.
-    """
-
-    def __init__(self, content: bytes | memoryview = b"") -> None:
-        """Know no model yet.
-
-        Args:
-            content: of the file, where it was written by another process.
-        """
-        self._content = memoryview(content)
-        self._models: dict[int, SSP] = {}  # place -> model
-        self._places: dict[int, int] = {}  # id of a model -> place
-
-    def load(self, models: Iterable[SSP], file: BinaryIO) -> None:
-        """Write models to a file for other processes, those first that others are made of."""
-        file.write(b"ssp-lp")  # an empty file cannot be mapped
-        for model in models:
-            buffers: list[pickle.PickleBuffer] = []
-            stream, spans = self._stream(model, buffers.append), []
-            for buffer in buffers:
-                file.write(bytes(-file.tell() % _ALIGNED))
-                begin = file.tell()
-                file.write(buffer.raw())
-                spans.append((begin, file.tell()))
-            self.know(file.tell(), model)
-            pickle.dump((stream, spans), file)
-
-    def pack(self, thing: object) -> bytes:
-        """Pickle a problem or an answer without its models."""
-        return self._stream(thing)
-
-    def unpack(self, packed: bytes) -> Any:
-        """The problem or answer that was packed, on the models that are known here."""
-        return _Unpickler(packed, self._model_at).load()
-
-    def _stream(
-        self, thing: object, keep: Callable[[pickle.PickleBuffer], None] | None = None
-    ) -> bytes:
-        """Pickle of a cargo, arrays handed to ``keep`` where that is given."""
-        stream = BytesIO()
-        _Pickler(stream, self._places, keep).dump(thing)
-        return stream.getvalue()
-
-    def know(self, place: int, model: SSP) -> SSP:
-        """The cargo's model at a place; the first one that was found there stays."""
-        model = self._models.setdefault(place, model)
-        self._places[id(model)] = place
-        return model
-
-    def _model_at(self, place: int) -> SSP:
-        """A cargo's model, read from the file when it is first asked for."""
-        if place not in self._models:
-            content = self._content
-            stream, spans = pickle.loads(content[place:])  # noqa: S301 (of the caller's process)
-            buffers = [content[begin:end] for begin, end in spans]
-            self.know(place, _Unpickler(stream, self._model_at, buffers).load())
-        return self._models[place]
-
-
-@dataclass(frozen=True)
-class _Shipment:
-    """A file of models for the answers; where it cannot be seen, what is in it comes along."""
-
-    path: str
-    content: bytes | None = field(default=None, compare=False, repr=False)
-
-
-@lru_cache(maxsize=1)
-def _unloaded(shipment: _Shipment) -> Cargo:
-    """A shipment's cargo as this process knows it: a worker keeps the models of one call's answers.
-
-    Raises:
-        OSError: the file cannot be seen from here.
-    """
-    if shipment.content is not None:
-        return Cargo(shipment.content)
-    with Path(shipment.path).open("rb") as file:
-        return Cargo(memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)))
-
-
 @dataclass(frozen=True)
 class _Order:
     """How each answer is to be found: the options of ``solve``, and when all must be there."""
@@ -540,10 +404,10 @@ def _too_late() -> OutOfTimeError:
     return OutOfTimeError("total_time_limit ended before this problem was solved: allow more time")
 
 
-def _answer(shipment: _Shipment, packed: bytes, order: _Order) -> bytes | None:
+def _answer(shipment: Shipment, packed: bytes, order: _Order) -> bytes | None:
     """A worker's answer to a problem, packed; None: it cannot see the shipment's file."""
     try:
-        cargo = _unloaded(shipment)
+        cargo = unloaded(shipment)
     except OSError:
         return None
     try:
@@ -564,7 +428,7 @@ class _Dispatch:
         self,
         crew: _Crew,
         cargo: Cargo,
-        shipment: _Shipment,
+        shipment: Shipment,
         packed: Mapping[int, bytes],
         order: _Order,
     ) -> None:
@@ -645,10 +509,10 @@ class _Dispatch:
             flying[future] = place
             future.add_done_callback(self._back.put)
 
-    def _shipment_for(self, place: int) -> _Shipment:
+    def _shipment_for(self, place: int) -> Shipment:
         """The shipment for a worker, with its content if the file could not be seen."""
         path = self._shipment.path
-        return _Shipment(path, Path(path).read_bytes()) if place in self._blind else self._shipment
+        return Shipment(path, Path(path).read_bytes()) if place in self._blind else self._shipment
 
     def _answer(self, place: int, future: Future[bytes | None]) -> Answer | None:
         """The answer that came back from the crew; None: the problem has to be given out again."""
@@ -712,7 +576,7 @@ class _Crew:
 
     def __exit__(self, *raised: object) -> None:
         """Send home who is one's own; who is not keeps no models."""
-        _unloaded.cache_clear()  # of threads
+        unloaded.cache_clear()  # of threads
         if raised[0] is not None:
             self.leave()
         elif self.is_own:
@@ -722,7 +586,7 @@ class _Crew:
         """Who they are."""
         return f"{self._count} processes" if self.is_own else type(self._executor).__name__
 
-    def submit(self, shipment: _Shipment, packed: bytes, order: _Order) -> Future[bytes | None]:
+    def submit(self, shipment: Shipment, packed: bytes, order: _Order) -> Future[bytes | None]:
         """Give a problem to the crew."""
         return self._executor.submit(_answer, shipment, packed, order)
 

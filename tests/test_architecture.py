@@ -30,7 +30,7 @@ ORDER = [
     ("solution",),
     ("methods", "game"),
     ("solve", "formulation", "verification", "io", "plotting"),
-    ("answers", "distributed"),
+    ("cargo", "answers", "distributed"),
 ]
 WITH_SOLVERS = {"deterministic.py", "convex_program.py"}
 

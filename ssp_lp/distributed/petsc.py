@@ -22,8 +22,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.answers import Cargo, models_of
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.cargo import Cargo, models_of
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.bellman import Backup, best_pairs, chosen_rows
 from ssp_lp.dynamic_programming.chain_solvers import HOLDS_MASS

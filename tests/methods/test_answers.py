@@ -35,6 +35,7 @@ from ssp_lp import (
     sweep,
     visits,
 )
+from ssp_lp.cargo import Cargo, Shipment, unloaded
 
 BUDGETS = [0.02, 0.001, 0.05, 0.08]
 
@@ -245,12 +246,12 @@ def test_models_are_sent_once() -> None:
 def test_a_worker_maps_the_arrays_of_a_model(tmp_path) -> None:
     """They are the file's own bytes, aligned and read-only; one cost for all takes no room."""
     model, path = replace(FIRST, costs=np.broadcast_to(1.0, FIRST.n_outcomes)), tmp_path / "models"
-    cargo = answers.Cargo()
+    ours = Cargo()
     with path.open("wb") as file:
-        cargo.load([model], file)
-    there = answers._unloaded(answers._Shipment(str(path)))
-    asked = there.unpack(cargo.pack(MCMP(model, "depot", 0.05)))
-    answers._unloaded.cache_clear()
+        ours.load([model], file)
+    there = unloaded(Shipment(str(path)))
+    asked = there.unpack(ours.pack(MCMP(model, "depot", 0.05)))
+    unloaded.cache_clear()
     assert asked.model is not model
     assert asked.model.states == model.states
     for name, array in vars(model).items():

@@ -1,0 +1,158 @@
+"""What goes between processes: problems and answers, in which models are named, not repeated.
+
+A model goes once, as a file that any process maps into its memory. In what is pickled besides its
+place there stands for it, so that problems and answers are small, and an answer that comes back is
+on the caller's own model.
+"""
+
+from __future__ import annotations
+
+import mmap
+import pickle
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from io import BytesIO
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from ssp_lp.model import SSP
+from ssp_lp.problem import Problem
+
+_ALIGNED = 64  # bytes: arrays of a file begin at multiples, as compiled loops want them
+
+
+def models_of(problems: Iterable[Problem]) -> list[SSP]:
+    """The distinct models of all problems to be answered, what a product is made of before it."""
+    models: dict[int, SSP] = {}
+    for problem in problems:
+        chain: list[SSP] = []
+        model: SSP | None = problem.model
+        while model is not None and id(model) not in models:
+            chain.append(model)
+            model = getattr(model, "original", None)
+        models |= {id(one): one for one in reversed(chain)}
+    return [*models.values()]
+
+
+class _Pickler(pickle.Pickler):
+    """A pickler that leaves out models of the answers' problems: their places stand for them."""
+
+    def __init__(
+        self,
+        stream: BinaryIO,
+        places: Mapping[int, int],
+        keep: Callable[[pickle.PickleBuffer], None] | None = None,
+    ) -> None:
+        super().__init__(stream, protocol=5, buffer_callback=keep)
+        self._places = places
+
+    def persistent_id(self, thing: Any) -> int | None:
+        """Place of a model in the file; None for all else."""
+        return self._places.get(id(thing)) if isinstance(thing, SSP) else None
+
+    def reducer_override(self, thing: Any) -> Any:
+        """A number for all outcomes takes no more room on the way than before."""
+        if type(thing) is np.ndarray and thing.strides == (0,) and thing.size > 1:
+            return np.broadcast_to, (thing[:1].copy(), thing.shape)
+        return NotImplemented
+
+
+class _Unpickler(pickle.Unpickler):
+    """An unpickler that finds models of the answers' problems by their places."""
+
+    def __init__(
+        self, packed: bytes, model_at: Callable[[int], SSP], buffers: Iterable[memoryview] = ()
+    ) -> None:
+        super().__init__(BytesIO(packed), buffers=buffers)
+        self._model_at = model_at
+
+    def persistent_load(self, place: Any) -> SSP:
+        """The model at a place of the file."""
+        return self._model_at(place)
+
+
+class Cargo:
+    """Problems and answers on their way, without the models, which lie in a file by their places.
+
+    Of a model the file holds the arrays as they are, aligned, for any process to map; then, at its
+    place, its pickle without them and where they begin and end.
+    """
+
+    def __init__(self, content: bytes | memoryview = b"") -> None:
+        """Know no model yet.
+
+        Args:
+            content: of the file, where it was written by another process.
+        """
+        self._content = memoryview(content)
+        self._models: dict[int, SSP] = {}  # place -> model
+        self._places: dict[int, int] = {}  # id of a model -> place
+
+    def load(self, models: Iterable[SSP], file: BinaryIO) -> None:
+        """Write models to a file for other processes, those first that others are made of."""
+        file.write(b"ssp-lp")  # an empty file cannot be mapped
+        for model in models:
+            buffers: list[pickle.PickleBuffer] = []
+            stream, spans = self._stream(model, buffers.append), []
+            for buffer in buffers:
+                file.write(bytes(-file.tell() % _ALIGNED))
+                begin = file.tell()
+                file.write(buffer.raw())
+                spans.append((begin, file.tell()))
+            self.know(file.tell(), model)
+            pickle.dump((stream, spans), file)
+
+    def pack(self, thing: object) -> bytes:
+        """Pickle a problem or an answer without its models."""
+        return self._stream(thing)
+
+    def unpack(self, packed: bytes) -> Any:
+        """The problem or answer that was packed, on the models that are known here."""
+        return _Unpickler(packed, self._model_at).load()
+
+    def _stream(
+        self, thing: object, keep: Callable[[pickle.PickleBuffer], None] | None = None
+    ) -> bytes:
+        """Pickle of a cargo, arrays handed to ``keep`` where that is given."""
+        stream = BytesIO()
+        _Pickler(stream, self._places, keep).dump(thing)
+        return stream.getvalue()
+
+    def know(self, place: int, model: SSP) -> SSP:
+        """The cargo's model at a place; the first one that was found there stays."""
+        model = self._models.setdefault(place, model)
+        self._places[id(model)] = place
+        return model
+
+    def _model_at(self, place: int) -> SSP:
+        """A cargo's model, read from the file when it is first asked for."""
+        if place not in self._models:
+            content = self._content
+            stream, spans = pickle.loads(content[place:])  # noqa: S301 (of the caller's process)
+            buffers = [content[begin:end] for begin, end in spans]
+            self.know(place, _Unpickler(stream, self._model_at, buffers).load())
+        return self._models[place]
+
+
+@dataclass(frozen=True)
+class Shipment:
+    """A file of models for the answers; where it cannot be seen, what is in it comes along."""
+
+    path: str
+    content: bytes | None = field(default=None, compare=False, repr=False)
+
+
+@lru_cache(maxsize=1)
+def unloaded(shipment: Shipment) -> Cargo:
+    """A shipment's cargo as this process knows it: a worker keeps the models of one call's answers.
+
+    Raises:
+        OSError: the file cannot be seen from here.
+    """
+    if shipment.content is not None:
+        return Cargo(shipment.content)
+    with Path(shipment.path).open("rb") as file:
+        return Cargo(memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)))
