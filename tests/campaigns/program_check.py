@@ -740,7 +740,9 @@ def one_action(
         if state not in (combined.SOURCE,) and action not in (combined.STOP, "begin"):
             acting.setdefault(state, []).append(action)
     choices = [[(s, a) for a in actions] for s, actions in acting.items() if len(actions) > 1]
-    if not choices or np.prod([len(c) for c in choices]) > FEW:
+    # with the label of failing, giving up has names of its own for what is done then
+    labelled = draw.problem.unrolled.model.failure_label is not None
+    if labelled or not choices or np.prod([len(c) for c in choices]) > FEW:
         yield from with_row(draw, measure, known, tally)
         return
     convex, program = measure.program.to_cvxpy(), measure.program
@@ -771,11 +773,12 @@ def enumerated(draw: Draw, closed: set[tuple[str, str]]) -> float | None:
     """The least objective without some actions, each other one taken ``MOST`` times at most."""
     labels = draw.written.labels
     limits = list(reference_limits(draw, draw.task))
+    told = ~draw.written.failed  # what is done after failing is nobody's choice of an action
     beyond = np.array([float(label in closed) for label in labels])
-    limits.append((beyond, 0.0))
+    limits.append((beyond * told, 0.0))
     for label in set(labels):
         if label[1] not in (combined.STOP, "begin"):
-            limits.append((np.array([float(each == label) for each in labels]), MOST))
+            limits.append((np.array([float(each == label) for each in labels]) * told, MOST))
     if draw.criterion.ratio:  # what is open is bounded where the goal's probability is 1
         limits = limits[
             : -len({label for label in labels if label[1] not in (combined.STOP, "begin")})

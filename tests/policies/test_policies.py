@@ -9,11 +9,14 @@ from ssp_lp import (
     GIVE_UP,
     CostAwarePolicy,
     DeterministicPolicy,
+    Memory,
     MixedPolicy,
     ModelError,
     StochasticPolicy,
     TimedPolicy,
     evaluate,
+    on_original,
+    product,
     simulate,
     solve,
 )
@@ -229,3 +232,22 @@ def test_what_cannot_be_played_is_named():
         batch.observe(["home", "home"], [1.0])
     with pytest.raises(ModelError, match="episodes must be a whole number >= 1"):
         lottery.start_many(0, 0)
+
+
+def test_flows_that_underflow_are_shared_evenly():
+    """What is never come to takes its decisions alike; elsewhere shares are those of the flow."""
+    door, pairs = TRIES.index_of("door"), np.arange(TRIES.n_pairs)
+    keys = np.array([door, door, TRIES.n_states + door, TRIES.n_states + door])
+    flows = np.array([0.0, 0.0, 1e-300, 3e-300])
+    policy = StochasticPolicy.from_flows(TRIES, keys, np.tile(pairs[:2], 2), flows, carrier=GO)
+    assert policy.probability.tolist() == pytest.approx([0.5, 0.5, 0.25, 0.75])
+
+
+def test_a_policy_that_carries_a_memory_ends_when_it_gives_up():
+    """Whatever it remembers: unless what it carries goes on after failing, nothing does."""
+    counted = product(TRIES, Memory(0, lambda n, *step: min(n + 1, 2)))
+    solution = solve(MCMP(counted, counted.start("door"), failure_budget=0.2))
+    (policy, *_) = on_original(solution.policy).policies
+    assert len(policy.product.memories) == 3
+    states = np.full(3, TRIES.index_of("door"))
+    assert policy.after_giving_up(states, np.arange(3)).tolist() == [-1, -1, -1]

@@ -87,6 +87,7 @@ class Program(NamedTuple):
     parts: dict[str, np.ndarray]
     arrivals: list[list[tuple[float, Number]]]  # per column: probability and total cost at the goal
     labels: list[tuple[str, str]]  # per column: the state and the action
+    failed: np.ndarray  # per column: whether it is one after failing
 
 
 def places(
@@ -151,6 +152,7 @@ def program(
     taken_by_column: list[Mapping[str, float]] = []
     arrivals: list[list[tuple[float, Number]]] = []
     labels: list[tuple[str, str]] = []
+    failed: list[bool] = []
     entering = {
         state: least_paid(task, state, task.choices[state]) if charged else {} for state in dead
     }
@@ -165,6 +167,7 @@ def program(
         """One more column."""
         row = place[where]
         labels.append((named(where[0]), action))
+        failed.append(where[1] == FAILED)
         led = {t: (t == row) - p for t, p in (steps or {}).items()}
         for at, entry in ({row: 1.0} | led).items():
             rows.append(at), columns.append(len(arrivals)), entries.append(entry)
@@ -228,7 +231,7 @@ def program(
     start[0] = 1.0
     shape = len(place), len(arrivals)
     balance = csr_array((entries, (rows, columns)), shape)
-    return Program(balance, start, parts, arrivals, labels)
+    return Program(balance, start, parts, arrivals, labels, np.array(failed))
 
 
 def wandering(
