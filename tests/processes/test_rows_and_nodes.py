@@ -1,0 +1,75 @@
+"""Rows of limits say what was asked, and a quotient can be taken apart again."""
+
+import numpy as np
+import pytest
+
+from formulations import MCMP
+from small_models import FREE_PAIR, TWO_MOVES, model_of
+from ssp_lp import failure_probability, goal_probability, solve
+from ssp_lp.problem import conditions_of
+from ssp_lp.processes.live_rows import costless_pairs
+from ssp_lp.processes.quotient import build_quotient
+
+MOVES = model_of(TWO_MOVES)
+
+
+def rows_of(limit):
+    """The upper rows of a limit, on TWO_MOVES."""
+    (condition,) = conditions_of(MCMP(MOVES, "x", constraints={"one": limit}))
+    return condition.rows
+
+
+def taken(row, goal):
+    """What a row takes of a policy that reaches the goal with this probability."""
+    parts = [w * (1.0 - goal if term.others else goal) for w, term in row.terms]
+    assert all(weight >= 0.0 for weight, _ in row.terms)
+    return sum(parts) + row.constant
+
+
+@pytest.mark.parametrize("sense", ["<=", ">=", "=="])
+@pytest.mark.parametrize("weights", [(1.0, 0.0), (0.0, 1.0), (2.0, -0.5), (-1.0, 0.25), (0.3, 3.0)])
+@pytest.mark.parametrize("constant", [0.0, 0.5, -2.0])
+def test_a_row_is_kept_where_its_limit_is(sense, weights, constant):
+    """Weights of both signs and constants: complements take their place, the bound with them."""
+    a, b = weights
+    quantity = a * goal_probability() + b * failure_probability() + constant
+    for bound in (-1.5, 0.0, 0.25, 0.7):
+        limit = quantity <= bound if sense == "<=" else quantity >= bound
+        limit = quantity == bound if sense == "==" else limit
+        rows = rows_of(limit)
+        assert len(rows) == (2 if sense == "==" else 1)
+        for goal in np.linspace(0.0, 1.0, 23):
+            value = a * goal + b * (1.0 - goal) + constant
+            if abs(value - bound) > 1e-9:
+                kept = {"<=": value < bound, ">=": value > bound, "==": False}[sense]
+                assert all(taken(row, goal) <= row.bound for row in rows) == kept
+            assert any(
+                taken(row, goal) - row.bound == pytest.approx(row.sign * (value - bound), abs=1e-9)
+                for row in rows
+            )
+
+
+def test_the_rounding_of_a_complement_forbids_nothing():
+    """0.3 times the goal is to be 0.1 + 0.2, which a float has as a little more than 0.3."""
+    (row,) = rows_of(0.3 * goal_probability() >= 0.1 + 0.2)
+    assert row.bound == 0.0
+    sure = MCMP(MOVES, "x", constraints={"sure": 0.3 * goal_probability() >= 0.1 + 0.2})
+    assert solve(sure).goal_probability == 1.0
+    (row,) = rows_of(goal_probability() >= 1.1)
+    assert row.bound == pytest.approx(-0.1)
+
+
+def test_a_quotient_is_split_into_the_states_again():
+    """States that turn into each other for free are one node, then each one with all its pairs."""
+    model = model_of(FREE_PAIR)
+    whole = build_quotient(model, free=costless_pairs(model))
+    assert whole.n_nodes == 1
+    apart = whole.split()
+    live = np.flatnonzero(apart.node_of >= 0)
+    assert [model.states[k] for k in live] == ["x", "y"]
+    assert apart.node_of[live].tolist() == [0, 1]
+    assert not apart.merged.any()
+    acting = apart.pair_at[apart.pair_at >= 0]
+    assert sorted(acting.tolist()) == np.flatnonzero(np.isin(model.pair_state, live)).tolist()
+    assert model.pair_state[acting].tolist() == live[apart.pair_node[apart.pair_at >= 0]].tolist()
+    assert np.array_equal(apart.lift(np.array([3.0, 4.0]))[live], [3.0, 4.0])
