@@ -49,7 +49,8 @@ ROOMS = {
     "-k 'not robot and not feasible'",
     "methods": "numerics frontier deterministic quantiles",
     "policies": "policies episodes drawn_laws controller -k 'not distribution'",
-    "processes": "rows_and_nodes semantics goal_reach -k 'not grid and not racetrack and not exponentially'",
+    "processes": "rows_and_nodes semantics goal_reach "
+    "-k 'not grid and not racetrack and not exponentially'",
     "verification": "certificate certificate_file",
 }
 """The test files of each package, the quickest first, without what takes long and says little."""

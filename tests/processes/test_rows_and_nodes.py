@@ -73,3 +73,25 @@ def test_a_quotient_is_split_into_the_states_again():
     assert sorted(acting.tolist()) == np.flatnonzero(np.isin(model.pair_state, live)).tolist()
     assert model.pair_state[acting].tolist() == live[apart.pair_node[apart.pair_at >= 0]].tolist()
     assert np.array_equal(apart.lift(np.array([3.0, 4.0]))[live], [3.0, 4.0])
+
+
+def test_every_free_component_is_merged():
+    """Two pairs of states, each of which is one node that says what it is made of."""
+    twice = {
+        f"{state}{k}": {
+            action: [(p, to if to in "gd" else f"{to}{k}", cost) for p, to, cost in outcomes]
+            for action, outcomes in actions.items()
+        }
+        for state, actions in FREE_PAIR.items()
+        if state != "d"
+        for k in range(2)
+    }
+    twice["x0"]["over"] = [(1.0, "x1", 1)]
+    model = model_of({**twice, "d": {}})
+    whole = build_quotient(model, free=costless_pairs(model), free_exits=True)
+    states = [model.index_of(state) for state in ("x0", "y0", "x1", "y1")]
+    nodes = whole.node_of[states].tolist()
+    assert nodes[0] == nodes[1] != nodes[2] == nodes[3]
+    assert whole.n_nodes == 2
+    assert whole.merged[states].all()
+    assert sorted(whole.pair_node[whole.gives_up].tolist()) == [0, 1]  # or stay for ever
