@@ -495,7 +495,7 @@ def _priced_values(
         prices[0] = Fraction(0)  # only what keeps the goal sure counts
     elif model.question["failure"] is not None and solution.failure_price is None:
         at = 0  # the budget was met by failing as little as possible, which has no price
-    elif model.counts and len(weighed) == 1 and given[:1] > [0.0]:
+    elif model.counts and len(weighed) == 1 and model.rows and _is_met(model, weighed[0]):
         at = 0  # a budget that only one policy keeps to: any price that is high enough
     if at is None and weighed:  # at the right prices all members are worth the same
         first, *others = weighed
@@ -543,6 +543,12 @@ def _priced_values(
     if best is None:
         raise SolverError("no price was tried")
     return best[1], best[2], best[0]
+
+
+def _is_met(model: checker.Model, total: Sequence[Fraction]) -> bool:
+    """Whether the only member of a certificate's lottery uses the budget up, but for rounding."""
+    row = model.rows[0]
+    return row.name == "failure" and row.bound < 1 and total[1] >= row.bound - checker.EXCESS
 
 
 def _exact_solution(

@@ -270,9 +270,29 @@ def sub_solution(rows: Sequence[Row], choice: Sequence[int]) -> tuple[Sequence[i
     steps = best_values(slow, [place[r] for r in choice])[1]  # negative: the longest way
     share = max(lost * ONE // (4 * (ONE - min(steps))), 8)
     grid = 10 ** (len(str(share // 4)) - 1)
-    return choice, [
-        (v + share * n // ONE) // grid * grid for v, n in zip(values, steps, strict=True)
-    ]
+    lowered = [(v + share * n // ONE) // grid * grid for v, n in zip(values, steps, strict=True)]
+    return choice, _ended_exactly(rows, lowered, lost)
+
+
+def _ended_exactly(rows: Sequence[Row], values: Sequence[int], lost: int) -> list[int]:
+    """Exact sub-solution in which nodes that best end at once have what ending takes, if may be."""
+    ends = {row.node: row.own // row.total for row in rows if not row.outcomes}
+    ends = {i: end for i, end in ends.items() if 0 < end - values[i] <= 2 * lost}
+    for row in rows:  # the least of several
+        if not row.outcomes and row.node in ends:
+            ends[row.node] = min(ends[row.node], row.own // row.total)
+    while ends:
+        raised = [ends.get(i, value) for i, value in enumerate(values)]
+        wrong = {
+            row.node
+            for row in rows
+            if row.node in ends
+            and raised[row.node] * row.total > row.own + sum(a * raised[j] for a, j in row.outcomes)
+        }
+        if not wrong:
+            return raised
+        ends = {i: end for i, end in ends.items() if i not in wrong}
+    return list(values)
 
 
 def best_values(
