@@ -44,7 +44,7 @@ ROOMS = {
     "accumulated_cost": "cost_law drawn_laws policy_layers cost_levels "
     "-k 'not grids and not CVaR and not cannot_grow'",
     "column_generation": "layered_pricing structures steep_frontiers",
-    "dynamic_programming": "equations numerics",
+    "dynamic_programming": "equations numerics rows_and_nodes",
     "game": "time_bounds operators game_lemmas game_edge_cases bayes_adaptive "
     "-k 'not robot and not feasible'",
     "methods": "numerics frontier deterministic quantiles",

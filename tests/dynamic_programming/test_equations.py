@@ -215,6 +215,18 @@ def test_no_factors_are_made_where_they_fill_in(compiled, n, monkeypatch):
     assert visits.sum() == pytest.approx(100.0, rel=1e-12)
 
 
+@pytest.mark.parametrize("n", [40, 300, 1_100])
+def test_visits_of_states_that_wait_count_every_step(compiled, n):
+    """Each stays where it is with a probability of its own; whoever begins leaves in the end."""
+    moving, rng = scattered_chain(n, leak=0.05), np.random.default_rng(n)
+    stays, inflow = rng.uniform(0.0, 0.9, n), rng.random(n)
+    matrix = sp.csr_array(moving.matrix.multiply((1.0 - stays)[:, None]) + sp.diags_array(stays))
+    exits = 0.05 * (1.0 - stays)
+    visits = System(sp.csr_array(matrix), exits).solve_transposed(inflow)
+    assert np.abs(visits - matrix.T @ visits - inflow).max() <= 1e-12 * visits.max()
+    assert float(visits @ exits) == pytest.approx(float(inflow.sum()), rel=1e-12)
+
+
 @pytest.mark.parametrize("leak", [1e-2, 1e-6, 1e-9])
 def test_totals_are_had_however_seldom_a_chain_is_left(compiled, leak):
     """Narrow or scattered: run lengths are 1 / leak, whether iterations get there or not."""

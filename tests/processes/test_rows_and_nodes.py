@@ -7,6 +7,7 @@ from formulations import MCMP
 from small_models import FREE_PAIR, TWO_MOVES, model_of
 from ssp_lp import failure_probability, goal_probability, solve
 from ssp_lp.problem import conditions_of
+from ssp_lp.processes.goal_reach import cheapest_reach, greatest_goal_reach
 from ssp_lp.processes.live_rows import costless_pairs
 from ssp_lp.processes.quotient import build_quotient
 
@@ -95,3 +96,27 @@ def test_every_free_component_is_merged():
     assert whole.n_nodes == 2
     assert whole.merged[states].all()
     assert sorted(whole.pair_node[whole.gives_up].tolist()) == [0, 1]  # or stay for ever
+
+
+def test_every_action_of_greatest_goal_probability_may_be_used():
+    """Of four ways three reach the goal with 3/4, one by a detour; the cheapest is taken."""
+    model = model_of(
+        {
+            "x": {
+                "dear": [(0.75, "g", 9), (0.25, "d", 9)],
+                "round": [(0.5, "y", 1), (0.5, "z", 1)],
+                "fair": [(0.75, "g", 4), (0.25, "d", 4)],
+                "rash": [(0.7, "g", 1), (0.3, "d", 1)],
+            },
+            "y": {"on": [(1.0, "g", 8)]},
+            "z": {"on": [(0.5, "g", 8), (0.5, "d", 8)]},
+            "d": {},
+        }
+    )
+    reach = greatest_goal_reach(model)
+    first = model.pair_offsets[model.index_of("x")]
+    assert reach.goal[model.index_of("x")] == 0.75
+    assert reach.usable[first : first + 4].tolist() == [True, True, True, False]
+    cheapest = cheapest_reach(model, reach)
+    assert model.action_of(int(cheapest.decision[model.index_of("x")])) == "fair"
+    assert cheapest.values.cost[model.index_of("x")] == pytest.approx(3.0)
