@@ -338,13 +338,18 @@ class Model:
                      for after, *values, slope in self.question.get("charge", [])]  # fmt: skip
             low, high = ([(floor(after * self.unit), most(values), slope, after)
                           for after, values, slope in steps] for most in (min, max))  # fmt: skip
+            told = [step[0] for step in steps]
+            need(
+                told == sorted(set(told)) and (not told or told[0] <= 0),
+                "a charge is told from 0 on",
+            )
         if self.counts:
             self.low, self.objective.charge = self.ladder(low, 1), self.ladder(high, -1)
 
     def ladder(self, steps: Sequence[Step], side: int) -> Charge:
         """Charge of totals in the checked proof, rounded down (side 1), or negative and up (-1)."""
         starts = [step[0] for step in steps]
-        need(starts[0] <= 0 and starts == sorted(starts), "a charge is told from 0 on, fails")
+        need(starts == sorted(starts), "a claim is a total, fails")
         need(len(starts) == 1 or starts[-1] < self.cap, "the charge is a line from the cap on")
         self.rise = steps[-1][2]
         need(self.rise >= 0, "the charge does not fall in the end, fails")

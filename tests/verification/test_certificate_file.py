@@ -318,9 +318,12 @@ TAMPERED = {
         MAZE, {"start": 0.5, "town": 0.5}, visits("town") + 2.0 * goal_probability()
     ),
     "sure": MinCost(MAZE, "start"),
+    "given": S3P(MAZE, "start", 0.1),
+    "often": CostQuantile(MAZE, "start", 0.9, 0.1),
+    "worth it": EGUBS(MAZE, "start", -0.5, 0.7),
 }  # fmt: skip
 
-QUESTION, FIRST_STATE, HEAD, PROOF = 0, 1, -5, -4
+QUESTION, FIRST_STATE, HEAD, PROOF, NODES = 0, 1, 5, 6, 10
 """Lines of a file with four states."""
 
 
@@ -336,6 +339,15 @@ def _set(*where, to):
 
 
 CHANGES = [
+    ("a charge's order", "worth it", QUESTION, _set("charge", 0, 0, to="1/2"), "told from 0 on"),
+    ("a charge", "worth it", QUESTION, _set("charge", 1, 2, to="2"), "v <= "),
+    ("a charge's slope", "given", QUESTION, _set("charge", 0, 3, to="2"), "sum p u <= u|v <= "),
+    ("what totals add", "given", FIRST_STATE, _set("actions", 0, 2, 0, to="1"), "v <= "),
+    ("a ratio", "given", QUESTION, _set("ratio", to=False), ""),
+    ("a level", "often", QUESTION, _set("quantile", to="0.99999"), "quantile as rarely"),
+    ("a claim", "often", HEAD, _set("claim", to="3"), "v <= |sum p u|quantile"),
+    ("a line of a total", "given", NODES, _set("total", to="1"), "no line tells of|fails"),
+    ("a slope", "given", PROOF, _set("slope", to="1000"), "v <= "),
     ("a bound", "budget", QUESTION, _set("failure", to="0.06"), "bound of row failure"),
     ("a bound", "limit", QUESTION, _set("rows", 0, "at_most", to="0.01"), "bound of row hurt"),
     ("a share", "share", QUESTION, _set("failure", "share", to="0.99"), "bound of row failure"),
