@@ -488,34 +488,7 @@ def _priced_values(
     slope: Sequence[int],
 ) -> tuple[list[Fraction], list[int], Fraction]:
     """Prices of the rows, values that bound all policies, in units of a file, and that bound."""
-    given = [max(solution.prices.get(row.name, 0.0), 0.0) for row in model.rows]
-    prices, at, ratio = [Fraction(_decimal_of(price)) for price in given], None, Fraction(0)
-    some = [j for j, price in enumerate(given) if price > 0.0 and (j > 0 or model.may_fail)]
-    if not model.may_fail:
-        prices[0] = Fraction(0)  # only what keeps the goal sure counts
-    elif model.question["failure"] is not None and solution.failure_price is None:
-        at = 0  # the budget was met by failing as little as possible, which has no price
-    elif model.counts and len(weighed) == 1 and model.rows and _is_met(model, weighed[0]):
-        at = 0  # a budget that only one policy keeps to: any price that is high enough
-    if at is None and weighed:  # at the right prices all members are worth the same
-        first, *others = weighed
-        table = [[t[1 + j] - first[1 + j] for j in some] for t in others]
-        right = [first[0] - t[0] for t in others]
-        if model.ratio:  # and their cost is the ratio times their goal probability
-            beyond = [[model.rows[j].bound - t[1 + j] for j in some] for t in weighed]
-            table = [[1 - t[1], *row] for t, row in zip(weighed, beyond, strict=True)]
-            right = [t[0] for t in weighed]
-        exact = _exact_solution(table, right)
-        if exact and model.ratio:
-            ratio, *exact = exact
-        if exact and all(
-            abs(e - prices[j]) <= _MOVED * prices[j] for e, j in zip(exact, some, strict=True)
-        ):
-            for e, j in zip(exact, some, strict=True):
-                prices[j] = Fraction(down(e), ONE)
-    if model.ratio and model.may_fail:  # failing goes without the ratio besides
-        ratio = ratio or Fraction(_decimal_of(solution.objective))
-        prices[0] += Fraction(down(ratio), ONE)
+    prices, at = _first_prices(model, solution, weighed)
     best: tuple[Fraction, list[Fraction], list[int]] | None = None
     less = _LESS
     for _ in range(_RAISES):
@@ -543,6 +516,48 @@ def _priced_values(
     if best is None:
         raise SolverError("no price was tried")
     return best[1], best[2], best[0]
+
+
+def _first_prices(
+    model: checker.Model, solution: Solution, weighed: Sequence[Sequence[Fraction]]
+) -> tuple[list[Fraction], int | None]:
+    """Prices of a certificate's rows to begin with, and the row whose price may be raised.
+
+    Args:
+        model: the question and the model.
+        solution: whose prices they are but for rounding.
+        weighed: what each member of its lottery takes; empty: of those of another problem.
+    """
+    given = [max(solution.prices.get(row.name, 0.0), 0.0) for row in model.rows]
+    prices, ratio = [Fraction(_decimal_of(price)) for price in given], Fraction(0)
+    at: int | None = None
+    some = [j for j, price in enumerate(given) if price > 0.0 and (j > 0 or model.may_fail)]
+    if not model.may_fail:
+        prices[0] = Fraction(0)  # only what keeps the goal sure counts
+    elif model.question["failure"] is not None and solution.failure_price is None:
+        at = 0  # the budget was met by failing as little as possible, which has no price
+    elif model.counts and len(weighed) == 1 and model.rows and _is_met(model, weighed[0]):
+        at = 0  # a budget that only one policy keeps to: any price that is high enough
+    if at is None and weighed:  # at the right prices all members are worth the same
+        first, *others = weighed
+        table = [[t[1 + j] - first[1 + j] for j in some] for t in others]
+        right = [first[0] - t[0] for t in others]
+        if model.ratio:  # and their cost is the ratio times their goal probability
+            beyond = [[model.rows[j].bound - t[1 + j] for j in some] for t in weighed]
+            table = [[1 - t[1], *row] for t, row in zip(weighed, beyond, strict=True)]
+            right = [t[0] for t in weighed]
+        exact = _exact_solution(table, right)
+        if exact and model.ratio:
+            ratio, *exact = exact
+        if exact and all(
+            abs(e - prices[j]) <= _MOVED * prices[j] for e, j in zip(exact, some, strict=True)
+        ):
+            for e, j in zip(exact, some, strict=True):
+                prices[j] = Fraction(down(e), ONE)
+    if model.ratio and model.may_fail:  # failing goes without the ratio besides
+        ratio = ratio or Fraction(_decimal_of(solution.objective))
+        prices[0] += Fraction(down(ratio), ONE)
+    return prices, at
 
 
 def _is_met(model: checker.Model, total: Sequence[Fraction]) -> bool:
