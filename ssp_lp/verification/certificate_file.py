@@ -13,9 +13,9 @@ import gzip
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cache
+from functools import cache, cached_property
 from hashlib import sha256
 from heapq import heappop, heappush
 from pathlib import Path
@@ -37,12 +37,13 @@ from ssp_lp.accumulated_cost.charges import (
 )
 from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray
 from ssp_lp.errors import Argument, ModelError, SolverError
+from ssp_lp.formulation import Formulation
 from ssp_lp.model import SSP
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
-from ssp_lp.problem import Problem, Restated, conditions_of, objective_of, requirements
+from ssp_lp.problem import Problem, conditions_of, objective_of, requirements
 from ssp_lp.processes.conditions import Condition, StepTerm
-from ssp_lp.processes.failure_semantics import Aim
+from ssp_lp.processes.failure_semantics import Aim, FailureSemantics
 from ssp_lp.solution import Solution, as_solved
 from ssp_lp.solve import solve
 from ssp_lp.verification import checker
@@ -326,6 +327,11 @@ def _told_apart(model: checker.Model, charge: Charge) -> list[Fraction]:
         most *= 2
     if isinstance(charge, ExpectedArrivalCost):
         most = Fraction(charge.affine_from)
+    return _goal_totals(model, most)
+
+
+def _goal_totals(model: checker.Model, most: Fraction) -> list[Fraction]:
+    """Totals at which the goal of a certificate's model can be reached, 0, and none beyond some."""
     cap = Fraction(math.ceil(most * model.unit) + 1, model.unit)
     nodes, goal = _nodes_below(model, cap), model.sets["goal"]
     lasts = [{t for k in model.of[x] for _, y, t in model.pairs[k][2] if y in goal}
@@ -347,7 +353,10 @@ def _proof(model: checker.Model, solution: Solution, digest: str) -> Iterator[by
         return
     claim, dual = dict[str, str](), solution
     if "quantile" in model.question:  # below it too much is late, which is a problem of its own
-        claim, dual = {"claim": _text_of(solution.objective)}, _late_from(solution)
+        near = Fraction(_text_of(solution.objective))
+        totals = _goal_totals(model, near + Fraction(1, 10**6))
+        claim = {"claim": str(min(totals, key=lambda total: abs(total - near)))}
+        dual = _late_from(solution)
     cap, lines, last, failed = _first_cap(model, solution), list[bytes](), np.inf, 0
     for _ in range(_CAPS):
         nodes = _nodes_below(model, cap)
@@ -410,22 +419,38 @@ def _proof_at(
     return abs(float(upper - bound)) / max(1.0, abs(float(upper))), lines
 
 
+@dataclass(frozen=True, eq=False)
+class _Late(Formulation):
+    """Least of what comes late given success: the problem whose proof a quantile's takes."""
+
+    model: SSP
+    start: Any
+    due: float  # from which on it is late
+    failure_budget: float | None = 1.0
+
+    ratio = True
+
+    @cached_property
+    def semantics(self) -> FailureSemantics:
+        """Semantics of being late in a certificate file: what arrives then is charged."""
+        first = self.due * (1.0 - SAME_TOTAL)
+        late = ExpectedArrivalCost(lambda total: (total >= first).astype(np.float64), self.due)
+        return FailureSemantics(measure=late)
+
+
 def _late_from(solution: Solution) -> Solution:
     """Solution of the problem whose proof a certificate's quantile takes: least from it on."""
-    problem, quantile = solution.problem, solution.objective
-    late = ExpectedArrivalCost(
-        lambda total: (total >= quantile * (1.0 - SAME_TOTAL)).astype(np.float64), quantile
+    problem = solution.problem
+    limits = getattr(problem, "constraints", {})
+    return solve(
+        _Late(
+            problem.model,
+            problem.start,
+            solution.objective,
+            problem.failure_budget,
+            constraints=limits,
+        )
     )
-    semantics = replace(problem.semantics, measure=late)
-    asked = Restated(
-        problem.model,
-        problem.start,
-        True,
-        problem.failure_budget,
-        semantics,
-        conditions_of(problem),
-    )
-    return solve(asked)
 
 
 def _first_cap(model: checker.Model, solution: Solution) -> Fraction:

@@ -90,6 +90,7 @@ TOWN = model_of(
     },
     "home",
 )
+ROOTS = model_of({"x": {"go": [(0.5, "g", 2**0.5), (0.5, "x", 2**0.5)]}})
 ROBOT = published("prism_robot_goal1", "time")[0]
 FUEL = {"road": {"fast": 4.0, "safe": 1.0}}
 DITCH, CHEAP = end_probability("ditch"), {"c": expected_cost() <= 2.5}
@@ -182,6 +183,8 @@ KNOWN += [
     (CostQuantile(TOWN, "road", 0.75, 0.2), 2),
     (CostQuantile(TOWN, "road", 0.75, 1.0), 2),
     (S3P(TOWN, "road", 0.2), "5/3"),
+    (CostQuantile(ROOTS, "x", 0.75), 2 * Fraction(str(2**0.5))),
+    (S3P(ROOTS, "x"), 2 * Fraction(str(2**0.5))),
     (Arrivals(ROAD, "road", squares()), 1),
     (Arrivals(TOWN, "road", squares(), 0.0), 16),
 ]
