@@ -35,7 +35,8 @@ from ssp_lp.compiled.accelerator import SWITCH
 from ssp_lp.model import graph
 from ssp_lp.processes import failure_semantics, live_rows
 
-CHANGED, NARROW = 1e-6, 1e-6  # of 1 + |value|: an answer that another one is; an interval
+CHANGED = 1e-6  # of 1 + |value|: by so much an answer is another one, or an interval is wide
+LONGEST = 5.0  # seconds that a library that is broken is given
 
 
 FAULTS: dict[str, tuple[Any, str, Callable[[Any], Any]]] = {
@@ -133,7 +134,7 @@ def broken(fault: str) -> Iterator[None]:
 def answer(seed: int) -> Any:
     """The answer to a problem stated anew; None: there is none."""
     try:
-        return solve(problem_of(seed))
+        return solve(problem_of(seed), time_limit=LONGEST)
     except Exception:  # whatever a library that is broken may raise
         return None
 
