@@ -139,9 +139,10 @@ class LargeComponent:
         """
         self._is_compiled, (order, width) = has_accelerator(), self._band
         if not self._is_compiled or len(order) * width**2 > _MOST_BAND_WORK:
+            hint = "" if self._is_compiled else "; numba reduces it: pip install 'ssp-lp[fast]'"
             raise SolverError(
                 "a policy's totals could not be verified: its chain is left too seldom for double "
-                "precision"
+                f"precision{hint}"
             )
         exits, right = self._leaving / self._departs, self._right(rewards, x)
         x[self._states] = band_solver(self._own, exits, order, width)(right)
