@@ -229,7 +229,10 @@ class Model:
         """Objective and rows of the checked question, and where wandering is free in them."""
         question, budget = self.question, self.question["failure"]
         self.sign, self.ratio = -1 if question["greatest"] else 1, question.get("ratio", False)
+        need(type(self.ratio) is bool, "ratio is", repr(self.ratio)[:99])
         need(not (question["greatest"] and self.ratio), "a ratio is to be small")
+        alone = self.gamma == 1 and question["objective"] == NOTHING
+        need("quantile" not in question or alone, "a quantile has no discount and no objective")
         self.share = number(*fields(budget, share=str)) if isinstance(budget, dict) else None
         need(self.share is None or 0 <= self.share <= 1, "a share is no probability")
         is_told = budget != "least" and self.share is None
@@ -237,7 +240,7 @@ class Model:
         is_limited = self.ratio or budget is not None
         self.rows = [Quantity(self, FAILURE, 1, "failure")] if is_limited else []
         if is_limited and is_told:
-            self.rows[0].bound = self.rows[0].loose = number(budget or "1")
+            self.rows[0].bound = self.rows[0].loose = number("1" if budget is None else budget)
         for row in question["rows"]:
             sign, side = (1, "at_most") if "at_most" in row else (-1, "at_least")
             need(row.keys() == {"name", "quantity", side}, "a row has a name and one bound")
@@ -322,7 +325,7 @@ class Model:
     def spread(self, head: Mapping[str, Any], listed: Sequence[tuple[int, Fraction]]) -> None:
         """Nodes of the checked proof: all states from the cap on, and below it those listed."""
         cap, sign = number(head.get("cap", "0")) * self.unit, self.sign
-        need(cap.denominator == 1, "the cap is a sum of costs, fails")
+        need(cap.denominator == 1 and cap >= 0, "the cap is a sum of costs, fails")
         self.cap, self.place = int(cap), dict[tuple[int, int], int]()
         self.nodes = [(x, self.cap) for x in range(len(self.names))]
         for x, total in listed:
@@ -334,8 +337,13 @@ class Model:
             low, high = ([(-1, ZERO, ZERO, ZERO), (floor(late), one, ZERO, ZERO)]
                          for late in (-floor(-at) - one, at))  # fmt: skip
         else:
+            charge = self.question.get("charge", [])
+            is_listed = type(charge) is list and all(
+                type(s) is list and len(s) == 4 for s in charge
+            )
+            need(is_listed, "a charge is a list of lists of four numbers")
             steps = [(number(after), [sign * number(v) for v in values], sign * number(slope))
-                     for after, *values, slope in self.question.get("charge", [])]  # fmt: skip
+                     for after, *values, slope in charge]  # fmt: skip
             low, high = ([(floor(after * self.unit), most(values), slope, after)
                           for after, values, slope in steps] for most in (min, max))  # fmt: skip
             told = [step[0] for step in steps]
@@ -560,6 +568,7 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
     if "quantile" in question:
         late = 1 - number(question["quantile"])
         need(model.ratio and upper <= late, "the lottery exceeds the quantile as rarely, fails")
+        need(not exceeded, "a quantile jumps where the lottery exceeds row", *exceeded)
         need(lower > late, "no lottery stays below the quantile as often, fails")
         lower = upper = number(head["claim"])
     ends = (-upper, -lower) if question["greatest"] else (lower, upper)

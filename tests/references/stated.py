@@ -45,9 +45,12 @@ def optimum(lines: Sequence[bytes], most: int = 120, *, whole: bool = False) -> 
     def charge(some: list) -> np.ndarray:
         """The least of each cost among some actions."""
         charged = some and question["charge_failing_step"]
-        return (
+        least = (
             np.min([paid for _, paid in some], axis=0) if charged else np.zeros(question["costs"])
         )
+        if "charge" in question:
+            least[-1] = 0.0  # the last of these costs is the charge of a total, which no step pays
+        return least
 
     entering = {x: charge(actions[x]) for x in dead}
     everything = [question["objective"], *(row["quantity"] for row in question["rows"])]
@@ -119,7 +122,10 @@ def optimum(lines: Sequence[bytes], most: int = 120, *, whole: bool = False) -> 
     ) -> float | None:
         """The least of an objective within rows; given success, with what it takes at the start."""
         if not columns:
-            return 0.0 if all(bound >= -1e-9 for _, bound in rows) else None
+            is_kept = all(bound >= -1e-9 for _, bound in rows) and (
+                at_start is None or failed < 1.0
+            )
+            return (at_start or 0.0) / (1.0 - failed * (at_start is not None)) if is_kept else None
         upper = np.array([r for r, _ in rows]) if rows else None
         bounds = np.array([b for _, b in rows]) if rows else None
         equal, right = balance, begins

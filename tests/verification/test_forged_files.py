@@ -1,0 +1,120 @@
+"""Files forged by hand, some of which were once accepted: each is refused by what is wrong in it."""
+
+import gzip
+import json
+from hashlib import sha256
+
+import pytest
+
+from ssp_lp import check_certificate
+
+GOAL = {"name": "g", "sets": ["goal"], "actions": []}
+DEAD = {"name": "d", "sets": [], "actions": []}
+ENDED = {"v": "0", "slope": "0", "members": [None]}
+NOTHING = {"constant": "0", "terms": []}
+COST = {"constant": "0", "terms": [["1", "cost", 0]]}
+SPENT = [["0", "0", "0", "1"]]  # a total is charged itself
+
+
+def state(**actions):
+    return {"name": "s", "sets": [], "actions": [[name, *rest] for name, rest in actions.items()]}
+
+
+STEP = state(go=([["1", 1]], ["1"]))  # of cost 1, to the goal
+TWO = state(go=([["0.55", 1], ["0.45", 1]], [["1", "2"]]))  # 1 or 2
+CHOICE = state(safe=([["1", 1]], ["10"]), risky=([["1", 1], ["1", 2]], ["1"]))
+
+
+def verdict(path, states, head, proof, **stated):
+    """What is said of a file with this question, whose SHA-256 is right."""
+    question = {
+        "format": "ssp-lp certificate 1", "asked": "", "charge_failing_step": False, "costs": 1,
+        "discount": None, "failure": None, "give_up": "dead_ends", "greatest": False,
+        "objective": NOTHING, "rows": [], "sets": [], "start": [["1", 0]], "states": len(states),
+        **stated,
+    }  # fmt: skip
+    lines = [json.dumps(one).encode() for one in (question, *states)]
+    head = {"sha256": sha256(b"\n".join(lines)).hexdigest(), "weights": ["1"], **head}
+    lines += [json.dumps(one).encode() for one in (head, *proof)]
+    path.write_bytes(gzip.compress(b"\n".join(lines)))
+    return check_certificate(path)
+
+
+def one_step(value, slope="1", cap="0", prices=("0",), **rest):
+    """A proof of one step to the goal."""
+    own = {"v": value, "slope": slope, "members": [[0, "1", value, "0", slope]]}
+    return {"prices": list(prices), "cap": cap, "nodes": 0, **rest}, [own, ENDED]
+
+
+def test_a_step_of_cost_one_costs_one(tmp_path):
+    asked = {"ratio": True, "failure": "0", "charge": SPENT}
+    told = verdict(tmp_path / "x", [STEP, GOAL], *one_step("1"), **asked)
+    assert (told.accepted, told.lower, told.upper) == (True, 1, 1)
+
+
+@pytest.mark.parametrize("ratio", [True, False])
+def test_no_cap_is_below_the_start(ratio, tmp_path):
+    """Values there would be read at a total that no run has."""
+    asked = {"ratio": ratio, "failure": "0", "charge": SPENT}
+    told = verdict(tmp_path / "x", [STEP, GOAL], *one_step("-9", cap="-10"), **asked)
+    assert told.reason.startswith("the cap")
+
+
+@pytest.mark.parametrize("failure", [0, 0.0, False, "", []])
+def test_a_budget_is_a_text(failure, tmp_path):
+    """A number 0 is no missing budget."""
+    away = {"v": "0", "members": [None]}
+    proof = [{"v": "1", "members": [[1, "1", "1", "0.5"]]}, away, away]
+    states = [CHOICE, GOAL, DEAD]
+    told = verdict(
+        tmp_path / "x", states, {"prices": ["0"]}, proof, failure=failure, objective=COST
+    )
+    assert not told.accepted
+
+
+@pytest.mark.parametrize(
+    ("rest", "v", "members", "price"),
+    [
+        ({"discount": "0.9"}, "0.4", ([0, "2", "1", "1", "0"], [0, "1", "0", "0.1"]), "0.5"),
+        (
+            {"failure": "0", "objective": {"constant": "0.1", "terms": []}},
+            "0", ([0, "2", "1", "1", "0"], [0, "1", "0", "0"]), "0",
+        ),
+    ],
+)  # fmt: skip
+def test_a_quantile_is_of_the_law_alone(rest, v, members, price, tmp_path):
+    """The median of a total of 1 (0.55) or 2 is 1: no discount, and no objective, makes it 2."""
+    later, first = members
+    head = {"prices": [price], "cap": "3", "nodes": 1, "claim": "2"}
+    proof = [{"v": v, "slope": "0", "members": [later]}, ENDED]
+    proof += [
+        {"state": 0, "total": "0", "v": "0.5" if price == "0.5" else "0.45", "members": [first]}
+    ]
+    asked = {"ratio": True, "quantile": "0.52", **rest}
+    told = verdict(tmp_path / "x", [TWO, GOAL], head, proof, **asked)
+    assert told.reason == "a quantile has no discount and no objective"
+
+
+def test_a_quantile_jumps_where_a_row_is_exceeded(tmp_path):
+    """Half of the runs of the cheap action fail, a ten billionth more than may."""
+    away = {"v": "0", "slope": "0", "members": [None]}
+    first = {"state": 0, "total": "0", "v": "1", "members": [[1, "1", "0", "0.5"]]}
+    head = {"prices": ["1"], "cap": "11", "nodes": 1, "claim": "1"}
+    asked = {"ratio": True, "quantile": "1", "failure": "0.4999999999"}
+    told = verdict(tmp_path / "x", [CHOICE, GOAL, DEAD], head, [away, away, away, first], **asked)
+    assert not told.accepted
+
+
+@pytest.mark.parametrize(
+    ("asked", "reason"),
+    [
+        ({"ratio": "false", "charge": SPENT}, "ratio is 'false'"),
+        ({"charge": [["0", "7", "0"]]}, "a charge is a list"),
+        ({"charge": ["0701"]}, "a charge is a list"),
+        ({"charge": {"0071": 0}}, "a charge is a list"),
+        ({"charge": [["0", "1", "5", "7", "0"]]}, "a charge is a list"),
+    ],
+)
+def test_a_question_is_read_in_one_way(asked, reason, tmp_path):
+    told = verdict(tmp_path / "x", [STEP, GOAL], *one_step("1"), failure="0", **asked)
+    assert told.reason.startswith(reason)
