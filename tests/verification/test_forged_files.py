@@ -1,4 +1,4 @@
-"""Files forged by hand, some of which were once accepted: each is refused by what is wrong in it."""
+"""Files forged by hand, some of which were once accepted: each is refused by what is wrong."""
 
 import gzip
 import json
