@@ -137,9 +137,8 @@ def policy_chain(
         ModelError: the policy has no decision in a state that it reaches, its memory grows without
             end, or its nodes are more than there may be.
     """
-    ended = policy.ended
+    ended, first = policy.ended, np.flatnonzero(start > 0)
     dead = dead_ends(model) & ended
-    first = np.flatnonzero(start > 0)
     memory = np.where(ended[first], 0, policy.start_memory(first))
     start_key = memory * model.n_states + first
     visited, waves, reached = np.zeros(model.n_states, dtype=np.bool_), list[_Step](), 0
