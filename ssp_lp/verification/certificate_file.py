@@ -64,10 +64,11 @@ _FARTHEST, _USED_UP = (
     10**6,
     1e-11,
 )  # total up to which a utility is told, or until so little is left
+_ENDLESS = 1e300  # claimed where a solution states no bound
 _SHIFT = Fraction(1, 10**9)  # of a lottery, which may be moved to another one
 
 
-def write_certificate(solution: Solution, path: str | Path) -> Checked:
+def write_certificate(solution: Solution, path: str | Path, *, tolerance: float = 1e-6) -> Checked:
     """Write a certificate file: a proof of a solution's optimum, to check without this library.
 
     Covered are expected costs and quantities, also with a discount, with a failure budget, a share
@@ -83,13 +84,16 @@ def write_certificate(solution: Solution, path: str | Path) -> Checked:
     Args:
         solution: of ``solve``; its policy and its prices are what is proved to be best.
         path: of the file, which is gzip whatever it is called.
+        tolerance: the file claims the solution's bound and objective but for this part of the
+            objective (or of 1), and is refused where it does not prove as much.
 
     Returns:
         What the file proves: the checker's verdict on it.
 
     Raises:
         ModelError: a criterion that is not covered.
-        SolverError: the answer could not be proved: the policy breaks a row by more than rounding.
+        SolverError: the answer is not proved: the policy breaks a row by more than rounding, or
+            the proof leaves more open than the solution does, or contradicts it.
     """
     asked, solved = repr(solution.problem), as_solved(solution, "write_certificate")
     statement = Statement(solved.problem, asked)
@@ -105,13 +109,22 @@ def write_certificate(solution: Solution, path: str | Path) -> Checked:
         raise ModelError(f"no certificate of {type(solved.problem).__name__}: {error}") from error
     digest = sha256(b"\n".join(lines)).hexdigest()
     try:
-        lines += _proof(model, solved, digest)
+        lines += _proof(model, solved, {"sha256": digest, "claim": _claim(solved, tolerance)})
         checked = checker.check_lines(lines)
     except checker.RefusedError as error:
         raise SolverError(f"the answer is not proved: {error}") from error
     with open(path, "wb") as raw, gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as file:
         file.write(b"\n".join(lines))
     return checked
+
+
+def _claim(solution: Solution, tolerance: float) -> list[str]:
+    """What a certificate file claims of the optimum: at least, and at most."""
+    room = tolerance * max(1.0, abs(solution.objective))
+    ends = solution.lower_bound - room, solution.objective + room
+    if solution.upper_bound is not None:
+        ends = solution.objective - room, solution.upper_bound + room
+    return [_decimal_of(min(max(end, -_ENDLESS), _ENDLESS)) for end in ends]
 
 
 def _line(content: Mapping[str, Any]) -> bytes:
@@ -345,23 +358,23 @@ def _text_of(value: Any) -> str:
     return str(value) if isinstance(value, (int, Fraction)) else _decimal_of(float(value))
 
 
-def _proof(model: checker.Model, solution: Solution, digest: str) -> Iterator[bytes]:
+def _proof(model: checker.Model, solution: Solution, head: dict[str, Any]) -> Iterator[bytes]:
     """Lines of a certificate file's proof: its head, a line for each state, and for each node."""
     if not model.counts:
         model.spread({}, [])
-        yield from _proof_at(model, solution, solution, {"sha256": digest})[1]
+        yield from _proof_at(model, solution, solution, head)[1]
         return
-    claim, dual = dict[str, str](), solution
+    dual = solution
     if "quantile" in model.question:  # below it too much is late, which is a problem of its own
         near = Fraction(_text_of(solution.objective))
         totals = _goal_totals(model, near + Fraction(1, 10**6))
-        claim = {"claim": str(min(totals, key=lambda total: abs(total - near)))}
+        head["claim"] = [str(min(totals, key=lambda total: abs(total - near)))] * 2
         dual = _late_from(solution)
     cap, lines, last, failed = _first_cap(model, solution), list[bytes](), np.inf, 0
     for _ in range(_CAPS):
         nodes = _nodes_below(model, cap)
-        model.spread({**claim, "cap": str(cap)}, nodes)
-        width, more = _proof_at(model, solution, dual, {"sha256": digest, **claim})
+        model.spread({**head, "cap": str(cap)}, nodes)
+        width, more = _proof_at(model, solution, dual, {**head})
         failed += width >= 0.9 * last
         if width < last:
             lines, last = more, width

@@ -67,7 +67,7 @@ static uint64_t hashed;
 static size_t n_lines, n_sets, n_start, n_rows, n_members, n_columns, n_pairs, n_outcomes, told;
 static long n, n_costs, *start_state;
 static char **sets, *asked, digest[65];
-static mpq_t one, a, b, c, left, right, discount, share, *start_part, *prices, *weights;
+static mpq_t claimed[2], one, a, b, c, left, right, discount, share, *start_part, *prices, *weights;
 static mpz_t units, z;
 static long state, *next;             /* what is read: a state and an action, that lead to others */
 static char *state_name, *action;     /* with parts of a sum; means of the costs, times the sum; */
@@ -679,7 +679,7 @@ static size_t read_numbers(mpq_t **numbers) {
 static void read_head(void) {
     char *signature;
     need_line();
-    scan("{'sha256':%s,'prices':[", &signature);
+    scan("{'sha256':%s,'claim':[%q,%q],'prices':[", &signature, claimed[0], claimed[1]);
     if (strcmp(signature, digest)) refuse("the SHA-256 is not that of the question and the model");
     if (read_numbers(&prices) != n_rows - 1) refuse("a price a row, fails");
     scan(",'weights':[");
@@ -928,6 +928,9 @@ static void conclude(void) {
         mpq_neg(taken[0], taken[0]);
         mpq_swap(lower, taken[0]);
     }
+    if (mpq_cmp(lower, claimed[0]) < 0 || mpq_cmp(taken[0], claimed[1]) > 0)
+        refuse("claimed is %.17g to %.17g, proved from %.17g to %.17g", mpq_get_d(claimed[0]),
+               mpq_get_d(claimed[1]), mpq_get_d(lower), mpq_get_d(taken[0]));
     printf("accepted: \"%s\"\n  SHA-256   %s\n", asked, digest);
     print_bound("at least", lower, false);
     print_bound("at most", taken[0], true);
@@ -943,7 +946,7 @@ int main(int count, char **arguments) {
     gzbuffer(file, 1 << 18);
     if (gzdirect(file)) refuse("the file is not gzip");
     mpz_inits(units, z, NULL);
-    mpq_inits(one, a, b, c, left, right, sum, discount, share, NULL);
+    mpq_inits(claimed[0], claimed[1], one, a, b, c, left, right, sum, discount, share, NULL);
     mpz_ui_pow_ui(units, 10, DIGITS);
     mpq_set_ui(one, 1, 1);
     take_roots(k, 64, 3);

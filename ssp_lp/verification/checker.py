@@ -37,6 +37,8 @@ charge at the goal, prove all others. Such slopes are at most 0 where the goal c
 ever: only there do runs go on without end, and totals grow no faster than steps, so that what runs
 on elsewhere has no share in the limit. A quantile B is proved by a lottery that exceeds it rarely
 enough, and by v for the charge 1 from B on: whatever is done, that is too often.
+
+Claim: what the solution that is proved said, at least and at most. It must hold the interval.
 """
 
 import gzip
@@ -333,7 +335,7 @@ class Model:
             self.place[x, int(total * self.unit)] = len(self.nodes)
             self.nodes.append((x, int(total * self.unit)))
         if "quantile" in self.question:  # what comes late, or in time, is told by two steps
-            at, one = number(head["claim"]) * self.unit, Fraction(1)
+            at, one = number(head["claim"][0]) * self.unit, Fraction(1)
             low, high = ([(-1, ZERO, ZERO, ZERO), (floor(late), one, ZERO, ZERO)]
                          for late in (-floor(-at) - one, at))  # fmt: skip
         else:
@@ -528,8 +530,8 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
     need(digest == head.get("sha256"), "the SHA-256 is not that of the question and the model")
     model, proof = Model(question, lines[1 : n + 1]), [read(line) for line in lines[n + 2 :]]
     told: dict[str, type] = {"cap": str, "nodes": int} if model.counts else {}
-    told |= {"claim": str} if "quantile" in question else {}
-    fields(head, sha256=str, prices=list, weights=list, **told)
+    fields(head, sha256=str, claim=list, prices=list, weights=list, **told)
+    need(len(head["claim"]) == 2, "a claim is: at least, at most")
     weights, prices = [[number(text) for text in head[name]] for name in ("weights", "prices")]
     need(min(weights) >= 0 and sum(weights) == 1, "weights are >= 0 and sum to 1, fails")
     need(min([ZERO, *prices]) >= 0, "prices are >= 0, fails")
@@ -570,8 +572,12 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
         need(model.ratio and upper <= late, "the lottery exceeds the quantile as rarely, fails")
         need(not exceeded, "a quantile jumps where the lottery exceeds row", *exceeded)
         need(lower > late, "no lottery stays below the quantile as often, fails")
-        lower = upper = number(head["claim"])
-    ends = (-upper, -lower) if question["greatest"] else (lower, upper)
+        lower = upper = number(head["claim"][0])
+    lower, upper = ends = (-upper, -lower) if question["greatest"] else (lower, upper)
+    least, most = map(number, head["claim"])
+    proved = f"proved from {float(lower)} to {float(upper)}"
+    need(least <= lower, "claimed is at least", head["claim"][0], "fails,", proved)
+    need(upper <= most, "claimed is at most", head["claim"][1], "fails,", proved)
     return Checked(True, "", *ends, exceeded, str(question["asked"]), digest)
 
 

@@ -215,7 +215,9 @@ def test_the_members_of_another_policy(tmp_path):
         for action in ("safe", "fast")
         for member in [DeterministicPolicy.from_actions(ROAD, {"road": action})]
     )
-    written = write_certificate(safe, tmp_path / "one")
+    words = "claimed is at most 2.000002 fails, proved from 2.0 to 3.0"
+    refused(words, write_certificate, safe, tmp_path / "x", error=SolverError)
+    written = write_certificate(safe, tmp_path / "one", tolerance=1.0)
     assert (written.lower, written.upper) == (2, 3)
     words = "bound of row failure fails"
     refused(words, write_certificate, fast, tmp_path / "x", error=SolverError)
@@ -241,15 +243,15 @@ def test_a_wrong_reading_of_the_model_is_seen(tmp_path, monkeypatch):
         broken.setattr(failure_semantics, "dead_end_charges", lambda *a: 2.0 * charges(*a))
         solution = solve(MCMP(PITS, "x", 0.25, give_up="dead_ends"))
     assert solution.objective == solution.lower_bound == 5.0
-    written = write_certificate(solution, tmp_path / "one")
-    assert (written.lower, written.upper) == (3, 5)  # at its price 0; the optimum is 4
+    words = "claimed is at least 4.999995 fails, proved from 3.0 to 5.0"
+    refused(words, write_certificate, solution, tmp_path / "one", error=SolverError)
 
 
 @pytest.mark.parametrize("price", [0.0, 5.0, 20.0, 1000.0])
 def test_any_price_proves_something_true(price, tmp_path):
     solution = replace(solve(MCMP(ROAD, "road", 0.05)), prices={"failure": price})
     solution = replace(solution, failure_price=price)
-    written = write_certificate(solution, tmp_path / "one")
+    written = write_certificate(solution, tmp_path / "one", tolerance=1e3)
     assert written.lower <= 2 <= written.upper
 
 
@@ -348,7 +350,7 @@ CHANGES = [
     ("what totals add", "given", FIRST_STATE, _set("actions", 0, 2, 0, to="1"), "v <= "),
     ("a ratio", "given", QUESTION, _set("ratio", to=False), ""),
     ("a level", "often", QUESTION, _set("quantile", to="0.99999"), "quantile as rarely"),
-    ("a claim", "often", HEAD, _set("claim", to="3"), "v <= |sum p u|quantile"),
+    ("a claim", "often", HEAD, _set("claim", to=["3", "3"]), "v <= |sum p u|quantile"),
     ("a line of a total", "given", NODES, _set("total", to="1"), "no line tells of|fails"),
     ("a slope", "given", PROOF, _set("slope", to="1000"), "v <= "),
     ("a bound", "budget", QUESTION, _set("failure", to="0.06"), "bound of row failure"),
@@ -362,11 +364,12 @@ CHANGES = [
     ("a weight", "budget", HEAD, _set("weights", 0, to="0.9"), "weights are >= 0 and sum to 1"),
     ("two weights", "budget", HEAD, lambda c: c["weights"].reverse(), "bound of row failure"),
     ("a price", "budget", HEAD, _set("prices", 0, to="-1"), "prices are >= 0"),
-    ("a greater price", "budget", HEAD, _set("prices", 0, to="1000"), ""),
+    ("a greater price", "budget", HEAD, _set("prices", 0, to="1000"), "claimed is at least"),
     ("a smaller price", "budget", HEAD, _set("prices", 0, to="1"), "v <= "),
     ("the SHA-256", "budget", HEAD, _set("sha256", to="0" * 64), "SHA-256"),
     ("a value", "budget", PROOF, _set("v", to="100"), "v <= "),
-    ("a lower value", "budget", PROOF, _set("v", to="1"), ""),
+    ("a lower value", "budget", PROOF, _set("v", to="1"), "claimed is at least"),
+    ("a claim", "budget", HEAD, _set("claim", 0, to="4.81"), "claimed is at least 4.81 fails"),
     ("a share's value", "share", PROOF, _set("w", to="0.2"), "v <= "),
     ("a decision", "sure", PROOF, _set("members", 0, 0, to=3), "sum p u <= u at start 3 fails"),
     ("giving up", "sure", PROOF, _set("members", 0, 0, to="stop"), "stops where it may"),
@@ -402,8 +405,10 @@ def check_true(checked, lines, words):
 
 
 def signed(lines):
-    """The same lines with the SHA-256 made anew."""
+    """The same lines with the SHA-256 made anew, and little claimed but of a quantile."""
     head = json.loads(lines[HEAD]) | {"sha256": sha256(b"\n".join(lines[:HEAD])).hexdigest()}
+    if b'"quantile"' not in lines[0]:
+        head["claim"] = ["-1e9", "1e9"]
     return [*lines[:HEAD], json.dumps(head).encode(), *lines[PROOF:]]
 
 
@@ -532,7 +537,8 @@ def test_a_row_is_not_exceeded_by_less_than_the_units_of_a_proof(tmp_path):
     for bound, accepted in (("0", False), ("1e-60", True)):
         asked = question | {"rows": [{"name": "r", "quantity": row, "at_most": bound}]}
         lines = [json.dumps(line).encode() for line in (asked, *states)]
-        head = {"sha256": sha256(b"\n".join(lines)).hexdigest(), "prices": ["0"], "weights": ["1"]}
+        head = {"sha256": sha256(b"\n".join(lines)).hexdigest(), "claim": ["0.5", "0.5"]}
+        head |= {"prices": ["0"], "weights": ["1"]}
         lines += [json.dumps(line).encode() for line in (head, *proof)]
         checked = read(lines, tmp_path / "x")
         assert checked.accepted == accepted

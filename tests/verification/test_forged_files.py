@@ -34,7 +34,8 @@ def verdict(path, states, head, proof, **stated):
         **stated,
     }  # fmt: skip
     lines = [json.dumps(one).encode() for one in (question, *states)]
-    head = {"sha256": sha256(b"\n".join(lines)).hexdigest(), "weights": ["1"], **head}
+    digest = sha256(b"\n".join(lines)).hexdigest()
+    head = {"sha256": digest, "claim": ["-1e9", "1e9"], "weights": ["1"], **head}
     lines += [json.dumps(one).encode() for one in (head, *proof)]
     path.write_bytes(gzip.compress(b"\n".join(lines)))
     return check_certificate(path)
@@ -50,6 +51,22 @@ def test_a_step_of_cost_one_costs_one(tmp_path):
     asked = {"ratio": True, "failure": "0", "charge": SPENT}
     told = verdict(tmp_path / "x", [STEP, GOAL], *one_step("1"), **asked)
     assert (told.accepted, told.lower, told.upper) == (True, 1, 1)
+
+
+@pytest.mark.parametrize(
+    ("claim", "reason"),
+    [
+        (["1", "1"], ""),
+        (["1.000001", "2"], "claimed is at least 1.000001 fails, proved from 1.0 to 1.0"),
+        (["0", "0.99"], "claimed is at most 0.99 fails, proved from 1.0 to 1.0"),
+        (["0"], "a claim is: at least, at most"),
+        ([0, 2], "no text of a number"),
+    ],
+)
+def test_a_claim_is_proved(claim, reason, tmp_path):
+    asked = {"ratio": True, "failure": "0", "charge": SPENT}
+    told = verdict(tmp_path / "x", [STEP, GOAL], *one_step("1", claim=claim), **asked)
+    assert (told.accepted, told.reason[: len(reason)]) == (not reason, reason)
 
 
 @pytest.mark.parametrize("ratio", [True, False])
@@ -85,7 +102,7 @@ def test_a_budget_is_a_text(failure, tmp_path):
 def test_a_quantile_is_of_the_law_alone(rest, v, members, price, tmp_path):
     """The median of a total of 1 (0.55) or 2 is 1: no discount, and no objective, makes it 2."""
     later, first = members
-    head = {"prices": [price], "cap": "3", "nodes": 1, "claim": "2"}
+    head = {"prices": [price], "cap": "3", "nodes": 1, "claim": ["2", "2"]}
     proof = [{"v": v, "slope": "0", "members": [later]}, ENDED]
     proof += [
         {"state": 0, "total": "0", "v": "0.5" if price == "0.5" else "0.45", "members": [first]}
@@ -99,7 +116,7 @@ def test_a_quantile_jumps_where_a_row_is_exceeded(tmp_path):
     """Half of the runs of the cheap action fail, a ten billionth more than may."""
     away = {"v": "0", "slope": "0", "members": [None]}
     first = {"state": 0, "total": "0", "v": "1", "members": [[1, "1", "0", "0.5"]]}
-    head = {"prices": ["1"], "cap": "11", "nodes": 1, "claim": "1"}
+    head = {"prices": ["1"], "cap": "11", "nodes": 1, "claim": ["1", "1"]}
     asked = {"ratio": True, "quantile": "1", "failure": "0.4999999999"}
     told = verdict(tmp_path / "x", [CHOICE, GOAL, DEAD], head, [away, away, away, first], **asked)
     assert not told.accepted
