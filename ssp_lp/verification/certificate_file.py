@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from hashlib import sha256
 from heapq import heappop, heappush
 from pathlib import Path
@@ -132,7 +132,7 @@ def _line(content: Mapping[str, Any]) -> bytes:
     return json.dumps(content, separators=(",", ":")).encode()
 
 
-@cache
+@lru_cache(1 << 14)
 def _decimal_of(value: float) -> str:
     """Shortest decimal of a float, for a certificate file."""
     return repr(value).removesuffix(".0")

@@ -50,7 +50,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cache
+from functools import cache, lru_cache
 from math import floor, lcm
 from typing import Any
 
@@ -84,7 +84,7 @@ def at_most(left: int, right: int, *words: object) -> None:
         need(False, *words, "fails:", f"{left / ONE:.17g} > {right / ONE:.17g}")
 
 
-@cache
+@lru_cache(1 << 14)
 def number(text: str) -> Fraction:
     """Number that a text of the checked certificate states."""
     need(isinstance(text, str) and len(text) < 4000, "no text of a number:", repr(text)[:99])
