@@ -19,7 +19,7 @@ from functools import cache, cached_property, lru_cache
 from hashlib import sha256
 from heapq import heappop, heappush
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy.optimize import linprog
@@ -27,6 +27,7 @@ from scipy.optimize import linprog
 from ssp_lp.accumulated_cost.charges import (
     TOTAL_COST,
     Charge,
+    ExcessCharge,
     ExpectedArrivalCost,
     ExpectedUtility,
     ExponentialUtility,
@@ -35,6 +36,7 @@ from ssp_lp.accumulated_cost.charges import (
     TotalCostCharge,
     WithinBound,
 )
+from ssp_lp.analysis.success_costs import success_costs
 from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray
 from ssp_lp.errors import Argument, ModelError, SolverError
 from ssp_lp.formulation import Formulation
@@ -54,6 +56,7 @@ _MOVED = Fraction(1, 10**6)  # of a price, by which it may be corrected
 _RAISES = 60  # of a price that is not known
 _LESS = Fraction(1, 10**12)  # of a ratio, than which nothing less is told apart where totals count
 _SMALLER = Fraction(1, 10**4)  # by so much a ratio may be proved to be at least
+_LEAST_ROOM = Fraction(1, 10**12)  # relative, to which cases are to prove a bound
 _CAPS, _WIDTH = 12, 1e-10  # of totals tried, until an interval is as narrow as this
 _MOST_NODES = 2_000_000
 _TABLES = (ExpectedUtility, ExponentialUtility, ExpectedArrivalCost)
@@ -73,10 +76,10 @@ def write_certificate(solution: Solution, path: str | Path, *, tolerance: float 
 
     Covered are expected costs and quantities, also with a discount, with a failure budget, a share
     of the greatest goal probability, a penalty or failing forbidden, the greatest and the least
-    goal probability; and of the total cost its mean given success, what arriving costs, the goal
-    within a cost, utilities and quantiles; each with any limits and any start, within a horizon
-    too. Not covered, and refused by name, are the mean of the costliest runs (CVaR) and quantities
-    of what comes after failing. Of a policy that must not be mixed the interval is told among
+    goal probability; and of the total cost its mean given success, the mean of its costliest runs
+    (CVaR), what arriving costs, the goal within a cost, utilities and quantiles; each with any
+    limits and any start, within a horizon too. Not covered, and refused by name, are quantities of
+    what comes after failing. Of a policy that must not be mixed the interval is told among
     lotteries. At least failure the policy may be shown to fail more than the least by the last
     digits of the proof, unless these are decimals or the goal is sure: that is told as a row
     exceeded.
@@ -148,9 +151,6 @@ def _check_covered(problem: Problem) -> None:
     if problem.discount is not None and getattr(problem, "reach_fraction", None) is not None:
         shares = Argument("reach_fraction"), " and ", Argument("discount")
         raise ModelError(f"no certificate of {name} with ", *shares)
-    if isinstance(problem.semantics.risk, TailMeanOf):
-        raise ModelError(f"no certificate of {name}: a mean of the costliest runs takes proofs for "
-                         "every threshold, which certificates do not have yet")  # fmt: skip
     charge = problem.semantics.charge(problem.ratio)
     if asks.counts_totals and not isinstance(charge, (TotalCostCharge, WithinBound, *_TABLES)):
         raise ModelError(f"no certificate of {name}: its charge of the total cost, a "
@@ -245,7 +245,8 @@ class Statement:
         """What is asked of totals in a certificate file."""
         risk = self.problem.semantics.risk
         if risk is not None:
-            return {"quantile": _decimal_of(risk.level)}
+            key = "tail_mean" if isinstance(risk, TailMeanOf) else "quantile"
+            return {key: _decimal_of(risk.level)}
         is_table = isinstance(charge, _TABLES) and len(self.totals) > 0
         told = charge if is_table or not isinstance(charge, _TABLES) else TOTAL_COST
         return {"charge": _charge_steps(told, self.totals)}
@@ -364,12 +365,16 @@ def _proof(model: checker.Model, solution: Solution, head: dict[str, Any]) -> It
         model.spread({}, [])
         yield from _proof_at(model, solution, solution, head)[1]
         return
-    dual = solution
-    if "quantile" in model.question:  # below it too much is late, which is a problem of its own
-        near = Fraction(_text_of(solution.objective))
-        totals = _goal_totals(model, near + Fraction(1, 10**6))
-        head["claim"] = [str(min(totals, key=lambda total: abs(total - near)))] * 2
-        dual = _late_from(solution)
+    dual, risk = solution, solution.problem.semantics.risk
+    if risk is not None:  # a quantile is a total that occurs
+        is_mean, near = isinstance(risk, TailMeanOf), solution.objective
+        if is_mean:
+            near = success_costs(solution.policy, solution.problem).quantile(risk.level)
+        totals = _goal_totals(model, Fraction(_text_of(near)) + Fraction(1, 10**6))
+        at = str(min(totals, key=lambda total: abs(total - Fraction(_text_of(near)))))
+        head |= {"threshold": at} if is_mean else {"claim": [at, at]}
+        # below a quantile too much is late, which is a problem of its own
+        dual = solution if is_mean else _late_from(solution)
     cap, lines, last, failed = _first_cap(model, solution), list[bytes](), np.inf, 0
     for _ in range(_CAPS):
         nodes = _nodes_below(model, cap)
@@ -408,9 +413,15 @@ def _proof_at(
         rising, _ = values_below(model, ssp, model.slopes, members, below=False)
         slope = [max(one, 0) for one in rising]
     chosen = _weights(model, weights[weights > 0.0], totals)
+    upper = dot(chosen, [total[0] for total in totals])
+    if model.ratio:
+        upper /= max(1 - dot(chosen, [total[1] for total in totals]), Fraction(1, ONE))
     weighed = [] if "quantile" in model.question else totals[: int((weights > 0.0).sum())]
-    prices, v, bound = _priced_values(model, dual, members, weighed, slope)
-    head["prices"] = [str(price) for price in prices]
+    if "tail_mean" in model.question:
+        head["cases"], values, bound = _cases_of_thresholds(model, dual, members, slope, upper)
+    else:
+        case, v, bound = _priced_values(model, model.low, dual, members, weighed, slope)
+        head["prices"], values = [str(price) for price in case.prices], [v]
     head["weights"] = [str(weight) for weight in chosen]
     if model.counts:
         head |= {"cap": str(Fraction(model.cap, model.unit)), "nodes": len(model.nodes) - n}
@@ -420,57 +431,98 @@ def _proof_at(
         if i >= n:
             x, total = model.nodes[i]
             line = {"state": x, "total": str(Fraction(total, model.unit))}
-        line |= {"v": decimal_text(v[i]), "members": [entries.get(i) for entries in vectors]}
+        texts = [decimal_text(v[i]) for v in values]
+        line |= {"v": texts if "cases" in head else texts[0]}
+        line |= {"members": [entries.get(i) for entries in vectors]}
         if model.counts and i < n:
             line["slope"] = decimal_text(slope[i])
         lines.append(
             _line(line if model.share is None or i >= n else {**line, "w": decimal_text(w[i])})
         )
-    upper = dot(chosen, [total[0] for total in totals])
-    if model.ratio:
-        upper /= max(1 - dot(chosen, [total[1] for total in totals]), Fraction(1, ONE))
     return abs(float(upper - bound)) / max(1.0, abs(float(upper))), lines
 
 
 @dataclass(frozen=True, eq=False)
-class _Late(Formulation):
-    """Least of what comes late given success: the problem whose proof a quantile's takes."""
+class _Arriving(Formulation):
+    """Least cost of arriving given success: the problem whose prices a proof of risks takes."""
 
     model: SSP
     start: Any
-    due: float  # from which on it is late
+    charge: ExpectedArrivalCost
     failure_budget: float | None = 1.0
 
     ratio = True
 
     @cached_property
     def semantics(self) -> FailureSemantics:
-        """Semantics of being late in a certificate file: what arrives then is charged."""
-        first = self.due * (1.0 - SAME_TOTAL)
-        late = ExpectedArrivalCost(lambda total: (total >= first).astype(np.float64), self.due)
-        return FailureSemantics(measure=late)
+        """Semantics of what arriving costs in a certificate file's proof of risks."""
+        return FailureSemantics(measure=self.charge)
+
+
+def _charging(solution: Solution, charge: ExpectedArrivalCost) -> Solution:
+    """Solution of a certificate's problem with another cost of arriving."""
+    problem = solution.problem
+    limits = getattr(problem, "constraints", {})
+    asked = (problem.model, problem.start, charge, problem.failure_budget)
+    return solve(_Arriving(*asked, constraints=limits))
 
 
 def _late_from(solution: Solution) -> Solution:
     """Solution of the problem whose proof a certificate's quantile takes: least from it on."""
-    problem = solution.problem
-    limits = getattr(problem, "constraints", {})
-    return solve(
-        _Late(
-            problem.model,
-            problem.start,
-            solution.objective,
-            problem.failure_budget,
-            constraints=limits,
-        )
+    first = solution.objective * (1.0 - SAME_TOTAL)
+    late = ExpectedArrivalCost(
+        lambda total: (total >= first).astype(np.float64), solution.objective
     )
+    return _charging(solution, late)
+
+
+def _cases_of_thresholds(
+    model: checker.Model,
+    solution: Solution,
+    members: Sequence[Mapping[int, int]],
+    slope: Sequence[int],
+    upper: Fraction,
+) -> tuple[list[Any], list[list[int]], Fraction]:
+    """Cases of a certificate's tail mean: intervals of thresholds, halved until they prove it.
+
+    Args:
+        model: the question and the model, its nodes spread.
+        solution: of the problem.
+        members: of its lottery, decisions by node.
+        slope: of the values in the total, from the cap on.
+        upper: what the lottery attains, beyond which no threshold is looked at.
+
+    Returns:
+        The cases as the file states them, the values of each, and what they prove.
+    """
+    share = 1.0 - cast("TailMeanOf", solution.problem.semantics.risk).level
+    totals = [total for total in _goal_totals(model, upper) if total < upper] or [Fraction(0)]
+    enough, proved = upper * (1 - _LEAST_ROOM), list[tuple[Fraction, checker.Case, list[int]]]()
+    ahead, least = [(0, len(totals))], list[Fraction]()
+    while ahead:
+        first, last = ahead.pop()
+        a, b = float(totals[first]), float(totals[last - 1])
+        charge = ExpectedArrivalCost(ExcessCharge(b, share, a).at, b)
+        low = model.ladder(model.excess(totals[first], totals[last - 1]), 1)
+        dual = _charging(solution, charge)
+        case, v, bound = _priced_values(model, low, dual, members, [], slope)
+        if bound < enough and last - first > 1:
+            middle = (first + last) // 2
+            ahead += [(middle, last), (first, middle)]
+            continue
+        least.append(bound)
+        proved.append((totals[last - 1], case, v))
+    stated = [
+        [str(end), {"prices": [str(price) for price in case.prices]}] for end, case, _ in proved
+    ]
+    return stated, [v for _, _, v in proved], min([*least, upper])
 
 
 def _first_cap(model: checker.Model, solution: Solution) -> Fraction:
     """Total from which on a certificate's proof tells none apart, at first."""
     longest = max((t for pair in model.pairs for _, _, t in pair[2]), default=0)
     breaks = [checker.number(step[0]) for step in model.question.get("charge", [])]
-    if "quantile" in model.question:
+    if solution.problem.semantics.risk is not None:
         breaks = [Fraction(_text_of(solution.objective))]
     cap = max(Fraction(2 * longest, model.unit), max(breaks) + 1)
     if isinstance(solution.problem.semantics.charge(model.ratio), TotalCostCharge):
@@ -520,17 +572,19 @@ def _nodes_below(model: checker.Model, cap: Fraction) -> list[tuple[int, Fractio
 
 def _priced_values(
     model: checker.Model,
+    low: checker.Charge | None,
     solution: Solution,
     members: Sequence[Mapping[int, int]],
     weighed: Sequence[Sequence[Fraction]],
     slope: Sequence[int],
-) -> tuple[list[Fraction], list[int], Fraction]:
+) -> tuple[checker.Case, list[int], Fraction]:
     """Prices of the rows, values that bound all policies, in units of a file, and that bound."""
     prices, at = _first_prices(model, solution, weighed)
-    best: tuple[Fraction, list[Fraction], list[int]] | None = None
+    best: tuple[Fraction, checker.Case, list[int]] | None = None
     less = _LESS
     for _ in range(_RAISES):
-        c = model.priced(prices)
+        case = checker.Case(list(prices), low)
+        c = model.priced(case)
         past = slope if any(slope) else []
         v, _ = values_below(model, solution.problem.model, c, members, past)
         bound = c.constant
@@ -546,7 +600,7 @@ def _priced_values(
             bound = model.given_success(bound, prices[0])
         if best is not None and bound <= best[0] + (_LESS * abs(best[0]) if model.counts else 0):
             break
-        best = bound, list(prices), v
+        best = bound, case, v
         if at is None:
             break
         scale = abs(Fraction(_decimal_of(solution.objective)))

@@ -38,6 +38,14 @@ ever: only there do runs go on without end, and totals grow no faster than steps
 on elsewhere has no share in the limit. A quantile B is proved by a lottery that exceeds it rarely
 enough, and by v for the charge 1 from B on: whatever is done, that is too often.
 
+Cases: what is bounded from below may be told apart, each case with prices and v of its own; proved
+is the least of their bounds. A tail mean is the least over thresholds z of the charge
+z + max(T - z, 0) / (1 - level) of the total T. Given what a lottery does, that is convex in z and a
+line between totals that occur, and z <= it: so z is a total at the goal, to which lines of the
+proof must lead. A case holds the z up to its end, from the first one beyond the last end, by a
+charge that is nowhere more than that of any such z. What is beyond all ends is at least the next
+total, as z is. Above, the lottery is charged at one z; the tail mean is no more.
+
 Claim: what the solution that is proved said, at least and at most. It must hold the interval.
 """
 
@@ -46,13 +54,13 @@ import hashlib
 import json
 import re
 import sys
-from bisect import bisect_left
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from bisect import bisect, bisect_left
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache, lru_cache
 from math import floor, lcm
-from typing import Any
+from typing import Any, NamedTuple
 
 FORMAT, ZERO = "ssp-lp certificate 1", Fraction(0)
 ONE = 10**60  # a proof's numbers are compared in units of 1/ONE, rounded against the proof
@@ -60,12 +68,19 @@ EXCESS = Fraction(1, 10**9)  # of a bound: so much a lottery may exceed it, whic
 KINDS = {"asked": str, "charge_failing_step": bool, "greatest": bool, "rows": list, "sets": list}
 KEYS = "asked charge_failing_step costs discount failure format give_up greatest objective rows"
 NUMBER = re.compile(r"-?[0-9]+(/[0-9]+|(\.[0-9]+)?([eE][-+]?[0-9]+)?)")
-OPTIONAL = {"charge", "quantile", "ratio"}  # keys of questions that have them
+COUNTING = {"charge", "quantile", "tail_mean"}  # keys of questions, one at most, of totals
 FAILURE = {"constant": "1", "terms": [["-1", "end", "goal"]]}
 NOTHING: dict[str, Any] = {"constant": "0", "terms": []}
 Pair = tuple[str, int, list[tuple[int, int, int]], list[Fraction]]
 Charge = Callable[[int], int]  # of a total, in units
 Step = tuple[int, Fraction, Fraction, Fraction]  # of a charge: start, value, slope, where from
+
+
+class Case(NamedTuple):
+    """Part of all that is to be bounded from below, with a proof of its own."""
+
+    prices: list[Fraction]
+    low: Charge | None  # of a total, at most any that is in question
 
 
 class RefusedError(Exception):
@@ -172,10 +187,10 @@ class Model:
     def __init__(self, question: dict[str, Any], lines: Sequence[bytes]) -> None:
         need(question.get("format") == FORMAT, "this is no certificate of this format")
         known = {*KEYS.split(), "sets", "start", "states"}
-        need(known <= set(question) <= known | OPTIONAL, "an unknown question")
+        need(known <= set(question) <= known | COUNTING | {"ratio"}, "an unknown question")
         for key, kind in KINDS.items():
             need(type(question[key]) is kind, key, "is", repr(question[key])[:99])
-        need(not {"charge", "quantile"} <= set(question), "a charge, or a quantile")
+        need(len(COUNTING & set(question)) <= 1, "one question of totals")
         self.question, self.n_costs, n = question, whole(question["costs"], 1000), len(lines)
         self.sets: dict[str, set[int]] = {name: set() for name in ["goal", *question["sets"]]}
         self.gamma = number("1" if question["discount"] is None else question["discount"])
@@ -185,7 +200,7 @@ class Model:
             list[Pair](),
             [fields(read(line), name=str, sets=list, actions=list) for line in lines],
         )
-        self.counts, self.unit = "charge" in question or "quantile" in question, 1
+        self.counts, self.unit = not COUNTING.isdisjoint(question), 1
         if self.counts:  # totals are multiples of 1 / unit
             first = [action[2][0] for state in states for action in state[2]]
             told = {t for cost in first for t in (cost if isinstance(cost, list) else [cost])}
@@ -234,7 +249,9 @@ class Model:
         need(type(self.ratio) is bool, "ratio is", repr(self.ratio)[:99])
         need(not (question["greatest"] and self.ratio), "a ratio is to be small")
         alone = self.gamma == 1 and question["objective"] == NOTHING
-        need("quantile" not in question or alone, "a quantile has no discount and no objective")
+        is_risk = "quantile" in question or "tail_mean" in question
+        need(alone or not is_risk, "a quantile has no discount and no objective")
+        need(self.ratio or not is_risk, "a quantile is one given success")
         self.share = number(*fields(budget, share=str)) if isinstance(budget, dict) else None
         need(self.share is None or 0 <= self.share <= 1, "a share is no probability")
         is_told = budget != "least" and self.share is None
@@ -338,23 +355,51 @@ class Model:
             at, one = number(head["claim"][0]) * self.unit, Fraction(1)
             low, high = ([(-1, ZERO, ZERO, ZERO), (floor(late), one, ZERO, ZERO)]
                          for late in (-floor(-at) - one, at))  # fmt: skip
+        elif "tail_mean" in self.question:
+            low = high = self.excess(at := number(head["threshold"]), at)
         else:
             charge = self.question.get("charge", [])
-            is_listed = type(charge) is list and all(
-                type(s) is list and len(s) == 4 for s in charge
-            )
-            need(is_listed, "a charge is a list of lists of four numbers")
+            lists = type(charge) is list and all(type(s) is list and len(s) == 4 for s in charge)
+            need(lists, "a charge is a list of lists of four numbers")
             steps = [(number(after), [sign * number(v) for v in values], sign * number(slope))
                      for after, *values, slope in charge]  # fmt: skip
             low, high = ([(floor(after * self.unit), most(values), slope, after)
                           for after, values, slope in steps] for most in (min, max))  # fmt: skip
             told = [step[0] for step in steps]
-            need(
-                told == sorted(set(told)) and (not told or told[0] <= 0),
-                "a charge is told from 0 on",
-            )
+            is_told = told == sorted(set(told)) and (not told or told[0] <= 0)
+            need(is_told, "a charge is told from 0 on")
+        self.low: Charge | None = None
+        self.beyond: Fraction | None = None  # what thresholds that no case holds are at least
         if self.counts:
             self.low, self.objective.charge = self.ladder(low, 1), self.ladder(high, -1)
+
+    def excess(self, first: Fraction, last: Fraction) -> list[Step]:
+        """Charge that no threshold z between two exceeds in the checked proof, which z = last has.
+
+        ``max(first, min(t, last)) + max(t - last, 0) / share <= z + max(t - z, 0) / share``.
+        """
+        share = 1 - number(self.question["tail_mean"])
+        need(0 < share <= 1, "a level lies in [0, 1)")
+        return [(-1, first, ZERO, ZERO), (floor(first * self.unit), first, Fraction(1), first),
+                (floor(last * self.unit), last, 1 / share, last)]  # fmt: skip
+
+    def cases(self, stated: Any, low: Charge | None) -> Iterator[Case]:
+        """Cases of the checked proof."""
+        prices = [number(text) for text in fields(stated, prices=list)[0]]
+        need(min([ZERO, *prices]) >= 0, "prices are >= 0, fails")
+        need(len(prices) == len(self.rows), len(prices), "prices of", len(self.rows), "rows")
+        yield Case(prices, low)
+
+    def thresholds(self, stated: Iterable[tuple[str, Any]]) -> Iterator[Case]:
+        """Cases of the checked proof for thresholds up to one after the other; sets `beyond`."""
+        leads = ((self.pairs[k][2], r) for x, r in self.nodes for k in self.of[x])
+        goal, last = self.sets["goal"], Fraction(-1)
+        totals = sorted({0, self.cap, *(r + t for to, r in leads for _, y, t in to if y in goal)})
+        for text, some in stated:
+            first, end = Fraction(totals[bisect(totals, last)], self.unit), number(text)
+            yield from self.cases(some, self.ladder(self.excess(min(first, end), end), 1))
+            last = end * self.unit
+        self.beyond = Fraction(totals[bisect(totals, last)], self.unit)
 
     def ladder(self, steps: Sequence[Step], side: int) -> Charge:
         """Charge of totals in the checked proof, rounded down (side 1), or negative and up (-1)."""
@@ -379,11 +424,11 @@ class Model:
             need(False, "no line tells of", self.names[x], "with", Fraction(r, self.unit))
         return self.place[x, r]
 
-    def priced(self, prices: Sequence[Fraction]) -> Quantity:
-        """Checked objective, and at prices the excess of rows over their bounds."""
+    def priced(self, case: Case) -> Quantity:
+        """Checked objective, and at prices of a case the excess of rows over their bounds."""
         c = Quantity(self, self.question["objective"], self.sign, "priced")
-        c.charge = self.low if self.counts else None
-        for price, row in zip(prices, self.rows, strict=True):
+        c.charge = case.low
+        for price, row in zip(case.prices, self.rows, strict=True):
             c.constant += price * (row.constant - row.loose)
             c.stop += price * row.stop
             c.costs = [a + price * b for a, b in zip(c.costs, row.costs, strict=True)]
@@ -530,19 +575,27 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
     need(digest == head.get("sha256"), "the SHA-256 is not that of the question and the model")
     model, proof = Model(question, lines[1 : n + 1]), [read(line) for line in lines[n + 2 :]]
     told: dict[str, type] = {"cap": str, "nodes": int} if model.counts else {}
-    fields(head, sha256=str, claim=list, prices=list, weights=list, **told)
+    in_cases = "tail_mean" in question
+    told |= {"threshold": str, "cases": list} if in_cases else {"prices": list}
+    fields(head, sha256=str, claim=list, weights=list, **told)
     need(len(head["claim"]) == 2, "a claim is: at least, at most")
-    weights, prices = [[number(text) for text in head[name]] for name in ("weights", "prices")]
+    weights = [number(text) for text in head["weights"]]
     need(min(weights) >= 0 and sum(weights) == 1, "weights are >= 0 and sum to 1, fails")
-    need(min([ZERO, *prices]) >= 0, "prices are >= 0, fails")
-    need(len(prices) == len(model.rows), len(prices), "prices of", len(model.rows), "rows")
     keys = {"v", "members", *["w"][: model.share is not None], *["slope"][: model.counts]}
     is_told = all(line.keys() == keys for line in proof[:n])
     is_told &= all(line.keys() == {"v", "members", "state", "total"} for line in proof[n:])
     is_told &= all(len(line["members"]) == len(weights) for line in proof if is_told)
     need(is_told, "a line of proof has values, and each member, fails")
     model.spread(head, [(whole(line["state"], n), number(line["total"])) for line in proof[n:]])
-    proof[n:n], members = [{"v": "0", "members": [None] * len(weights)}], list[list[Fraction]]()
+    if in_cases:
+        cases = list(model.thresholds(head["cases"]))
+    else:
+        cases = list(model.cases({"prices": head["prices"]}, model.low))
+        proof = [{**line, "v": [line["v"]]} for line in proof]
+    is_told = all(type(line["v"]) is list and len(line["v"]) == len(cases) for line in proof)
+    need(is_told and len(cases) > 0, "a value for each case, and one case at least, fails")
+    none = {"v": ["0"] * len(cases), "members": [None] * len(weights)}
+    proof[n:n], members = [none], list[list[Fraction]]()
     for m in range(len(weights)):
         decided = {i: line["members"][m] for i, line in enumerate(proof)
                    if line["members"][m] is not None}  # fmt: skip
@@ -555,8 +608,12 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
         slope, model.slopes.charge = [down(number(t)) for t in texts], lambda r: down(model.rise)
         slope.append(0)
         model.below(slope, model.slopes)
-    c, v = model.priced(prices), [down(number(line["v"])) for line in proof]
-    lower = model.below(v, c, slope if any(slope) else ())
+    bounds = [] if model.beyond is None else [model.beyond]
+    for j, case in enumerate(cases):
+        v = [down(number(line["v"][j])) for line in proof]
+        bound = model.below(v, model.priced(case), slope if any(slope) else ())
+        bounds.append(model.given_success(bound, case.prices[0]) if model.ratio else bound)
+    lower = min(bounds)
     exceeded = dict[str, Fraction]()
     upper, *taken = [dot(weights, each) for each in zip(*members, strict=True)]
     for row, value in zip(model.rows, taken, strict=True):
@@ -566,10 +623,10 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
                 at_most(-down(-value), down(row.bound), "lottery <= bound of row", row.name)
     if model.ratio:
         need(taken[0] < 1, "the lottery reaches the goal, fails")
-        lower, upper = model.given_success(lower, prices[0]), max(upper, upper / (1 - taken[0]))
+        upper = max(upper, upper / (1 - taken[0]))
     if "quantile" in question:
         late = 1 - number(question["quantile"])
-        need(model.ratio and upper <= late, "the lottery exceeds the quantile as rarely, fails")
+        need(upper <= late, "the lottery exceeds the quantile as rarely, fails")
         need(not exceeded, "a quantile jumps where the lottery exceeds row", *exceeded)
         need(lower > late, "no lottery stays below the quantile as often, fails")
         lower = upper = number(head["claim"][0])

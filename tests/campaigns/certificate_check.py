@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from formulations import EGUBS, S3P, CostBoundedReach, CostQuantile
+from formulations import EGUBS, S3P, CostBoundedReach, CostQuantile, CVaR
 from ssp_lp import SSP, InfeasibleError, ModelError, SSPError, solve
 from ssp_lp.verification.certificate_file import write_certificate
 from ssp_lp.verification.checker import Checked, check_certificate
@@ -39,9 +39,12 @@ from tests.campaigns.program_check import CRITERIA, GOAL, drawn, drawn_task
 from tests.references.combined import Task
 from tests.references.stated import optimum
 
-LOOPING: dict[str, Callable[[SSP, Task, np.random.Generator], Any]] = {
+TOTALS: dict[str, Callable[[SSP, Task, np.random.Generator], Any]] = {
     "S3P": lambda m, t, rng: S3P(m, t.start, t.most_failure),
     "CostQuantile": lambda m, t, rng: CostQuantile(
+        m, t.start, float(rng.choice([0.3, 0.5, 0.8, 0.95])), t.most_failure
+    ),
+    "CVaR": lambda m, t, rng: CVaR(
         m, t.start, float(rng.choice([0.3, 0.5, 0.8, 0.95])), t.most_failure
     ),
     "CostBoundedReach": lambda m, t, rng: CostBoundedReach(
@@ -49,14 +52,14 @@ LOOPING: dict[str, Callable[[SSP, Task, np.random.Generator], Any]] = {
     ),
     "EGUBS": lambda m, t, rng: EGUBS(m, t.start, -0.4, 0.7),
 }
-"""Criteria of the total cost on models in which steps that cost something may lead anywhere."""
+"""Criteria of the total cost; on models, too, in which costly steps may lead anywhere."""
 
 MOST = 400  # states with totals in a program
 WIDTH, AGREED = 1e-9, 1e-7  # of an interval; of solvers in floating point; both of 1 + |value|
 Lines = list[bytes]
 
 
-KINDS = (*CRITERIA, *(f"{name}, looping" for name in LOOPING))
+KINDS = (*CRITERIA, *(f"{name}, looping" for name in TOTALS), "CVaR", "CostQuantile")
 """Problems, one kind after the other by their seeds."""
 
 
@@ -74,11 +77,11 @@ def asked(seed: int) -> Asked:
     if kind < len(CRITERIA):
         draw = drawn(seed // len(KINDS) * len(CRITERIA) + kind)
         return Asked(draw.name, draw.problem, lambda: draw.optimum(draw.task))
-    name, rng = list(LOOPING)[kind - len(CRITERIA)], np.random.default_rng([seed, 2800])
-    task = drawn_task(rng, loops=True)
+    name, rng = KINDS[kind], np.random.default_rng([seed, 2800])
+    task = drawn_task(rng, loops=name.endswith("looping"))
     model = SSP.from_transitions(task.choices, goal=set(GOAL), treat_actionless_as_dead_ends=True)
-    problem = LOOPING[name](model, task, rng)
-    return Asked(f"{name}, looping", problem, lambda: solve(problem).objective)
+    problem = TOTALS[name.removesuffix(", looping")](model, task, rng)
+    return Asked(name, problem, lambda: solve(problem).objective)
 
 
 def lines_of(path: Path) -> Lines:
@@ -143,8 +146,10 @@ def change_question(content: dict[str, Any], rng: np.random.Generator) -> bool:
             (moved(step[0], rng), step[1]) if rng.random() < 0.5 else (step[0], moved(step[1], rng))
         )
         step[2] = step[1]
-    elif "quantile" in content and rng.random() < 0.3:
-        content["quantile"] = _place(rng, ["0.2", "0.5", "0.9", "0.99"])
+    elif (level := _place(rng, [key for key in ("quantile", "tail_mean") if key in content])) and (
+        rng.random() < 0.3
+    ):
+        content[level] = _place(rng, ["0.2", "0.5", "0.9", "0.99"])
     elif kind == 8:
         content["discount"] = _place(rng, [None, "0.9", "99/100"])
     elif kind == 0:
@@ -214,12 +219,14 @@ def change_state(
 def change_head(content: dict[str, Any], rng: np.random.Generator) -> bool:
     """Change weights or prices; whether something was changed."""
     name = _place(rng, [key for key in content if key != "nodes"])
-    if name == "cap":
+    if name in ("cap", "threshold"):
         content[name] = moved(content[name], rng)
         return True
     if name == "claim":
         content[name] = [moved(content[name][0], rng)] * 2
         return True
+    if name == "cases":
+        return change_cases(content[name], rng)
     if name == "sha256":
         content[name] = content[name][::-1]
         return True
@@ -236,13 +243,33 @@ def change_head(content: dict[str, Any], rng: np.random.Generator) -> bool:
     return True
 
 
+def change_cases(cases: list[Any], rng: np.random.Generator) -> bool:
+    """Change the cases of a proof: an end, a price, two exchanged, one left out."""
+    kind, i, j = int(rng.integers(4)), *rng.integers(len(cases), size=2).tolist()
+    if kind == 0:
+        cases[i][0] = moved(cases[i][0], rng)
+    elif kind == 1 and cases[i][1]["prices"]:
+        prices = cases[i][1]["prices"]
+        k = int(rng.integers(len(prices)))
+        prices[k] = moved(prices[k], rng)
+    elif kind == 2:
+        cases[i], cases[j] = cases[j], cases[i]
+    else:
+        cases[i] = cases[j]
+    return True
+
+
 def change_proof(content: dict[str, Any], rng: np.random.Generator) -> bool:
     """Change values, decisions or vectors of a state; whether something was changed."""
     kind, entries = int(rng.integers(5)), content["members"]
     m = int(rng.integers(len(entries)))
     if kind == 0:
         name = _place(rng, [key for key in ("v", "w", "slope", "total") if key in content])
-        content[name] = moved(content[name], rng)
+        if isinstance(content[name], list):  # of a case
+            k = int(rng.integers(len(content[name])))
+            content[name][k] = moved(content[name][k], rng)
+        else:
+            content[name] = moved(content[name], rng)
     elif kind == 1:
         entries[m], entries[-1] = entries[-1], entries[m]
     elif entries[m] is None:

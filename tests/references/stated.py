@@ -23,6 +23,8 @@ def optimum(lines: Sequence[bytes], most: int = 120, *, whole: bool = False) -> 
     question, *states = [json.loads(line) for line in lines[: json.loads(lines[0])["states"] + 1]]
     if "quantile" in question:
         return quantile(question, states, whole=whole)
+    if "tail_mean" in question:
+        return tail_mean(question, states, most, whole=whole)
     if "charge" in question:
         question, states = by_totals(question, states, most, whole=whole)
     n = len(states)
@@ -246,11 +248,15 @@ def by_totals(
     return {**question, "states": len(nodes)}, told
 
 
-def quantile(question: dict, states: list[dict], most: int = 12, *, whole: bool) -> float | None:
-    """The least of the first totals at the goal that is exceeded rarely enough; None: none is."""
+def goal_totals(question: dict, states: list[dict], most: int, *, whole: bool) -> list[Fraction]:
+    """The first totals at which the goal can be reached; an OverflowError if these are not all."""
     met = {(x, Fraction(0)) for _, x in question["start"]}
     begun = {Fraction(0) for _, x in question["start"] if "goal" in states[x]["sets"]}
-    ends, ahead = begun, sorted(met)
+    ends, ahead, hopeful = begun, sorted(met), set[int]()
+    while more := {x for x, state in enumerate(states) if x not in hopeful and (
+            "goal" in state["sets"] or any(y in hopeful and Fraction(p)
+            for _, outs, _ in state["actions"] for p, y in outs))}:  # fmt: skip
+        hopeful |= more
     while ahead and len(ends) < most:
         x, total = ahead.pop(0)
         for _, outs, costs in states[x]["actions"]:
@@ -259,15 +265,42 @@ def quantile(question: dict, states: list[dict], most: int = 12, *, whole: bool)
                 node = y, total + Fraction(c)
                 if "goal" in states[y]["sets"] and Fraction(p):
                     ends.add(node[1])
-                elif Fraction(p) and node not in met:
+                elif Fraction(p) and y in hopeful and node not in met:
                     met.add(node)
                     ahead = sorted([*ahead, node], key=lambda node: node[1])
     if ahead and whole:
         raise OverflowError
+    return sorted(ends)
+
+
+def quantile(question: dict, states: list[dict], most: int = 12, *, whole: bool) -> float | None:
+    """The least of the first totals at the goal that is exceeded rarely enough; None: none is."""
     asked = {key: value for key, value in question.items() if key != "quantile"}
-    for total in sorted(ends):
+    for total in goal_totals(question, states, most, whole=whole):
         late = {**asked, "charge": [["-1", "0", "0", "0"], [str(total), "1", "1", "0"]]}
         share = optimum([json.dumps(line).encode() for line in (late, *states)])
         if share is not None and share <= 1.0 - float(Fraction(question["quantile"])) + 1e-9:
             return float(total)
     return None
+
+
+def tail_mean(question: dict, states: list[dict], nodes: int, *, whole: bool) -> float | None:
+    """The least over thresholds of threshold + mean excess / (1 - level); None: no policy is left.
+
+    A threshold is a total at the goal, and below the best value so far.
+    """
+    asked = {key: value for key, value in question.items() if key != "tail_mean"}
+    steep, best = str(1 / (1 - Fraction(question["tail_mean"]))), None
+    for total in goal_totals(question, states, 40, whole=False):
+        if best is not None and total >= best:
+            return best
+        z = str(total)
+        beyond = {**asked, "charge": [["-1", z, z, "0"], [z, z, z, steep]]}
+        value = optimum(
+            [json.dumps(line).encode() for line in (beyond, *states)], nodes, whole=whole
+        )
+        if value is None:
+            return None
+        best = value if best is None else min(best, value)
+    goal_totals(question, states, 40, whole=whole)
+    return best

@@ -189,6 +189,18 @@ KNOWN += [
     (Arrivals(TOWN, "road", squares(), 0.0), 16),
 ]
 KNOWN += [
+    (CVaR(TOWN, "road", 0.0, 0.2), "5/3"),
+    (CVaR(TOWN, "road", 0.5, 0.2), "7/3"),
+    (CVaR(TOWN, "road", 0.9, 0.2), 4),
+    (CVaR(ROAD, "road", 0.25, 0.05), "137/57"),
+    (CVaR(ROAD, "road", 0.9, 0.05), 3),
+    (CVaR(ROAD, "road", 0.9, 0.05, constraints={"ditch": DITCH <= 0.0}), 3),
+    (CVaR(LATE, "x", 0.5), 3),
+    (CVaR(LATE, {"x": 0.5, "g": 0.5}, 0.5), 2),
+    (CVaR(ROOTS, "x", 0.75), 4 * Fraction(str(2**0.5))),
+    (CVaR(STAYS, "x", 0.3, 0.5), 1),
+]
+KNOWN += [
     (MCMP(ROBOT, 0, 0.75, give_up=give_up, charge_failing_step=charged), known)
     for give_up, charged, known in ROBOT_VALUES
 ]
@@ -275,7 +287,6 @@ def few(label):
     ("problem", "words"),
     [
         (MCMP(ROAD, "road", reach_fraction=0.9, discount=0.99), "MCMP with reach_fraction"),
-        (CVaR(ROAD, "road", 0.9, 0.05), "CVaR: a mean of the costliest runs"),
         (few("crash"), "this MCMP: it counts what happens after failing"),
     ],
 )
@@ -326,6 +337,7 @@ TAMPERED = {
     "given": S3P(MAZE, "start", 0.1),
     "often": CostQuantile(MAZE, "start", 0.9, 0.1),
     "worth it": EGUBS(MAZE, "start", -0.5, 0.7),
+    "worst": CVaR(MAZE, "start", 0.9, 0.1),
 }  # fmt: skip
 
 QUESTION, FIRST_STATE, HEAD, PROOF, NODES = 0, 1, 5, 6, 10
@@ -350,6 +362,15 @@ CHANGES = [
     ("what totals add", "given", FIRST_STATE, _set("actions", 0, 2, 0, to="1"), "v <= "),
     ("a ratio", "given", QUESTION, _set("ratio", to=False), ""),
     ("a level", "often", QUESTION, _set("quantile", to="0.99999"), "quantile as rarely"),
+    ("a mean's level", "worst", QUESTION, _set("tail_mean", to="0.95"), "sum p u <= u|v <= "),
+    ("a threshold", "worst", HEAD, _set("threshold", to="3"), "sum p u <= u"),
+    ("a case's end", "worst", HEAD, _set("cases", 0, 0, to="1/2"), "v <= "),
+    ("a case's price", "worst", HEAD, _set("cases", 1, 1, "prices", 0, to="1"), "v <= "),
+    ("a negative price", "worst", HEAD, _set("cases", 1, 1, "prices", 0, to="-1"), "prices are"),
+    ("a case", "worst", HEAD, lambda c: c["cases"].pop(), "a value for each case"),
+    ("two cases", "worst", HEAD, lambda c: c["cases"].reverse(), "v <= "),
+    ("a case's value", "worst", PROOF, _set("v", 1, to="1000"), "v <= "),
+    ("a value of no case", "worst", PROOF, lambda c: c["v"].append("0"), "a value for each case"),
     ("a claim", "often", HEAD, _set("claim", to=["3", "3"]), "v <= |sum p u|quantile"),
     ("a line of a total", "given", NODES, _set("total", to="1"), "no line tells of|fails"),
     ("a slope", "given", PROOF, _set("slope", to="1000"), "v <= "),

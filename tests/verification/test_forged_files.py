@@ -2,6 +2,7 @@
 
 import gzip
 import json
+from fractions import Fraction
 from hashlib import sha256
 
 import pytest
@@ -134,4 +135,58 @@ def test_a_quantile_jumps_where_a_row_is_exceeded(tmp_path):
 )
 def test_a_question_is_read_in_one_way(asked, reason, tmp_path):
     told = verdict(tmp_path / "x", [STEP, GOAL], *one_step("1"), failure="0", **asked)
+    assert told.reason.startswith(reason)
+
+
+def worst_half(path, cases, values=("1.9",), cap="3", threshold="1", **asked):
+    """A total of 1 (0.55) or 2: the mean of the worse half is 1.9, whose threshold is 1."""
+    own, n = [0, "1", "1.9", "0"], len(values)
+    later = {"v": ["6.9"] * n, "slope": "2", "members": [None]}
+    first = {"state": 0, "total": "0", "v": list(values), "members": [own]}
+    proof = [later, {"v": ["0"] * n, "slope": "0", "members": [None]}, first]
+    stated = [[end, {"prices": [price]}] for end, price in cases]
+    head = {"threshold": threshold, "cases": stated, "cap": cap, "nodes": 1}
+    return verdict(path, [TWO, GOAL], head, proof, **{"ratio": True, "tail_mean": "0.5", **asked})
+
+
+@pytest.mark.parametrize(
+    ("cases", "values", "lower"),
+    [
+        ([("1", "1.9")], ["1.9"], "1.9"),
+        ([("2", "1.45")], ["1.45"], "1.45"),  # thresholds up to 2 charge a total of 2 with 2
+        ([("1.5", "1.675"), ("2", "2")], ["1.675", "2"], "1.675"),
+        ([("1.5", "1"), ("1", "1"), ("2", "2")], ["1", "1", "2"], "1"),  # a case too many
+        ([("1/2", "2")], ["2"], "1"),  # beyond 1/2 a tail mean is at least 1, the next total
+        ([("0", "1")], ["1"], "1"),
+    ],
+)
+def test_cases_hold_all_thresholds(cases, values, lower, tmp_path):
+    told = worst_half(tmp_path / "x", cases, values)
+    assert (told.reason, told.lower, told.upper) == ("", Fraction(lower), Fraction("1.9"))
+
+
+@pytest.mark.parametrize(
+    ("cases", "rest", "reason"),
+    [
+        ([("2", "1.9")], {}, "v <= c + sum p v at s with 0 go fails"),
+        ([("1.5", "1.9")], {}, "v <= c + sum p v at s with 0 go fails"),
+        ([], {"values": ()}, "a value for each case, and one case at least"),
+        ([("1", "1.9")] * 2, {}, "a value for each case, and one case at least"),
+        ([("1", "-1.9")], {}, "prices are >= 0"),
+        ([("3", "1.9")], {}, "the charge is a line from the cap on"),
+        ([("1", "1.9")], {"cap": "1"}, "the charge is a line from the cap on"),
+        ([("-2", "1.9")], {}, "a claim is a total"),
+        ([("1", "1.9")], {"threshold": "-2"}, "a claim is a total"),
+        ([("1", "1.9")], {"threshold": "3/2"}, "member 0: objective + sum p u <= u at s with 0"),
+        ([("1", "1.9")], {"tail_mean": "0.6"}, "member 0: objective + sum p u <= u at s with 0"),
+        ([("1", "1.9")], {"tail_mean": "1"}, "a level lies in [0, 1)"),
+        ([("1", "1.9")], {"tail_mean": "-1"}, "a level lies in [0, 1)"),
+        ([("1", "1.9")], {"ratio": False}, "a quantile is one given success"),
+        ([("1", "1.9")], {"discount": "0.9"}, "a quantile has no discount and no objective"),
+        ([("1", "1.9")], {"quantile": "0.5"}, "one question of totals"),
+        ([("1", "1.9")], {"charge": SPENT}, "one question of totals"),
+    ],
+)
+def test_cases_that_prove_nothing(cases, rest, reason, tmp_path):
+    told = worst_half(tmp_path / "x", cases, **rest)
     assert told.reason.startswith(reason)
