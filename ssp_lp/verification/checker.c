@@ -1,16 +1,22 @@
 /* Check a certificate by exact inequalities, a million actions within a minute.
  *
- *     cc -O2 -o check checker.c -lgmp -lz && ./check FILE
+ *     cc -O2 -o check checker.c -lgmp -lz-lcrypto && ./check FILE
  *
  * It prints an interval that holds the optimum, and answers 0; or which inequality fails where, and
  * answers 1; or it cannot work, and answers 2. It shares nothing with the library, nor with
- * checker.py beside it, which reads the same files; docs/guides/certificate.md says more of them.
+ * checker.py beside it, which reads the same files; docs/guides/certificate.md says more of them,
+ * certificate_format.md what each key of a file means.
  *
  * The question. A run ends in the goal; or in a dead-end, from which no way leads to the goal; or
  * it is given up; or it wanders for ever. A quantity has weights >= 0 for expected costs, for
  * arrivals in states, for arrivals in ends, and for the two last cases ("stop"). An end of weight
  * -a < 0 counts as -a, and a for each other end. A row is quantity <= bound. With a discount the
  * share 1 - discount of each step comes to one more dead-end, which has the number n.
+ *
+ * Totals. A charge depends on what a run has paid of the first cost when it comes to the goal, and
+ * is paid with the step into it. A node is a state with a total below the cap, which has a line of
+ * the proof, or a state from the cap on. There numbers are lines, y + slope (total - cap), and so
+ * are charges: the inequality at the cap, and that of the slopes, prove those at all totals.
  *
  * The proof. Each column of numbers y in the file bounds a quantity of its own from below:
  *
@@ -23,14 +29,18 @@
  *           asked of what keeps the goal sure;
  *   w       failure, if a share of the greatest goal probability is asked for;
  *   -t, -u  of a member of the lottery: minus its steps, which shows that it ends, and minus the
- *           objective and each row, which it takes at most u of. They are asked of its decisions.
+ *           objective and each row, which it takes at most u of. They are asked of its decisions;
+ *   slopes  of v, and of a member's -u of the objective: how fast its charge grows. That of v is
+ *           at most 0 where the goal can be avoided for ever: only there can totals go on growing.
  *
- * Numbers of the proof, and arrivals, are rounded down to units of 10^-60. All else is exact. The
- * model is read three times, a line at a time: for its graph, for the charges of dead-ends, and for
- * the inequalities; the proof once. Its SHA-256 ties the readings together.
+ * Numbers of the proof, arrivals and charges are rounded down to units of 10^-60, a step's own to
+ * units over the common denominator of its probabilities. All else is exact. The model is read
+ * three times, a line at a time: for its graph, for the charges of dead-ends, and for the
+ * inequalities; the proof once. Its SHA-256 ties the readings together.
  */
 #include <ctype.h>
 #include <gmp.h>
+#include <openssl/evp.h>
 #include <stdarg.h>
 #include <stdbool.h>
 #include <stdint.h>
@@ -39,53 +49,15 @@
 #include <string.h>
 #include <zlib.h>
 
-enum { DIGITS = 60, LONGEST = 4000, NONE = -1, STOP = -2 };
-enum kind { VISITS, END, OTHER_END };
+enum { DIGITS = 60, LONGEST = 4000, DEEPEST = 9, NONE = -1, STOP = -2 };
 
-struct term { mpq_t weight; enum kind kind; bool *states; };
-struct quantity {
-    char *name;
-    mpq_t constant, stop, bound, *costs;
-    struct term *terms;
-    size_t size;
-};
-struct column {
-    char name[100];
-    mpq_t *share, *costs, stop;  /* of each quantity in it; and so its weights */
-    bool steps;                  /* whether it counts -1 for each step */
-    int32_t *decision;           /* of the member in each state */
-    mpz_t *after;                /* arrival + y of each state, in units */
-};
-struct pair { uint32_t home; bool costless, stays, keeps; };  /* a state and an action */
-struct outcome { uint32_t pair, state, other; };  /* and another one that comes to the state */
-
-static gzFile file;
-static char *line, *at;  /* the line that is read, and its part that is not read yet */
-static uint32_t hash[8], k[64];
-static unsigned char block[64];
-static uint64_t hashed;
-static size_t n_lines, n_sets, n_start, n_rows, n_members, n_columns, n_pairs, n_outcomes, told;
-static long n, n_costs, *start_state;
-static char **sets, *asked, digest[65];
-static mpq_t claimed[2], one, a, b, c, left, right, discount, share, *start_part, *prices, *weights;
-static mpz_t units, z;
-static long state, *next;             /* what is read: a state and an action, that lead to others */
-static char *state_name, *action;     /* with parts of a sum; means of the costs, times the sum; */
-static mpq_t *part, sum, *paid, *least_paid;              /* and the least ones of the state */
-static bool **in_set, *goal, *dead, *live, *giving_up, *wandering, *roaming, *sure;
-static bool anywhere, attention, charging, greatest, least, sharing, budgeted, may_fail;
-static struct quantity *quantities;  /* the objective, and the rows */
-static struct column *columns;       /* v, w; then of each member -t, and -u of each quantity */
-static struct pair *pairs;
-static struct outcome *outcomes;
-static size_t *first_pair;           /* of each state */
-static uint32_t *coming;             /* 1 + an outcome that comes to each state, or 0 */
+static size_t n_lines;  /* that were read; 0 when all is read */
 
 static _Noreturn void refuse(const char *format, ...) {
     va_list words;
     va_start(words, format);
-    printf(at && *at ? "refused: line %zu: " : "refused: ", n_lines);
-    vprintf(format, words);
+    printf(n_lines ? "refused: line %zu: " : "refused: ", n_lines);
+    gmp_vprintf(format, words);
     printf("\n");
     exit(1);
 }
@@ -95,119 +67,111 @@ static _Noreturn void fail(const char *words) {
     exit(2);
 }
 
-/* Array of another length; one entry more is always there. */
-static void *resized(void *array, size_t count, size_t size) {
-    array = count < SIZE_MAX / size - 1 ? realloc(array, (count + 1) * size) : NULL;
-    if (!array) fail("there is not enough memory");
-    return array;
-}
-
-/* Array with room for one more entry: its room is doubled when it is full. */
-static void *grown(void *array, size_t count, size_t size) {
-    return count & (count - 1) ? array : resized(array, 2 * count, size);
-}
-
 static void *zeros(size_t count, size_t size) {
     void *array = calloc(count + 1, size);
     if (!array) fail("there is not enough memory");
     return array;
 }
 
-static mpq_t *rationals(size_t count) {
-    mpq_t *array = resized(NULL, count, sizeof *array);
-    for (size_t i = 0; i <= count; i++) mpq_init(array[i]);
+/* Array with room for one more entry: its room is doubled when it is full. */
+static void *grown(void *array, size_t count, size_t size) {
+    if (count & (count - 1)) return array;
+    array = realloc(array, (2 * count + 1) * size);
+    if (!array) fail("there is not enough memory");
     return array;
 }
 
-static void add_product(mpq_t total, const mpq_t one_factor, const mpq_t other_factor) {
-    if (!mpq_sgn(one_factor) || !mpq_sgn(other_factor)) return;
-    mpq_mul(c, one_factor, other_factor);
-    mpq_add(total, total, c);
-}
+/* ---- Rational numbers, which nobody changes once they are made ---- */
 
-/* ---- SHA-256 (FIPS 180-4), whose constants are digits of roots of primes ---- */
+typedef mpq_srcptr rational;
 
-static void take_roots(uint32_t *digits, int count, unsigned long degree) {
-    for (unsigned long prime = 2; count; prime++) {
-        mpz_set_ui(z, prime);
-        if (!mpz_probab_prime_p(z, 25)) continue;
-        mpz_mul_2exp(z, z, 32 * degree);
-        mpz_root(z, z, degree);
-        *digits++ = (uint32_t)mpz_get_ui(z);
-        count--;
+static rational zero, one;
+static size_t n_made, n_lasting;  /* numbers that are in use, those first of them for good */
+
+/* Place for a number, which lasts until the next line is read. */
+static mpq_ptr made(void) {
+    static mpq_ptr *all;
+    static size_t size;
+    if (n_made == size) {
+        all = grown(all, size, sizeof *all);
+        mpq_init(all[size++] = zeros(1, sizeof(mpq_t)));
     }
+    return all[n_made++];
 }
 
-static uint32_t turned(uint32_t x, int by) { return x >> by | x << (32 - by); }
-
-static void hash_block(void) {
-    uint32_t w[64] = {0}, s[8];
-    for (int i = 0; i < 64; i++) w[i / 4] = w[i / 4] << 8 | block[i];
-    for (int i = 16; i < 64; i++)
-        w[i] = w[i - 16] + (turned(w[i - 15], 7) ^ turned(w[i - 15], 18) ^ w[i - 15] >> 3)
-             + w[i - 7] + (turned(w[i - 2], 17) ^ turned(w[i - 2], 19) ^ w[i - 2] >> 10);
-    memcpy(s, hash, sizeof s);
-    for (int i = 0; i < 64; i++) {
-        uint32_t t = s[7] + (turned(s[4], 6) ^ turned(s[4], 11) ^ turned(s[4], 25))
-                   + (s[6] ^ (s[4] & (s[5] ^ s[6]))) + k[i] + w[i];
-        uint32_t u = (turned(s[0], 2) ^ turned(s[0], 13) ^ turned(s[0], 22))
-                   + ((s[0] & s[1]) | (s[2] & (s[0] | s[1])));
-        memmove(s + 1, s, 7 * sizeof *s);
-        s[4] += t;
-        s[0] = t + u;
-    }
-    for (int i = 0; i < 8; i++) hash[i] += s[i];
+static rational plus(rational a, rational b) {
+    if (!mpq_sgn(a) || !mpq_sgn(b)) return mpq_sgn(a) ? a : b;
+    mpq_ptr c = made();
+    mpq_add(c, a, b);
+    return c;
 }
 
-static void hash_bytes(const char *bytes, size_t length) {
-    while (length--) {
-        block[hashed++ % 64] = (unsigned char)*bytes++;
-        if (hashed % 64 == 0) hash_block();
-    }
+static rational minus(rational a, rational b) {
+    mpq_ptr c = made();
+    mpq_sub(c, a, b);
+    return c;
 }
 
-static void end_hash(char *digits) {
-    char length[8];
-    for (int i = 0; i < 8; i++) length[i] = (char)(8 * hashed >> (56 - 8 * i));
-    hash_bytes("\x80", 1);
-    while (hashed % 64 != 56) hash_bytes("", 1);
-    hash_bytes(length, 8);
-    for (int i = 0; i < 8; i++) sprintf(digits + 8 * i, "%08x", (unsigned)hash[i]);
+static rational times(rational a, rational b) {
+    if (!mpq_sgn(a) || !mpq_sgn(b)) return zero;
+    mpq_ptr c = made();
+    mpq_mul(c, a, b);
+    return c;
 }
 
-/* ---- Reading lines of JSON, their keys in the order in which they are written ---- */
-
-static bool next_line(void) {
-    static size_t room = 0;
-    size_t length = 0;
-    int byte, error;
-    at = NULL;
-    while ((byte = gzgetc(file)) != -1 && byte != '\n') {
-        if (byte < ' ' || byte > '~') refuse("line %zu is no printable ASCII", n_lines + 1);
-        if (length > INT32_MAX) refuse("line %zu is too long", n_lines + 1);
-        if (length == room) line = resized(line, room = 2 * room + 100, 1);
-        line[length++] = (char)byte;
-    }
-    if (byte == -1 && (gzerror(file, &error), error != Z_OK)) refuse("the gzip file is damaged");
-    if (byte == -1 && !length) return false;
-    if (!length) refuse("line %zu is empty", n_lines + 1);
-    line[length] = 0;
-    at = line;
-    if (n_lines++) hash_bytes("\n", 1);
-    hash_bytes(line, length);
-    return true;
+static rational over(rational a, rational b) {
+    mpq_ptr c = made();
+    mpq_div(c, a, b);
+    return c;
 }
 
-static bool take(const char *word) {
+static rational of(mpz_srcptr whole) {
+    mpq_ptr c = made();
+    mpq_set_z(c, whole);
+    return c;
+}
+
+static bool less(rational a, rational b) { return mpq_cmp(a, b) < 0; }
+
+static rational *many_zeros(size_t count) {
+    rational *array = zeros(count, sizeof *array);
+    for (size_t i = 0; i < count; i++) array[i] = zero;
+    return array;
+}
+
+/* A number times a whole one, rounded down. */
+static void floor_of(mpz_t rounded, rational q, const mpz_t scale) {
+    mpz_mul(rounded, mpq_numref(q), scale);
+    mpz_fdiv_q(rounded, rounded, mpq_denref(q));
+}
+
+/* ---- Lines of JSON ---- */
+
+struct json {
+    char kind, *key, *text;      /* kind: { [ " t f n, or 0 for a whole number */
+    long number;
+    struct json *first, *next;   /* of its entries; behind it in the same list or object */
+    bool is_read;
+};
+
+static gzFile file;
+static EVP_MD_CTX *hash;         /* of the lines that were read */
+static char *at;                 /* the part of the line that is not read yet */
+static struct json *values;      /* of the line */
+static size_t n_values;
+
+static bool take(char letter) {
     while (*at == ' ') at++;
-    bool found = !strncmp(at, word, strlen(word));
-    if (found) at += strlen(word);
-    return found;
+    return *at == letter && at++;
+}
+
+static void expect(char letter) {
+    if (!take(letter)) refuse("\"%.40s\" where %c should be", at, letter);
 }
 
 /* A string. Each has one way to be written, so that it may be compared as it is written. */
-static char *string(void) {
-    if (!take("\"")) refuse("\"%.40s\" is no text", at);
+static char *quoted(void) {
+    expect('"');
     char *text = at;
     for (; *at != '"'; at++) {
         if (!*at) refuse("a text does not end");
@@ -219,24 +183,126 @@ static char *string(void) {
     return text;
 }
 
-static char *kept(const char *text) {
-    return strcpy(zeros(strlen(text), 1), text);
-}
-
-static bool truth(void) {
-    bool value = take("true");
-    if (!value && !take("false")) refuse("\"%.40s\" is neither true nor false", at);
+static struct json *parsed(int depth) {
+    struct json *value = &values[n_values++], **end = &value->first;
+    while (*at == ' ') at++;
+    *value = (struct json){.kind = *at};
+    if (depth > DEEPEST) refuse("there are too many brackets");
+    if (*at == '"') {
+        value->text = quoted();
+    } else if (*at == '[' || *at == '{') {
+        for (at++; !take(value->kind == '[' ? ']' : '}'); end = &(*end)->next) {
+            if (value->first) expect(',');
+            char *key = value->kind == '{' ? quoted() : NULL;
+            if (key) expect(':');
+            *end = parsed(depth + 1);
+            (*end)->key = key;
+        }
+    } else if (isdigit(*at)) {
+        value->kind = 0;
+        if (*at == '0' && isdigit(at[1])) refuse("\"%.20s\" is no whole number", at);
+        value->number = strtol(at, &at, 10);
+    } else {
+        const char *word = *at == 't' ? "true" : *at == 'f' ? "false" : "null";
+        if (strncmp(at, word, strlen(word))) refuse("\"%.20s\" is no value", at);
+        at += strlen(word);
+    }
     return value;
 }
 
-static long whole(long below) {
-    char *end = at;
-    long value = !take(" ") && isdigit(*at) ? strtol(at, &end, 10) : below;
-    if (value >= below || (*at == '0' && end > at + 1))
-        refuse("\"%.20s\" is no whole number below %ld", at, below);
-    at = end;
+/* The next line, or NULL where there is none. */
+static struct json *next_line(void) {
+    static char *line;
+    static size_t room, most_values;
+    size_t length = 0, count = 1;
+    int byte, error;
+    n_lines++;
+    while ((byte = gzgetc(file)) != -1 && byte != '\n') {
+        if (byte < ' ' || byte > '~') refuse("it is no printable ASCII");
+        if (length + 1 >= room && !(line = realloc(line, room = 2 * room + 100)))
+            fail("there is not enough memory");
+        line[length++] = (char)byte;
+        count += byte == ',' || byte == ':' || byte == '[';
+    }
+    if (byte == -1 && (gzerror(file, &error), error != Z_OK)) refuse("the gzip file is damaged");
+    if (byte == -1 && !length) return NULL;
+    if (!length) refuse("it is empty");
+    line[length] = 0;
+    EVP_DigestUpdate(hash, "\n", n_lines > 1);
+    EVP_DigestUpdate(hash, line, length);
+    if (count > most_values) {
+        free(values);
+        values = zeros(most_values = count, sizeof *values);
+    }
+    n_values = 0;
+    n_made = n_lasting;
+    at = line;
+    struct json *value = parsed(0);
+    if (take(' ') || *at) refuse("it goes on with \"%.40s\"", at);
     return value;
 }
+
+static struct json *need_line(void) {
+    struct json *value = next_line();
+    if (!value) refuse("the file ends too early");
+    return value;
+}
+
+/* Refuse a line unless each of its values was read: keys that are not known, or come twice. */
+static void end_line(void) {
+    for (struct json *value = values; value < values + n_values; value++)
+        if (!value->is_read) refuse("\"%s\" is not known", value->key ? value->key : "an entry");
+}
+
+static bool is(struct json *value, char kind) {
+    return value && value->kind == kind && (value->is_read = true);
+}
+
+static bool says(struct json *value, const char *word) {
+    return value && value->text && !strcmp(value->text, word) && is(value, '"');
+}
+
+static struct json *found(struct json *object, const char *key) {
+    struct json *value = is(object, '{') ? object->first : NULL;
+    while (value && strcmp(value->key, key)) value = value->next;
+    return value;
+}
+
+static struct json *get(struct json *object, const char *key) {
+    struct json *value = found(object, key);
+    if (!value) refuse("there is no \"%s\"", key);
+    return value;
+}
+
+static struct json *after(struct json *value) { return value ? value->next : NULL; }
+
+static void need(bool holds, struct json *value, const char *otherwise) {
+    const char *key = value && value->key ? value->key : "an entry";
+    if (!holds) refuse("%s \"%.40s\" is %s", key, value && value->text ? value->text : "", otherwise);
+}
+
+static struct json *list(struct json *value) {
+    need(is(value, '['), value, "no list");
+    return value->first;
+}
+
+static char *string(struct json *value) {
+    need(is(value, '"'), value, "no text");
+    return value->text;
+}
+
+static bool truth(struct json *value) {
+    need(is(value, 't') || is(value, 'f'), value, "neither true nor false");
+    return value->kind == 't';
+}
+
+static long whole(struct json *value, long below) {
+    need(is(value, 0), value, "no whole number");
+    if (value->number >= below) refuse("%ld is no whole number below %ld", value->number, below);
+    return value->number;
+}
+
+static char *kept(const char *text) { return strcpy(zeros(strlen(text), 1), text); }
 
 /* Digits at a place, of which there are some, are put behind others; what follows them. */
 static const char *take_digits(const char *s, char *digits) {
@@ -246,178 +312,78 @@ static const char *take_digits(const char *s, char *digits) {
     return s + size;
 }
 
-/* A decimal or a fraction, not in lowest terms. */
-static void number(mpq_t q) {
+/* A decimal or a fraction. */
+static rational number(struct json *value) {
     static char digits[LONGEST], more[LONGEST];
-    const char *s = string(), *point;
+    const char *s = string(value);
     long power = 0;
+    mpq_ptr q = made();
     if (strlen(s) >= LONGEST) refuse("a number is too long");
     strcpy(digits, *s == '-' ? "-" : "");
-    s = take_digits(s + (*s == '-'), digits);
     strcpy(more, "");
-    mpz_set_ui(z, 1);
+    s = take_digits(s + (*s == '-'), digits);
     if (*s == '/') {
         s = take_digits(s + 1, more);
-        mpz_set_str(z, more, 10);
+        mpz_set_str(mpq_denref(q), more, 10);
     } else {
-        if (*(point = s) == '.') power = point + 1 - (s = take_digits(point + 1, digits));
+        const char *point = s;
+        if (*s == '.') power = point + 1 - (s = take_digits(point + 1, digits));
         if (*s == 'e' || *s == 'E') {
             bool negative = s[1] == '-';
             s = take_digits(s + 1 + (negative || s[1] == '+'), more);
             if (strtol(more, NULL, 10) >= LONGEST) refuse("an exponent is too large: %s", more);
             power += negative ? -strtol(more, NULL, 10) : strtol(more, NULL, 10);
         }
-        mpz_ui_pow_ui(z, 10, (unsigned long)labs(power));
+        mpz_ui_pow_ui(mpq_denref(q), 10, (unsigned long)labs(power));
     }
-    if (*s || !mpz_sgn(z)) refuse("no number ends in \"%.40s\"", s);
+    if (*s || !mpz_sgn(mpq_denref(q))) refuse("no number ends in \"%.40s\"", s);
     mpz_set_str(mpq_numref(q), digits, 10);
-    mpz_set_ui(mpq_denref(q), 1);
-    if (power > 0) mpz_mul(mpq_numref(q), mpq_numref(q), z);
-    else mpz_set(mpq_denref(q), z);
-}
-
-static void rational(mpq_t q) {
-    number(q);
-    mpq_canonicalize(q);
-}
-
-static void not_negative(mpq_t q) {
-    rational(q);
-    if (mpq_sgn(q) < 0) refuse("a number is negative that is not to be");
-}
-
-/* Read what a form shows: itself, ' being a quotation mark; and a text for %s, a number for %q or
- * %p if it is to be >= 0, a whole number below another for %i, true or false for %b. */
-static void scan(const char *form, ...) {
-    va_list to;
-    va_start(to, form);
-    for (bool quoted = false; *form; form++) {
-        if (*form == '%' && form[1] == 's') *va_arg(to, char **) = string();
-        else if (*form == '%' && form[1] == 'q') rational(va_arg(to, mpq_ptr));
-        else if (*form == '%' && form[1] == 'p') not_negative(va_arg(to, mpq_ptr));
-        else if (*form == '%' && form[1] == 'b') *va_arg(to, bool *) = truth();
-        else if (*form == '%') {
-            long below = va_arg(to, long);
-            *va_arg(to, long *) = whole(below);
-        } else {
-            while (!quoted && *at == ' ') at++;
-            if (*at != (*form == '\'' ? '"' : *form))
-                refuse("\"%.40s\" where %.20s should be", at, form);
-            quoted ^= *at++ == '"';
-        }
-        if (*form == '%') form++;
+    if (power > 0) {
+        mpz_mul(mpq_numref(q), mpq_numref(q), mpq_denref(q));
+        mpz_set_ui(mpq_denref(q), 1);
     }
-    va_end(to);
+    mpq_canonicalize(q);
+    return q;
 }
 
-static void end_line(void) {
-    scan("}");
-    if (take(" ") || *at) refuse("it goes on with \"%.40s\"", at);
+/* A number, or minus it. */
+static rational turned(struct json *value, bool turn) {
+    return turn ? minus(zero, number(value)) : number(value);
 }
 
-/* Whether a list goes on: with its first entry, or past a comma. */
-static bool goes_on(size_t *entries) {
-    if (take("]")) return false;
-    if ((*entries)++) scan(",");
-    return true;
-}
-
-static void need_line(void) {
-    if (!next_line()) refuse("%zu lines where there should be %ld", n_lines, 2 * n + 2);
-}
-
-/* In units, rounded down. */
-static void floored(mpz_t rounded, const mpq_t q) {
-    mpz_mul(rounded, mpq_numref(q), units);
-    mpz_fdiv_q(rounded, rounded, mpq_denref(q));
+static rational not_negative(struct json *value) {
+    rational q = number(value);
+    if (mpq_sgn(q) < 0) refuse("a number is negative that is not to be: %Qd", q);
+    return q;
 }
 
 /* ---- The question ---- */
+
+/* Weights of a quantity: these; those of the costs, and of steps; three of each set of states. */
+enum { CONSTANT, STOPPING, BOUND, COSTS };
+enum { VISITS, ENDS, OTHER_ENDS, KINDS };
+
+struct quantity { char *name; rational *weights; };
+struct stair { mpz_t start; rational after, value[2], slope; };  /* least, greatest */
+
+static long n, n_costs, *start_state;
+static size_t n_sets, n_start, n_rows, n_stairs;  /* rows: the objective among them */
+static char **sets, *asked;
+static bool **in_set, *ends, *goal;      /* set by set: states in it; whether its ends count */
+static bool anywhere, attention, charging, greatest, least, sharing, limited, ratio;
+static bool totals, quantile;            /* whether totals count; and what is asked of them */
+static rational discount, share, level, *start_part;
+static struct quantity *quantities;      /* the objective, and the rows */
+static struct stair *stairs;             /* of the charge */
+
+static size_t weight_of(size_t set, int kind) {
+    return COSTS + (size_t)n_costs + 1 + KINDS * set + (size_t)kind;
+}
 
 static size_t set_of(const char *name) {
     for (size_t s = 0; s < n_sets; s++)
         if (!strcmp(name, sets[s])) return s;
     refuse("there is no set \"%s\"", name);
-}
-
-static struct quantity *new_quantity(char *name) {
-    quantities = grown(quantities, n_rows, sizeof *quantities);
-    struct quantity *q = quantities + n_rows++;
-    *q = (struct quantity){.name = name, .costs = rationals((size_t)n_costs)};
-    mpq_inits(q->constant, q->stop, q->bound, NULL);
-    return q;
-}
-
-static void add_term(struct quantity *q, const mpq_t weight, enum kind kind, bool *states) {
-    q->terms = grown(q->terms, q->size, sizeof *q->terms);
-    struct term *term = q->terms + q->size++;
-    term->kind = kind;
-    term->states = states;
-    mpq_init(term->weight);
-    mpq_set(term->weight, weight);
-}
-
-static void read_quantity(struct quantity *q) {
-    scan("{'constant':%q,'terms':[", q->constant);
-    for (size_t i = 0; goes_on(&i); scan("]")) {
-        char *kind, *set;
-        long cost;
-        scan("[%q,%s,", a, &kind);
-        if (!strcmp(kind, "cost")) {
-            scan("%i", n_costs, &cost);
-            mpq_add(q->costs[cost], q->costs[cost], a);
-        } else if (!strcmp(kind, "visits") || !strcmp(kind, "end")) {
-            scan("%s", &set);
-            add_term(q, a, !strcmp(kind, "end") ? END : VISITS, in_set[set_of(set)]);
-        } else refuse("no quantity is called \"%s\"", kind);
-    }
-    scan("}");
-}
-
-/* Turn a quantity's sign, if that is asked; and ends of negative weight into all other ends. */
-static void settle(struct quantity *q, bool turn) {
-    if (turn) mpq_neg(q->constant, q->constant);
-    for (long cost = 0; cost < n_costs; cost++) {
-        if (turn) mpq_neg(q->costs[cost], q->costs[cost]);
-        if (mpq_sgn(q->costs[cost]) < 0) refuse("costs count negatively in %s", q->name);
-    }
-    for (struct term *t = q->terms; t < q->terms + q->size; t++) {
-        if (turn) mpq_neg(t->weight, t->weight);
-        if (t->kind != END || mpq_sgn(t->weight) >= 0) continue;
-        t->kind = OTHER_END;
-        mpq_add(q->constant, q->constant, t->weight);
-        mpq_neg(t->weight, t->weight);
-        mpq_add(q->stop, q->stop, t->weight);
-    }
-}
-
-static void read_failure(void) {
-    if (take("null")) return;
-    struct quantity *q = new_quantity("failure");
-    budgeted = true;
-    mpq_set(q->stop, one);
-    add_term(q, one, OTHER_END, goal);
-    least = take("\"least\"");
-    sharing = !least && take("{");
-    if (sharing) scan("'share':%p}", share);
-    else if (!least) rational(q->bound);
-    if (mpq_cmp(share, one) > 0) refuse("a share is no probability");
-}
-
-static void read_row(void) {
-    char *name, *side;
-    scan("{'name':%s,'quantity':", &name);
-    struct quantity *q = new_quantity(kept(name));
-    for (struct quantity *other = quantities + 1; other < q; other++)
-        if (!strcmp(other->name, q->name)) refuse("two rows are called %s", q->name);
-    read_quantity(q);
-    scan(",%s:%q}", &side, q->bound);
-    bool turns = !strcmp(side, "at_least");
-    if (!turns && strcmp(side, "at_most")) refuse("a row has a name and one bound");
-    settle(q, turns);
-    if (turns) mpq_neg(q->bound, q->bound);
-    mpq_sub(q->bound, q->bound, q->constant);
-    mpq_set_ui(q->constant, 0, 1);
 }
 
 static void new_set(char *name) {
@@ -427,129 +393,245 @@ static void new_set(char *name) {
     in_set[n_sets++] = zeros((size_t)n + 1, 1);
 }
 
-static void read_question(void) {
-    char *text;
-    scan("{'format':'ssp-lp certificate 1','asked':%s,", &text);
-    asked = kept(text);
-    scan("'states':%i,'costs':%i,'sets':[", (long)INT32_MAX, &n, 1000L, &n_costs);
-    paid = rationals((size_t)n_costs);
-    least_paid = rationals((size_t)n_costs);
-    first_pair = zeros((size_t)n + 2, sizeof *first_pair);
-    coming = zeros((size_t)n + 1, sizeof *coming);
+static rational *new_quantity(char *name) {
+    for (size_t j = 1; j < n_rows; j++)
+        if (!strcmp(quantities[j].name, name)) refuse("two rows are called %s", name);
+    quantities = grown(quantities, n_rows, sizeof *quantities);
+    quantities[n_rows] = (struct quantity){name, many_zeros(weight_of(n_sets, 0))};
+    return quantities[n_rows++].weights;
+}
+
+/* Weights of a quantity, or of minus it. */
+static void read_quantity(rational *weights, struct json *value, bool turn) {
+    weights[CONSTANT] = turned(get(value, "constant"), turn);
+    for (struct json *term = list(get(value, "terms")); term; term = term->next) {
+        struct json *kind = after(list(term)), *what = after(kind);
+        rational weight = turned(list(term), turn);
+        size_t place;
+        if (says(kind, "cost")) {
+            place = COSTS + (size_t)whole(what, n_costs);
+        } else if (says(kind, "visits")) {
+            place = weight_of(set_of(string(what)), VISITS);
+        } else if (says(kind, "end")) {
+            place = weight_of(set_of(string(what)), mpq_sgn(weight) < 0 ? OTHER_ENDS : ENDS);
+            ends[set_of(what->text)] = true;
+            if (mpq_sgn(weight) < 0) {  /* P(end) = 1 - P(no such end) */
+                weights[CONSTANT] = plus(weights[CONSTANT], weight);
+                weight = minus(zero, weight);
+                weights[STOPPING] = plus(weights[STOPPING], weight);
+            }
+        } else refuse("no quantity is called \"%s\"", string(kind));
+        weights[place] = plus(weights[place], weight);
+    }
+    for (long cost = 0; cost < n_costs; cost++)
+        if (mpq_sgn(weights[COSTS + cost]) < 0) refuse("costs count negatively");
+}
+
+static void read_failure(struct json *stated) {
+    bool none = is(stated, 'n');
+    limited = ratio || !none;
+    if (!limited) return;
+    rational *weights = new_quantity("failure");
+    weights[STOPPING] = weights[weight_of(0, OTHER_ENDS)] = one;  /* other ends than the goal */
+    least = says(stated, "least");
+    sharing = is(stated, '{');
+    if (sharing) share = not_negative(get(stated, "share"));
+    else if (!least) weights[BOUND] = none ? one : number(stated);
+    if (less(one, share)) refuse("a share is no probability");
+    if ((sharing || least) && less(discount, one))
+        refuse("a share, or least failure, is of the real probability: without discount");
+}
+
+static void read_row(struct json *row) {
+    struct json *most = found(row, "at_most");
+    rational *weights = new_quantity(kept(string(get(row, "name"))));
+    read_quantity(weights, get(row, "quantity"), !most);
+    weights[BOUND] = minus(turned(most ? most : get(row, "at_least"), !most), weights[CONSTANT]);
+    weights[CONSTANT] = zero;
+}
+
+/* A step of the charge: after a total; between two values there; its slope. */
+static struct stair *new_stair(rational total, rational value, rational other, rational slope) {
+    stairs = grown(stairs, n_stairs, sizeof *stairs);
+    struct stair *stair = &stairs[n_stairs++];
+    bool falls = less(other, value);
+    *stair = (struct stair){.after = total, .slope = slope,
+                            .value = {falls ? other : value, falls ? value : other}};
+    mpz_init(stair->start);
+    return stair;
+}
+
+static void read_start(struct json *begin) {
+    rational total = zero;
+    for (; begin; begin = begin->next, n_start++) {
+        start_part = grown(start_part, n_start, sizeof *start_part);
+        start_state = grown(start_state, n_start, sizeof *start_state);
+        start_part[n_start] = not_negative(list(begin));
+        start_state[n_start] = whole(after(list(begin)), n);
+        total = plus(total, start_part[n_start]);
+    }
+    if (!mpq_sgn(total)) refuse("the start is no distribution");
+    for (size_t i = 0; i < n_start; i++) start_part[i] = over(start_part[i], total);
+}
+
+static void read_question(struct json *line) {
+    struct json *where = get(line, "give_up"), *gamma = get(line, "discount");
+    struct json *charge = found(line, "charge"), *told = found(line, "quantile");
+    struct json *objective = get(line, "objective");
+    if (!says(get(line, "format"), "ssp-lp certificate 1")) refuse("the format is not known");
+    asked = kept(string(get(line, "asked")));
+    n = whole(get(line, "states"), INT32_MAX);
+    n_costs = whole(get(line, "costs"), 1000);
     new_set("goal");
     goal = in_set[0];
-    for (size_t i = 0; goes_on(&i); new_set(kept(text))) scan("%s", &text);
-    scan(",'start':[");
-    while (goes_on(&n_start)) {
-        start_part = grown(start_part, n_start - 1, sizeof *start_part);
-        start_state = grown(start_state, n_start - 1, sizeof *start_state);
-        mpq_init(start_part[n_start - 1]);
-        scan("[%p,%i]", start_part[n_start - 1], n, &start_state[n_start - 1]);
-        mpq_add(sum, sum, start_part[n_start - 1]);
+    for (struct json *set = list(get(line, "sets")); set; set = set->next)
+        new_set(kept(string(set)));
+    ends = zeros(n_sets, 1);
+    read_start(list(get(line, "start")));
+    anywhere = says(where, "anywhere");
+    attention = says(where, "attention");
+    need(anywhere || attention || says(where, "dead_ends"), where, "no place to give up in");
+    charging = truth(get(line, "charge_failing_step"));
+    greatest = truth(get(line, "greatest"));
+    ratio = found(line, "ratio") && truth(found(line, "ratio"));
+    if (ratio && greatest) refuse("a ratio is to be small");
+    discount = is(gamma, 'n') ? one : number(gamma);
+    if (mpq_sgn(discount) <= 0 || less(one, discount)) refuse("a discount lies in (0, 1)");
+    read_quantity(new_quantity("objective"), objective, greatest);
+    read_failure(get(line, "failure"));
+    for (struct json *row = list(get(line, "rows")); row; row = row->next) read_row(row);
+    quantile = told;
+    totals = charge || quantile;
+    if (charge && quantile) refuse("a charge, or a quantile");
+    for (struct json *step = charge ? list(charge) : NULL; step; step = step->next) {
+        struct json *value = after(list(step)), *other = after(value);
+        new_stair(number(list(step)), turned(value, greatest), turned(other, greatest),
+                  turned(after(other), greatest));
     }
-    if (!mpq_sgn(sum)) refuse("the start is no distribution");
-    for (size_t i = 0; i < n_start; i++) mpq_div(start_part[i], start_part[i], sum);
-    scan(",'give_up':%s,'charge_failing_step':%b,", &text, &charging);
-    scan("'greatest':%b,'objective':", &greatest);
-    anywhere = !strcmp(text, "anywhere");
-    attention = !strcmp(text, "attention");
-    if (!anywhere && !attention && strcmp(text, "dead_ends"))
-        refuse("give_up is \"%s\"", text);
-    read_quantity(new_quantity("objective"));
-    settle(quantities, greatest);
-    scan(",'failure':");
-    read_failure();
-    scan(",'discount':");
-    mpq_set(discount, one);
-    if (!take("null")) rational(discount);
-    if (mpq_sgn(discount) <= 0 || mpq_cmp(discount, one) > 0) refuse("a discount lies in (0, 1)");
-    if ((sharing || least) && !mpq_equal(discount, one))
-        refuse("a share, or least failure, is of the real probability: without discount");
-    scan(",'rows':[");
-    for (size_t i = 0; goes_on(&i);) read_row();
+    if (charge && !n_stairs) refuse("a charge has some value");
+    if (quantile) level = number(told);
+    if (quantile && (less(discount, one) || get(objective, "terms")->first
+                     || !says(get(objective, "constant"), "0")))
+        refuse("a quantile has no discount and no objective");
     end_line();
+    n_lasting = n_made;
 }
 
 /* ---- The model ---- */
 
-/* What is paid of a cost, times the sum of the probabilities. */
-static void read_cost(mpq_t mean) {
-    size_t i = 0;
-    bool each = take("[");
-    mpq_set_ui(mean, 0, 1);
-    if (!each) not_negative(a), add_product(mean, a, sum);
-    while (each && goes_on(&i)) {
-        not_negative(a);
-        if (i <= told) add_product(mean, a, part[i - 1]);
+struct outcome { uint32_t pair, state, other; };  /* and another one that comes to the state */
+struct move { long state; size_t node; rational chance; mpz_t part, further, total; };
+
+static size_t n_pairs, n_outcomes, *first_pair;  /* pairs of a state and an action; of each state */
+static uint32_t *home;                   /* of each pair: its state */
+static bool *costless, *stays, *keeps;   /* it costs nothing; avoids the goal; is asked of v */
+static struct outcome *outcomes;
+static uint32_t *coming;                 /* 1 + an outcome that comes to each state, or 0 */
+static mpz_t unit;                       /* of totals: 1 / unit */
+static long state;                       /* that is read, */
+static char *state_name, *action;        /* and its action: with part / sum it comes to a state, */
+static struct move *moves;               /* and so much further in units of totals; */
+static size_t n_moves;
+static mpz_t sum;
+static rational *paid, *least_paid;      /* means of its costs, and 1, times the sum; least means */
+static char digest[2 * EVP_MAX_MD_SIZE + 1];
+
+static rational read_cost(struct json *stated, bool counts) {
+    bool varies = is(stated, '[');
+    struct json *each = varies ? stated->first : NULL;
+    rational mean = zero, cost = varies ? zero : not_negative(stated);
+    for (struct move *move = moves; move < moves + n_moves; move++, each = after(each)) {
+        if (varies) cost = not_negative(each);
+        if (varies) mean = plus(mean, times(of(move->part), cost));
+        if (!counts) continue;
+        mpz_lcm(unit, unit, mpq_denref(cost));
+        floor_of(move->further, cost, unit);
     }
-    if (each && i != told) refuse("as many costs as outcomes, fails");
+    if (each) refuse("as many costs as outcomes, fails");
+    return varies ? mean : times(of(sum), cost);
 }
 
-static void read_pair(void) {
-    static size_t room = 0;
-    size_t cost = 0;
-    scan("[%s,[", &action);
-    mpq_set_ui(sum, 0, 1);
-    for (told = 0; goes_on(&told);) {
-        for (; room <= told; room++) {  /* one more is for what a discount takes */
-            part = grown(part, room, sizeof *part);
-            next = grown(next, room, sizeof *next);
-            mpq_init(part[room]);
+static void read_pair(struct json *stated) {
+    static size_t room;
+    struct json *chances = after(list(stated)), *costs = after(chances);
+    mpz_t scale;
+    mpz_init_set_ui(scale, 1);
+    action = string(list(stated));
+    n_moves = 0;
+    for (struct json *each = list(chances); each; each = each->next, n_moves++) {
+        if (n_moves == room) {
+            moves = grown(moves, room, sizeof *moves);
+            mpz_inits(moves[room].part, moves[room].further, moves[room].total, NULL);
+            room++;
         }
-        scan("[%p,%i]", part[told - 1], n, &next[told - 1]);
-        mpq_add(sum, sum, part[told - 1]);
+        moves[n_moves].chance = not_negative(list(each));
+        moves[n_moves].state = whole(after(list(each)), n);
+        mpz_lcm(scale, scale, mpq_denref(moves[n_moves].chance));
     }
-    if (!mpq_sgn(sum)) refuse("probabilities >= 0, not all of them 0");
-    scan(",[");
-    while (goes_on(&cost)) read_cost(paid[cost > (size_t)n_costs ? (size_t)n_costs : cost - 1]);
-    if (cost != (size_t)n_costs) refuse("as many costs as are said to be there, fails");
-    scan("]");
-    if (mpq_equal(discount, one)) return;
-    for (size_t i = 0; i < told; i++) mpq_mul(part[i], part[i], discount);
-    mpq_sub(a, one, discount);
-    mpq_mul(part[told], a, sum);
-    next[told++] = n;
+    mpz_set_ui(sum, 0);
+    for (struct move *move = moves; move < moves + n_moves; move++) {
+        floor_of(move->part, move->chance, scale);
+        mpz_add(sum, sum, move->part);
+    }
+    mpz_clear(scale);
+    if (!mpz_sgn(sum)) refuse("probabilities >= 0, not all of them 0");
+    long count = 0;
+    for (struct json *cost = list(costs); cost; cost = cost->next, count++)
+        if (count < n_costs) paid[count] = read_cost(cost, totals && !count);
+    if (count != n_costs || !count) refuse("as many costs as are said to be there, fails");
+    paid[n_costs] = of(sum);
 }
 
-/* Read the question and the model, and do this at the actions of each state. */
-static void read_model(void (*at_actions)(void)) {
-    char digits[65];
+/* Read the question and the model, and do this with the actions of each state. */
+static void read_model(void (*use)(struct json *)) {
+    unsigned char bytes[EVP_MAX_MD_SIZE];
+    char digits[sizeof digest] = "";
+    unsigned size;
     if (gzrewind(file)) fail("the file cannot be read twice, as a pipe cannot");
+    EVP_DigestInit_ex(hash, EVP_sha256(), NULL);
     n_lines = 0;
-    hashed = 0;
-    take_roots(hash, 8, 2);
-    need_line();
-    if (!asked) read_question();
-    for (state = 0; state < n; state++) {
-        char *set;
-        need_line();
-        scan("{'name':%s,'sets':[", &state_name);
-        for (size_t i = 0; goes_on(&i); in_set[set_of(set)][state] = true) scan("%s", &set);
-        scan(",'actions':[");
-        at_actions();
+    struct json *line = need_line();
+    if (!asked) {
+        read_question(line);
+        paid = many_zeros((size_t)n_costs + 1);
+        least_paid = many_zeros((size_t)n_costs + 1);
+        first_pair = zeros((size_t)n + 1, sizeof *first_pair);
+        coming = zeros((size_t)n, sizeof *coming);
     }
-    end_hash(digits);
+    for (state = 0; state < n; state++) {
+        line = need_line();
+        state_name = string(get(line, "name"));
+        for (struct json *set = list(get(line, "sets")); set; set = set->next)
+            in_set[set_of(string(set))][state] = true;
+        use(list(get(line, "actions")));
+    }
+    EVP_DigestFinal_ex(hash, bytes, &size);
+    for (unsigned i = 0; i < size; i++) sprintf(digits + 2 * i, "%02x", bytes[i]);
     if (*digest && strcmp(digest, digits)) fail("the file has changed while it was read");
     strcpy(digest, digits);
 }
 
-static void keep_graph(void) {
-    for (size_t i = 0; goes_on(&i); n_pairs++) {
-        read_pair();
-        pairs = grown(pairs, n_pairs, sizeof *pairs);
-        pairs[n_pairs] = (struct pair){.home = (uint32_t)state, .costless = true, .keeps = true};
+static void keep_outcome(long y) {
+    outcomes = grown(outcomes, n_outcomes, sizeof *outcomes);
+    outcomes[n_outcomes] = (struct outcome){(uint32_t)n_pairs, (uint32_t)y, coming[y]};
+    coming[y] = (uint32_t)++n_outcomes;
+    if (n_outcomes > UINT32_MAX / 2) fail("there are too many outcomes");
+}
+
+static void keep_graph(struct json *actions) {
+    for (; actions; actions = actions->next, n_pairs++) {
+        read_pair(actions);
+        home = grown(home, n_pairs, sizeof *home);
+        costless = grown(costless, n_pairs, sizeof *costless);
+        home[n_pairs] = (uint32_t)state;
+        costless[n_pairs] = true;
         for (size_t j = 0; j < n_rows; j++)
             for (long cost = 0; cost < n_costs; cost++)
-                if (mpq_sgn(paid[cost]) && mpq_sgn(quantities[j].costs[cost]))
-                    pairs[n_pairs].costless = false;
-        for (size_t o = 0; o < told; o++) {
-            if (!mpq_sgn(part[o])) continue;
-            outcomes = grown(outcomes, n_outcomes, sizeof *outcomes);
-            struct outcome outcome = {(uint32_t)n_pairs, (uint32_t)next[o], coming[next[o]]};
-            outcomes[n_outcomes] = outcome;
-            coming[next[o]] = (uint32_t)++n_outcomes;
-        }
-        if (n_outcomes > UINT32_MAX / 2) fail("there are too many outcomes");
+                if (mpq_sgn(paid[cost]) && mpq_sgn(quantities[j].weights[COSTS + cost]))
+                    costless[n_pairs] = false;
+        for (struct move *move = moves; move < moves + n_moves; move++)
+            if (mpz_sgn(move->part)) keep_outcome(move->state);
+        if (less(discount, one)) keep_outcome(n);
     }
     first_pair[state + 1] = first_pair[n + 1] = n_pairs;
     end_line();
@@ -557,14 +639,21 @@ static void keep_graph(void) {
 
 /* ---- What follows from the graph ---- */
 
-/* Shrink a set of states until each has no pair, or one that stays in it; or, if so asked, until
- * all pairs stay. Pairs are those that are allowed, of which those that stay are left. */
-static void shrink(bool *inside, bool *allowed, bool all) {
+static bool *live, *giving_up, *sure;    /* states with a way to the goal; to stop in; that keep */
+static bool *wandering, *avoiding;       /* the goal sure; to go on in for ever by what takes */
+static bool may_fail;                    /* nothing; to avoid the goal in for ever */
+
+static bool *copied(const bool *flags, size_t count) { return memcpy(zeros(count, 1), flags, count); }
+
+/* The part of a set of states in which each has no pair, or one that stays in it; or, if so asked,
+ * of which all pairs stay. Pairs are those that are allowed, of which those that stay are left. */
+static bool *shrunk(const bool *states, bool *allowed, bool all) {
+    bool *inside = copied(states, (size_t)n + 1);
     uint32_t *ahead = zeros((size_t)n + 1, sizeof *ahead);
     uint32_t *ways = zeros((size_t)n + 1, sizeof *ways);  /* to stay, or 1 */
     size_t size = 0;
     for (size_t pair = 0; pair < n_pairs; pair++) {
-        uint32_t x = pairs[pair].home;
+        uint32_t x = home[pair];
         allowed[pair] = allowed[pair] && inside[x];
         if (allowed[pair] && !(all && ways[x])) ways[x]++;
     }
@@ -575,7 +664,7 @@ static void shrink(bool *inside, bool *allowed, bool all) {
         uint32_t y = ahead[--size];
         inside[y] = false;
         for (uint32_t i = coming[y]; i; i = outcomes[i - 1].other) {
-            uint32_t pair = outcomes[i - 1].pair, x = pairs[pair].home;
+            uint32_t pair = outcomes[i - 1].pair, x = home[pair];
             if (!allowed[pair]) continue;
             allowed[pair] = false;
             if (ways[x] && !--ways[x]) ahead[size++] = x;
@@ -583,361 +672,546 @@ static void shrink(bool *inside, bool *allowed, bool all) {
     }
     free(ahead);
     free(ways);
+    return inside;
 }
 
-/* What a quantity counts on arriving in a state, but for charges; of its visits, or of all. */
-static void arrivals(mpq_t count, const struct quantity *q, long x, bool all) {
-    mpq_set_ui(count, 0, 1);
-    for (const struct term *t = q->terms; t < q->terms + q->size; t++)
-        if (t->kind == VISITS || all)
-            if (t->kind == OTHER_END ? !live[x] && !t->states[x] : t->states[x])
-                mpq_add(count, count, t->weight);
+/* What a quantity counts on arriving in a state: of visits alone, or of ends too; but for costs. */
+static rational arrivals(rational *weights, long x, bool of_ends) {
+    rational count = zero;
+    for (size_t s = 0; s < n_sets; s++) {
+        if (in_set[s][x]) count = plus(count, weights[weight_of(s, VISITS)]);
+        if (of_ends && !live[x])
+            count = plus(count, weights[weight_of(s, in_set[s][x] ? ENDS : OTHER_ENDS)]);
+    }
+    return count;
 }
 
 /* Refuse quantities that have no meaning; pairs after which they count a visit are not costless. */
 static void check_quantities(void) {
     bool *seen = zeros((size_t)n + 1, 1);
-    for (struct quantity *q = quantities; q < quantities + n_rows; q++)
-        for (long x = 0; x < n; x++) {
-            for (struct term *t = q->terms; t < q->terms + q->size; t++)
-                if (t->kind != VISITS && t->states[x] && live[x])
-                    refuse("%s counts ends in state %ld, where nothing ends", q->name, x);
-            arrivals(a, q, x, false);
-            if (mpq_sgn(a) < 0) refuse("visits count negatively in %s", q->name);
-            seen[x] = seen[x] || (live[x] && mpq_sgn(a));
+    for (long x = 0; x <= n; x++) {
+        n_made = n_lasting;
+        for (size_t s = 0; s < n_sets; s++)
+            if (ends[s] && in_set[s][x] && live[x]) refuse("not all states end: %s", sets[s]);
+        for (size_t j = 0; j < n_rows; j++) {
+            int sign = mpq_sgn(arrivals(quantities[j].weights, x, false));
+            if (sign < 0) refuse("visits count negatively in %s", quantities[j].name);
+            seen[x] = seen[x] || (live[x] && sign);
         }
+    }
     for (struct outcome *o = outcomes; o < outcomes + n_outcomes; o++)
-        if (seen[o->state]) pairs[o->pair].costless = false;
+        if (seen[o->state]) costless[o->pair] = false;
     free(seen);
 }
 
 /* Where the goal can surely be reached, by pairs that keep it sure. */
-static void find_sure(bool *allowed) {
-    bool *lost = zeros((size_t)n + 1, 1);
+static void find_sure(const bool *not_goal) {
     for (bool shrinks = true; shrinks;) {
         shrinks = false;
-        for (size_t pair = 0; pair < n_pairs; pair++) pairs[pair].keeps = sure[pairs[pair].home];
+        for (size_t pair = 0; pair < n_pairs; pair++) keeps[pair] = sure[home[pair]];
         for (struct outcome *o = outcomes; o < outcomes + n_outcomes; o++)
-            if (!sure[o->state] && !goal[o->state]) pairs[o->pair].keeps = false;
-        for (size_t pair = 0; pair < n_pairs; pair++) allowed[pair] = pairs[pair].keeps;
-        for (long x = 0; x <= n; x++) lost[x] = !goal[x];
-        shrink(lost, allowed, true);
+            if (!sure[o->state] && not_goal[o->state]) keeps[o->pair] = false;
+        bool *allowed = copied(keeps, n_pairs), *lost = shrunk(not_goal, allowed, true);
         for (long x = 0; x <= n; x++)
             if (sure[x] && lost[x]) shrinks = true, sure[x] = false;
+        free(allowed);
+        free(lost);
     }
-    free(lost);
 }
 
 static void follow_graph(void) {
-    bool *allowed = zeros(n_pairs, 1), surely = true;
-    bool **some[] = {&dead, &live, &giving_up, &wandering, &roaming, &sure};
-    for (size_t i = 0; i < sizeof some / sizeof *some; i++) *some[i] = zeros((size_t)n + 1, 1);
+    bool *not_goal = zeros((size_t)n + 1, 1), surely = true;
+    live = zeros((size_t)n + 1, 1);
+    giving_up = zeros((size_t)n + 1, 1);
+    keeps = memset(zeros(n_pairs, 1), true, n_pairs);
+    stays = copied(keeps, n_pairs);
     for (long x = 0; x <= n; x++) {
+        not_goal[x] = !goal[x];
         if (goal[x] && first_pair[x] < first_pair[x + 1])
             refuse("a goal has actions: state %ld", x);
-        dead[x] = giving_up[x] = !goal[x];
     }
-    memset(allowed, true, n_pairs);
-    shrink(dead, allowed, true);
-    for (long x = 0; x <= n; x++)
-        live[x] = wandering[x] = roaming[x] = sure[x] = !dead[x] && !goal[x];
+    bool *dead = shrunk(not_goal, keeps, true);
+    avoiding = shrunk(not_goal, stays, false);
+    for (long x = 0; x <= n; x++) {
+        live[x] = not_goal[x] && !dead[x];
+        avoiding[x] = avoiding[x] && live[x];
+        giving_up[x] = live[x] && (anywhere || (attention && avoiding[x]));
+    }
     check_quantities();
-    memset(allowed, true, n_pairs);
-    shrink(giving_up, allowed, false);  /* where the goal can surely be avoided */
-    for (long x = 0; x <= n; x++)
-        giving_up[x] = live[x] && (anywhere || (attention && giving_up[x]));
-    for (size_t pair = 0; pair < n_pairs; pair++) {
-        pairs[pair].stays = allowed[pair];
-        allowed[pair] = pairs[pair].costless;
-    }
-    shrink(wandering, allowed, false);  /* where wandering takes nothing of any quantity */
-    memset(allowed, true, n_pairs);
-    shrink(roaming, allowed, false);    /* where it is possible, whatever it takes */
-    find_sure(allowed);
+    wandering = shrunk(live, costless, false);
+    sure = copied(live, (size_t)n + 1);
+    find_sure(not_goal);
     for (size_t i = 0; i < n_start; i++)
         if (mpq_sgn(start_part[i]) && !sure[start_state[i]])
             surely = surely && goal[start_state[i]];
-    if (least && !surely) sharing = true, mpq_set(share, one);
-    may_fail = !budgeted || sharing || mpq_sgn(quantities[1].bound);
+    if (least && !surely) sharing = true, share = one;
+    may_fail = !limited || sharing || mpq_sgn(quantities[1].weights[BOUND]);
     if (!may_fail && !surely) refuse("failure 0: the goal can be reached surely, fails");
-    if (may_fail) memcpy(sure, live, (size_t)n + 1);
-    free(allowed);
+    if (may_fail) memset(keeps, true, n_pairs);
+    free(not_goal);
+    free(dead);
 }
 
 /* ---- The proof ---- */
 
-static size_t read_numbers(mpq_t **numbers) {
+enum charged { NOTHING, TOTAL, RISE };   /* at the goal: what a total is charged; its last slope */
+
+struct column {
+    const char *name;
+    rational *weights;           /* of the quantity that it bounds from below */
+    long member;                 /* of whose decisions it is asked; NONE: of all that is possible */
+    const bool *stops;           /* then: where it is asked of stopping, besides giving up */
+    enum charged charged;
+    struct column *slope;        /* of its numbers from the cap on */
+    bool is_of_states;           /* it tells of nodes from the cap on alone */
+    mpz_t *after;                /* arrival + y of each node, in units */
+    mpz_t arrival;               /* in the state that is read */
+};
+struct node { size_t index; long state; mpz_t total; };
+
+static size_t n_columns, n_members, each_member, n_nodes;  /* each_member: columns */
+static struct column *columns, *members, *value, *least_failure;
+static struct node *nodes;               /* by state and total, the last one of a state is its cap; */
+static size_t *first_node;               /* of each state */
+static int32_t **decision;               /* of each member in each node */
+static rational *prices, *weights, claim[2];  /* claim: at least, at most */
+static mpz_t units, cap;                 /* one over 10^-60; in units of totals */
+
+static size_t read_numbers(rational **numbers, struct json *stated) {
     size_t count = 0;
-    while (goes_on(&count)) {
-        *numbers = grown(*numbers, count - 1, sizeof **numbers);
-        mpq_init((*numbers)[count - 1]);
-        not_negative((*numbers)[count - 1]);
+    for (; stated; stated = stated->next) {
+        *numbers = grown(*numbers, count, sizeof **numbers);
+        (*numbers)[count++] = not_negative(stated);
     }
     return count;
 }
 
-static void read_head(void) {
-    char *signature;
-    need_line();
-    scan("{'sha256':%s,'claim':[%q,%q],'prices':[", &signature, claimed[0], claimed[1]);
-    if (strcmp(signature, digest)) refuse("the SHA-256 is not that of the question and the model");
-    if (read_numbers(&prices) != n_rows - 1) refuse("a price a row, fails");
-    scan(",'weights':[");
-    n_members = read_numbers(&weights);
-    end_line();
-    mpq_set_ui(sum, 0, 1);
-    for (size_t m = 0; m < n_members; m++) mpq_add(sum, sum, weights[m]);
-    if (!mpq_equal(sum, one)) refuse("weights are >= 0 and sum to 1, fails");
+/* A total as a number of units. */
+static void read_total(mpz_t units_of, rational total) {
+    mpz_set(units_of, mpq_numref(times(total, of(unit))));
+    if (mpz_cmp_ui(mpq_denref(times(total, of(unit))), 1)) refuse("%Qd is a sum of costs, fails", total);
 }
 
-/* The column of a member's quantity, which comes after its steps and its objective. */
-static struct column *column_of(size_t member, size_t quantity) {
-    return columns + 2 + member * (n_rows + 1) + quantity;
-}
-
-static void make_column(struct column *y, const char *name, size_t member, long quantity) {
-    if (y < columns + 2) strcpy(y->name, name);
-    else snprintf(y->name, sizeof y->name, "member %zu: -u of %s", member, name);
-    y->share = rationals(n_rows);
-    y->costs = rationals((size_t)n_costs);
-    mpq_init(y->stop);
-    y->after = resized(NULL, (size_t)n, sizeof *y->after);
-    for (long x = 0; x <= n; x++) mpz_init(y->after[x]);
-    if (quantity >= 0) mpq_set_si(y->share[quantity], y < columns + 2 ? 1 : -1, 1);
-    for (size_t j = 1; j < n_rows && y == columns; j++) mpq_set(y->share[j], prices[j - 1]);
-    for (size_t j = 0; j < n_rows; j++) {
-        for (long cost = 0; cost < n_costs; cost++)
-            add_product(y->costs[cost], y->share[j], quantities[j].costs[cost]);
-        add_product(y->stop, y->share[j], quantities[j].stop);
+/* Where each stair starts. A quantile is proved by what is late: beyond the claim, for v from it on. */
+static void build_stairs(void) {
+    if (quantile) {
+        new_stair(minus(zero, one), zero, zero, zero);
+        read_total(new_stair(claim[0], one, one, zero)->start, claim[0]);
     }
+    for (struct stair *stair = stairs; stair < stairs + n_stairs; stair++) {
+        floor_of(stair->start, stair->after, unit);
+        if (stair > stairs ? !less(stair[-1].after, stair->after) : less(zero, stair->after))
+            refuse("a charge is told from 0 on, fails");
+    }
+    struct stair *last = &stairs[n_stairs - 1];
+    if (last > stairs && mpz_cmp(last->start, cap) >= 0)
+        refuse("the charge is a line from the cap on, fails");
+    if (mpq_sgn(last->slope) < 0) refuse("the charge does not fall in the end, fails");
+}
+
+static struct column *make_column(struct column *y, const char *name, enum charged charged) {
+    y->name = name;
+    y->weights = many_zeros(weight_of(n_sets, 0));
+    y->member = NONE;
+    y->charged = totals ? charged : NOTHING;
+    y->is_of_states = charged == RISE;
+    y->stops = avoiding;
+    mpz_init(y->arrival);
+    return y;
+}
+
+/* Add a quantity to that of a column, times a factor. */
+static void add_quantity(struct column *y, rational factor, size_t quantity) {
+    for (size_t i = 0; i < weight_of(n_sets, 0); i++)
+        y->weights[i] = plus(y->weights[i], times(factor, quantities[quantity].weights[i]));
 }
 
 static void make_columns(void) {
-    n_columns = 2 + n_members * (n_rows + 1);
-    columns = zeros(n_columns, sizeof *columns);
-    make_column(columns, "v", 0, 0);
-    make_column(columns + 1, "w", 0, sharing ? 1 : NONE);
-    for (size_t m = 0; m < n_members; m++) {
-        make_column(column_of(m, 0), "steps", m, NONE);
-        column_of(m, 0)->steps = true;
+    rational minus_one = minus(zero, one);
+    each_member = 1 + n_rows + totals;
+    n_columns = 1 + (size_t)totals + sharing + n_members * each_member;
+    members = columns = zeros(n_columns, sizeof *columns);
+    value = make_column(members++, "v", TOTAL);
+    value->stops = wandering;
+    for (size_t j = 0; j < n_rows; j++) add_quantity(value, j ? prices[j - 1] : one, j);
+    if (totals) value->slope = make_column(members++, "slope", RISE);
+    if (sharing) {
+        least_failure = make_column(members++, "w", NOTHING);
+        least_failure->is_of_states = true;
+        add_quantity(least_failure, one, 1);
+    }
+    struct column *y = members;
+    for (long m = 0; m < (long)n_members; m++) {  /* steps, objective, rows, and its slope */
+        make_column(y, "- steps", NOTHING)->weights[COSTS + n_costs] = minus_one;
         for (size_t j = 0; j < n_rows; j++)
-            make_column(column_of(m, j + 1), quantities[j].name, m, (long)j);
-        int32_t *decision = zeros((size_t)n, sizeof *decision);
-        for (size_t j = 0; j <= n_rows; j++) column_of(m, j)->decision = decision;
+            add_quantity(make_column(y + 1 + j, quantities[j].name, j ? NOTHING : TOTAL), minus_one, j);
+        if (totals) y[1].slope = make_column(y + 1 + n_rows, "- slope", RISE);
+        for (size_t j = 0; j < each_member; j++) y++->member = m;
+    }
+    decision = zeros(n_members, sizeof *decision);
+    n_lasting = n_made;
+}
+
+static void read_head(struct json *head) {
+    rational total = zero;
+    if (!says(get(head, "sha256"), digest))
+        refuse("the SHA-256 is not that of the question and the model");
+    if (read_numbers(&prices, list(get(head, "prices"))) != n_rows - 1)
+        refuse("a price a row, fails");
+    n_members = read_numbers(&weights, list(get(head, "weights")));
+    for (size_t m = 0; m < n_members; m++) total = plus(total, weights[m]);
+    if (!mpq_equal(total, one)) refuse("weights are >= 0 and sum to 1, fails");
+    claim[0] = number(list(get(head, "claim")));
+    claim[1] = number(after(list(get(head, "claim"))));
+    if (totals) {
+        read_total(cap, not_negative(get(head, "cap")));
+        build_stairs();
     }
 }
 
-static void read_value(struct column *y, int sign) {
-    number(a);
-    if (sign < 0) mpz_neg(mpq_numref(a), mpq_numref(a));
-    floored(z, a);
-    mpz_set(y->after[state], z);
+/* A node of the state, of which nothing is told yet. */
+static void new_node(void) {
+    nodes = grown(nodes, n_nodes, sizeof *nodes);
+    nodes[n_nodes] = (struct node){.index = n_nodes, .state = state};
+    mpz_init_set(nodes[n_nodes].total, cap);
+    for (struct column *y = columns; y < columns + n_columns; y++) {
+        y->after = grown(y->after, n_nodes, sizeof *y->after);
+        mpz_init(y->after[n_nodes]);
+    }
+    for (size_t m = 0; m < n_members; m++) {
+        decision[m] = grown(decision[m], n_nodes, sizeof *decision[m]);
+        decision[m][n_nodes] = NONE;
+    }
+    n_nodes++;
 }
 
-static void read_member(size_t member) {
-    int32_t *decision = column_of(member, 0)->decision + state;
-    *decision = NONE;
-    if (take("null")) return;
-    if (!live[state]) refuse("member %zu decides where nothing has ended, fails", member);
-    scan("[");
-    if (take("\"stop\"")) *decision = STOP;
-    else *decision = (int32_t)whole((long)(first_pair[state + 1] - first_pair[state]));
-    if (*decision == STOP && !wandering[state] && !giving_up[state])
-        refuse("member %zu stops where it may, fails", member);
-    for (size_t j = 0; j <= n_rows; j++) {
-        scan(",");
-        read_value(column_of(member, j), -1);
+static void read_number(struct column *y, struct json *stated) {
+    mpz_t z;
+    mpz_init(z);
+    floor_of(z, turned(stated, y->member != NONE), units);
+    if (live[state]) mpz_set(y->after[n_nodes - 1], z);
+    mpz_clear(z);
+}
+
+static void read_member(long m, struct json *entry, bool at_cap) {
+    int32_t *decided = &decision[m][n_nodes - 1];
+    if (!live[state]) refuse("member %ld decides where nothing has ended, fails", m);
+    if (says(entry, "stop")) *decided = STOP;
+    else *decided = (int32_t)whole(entry, (long)(first_pair[state + 1] - first_pair[state]));
+    if (*decided == STOP && !wandering[state] && !giving_up[state])
+        refuse("member %ld stops where it may, fails", m);
+    struct column *y = members + (size_t)m * each_member;
+    for (size_t j = 0; j < each_member; j++, y++)
+        if (at_cap || !y->is_of_states) read_number(y, entry = after(entry));
+}
+
+/* What a line of the proof tells of a node, from the cap on or below it. */
+static void read_node(struct json *line, bool at_cap) {
+    struct json *entry = list(get(line, "members"));
+    new_node();
+    read_number(value, get(line, "v"));
+    if (totals && at_cap) read_number(value->slope, get(line, "slope"));
+    if (sharing && at_cap) read_number(least_failure, get(line, "w"));
+    for (long m = 0; m < (long)n_members; m++, entry = entry->next) {
+        if (!entry) refuse("as many members as weights, fails");
+        if (!is(entry, 'n')) read_member(m, list(entry), at_cap);
     }
-    scan("]");
+    if (at_cap) end_line();
+}
+
+static int by_state_and_total(const void *one_node, const void *other_node) {
+    const struct node *a = one_node, *b = other_node;
+    int order = a->state < b->state ? -1 : a->state > b->state ? 1 : mpz_cmp(a->total, b->total);
+    return order ? order : a->index < b->index ? -1 : 1;
 }
 
 static void read_proof(void) {
-    read_head();
+    struct json *line = need_line();
+    long n_below = totals ? whole(get(line, "nodes"), INT32_MAX) : 0;
+    read_head(line);
+    end_line();
     make_columns();
-    for (state = 0; state < n; state++) {
-        size_t members = 0;
-        need_line();
-        scan("{'v':");
-        read_value(columns, 1);
-        scan(",'members':[");
-        while (goes_on(&members) && members <= n_members) read_member(members - 1);
-        if (members != n_members) refuse("as many members as weights, fails");
-        if (sharing) scan(",'w':"), read_value(columns + 1, 1);
-        if (!sure[state]) mpz_set_ui(columns[0].after[state], 0);  /* v says nothing of it */
-        if (!live[state]) mpz_set_ui(columns[1].after[state], 0);
+    for (state = 0; state < n; state++) read_node(need_line(), true);
+    new_node();  /* what a discount takes */
+    for (long k = 0; k < n_below; k++) {
+        line = need_line();
+        state = whole(get(line, "state"), n);
+        read_node(line, false);
+        floor_of(nodes[n_nodes - 1].total, not_negative(get(line, "total")), unit);
+        if (!live[state] || mpz_cmp(nodes[n_nodes - 1].total, cap) >= 0)
+            refuse("a total below the cap, fails");
         end_line();
     }
-    if (next_line()) refuse("%zu lines where there should be %ld", n_lines, 2 * n + 2);
+    if (next_line()) refuse("there are more lines than are said to be there");
+    qsort(nodes, n_nodes, sizeof *nodes, by_state_and_total);
+    first_node = zeros((size_t)n + 1, sizeof *first_node);
+    for (size_t i = 0; i < n_nodes; i++) first_node[nodes[i].state + 1] = i + 1;
 }
 
-/* Least means of the costs, of this pair and of those before. */
-static void take_least(bool first) {
-    for (long cost = 0; cost < n_costs; cost++) {
-        mpq_div(a, paid[cost], sum);
-        if (first || mpq_cmp(a, least_paid[cost]) < 0) mpq_set(least_paid[cost], a);
+/* ---- The inequalities ---- */
+
+/* Node of a state at a total: that of the state itself if it has ended, and from the cap on. */
+static size_t node_of(long x, const mpz_t total) {
+    size_t low = first_node[x], high = first_node[x + 1];
+    while (live[x] && low < high) {  /* the node before is at most there, the last one beyond */
+        size_t middle = (low + high) / 2;
+        if (mpz_cmp(nodes[middle].total, total) <= 0) low = middle + 1;
+        else high = middle;
+    }
+    if (!live[x] || low == first_node[x + 1]) return (size_t)x;
+    if (low == first_node[x] || mpz_cmp(nodes[low - 1].total, total))
+        refuse("no line tells of state %ld with %Qd", x, over(of(total), of(unit)));
+    return nodes[low - 1].index;
+}
+
+/* What a column counts of the charge on coming to the goal with a total, in units. */
+static void charge(mpz_t count, const struct column *y, const mpz_t total) {
+    int side = y->member != NONE;
+    size_t low = 0, high = n_stairs;
+    while (high - low > 1) {  /* the last stair that starts before the total, or the first */
+        size_t middle = (low + high) / 2;
+        if (mpz_cmp(stairs[middle].start, total) < (quantile && !side)) low = middle;
+        else high = middle;
+    }
+    struct stair *stair = &stairs[low];
+    rational worth = stairs[n_stairs - 1].slope;
+    if (y->charged == TOTAL)
+        worth = plus(stair->value[side],
+                     times(stair->slope, minus(over(of(total), of(unit)), stair->after)));
+    floor_of(count, side ? minus(zero, worth) : worth, units);
+}
+
+/* Weighted sum of costs. */
+static rational dot(rational *weights_of, rational *costs) {
+    rational count = zero;
+    for (long cost = 0; cost <= n_costs; cost++)
+        count = plus(count, times(weights_of[COSTS + cost], costs[cost]));
+    return count;
+}
+
+/* What failing in the state is charged: least means of the costs. */
+static void find_least(struct json *actions) {
+    bool charges = false;
+    for (long cost = 0; cost < n_costs; cost++) least_paid[cost] = zero;
+    if (!charging || (live[state] && !giving_up[state])) return;
+    for (size_t pair = first_pair[state]; actions; actions = actions->next, pair++) {
+        if (!anywhere && !stays[pair]) continue;
+        read_pair(actions);
+        for (long cost = 0; cost < n_costs; cost++) {
+            rational mean = over(paid[cost], of(sum));
+            if (!charges || less(mean, least_paid[cost])) least_paid[cost] = mean;
+        }
+        charges = true;
     }
 }
 
-/* What a column counts on arriving in the state, in units. */
-static void arrive(mpz_t count, const struct column *y) {
-    mpq_set_ui(b, 0, 1);
-    for (size_t j = 0; j < n_rows; j++) {
-        if (!mpq_sgn(y->share[j])) continue;
-        arrivals(a, quantities + j, state, true);
-        add_product(b, y->share[j], a);
-    }
-    for (long cost = 0; cost < n_costs && dead[state]; cost++)
-        add_product(b, y->costs[cost], least_paid[cost]);
-    floored(count, b);
-}
-
-static void charge_arrivals(void) {
-    for (long cost = 0; cost < n_costs; cost++) mpq_set_ui(least_paid[cost], 0, 1);
-    for (size_t i = 0; state < n && dead[state] && charging && goes_on(&i);) {
-        read_pair();
-        take_least(i == 1);
-    }
+/* What each column counts on arriving in the state, in units. */
+static void arrive(void) {
     for (struct column *y = columns; y < columns + n_columns; y++) {
-        arrive(z, y);
-        mpz_add(y->after[state], y->after[state], z);
+        rational count = arrivals(y->weights, state, true);
+        if (!live[state]) count = plus(count, dot(y->weights, least_paid));
+        floor_of(y->arrival, count, units);
     }
+}
+
+static void add_arrivals(struct json *actions) {
+    if (!live[state]) find_least(actions);
+    arrive();
+    for (struct column *y = columns; y < columns + n_columns; y++)
+        for (size_t i = first_node[state]; i < first_node[state + 1]; i++)
+            mpz_add(y->after[nodes[i].index], y->after[nodes[i].index], y->arrival);
 }
 
 /* Whether an inequality of a column is asked of an action, of this number; or of a stop. */
-static bool asked_of(const struct column *y, int32_t number, size_t pair) {
-    if (y->decision) return y->decision[state] == number;
-    if (y == columns + 1) return sharing && (number != STOP || roaming[state] || giving_up[state]);
-    if (number == STOP) return may_fail && (wandering[state] || giving_up[state]);
-    return may_fail || pairs[pair].keeps;
+static bool asked_of(const struct column *y, size_t node, int32_t number_of, size_t pair) {
+    if (node > (size_t)n && y->is_of_states) return false;
+    if (y->member != NONE) return decision[y->member][node] == number_of;
+    if (number_of == STOP) return may_fail && (y->stops[state] || giving_up[state]);
+    return keeps[pair];
 }
 
-/* A column's inequality at the pair that was read; a stop has no outcomes, and sum 1. */
-static void check(struct column *y, bool stopping) {
-    mpq_set_ui(b, 0, 1);
-    if (stopping) mpq_set(b, y->stop);
-    if (y->steps) mpq_sub(b, b, sum);
-    for (long cost = 0; cost < n_costs; cost++) add_product(b, y->costs[cost], paid[cost]);
-    mpq_set_z(a, units);
-    mpq_mul(right, a, b);
-    for (size_t i = 0; i < told; i++) {
-        if (y->decision && live[next[i]] && y->decision[next[i]] == NONE && mpq_sgn(part[i]))
-            refuse("%s decides after %s %s, fails", y->name, state_name, action);
-        mpq_set_z(a, y->after[next[i]]);
-        add_product(right, part[i], a);
+/* A column's inequality at a node and the action that was read; a stop leads nowhere. */
+static void check(const struct column *y, const struct node *node, bool stopping) {
+    size_t mark = n_made;
+    mpz_t left, right, goes, won, grows, all, z;
+    mpz_inits(left, right, goes, won, grows, all, z, NULL);
+    for (struct move *move = moves; move < moves + n_moves; move++) {
+        if (!mpz_sgn(move->part)) continue;
+        if (y->member != NONE && live[move->state] && decision[y->member][move->node] == NONE)
+            refuse("%s of member %ld decides after %s %s, fails", y->name, y->member, state_name, action);
+        mpz_add(all, all, move->part);
+        mpz_addmul(goes, move->part, y->after[move->node]);
+        if (y->charged && goal[move->state]) {
+            charge(z, y, move->total);
+            mpz_addmul(won, move->part, z);
+        } else if (y->slope && move->node <= (size_t)n) {
+            mpz_sub(z, move->total, cap);
+            mpz_mul(z, z, move->part);
+            mpz_addmul(grows, z, y->slope->after[move->node]);
+        }
     }
-    arrive(z, y);
-    mpz_sub(z, y->after[state], z);
-    mpq_set_z(a, z);
-    mpq_mul(left, a, sum);
-    if (mpq_cmp(left, right) <= 0) return;
-    mpq_set_z(b, units);  /* as decimals, which are only to be read */
-    mpq_mul(b, b, sum);
-    mpq_div(left, left, b);
-    mpq_div(right, right, b);
-    refuse("%s <= own + sum p %s at %s %s fails: %.17g > %.17g", y->name, y->name, state_name,
-           action, mpq_get_d(left), mpq_get_d(right));
+    /* times the sum of the parts, and the discount's denominator: what is paid, and charged, in
+     * full; what follows if the step goes on, and if the discount ends it */
+    rational own = plus(dot(y->weights, paid), stopping ? y->weights[STOPPING] : zero);
+    mpz_mul(z, units, mpq_denref(discount));
+    floor_of(right, own, z);
+    mpz_addmul(right, won, mpq_denref(discount));
+    mpz_addmul(right, goes, mpq_numref(discount));
+    mpz_sub(z, mpq_denref(discount), mpq_numref(discount));
+    mpz_mul(z, z, all);
+    mpz_addmul(right, z, y->after[n]);
+    mpz_mul(grows, grows, mpq_numref(discount));
+    mpz_fdiv_q(grows, grows, unit);
+    mpz_add(right, right, grows);
+    mpz_mul(all, sum, mpq_denref(discount));
+    mpz_sub(left, y->after[node->index], y->arrival);
+    mpz_mul(left, left, all);
+    if (mpz_cmp(left, right) > 0) {
+        mpz_mul(all, all, units);
+        refuse("%s <= own + sum p %s at %s, total %Qd, %s fails: %.17g > %.17g", y->name, y->name,
+               state_name, over(of(node->total), of(unit)), action,
+               mpq_get_d(over(of(left), of(all))), mpq_get_d(over(of(right), of(all))));
+    }
+    mpz_clears(left, right, goes, won, grows, all, z, NULL);
+    n_made = mark;
 }
 
-static void check_state(void) {
-    if (!live[state]) return;
+/* The inequalities of the action that was read, of this number, or of stopping, at each node. */
+static void check_nodes(int32_t number_of, size_t pair) {
+    for (size_t i = first_node[state]; i < first_node[state + 1]; i++) {
+        bool leads = false;
+        for (struct column *y = columns; y < columns + n_columns; y++) {
+            if (!asked_of(y, nodes[i].index, number_of, pair)) continue;
+            for (struct move *move = moves; !leads && move < moves + n_moves; move++) {
+                mpz_add(move->total, nodes[i].total, move->further);
+                if (mpz_sgn(move->part)) move->node = node_of(move->state, move->total);
+            }
+            leads = true;
+            check(y, &nodes[i], number_of == STOP);
+        }
+    }
+}
+
+static void check_state(struct json *actions) {
     static char stopping[] = "stopping";
-    size_t i = 0, charged = 0;
-    for (long cost = 0; cost < n_costs; cost++) mpq_set_ui(least_paid[cost], 0, 1);
-    for (size_t pair = first_pair[state]; goes_on(&i); pair++) {
-        read_pair();
-        if (charging && (anywhere || pairs[pair].stays)) take_least(!charged++);
-        for (struct column *y = columns; y < columns + n_columns; y++)
-            if (asked_of(y, (int32_t)i - 1, pair)) check(y, false);
+    if (!live[state]) return;
+    arrive();
+    find_least(actions);
+    for (int32_t number_of = 0; actions; actions = actions->next, number_of++) {
+        read_pair(actions);
+        check_nodes(number_of, first_pair[state] + (size_t)number_of);
     }
-    told = 0;
-    mpq_set(sum, one);
+    n_moves = 0;
+    mpz_set_ui(sum, 1);
     action = stopping;
     for (long cost = 0; cost < n_costs; cost++)
-        if (wandering[state]) mpq_set_ui(paid[cost], 0, 1);
-        else mpq_set(paid[cost], least_paid[cost]);
-    for (struct column *y = columns; y < columns + n_columns; y++)
-        if (asked_of(y, STOP, 0)) check(y, true);
+        paid[cost] = wandering[state] ? zero : least_paid[cost];
+    paid[n_costs] = one;
+    check_nodes(STOP, 0);
 }
 
 /* ---- The verdict ---- */
 
-/* What a column proves at the start, but for the constant of its quantity. */
-static void prove(mpq_t bound, const struct column *y) {
-    mpq_set_ui(bound, 0, 1);
+/* What a column proves at the start. */
+static rational proved(const struct column *y) {
+    rational bound = zero;
+    mpz_t nothing, begun;
+    mpz_inits(nothing, begun, NULL);
     for (size_t i = 0; i < n_start; i++) {
         long x = start_state[i];
-        if (y->decision && live[x] && y->decision[x] == NONE && mpq_sgn(start_part[i]))
-            refuse("%s decides at the start, fails", y->name);
-        mpq_set_z(a, y->after[x]);
-        add_product(bound, start_part[i], a);
+        if (!mpq_sgn(start_part[i])) continue;
+        size_t node = node_of(x, y->is_of_states ? cap : nothing);
+        if (y->member != NONE && live[x] && decision[y->member][node] == NONE)
+            refuse("%s of member %ld decides at the start, fails", y->name, y->member);
+        mpz_set_ui(begun, 0);
+        if (y->charged && goal[x]) charge(begun, y, nothing);
+        mpz_add(begun, begun, y->after[node]);
+        bound = plus(bound, times(start_part[i], of(begun)));
     }
-    mpq_set_z(a, units);
-    mpq_div(bound, bound, a);
-}
-
-/* 1 - share * (1 - failure), of a bound of failure */
-static void budget_of(mpq_t budget, const mpq_t failure) {
-    mpq_sub(a, one, failure);
-    mpq_mul(a, a, share);
-    mpq_sub(budget, one, a);
+    mpz_clears(nothing, begun, NULL);
+    return plus(over(bound, of(units)), y->weights[CONSTANT]);
 }
 
 /* A bound in 25 decimals, rounded so that it holds, and as a fraction. */
-static void print_bound(const char *name, const mpq_t bound, bool up) {
-    mpz_ui_pow_ui(z, 10, 25);
-    mpz_mul(mpq_numref(a), mpq_numref(bound), z);
-    (up ? mpz_cdiv_q : mpz_fdiv_q)(mpq_numref(a), mpq_numref(a), mpq_denref(bound));
-    const char *sign = mpz_sgn(mpq_numref(a)) < 0 ? "-" : "";
-    mpz_abs(mpq_numref(a), mpq_numref(a));
-    mpz_fdiv_qr(mpq_numref(a), z, mpq_numref(a), z);
-    gmp_printf("  %-9s %s%Zd.%025Zd = %Qd\n", name, sign, mpq_numref(a), z, bound);
+static void print_bound(const char *name, rational bound, bool up) {
+    mpz_t scale, left;
+    mpz_inits(scale, left, NULL);
+    mpz_ui_pow_ui(scale, 10, 25);
+    floor_of(left, up ? minus(zero, bound) : bound, scale);
+    if (up) mpz_neg(left, left);
+    const char *sign = mpz_sgn(left) < 0 ? "-" : "";
+    mpz_abs(left, left);
+    mpz_fdiv_qr(left, scale, left, scale);
+    gmp_printf("  %-9s %s%Zd.%025Zd = %Qd\n", name, sign, left, scale, bound);
+    mpz_clears(scale, left, NULL);
 }
 
+/* A bound of a ratio N / (1 - F) from one of N + price * (F - most): it is a ratio of two lines,
+ * and least at the failure 0 or at the most. */
+static rational given_success(rational bound, rational most) {
+    rational at_none = plus(bound, times(prices[0], most));
+    bool some = less(most, one);
+    if (!some && mpq_sgn(bound) < 0)
+        refuse("0 <= cost + price * (failure - 1) of all policies, fails");
+    rational at_most = some ? over(bound, minus(one, most)) : at_none;
+    return less(at_most, at_none) ? at_most : at_none;
+}
+
+/* 1 - share * (1 - failure), of a bound of failure */
+static rational budget(rational failure) { return minus(one, times(share, minus(one, failure))); }
+
 static void conclude(void) {
-    mpq_t *taken = rationals(n_rows), lower, loose, most, failed;
-    mpq_inits(lower, loose, most, failed, NULL);
+    rational *taken = many_zeros(n_rows), *bound = many_zeros(n_rows), failed = one, lower, upper;
     for (size_t m = 0; m < n_members; m++)
         for (size_t j = 0; j < n_rows; j++) {
-            prove(b, column_of(m, j + 1));
-            mpq_sub(b, quantities[j].constant, b);
-            add_product(taken[j], weights[m], b);
-            if (j == 1 && (m == 0 || mpq_cmp(b, failed) < 0)) mpq_set(failed, b);
+            rational each = minus(zero, proved(&members[m * each_member + 1 + j]));
+            taken[j] = plus(taken[j], times(weights[m], each));
+            if (j == 1 && less(each, failed)) failed = each;
         }
-    if (budgeted) mpq_set(loose, quantities[1].bound);
+    for (size_t j = 1; j < n_rows; j++) bound[j] = quantities[j].weights[BOUND];
+    rational most = limited ? bound[1] : zero;  /* failure of all within the budget is at most */
     if (sharing) {  /* the least failure lies between what w proves and what a member does */
-        prove(b, columns + 1);
-        budget_of(quantities[1].bound, b);
-        budget_of(loose, failed);
+        bound[1] = budget(proved(least_failure));
+        most = budget(failed);
     }
-    prove(lower, columns);
-    mpq_add(lower, lower, quantities[0].constant);
+    lower = proved(value);
+    upper = taken[0];
+    mpq_ptr small = made();
+    mpq_set_ui(small, 1, 1000000000);
+    bool exceeds = false;
     for (size_t j = 1; j < n_rows; j++) {
-        mpq_neg(a, j == 1 && budgeted ? loose : quantities[j].bound);
-        add_product(lower, prices[j - 1], a);
-        mpq_sub(taken[j], taken[j], quantities[j].bound);
-        mpq_set_ui(most, 1, 1000000000);
-        mpq_abs(a, quantities[j].bound);
-        mpq_mul(most, most, a);
-        if (mpq_cmp(taken[j], most) > 0)
+        rational excess = minus(taken[j], bound[j]), allowed = times(small, bound[j]);
+        lower = minus(lower, times(prices[j - 1], j == 1 && limited ? most : bound[j]));
+        if (less(mpq_sgn(allowed) < 0 ? minus(zero, allowed) : allowed, excess))
             refuse("lottery <= bound of row %s fails by %.17g", quantities[j].name,
-                   mpq_get_d(taken[j]));
+                   mpq_get_d(excess));
+        exceeds = exceeds || mpq_sgn(excess) > 0;
     }
-    mpq_sub(most, taken[0], lower);
-    if (greatest) {
-        mpq_neg(lower, lower);
-        mpq_neg(taken[0], taken[0]);
-        mpq_swap(lower, taken[0]);
+    if (ratio) {
+        if (!less(taken[1], one)) refuse("the lottery reaches the goal, fails");
+        lower = given_success(lower, most);
+        rational given = over(upper, minus(one, taken[1]));
+        if (less(upper, given)) upper = given;
     }
-    if (mpq_cmp(lower, claimed[0]) < 0 || mpq_cmp(taken[0], claimed[1]) > 0)
-        refuse("claimed is %.17g to %.17g, proved from %.17g to %.17g", mpq_get_d(claimed[0]),
-               mpq_get_d(claimed[1]), mpq_get_d(lower), mpq_get_d(taken[0]));
+    if (quantile) {
+        rational late = minus(one, level);
+        if (!ratio || less(late, upper))
+            refuse("the lottery exceeds the quantile as rarely, fails");
+        if (exceeds) refuse("a quantile jumps where the lottery exceeds a row");
+        if (!less(late, lower)) refuse("no lottery stays below the quantile as often, fails");
+        lower = upper = claim[0];
+    }
+    rational ends[] = {greatest ? minus(zero, upper) : lower, greatest ? minus(zero, lower) : upper};
+    if (less(ends[0], claim[0])) refuse("it claims at least %Qd, proves %Qd, fails", claim[0], ends[0]);
+    if (less(claim[1], ends[1])) refuse("it claims at most %Qd, proves %Qd, fails", claim[1], ends[1]);
     printf("accepted: \"%s\"\n  SHA-256   %s\n", asked, digest);
-    print_bound("at least", lower, false);
-    print_bound("at most", taken[0], true);
-    printf("  width     %.1e\n", mpq_get_d(most));
+    print_bound("at least", ends[0], false);
+    print_bound("at most", ends[1], true);
+    printf("  width     %.1e\n", mpq_get_d(minus(ends[1], ends[0])));
     for (size_t j = 1; j < n_rows; j++)
-        if (mpq_sgn(taken[j]) > 0)
-            gmp_printf("  the lottery exceeds row %s by %Qd\n", quantities[j].name, taken[j]);
+        if (less(bound[j], taken[j]))
+            gmp_printf("  the lottery exceeds row %s by %Qd\n", quantities[j].name,
+                       minus(taken[j], bound[j]));
 }
 
 int main(int count, char **arguments) {
@@ -945,18 +1219,20 @@ int main(int count, char **arguments) {
     if (!(file = gzopen(arguments[1], "rb"))) fail("the file cannot be opened");
     gzbuffer(file, 1 << 18);
     if (gzdirect(file)) refuse("the file is not gzip");
-    mpz_inits(units, z, NULL);
-    mpq_inits(claimed[0], claimed[1], one, a, b, c, left, right, sum, discount, share, NULL);
+    if (!(hash = EVP_MD_CTX_new())) fail("there is not enough memory");
+    mpz_inits(units, unit, cap, sum, NULL);
     mpz_ui_pow_ui(units, 10, DIGITS);
-    mpq_set_ui(one, 1, 1);
-    take_roots(k, 64, 3);
+    mpz_set_ui(unit, 1);
+    zero = share = made();
+    one = of(unit);
+    n_lasting = n_made;
     read_model(keep_graph);
     follow_graph();
     read_proof();
-    read_model(charge_arrivals);
-    charge_arrivals();  /* of what a discount takes */
+    read_model(add_arrivals);
+    add_arrivals(NULL);  /* of what a discount takes */
     read_model(check_state);
-    at = NULL;
+    n_lines = 0;
     conclude();
     return 0;
 }

@@ -13,11 +13,17 @@ from fractions import Fraction
 from hashlib import sha256
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from formulations import (
+    EGUBS,
+    GUBS,
     MCMP,
+    S3P,
     AlphaMCMP,
+    CostBoundedReach,
+    CostQuantile,
     FinitePenalty,
     LeastQuantity,
     MaxProb,
@@ -80,7 +86,14 @@ THIRDS = model_of(
     {"x": {"go": [(1 / 3, "g", Fraction(1, 3)), (1 / 3, "x", 0.1), (1 / 3, "d", 0.7)]}, "d": {}}
 )
 FEW = {"few": end_probability("hurt") <= 0.06}
+MIXED_PITS = {"x": 0.75, "g": 0.25}
 MIXED = {"start": 0.5, "town": 0.25, "goal": 0.25}
+
+
+def patience(cost):
+    """A utility that is used up at 4."""
+    return np.maximum(1.0 - cost / 4.0, 0.0)
+
 
 PROBLEMS = {
     **{
@@ -118,6 +131,18 @@ PROBLEMS = {
     "free loop": FinitePenalty(model_of(FREE_LOOP), "x", 3.0, give_up="dead_ends"),
     "paying loop": FinitePenalty(model_of(PAYING_LOOP), "x", 2.5, None, "attention", True),
     "free pair": MCMP(model_of(FREE_PAIR), "x", 0.25),
+    "given": S3P(MAZE, "start", 0.1),
+    "given least failure": S3P(MAZE, "start"),
+    "given a share": S3P(MAZE, "start", reach_fraction=0.95),
+    "given, with a limit": S3P(SLOPE, "x", 0.3, constraints={"n": visits("x") <= 1.2}),
+    "given, at a discount": S3P(PITS, MIXED_PITS, 0.6, discount=0.9),
+    "given, in thirds": S3P(THIRDS, "x", 1.0),
+    "given, in loops": S3P(SLOPE, "x", 0.3),
+    "in time": CostBoundedReach(MAZE, "start", 4.5, 0.2),
+    "often": CostQuantile(MAZE, "start", 0.9, 0.1),
+    "often in loops": CostQuantile(SLOPE, "x", 0.75, 0.3),
+    "worth it": EGUBS(MAZE, "start", -0.5, 0.7),
+    "patient": GUBS(PITS, "x", patience, 1.0),
 }
 """Certificates of every kind of question."""
 
@@ -128,9 +153,11 @@ def program(tmp_path_factory):
     if COMPILER is None:
         pytest.skip("there is no compiler of C")
     folder = tmp_path_factory.mktemp("c")
-    (folder / "headers.c").write_text("#include <gmp.h>\n#include <zlib.h>\nint main(void) {}\n")
+    (folder / "headers.c").write_text(
+        "#include <gmp.h>\n#include <openssl/evp.h>\n#include <zlib.h>\nint main(void) {}\n"
+    )
     build = [COMPILER, *STRICT, "-o", folder / "check"]
-    libraries = ["-lgmp", "-lz"]
+    libraries = ["-lgmp", "-lz", "-lcrypto"]
     headers = [*build, folder / "headers.c", *libraries]
     if subprocess.run(headers, capture_output=True).returncode:  # noqa: S603
         pytest.skip("the C headers of GMP or zlib are missing (libgmp-dev, zlib1g-dev)")
@@ -178,10 +205,17 @@ def lines_of(path):
     return gzip.decompress(path.read_bytes()).splitlines()
 
 
+def states_of(lines):
+    """How many states a file of these lines has."""
+    return json.loads(lines[0])["states"]
+
+
 def signed(lines, n):
     """The same lines with the SHA-256 made anew."""
     digest = sha256(b"\n".join(lines[: n + 1])).hexdigest()
-    head = json.loads(lines[n + 1]) | {"sha256": digest, "claim": ["-1e9", "1e9"]}
+    head = json.loads(lines[n + 1]) | {"sha256": digest}
+    if b'"quantile"' not in lines[0]:
+        head["claim"] = ["-1e9", "1e9"]
     return [*lines[: n + 1], json.dumps(head).encode(), *lines[n + 2 :]]
 
 
@@ -235,10 +269,10 @@ def changed(line, rng):
 def test_both_say_the_same_of_what_was_tampered_with(program, folder, tmp_path, name):
     """Numbers, names, lines and lists changed at random, most of them signed anew."""
     lines, rng = lines_of(folder / name), random.Random(name)
-    n = len(lines) // 2 - 1
+    n = states_of(lines)
     for _ in range(CHANGES):
         tampered, way = [*lines], rng.random()
-        k = rng.choice([0, rng.randrange(1, n + 1), n + 1, rng.randrange(n + 2, 2 * n + 2)])
+        k = rng.choice([0, rng.randrange(1, n + 1), n + 1, rng.randrange(n + 2, len(lines))])
         i = rng.randrange(len(lines))
         if way < 0.05:
             tampered[k], tampered[i] = tampered[i], tampered[k]
@@ -255,17 +289,19 @@ def test_both_say_the_same_of_what_was_tampered_with(program, folder, tmp_path, 
 
 def edges(lines):
     """Files that differ in a number of the proof by next to nothing, or in a decision."""
-    n = len(lines) // 2 - 1
+    n = states_of(lines)
     rows = len(json.loads(lines[n + 1])["prices"])
-    for k in range(n + 2, 2 * n + 2):
+    for k in range(n + 2, len(lines)):
         stated = json.loads(lines[k])
-        acts = len(json.loads(lines[k - n - 1])["actions"])
-        for name in stated.keys() - {"members"}:
+        acts = len(json.loads(lines[1 + stated.get("state", k - n - 2)])["actions"])
+        for name in ("v", "w", "slope"):
+            if name not in stated:
+                continue
             for step in ("1e-30", "1e-61"):
                 yield k, stated | {name: str(Fraction(stated[name]) + Fraction(step))}
         for m, entry in enumerate(stated["members"]):
             others = [None, *(["stop", *range(acts + 1)])]
-            big = ["1000", "1000", *["1"] * rows]
+            big = ["1000", "1000", *["1"] * rows, *["9"] * ("slope" in stated)]
             changes = [[other, *big] if other is not None else None for other in others]
             for j in range(1, len(entry or "")):
                 for step in ("1e-30", "1e-61"):
@@ -280,7 +316,7 @@ def edges(lines):
 def test_both_say_the_same_at_the_edge(program, folder, tmp_path, name):
     """Each number of a proof by a little more than is true, and each decision by another."""
     lines = lines_of(folder / name)
-    n = len(lines) // 2 - 1
+    n = states_of(lines)
     every = list(edges(lines))
     low = [json.dumps(json.loads(line) | {"v": "-1000"}).encode() for line in lines[n + 2 :]]
     for k, stated in random.Random(name).sample(every, min(len(every), 60)):
@@ -297,7 +333,7 @@ def test_both_say_the_same_at_the_edge(program, folder, tmp_path, name):
 def test_both_find_the_same_budget_of_a_share(program, folder, tmp_path, name, lowered):
     """It lies between what w proves of failing and what a member attains."""
     lines = lines_of(folder / name)
-    n = len(lines) // 2 - 1
+    n = states_of(lines)
     for bounds in ({}, {"prices": ["3"]}):
         for weights in (
             {},
@@ -334,7 +370,7 @@ def test_questions_without_a_meaning_are_refused(
     question = json.loads(lines[0])
     question[key] = {"constant": "0", "terms": value} if key == "objective" else value
     lines[0] = json.dumps(question).encode()
-    path = written(signed(lines, len(lines) // 2 - 1), tmp_path / "x")
+    path = written(signed(lines, states_of(lines)), tmp_path / "x")
     assert agreed(program, path).startswith("refused")
     assert re.search(words, run(program, path)[1])
     assert re.search(words, check_certificate(path).reason)
@@ -344,18 +380,18 @@ AMBIGUOUS = [
     (0, b'"failure":"0.07"', b'"failure":"0.07","failure":"1"', "failure"),
     (0, b'"rows":[]', b'"rows":[],"horizon":3', "horizon"),
     (0, b'"greatest":false', b'"greatest":"false"', "neither true nor false"),
-    (0, b'"greatest":false', b'"greatest":NaN', "neither true nor false"),
+    (0, b'"greatest":false', b'"greatest":NaN', "no value"),
     (0, b'"constant":"0"', b'"constant":"0","square":true', "square"),
     (0, b'"sets":[', b'"sets":["g\\u006fal",', "escaped"),
     (0, b'"0.07"', b'"0.0\\u0661"', "no number"),
     (0, b'"states"', b'"states" \r', "ASCII"),
     (0, b'"states":4', b'"states":04', "no whole number"),
     (0, b'"states":4', b'"states":4.0', "4.0|[.]0"),
-    (0, b'"states":4', b'"states":2000000000', "sha256"),
+    (0, b'"states":4', b'"states":2000000000', "name"),
     (0, b'"states":4', b'"states":3', "no whole number below 3"),
     (1, b'"actions"', b'"actions":[],"actions"', "actions"),
-    (1, b'"sets":[', b'"sets":["goal","hole",', "there is no set"),
-    (1, b'"sets":[', b'"sets":["goal"', "goal has actions|should be"),
+    (1, b'"sets":[', b'"sets":["goal","hole",', "no value"),
+    (1, b'"sets":[', b'"sets":["hole"', "there is no set|should be"),
 ]
 
 
@@ -397,7 +433,7 @@ def test_names_in_other_scripts_are_sets_of_their_own(program, folder, tmp_path)
     lines = lines_of(folder / "labels")
     assert b"Gef\\u00e4lle" in lines[0]
     upper = [line.replace(b"Gef\\u00e4lle", b"Gef\\u00E4lle") for line in lines]
-    status, words, _ = run(program, written(signed(upper, len(lines) // 2 - 1), tmp_path / "x"))
+    status, words, _ = run(program, written(signed(upper, states_of(lines)), tmp_path / "x"))
     assert (status, "escaped" in words) == (1, True)
 
 
