@@ -102,33 +102,28 @@ static mpq_ptr made(void) {
 static rational plus(rational a, rational b) {
     if (!mpq_sgn(a) || !mpq_sgn(b)) return mpq_sgn(a) ? a : b;
     mpq_ptr c = made();
-    mpq_add(c, a, b);
-    return c;
+    return mpq_add(c, a, b), c;
 }
 
 static rational minus(rational a, rational b) {
     mpq_ptr c = made();
-    mpq_sub(c, a, b);
-    return c;
+    return mpq_sub(c, a, b), c;
 }
 
 static rational times(rational a, rational b) {
     if (!mpq_sgn(a) || !mpq_sgn(b)) return zero;
     mpq_ptr c = made();
-    mpq_mul(c, a, b);
-    return c;
+    return mpq_mul(c, a, b), c;
 }
 
 static rational over(rational a, rational b) {
     mpq_ptr c = made();
-    mpq_div(c, a, b);
-    return c;
+    return mpq_div(c, a, b), c;
 }
 
 static rational of(mpz_srcptr whole) {
     mpq_ptr c = made();
-    mpq_set_z(c, whole);
-    return c;
+    return mpq_set_z(c, whole), c;
 }
 
 static bool less(rational a, rational b) { return mpq_cmp(a, b) < 0; }
@@ -155,7 +150,8 @@ struct json {
 };
 
 static gzFile file;
-static EVP_MD_CTX *hash;         /* of the lines that were read */
+static EVP_MD_CTX *hash;         /* of so many lines, of which the last one has no end */
+static size_t n_hashed = 2;
 static char *at;                 /* the part of the line that is not read yet */
 static struct json *values;      /* of the line */
 static size_t n_values;
@@ -210,8 +206,8 @@ static struct json *parsed(int depth) {
     return value;
 }
 
-/* The next line, or NULL where there is none. */
-static struct json *next_line(void) {
+/* The next line, or NULL where there is none and none need be. */
+static struct json *next_line(bool needed) {
     static char *line;
     static size_t room, most_values;
     size_t length = 0, count = 1;
@@ -225,11 +221,11 @@ static struct json *next_line(void) {
         count += byte == ',' || byte == ':' || byte == '[';
     }
     if (byte == -1 && (gzerror(file, &error), error != Z_OK)) refuse("the gzip file is damaged");
-    if (byte == -1 && !length) return NULL;
-    if (!length) refuse("it is empty");
+    if (byte == -1 && !length && !needed) return NULL;
+    if (!length) refuse(byte == -1 ? "the file ends too early" : "it is empty");
     line[length] = 0;
-    EVP_DigestUpdate(hash, "\n", n_lines > 1);
-    EVP_DigestUpdate(hash, line, length);
+    if (n_lines <= n_hashed) EVP_DigestUpdate(hash, line, length);
+    if (n_lines < n_hashed) EVP_DigestUpdate(hash, "\n", 1);
     if (count > most_values) {
         free(values);
         values = zeros(most_values = count, sizeof *values);
@@ -239,12 +235,6 @@ static struct json *next_line(void) {
     at = line;
     struct json *value = parsed(0);
     if (take(' ') || *at) refuse("it goes on with \"%.40s\"", at);
-    return value;
-}
-
-static struct json *need_line(void) {
-    struct json *value = next_line();
-    if (!value) refuse("the file ends too early");
     return value;
 }
 
@@ -278,7 +268,8 @@ static struct json *after(struct json *value) { return value ? value->next : NUL
 
 static void need(bool holds, struct json *value, const char *otherwise) {
     const char *key = value && value->key ? value->key : "an entry";
-    if (!holds) refuse("%s \"%.40s\" is %s", key, value && value->text ? value->text : "", otherwise);
+    const char *text = value && value->text ? value->text : "";
+    if (!holds) refuse("%s \"%.40s\" is %s", key, text, otherwise);
 }
 
 static struct json *list(struct json *value) {
@@ -481,6 +472,7 @@ static void read_question(struct json *line) {
     if (!says(get(line, "format"), "ssp-lp certificate 1")) refuse("the format is not known");
     asked = kept(string(get(line, "asked")));
     n = whole(get(line, "states"), INT32_MAX);
+    n_hashed = 1 + (size_t)n;
     n_costs = whole(get(line, "costs"), 1000);
     new_set("goal");
     goal = in_set[0];
@@ -520,7 +512,7 @@ static void read_question(struct json *line) {
 /* ---- The model ---- */
 
 struct outcome { uint32_t pair, state, other; };  /* and another one that comes to the state */
-struct move { long state; size_t node; rational chance; mpz_t part, further, total; };
+struct move { long state; rational chance; mpz_t part, further, total; struct node *node; };
 
 static size_t n_pairs, n_outcomes, *first_pair;  /* pairs of a state and an action; of each state */
 static uint32_t *home;                   /* of each pair: its state */
@@ -590,7 +582,7 @@ static void read_model(void (*use)(struct json *)) {
     if (gzrewind(file)) fail("the file cannot be read twice, as a pipe cannot");
     EVP_DigestInit_ex(hash, EVP_sha256(), NULL);
     n_lines = 0;
-    struct json *line = need_line();
+    struct json *line = next_line(true);
     if (!asked) {
         read_question(line);
         paid = many_zeros((size_t)n_costs + 1);
@@ -599,13 +591,13 @@ static void read_model(void (*use)(struct json *)) {
         coming = zeros((size_t)n, sizeof *coming);
     }
     for (state = 0; state < n; state++) {
-        line = need_line();
+        line = next_line(true);
         state_name = string(get(line, "name"));
         for (struct json *set = list(get(line, "sets")); set; set = set->next)
             in_set[set_of(string(set))][state] = true;
         use(list(get(line, "actions")));
     }
-    EVP_DigestFinal_ex(hash, bytes, &size);
+    if (!EVP_DigestFinal_ex(hash, bytes, &size)) fail("there is no SHA-256");
     for (unsigned i = 0; i < size; i++) sprintf(digits + 2 * i, "%02x", bytes[i]);
     if (*digest && strcmp(digest, digits)) fail("the file has changed while it was read");
     strcpy(digest, digits);
@@ -643,7 +635,9 @@ static bool *live, *giving_up, *sure;    /* states with a way to the goal; to st
 static bool *wandering, *avoiding;       /* the goal sure; to go on in for ever by what takes */
 static bool may_fail;                    /* nothing; to avoid the goal in for ever */
 
-static bool *copied(const bool *flags, size_t count) { return memcpy(zeros(count, 1), flags, count); }
+static bool *copied(const bool *flags, size_t count) {
+    return memcpy(zeros(count, 1), flags, count);
+}
 
 /* The part of a set of states in which each has no pair, or one that stays in it; or, if so asked,
  * of which all pairs stay. Pairs are those that are allowed, of which those that stay are left. */
@@ -748,8 +742,8 @@ static void follow_graph(void) {
     may_fail = !limited || sharing || mpq_sgn(quantities[1].weights[BOUND]);
     if (!may_fail && !surely) refuse("failure 0: the goal can be reached surely, fails");
     if (may_fail) memset(keeps, true, n_pairs);
-    free(not_goal);
-    free(dead);
+    void *done[] = {not_goal, dead, home, costless, outcomes, coming};
+    for (size_t i = 0; i < sizeof done / sizeof *done; i++) free(done[i]);
 }
 
 /* ---- The proof ---- */
@@ -764,16 +758,20 @@ struct column {
     enum charged charged;
     struct column *slope;        /* of its numbers from the cap on */
     bool is_of_states;           /* it tells of nodes from the cap on alone */
-    mpz_t *after;                /* arrival + y of each node, in units */
     mpz_t arrival;               /* in the state that is read */
 };
-struct node { size_t index; long state; mpz_t total; };
+struct node {
+    long state;
+    mpz_t total;                 /* in units of totals; from the cap on: the cap */
+    mpz_t *after;                /* of each column: arrival + y, in units of 10^-60 */
+    int32_t *decision;           /* of each member */
+    size_t line;
+};
 
 static size_t n_columns, n_members, each_member, n_nodes;  /* each_member: columns */
 static struct column *columns, *members, *value, *least_failure;
-static struct node *nodes;               /* by state and total, the last one of a state is its cap; */
+static struct node *nodes;               /* by state and total, the last of each state its cap */
 static size_t *first_node;               /* of each state */
-static int32_t **decision;               /* of each member in each node */
 static rational *prices, *weights, claim[2];  /* claim: at least, at most */
 static mpz_t units, cap;                 /* one over 10^-60; in units of totals */
 
@@ -787,12 +785,14 @@ static size_t read_numbers(rational **numbers, struct json *stated) {
 }
 
 /* A total as a number of units. */
-static void read_total(mpz_t units_of, rational total) {
-    mpz_set(units_of, mpq_numref(times(total, of(unit))));
-    if (mpz_cmp_ui(mpq_denref(times(total, of(unit))), 1)) refuse("%Qd is a sum of costs, fails", total);
+static void read_total(mpz_t count, rational total) {
+    rational scaled = times(total, of(unit));
+    if (mpz_cmp_ui(mpq_denref(scaled), 1)) refuse("%Qd is a sum of costs, fails", total);
+    mpz_set(count, mpq_numref(scaled));
 }
 
-/* Where each stair starts. A quantile is proved by what is late: beyond the claim, for v from it on. */
+/* Where each stair starts. A quantile is proved by what is late: beyond the claim; for v, from it
+ * on. */
 static void build_stairs(void) {
     if (quantile) {
         new_stair(minus(zero, one), zero, zero, zero);
@@ -843,12 +843,13 @@ static void make_columns(void) {
     struct column *y = members;
     for (long m = 0; m < (long)n_members; m++) {  /* steps, objective, rows, and its slope */
         make_column(y, "- steps", NOTHING)->weights[COSTS + n_costs] = minus_one;
-        for (size_t j = 0; j < n_rows; j++)
-            add_quantity(make_column(y + 1 + j, quantities[j].name, j ? NOTHING : TOTAL), minus_one, j);
+        for (size_t j = 0; j < n_rows; j++) {
+            make_column(y + 1 + j, quantities[j].name, j ? NOTHING : TOTAL);
+            add_quantity(y + 1 + j, minus_one, j);
+        }
         if (totals) y[1].slope = make_column(y + 1 + n_rows, "- slope", RISE);
         for (size_t j = 0; j < each_member; j++) y++->member = m;
     }
-    decision = zeros(n_members, sizeof *decision);
     n_lasting = n_made;
 }
 
@@ -869,80 +870,81 @@ static void read_head(struct json *head) {
     }
 }
 
-/* A node of the state, of which nothing is told yet. */
-static void new_node(void) {
+/* A node of the state at the cap, of which nothing is told yet. */
+static struct node *new_node(void) {
     nodes = grown(nodes, n_nodes, sizeof *nodes);
-    nodes[n_nodes] = (struct node){.index = n_nodes, .state = state};
-    mpz_init_set(nodes[n_nodes].total, cap);
-    for (struct column *y = columns; y < columns + n_columns; y++) {
-        y->after = grown(y->after, n_nodes, sizeof *y->after);
-        mpz_init(y->after[n_nodes]);
-    }
-    for (size_t m = 0; m < n_members; m++) {
-        decision[m] = grown(decision[m], n_nodes, sizeof *decision[m]);
-        decision[m][n_nodes] = NONE;
-    }
-    n_nodes++;
+    struct node *node = &nodes[n_nodes++];
+    *node = (struct node){.state = state, .line = n_lines};
+    node->after = zeros(n_columns, sizeof *node->after);
+    node->decision = zeros(n_members, sizeof *node->decision);
+    mpz_init_set(node->total, cap);
+    for (size_t i = 0; i < n_columns; i++) mpz_init(node->after[i]);
+    for (size_t m = 0; m < n_members; m++) node->decision[m] = NONE;
+    return node;
 }
 
-static void read_number(struct column *y, struct json *stated) {
+/* A number of a column, in a state where it may have one. */
+static void read_number(struct node *node, const struct column *y, struct json *stated) {
     mpz_t z;
     mpz_init(z);
     floor_of(z, turned(stated, y->member != NONE), units);
-    if (live[state]) mpz_set(y->after[n_nodes - 1], z);
+    if (live[state]) mpz_set(node->after[y - columns], z);
     mpz_clear(z);
 }
 
-static void read_member(long m, struct json *entry, bool at_cap) {
-    int32_t *decided = &decision[m][n_nodes - 1];
+static void read_member(struct node *node, long m, struct json *entry, bool at_cap) {
+    int32_t *decision = &node->decision[m];
     if (!live[state]) refuse("member %ld decides where nothing has ended, fails", m);
-    if (says(entry, "stop")) *decided = STOP;
-    else *decided = (int32_t)whole(entry, (long)(first_pair[state + 1] - first_pair[state]));
-    if (*decided == STOP && !wandering[state] && !giving_up[state])
+    if (says(entry, "stop")) *decision = STOP;
+    else *decision = (int32_t)whole(entry, (long)(first_pair[state + 1] - first_pair[state]));
+    if (*decision == STOP && !wandering[state] && !giving_up[state])
         refuse("member %ld stops where it may, fails", m);
     struct column *y = members + (size_t)m * each_member;
     for (size_t j = 0; j < each_member; j++, y++)
-        if (at_cap || !y->is_of_states) read_number(y, entry = after(entry));
+        if (at_cap || !y->is_of_states) read_number(node, y, entry = after(entry));
 }
 
 /* What a line of the proof tells of a node, from the cap on or below it. */
-static void read_node(struct json *line, bool at_cap) {
+static struct node *read_node(struct json *line, bool at_cap) {
+    struct node *node = new_node();
     struct json *entry = list(get(line, "members"));
-    new_node();
-    read_number(value, get(line, "v"));
-    if (totals && at_cap) read_number(value->slope, get(line, "slope"));
-    if (sharing && at_cap) read_number(least_failure, get(line, "w"));
+    read_number(node, value, get(line, "v"));
+    if (totals && at_cap) read_number(node, value->slope, get(line, "slope"));
+    if (sharing && at_cap) read_number(node, least_failure, get(line, "w"));
     for (long m = 0; m < (long)n_members; m++, entry = entry->next) {
         if (!entry) refuse("as many members as weights, fails");
-        if (!is(entry, 'n')) read_member(m, list(entry), at_cap);
+        if (!is(entry, 'n')) read_member(node, m, list(entry), at_cap);
     }
-    if (at_cap) end_line();
+    return node;
 }
 
 static int by_state_and_total(const void *one_node, const void *other_node) {
     const struct node *a = one_node, *b = other_node;
     int order = a->state < b->state ? -1 : a->state > b->state ? 1 : mpz_cmp(a->total, b->total);
-    return order ? order : a->index < b->index ? -1 : 1;
+    return order ? order : a->line < b->line ? -1 : 1;
 }
 
 static void read_proof(void) {
-    struct json *line = need_line();
+    struct json *line = next_line(true);
     long n_below = totals ? whole(get(line, "nodes"), INT32_MAX) : 0;
     read_head(line);
     end_line();
     make_columns();
-    for (state = 0; state < n; state++) read_node(need_line(), true);
+    for (state = 0; state < n; state++) {
+        read_node(next_line(true), true);
+        end_line();
+    }
     new_node();  /* what a discount takes */
     for (long k = 0; k < n_below; k++) {
-        line = need_line();
+        line = next_line(true);
         state = whole(get(line, "state"), n);
-        read_node(line, false);
-        floor_of(nodes[n_nodes - 1].total, not_negative(get(line, "total")), unit);
-        if (!live[state] || mpz_cmp(nodes[n_nodes - 1].total, cap) >= 0)
+        struct node *node = read_node(line, false);
+        floor_of(node->total, not_negative(get(line, "total")), unit);
+        if (!live[state] || mpz_cmp(node->total, cap) >= 0)
             refuse("a total below the cap, fails");
         end_line();
     }
-    if (next_line()) refuse("there are more lines than are said to be there");
+    if (next_line(false)) refuse("there are more lines than are said to be there");
     qsort(nodes, n_nodes, sizeof *nodes, by_state_and_total);
     first_node = zeros((size_t)n + 1, sizeof *first_node);
     for (size_t i = 0; i < n_nodes; i++) first_node[nodes[i].state + 1] = i + 1;
@@ -950,18 +952,19 @@ static void read_proof(void) {
 
 /* ---- The inequalities ---- */
 
-/* Node of a state at a total: that of the state itself if it has ended, and from the cap on. */
-static size_t node_of(long x, const mpz_t total) {
+/* Node of a state at a total; at the cap it stands for all totals from there on, and for those at
+ * which the state has ended. */
+static struct node *node_of(long x, const mpz_t total) {
     size_t low = first_node[x], high = first_node[x + 1];
-    while (live[x] && low < high) {  /* the node before is at most there, the last one beyond */
+    if (!live[x] || mpz_cmp(total, cap) >= 0) return &nodes[high - 1];
+    while (low < high) {  /* the last one up to the total is before low */
         size_t middle = (low + high) / 2;
         if (mpz_cmp(nodes[middle].total, total) <= 0) low = middle + 1;
         else high = middle;
     }
-    if (!live[x] || low == first_node[x + 1]) return (size_t)x;
     if (low == first_node[x] || mpz_cmp(nodes[low - 1].total, total))
         refuse("no line tells of state %ld with %Qd", x, over(of(total), of(unit)));
-    return nodes[low - 1].index;
+    return &nodes[low - 1];
 }
 
 /* What a column counts of the charge on coming to the goal with a total, in units. */
@@ -1017,77 +1020,79 @@ static void arrive(void) {
 static void add_arrivals(struct json *actions) {
     if (!live[state]) find_least(actions);
     arrive();
-    for (struct column *y = columns; y < columns + n_columns; y++)
-        for (size_t i = first_node[state]; i < first_node[state + 1]; i++)
-            mpz_add(y->after[nodes[i].index], y->after[nodes[i].index], y->arrival);
+    for (size_t i = first_node[state]; i < first_node[state + 1]; i++)
+        for (size_t c = 0; c < n_columns; c++)
+            mpz_add(nodes[i].after[c], nodes[i].after[c], columns[c].arrival);
 }
 
 /* Whether an inequality of a column is asked of an action, of this number; or of a stop. */
-static bool asked_of(const struct column *y, size_t node, int32_t number_of, size_t pair) {
-    if (node > (size_t)n && y->is_of_states) return false;
-    if (y->member != NONE) return decision[y->member][node] == number_of;
-    if (number_of == STOP) return may_fail && (y->stops[state] || giving_up[state]);
+static bool asked_of(const struct column *y, const struct node *node, int32_t choice, size_t pair) {
+    if (y->is_of_states && mpz_cmp(node->total, cap)) return false;
+    if (y->member != NONE) return node->decision[y->member] == choice;
+    if (choice == STOP) return may_fail && (y->stops[state] || giving_up[state]);
     return keeps[pair];
 }
 
 /* A column's inequality at a node and the action that was read; a stop leads nowhere. */
 static void check(const struct column *y, const struct node *node, bool stopping) {
-    size_t mark = n_made;
+    size_t mark = n_made, c = (size_t)(y - columns);
     mpz_t left, right, goes, won, grows, all, z;
     mpz_inits(left, right, goes, won, grows, all, z, NULL);
     for (struct move *move = moves; move < moves + n_moves; move++) {
+        bool ends_there = !live[move->state];
         if (!mpz_sgn(move->part)) continue;
-        if (y->member != NONE && live[move->state] && decision[y->member][move->node] == NONE)
-            refuse("%s of member %ld decides after %s %s, fails", y->name, y->member, state_name, action);
+        if (y->member != NONE && !ends_there && move->node->decision[y->member] == NONE)
+            refuse("%s of member %ld decides after %s %s, fails", y->name, y->member, state_name,
+                   action);
         mpz_add(all, all, move->part);
-        mpz_addmul(goes, move->part, y->after[move->node]);
+        mpz_addmul(goes, move->part, move->node->after[c]);
         if (y->charged && goal[move->state]) {
             charge(z, y, move->total);
             mpz_addmul(won, move->part, z);
-        } else if (y->slope && move->node <= (size_t)n) {
+        } else if (y->slope && !ends_there && mpz_cmp(move->total, cap) > 0) {
             mpz_sub(z, move->total, cap);
             mpz_mul(z, z, move->part);
-            mpz_addmul(grows, z, y->slope->after[move->node]);
+            mpz_addmul(grows, z, move->node->after[y->slope - columns]);
         }
     }
-    /* times the sum of the parts, and the discount's denominator: what is paid, and charged, in
-     * full; what follows if the step goes on, and if the discount ends it */
-    rational own = plus(dot(y->weights, paid), stopping ? y->weights[STOPPING] : zero);
+    /* y <= own + charge + discount * (arrival + y, and its growth) after the step
+     *   + (1 - discount) * arrival where a discount ends it,
+     * times the sum of the parts, and the denominator of the discount */
     mpz_mul(z, units, mpq_denref(discount));
-    floor_of(right, own, z);
+    floor_of(right, plus(dot(y->weights, paid), stopping ? y->weights[STOPPING] : zero), z);
     mpz_addmul(right, won, mpq_denref(discount));
     mpz_addmul(right, goes, mpq_numref(discount));
-    mpz_sub(z, mpq_denref(discount), mpq_numref(discount));
-    mpz_mul(z, z, all);
-    mpz_addmul(right, z, y->after[n]);
     mpz_mul(grows, grows, mpq_numref(discount));
     mpz_fdiv_q(grows, grows, unit);
     mpz_add(right, right, grows);
-    mpz_mul(all, sum, mpq_denref(discount));
-    mpz_sub(left, y->after[node->index], y->arrival);
-    mpz_mul(left, left, all);
+    mpz_sub(z, mpq_denref(discount), mpq_numref(discount));
+    mpz_mul(z, z, all);
+    mpz_addmul(right, z, nodes[n_nodes - 1].after[c]);
+    mpz_sub(left, node->after[c], y->arrival);
+    mpz_mul(z, sum, mpq_denref(discount));
+    mpz_mul(left, left, z);
     if (mpz_cmp(left, right) > 0) {
-        mpz_mul(all, all, units);
+        mpz_mul(z, z, units);
         refuse("%s <= own + sum p %s at %s, total %Qd, %s fails: %.17g > %.17g", y->name, y->name,
                state_name, over(of(node->total), of(unit)), action,
-               mpq_get_d(over(of(left), of(all))), mpq_get_d(over(of(right), of(all))));
+               mpq_get_d(over(of(left), of(z))), mpq_get_d(over(of(right), of(z))));
     }
     mpz_clears(left, right, goes, won, grows, all, z, NULL);
     n_made = mark;
 }
 
 /* The inequalities of the action that was read, of this number, or of stopping, at each node. */
-static void check_nodes(int32_t number_of, size_t pair) {
+static void check_nodes(int32_t choice, size_t pair) {
     for (size_t i = first_node[state]; i < first_node[state + 1]; i++) {
         bool leads = false;
         for (struct column *y = columns; y < columns + n_columns; y++) {
-            if (!asked_of(y, nodes[i].index, number_of, pair)) continue;
+            if (!asked_of(y, &nodes[i], choice, pair)) continue;
             for (struct move *move = moves; !leads && move < moves + n_moves; move++) {
                 mpz_add(move->total, nodes[i].total, move->further);
                 if (mpz_sgn(move->part)) move->node = node_of(move->state, move->total);
             }
             leads = true;
-            check(y, &nodes[i], number_of == STOP);
+            check(y, &nodes[i], choice == STOP);
         }
     }
 }
@@ -1097,9 +1102,9 @@ static void check_state(struct json *actions) {
     if (!live[state]) return;
     arrive();
     find_least(actions);
-    for (int32_t number_of = 0; actions; actions = actions->next, number_of++) {
+    for (int32_t choice = 0; actions; actions = actions->next, choice++) {
         read_pair(actions);
-        check_nodes(number_of, first_pair[state] + (size_t)number_of);
+        check_nodes(choice, first_pair[state] + (size_t)choice);
     }
     n_moves = 0;
     mpz_set_ui(sum, 1);
@@ -1120,12 +1125,12 @@ static rational proved(const struct column *y) {
     for (size_t i = 0; i < n_start; i++) {
         long x = start_state[i];
         if (!mpq_sgn(start_part[i])) continue;
-        size_t node = node_of(x, y->is_of_states ? cap : nothing);
-        if (y->member != NONE && live[x] && decision[y->member][node] == NONE)
+        const struct node *node = node_of(x, y->is_of_states ? cap : nothing);
+        if (y->member != NONE && live[x] && node->decision[y->member] == NONE)
             refuse("%s of member %ld decides at the start, fails", y->name, y->member);
         mpz_set_ui(begun, 0);
         if (y->charged && goal[x]) charge(begun, y, nothing);
-        mpz_add(begun, begun, y->after[node]);
+        mpz_add(begun, begun, node->after[y - columns]);
         bound = plus(bound, times(start_part[i], of(begun)));
     }
     mpz_clears(nothing, begun, NULL);
@@ -1201,13 +1206,15 @@ static void conclude(void) {
         if (!less(late, lower)) refuse("no lottery stays below the quantile as often, fails");
         lower = upper = claim[0];
     }
-    rational ends[] = {greatest ? minus(zero, upper) : lower, greatest ? minus(zero, lower) : upper};
-    if (less(ends[0], claim[0])) refuse("it claims at least %Qd, proves %Qd, fails", claim[0], ends[0]);
-    if (less(claim[1], ends[1])) refuse("it claims at most %Qd, proves %Qd, fails", claim[1], ends[1]);
+    rational turned_lower = minus(zero, lower);
+    lower = greatest ? minus(zero, upper) : lower;
+    upper = greatest ? turned_lower : upper;
+    if (less(lower, claim[0])) refuse("claimed is at least %Qd, fails: %Qd", claim[0], lower);
+    if (less(claim[1], upper)) refuse("claimed is at most %Qd, fails: %Qd", claim[1], upper);
     printf("accepted: \"%s\"\n  SHA-256   %s\n", asked, digest);
-    print_bound("at least", ends[0], false);
-    print_bound("at most", ends[1], true);
-    printf("  width     %.1e\n", mpq_get_d(minus(ends[1], ends[0])));
+    print_bound("at least", lower, false);
+    print_bound("at most", upper, true);
+    printf("  width     %.1e\n", mpq_get_d(minus(upper, lower)));
     for (size_t j = 1; j < n_rows; j++)
         if (less(bound[j], taken[j]))
             gmp_printf("  the lottery exceeds row %s by %Qd\n", quantities[j].name,

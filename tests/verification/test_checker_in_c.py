@@ -6,12 +6,10 @@ import gzip
 import json
 import random
 import re
-import shutil
 import subprocess
 from copy import deepcopy
 from fractions import Fraction
 from hashlib import sha256
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -41,10 +39,8 @@ from ssp_lp import (
     visits,
     write_certificate,
 )
-from ssp_lp.verification import checker
+from tests.campaigns.two_checkers import difference
 
-COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-STRICT = ["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror", "-O1"]
 CHANGES = 40
 """So many files that were tampered with of each certificate."""
 
@@ -148,25 +144,6 @@ PROBLEMS = {
 
 
 @pytest.fixture(scope="module")
-def program(tmp_path_factory):
-    """The compiled checker."""
-    if COMPILER is None:
-        pytest.skip("there is no compiler of C")
-    folder = tmp_path_factory.mktemp("c")
-    (folder / "headers.c").write_text(
-        "#include <gmp.h>\n#include <openssl/evp.h>\n#include <zlib.h>\nint main(void) {}\n"
-    )
-    build = [COMPILER, *STRICT, "-o", folder / "check"]
-    libraries = ["-lgmp", "-lz", "-lcrypto"]
-    headers = [*build, folder / "headers.c", *libraries]
-    if subprocess.run(headers, capture_output=True).returncode:  # noqa: S603
-        pytest.skip("the C headers of GMP or zlib are missing (libgmp-dev, zlib1g-dev)")
-    source = Path(checker.__file__).with_suffix(".c")
-    subprocess.run([*build, source, *libraries], check=True)  # noqa: S603
-    return folder / "check"
-
-
-@pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A certificate of each problem."""
     where = tmp_path_factory.mktemp("certificates")
@@ -183,16 +160,9 @@ def run(program, path):
 
 
 def agreed(program, path):
-    """What both checkers say of a file, who must say the same."""
-    status, words, ends = run(program, path)
-    checked = check_certificate(path)
-    assert status == (0 if checked.accepted else 1), f"{words}\n{checked}"
-    if checked.accepted:
-        assert ends == [checked.lower, checked.upper]
-        assert checked.digest in words
-        exceeded = re.findall(r"exceeds row (.*) by (\S+)", words)
-        assert {row: Fraction(excess) for row, excess in exceeded} == checked.exceeded
-    return words
+    """What the checker in C says of a file, of which both must say the same."""
+    assert difference(program, path) == ""
+    return run(program, path)[1]
 
 
 def written(lines, path):
