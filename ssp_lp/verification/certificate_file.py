@@ -12,7 +12,7 @@ from __future__ import annotations
 import gzip
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache, cached_property, lru_cache
@@ -49,8 +49,8 @@ from ssp_lp.processes.failure_semantics import Aim, FailureSemantics
 from ssp_lp.solution import Solution, as_solved
 from ssp_lp.solve import solve
 from ssp_lp.verification import checker
-from ssp_lp.verification.checker import ONE, Checked, dot, down
-from ssp_lp.verification.exact_values import decimal_text, leads, member_vectors, values_below
+from ssp_lp.verification.checker import Checked, dot
+from ssp_lp.verification.exact_values import leads, member_vectors, text_of, values_below
 
 _MOVED = Fraction(1, 10**6)  # of a price, by which it may be corrected
 _RAISES = 60  # of a price that is not known
@@ -59,6 +59,9 @@ _SMALLER = Fraction(1, 10**4)  # by so much a ratio may be proved to be at least
 _LEAST_ROOM = Fraction(1, 10**12)  # relative, to which cases are to prove a bound
 _CAPS, _WIDTH = 12, 1e-10  # of totals tried, until an interval is as narrow as this
 _MOST_NODES = 2_000_000
+_FEW = 500  # nodes, of which proofs in fractions are tried
+_DIGITS = (120, 960)  # by which fractions are told
+_LONGEST = 6000  # bits of a common denominator
 _TABLES = (ExpectedUtility, ExponentialUtility, ExpectedArrivalCost)
 """Charges that are told of one total after the other, as far as they change."""
 
@@ -102,23 +105,60 @@ def write_certificate(solution: Solution, path: str | Path, *, tolerance: float 
     statement = Statement(solved.problem, asked)
     lines = list(statement.lines())
     try:
-        model = checker.Model(json.loads(lines[0]), lines[1:])
+        model = _Draft(json.loads(lines[0]), lines[1:])
         charge = solved.problem.semantics.charge(solved.problem.ratio)
         if isinstance(charge, _TABLES) and model.counts:
             statement.totals = _told_apart(model, charge)
             lines = list(statement.lines())
-            model = checker.Model(json.loads(lines[0]), lines[1:])
+            model = _Draft(json.loads(lines[0]), lines[1:])
     except checker.RefusedError as error:
         raise ModelError(f"no certificate of {type(solved.problem).__name__}: {error}") from error
     digest = sha256(b"\n".join(lines)).hexdigest()
     try:
-        lines += _proof(model, solved, {"sha256": digest, "claim": _claim(solved, tolerance)})
-        checked = checker.check_lines(lines)
+        head = {"sha256": digest, "claim": _claim(solved, tolerance)}
+        checked, proved = _best_proof(lines, _proofs(model, solved, head))
     except checker.RefusedError as error:
         raise SolverError(f"the answer is not proved: {error}") from error
     with open(path, "wb") as raw, gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as file:
-        file.write(b"\n".join(lines))
+        file.write(b"\n".join(proved))
     return checked
+
+
+class _Draft(checker.Model):
+    """A certificate's question and model, whose proof may be made before its inequalities hold."""
+
+    def __init__(self, question: dict[str, Any], lines: Sequence[bytes]) -> None:
+        super().__init__(question, lines)
+        self.is_checked = True
+        self.charged: dict[tuple[float, float], Solution] = {}  # of thresholds between two
+
+    def at_most(self, left: int, right: int, *words: object) -> None:
+        """Refuse the certificate unless an inequality holds, or the proof is a draft."""
+        if self.is_checked:
+            super().at_most(left, right, *words)
+
+
+def _best_proof(
+    lines: Sequence[bytes], proofs: Iterable[Sequence[bytes]]
+) -> tuple[Checked, list[bytes]]:
+    """What the best of some certificate files proves, and its lines: the first that is exact.
+
+    Raises:
+        RefusedError: the first is refused, and no other is better.
+    """
+    best, refused = list[tuple[Checked, list[bytes]]](), list[checker.RefusedError]()
+    for proof in proofs:
+        try:
+            checked = checker.check_lines([*lines, *proof])
+        except checker.RefusedError as error:
+            refused.append(error)
+            continue
+        best.append((checked, [*lines, *proof]))
+        if checked.lower == checked.upper and not checked.exceeded:
+            break
+    if not best:
+        raise refused[0]
+    return min(best, key=lambda one: (one[0].upper - one[0].lower, len(one[0].exceeded)))
 
 
 def _claim(solution: Solution, tolerance: float) -> list[str]:
@@ -359,11 +399,13 @@ def _text_of(value: Any) -> str:
     return str(value) if isinstance(value, (int, Fraction)) else _decimal_of(float(value))
 
 
-def _proof(model: checker.Model, solution: Solution, head: dict[str, Any]) -> Iterator[bytes]:
-    """Lines of a certificate file's proof: its head, a line for each state, and for each node."""
+def _proofs(model: _Draft, solution: Solution, head: dict[str, Any]) -> Iterator[list[bytes]]:
+    """Lines of a certificate file's proof, its head and a line a node: in decimals, then exact."""
+    dual, nodes = solution, list[tuple[int, Fraction]]()
     if not model.counts:
         model.spread({}, [])
-        yield from _proof_at(model, solution, solution, head)[1]
+        yield _proof_at(model, solution, solution, head)[1]
+        yield from _exact_proofs(model, solution, dual, head, nodes)
         return
     dual, risk = solution, solution.problem.semantics.risk
     if risk is not None:  # a quantile is a total that occurs
@@ -382,15 +424,69 @@ def _proof(model: checker.Model, solution: Solution, head: dict[str, Any]) -> It
         width, more = _proof_at(model, solution, dual, {**head})
         failed += width >= 0.9 * last
         if width < last:
-            lines, last = more, width
+            lines, last, told = more, width, ({**head, "cap": str(cap)}, nodes)
         if last <= _WIDTH or failed > 1 or len(nodes) > _MOST_NODES // 2:
             break
         cap = cap * 2
-    yield from lines
+    yield lines
+    yield from _exact_proofs(model, solution, dual, *told)
+
+
+def _exact_proofs(
+    model: _Draft,
+    solution: Solution,
+    dual: Solution,
+    head: dict[str, Any],
+    nodes: Sequence[tuple[int, Fraction]],
+) -> Iterator[list[bytes]]:
+    """Proofs in a unit that all their numbers are multiples of, where nodes are few.
+
+    Their policies' equations have a solution in fractions. Its digits are computed, as many as it
+    takes to tell the fractions by: those of least denominators that are as near.
+    """
+    uncertain = any(step[1] != step[2] for step in model.question.get("charge", []))
+    if len(model.nodes) > _FEW or uncertain:
+        return
+    for digits in _DIGITS:
+        model.spread({**head, "one": str(10**digits)}, nodes)
+        model.is_checked = False
+        one = _common_unit(model, _proof_at(model, solution, dual, {**head})[1], digits)
+        model.is_checked = True
+        if one is not None:
+            model.spread({**head, "one": str(one)}, nodes)
+            try:
+                proof = _proof_at(model, solution, dual, {**head, "one": str(one)})[1]
+            except checker.RefusedError:
+                continue  # of more digits there may be other fractions
+            yield proof
+
+
+def _common_unit(model: checker.Model, proof: Sequence[bytes], digits: int) -> int | None:
+    """Units in 1 of which all numbers of a certificate's proof are multiples; None: not told."""
+    head, *lines = map(json.loads, proof)
+    told = [line.get(key, []) for line in lines for key in ("v", "w", "slope")]
+    told += [one[2:] for line in lines for one in line["members"] if one]  # but for the steps
+    prices = {*_numbers_in([head.get("prices", []), head.get("cases", [])])}
+    near, one = 10 ** (digits // 2 - 10), checker.ONE  # of steps some digits
+    for number in {*_numbers_in(told)}:
+        one = math.lcm(one, number.limit_denominator(near).denominator)
+        if one.bit_length() > _LONGEST:
+            return None
+    priced = math.lcm(*(price.limit_denominator(near).denominator for price in prices))
+    return priced * math.lcm(one, *(a.denominator for q in model.each for a in q.arrival))
+
+
+def _numbers_in(content: Any) -> Iterator[Fraction]:
+    """Numbers that texts within some content of a certificate file stand for."""
+    if isinstance(content, str) and checker.NUMBER.fullmatch(content):
+        yield checker.number(content)
+    elif isinstance(content, (list, dict)):
+        for part in content.values() if isinstance(content, dict) else content:
+            yield from _numbers_in(part)
 
 
 def _proof_at(
-    model: checker.Model, solution: Solution, dual: Solution, head: dict[str, Any]
+    model: _Draft, solution: Solution, dual: Solution, head: dict[str, Any]
 ) -> tuple[float, list[bytes]]:
     """Relative width of what a certificate file proves from some nodes, and its lines of proof."""
     ssp, weights, n = solution.problem.model, solution.policy.weights, len(model.names)
@@ -409,16 +505,18 @@ def _proof_at(
         model.set_share(w, totals)
     slope = [0] * n
     if model.counts:
-        model.slopes.charge = lambda r: down(model.rise)
+        model.slopes.charge = lambda r: model.down(model.rise)
         rising, _ = values_below(model, ssp, model.slopes, members, below=False)
         slope = [max(one, 0) for one in rising]
     chosen = _weights(model, weights[weights > 0.0], totals)
     upper = dot(chosen, [total[0] for total in totals])
     if model.ratio:
-        upper /= max(1 - dot(chosen, [total[1] for total in totals]), Fraction(1, ONE))
+        upper /= max(1 - dot(chosen, [total[1] for total in totals]), Fraction(1, model.one))
     weighed = [] if "quantile" in model.question else totals[: int((weights > 0.0).sum())]
     if "tail_mean" in model.question:
-        head["cases"], values, bound = _cases_of_thresholds(model, dual, members, slope, upper)
+        head["cases"], values, bound = _cases_of_thresholds(
+            model, dual, members, weighed, Fraction(head["threshold"]), slope, upper
+        )
     else:
         case, v, bound = _priced_values(model, model.low, dual, members, weighed, slope)
         head["prices"], values = [str(price) for price in case.prices], [v]
@@ -431,13 +529,15 @@ def _proof_at(
         if i >= n:
             x, total = model.nodes[i]
             line = {"state": x, "total": str(Fraction(total, model.unit))}
-        texts = [decimal_text(v[i]) for v in values]
+        texts = [text_of(v[i], model.one) for v in values]
         line |= {"v": texts if "cases" in head else texts[0]}
         line |= {"members": [entries.get(i) for entries in vectors]}
         if model.counts and i < n:
-            line["slope"] = decimal_text(slope[i])
+            line["slope"] = text_of(slope[i], model.one)
         lines.append(
-            _line(line if model.share is None or i >= n else {**line, "w": decimal_text(w[i])})
+            _line(
+                line if model.share is None or i >= n else {**line, "w": text_of(w[i], model.one)}
+            )
         )
     return abs(float(upper - bound)) / max(1.0, abs(float(upper))), lines
 
@@ -477,9 +577,11 @@ def _late_from(solution: Solution) -> Solution:
 
 
 def _cases_of_thresholds(
-    model: checker.Model,
+    model: _Draft,
     solution: Solution,
     members: Sequence[Mapping[int, int]],
+    weighed: Sequence[Sequence[Fraction]],
+    threshold: Fraction,
     slope: Sequence[int],
     upper: Fraction,
 ) -> tuple[list[Any], list[list[int]], Fraction]:
@@ -489,6 +591,8 @@ def _cases_of_thresholds(
         model: the question and the model, its nodes spread.
         solution: of the problem.
         members: of its lottery, decisions by node.
+        weighed: what each of them takes, the objective that of a threshold.
+        threshold: this.
         slope: of the values in the total, from the cap on.
         upper: what the lottery attains, beyond which no threshold is looked at.
 
@@ -497,15 +601,19 @@ def _cases_of_thresholds(
     """
     share = 1.0 - cast("TailMeanOf", solution.problem.semantics.risk).level
     totals = [total for total in _goal_totals(model, upper) if total < upper] or [Fraction(0)]
-    enough, proved = upper * (1 - _LEAST_ROOM), list[tuple[Fraction, checker.Case, list[int]]]()
+    room = _LEAST_ROOM if model.one == checker.ONE else 0
+    enough, proved = upper * (1 - room), list[tuple[Fraction, checker.Case, list[int]]]()
     ahead, least = [(0, len(totals))], list[Fraction]()
     while ahead:
         first, last = ahead.pop()
         a, b = float(totals[first]), float(totals[last - 1])
         charge = ExpectedArrivalCost(ExcessCharge(b, share, a).at, b)
         low = model.ladder(model.excess(totals[first], totals[last - 1]), 1)
-        dual = _charging(solution, charge)
-        case, v, bound = _priced_values(model, low, dual, members, [], slope)
+        if (a, b) not in model.charged:
+            model.charged[a, b] = _charging(solution, charge)
+        dual = model.charged[a, b]
+        own = weighed if totals[first] == totals[last - 1] == threshold else []
+        case, v, bound = _priced_values(model, low, dual, members, own, slope)
         if bound < enough and last - first > 1:
             middle = (first + last) // 2
             ahead += [(middle, last), (first, middle)]
@@ -590,7 +698,7 @@ def _priced_values(
         bound = c.constant
         for p, x in model.start:
             won = c.charge(0) if c.charge and x in model.sets["goal"] else 0
-            bound += p * (c.arrival[x] + Fraction(v[model.at(x, 0)] + won, ONE))
+            bound += p * (c.arrival[x] + Fraction(v[model.at(x, 0)] + won, model.one))
         if model.ratio and bound < 0 and model.rows[0].loose == 1 and less < _SMALLER:
             # no policy goes below a somewhat smaller ratio; of few digits, which are exact
             prices[0] = Fraction(math.floor(prices[0] * (1 - less) * 10**20), 10**20)
@@ -645,11 +753,11 @@ def _first_prices(
             abs(e - prices[j]) <= _MOVED * prices[j] for e, j in zip(exact, some, strict=True)
         ):
             for e, j in zip(exact, some, strict=True):
-                prices[j] = Fraction(down(e), ONE)
+                prices[j] = e
     if model.ratio and model.may_fail:  # failing goes without the ratio besides
         ratio = ratio or Fraction(_decimal_of(solution.objective))
-        prices[0] += Fraction(down(ratio), ONE)
-    return prices, at
+        prices[0] += ratio
+    return [Fraction(model.down(price), model.one) for price in prices], at
 
 
 def _is_met(model: checker.Model, total: Sequence[Fraction]) -> bool:
@@ -786,5 +894,5 @@ def _weights(
     part = max(e / (e + r) for e, r in zip(excess, room, strict=True) if e > 0)
     if part > _SHIFT:
         return weights
-    part = Fraction(-down(-part), ONE)
+    part = Fraction(-model.down(-part), model.one)
     return [w + part * (o - w) for w, o in zip(weights, other, strict=True)]

@@ -33,10 +33,10 @@
  *   slopes  of v, and of a member's -u of the objective: how fast its charge grows. That of v is
  *           at most 0 where the goal can be avoided for ever: only there can totals go on growing.
  *
- * Numbers of the proof, arrivals and charges are rounded down to units of 10^-60, a step's own to
- * units over the common denominator of its probabilities. All else is exact. The model is read
- * three times, a line at a time: for its graph, for the charges of dead-ends, and for the
- * inequalities; the proof once. Its SHA-256 ties the readings together.
+ * Numbers of the proof, arrivals and charges are rounded down to units, of 10^-60 or as said, a
+ * step's own to units over the common denominator of its probabilities. All else is exact. The
+ * model is read three times, a line at a time: for its graph, for the charges of dead-ends, and
+ * for the inequalities; the proof once. Its SHA-256 ties the readings together.
  */
 #include <ctype.h>
 #include <gmp.h>
@@ -763,7 +763,7 @@ struct column {
 struct node {
     long state;
     mpz_t total;                 /* in units of totals; from the cap on: the cap */
-    mpz_t *after;                /* of each column: arrival + y, in units of 10^-60 */
+    mpz_t *after;                /* of each column: arrival + y, in units */
     int32_t *decision;           /* of each member */
     size_t line;
 };
@@ -773,7 +773,7 @@ static struct column *columns, *members, *value, *least_failure;
 static struct node *nodes;               /* by state and total, the last of each state its cap */
 static size_t *first_node;               /* of each state */
 static rational *prices, *weights, claim[2];  /* claim: at least, at most */
-static mpz_t units, cap;                 /* one over 10^-60; in units of totals */
+static mpz_t units, cap;                 /* in 1, 10^60 or as said; in units of totals */
 
 static size_t read_numbers(rational **numbers, struct json *stated) {
     size_t count = 0;
@@ -864,6 +864,12 @@ static void read_head(struct json *head) {
     if (!mpq_equal(total, one)) refuse("weights are >= 0 and sum to 1, fails");
     claim[0] = number(list(get(head, "claim")));
     claim[1] = number(after(list(get(head, "claim"))));
+    if (found(head, "one")) {
+        rational told = number(found(head, "one"));
+        if (mpz_cmp_ui(mpq_denref(told), 1) || less(told, one))
+            refuse("units are parts of 1, fails");
+        mpz_set(units, mpq_numref(told));
+    }
     if (totals) {
         read_total(cap, not_negative(get(head, "cap")));
         build_stairs();

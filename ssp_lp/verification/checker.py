@@ -63,7 +63,7 @@ from math import floor, lcm
 from typing import Any, NamedTuple
 
 FORMAT, ZERO = "ssp-lp certificate 1", Fraction(0)
-ONE = 10**60  # a proof's numbers are compared in units of 1/ONE, rounded against the proof
+ONE = 10**60  # units in 1 that a proof's numbers are compared in, rounded against the proof
 EXCESS = Fraction(1, 10**9)  # of a bound: so much a lottery may exceed it, which is told
 KINDS = {"asked": str, "charge_failing_step": bool, "greatest": bool, "rows": list, "sets": list}
 KEYS = "asked charge_failing_step costs discount failure format give_up greatest objective rows"
@@ -91,12 +91,6 @@ def need(holds: bool, *words: object) -> None:
     """Refuse the certificate being checked, in these words, unless something holds."""
     if not holds:
         raise RefusedError(" ".join(map(str, words)))
-
-
-def at_most(left: int, right: int, *words: object) -> None:
-    """Refuse the certificate being checked unless an inequality in units holds."""
-    if left > right:
-        need(False, *words, "fails:", f"{left / ONE:.17g} > {right / ONE:.17g}")
 
 
 @lru_cache(1 << 14)
@@ -132,11 +126,6 @@ def whole(value: Any, below: int) -> int:
     """Whole number >= 0 below another, in the checked certificate."""
     need(type(value) is int and 0 <= value < below, repr(value), "is no whole number below", below)
     return int(value)
-
-
-def down(value: Fraction) -> int:
-    """Number of the checked certificate in units of 1/ONE, rounded down; ``-down(-value)``: up."""
-    return value.numerator * ONE // value.denominator
 
 
 def dot(weights: Iterable[Fraction], values: Iterable[Fraction]) -> Fraction:
@@ -183,6 +172,8 @@ class Quantity:
 
 class Model:
     """The question and the model of a file, and what follows from its graph."""
+
+    one = ONE
 
     def __init__(self, question: dict[str, Any], lines: Sequence[bytes]) -> None:
         need(question.get("format") == FORMAT, "this is no certificate of this format")
@@ -318,6 +309,16 @@ class Model:
         outcomes += [(total * (of - goes), n, 0)] if goes < of else []
         return name, total * of, outcomes, [of * cost for cost in paid]
 
+    def down(self, value: Fraction) -> int:
+        """Number of the checked certificate in units, rounded down; ``-down(-value)``: up."""
+        return value.numerator * self.one // value.denominator
+
+    def at_most(self, left: int, right: int, *words: object) -> None:
+        """Refuse the certificate being checked unless an inequality in units holds."""
+        if left > right:
+            sides = f"{left / self.one:.17g} > {right / self.one:.17g}"
+            need(False, *words, "fails:", sides)
+
     def reaching(self, allowed: Sequence[bool]) -> set[int]:
         """States of the checked model from which allowed pairs may lead to the goal."""
         reached, ahead = set(self.sets["goal"]), list(self.sets["goal"])
@@ -345,6 +346,9 @@ class Model:
         """Nodes of the checked proof: all states from the cap on, and below it those listed."""
         cap, sign = number(head.get("cap", "0")) * self.unit, self.sign
         need(cap.denominator == 1 and cap >= 0, "the cap is a sum of costs, fails")
+        one = number(head.get("one", str(ONE)))
+        need(one >= 1 and one.denominator == 1, "units are parts of 1, fails")
+        self.one = int(one)
         self.cap, self.place = int(cap), dict[tuple[int, int], int]()
         self.nodes = [(x, self.cap) for x in range(len(self.names))]
         for x, total in listed:
@@ -412,7 +416,7 @@ class Model:
         @cache
         def charge(r: int) -> int:
             _, value, slope, after = steps[max(bisect_left(starts, r) - 1, 0)]
-            return down(side * (value + slope * (Fraction(r, self.unit) - after)))
+            return self.down(side * (value + slope * (Fraction(r, self.unit) - after)))
 
         return charge
 
@@ -442,14 +446,14 @@ class Model:
     ) -> Fraction:  # fmt: skip
         """Bound of a quantity that v proves at each choice; with words an upper one, by - v."""
         side, goal, gamma = -1 if words else 1, self.sets["goal"], self.gamma
-        arrival = [down(side * a) for a in q.arrival]
+        arrival = [self.down(side * a) for a in q.arrival]
         after = [arrival[x] + v.get(i, 0) for i, (x, _) in enumerate(self.nodes)]
-        own = [down(side * (dot(q.costs, p[3]) + q.step * p[1])) for p in self.pairs]
+        own = [self.down(side * (dot(q.costs, p[3]) + q.step * p[1])) for p in self.pairs]
         for i, value in v.items():
             x, r = self.nodes[i]
             for k in choice[i]:
                 if k < 0:
-                    name, total, most = "stop", 1, down(side * (q.at_stop(self, x) or ZERO))
+                    name, total, most = "stop", 1, self.down(side * (q.at_stop(self, x) or ZERO))
                 else:
                     name, total, moves, _ = self.pairs[k]
                     most = own[k] + sum(a * after[self.at(y, r + t)] for a, y, t in moves)
@@ -463,10 +467,10 @@ class Model:
                     what = f"{words} {q.name} + sum p u <= u at" if words else "v <= c + sum p v at"
                     action = k - self.of[x].start if words and k >= 0 else name
                     sides = [side * bound for bound in (value, most // total)[::side]]
-                    at_most(*sides, what, self.names[x], *self.below_cap(i), action)
+                    self.at_most(*sides, what, self.names[x], *self.below_cap(i), action)
         ends = {x: q.charge(0) if q.charge and x in goal else 0 for _, x in self.start}
         begun = [(p, after[self.at(x, begin)] + ends[x]) for p, x in self.start]
-        return q.constant + side * sum((p * Fraction(value, ONE) for p, value in begun), ZERO)
+        return q.constant + side * sum((p * Fraction(value, self.one) for p, value in begun), ZERO)
 
     def below_cap(self, i: int) -> list[str]:
         """Total of a node of the checked proof, for messages; none from the cap on."""
@@ -500,9 +504,9 @@ class Model:
             ahead = {self.at(y, r + t) for _, y, t in self.pairs[k][2]} if k >= 0 else set()
             need(decided >= ahead, words, "decides after", *place)
             choice[i] = [k]
-        u = {i: [down(-number(text)) for text in entry[1:]] for i, entry in member.items()}
+        u = {i: [self.down(-number(text)) for text in entry[1:]] for i, entry in member.items()}
         if self.counts:
-            self.slopes.charge = lambda r: down(-self.rise)
+            self.slopes.charge = lambda r: self.down(-self.rise)
             past = {i: q[-1] for i, q in u.items() if i < n}
             self.prove(past, self.slopes, choice, words=words)
             slope = [past.get(x, 0) for x in range(n)]
@@ -577,6 +581,7 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
     told: dict[str, type] = {"cap": str, "nodes": int} if model.counts else {}
     in_cases = "tail_mean" in question
     told |= {"threshold": str, "cases": list} if in_cases else {"prices": list}
+    told |= {"one": str} if "one" in head else {}
     fields(head, sha256=str, claim=list, weights=list, **told)
     need(len(head["claim"]) == 2, "a claim is: at least, at most")
     weights = [number(text) for text in head["weights"]]
@@ -601,16 +606,19 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
                    if line["members"][m] is not None}  # fmt: skip
         members.append(model.above(decided, f"member {m}:"))
     if model.share is not None:
-        model.set_share([down(number(line["w"])) for line in proof[:n]], members)
+        model.set_share([model.down(number(line["w"])) for line in proof[:n]], members)
     slope = list[int]()
     if model.counts:  # from the cap on v is a line, whose slope is at most that of the charge
         texts = [line["slope"] if x in model.moving else "0" for x, line in enumerate(proof[:n])]
-        slope, model.slopes.charge = [down(number(t)) for t in texts], lambda r: down(model.rise)
+        slope, model.slopes.charge = (
+            [model.down(number(t)) for t in texts],
+            lambda r: model.down(model.rise),
+        )
         slope.append(0)
         model.below(slope, model.slopes)
     bounds = [] if model.beyond is None else [model.beyond]
     for j, case in enumerate(cases):
-        v = [down(number(line["v"][j])) for line in proof]
+        v = [model.down(number(line["v"][j])) for line in proof]
         bound = model.below(v, model.priced(case), slope if any(slope) else ())
         bounds.append(model.given_success(bound, case.prices[0]) if model.ratio else bound)
     lower = min(bounds)
@@ -620,7 +628,9 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
         if value > row.bound:
             exceeded[row.name] = value - row.bound
             if value - row.bound > EXCESS * abs(row.bound):
-                at_most(-down(-value), down(row.bound), "lottery <= bound of row", row.name)
+                model.at_most(
+                    -model.down(-value), model.down(row.bound), "lottery <= bound of row", row.name
+                )
     if model.ratio:
         need(taken[0] < 1, "the lottery reaches the goal, fails")
         upper = max(upper, upper / (1 - taken[0]))

@@ -1,9 +1,10 @@
 """Values whose inequalities hold exactly: what a certificate's checker is to read.
 
-Policy iteration in integers, units of 1/ONE: systems are solved by factors in working precision and
-refined until their equations hold but for some units, in sixty digits. What is then lowered, by a
-tiny share of the steps that may follow among rows as good as the best, leaves every inequality more
-room than the digits that are left out. An upper vector is a lower one with its sign turned.
+Policy iteration in integers, units of the model's own: systems are solved by factors in working
+precision and refined until their equations hold but for some units, in sixty digits. What is then
+lowered, by a tiny share of the steps that may follow among rows as good as the best, leaves every
+inequality more room than the digits that are left out. An upper vector is a lower one with its sign
+turned. In a unit that all values are multiples of they are exact, and nothing is lowered.
 """
 
 from __future__ import annotations
@@ -20,16 +21,16 @@ from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import end_components, nearer_pairs
 from ssp_lp.policies.policy import GIVE_UP_CODE
-from ssp_lp.verification.checker import ONE, Model, Quantity, dot, down
+from ssp_lp.verification.checker import ONE, Model, Quantity, dot
 
 _LOST = 10**28
 """Values are lowered by at most one part in so many of the largest."""
 
-_KEPT = ONE // 10**32  # of a value that follows from others directly
-_REFINEMENTS = 60  # of a system, each of which gains the digits that its condition leaves of 16
+_KEPT_PARTS = 10**32  # parts of 1 of a value that follows from others directly
 _IMPROVEMENTS = 500  # of a policy, until which iteration has always ended
-_UNITS = 4.0  # what an equation may lack in the end
-_ROUNDING = ONE // 10**45  # values that differ by less may differ by rounding alone
+_UNITS = 4  # what an equation may lack in the end
+_ROUNDING_PARTS = 10**45  # values that differ by less than a part of 1 may differ by rounding alone
+_BITS = 960  # of whole numbers of which floats are made
 
 
 class Row(NamedTuple):
@@ -41,8 +42,10 @@ class Row(NamedTuple):
     own: int  # total times what the step takes, in units
 
 
-def decimal_text(value: int) -> str:
-    """Exact number in units as a decimal text."""
+def text_of(value: int, one: int = ONE) -> str:
+    """Exact number in units as a decimal text, or as a fraction."""
+    if one != ONE:
+        return str(Fraction(value, one))
     digits = f"{abs(value):061d}"
     text = f"{digits[:-60]}.{digits[-60:]}".rstrip("0").rstrip(".")
     return f"-{text}" if value < 0 else text
@@ -75,15 +78,15 @@ def member_vectors(model: Model, decided: Mapping[int, int]) -> dict[int, list[A
     """
     n, slope, vectors = len(model.names), list[int](), list[list[int]]()
     if model.counts:
-        model.slopes.charge = lambda r: down(-model.rise)
+        model.slopes.charge = lambda r: model.down(-model.rise)
         late = {i: k for i, k in decided.items() if i < n}
         slope = _member_values(model, late, model.slopes, [])
     for q in [model.steps, *model.each]:
         vectors.append(_member_values(model, decided, q, slope if any(slope) else []))
     return {
         i: ["stop" if k < 0 else k - model.of[model.nodes[i][0]].start]
-        + [decimal_text(-values[i]) for values in vectors]
-        + ([decimal_text(-slope[i])] if model.counts and i < n else [])
+        + [text_of(-values[i], model.one) for values in vectors]
+        + ([text_of(-slope[i], model.one)] if model.counts and i < n else [])
         for i, k in decided.items()
     }
 
@@ -107,7 +110,7 @@ def _member_values(
     model: Model, decided: Mapping[int, int], q: Quantity, slope: Sequence[int]
 ) -> list[int]:
     """Exact values of one quantity of a member, negative, [nodes]; of steps with some more."""
-    arrival = [down(-a) for a in q.arrival]
+    arrival = [model.down(-a) for a in q.arrival]
     values = [0] * len(model.nodes)
     after = [arrival[x] for x, _ in model.nodes]
     for layer in layers_of(model, below=True):
@@ -120,32 +123,34 @@ def _member_values(
                     raise ModelError(
                         f"the policy gives up in state {model.names[x]!r}: not so here"
                     )
-                rows.append(Row(place[i], 1, [], down(-takes)))
+                rows.append(Row(place[i], 1, [], model.down(-takes)))
                 continue
             _, total, _, paid = model.pairs[k]
             ahead = leads(model, k, r)
             inside = [(a, place[j]) for a, j in ahead if j in place]
-            own = down(-dot(q.costs, paid) - q.step * total) + charged(model, k, r, q, slope)
+            own = model.down(-dot(q.costs, paid) - q.step * total) + charged(model, k, r, q, slope)
             own += sum(a * after[j] for a, j in ahead)  # nothing but the arrival yet, if inside
             rows.append(Row(place[i], total, inside, own))
-        for i, value in zip(here, _one_way_values(rows, q is model.steps), strict=True):
+        for i, value in zip(
+            here, _one_way_values(rows, model.one, is_steps=q is model.steps), strict=True
+        ):
             values[i] = value
             after[i] += value
     return values
 
 
-def _one_way_values(rows: Sequence[Row], is_steps: bool) -> list[int]:
+def _one_way_values(rows: Sequence[Row], one: int, *, is_steps: bool) -> list[int]:
     """Exact values of nodes that have one row each."""
     if not any(row.own for row in rows):
         return [0] * len(rows)  # what takes nothing takes exactly nothing
     if not any(row.outcomes for row in rows):
-        values = [_shortened(row.own // row.total) for row in rows]
+        values = [_shortened(row.own // row.total, one) for row in rows]
     elif not is_steps:
-        return sub_solution(rows, range(len(rows)))[1]
+        return sub_solution(rows, range(len(rows)), one)[1]
     else:
-        values = best_values(rows, range(len(rows)))[1]
+        values = best_values(rows, range(len(rows)), one)[1]
     # of steps a few digits serve as a witness
-    return [v * 101 // ONE * (ONE // 100) for v in values] if is_steps else values
+    return [v * 101 // one * one // 100 for v in values] if is_steps else values
 
 
 def values_below(
@@ -169,9 +174,9 @@ def values_below(
         slope: of the values in the total, from the cap on; empty: none.
         below: whether the nodes below the cap are asked for.
     """
-    paid = [down(dot(c.costs, pair[3])) for pair in model.pairs]
+    paid = [model.down(dot(c.costs, pair[3])) for pair in model.pairs]
     chosen = {k for member in members for k in member.values() if k >= 0}
-    arrival, n = [down(a) for a in c.arrival], len(model.names)
+    arrival, n = [model.down(a) for a in c.arrival], len(model.names)
     values = [0] * (len(model.nodes) if below else n)
     after, best = [arrival[x] for x, _ in model.nodes[: len(values)]], dict[int, int]()
     still = {model.home[k] for k, moves in enumerate(p[2] for p in model.pairs)
@@ -192,9 +197,9 @@ def values_below(
                 worth = {k: own[k] // model.pairs[k][1] for k in model.of[model.nodes[i][0]]
                          if k in own}  # fmt: skip
                 if (stop := stops[i]) is not None:
-                    worth[GIVE_UP_CODE] = down(stop)
+                    worth[GIVE_UP_CODE] = model.down(stop)
                 best[i] = min(worth, key=worth.__getitem__)
-                values[i] = _shortened(worth[best[i]])
+                values[i] = _shortened(worth[best[i]], model.one)
         else:
             found = _connected_values(model, ssp, here, own, ahead, stops, chosen)
             for i, (value, k) in found.items():
@@ -231,10 +236,10 @@ def _connected_values(
                 rows.append(Row(node[i], model.pairs[k][1], after, own[k]))
                 pairs.append(k)
         if (stop := stops[i]) is not None:
-            rows.append(Row(node[i], 1, [], down(stop)))
+            rows.append(Row(node[i], 1, [], model.down(stop)))
             pairs.append(GIVE_UP_CODE)
     first = _leaving_choice(rows, len(number), [k in chosen for k in pairs])
-    choice, values = sub_solution(rows, first)
+    choice, values = sub_solution(rows, first, model.one)
     taken = np.zeros(ssp.n_pairs, dtype=np.bool_)
     taken[[pairs[r] for r in choice if pairs[r] >= 0]] = True
     nearer = nearer_pairs(ssp, taken, taken | inside)  # within a node to where it is left
@@ -244,33 +249,40 @@ def _connected_values(
     }
 
 
-def _shortened(value: int) -> int:
+def _shortened(value: int, one: int) -> int:
     """Exact value rounded down to the digits that a file keeps of it, where no row needs more."""
-    return value // _KEPT * _KEPT
+    kept = 1 if one != ONE else one // _KEPT_PARTS
+    return value // kept * kept
 
 
-def sub_solution(rows: Sequence[Row], choice: Sequence[int]) -> tuple[Sequence[int], list[int]]:
+def sub_solution(
+    rows: Sequence[Row], choice: Sequence[int], one: int
+) -> tuple[Sequence[int], list[int]]:
     """Exact sub-solution v of ``v <= own + mean v`` for each row, near the greatest; a choice.
 
     Args:
         rows: of all nodes.
         choice: a row of each node, by which all of them are left.
+        one: units in 1; other than of sixty digits values are whole numbers of them.
     """
-    choice, values, room = best_values(rows, choice)
-    short = [(value + _ROUNDING // 2) // _ROUNDING * _ROUNDING for value in values]
+    choice, values, room = best_values(rows, choice, one)
+    if one != ONE:
+        return choice, values
+    rounding = one // _ROUNDING_PARTS
+    short = [(value + rounding // 2) // rounding * rounding for value in values]
     if all(
         short[row.node] * row.total <= row.own + sum(a * short[j] for a, j in row.outcomes)
         for row in rows
     ):
         return choice, short  # decimals, which are exact
-    lost = max(max(map(abs, values)) // _LOST, 4 * _ROUNDING)
+    lost = max(max(map(abs, values)) // _LOST, 4 * rounding)
     tied = sorted({r for r, spare in enumerate(room) if spare <= lost}.union(choice))
     place = {r: i for i, r in enumerate(tied)}
-    slow = [rows[r]._replace(own=-rows[r].total * ONE) for r in tied]
-    steps = best_values(slow, [place[r] for r in choice])[1]  # negative: the longest way
-    share = max(lost * ONE // (4 * (ONE - min(steps))), 8)
+    slow = [rows[r]._replace(own=-rows[r].total * one) for r in tied]
+    steps = best_values(slow, [place[r] for r in choice], one)[1]  # negative: the longest way
+    share = max(lost * one // (4 * (one - min(steps))), 8)
     grid = 10 ** (len(str(share // 4)) - 1)
-    lowered = [(v + share * n // ONE) // grid * grid for v, n in zip(values, steps, strict=True)]
+    lowered = [(v + share * n // one) // grid * grid for v, n in zip(values, steps, strict=True)]
     return choice, _ended_exactly(rows, lowered, lost)
 
 
@@ -296,7 +308,7 @@ def _ended_exactly(rows: Sequence[Row], values: Sequence[int], lost: int) -> lis
 
 
 def best_values(
-    rows: Sequence[Row], choice: Sequence[int]
+    rows: Sequence[Row], choice: Sequence[int], one: int
 ) -> tuple[Sequence[int], list[int], list[int]]:
     """Policy iteration in exact values: a best choice, its values, each row's excess.
 
@@ -306,12 +318,12 @@ def best_values(
     if not rows:
         return choice, [], []
     for _ in range(_IMPROVEMENTS):
-        values = _solved([rows[r] for r in choice])
+        values = _solved([rows[r] for r in choice], 0 if one != ONE else _UNITS)
         room = [
             (row.own + sum(a * values[j] for a, j in row.outcomes)) // row.total - values[row.node]
             for row in rows
         ]
-        better = [r for r, spare in enumerate(room) if spare < -_ROUNDING]
+        better = [r for r, spare in enumerate(room) if spare < -(one // _ROUNDING_PARTS)]
         if not better:
             return choice, values, room
         choice = list(choice)
@@ -320,8 +332,13 @@ def best_values(
     raise SolverError("no policy is best for a certificate: are costs near 1e-40 apart?")
 
 
-def _solved(chosen: Sequence[Row]) -> list[int]:
-    """Exact values of nodes, in units, at which a row each holds as an equation."""
+def _solved(chosen: Sequence[Row], enough: int) -> list[int]:
+    """Exact values of nodes, in units, at which a row each holds as an equation.
+
+    Args:
+        chosen: a row of each node.
+        enough: units that an equation may lack.
+    """
     n, entries = (
         len(chosen),
         [(i, j, a / row.total) for i, row in enumerate(chosen) for a, j in row.outcomes],
@@ -329,18 +346,19 @@ def _solved(chosen: Sequence[Row]) -> list[int]:
     at, there, chances = np.array(entries).reshape(-1, 3).T
     steps = sp.csc_array((chances, (at.astype(int), there.astype(int))), shape=(n, n))
     factors = splu(sp.csc_array(sp.identity(n, format="csc") - steps))
-    values, last = [0] * n, np.inf
-    for _ in range(_REFINEMENTS):
+    values, last = [0] * n, None
+    while True:
         lack = [
-            (row.own + sum(a * values[j] for a, j in row.outcomes) - row.total * value) / row.total
+            row.own + sum(a * values[j] for a, j in row.outcomes) - row.total * value
             for row, value in zip(chosen, values, strict=True)
         ]
-        worst = max(map(abs, lack))
-        if worst <= _UNITS or not worst < 0.5 * last:
-            break
-        last, more = worst, factors.solve(np.array(lack))
-        values = [value + int(step) for value, step in zip(values, more.tolist(), strict=True)]
-    return values
+        worst = max(-(-abs(one) // row.total) for one, row in zip(lack, chosen, strict=True))
+        if worst <= enough or (last is not None and 2 * worst > last):
+            return values
+        finer = max(worst.bit_length() - _BITS, 0)
+        least = [(one >> finer) / row.total for one, row in zip(lack, chosen, strict=True)]
+        last, more = worst, factors.solve(np.array(least))
+        values = [v + (round(step) << finer) for v, step in zip(values, more.tolist(), strict=True)]
 
 
 def _leaving_choice(rows: Sequence[Row], n_nodes: int, preferred: Sequence[bool]) -> list[int]:

@@ -70,6 +70,19 @@ def test_a_claim_is_proved(claim, reason, tmp_path):
     assert (told.accepted, told.reason[: len(reason)]) == (not reason, reason)
 
 
+@pytest.mark.parametrize(
+    ("one", "accepted"), [("3", True), ("1", False), ("1/3", False), ("0", False), (3, False)]
+)
+def test_units_are_parts_of_one(one, accepted, tmp_path):
+    """In thirds a cost of 1/3 is a whole number, in units of 1 a value of it is rounded to 0."""
+    third = state(go=([["1", 1]], ["1/3"]))
+    member = [0, "1", "1/3"]
+    proof = [{"v": "1/3", "members": [member]}, {"v": "0", "members": [None]}]
+    head = {"prices": [], "one": one, "claim": ["1/3", "1/3"]}
+    told = verdict(tmp_path / "x", [third, GOAL], head, proof, objective=COST)
+    assert told.accepted == accepted
+
+
 @pytest.mark.parametrize("ratio", [True, False])
 def test_no_cap_is_below_the_start(ratio, tmp_path):
     """Values there would be read at a total that no run has."""
