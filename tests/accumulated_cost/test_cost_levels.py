@@ -6,10 +6,11 @@ from itertools import product
 import numpy as np
 import pytest
 
-from formulations import MCMP, S3P
+from formulations import GUBS, MCMP, S3P
 from played import ROOT, ferry
 from small_models import model_of
 from ssp_lp import InfeasibleError, ModelError, certify, evaluate, secondary_cost, solve
+from ssp_lp.accumulated_cost import process
 from ssp_lp.accumulated_cost.totals import (
     Totals,
     _sums_of_walks,
@@ -87,6 +88,18 @@ def test_limits_go_with_levels():
     solution = solve(S3P(ferry(), "quay", failure_budget=0.3, constraints=limits))
     assert solution.secondary_costs["fuel"] <= 1.0 + 1e-9
     check_proved(solution)
+
+
+@pytest.mark.parametrize("held", [1, 2, 5, 1_000])
+def test_charges_of_arriving_however_many_layers_are_held(held, monkeypatch):
+    """From a total k: half of what k + 1 is worth, a quarter of k + 3, and 0.5 for success."""
+    monkeypatch.setattr(process, "_TABLE", 2 * held)
+    model = written("x go: 0.5 g 1, 0.5 x 2\n x try: 0.25 g 3, 0.75 x 1")
+    worth = lambda c: np.maximum(1.0 - np.asarray(c) / 10.0, 0.0)  # noqa: E731
+    layers = GUBS(model, "x", worth, 0.5).compile().pricing().process
+    for k in (*range(15), 3, 0):
+        known = 0.5 * (worth(k + 1) + 0.5), 0.25 * (worth(k + 3) + 0.5)
+        assert -layers.charged(k).total == pytest.approx(known, rel=1e-14)
 
 
 def test_sums_and_where_steps_lead():

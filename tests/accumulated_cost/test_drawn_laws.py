@@ -21,6 +21,7 @@ from ssp_lp import (
     solve,
     success_costs,
 )
+from ssp_lp.accumulated_cost.charges import ExcessCharge
 from ssp_lp.policies.policy import Branches, Policy
 from strategies import DEAD_ENDS, Draw, often, problems
 
@@ -174,4 +175,6 @@ def test_what_holds_for_every_law(drawn_and_decisions):
         share = (1 - level) * law.goal
         lower = min(z + law.excess(z) / share for z in np.arange(0.0, value + 3.0))
         assert tail == pytest.approx(lower, rel=1e-10, abs=1e-12)
+        charge = ExcessCharge(value, 1.0 - level).at(costs)
+        assert masses @ charge == pytest.approx(tail * law.goal, rel=1e-9, abs=1e-12)
         last = value

@@ -129,6 +129,22 @@ def test_failing_where_that_is_forbidden_costs_without_end():
         assert np.isinf(found.expected_cost) == (dares == 1)
 
 
+@pytest.mark.parametrize("give_up", GIVE_UPS)
+def test_free_loops_that_a_layer_never_leaves_fail_once_and_cost_nothing(give_up):
+    problem = MCMP(written("x go: 0.5 g 1, 0.5 y 1\n y spin: 0.5 y 0, 0.5 z 0\n y leave: g 5\n"
+                           "z spin: y 0"), "x", 1.0, give_up=give_up)  # fmt: skip
+    model, start = problem.model, start_distribution(problem.model, "x")
+    decision, tails = np.full((2, model.n_states), UNDECIDED), np.full((1, 4), UNDECIDED)
+    live = [model.index_of(name) for name in "xyz"]
+    decision[:, live], tails[0, live] = 0, model.pair_offsets[live]
+    policy = CostAwarePolicy(model, 1.0, decision, tails, np.full(model.n_states, 9.0))
+    for found in (
+        layered_measures(policy, problem, start, 0),
+        chain_measures(policy, problem, start),
+    ):
+        assert (found.goal, found.failure, found.expected_cost) == pytest.approx((0.5, 0.5, 1.0))
+
+
 def test_a_lottery_is_evaluated_the_same_either_way(coarse_robot, monkeypatch):
     solution = solve(S3P(*coarse_robot, failure_budget=0.3))
     assert len(solution.policy.policies) == 2

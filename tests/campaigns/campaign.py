@@ -14,12 +14,19 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from typing import Any, TypeVar
 
+import numpy as np
+
+from ssp_lp import SSP, SSPError
+
 Case = TypeVar("Case")
 Table = Mapping[Any, Mapping[Any, Sequence[tuple[Any, Any, Any]]]]
 """Outcomes (probability, successor, cost) by state and action."""
 
 MOST_TRIED = 500
 """Smaller problems that are tried for one that fails."""
+
+LARGEST = 300
+"""States of a model that is made smaller."""
 
 
 def smaller_tables(table: Table, kept: Iterable[Any] = ()) -> Iterator[dict[Any, Any]]:
@@ -73,6 +80,38 @@ def smallest(
         else:
             break
     return case
+
+
+def smallest_model(model: SSP, fails: Callable[[SSP], object]) -> dict[Any, Any] | str:
+    """The smallest model that fails as a given one does, which starts in its first state.
+
+    Args:
+        model: one that fails.
+        fails: what is wrong with a model; one that the library refuses does not fail.
+
+    Returns:
+        Its outcomes by state and action, and the goals, by their numbers in the model given; of a
+        large model only that it is large.
+    """
+    if model.n_states > LARGEST:
+        return f"the model has {model.n_states:,} states"
+    goals = np.flatnonzero(model.goal_mask).tolist()
+    table: dict[Any, Any] = {s: {} for s in np.flatnonzero(~model.goal_mask).tolist()}
+    pairs = np.repeat(np.arange(model.n_pairs), np.diff(model.outcome_offsets))
+    columns = model.probabilities, model.successors, np.broadcast_to(model.costs, pairs.shape)
+    steps = zip(*(column.tolist() for column in columns), strict=True)
+    for pair, step in zip(pairs.tolist(), steps, strict=True):
+        table[int(model.pair_state[pair])].setdefault(pair, []).append(step)
+
+    def still(case: Table) -> bool:
+        try:
+            stated = SSP.from_transitions(case, goals, treat_actionless_as_dead_ends=True)
+            return bool(fails(stated))
+        except (SSPError, ValueError):
+            return False
+
+    left = smallest(table, lambda case: smaller_tables(case, kept=[0]), still)
+    return {state: actions for state, actions in left.items() if actions} | {"goals": goals}
 
 
 def run(

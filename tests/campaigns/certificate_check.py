@@ -27,7 +27,7 @@ from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -35,22 +35,26 @@ from formulations import EGUBS, S3P, CostBoundedReach, CostQuantile, CVaR
 from ssp_lp import SSP, InfeasibleError, ModelError, SSPError, solve
 from ssp_lp.verification.certificate_file import write_certificate
 from ssp_lp.verification.checker import Checked, check_certificate
-from tests.campaigns.program_check import CRITERIA, GOAL, drawn, drawn_task
+from tests.campaigns.campaign import run, smallest
+from tests.campaigns.program_check import (
+    CRITERIA,
+    GOAL,
+    Asked,
+    Setting,
+    drawn_case,
+    drawn_task,
+    posed,
+    smaller,
+)
 from tests.references.combined import Task
 from tests.references.stated import optimum
 
-TOTALS: dict[str, Callable[[SSP, Task, np.random.Generator], Any]] = {
-    "S3P": lambda m, t, rng: S3P(m, t.start, t.most_failure),
-    "CostQuantile": lambda m, t, rng: CostQuantile(
-        m, t.start, float(rng.choice([0.3, 0.5, 0.8, 0.95])), t.most_failure
-    ),
-    "CVaR": lambda m, t, rng: CVaR(
-        m, t.start, float(rng.choice([0.3, 0.5, 0.8, 0.95])), t.most_failure
-    ),
-    "CostBoundedReach": lambda m, t, rng: CostBoundedReach(
-        m, t.start, int(rng.integers(1, 12)), t.most_failure
-    ),
-    "EGUBS": lambda m, t, rng: EGUBS(m, t.start, -0.4, 0.7),
+TOTALS: dict[str, Callable[[SSP, Task, Asked], Any]] = {
+    "S3P": lambda m, t, n: S3P(m, t.start, t.most_failure),
+    "CostQuantile": lambda m, t, n: CostQuantile(m, t.start, n.level, t.most_failure),
+    "CVaR": lambda m, t, n: CVaR(m, t.start, n.level, t.most_failure),
+    "CostBoundedReach": lambda m, t, n: CostBoundedReach(m, t.start, n.bound, t.most_failure),
+    "EGUBS": lambda m, t, n: EGUBS(m, t.start, -0.4, 0.7),
 }
 """Criteria of the total cost; on models, too, in which costly steps may lead anywhere."""
 
@@ -62,26 +66,29 @@ Lines = list[bytes]
 KINDS = (*CRITERIA, *(f"{name}, looping" for name in TOTALS), "CVaR", "CostQuantile")
 """Problems, one kind after the other by their seeds."""
 
-
-class Asked(NamedTuple):
-    """A problem, and its optimum by a program that knows nothing of the library."""
-
-    name: str
-    problem: Any
-    known: Callable[[], float | None]
+Case = tuple[Task, Setting]
 
 
-def asked(seed: int) -> Asked:
-    """A problem: of `program_check.py`, or of the total cost where that has no bound."""
+def case_of(seed: int) -> Case:
+    """A model and what is asked of it: as in `program_check.py`, or the total cost in loops."""
     kind = seed % len(KINDS)
     if kind < len(CRITERIA):
-        draw = drawn(seed // len(KINDS) * len(CRITERIA) + kind)
-        return Asked(draw.name, draw.problem, lambda: draw.optimum(draw.task))
-    name, rng = KINDS[kind], np.random.default_rng([seed, 2800])
-    task = drawn_task(rng, loops=name.endswith("looping"))
+        return drawn_case(seed // len(KINDS) * len(CRITERIA) + kind)
+    rng, loops = np.random.default_rng([seed, 2800]), KINDS[kind].endswith("looping")
+    task, level = drawn_task(rng, loops=loops), float(rng.choice([0.3, 0.5, 0.8, 0.95]))
+    asked = Asked(level, int(rng.integers(1, 12)), 0.0, "attention", True, None)
+    return task, Setting(KINDS[kind], asked, None, False)
+
+
+def question(case: Case) -> tuple[Any, Callable[[], float | None]]:
+    """A problem, and its optimum by a program of its own; not a number where there is none."""
+    task, setting = case
+    if setting.criterion in CRITERIA:
+        draw = posed(task, setting)
+        return draw.problem, lambda: draw.optimum(draw.task)
     model = SSP.from_transitions(task.choices, goal=set(GOAL), treat_actionless_as_dead_ends=True)
-    problem = TOTALS[name.removesuffix(", looping")](model, task, rng)
-    return Asked(name, problem, lambda: solve(problem).objective)
+    problem = TOTALS[setting.criterion.removesuffix(", looping")](model, task, setting.asked)
+    return problem, lambda: float("nan")
 
 
 def lines_of(path: Path) -> Lines:
@@ -339,20 +346,19 @@ def check_changed(
     tally[f"changed {kind}, accepted"] += 1
     known = known_of(found)
     if not holds(checked, known):
-        path.rename(folder.parent / f"lie-{sha256(b''.join(found)).hexdigest()[:8]}.cert")
         yield f"{kind}: {interval(checked)} is accepted, the optimum is {known!r}"
 
 
-def check(seed: int, changes: int, tally: Counter[str]) -> Iterator[str]:
+def told(case: Case, seed: int, changes: int, tally: Counter[str]) -> Iterator[str]:
     """One problem: its certificate, and changed ones; yield what is not as it should be."""
-    draw = asked(seed)
+    (problem, optimum_of_draw), name = question(case), case[1].criterion
     try:
-        solution = solve(draw.problem)
+        solution = solve(problem)
     except InfeasibleError:
         tally["infeasible"] += 1
         return
-    with tempfile.TemporaryDirectory() as name:
-        path = Path(name) / "one.cert"
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "one.cert"
         try:
             written = write_certificate(solution, path)
         except ModelError as error:
@@ -360,48 +366,56 @@ def check(seed: int, changes: int, tally: Counter[str]) -> Iterator[str]:
             return
         except SSPError as error:
             tally["not proved"] += 1
-            yield f"{draw.name}: {error}"
+            yield f"{name}: {error}"
             return
         tally["certificates"] += 1
         tally["widths of 0"] += written.lower == written.upper
         tally["rows exceeded by rounding"] += bool(written.exceeded)
         if (checked := check_certificate(path)) != written:
-            yield f"{draw.name}: written as {written}, read as {checked}"
+            yield f"{name}: written as {written}, read as {checked}"
         width = float(written.upper - written.lower) / (1.0 + abs(float(written.upper)))
         if not -AGREED < width < WIDTH:
-            yield f"{draw.name}: an interval of width {width:.1e}"
+            yield f"{name}: an interval of width {width:.1e}"
         lines = lines_of(path)
-        tally[f"certificates of {draw.name}"] += 1
-        for told, known in (
+        tally[f"certificates of {name}"] += 1
+        for source, known in (
             ("the question's program", known_of(lines)),
-            ("the program of the draw", draw.known()),
+            ("the program of the draw", optimum_of_draw()),
             ("solve", solution.objective),
         ):
             if not holds(written, known):
-                yield f"{draw.name}: {told} has {known!r}, not in {interval(written)}"
+                yield f"{name}: {source} has {known!r}, not in {interval(written)}"
         rng = np.random.default_rng([seed, 28])
         for _ in range(changes):
             yield from (
-                f"{draw.name}: {said}" for said in check_changed(lines, Path(name), rng, tally)
+                f"{name}: {said}" for said in check_changed(lines, Path(folder), rng, tally)
             )
+
+
+def shrunk(seed: int, asked: argparse.Namespace) -> str:
+    """The smallest problem of which something is wrong as of the draw of a seed."""
+
+    def fails(case: Case) -> bool:
+        try:
+            return bool(list(told(case, seed, asked.changes, Counter())))
+        except SSPError:
+            return False  # it says what is wrong with the question
+
+    task, setting = smallest(case_of(seed), smaller, fails)
+    return f"{task}\n{setting}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Check draws from the command line; 1 if anything was found."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=200, help="of problems")
-    parser.add_argument("--seed", type=int, default=0, help="of the first one")
-    parser.add_argument("--changes", type=int, default=4, help="of each file")
-    options = parser.parse_args(arguments)
-    tally, found = Counter[str](), 0
-    for seed in range(options.seed, options.seed + options.count):
-        for said in check(seed, options.changes, tally):
-            print(f"seed {seed}: {said}", flush=True)
-            found += 1
-    for name, count in sorted(tally.items()):
-        print(f"{name:<60} {count:,}")
-    print("nothing else was found" if not found else f"{found} findings")
-    return int(found > 0)
+    return run(
+        __doc__,
+        lambda seed, tally, asked: told(case_of(seed), seed, asked.changes, tally),
+        arguments,
+        options=lambda parser: parser.add_argument(
+            "--changes", type=int, default=4, help="of each file"
+        ),
+        shrink=shrunk,
+    )
 
 
 if __name__ == "__main__":

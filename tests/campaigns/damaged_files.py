@@ -4,10 +4,11 @@
     python tests/campaigns/damaged_files.py --formats prism --count 10000
 
 A file that raises anything but an SSPError, ends the process that reads it, or takes more memory
-than a reader may is told with its number; `--first NUMBER --files 1 --keep FOLDER` makes it again.
-What is written in a modelling language may describe a model of any size: such files are read under
-the same limits by Storm, and those that run into them are counted apart. Damaged JANI and UMB files
-may end the process in Storm's own parsers: they are checked where they are named alone.
+than a reader may is told with its number, and the least of it of which the same is said; `--seed
+NUMBER --count 1 --keep FOLDER` makes it again. What is written in a modelling language may describe
+a model of any size: such files are read under the same limits by Storm, and those that run into
+them are counted apart. Damaged JANI and UMB files may end the process in Storm's own parsers: they
+are checked where they are named alone.
 
 Certificates (`--formats s3p.cert quantile.cert` and others) are damaged in their text, before it is
 compressed: each is refused by the checker, or proves an interval that holds the optimum still.
@@ -21,7 +22,7 @@ import signal
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -32,6 +33,7 @@ import numpy as np
 from formulations import EGUBS, MCMP, S3P, CostBoundedReach, CostQuantile
 from ssp_lp import SSP, SSPError, check_certificate, solve, write_certificate
 from ssp_lp.io import read_any, write_any
+from tests.campaigns.campaign import smallest
 
 LONGEST = 10  # seconds that a file is given
 ROUNDED = 1e-9  # of an optimum
@@ -194,17 +196,39 @@ def damaged(ending: str, folder: Path, numbers: Sequence[int]) -> Iterator[tuple
         broken.write_bytes(sound[broken])
 
 
-def work(ending: str, first: int, count: int, told: Connection, keep: Path | None) -> None:
+def read_damaged(ending: str, first: int, count: int, keep: Path | None, told: Connection) -> None:
     """Read the damaged files of some numbers, and tell what came of each."""
-    resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY, MOST_MEMORY))
     with tempfile.TemporaryDirectory() as name:
         for number, broken in damaged(ending, Path(name), range(first, first + count)):
             if keep is not None:
                 (keep / f"{number}.{broken.name}").write_bytes(broken.read_bytes())
-            signal.alarm(LONGEST)
-            said = verdict(ending, Path(name) / f"m.{ending}")
-            signal.alarm(0)
-            told.send((said, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss))
+            read_file(ending, Path(name), told)
+
+
+def read_file(ending: str, folder: Path, told: Connection) -> None:
+    """Read a file within limits of time and memory, and tell what came of it."""
+    resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY, MOST_MEMORY))
+    signal.alarm(LONGEST)
+    said = verdict(ending, folder / f"m.{ending}")
+    signal.alarm(0)
+    told.send((said, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss))
+
+
+def told_apart(read: Callable[..., None], *asked: Any) -> Iterator[tuple[str, int]]:
+    """What a process of its own tells of files, and the memory it took; its end, if it is ended."""
+    heard, told = multiprocessing.Pipe(duplex=False)
+    process = multiprocessing.get_context("fork").Process(target=read, args=(*asked, told))
+    process.start()
+    told.close()
+    while True:
+        try:
+            yield heard.recv()
+        except EOFError:
+            process.join()
+            if process.exitcode:
+                late = process.exitcode == -signal.SIGALRM
+                yield LARGE[0] if late else f"the process ended, code {process.exitcode}", 0
+            return
 
 
 def check(ending: str, first: int, count: int, keep: Path | None = None) -> Counter[str]:
@@ -214,29 +238,42 @@ def check(ending: str, first: int, count: int, keep: Path | None = None) -> Coun
         How often each verdict was given; findings are printed.
     """
     found, peak, number, end = Counter[str](), 0, first, first + count
-    while number < end:
-        heard, told = multiprocessing.Pipe(duplex=False)
-        asked: tuple[Any, ...] = ending, number, end - number, told, keep
-        process = multiprocessing.get_context("fork").Process(target=work, args=asked)
-        process.start()
-        told.close()
-        running = True
-        while number < end and running:
-            try:
-                said, size = heard.recv()
-                peak = max(peak, size)
-            except EOFError:  # the process has ended, and another goes on with the next file
-                process.join()
-                code, running = process.exitcode, False
-                said = LARGE[0] if code == -signal.SIGALRM else f"the process ended, code {code}"
+    while number < end:  # where a process is ended, another goes on with the next file
+        for said, size in told_apart(read_damaged, ending, number, end - number, keep):
+            peak = max(peak, size)
             found[said] += 1
             if said not in (READ, REFUSED, *LARGE):
                 print(f"{ending}, number {number}: {said}", flush=True)
+                print(f"the least of it: {shrunk(ending, number)!r}", flush=True)
             number += 1
-        process.join()
     counts = ", ".join(f"{name} {times:,}" for name, times in found.most_common())
     print(f"{ending:<12} {counts}; peak memory {peak >> 10:,} MiB", flush=True)
     return found
+
+
+def shorter(content: bytes) -> Iterator[bytes]:
+    """The same without a stretch, long ones first."""
+    size = len(content) // 2
+    while size:
+        yield from (content[:at] + content[at + size :] for at in range(0, len(content), size))
+        size //= 2
+
+
+def shrunk(ending: str, number: int) -> bytes:
+    """The least of a damaged file of which the same is said, but for what it names."""
+    packed = ending in CERTIFIED
+    with tempfile.TemporaryDirectory() as name:
+
+        def kind(content: bytes) -> str:
+            broken.write_bytes(gzip.compress(content) if packed else content)
+            ((said, _),) = told_apart(read_file, ending, Path(name))
+            return str(said).partition(":")[0]
+
+        _, broken = next(damaged(ending, Path(name), [number]))
+        content = broken.read_bytes()
+        content = gzip.decompress(content) if packed else content
+        wrong = kind(content)
+        return smallest(content, shorter, lambda case: kind(case) == wrong)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -16,7 +16,7 @@ import multiprocessing
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from queue import Empty
 from typing import Any
@@ -51,10 +51,13 @@ from ssp_lp import (
     visits,
 )
 from ssp_lp.formulation import CostLimit
+from tests.campaigns.campaign import run, smallest_model
 
 CLOSED, CLOSED_FRONTIER = 1e-6, 1e-3
 LATE = 2.0  # seconds after the time limit that a call may take, with the process's noise
 _END = 120.0  # seconds after which a process is ended
+SOON = 5.0  # seconds that a smaller model is given
+WRONG = {"without a policy", "refused"}
 
 SIZES: dict[str, Callable[[float], tuple[int, ...]]] = {
     "layered": lambda n: (round(math.sqrt(n)), round(math.sqrt(n))),
@@ -128,16 +131,17 @@ def drawn_model(rng: np.random.Generator, family: str, states: tuple[float, floa
     return model
 
 
-def answer(seed: int, families: Sequence[str], criteria: Sequence[str], states: Any, limit: float,
-           queue: Any) -> None:  # fmt: skip
-    """Solve one draw and put what is to be told of it."""
+def drawn(seed: int, asked: argparse.Namespace) -> tuple[np.random.Generator, str, str]:
+    """A draw: what is drawn next, and the names of the family and the criterion."""
     rng = np.random.default_rng(seed)
-    family, criterion = str(rng.choice(families)), str(rng.choice(criteria))
-    told = {"name": f"{seed} {family}", "criterion": criterion, "end": "killed"}
-    queue.put(dict(told))
-    model = drawn_model(rng, family, states)
-    told["name"] += f" {model.n_states:,}"
-    queue.put(dict(told))
+    return rng, str(rng.choice(asked.families)), str(rng.choice(asked.criteria))
+
+
+def answered(
+    model: SSP, criterion: str, rng: np.random.Generator, limit: float
+) -> Iterator[dict[str, Any]]:
+    """Solve a problem about a model, and tell more and more of it."""
+    told: dict[str, Any] = {}
     began = time.perf_counter()
     try:
         problem = problem_of(criterion, model, rng)
@@ -149,29 +153,39 @@ def answer(seed: int, families: Sequence[str], criteria: Sequence[str], states: 
             solution = solve(problem, time_limit=limit)
             told |= {"end": "answer", "objective": solution.objective, "gap": solution.gap}
         told["seconds"] = time.perf_counter() - began
-        queue.put(dict(told))
+        yield dict(told)
         if criterion != "frontier":
             proof = certify(solution)
             told["proof"] = proof.gap if proof.accepted else proof.reason
     except InfeasibleError as error:
-        if told["end"] == "answer":  # a certificate that calls an answered problem infeasible
+        if told:  # a certificate that calls an answered problem infeasible
             told["proof"] = str(error)[:120]
         else:
             told |= {"end": "cannot", "why": str(error)[:120]}
     except (SSPError, KeyboardInterrupt) as error:
         told |= {"end": "nothing", "why": f"{type(error).__name__}: {str(error)[:200]}"}
-    told.setdefault("seconds", time.perf_counter() - began)
+    yield {"seconds": time.perf_counter() - began, **told}
+
+
+def answer(seed: int, asked: argparse.Namespace, queue: Any) -> None:
+    """Solve one draw and put what is to be told of it."""
+    rng, family, criterion = drawn(seed, asked)
+    told = {"name": f"{seed} {family}", "criterion": criterion, "end": "killed"}
     queue.put(dict(told))
+    model = drawn_model(rng, family, tuple(asked.states))
+    told["name"] += f" {model.n_states:,}"
+    queue.put(dict(told))
+    for more in answered(model, criterion, rng, asked.time_limit):
+        queue.put({**told, **more})
 
 
-def watched(seed: int, options: argparse.Namespace) -> dict[str, Any]:
+def watched(seed: int, asked: argparse.Namespace) -> dict[str, Any]:
     """What a draw's process told last, before it ended or was ended."""
     context = multiprocessing.get_context("spawn")
     queue = context.Queue()
-    arguments = options.families, options.criteria, tuple(options.states), options.time_limit
-    process = context.Process(target=answer, args=(seed, *arguments, queue))
+    process = context.Process(target=answer, args=(seed, asked, queue))
     process.start()
-    process.join(options.time_limit + _END)
+    process.join(asked.time_limit + _END)
     alive = process.is_alive()
     process.kill()
     process.join()
@@ -198,30 +212,45 @@ def verdict(told: dict[str, Any], limit: float) -> list[str]:
     return words or ["open"]
 
 
+def check(seed: int, tally: Counter[str], asked: argparse.Namespace) -> list[str]:
+    """Tell of a draw in one line; what is wrong with it."""
+    told = watched(seed, asked)
+    words = verdict(told, asked.time_limit)
+    tally.update(words)
+    figures = [
+        f"{key} {told[key]:.9g}" if isinstance(told[key], float) else f"{key} {told[key]}"
+        for key in ("objective", "gap", "proof", "seconds", "why")
+        if key in told
+    ]
+    line = f"{told['name']} {told['criterion']}: {', '.join(words)}; {', '.join(figures)}"
+    print(line, flush=True)
+    return [line] if WRONG.intersection(words) else []
+
+
+def shrunk(seed: int, asked: argparse.Namespace) -> object:
+    """The smallest model about which a draw goes wrong in the same way, if its process goes on."""
+    rng, family, criterion = drawn(seed, asked)
+    model, numbers = drawn_model(rng, family, tuple(asked.states)), rng.bit_generator.state
+
+    def wrong(case: SSP) -> set[str]:
+        rng.bit_generator.state = numbers
+        *_, told = answered(case, criterion, rng, min(asked.time_limit, SOON))
+        return WRONG.intersection(verdict({**told, "hung": False}, asked.time_limit))
+
+    kind = wrong(model)
+    return smallest_model(model, lambda m: wrong(m) == kind) if kind else "it was ended, or late"
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Draw from the command line; 1 if any draw had no policy or a certificate was refused."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=40, help="of draws")
-    parser.add_argument("--seed", type=int, default=0, help="of the first draw")
-    parser.add_argument("--families", nargs="+", choices=sorted(SIZES), default=sorted(SIZES))
-    parser.add_argument("--criteria", nargs="+", choices=CRITERIA, default=CRITERIA)
-    parser.add_argument("--states", nargs=2, type=float, default=[300, 1e5], help="from, to")
-    parser.add_argument("--time-limit", type=float, default=30.0)
-    options = parser.parse_args(arguments)
-    counts: Counter[str] = Counter()
-    for seed in range(options.seed, options.seed + options.count):
-        told = watched(seed, options)
-        words = verdict(told, options.time_limit)
-        counts.update(words)
-        figures = [
-            f"{key} {told[key]:.9g}" if isinstance(told[key], float) else f"{key} {told[key]}"
-            for key in ("objective", "gap", "proof", "seconds", "why")
-            if key in told
-        ]
-        line = f"{told['name']} {told['criterion']}: {', '.join(words)}; {', '.join(figures)}"
-        print(line, flush=True)
-    print(", ".join(f"{count} {word}" for word, count in counts.most_common()))
-    return int(counts["without a policy"] + counts["refused"] > 0)
+
+    def options(parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("--families", nargs="+", choices=sorted(SIZES), default=sorted(SIZES))
+        parser.add_argument("--criteria", nargs="+", choices=CRITERIA, default=CRITERIA)
+        parser.add_argument("--states", nargs=2, type=float, default=[300, 1e5], help="from, to")
+        parser.add_argument("--time-limit", type=float, default=30.0)
+
+    return run(__doc__, check, arguments, count=40, options=options, shrink=shrunk)
 
 
 if __name__ == "__main__":

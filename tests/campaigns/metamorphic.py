@@ -13,7 +13,7 @@ Models of up to 300 states that fail are made as small as they go.
 import argparse
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,13 +31,11 @@ from formulations import (
     MinProb,
 )
 from ssp_lp import SSP, InfeasibleError, SSPError, solve
-from tests.campaigns.campaign import run, smaller_tables, smallest
+from tests.campaigns.campaign import run, smallest_model
 from tests.campaigns.family_draws import SIZES, drawn_model
 
 AGREED = 1e-6
 """Relative difference of two optima whose gaps are closed to a tenth of it."""
-
-SHRUNK = 300  # states of a model that is made smaller
 
 
 class Stated(NamedTuple):
@@ -311,40 +309,15 @@ def drawn(seed: int, asked: argparse.Namespace) -> tuple[np.random.Generator, SS
 
 
 def shrunk(seed: int, asked: argparse.Namespace) -> object:
-    """The smallest model on which the draw's relation changes the answer; None: it is too large."""
+    """The smallest model on which the draw's relation changes the answer."""
     rng, model, criterion, relation = drawn(seed, asked)
-    if model.n_states > SHRUNK:
-        return f"the model has {model.n_states:,} states"
-    numbers, one = numbers_of(model, rng, asked.time_limit), stated(model)
+    numbers = numbers_of(model, rng, asked.time_limit)
 
-    def table_of(one: Stated) -> dict[Any, Any]:
-        table: dict[Any, Any] = {s: {} for s in range(one.n_states) if not one.goals[s]}
-        steps = zip(one.chance.tolist(), one.to.tolist(), one.cost.tolist(), strict=True)
-        for pair, step in zip(one.pair.tolist(), steps, strict=True):
-            table[int(one.home[pair])].setdefault(pair, []).append(step)
-        return table
+    def fails(case: SSP) -> list[str]:
+        again = np.random.default_rng(seed)
+        return compared(stated(case), criterion, relation, numbers, again, 5.0)
 
-    def of_table(table: dict[Any, Any]) -> Stated:
-        pairs = [(s, some) for s, actions in table.items() for some in actions.values()]
-        sizes = [len(some) for _, some in pairs]
-        steps = [step for _, some in pairs for step in some]
-        chance, to, cost = (np.array(part) for part in zip(*steps, strict=True))
-        home = np.array([s for s, _ in pairs])
-        return one._replace(home=home, pair=np.repeat(np.arange(len(pairs)), sizes),
-                            to=to, chance=chance, cost=cost.astype(float))  # fmt: skip
-
-    def fails(table: dict[Any, Any]) -> bool:
-        try:
-            again = np.random.default_rng(seed)
-            return bool(compared(of_table(table), criterion, relation, numbers, again, 5.0))
-        except (SSPError, ValueError):
-            return False
-
-    def smaller(table: dict[Any, Any]) -> Iterator[dict[Any, Any]]:
-        return smaller_tables(table, kept=[0])
-
-    found = smallest(table_of(one), smaller, fails)
-    return {state: actions for state, actions in found.items() if actions}, numbers
+    return smallest_model(model, fails), numbers
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

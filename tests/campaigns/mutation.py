@@ -41,7 +41,7 @@ BREAKING = re.compile(
 """Operators of cosmic-ray whose mutants any test that comes there kills."""
 
 ROOMS = {
-    "accumulated_cost": "cost_law drawn_laws policy_layers cost_levels "
+    "accumulated_cost": "cost_law drawn_laws policy_layers cost_levels programs "
     "-k 'not grids and not CVaR and not cannot_grow'",
     "column_generation": "layered_pricing structures steep_frontiers",
     "dynamic_programming": "equations numerics rows_and_nodes",

@@ -328,6 +328,11 @@ class Draw(NamedTuple):
 
 def drawn(seed: int) -> Draw:
     """One draw."""
+    return posed(*drawn_case(seed))
+
+
+def drawn_case(seed: int) -> tuple[Task, Setting]:
+    """A model, and what is asked of it."""
     rng = np.random.default_rng([seed, 3000])
     name = list(CRITERIA)[seed % len(CRITERIA)]
     criterion = CRITERIA[name]
@@ -344,7 +349,7 @@ def drawn(seed: int) -> Draw:
     if asked.discount is not None:
         task = task._replace(most_failure=max(0.5, task.most_failure or 0.0))
     remembers = rng.random() < 0.2 and horizon is None
-    return posed(task, Setting(name, asked, horizon, remembers))
+    return task, Setting(name, asked, horizon, remembers)
 
 
 def posed(task: Task, setting: Setting) -> Draw:

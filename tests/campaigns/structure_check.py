@@ -14,10 +14,9 @@ import argparse
 import multiprocessing
 import queue
 import sys
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from ssp_lp import SSP, Solution, SolverError, SSPError, certify, evaluate, solv
 from ssp_lp.formulation import CostLimit
 from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import GiveUp
+from tests.campaigns.campaign import run, smallest_model
 
 GAP = 1e-9
 PROGRAM = 1e-6  # relative difference from the full linear program
@@ -36,74 +36,62 @@ LONGEST = 30.0  # seconds that Storm is given
 WINDS = (0.0, 0.1, 0.3)
 
 
-@dataclass
-class Tally:
-    """What was found."""
-
-    counts: Counter[str] = field(default_factory=Counter)
-    worst_gap: float = 0.0
-    seconds: float = 0.0
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Check models from the command line; 1 if anything was found."""
-    options, tally = _parse(arguments), Tally()
-    for name, model in models(options):
-        began = time.process_time()
-        for told in check(model, options, tally):
-            print(f"{name}: {told}", flush=True)
-        seconds = time.process_time() - began
-        tally.seconds += seconds
-        print(f"{name}: {model.n_states:,} states, {seconds:.1f} s", flush=True)
-    found = ", ".join(f"{count} {what}" for what, count in sorted(tally.counts.items()))
-    print(f"{found}; worst gap {tally.worst_gap:.1e}; {tally.seconds:.0f} s")
-    return int(tally.counts["wrong"] > 0)
+def models(seed: int, asked: argparse.Namespace) -> Iterator[tuple[str, SSP]]:
+    """The models of a draw with their names: one of each size, and of each wind on a grid."""
+    family, drawn = FAMILIES[asked.family], {"seed": seed} if asked.family in RANDOM else {}
+    if not drawn and seed > asked.seed:  # always the same
+        return
+    for size in asked.sizes:
+        sizes = (size,) if asked.family in SQUARES else (size, max(asked.width, 2))
+        for wind in WINDS if asked.family == "grid" else (None,):
+            windy = {} if wind is None else {"wind": wind}
+            name = f"{asked.family} {size}" + "".join(f" wind {share}" for share in windy.values())
+            yield name, family(*sizes, **drawn, **windy)
 
 
-def models(options: argparse.Namespace) -> Iterator[tuple[str, SSP]]:
-    """The models asked for, with their names."""
-    family = FAMILIES[options.family]
-    count = options.count if options.family in RANDOM else 1
-    for size in options.sizes:
-        sizes = (size,) if options.family in SQUARES else (size, max(options.width, 2))
-        for seed in range(options.seed, options.seed + count):
-            drawn = {"seed": seed} if options.family in RANDOM else {}
-            for wind in WINDS if options.family == "grid" else (None,):
-                windy = {} if wind is None else {"wind": wind}
-                told = "".join(f" {key} {value}" for key, value in {**drawn, **windy}.items())
-                yield f"{options.family} {size}{told}", family(*sizes, **drawn, **windy)
+def check(seed: int, tally: Counter[str], asked: argparse.Namespace) -> Iterator[str]:
+    """Put all problems about the models of a draw; yield what is wrong."""
+    for name, model in models(seed, asked):
+        tally["models"] += 1
+        yield from (f"{name}: {said}" for said in told(model, tally, asked))
 
 
-def check(model: SSP, options: argparse.Namespace, tally: Tally) -> Iterator[str]:
+def shrunk(seed: int, asked: argparse.Namespace) -> object:
+    """The smallest model of those of a draw that something is wrong with."""
+
+    def fails(model: SSP) -> list[str]:
+        return list(told(model, Counter(), asked))
+
+    return smallest_model(next(m for _, m in models(seed, asked) if fails(m)), fails)
+
+
+def told(model: SSP, tally: Counter[str], asked: argparse.Namespace) -> Iterator[str]:
     """Put all problems about one model; yield what is wrong."""
-    small = model.n_states <= options.program_states
+    small = model.n_states <= asked.program_states
     for problem in problems(model):
-        tally.counts["problems"] += 1
-        told = f"{type(problem).__name__}({problem.failure_budget}, {problem.semantics.give_up})"
+        tally["problems"] += 1
+        name = f"{type(problem).__name__}({problem.failure_budget}, {problem.semantics.give_up})"
         try:
             solution = solve(problem)
             proof = certify(solution)
         except SSPError as error:
-            tally.counts["wrong"] += 1
-            yield f"{told}: {type(error).__name__}: {error}"
+            yield f"{name}: {type(error).__name__}: {error}"
             continue
-        tally.worst_gap = max(tally.worst_gap, solution.gap, proof.gap)
         wrong = [] if proof.accepted else [f"refused: {proof.reason}"]
         if max(solution.gap, proof.gap) > GAP:
             wrong.append(f"gaps {solution.gap:.1e} and {proof.gap:.1e}; {solution.note}")
         if small:
             try:
                 wrong += disagreement(solution, _by_program(problem), PROGRAM, "linear program")
-                tally.counts["linear programs"] += 1
+                tally["linear programs"] += 1
             except SolverError:  # its numbers are too far apart for HiGHS, and it says so
-                tally.counts["refused as linear programs"] += 1
-        if options.storm and is_for_storm(problem):
+                tally["refused as linear programs"] += 1
+        if asked.storm and is_for_storm(problem):
             told_by_storm = _in_time(_by_storm, problem)
             if told_by_storm is not None:
                 wrong += disagreement(solution, told_by_storm, STORM, "Storm")
-            tally.counts["without end by Storm" if told_by_storm is None else "by Storm"] += 1
-        tally.counts["wrong"] += len(wrong)
-        yield from (f"{told}: {reason}" for reason in wrong)
+            tally["without end by Storm" if told_by_storm is None else "by Storm"] += 1
+        yield from (f"{name}: {reason}" for reason in wrong)
 
 
 def is_for_storm(problem: Problem) -> bool:
@@ -173,16 +161,19 @@ def _by_storm(problem: MCMP) -> float:
     return float(result.get_value(model.initial_states[0]))
 
 
-def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--family", choices=sorted(FAMILIES), default="grid")
-    parser.add_argument("--sizes", nargs="+", type=int, default=[50, 100])
-    parser.add_argument("--width", type=int, default=100, help="the other size, where there is one")
-    parser.add_argument("--count", type=int, default=3, help="models of each size that are drawn")
-    parser.add_argument("--seed", type=int, default=0, help="of the first of them")
-    parser.add_argument("--program-states", type=int, default=0, help="up to here also by HiGHS")
-    parser.add_argument("--storm", action="store_true", help="also by Storm, budgets only")
-    return parser.parse_args(arguments)
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Check models from the command line; 1 if anything was found."""
+
+    def options(parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("--family", choices=sorted(FAMILIES), default="grid")
+        parser.add_argument("--sizes", nargs="+", type=int, default=[50, 100])
+        parser.add_argument(
+            "--width", type=int, default=100, help="the other size, if there is one"
+        )
+        parser.add_argument("--program-states", type=int, default=0, help="up to here by HiGHS too")
+        parser.add_argument("--storm", action="store_true", help="also by Storm, budgets only")
+
+    return run(__doc__, check, arguments, count=3, options=options, shrink=shrunk)
 
 
 if __name__ == "__main__":

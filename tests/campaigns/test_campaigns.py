@@ -5,6 +5,7 @@ from argparse import Namespace
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from examples.solver_comparison.instances.families import FAMILIES
@@ -20,13 +21,14 @@ from tests.campaigns import (
     program_check,
     rounded_costs_check,
 )
-from tests.campaigns.campaign import run, smaller_tables, smallest
+from tests.campaigns.campaign import run, smaller_tables, smallest, smallest_model
 
 
 def test_certificates_and_changed_ones():
     tally = Counter()
     for seed in range(4 * len(certificate_check.KINDS)):
-        assert list(certificate_check.check(seed, 1, tally)) == [], seed
+        case = certificate_check.case_of(seed)
+        assert list(certificate_check.told(case, seed, 1, tally)) == [], seed
     assert tally["certificates"] > 30
     assert sum(count for name, count in tally.items() if name.startswith("changed")) > 30
 
@@ -90,8 +92,8 @@ def test_small_draws_of_families_are_closed(capsys):
     small = ["--states", "60", "120", "--families", "blocks", "factored", "tandem"]
     asked = ["--criteria", "MCMP", "S3P least", "MaxProb", "--count", "3", *small]
     assert family_draws.main(asked) == 0
-    *lines, counts = capsys.readouterr().out.splitlines()
-    assert counts == "3 closed"
+    *lines, counts, _ = capsys.readouterr().out.splitlines()
+    assert counts.split() == ["closed", "3"]
     assert all("proof" in line for line in lines)
 
 
@@ -151,6 +153,29 @@ def test_the_smallest_table_that_fails_is_left():
     assert smallest(table, smaller_tables, loops, most=0) is table
     kept = smallest(table, lambda case: smaller_tables(case, kept=[4]), lambda case: True)
     assert kept == {k: {} for k in range(10)} | {4: {"off": [(1.0, "pit", 0)]}}
+
+
+def test_the_smallest_model_that_fails_is_left():
+    """A step of the greatest cost: one action of one outcome, and one in the start."""
+    model = FAMILIES["scattered"](40, seed=1)
+    dear = float(np.max(model.costs))
+    left = smallest_model(model, lambda case: case.costs.size and np.max(case.costs) == dear)
+    assert left.pop("goals") == np.flatnonzero(model.goal_mask).tolist()
+    steps = [steps for actions in left.values() for steps in actions.values()]
+    assert [len(some) for some in steps] == [1] * len(left)
+    assert [cost for ((_, _, cost),) in steps].count(dear) == 1
+    assert "402 states" in smallest_model(FAMILIES["ring"](400), lambda case: True)
+
+
+def test_the_least_of_a_damaged_file_is_left(monkeypatch):
+    """Nothing but what is not understood; the damage number 4 has put it there."""
+    large = b"9" * 11
+
+    def verdict(ending, path):
+        return "KeyError: 9" if large in path.read_bytes() else damaged_files.READ
+
+    monkeypatch.setattr(damaged_files, "verdict", verdict)
+    assert damaged_files.shrunk("json", 4) == large
 
 
 def test_a_campaign_shows_the_smallest_problem_that_it_found_wrong(monkeypatch, capsys):
