@@ -36,7 +36,11 @@ from ssp_lp import (
 from ssp_lp.formulation import Formulation
 from tests.campaigns.campaign import run, smaller_tables, smallest
 
-CRITERIA = ("mcmp", "least failure", "discounted", "horizon", "s3p", "maxprob", "quantity")
+HORIZON = ", horizon"
+CRITERIA = (
+    "mcmp", "least failure", "discounted", "s3p", "maxprob", "quantity",
+    *(f"{name}{HORIZON}" for name in ("mcmp", "s3p", "maxprob", "quantity")),
+)  # fmt: skip
 AGREES = 1e-6  # absolute and relative
 ATTEMPTS = 12  # draws until one is limited by its limits
 ROOM = 1e-9  # by which a limit may be broken
@@ -98,7 +102,8 @@ def _slack(limit: tuple[str, tuple[Any, ...], str, float]) -> float:
 def _drawn_once(rng: np.random.Generator, criterion: str) -> Drawn:
     """A problem: states 0 .. live - 1, then ends, some of which go on."""
     live, ends = int(rng.integers(2, 5)), int(rng.integers(2, 6))
-    acyclic = criterion == "s3p"
+    within, criterion = criterion.endswith(HORIZON), criterion.removesuffix(HORIZON)
+    acyclic = criterion == "s3p" and not within
     moves: Transitions = {}
     for x in range(live):
         moves[x] = {}
@@ -132,7 +137,7 @@ def _drawn_once(rng: np.random.Generator, criterion: str) -> Drawn:
         ]
         of: tuple[Any, ...] = ()
         if kind == "end":
-            names = ["crash", "crash", "fire"] + ([] if criterion == "horizon" else ["dead_end"])
+            names = ["crash", "crash", "fire"] + ([] if within else ["dead_end"])
             of = (names[int(rng.integers(len(names)))],)
         elif kind.startswith("visits"):
             of = (("crash", "zone", "fire")[int(rng.integers(3))],)
@@ -150,7 +155,7 @@ def _drawn_once(rng: np.random.Generator, criterion: str) -> Drawn:
     )
     if criterion == "discounted":
         found.discount = 0.9
-    if criterion == "horizon":
+    if within:
         found.horizon = int(rng.integers(2, 5))
     if criterion == "quantity":
         kinds = (("end", ("crash",)), ("visits through", ("zone",)), ("fuel through", ()))
@@ -201,16 +206,16 @@ def stated(drawn: Drawn) -> Formulation:
         for k, (kind, of, sense, bound) in enumerate(drawn.limits)
     }
     model = drawn.model
+    how: dict[str, Any] = {"constraints": limits, "horizon": drawn.horizon}
     if drawn.criterion == "s3p":
-        return S3P(model, 0, drawn.budget, constraints=limits)
+        return S3P(model, 0, drawn.budget, **how)
     if drawn.criterion == "maxprob":
-        return MaxProb(model, 0, constraints=limits)
-    how = {"give_up": drawn.give_up, "charge_failing_step": drawn.charged, "constraints": limits}
+        return MaxProb(model, 0, **how)
+    how |= {"give_up": drawn.give_up, "charge_failing_step": drawn.charged}
     if drawn.asked is not None:
         kind, of = drawn.asked
         return LeastQuantity(model, 0, made[kind](of), drawn.budget, **how)
-    how |= {"discount": drawn.discount, "horizon": drawn.horizon}
-    return MCMP(model, 0, drawn.budget, **how)
+    return MCMP(model, 0, drawn.budget, drawn.discount, **how)
 
 
 # ----- the same from the definitions -------------------------------------------------------------

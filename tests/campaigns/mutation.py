@@ -43,7 +43,7 @@ BREAKING = re.compile(
 ROOMS = {
     "accumulated_cost": "cost_law drawn_laws policy_layers cost_levels programs "
     "-k 'not grids and not CVaR and not cannot_grow'",
-    "column_generation": "layered_pricing structures steep_frontiers",
+    "column_generation": "layered_pricing structures steep_frontiers rare_goals",
     "dynamic_programming": "equations numerics rows_and_nodes",
     "game": "time_bounds operators game_lemmas game_edge_cases bayes_adaptive "
     "-k 'not robot and not feasible'",

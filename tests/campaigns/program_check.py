@@ -20,6 +20,7 @@ import itertools
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from fractions import Fraction
 from typing import Any, NamedTuple
 
 import cvxpy as cp
@@ -36,6 +37,8 @@ from formulations import (
     CostBoundedReach,
     CostBudgetedMaxProb,
     CostLimit,
+    CostQuantile,
+    CVaR,
     FinitePenalty,
     LeastQuantity,
     MaxProb,
@@ -74,9 +77,16 @@ LONGEST = 12  # steps of a horizon of costs, which the models that count them ke
 ENDS = ("home", "wall", "ditch")
 GOAL = frozenset({"home"})
 OPTIMUM, CONVEX, WHOLE = 1e-6, 2e-4, 2e-3  # relative differences that are rounding
+SAME = 1e-9  # of a quantile's share
 STEP = 1e-4  # of a bound, for finite differences
 MOST = 50.0  # visits of an action that is open, in integer programs
 FEW = 24  # choices of actions that are enumerated
+PALETTES = (
+    (Fraction("0.1"), Fraction("0.7"), Fraction("2.2")),  # 0.1 + 0.7 + 2.2 = 3
+    (Fraction(2.0**0.5), Fraction(3.0**0.5), Fraction(np.pi)),
+)
+"""Costs in the place of 1, 2 and 3, in every fourth turn."""
+
 CHANGES = ("row", "quadratic", "entropy", "norm", "one action")
 
 
@@ -200,7 +210,7 @@ CRITERIA = {
     ),
     "GUBS": Criterion(
         lambda m, t, n, **k: GUBS(m, t.start, patience, 0.7, **k),
-        worth(lambda c, n: -float(patience(np.asarray(c))) - 0.7),
+        worth(lambda c, n: -float(patience(np.asarray(float(c)))) - 0.7),
         None, UNLIMITED, maximised=True, gives_up="attention",
     ),
     "EGUBS": Criterion(
@@ -211,6 +221,19 @@ CRITERIA = {
 }  # fmt: skip
 
 
+LAWS = {
+    "CVaR": Criterion(
+        lambda m, t, n, **k: CVaR(m, t.start, n.level, t.most_failure, **k),
+        worth(lambda c, n: float(c)), None, ratio=True, gives_up="attention",
+    ),
+    "CostQuantile": Criterion(
+        lambda m, t, n, **k: CostQuantile(m, t.start, n.level, t.most_failure, **k),
+        worth(lambda c, n: float(c)), None, ratio=True, gives_up="attention",
+    ),
+}  # fmt: skip
+"""Criteria of the law of the total cost, each the best of programs: one for every total."""
+
+ALL = CRITERIA | LAWS
 METHODS = ("columns", "lp", "game")
 
 
@@ -326,16 +349,16 @@ class Draw(NamedTuple):
         return -found if found is not None and self.criterion.maximised else found
 
 
-def drawn(seed: int) -> Draw:
-    """One draw."""
-    return posed(*drawn_case(seed))
+def drawn(seed: int, names: Sequence[str] = tuple(CRITERIA)) -> Draw:
+    """One draw, of one of some criteria."""
+    return posed(*drawn_case(seed, names))
 
 
-def drawn_case(seed: int) -> tuple[Task, Setting]:
+def drawn_case(seed: int, names: Sequence[str] = tuple(CRITERIA)) -> tuple[Task, Setting]:
     """A model, and what is asked of it."""
     rng = np.random.default_rng([seed, 3000])
-    name = list(CRITERIA)[seed % len(CRITERIA)]
-    criterion = CRITERIA[name]
+    name = names[seed % len(names)]
+    criterion = ALL[name]
     horizon = int(rng.integers(2, 4)) if rng.random() < 0.2 else None
     task = drawn_task(rng, loops=criterion.minimised is not None or horizon is not None)
     asked = Asked(
@@ -348,16 +371,37 @@ def drawn_case(seed: int) -> tuple[Task, Setting]:
     )
     if asked.discount is not None:
         task = task._replace(most_failure=max(0.5, task.most_failure or 0.0))
-    remembers = rng.random() < 0.2 and horizon is None
+    remembers = rng.random() < 0.2
+    if seed // len(names) % 4 == 3:
+        task = with_costs(task, PALETTES[int(rng.integers(len(PALETTES)))])
     return task, Setting(name, asked, horizon, remembers)
+
+
+def with_costs(task: Task, palette: Sequence[Fraction]) -> Task:
+    """The same with other costs in the place of 1, 2 and 3."""
+    choices = {
+        state: {
+            action: [(p, to, palette[int(cost) - 1] if cost else cost) for p, to, cost in outs]
+            for action, outs in actions.items()
+        }
+        for state, actions in task.choices.items()
+    }
+    return task._replace(choices=choices)
 
 
 def posed(task: Task, setting: Setting) -> Draw:
     """The problem that a setting asks of a model, and its reference."""
     name, asked, horizon, remembers = setting
-    criterion, start = CRITERIA[name], task.start
+    criterion, start = ALL[name], task.start
+    choices = {
+        state: {
+            action: [(p, to, float(cost)) for p, to, cost in outs]
+            for action, outs in actions.items()
+        }
+        for state, actions in task.choices.items()
+    }
     model = SSP.from_transitions(
-        task.choices, goal=set(GOAL), treat_actionless_as_dead_ends=True,
+        choices, goal=set(GOAL), treat_actionless_as_dead_ends=True,
         state_labels={"wall": ["wall"]},
     )  # fmt: skip
     if remembers:
@@ -383,6 +427,27 @@ def posed(task: Task, setting: Setting) -> Draw:
     )  # fmt: skip
     objective = criterion.objective(told, written, asked)
     return Draw(name, problem, told, written, objective, criterion, task, setting)
+
+
+def optimum_of_law(draw: Draw) -> float | None:
+    """The least tail mean or quantile of the total cost given success: of all totals' programs."""
+    level, least = draw.setting.asked.level, float("inf")
+    for total in sorted({cost for here in draw.written.arrivals for _, cost in here}):
+        if total >= least:
+            break  # no tail's mean lies below its threshold
+        late = combined.charged(
+            draw.written, lambda c, z=total: float(max(c - z, 0)) / (1.0 - level)
+        )
+        if draw.name == "CostQuantile":
+            late = combined.charged(draw.written, lambda c, z=total: float(c > z))
+        found = draw.optimum(draw.task, late)
+        if found is None:
+            return None
+        if draw.name == "CVaR":
+            least = min(least, float(total) + found)
+        elif found <= 1.0 - level + SAME:
+            return float(total)
+    return None if least == float("inf") else least
 
 
 def smaller(case: tuple[Task, Setting]) -> Iterator[tuple[Task, Setting]]:
@@ -437,6 +502,9 @@ def check(seed: int, tally: Counter[str]) -> Iterator[str]:
 
 def compared_draw(draw: Draw, seed: int, tally: Counter[str]) -> Iterator[str]:
     """Compare one draw; yield what differs."""
+    if draw.name in LAWS:
+        yield from wrong_law(draw, tally)
+        return
     known = draw.optimum(draw.task)
     try:
         program = draw.problem.program()
@@ -464,6 +532,23 @@ def compared_draw(draw: Draw, seed: int, tally: Counter[str]) -> Iterator[str]:
     if isinstance(draw.problem.model, ProductSSP):  # to wander there takes another round
         return
     yield from CHANGED[seed // len(CRITERIA) % len(CHANGES)](draw, measure, known, tally)
+
+
+def wrong_law(draw: Draw, tally: Counter[str]) -> Iterator[str]:
+    """What differs of a draw that is no program's optimum."""
+    known = optimum_of_law(draw)
+    try:
+        solve(draw.problem)
+    except InfeasibleError:
+        tally["infeasible"] += 1
+        if known is not None:
+            yield f"refused as infeasible, the reference has {known!r}"
+        return
+    if known is None:
+        yield "solved, where the reference has nothing"
+        return
+    tally["optima"] += 1
+    yield from wrong_methods(draw, known, tally)
 
 
 def wrong_methods(draw: Draw, known: float, tally: Counter[str]) -> Iterator[str]:
@@ -828,15 +913,25 @@ CHANGED: tuple[Callable[..., Iterator[str]], ...] = (
 
 def told(draw: Draw, seed: int, tally: Counter[str]) -> list[str]:
     """What differs of a draw; an error of the library, too."""
+    real = any(
+        c != int(c) for us in draw.model.choices.values() for o in us.values() for *_, c in o
+    )
+    horizon, memory, discount = (
+        draw.setting.horizon,
+        draw.setting.remembers,
+        draw.setting.asked.discount,
+    )
+    asked = {"limits": draw.model.limits, "real costs": real, "horizon": horizon,
+             "discount": discount, "memory": memory}  # fmt: skip
+    tally["with " + (", ".join(name for name, there in asked.items() if there) or "nothing")] += 1
     try:
         return [f"{draw.name}: {said}" for said in compared_draw(draw, seed, tally)]
     except SSPError as error:
         return [f"{draw.name}: {type(error).__name__}: {error}"]
 
 
-def shrunk(seed: int) -> str:
+def shrunk(seed: int, names: Sequence[str] = tuple(CRITERIA)) -> str:
     """The smallest problem of which something differs as of the draw of a seed."""
-    draw = drawn(seed)
 
     def fails(case: tuple[Task, Setting]) -> bool:
         try:
@@ -844,15 +939,20 @@ def shrunk(seed: int) -> str:
         except SSPError:
             return False  # it says what is wrong with the question
 
-    task, setting = smallest((draw.model, draw.setting), smaller, fails)
+    task, setting = smallest(drawn_case(seed, names), smaller, fails)
     return f"{task}\n{setting}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Check draws from the command line; 1 if anything differs."""
     return run(
-        __doc__, lambda seed, tally, _: told(drawn(seed), seed, tally), arguments, count=300,
-        shrink=lambda seed, _: shrunk(seed),
+        __doc__,
+        lambda seed, tally, asked: told(drawn(seed, asked.criteria), seed, tally),
+        arguments, count=300,
+        options=lambda parser: parser.add_argument(
+            "--criteria", nargs="+", choices=ALL, default=list(CRITERIA)
+        ),
+        shrink=lambda seed, asked: shrunk(seed, asked.criteria),
     )  # fmt: skip
 
 

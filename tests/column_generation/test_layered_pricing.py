@@ -25,6 +25,7 @@ from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import weighted
 from ssp_lp.column_generation import compiled_problem
 from ssp_lp.column_generation.column import FailureRow, required
+from ssp_lp.column_generation.explicit_pricing import values_less_paid
 from ssp_lp.column_generation.layered_pricing import OpenEndedPricing
 from ssp_lp.column_generation.search import _initial_column_within
 from ssp_lp.compiled import deadline
@@ -135,6 +136,8 @@ def test_layers_swept_by_then_are_an_optimum_at_a_lower_price(monkeypatch, disco
     found = pricing.incumbent(stopped.value.choice)
     if layers == 0:
         assert found is None
+        proved, checked = pricing.prove(price), pricing.check(price, pricing.anything)
+        assert proved.bound == pytest.approx(checked.bound, rel=1e-12)
         return
     process = replace(pricing.process, totals=pricing.process.base.totals(layers))
     paid = (pricing.process.cap - layers) * process.base.unit
@@ -190,6 +193,14 @@ def test_pricing_by_layers_is_pricing_on_the_process_written_out(seed):
         assert again == pytest.approx(bound, rel=1e-9, abs=1e-9)
         lowered = written_out.check(weights, weighted(known.totals, weights)).values - 1.0
         assert swept.check(weights, lowered).bound <= least
+        weights[0], ratio = 1.0, float(rng.choice([1e-3, 3.0]))  # which success earns
+        priced = weights + ratio * (np.arange(len(weights)) == 1)
+        for pricing in (swept, written_out):
+            proof = pricing.prove(priced, pricing.minimise(priced))
+            less = pricing.check_less(weights, ratio, ratio, proof.values)
+            assert less == pytest.approx(proof.bound - ratio, rel=1e-9, abs=1e-9)
+        rounded = ratio * (1.0 + np.array([0.0, 3e-16, -3e-16, 1.0]))
+        assert values_less_paid(rounded, ratio).tolist() == [0.0, 0.0, 0.0, ratio]
 
 
 @pytest.mark.parametrize("seed", range(8))
