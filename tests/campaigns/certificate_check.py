@@ -226,7 +226,7 @@ def change_state(
 def change_head(content: dict[str, Any], rng: np.random.Generator) -> bool:
     """Change weights or prices; whether something was changed."""
     name = _place(rng, [key for key in content if key != "nodes"])
-    if name in ("cap", "threshold"):
+    if name in ("cap", "one", "threshold"):
         content[name] = moved(content[name], rng)
         return True
     if name == "claim":
