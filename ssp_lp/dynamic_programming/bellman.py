@@ -8,6 +8,7 @@ distributions, one row after another. Where rows repeat each other their numbers
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -29,6 +30,7 @@ from ssp_lp.compiled.deadline import check_time, pieces
 _FEW_ENTRIES = 20_000
 _NONE = np.zeros(0)
 _NOBODY = np.zeros(0, dtype=np.uint32)
+_SPLIT = 134217729.0  # 2**27 + 1 (Veltkamp)
 
 
 @dataclass(frozen=True)
@@ -248,3 +250,134 @@ def unsigned_parts(
 ) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
     """Offsets and arrays of a Bellman backup's transitions as compiled loops take them."""
     return unsigned(offsets), unsigned(matrix.indptr), unsigned(matrix.indices), matrix.data
+
+
+class Moves(NamedTuple):
+    """The pairs of a process, and the advantages of a Bellman backup that they have at values."""
+
+    home: IntArray  # [pairs] the state of each
+    transitions: sp.csr_array  # [pairs, states]
+    exits: FloatArray  # [pairs] probability of leaving for good
+
+    def precise_advantages(
+        self, cost: FloatArray, high: FloatArray, low: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Advantages at evaluated totals ``high + low``, and bounds of their rounding, [pairs].
+
+        Args:
+            cost: [pairs].
+            high: [states].
+            low: [states].
+
+        Returns:
+            Advantages and bounds of what each may be wrong by, [pairs] each.
+        """
+        home, transitions, exits = self
+        if accelerated(len(transitions.indices)):
+            from ssp_lp.compiled.equations import advantages_precisely
+
+            result, rounding = np.empty(len(cost)), np.empty(len(cost))
+            parts = unsigned_parts(home, transitions)
+            run = advantages_precisely(len(transitions.indices))
+            run(*parts, exits, cost, high, low, MACHINE_EPSILON, result, rounding)
+            return result, rounding
+        here, here_low = high[home], low[home]
+        term, lost = exact_product(-exits, here)
+        total, slip = exact_sum(cost, term)
+        bit = exits * here_low
+        rest, small, whole = (
+            slip + lost - bit,
+            np.abs(slip) + np.abs(lost) + np.abs(bit),
+            np.abs(term),
+        )
+        begin, lengths = transitions.indptr[:-1], np.diff(transitions.indptr)
+        for k in range(int(lengths.max(initial=0))):
+            rows = np.flatnonzero(lengths > k)
+            entry = begin[rows] + k
+            column, p = transitions.indices[entry], transitions.data[entry]
+            step, missed = exact_sum(high[column], -here[rows])
+            missed = missed + (low[column] - here_low[rows])
+            term, lost = exact_product(p, step)
+            total[rows], slip = exact_sum(total[rows], term)
+            bit = p * missed
+            rest[rows] += slip + lost + bit
+            small[rows] += np.abs(slip) + np.abs(lost) + np.abs(bit)
+            whole[rows] += np.abs(term)
+        result = total + rest
+        terms = lengths + 4.0
+        rounding = np.abs(result) + terms * (small + MACHINE_EPSILON * whole)
+        return result, MACHINE_EPSILON * rounding
+
+    def safe_advantages(self, cost: FloatArray, values: FloatArray) -> FloatArray:
+        """Advantages at evaluated totals less bounds of their rounding: never too high, [pairs].
+
+        Args:
+            cost: [pairs].
+            values: [states].
+        """
+        home, transitions, exits = self
+        if accelerated(len(transitions.indices)):
+            from ssp_lp.compiled.equations import advantages_safely
+
+            result = np.empty(len(cost))
+            parts = unsigned_parts(home, transitions)
+            run = advantages_safely(len(transitions.indices))
+            run(*parts, exits, cost, values, MACHINE_EPSILON, result)
+            return result
+        here = values[home]
+        term = exits * here
+        total = cost - term
+        rounded = np.where(
+            exits == 0.0, 0.0, np.abs(total) + np.where(exits == 1.0, 0.0, np.abs(term))
+        )
+        begin, lengths = transitions.indptr[:-1], np.diff(transitions.indptr)
+        for k in range(int(lengths.max(initial=0))):
+            rows = np.flatnonzero(lengths > k)
+            entry = begin[rows] + k
+            term = transitions.data[entry] * (values[transitions.indices[entry]] - here[rows])
+            total[rows] += term
+            rounded[rows] += np.where(term == 0.0, 0.0, np.abs(total[rows]) + 2.0 * np.abs(term))
+        return np.asarray(total - MACHINE_EPSILON * rounded)
+
+    def advantage_bounds(
+        self, cost: FloatArray, values: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Bounds of advantages at evaluated totals from below and above, [pairs] each.
+
+        Args:
+            cost: [pairs].
+            values: [states].
+        """
+        home, transitions, exits = self
+        if accelerated(len(transitions.indices)):
+            return self.safe_advantages(cost, values), -self.safe_advantages(-cost, -values)
+        here, lengths = values[home], np.diff(transitions.indptr)
+        terms = transitions.data * (values[transitions.indices] - np.repeat(here, lengths))
+        shape, ones = transitions.shape, np.ones(transitions.shape[1])
+        total, whole = (
+            sp.csr_array((part, transitions.indices, transitions.indptr), shape=shape) @ ones
+            for part in (terms, np.abs(terms))
+        )
+        leaving = exits * here
+        result = total + (cost - leaving)
+        rounding = MACHINE_EPSILON * (
+            (lengths + 2.0) * whole + np.abs(cost) + 2.0 * np.abs(leaving) + np.abs(result)
+        )
+        return result - rounding, result + rounding
+
+
+def exact_sum(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """``a + b`` of arrays rounded, for verified evaluation, and what the rounding lost (Knuth)."""
+    total = a + b
+    back = total - a
+    return total, (a - (total - back)) + (b - back)
+
+
+def exact_product(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """``a * b`` of arrays rounded, for verified evaluation, and what that lost (Dekker)."""
+    total = a * b
+    c, d = _SPLIT * a, _SPLIT * b
+    a_high, b_high = c - (c - a), d - (d - b)
+    a_low, b_low = a - a_high, b - b_high
+    lost = a_low * b_low - (((total - a_high * b_high) - a_low * b_high) - a_high * b_low)
+    return total, lost

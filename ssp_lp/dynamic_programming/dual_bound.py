@@ -26,7 +26,7 @@ from ssp_lp.arrays import (
 )
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time
-from ssp_lp.dynamic_programming.bellman import PairCost, best_pairs, safe_minima
+from ssp_lp.dynamic_programming.bellman import PairCost, best_pairs, exact_sum, safe_minima
 from ssp_lp.dynamic_programming.dynamics import Dynamics, approach_leaving, leaving_chain
 from ssp_lp.dynamic_programming.equations import DIRECT_STATES
 from ssp_lp.dynamic_programming.evaluation import (
@@ -34,9 +34,6 @@ from ssp_lp.dynamic_programming.evaluation import (
     PROVED,
     PROVED_OF_MANY,
     RUN_ACCURACY,
-    exact_sum,
-    precise_advantages,
-    safe_advantages,
 )
 from ssp_lp.dynamic_programming.policy_iteration import improve_backwards, iterate_policy
 from ssp_lp.errors import SolverError
@@ -195,7 +192,7 @@ def _bound_advantages(
     dynamics: Dynamics, pair_cost: FloatArray, high: FloatArray, low: FloatArray
 ) -> FloatArray:
     """Advantages for a dual bound in twice the precision, less their rounding, [pairs]."""
-    ahead, rounding = precise_advantages(dynamics.moves, pair_cost, high, low)
+    ahead, rounding = dynamics.moves.precise_advantages(pair_cost, high, low)
     return ahead - rounding
 
 
@@ -209,7 +206,7 @@ def shortfall(dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray) -> 
         run = shortfalls_safely(len(dynamics.transitions.indices))
         run(*dynamics.rows, pair_cost, values, MACHINE_EPSILON, lack)
         return lack
-    ahead = safe_advantages(dynamics.moves, pair_cost, values)
+    ahead = dynamics.moves.safe_advantages(pair_cost, values)
     return np.maximum(-segment_minima(ahead, dynamics.pair_offsets), 0.0)
 
 
@@ -232,7 +229,7 @@ def lowered_along_longest_run(
         lowered = np.maximum(lowered, floor)
         if (lowered >= values - IMPROVEMENT * np.abs(values)).all():
             return None if shortfall(dynamics, pair_cost, lowered).any() else lowered
-    ahead = safe_advantages(dynamics.moves, pair_cost, values)
+    ahead = dynamics.moves.safe_advantages(pair_cost, values)
     lack = -float(ahead.min(initial=0.0))
     if lack <= 0.0:
         return values

@@ -13,22 +13,25 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import (
+    IMPROVEMENT,
     BoolArray,
     FloatArray,
     IntArray,
     concatenated_ranges,
+    first_minimisers,
     offsets_of,
     segment_ids,
+    segment_minima,
     sorted_unique,
     unsigned,
 )
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.dynamic_programming.bellman import Backup, best_pairs, chosen_rows
+from ssp_lp.compiled.deadline import pieces
+from ssp_lp.dynamic_programming.bellman import Backup, Moves, best_pairs, chosen_rows
 from ssp_lp.dynamic_programming.chain_solvers import HOLDS_MASS
 from ssp_lp.dynamic_programming.equations import (
     DIRECT_STATES,
     EXACTLY_SOLVED,
-    Moves,
     StrongComponents,
     System,
     strong_components,
@@ -40,6 +43,7 @@ _KEPT_CHAINS = 4
 """Layers of accumulated cost ask for the equations of the same few policies again and again."""
 
 _KEPT_STATES = 100_000  # states up to which they are kept
+_SETTLED = 0.1  # share of the first sweep's changes below which sweeping stops
 _LAYERS = 500  # passes that a process is good for where it is one layer of many
 _SMALL = 48
 """States of a component up to which it is solved by itself, by dense state reduction."""
@@ -75,6 +79,11 @@ class Dynamics:
         """The state of each pair of the dynamics, [pairs]."""
         return segment_ids(self.pair_offsets)
 
+    @property
+    def n_entries(self) -> int:
+        """Number of probabilities in the rows of the dynamics."""
+        return len(self.transitions.indices)
+
     @cached_property
     def components(self) -> StrongComponents:
         """Strong components of the dynamics' graph of all pairs, ends first; found once."""
@@ -92,7 +101,7 @@ class Dynamics:
     @property
     def moves(self) -> Moves:
         """The dynamics' pairs, with their states and exits, for graph searches."""
-        return self.pair_state, self.transitions, self.exits
+        return Moves(self.pair_state, self.transitions, self.exits)
 
     @cached_property
     def rows(self) -> tuple[IntArray, IntArray, IntArray, FloatArray, FloatArray]:
@@ -139,6 +148,79 @@ class Dynamics:
             held: a pair of each state, [states].
         """
         return best_pairs(self.pair_offsets, self.transitions, pair_cost, values, held)
+
+    def taken(self, rewards: FloatArray, choice: IntArray) -> FloatArray:
+        """Rewards of a policy's pairs in the dynamics, [states] or [states, rewards].
+
+        Args:
+            rewards: [pairs] or [pairs, rewards].
+            choice: [states].
+        """
+        return rewards[choice]
+
+    def precise_gains(
+        self, pair_cost: FloatArray, values: FloatArray, low: FloatArray
+    ) -> tuple[FloatArray, IntArray]:
+        """Gain of each state's best pair in the dynamics in twice the working precision.
+
+        Args:
+            pair_cost: [pairs].
+            values: [states].
+            low: [states] to be added to the values.
+
+        Returns:
+            What the best pair saves at least, its rounding counted, and the pair, [states] each.
+        """
+        offsets = self.pair_offsets
+        ahead, rounding = self.moves.precise_advantages(pair_cost, values, low)
+        picks = np.array(offsets[:-1], dtype=np.int32)
+        best = first_minimisers(ahead, segment_minima(ahead, offsets), offsets)
+        picks[np.diff(offsets) > 0] = best
+        return -segment_minima(ahead + rounding, offsets), picks
+
+    def improve_by_sweeps(
+        self,
+        pair_cost: FloatArray,
+        choice: IntArray,
+        values: FloatArray,
+        floor: float,
+        most_sweeps: int,
+        *,
+        is_sorted_anew: bool,
+        states: IntArray | None = None,
+    ) -> int:
+        """Improve a policy of the dynamics by sweeps, in place, while many states change.
+
+        Args:
+            pair_cost: [pairs].
+            choice: [states].
+            values: of no better policy, [states].
+            floor: gain of a step that is none.
+            most_sweeps: number of sweeps at most.
+            is_sorted_anew: sweep in the order of the values as they have become.
+            states: that are swept; None: all.
+
+        Returns:
+            The number of backups of all states.
+        """
+        from ssp_lp.compiled.policy_improvement import improve_states
+
+        order = np.arange(self.n_states) if states is None else states
+        order, most = order.astype(np.uint32), 0
+        for sweep in range(1, most_sweeps + 1):
+            if sweep == 1 or (is_sorted_anew and sweep % 2):
+                # small values first: so news travels on from the ends, then towards them
+                order = order[np.argsort(values[order], kind="stable")]
+            direction, changed = order if sweep % 2 else np.ascontiguousarray(order[::-1]), 0
+            for some in pieces(order.size, self.n_entries):
+                changed += improve_states(
+                    self.rows, direction[some], pair_cost, IMPROVEMENT, floor,
+                    choice.view(np.uint32), values,
+                )  # fmt: skip
+            most = max(most, changed)
+            if changed <= _SETTLED * most and sweep > 1:  # one way changed nothing, the other may
+                return sweep
+        return most_sweeps
 
     def chain(self, choice: IntArray) -> System:
         """Equations of a policy in the dynamics, [states]; the last few are kept with factors."""

@@ -25,6 +25,7 @@ from ssp_lp.arrays import (
 )
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time
+from ssp_lp.dynamic_programming.bellman import Moves
 from ssp_lp.dynamic_programming.chain_solvers import (
     HOLDS_MASS,
     Iteration,
@@ -51,9 +52,6 @@ EXACTLY_SOLVED = 256
 EXACT = 4e-15  # relative residual: a few units in the last place of the totals
 _NOBODY = np.zeros(0, dtype=np.int64)
 
-Moves = tuple[IntArray, sp.csr_array, FloatArray]
-"""Of each pair its state, [pairs], where it leads, [pairs, states], and what leaves, [pairs]."""
-
 
 class System:
     """Equations of a substochastic chain whose exits are carried as data."""
@@ -79,6 +77,11 @@ class System:
         """Number of states of a policy's equations."""
         return len(self.exits)
 
+    @property
+    def n_entries(self) -> int:
+        """Number of probabilities in the equations."""
+        return len(self.matrix.indices)
+
     @cached_property
     def components(self) -> StrongComponents:
         """Strong components of the chain whose equations these are, ends first."""
@@ -103,7 +106,7 @@ class System:
     @property
     def moves(self) -> Moves:
         """The chain of the equations as a process of one pair per state."""
-        return self.home, self.matrix, self.exits
+        return Moves(self.home, self.matrix, self.exits)
 
     @cached_property
     def closed(self) -> IntArray:

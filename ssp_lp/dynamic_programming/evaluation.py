@@ -18,7 +18,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
 
 from ssp_lp.arrays import (
     MACHINE_EPSILON,
@@ -26,12 +25,11 @@ from ssp_lp.arrays import (
     IntArray,
     unsigned,
 )
-from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time
-from ssp_lp.dynamic_programming.bellman import unsigned_parts
+from ssp_lp.dynamic_programming.bellman import exact_sum
 from ssp_lp.dynamic_programming.chain_solvers import HOLDS_MASS
 from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.dynamic_programming.equations import DIRECT_STATES, EXACT, Moves, System
+from ssp_lp.dynamic_programming.equations import DIRECT_STATES, EXACT, System
 from ssp_lp.errors import SolverError
 
 EVALUATED = 1e-12
@@ -51,7 +49,6 @@ NEARLY = 1e-9
 RUN_ACCURACY = 1e-3  # of run lengths, which are checked and used times 1.5 or 2
 _FINE_RUN_ACCURACY = 1e-8  # where that is not enough
 _CORRECTIONS = 6
-_SPLIT = 134217729.0  # 2**27 + 1 (Veltkamp)
 
 
 _Solve = Callable[[FloatArray, FloatArray | None, float], FloatArray]
@@ -98,7 +95,9 @@ def evaluate_policy(
         totals = _evaluated_policy(dynamics, choice, rewards, accuracy)
         if totals is not None:
             return totals
-    return evaluate_chain(dynamics.chain(choice), rewards[choice], accuracy=accuracy)
+    return evaluate_chain(
+        dynamics.chain(choice), dynamics.taken(rewards, choice), accuracy=accuracy
+    )
 
 
 def _evaluated_policy(
@@ -231,7 +230,7 @@ def _verified_totals(
         for j in range(rewards.shape[1]):
             check_time()
             columns = (np.ascontiguousarray(part[:, j]) for part in (rewards, x, low))
-            off[:, j], rounding = precise_advantages(system.moves, *columns)
+            off[:, j], rounding = system.moves.precise_advantages(*columns)
             missed[j] = (np.abs(off[:, j]) + rounding).max(initial=0.0)
         scale = _sizes_of_totals(x)
         wrong = 2.0 * longest * missed
@@ -249,7 +248,7 @@ def _greatest_residual(system: System, rewards: FloatArray, x: FloatArray) -> Fl
     for j in range(most.size):
         check_time()
         columns = np.ascontiguousarray(rewards[:, j]), np.ascontiguousarray(x[:, j])
-        bounds = advantage_bounds(system.moves, *columns)
+        bounds = system.moves.advantage_bounds(*columns)
         most[j] = max(float(np.abs(bound).max(initial=0.0)) for bound in bounds)
     return most
 
@@ -261,7 +260,7 @@ def _run_lengths(system: System, solve: _Solve) -> FloatArray | None:
         runs = solve(ones, None, accuracy)[:, 0]
         if not (np.isfinite(runs).all() and runs.min(initial=0.0) >= 0.0):
             return None
-        if (safe_advantages(system.moves, half, -runs) >= 0.0).all():
+        if (system.moves.safe_advantages(half, -runs) >= 0.0).all():
             return runs
     return None
 
@@ -269,126 +268,3 @@ def _run_lengths(system: System, solve: _Solve) -> FloatArray | None:
 def _sizes_of_totals(x: FloatArray) -> FloatArray:
     """The greatest evaluated total of each reward, [rewards], quickly for few columns."""
     return np.asarray(np.abs(x.T, order="C").max(axis=1, initial=0.0))
-
-
-def precise_advantages(
-    moves: Moves, cost: FloatArray, high: FloatArray, low: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Advantages at evaluated totals ``high + low``, and bounds of their rounding, [pairs].
-
-    Args:
-        moves: of the process.
-        cost: [pairs].
-        high: [states].
-        low: [states].
-
-    Returns:
-        Advantages and bounds of what each may be wrong by, [pairs] each.
-    """
-    home, transitions, exits = moves
-    if accelerated(len(transitions.indices)):
-        from ssp_lp.compiled.equations import advantages_precisely
-
-        result, rounding = np.empty(len(cost)), np.empty(len(cost))
-        parts = unsigned_parts(home, transitions)
-        run = advantages_precisely(len(transitions.indices))
-        run(*parts, exits, cost, high, low, MACHINE_EPSILON, result, rounding)
-        return result, rounding
-    here, here_low = high[home], low[home]
-    term, lost = exact_product(-exits, here)
-    total, slip = exact_sum(cost, term)
-    bit = exits * here_low
-    rest, small, whole = slip + lost - bit, np.abs(slip) + np.abs(lost) + np.abs(bit), np.abs(term)
-    begin, lengths = transitions.indptr[:-1], np.diff(transitions.indptr)
-    for k in range(int(lengths.max(initial=0))):
-        rows = np.flatnonzero(lengths > k)
-        entry = begin[rows] + k
-        column, p = transitions.indices[entry], transitions.data[entry]
-        step, missed = exact_sum(high[column], -here[rows])
-        missed = missed + (low[column] - here_low[rows])
-        term, lost = exact_product(p, step)
-        total[rows], slip = exact_sum(total[rows], term)
-        bit = p * missed
-        rest[rows] += slip + lost + bit
-        small[rows] += np.abs(slip) + np.abs(lost) + np.abs(bit)
-        whole[rows] += np.abs(term)
-    result = total + rest
-    terms = lengths + 4.0
-    rounding = np.abs(result) + terms * (small + MACHINE_EPSILON * whole)
-    return result, MACHINE_EPSILON * rounding
-
-
-def safe_advantages(moves: Moves, cost: FloatArray, values: FloatArray) -> FloatArray:
-    """Advantages at evaluated totals less bounds of their rounding: never too high, [pairs].
-
-    Args:
-        moves: of the process.
-        cost: [pairs].
-        values: [states].
-    """
-    home, transitions, exits = moves
-    if accelerated(len(transitions.indices)):
-        from ssp_lp.compiled.equations import advantages_safely
-
-        result = np.empty(len(cost))
-        parts = unsigned_parts(home, transitions)
-        run = advantages_safely(len(transitions.indices))
-        run(*parts, exits, cost, values, MACHINE_EPSILON, result)
-        return result
-    here = values[home]
-    term = exits * here
-    total = cost - term
-    rounded = np.where(exits == 0.0, 0.0, np.abs(total) + np.where(exits == 1.0, 0.0, np.abs(term)))
-    begin, lengths = transitions.indptr[:-1], np.diff(transitions.indptr)
-    for k in range(int(lengths.max(initial=0))):
-        rows = np.flatnonzero(lengths > k)
-        entry = begin[rows] + k
-        term = transitions.data[entry] * (values[transitions.indices[entry]] - here[rows])
-        total[rows] += term
-        rounded[rows] += np.where(term == 0.0, 0.0, np.abs(total[rows]) + 2.0 * np.abs(term))
-    return np.asarray(total - MACHINE_EPSILON * rounded)
-
-
-def advantage_bounds(
-    moves: Moves, cost: FloatArray, values: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Bounds of advantages at evaluated totals from below and above, [pairs] each.
-
-    Args:
-        moves: of the process.
-        cost: [pairs].
-        values: [states].
-    """
-    home, transitions, exits = moves
-    if accelerated(len(transitions.indices)):
-        return safe_advantages(moves, cost, values), -safe_advantages(moves, -cost, -values)
-    here, lengths = values[home], np.diff(transitions.indptr)
-    terms = transitions.data * (values[transitions.indices] - np.repeat(here, lengths))
-    shape, ones = transitions.shape, np.ones(transitions.shape[1])
-    total, whole = (
-        sp.csr_array((part, transitions.indices, transitions.indptr), shape=shape) @ ones
-        for part in (terms, np.abs(terms))
-    )
-    leaving = exits * here
-    result = total + (cost - leaving)
-    rounding = MACHINE_EPSILON * (
-        (lengths + 2.0) * whole + np.abs(cost) + 2.0 * np.abs(leaving) + np.abs(result)
-    )
-    return result - rounding, result + rounding
-
-
-def exact_sum(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """``a + b`` of arrays rounded, for verified evaluation, and what the rounding lost (Knuth)."""
-    total = a + b
-    back = total - a
-    return total, (a - (total - back)) + (b - back)
-
-
-def exact_product(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """``a * b`` of arrays rounded, for verified evaluation, and what that lost (Dekker)."""
-    total = a * b
-    c, d = _SPLIT * a, _SPLIT * b
-    a_high, b_high = c - (c - a), d - (d - b)
-    a_low, b_low = a - a_high, b - b_high
-    lost = a_low * b_low - (((total - a_high * b_high) - a_low * b_high) - a_high * b_low)
-    return total, lost

@@ -37,7 +37,6 @@ from ssp_lp.dynamic_programming.evaluation import (
     PROVED_OF_MANY,
     Totals,
     evaluate_policy,
-    precise_advantages,
 )
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.model.graph import nearer_pairs
@@ -300,7 +299,7 @@ def attaining_pairs(found: ExtremeReach) -> BoolArray:
     high, lost = totals.values.T
     home = dynamics.pair_state
     gain, loss = (
-        precise_advantages(dynamics.moves, *map(np.ascontiguousarray, parts))[0]
+        dynamics.moves.precise_advantages(*map(np.ascontiguousarray, parts))[0]
         for parts in zip(both.T, totals.values.T, totals.low.T, strict=True)
     )
     ahead = np.where((high < lost)[home], gain, -loss)  # each is exact where it is small

@@ -53,7 +53,6 @@ from ssp_lp.dynamic_programming.evaluation import (
     acyclic_totals,
     evaluate_chain,
     evaluate_policy,
-    precise_advantages,
 )
 from ssp_lp.errors import SolverError
 
@@ -74,7 +73,6 @@ _STEADY = 0.3
 _SWEEPS = 20  # of Bellman backups between two evaluations
 _LEAST_SWEEPS = 6
 _DIRECT = 2  # passes over a chain that an evaluation takes which does not iterate
-_SETTLED = 0.1  # share of the first sweep's changes below which sweeping stops
 _FEW_CHANGES = 0.05  # share of the states from whose changes on sweeps do better than passes
 _MOST_PASSES = 40  # along a chain, there and back
 _RISEN = 10.0  # times the last size of the values, which no improvement makes of them
@@ -144,7 +142,7 @@ def iterate_policy(
         else:
             rounds = howard_rounds(dynamics, rewards, weights, latest, guess, floor)
             choice, system, solved, left, work = rounds
-            totals = evaluate_chain(system, rewards[choice], solved)
+            totals = evaluate_chain(system, dynamics.taken(rewards, choice), solved)
             work = work + Work(0, system.products)
     except STOPS as stop:
         end_with_incumbent(stop)
@@ -215,15 +213,16 @@ def howard_rounds(
             raise SolverError("policy iteration goes round in circles")
         before, changed_before, changed = choice, changed, int(np.count_nonzero(better))
         choice = np.where(better, backup.choice, choice).astype(np.int32, copy=False)
-        if changed > _STEADY * changed_before and accelerated(dynamics.transitions.nnz):
-            in_place, backups = (dynamics, evaluation.pair_cost, choice, values, floor), 0
+        if changed > _STEADY * changed_before and accelerated(dynamics.n_entries):
+            in_place, backups = (evaluation.pair_cost, choice, values, floor), 0
             if system.is_solved_exactly and changed <= _FEW_CHANGES * dynamics.n_states:
-                backups = improve_along_chain(*in_place)
+                backups = improve_along_chain(dynamics, *in_place)
             if not backups:  # about as long as the last evaluation took, if that was an iteration
-                share = system.matrix.nnz / max(dynamics.transitions.nnz, 1)
+                share = system.n_entries / max(dynamics.n_entries, 1)
                 as_long = max(int(products * share), _LEAST_SWEEPS)
                 sweeps = min(as_long, _SWEEPS) if products > _DIRECT else _SWEEPS
-                backups = _improve_by_sweeps(*in_place, sweeps, system.is_solved_exactly)
+                exact = system.is_solved_exactly
+                backups = dynamics.improve_by_sweeps(*in_place, sweeps, is_sorted_anew=exact)
             work = work + Work(backups, 0)
 
 
@@ -270,11 +269,13 @@ class _Evaluation:
         self._is_iterated = not system.is_solved_exactly
         self._is_exact = not self._is_iterated or self._accuracy <= EXACT
         self._is_evaluated = not self._is_single or not self._is_iterated
+        taken = self.dynamics.taken
         if self._is_evaluated:
-            self.totals = system.solve(self.rewards[choice], self.totals, self._accuracy)
+            self.totals = system.solve(taken(self.rewards, choice), self.totals, self._accuracy)
             self.values = weighted(self.totals, self.weights)
         else:
-            self.values = system.solve(self.pair_cost[choice], self.values, self._accuracy)
+            cost = taken(self.pair_cost, choice)
+            self.values = system.solve(cost, self.values, self._accuracy)
         self._is_single = self._is_single or system.is_solved_reward_by_reward
         if self._is_exact and self._above is not None:
             rounding = NEARLY * float(np.abs(self._above).max(initial=0.0))
@@ -304,40 +305,7 @@ class _Evaluation:
         """Exact totals of policy iteration's last policy, [states, rewards]."""
         if self._is_evaluated and self.totals is not None:
             return self.totals
-        return system.solve(self.rewards[choice], self.totals)
-
-
-def _improve_by_sweeps(
-    dynamics: Dynamics,
-    pair_cost: FloatArray,
-    choice: IntArray,
-    values: FloatArray,
-    floor: float,
-    most_sweeps: int,
-    is_sorted_anew: bool,
-) -> int:
-    """Policy iteration's improvement by sweeps, in place, while many states change.
-
-    Returns:
-        The number of backups of all states.
-    """
-    from ssp_lp.compiled.policy_improvement import improve_states
-
-    order, most = np.arange(dynamics.n_states, dtype=np.uint32), 0
-    for sweep in range(1, most_sweeps + 1):
-        if sweep == 1 or (is_sorted_anew and sweep % 2):
-            # small values first: so news travels on from the ends, then towards them
-            order = order[np.argsort(values[order], kind="stable")]
-        direction, changed = order if sweep % 2 else np.ascontiguousarray(order[::-1]), 0
-        for some in pieces(order.size, dynamics.transitions.nnz):
-            changed += improve_states(
-                dynamics.rows, direction[some], pair_cost, IMPROVEMENT, floor,
-                choice.view(np.uint32), values,
-            )  # fmt: skip
-        most = max(most, changed)
-        if changed <= _SETTLED * most and sweep > 1:  # where one way changed nothing, the other may
-            return sweep
-    return most_sweeps
+        return system.solve(self.dynamics.taken(self.rewards, choice), self.totals)
 
 
 def improve_along_chain(
@@ -442,16 +410,17 @@ def improve_precisely(
         Stop: the time ended.
         SolverError: a policy that never leaves, or totals that cannot be verified.
     """
-    pair_cost, offsets = weighted(rewards, weights), dynamics.pair_offsets
+    pair_cost = weighted(rewards, weights)
     before: IntArray | None = None
     last = np.inf
     for _ in range(MOST_ROUNDS):
         check_time()
         system, choice = leaving_chain(dynamics, choice, before)
-        priced = evaluate_chain(system, pair_cost[choice][:, None], accuracy=PRECISE)
+        cost = dynamics.taken(pair_cost, choice)[:, None]
+        priced = evaluate_chain(system, cost, accuracy=PRECISE)
         values, low = priced.values[:, 0], priced.low[:, 0]
-        ahead, rounding = precise_advantages(dynamics.moves, pair_cost, values, low)
-        gain = -segment_minima(ahead + rounding, offsets) - 2.0 * float(priced.missed[0])
+        gain, picks = dynamics.precise_gains(pair_cost, values, low)
+        gain = gain - 2.0 * float(priced.missed[0])
         better = np.flatnonzero(gain > 0.0)
         work = work + Work(1, system.products)
         most = float(gain.max(initial=0.0))
@@ -460,12 +429,9 @@ def improve_precisely(
         ended = worth <= floor or (worth <= least and most > 0.5 * last)
         last = most
         if ended or not better.size:
-            totals = evaluate_chain(system, rewards[choice])
+            totals = evaluate_chain(system, dynamics.taken(rewards, choice))
             return Settled(choice, totals.values, values, low, totals.runs, work)
         before, choice = choice, choice.copy()
-        minima = segment_minima(ahead, offsets)
-        picks = np.array(offsets[:-1], dtype=np.int32)
-        picks[np.diff(offsets) > 0] = first_minimisers(ahead, minima, offsets)
         choice[better] = picks[better]
     raise SolverError("policy iteration goes round in circles")
 

@@ -12,11 +12,12 @@ from ssp_lp import SolverError
 from ssp_lp.compiled import accelerator
 from ssp_lp.compiled.deadline import Stop, until
 from ssp_lp.dynamic_programming import chain_solvers as solvers, equations
+from ssp_lp.dynamic_programming.bellman import Moves
 from ssp_lp.dynamic_programming.chain_solvers import factorised
 from ssp_lp.dynamic_programming.dual_bound import DualBound, dual_bound, shortfall, sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.equations import DIRECT_STATES, System, strong_components
-from ssp_lp.dynamic_programming.evaluation import acyclic_totals, advantage_bounds, evaluate_chain
+from ssp_lp.dynamic_programming.evaluation import acyclic_totals, evaluate_chain
 from ssp_lp.dynamic_programming.policy_iteration import (
     improve_along_chain,
     improve_backwards,
@@ -174,7 +175,7 @@ def test_bounds_of_advantages_hold_in_fractions(compiled, seed):
     steps, exits = slow_chain(rng)
     cost, values = rng.normal(size=(2, len(exits))) * 10.0 ** rng.uniform(-3, 8)
     home = np.arange(len(exits), dtype=np.int32)
-    lower, upper = advantage_bounds((home, sp.csr_array(steps), exits), cost, values)
+    lower, upper = Moves(home, sp.csr_array(steps), exits).advantage_bounds(cost, values)
     v = fractions(values)
     moved = (fractions(steps) * (v[None, :] - v[:, None])).sum(axis=1)
     exact = fractions(cost) - fractions(exits) * v + moved
