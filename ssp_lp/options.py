@@ -42,7 +42,8 @@ _WIDTH, _BAR = 100, 20  # characters of a line, and of a bar in it
 
 
 Partition = Callable[[Any], Any]
-"""Makes of a process's dynamics the same, their equations and backups shared by several ranks."""
+"""Makes of a pricing problem the dynamics of its process, shared by several ranks, who hold its
+rewards, too."""
 
 
 class SharedPricing(Protocol):

@@ -117,6 +117,12 @@ class CompiledProblem(ABC):
     def least_failure(self) -> LeastFailure:
         """The first column: it, not a status of an LP, decides whether the problem is feasible."""
 
+    def failure_at_least(self, discount: float | None) -> float:
+        """The least failure of all policies of the compiled problem, whatever they cost."""
+        survival = survival_of(discount)
+        reach = goal_reach.greatest_goal_reach(self.model, survival, self.start).goal
+        return max(1.0 - float(self.start @ reach), 0.0)
+
     @abstractmethod
     def pricing(self) -> PricingProblem:
         """The pricing problem of the compiled problem as it stands."""
@@ -215,10 +221,7 @@ def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> Le
             least_failure=failure,
             conflicting_rows=("failure",),
         )
-    greatest = float(
-        compiled.start @ goal_reach.greatest_goal_reach(compiled.model, start=compiled.start).goal
-    )
-    real = max(1.0 - greatest, 0.0)
+    real = compiled.failure_at_least(None)
     nearer = ("; ", Argument("discount", None), " or a discount nearer to 1 is feasible")
     raise InfeasibleError(
         f"the discounted failure of every policy is at least {failure:.12g}, above the budget "

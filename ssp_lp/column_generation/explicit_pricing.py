@@ -73,9 +73,18 @@ class ExplicitPricing(PricingProblem):
     @cached_property
     def dynamics(self) -> Dynamics:
         """Dynamics of the process of explicit pricing, shared with other ranks if there are."""
-        dynamics = self.process.dynamics
-        shared: Dynamics = dynamics if self.partition is None else self.partition(dynamics)
+        if self.partition is None:
+            return self.process.dynamics
+        shared: Dynamics = self.partition(self)
         return shared
+
+    @property
+    def priced(self) -> FloatArray:
+        """Rewards as the dynamics of explicit pricing take them.
+
+        [pairs, rewards]; where others hold these, how each is made of theirs, [rewards, rewards].
+        """
+        return self.rewards if self.partition is None else np.eye(self.n_rewards)
 
     @property
     def n_rewards(self) -> int:
@@ -127,7 +136,7 @@ class ExplicitPricing(PricingProblem):
         smaller, at = self.contracted(weights), None if isinstance(price, np.ndarray) else price
         run = partial(iterate_policy, precise=self.precise or None)
         if smaller is None:
-            settled = run(self.dynamics, self.rewards, weights, choice, guess)
+            settled = run(self.dynamics, self.priced, weights, choice, guess)
             kept = {"runs": settled.runs, "work": settled.work, "found_at": at}
             return self._column(settled.choice, settled.totals, **kept)
         choice = smaller.begun(self.process, choice).astype(np.int32)
@@ -183,7 +192,7 @@ class ExplicitPricing(PricingProblem):
             work: what finding it took.
             found_at: a price at which no policy is worth less.
         """
-        totals = evaluate_policy(self.dynamics, choice, self.rewards)
+        totals = evaluate_policy(self.dynamics, choice, self.priced)
         kept = {"runs": totals.runs, "work": work + Work(1, 0), "found_at": found_at}
         return self._column(choice, totals.values, **kept)
 

@@ -50,8 +50,7 @@ from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem, Restated, compiled_constrained, unrolled
 from ssp_lp.processes.conditions import FAILURE_ROW
-from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, survival_of
-from ssp_lp.processes.goal_reach import greatest_goal_reach
+from ssp_lp.processes.failure_semantics import Aim, FailureSemantics
 from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 
 _PATIENCE = 6  # refinements that need not even halve the gap
@@ -494,12 +493,7 @@ def _infeasible(
         words = f"no policy keeps to {FAILURE_ROW!r} <= {budget:.12g} and the limits: {words}"
         named = [FAILURE_ROW, *named]
 
-    def least_failure(discount: float | None) -> float:
-        """The least failure of all policies."""
-        reach = greatest_goal_reach(compiled.model, survival_of(discount), compiled.start).goal
-        return max(1.0 - float(compiled.start @ reach), 0.0)
-
-    discount = compiled.discount
+    least_failure, discount = compiled.failure_at_least, compiled.discount
     return InfeasibleError(
         words,
         failure_budget=budget,

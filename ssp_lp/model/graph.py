@@ -161,7 +161,7 @@ def dead_ends(model: SSP) -> BoolArray:
     return hopeless_states(model) if label is None else label.ended
 
 
-def reaching_states(model: SSP, ends: BoolArray) -> BoolArray:
+def reaching_states(model: Graph, ends: BoolArray) -> BoolArray:
     """States from which some policy may come to one of the given states, these included, [states].
 
     Args:
@@ -234,7 +234,7 @@ def goal_pairs(model: SSP) -> BoolArray:
     return pairs_into(model, model.goal_mask)
 
 
-def pairs_into(model: SSP, states: BoolArray) -> BoolArray:
+def pairs_into(model: Graph, states: BoolArray) -> BoolArray:
     """Pairs of the graph that may lead to one of the states, [pairs].
 
     Args:

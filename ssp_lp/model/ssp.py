@@ -457,6 +457,13 @@ class SSP(Graph, ReadOnlyCopies):
         pair = int(np.searchsorted(self.outcome_offsets, outcome, side="right")) - 1
         return self.describe_pair(pair)
 
+    def of_all_states(self, made: FloatArray) -> FloatArray:
+        """What was made of each state's own pairs, for all states of the model, [states].
+
+        All pairs are in one place; where they are not, this brings their parts together.
+        """
+        return made
+
     @property
     def failure_label(self) -> FailureSSP | None:
         """The model itself, where its states bear the label of failing; else None."""

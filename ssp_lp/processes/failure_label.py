@@ -120,7 +120,24 @@ def label_failure(
     quotient = build_quotient(
         model, usable=usable, free=free, exits=exits, free_exits=usable is None, ended=unsure
     )
-    survival = survival_of(discount)
+    return label_nodes(quotient, start, semantics, discount)
+
+
+def label_nodes(
+    quotient: Quotient,
+    start: FloatArray,
+    semantics: FailureSemantics,
+    discount: float | None = None,
+) -> FailureLabelled:
+    """The process of case M on the nodes that bear the failure label s.
+
+    Args:
+        quotient: the live part of the model, with the pairs that give up.
+        start: distribution over states, [states].
+        semantics: as :func:`label_failure` takes them.
+        discount: likewise.
+    """
+    model, survival = quotient.model, survival_of(discount)
     stage, entering = stage_costs(model, quotient, semantics, survival)
     to_dead = quotient.at_pairs(successor_means(model, quotient.dead), 1.0)
     to_goal = quotient.at_pairs(successor_means(model, model.goal_mask))

@@ -413,7 +413,7 @@ def stage_costs(
     """
     means = cost_means(model)
     charges = give_up_charges(model, attention_states(model), quotient.merged, semantics, means)
-    entering = dead_end_charges(model, quotient.dead, semantics, means)
+    entering = model.of_all_states(dead_end_charges(model, quotient.dead, semantics, means))
     stage = quotient.at_pairs(means, quotient.least_over_members(charges))
     if entering.any():
         stage = stage + survival * quotient.at_pairs(successor_means(model, entering))

@@ -1,0 +1,157 @@
+"""The ranks of PETSc: the first gives orders, the others serve, until there is an answer."""
+
+from __future__ import annotations
+
+import pickle
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+from ssp_lp.cargo import Cargo
+from ssp_lp.compiled.deadline import check_time, until
+from ssp_lp.distributed.share import Share
+from ssp_lp.errors import SolverError, SSPError, optional_module
+
+EXTRA = "distributed"
+
+_Made = TypeVar("_Made")
+
+
+class Ranks:
+    """The ranks of PETSc's world, of which the first gives orders.
+
+    An order is the name of what a rank does with the rows that it holds, and its arguments: those
+    that all get, and those of each; what each makes of it comes back to the first.
+    """
+
+    def __init__(self, comm: Any, petsc: Any) -> None:
+        """Know the ranks.
+
+        Args:
+            comm: of mpi4py.
+            petsc: the module.
+        """
+        self.comm, self.petsc = comm, petsc
+        self.share: Share | None = None
+        self.held_by: object = None  # the dynamics whose rows the ranks hold
+        self.chosen: object = None  # the equations that they have set up
+
+    @classmethod
+    def all(cls) -> Ranks:
+        """All ranks of PETSc.
+
+        Raises:
+            MissingDependencyError: petsc4py or mpi4py is not installed.
+        """
+        world = optional_module("mpi4py.MPI", EXTRA).COMM_WORLD
+        optional_module("petsc4py", EXTRA).init([])
+        return cls(world, optional_module("petsc4py.PETSc", EXTRA))
+
+    def agreed(self, make: Callable[[], _Made]) -> _Made:
+        """What every rank makes by itself; where one cannot, all raise its error.
+
+        Raises:
+            SSPError: of the first rank that has one.
+        """
+        made, error = None, None
+        try:
+            made = make()
+        except SSPError as raised:
+            error = raised
+        packed = None if error is None else packed_error(Cargo(), error)
+        for other in self.comm.allgather(packed):
+            if other is not None:
+                raise error or Cargo().unpack(other)
+        return made  # type: ignore[return-value]
+
+    def order(
+        self, name: str, shared: tuple[Any, ...] = (), own: Sequence[tuple[Any, ...]] | None = None
+    ) -> list[Any]:
+        """Have every rank of PETSc do something with its rows; what they make of it, by rank.
+
+        Args:
+            name: of a method of :class:`Share`.
+            shared: arguments that all get.
+            own: further ones, of each rank; None: none.
+
+        Raises:
+            SSPError: as of one of them.
+            Stop: the time ended.
+        """
+        check_time()
+        self.comm.bcast((name, shared, own is not None))
+        mine = () if own is None else self.comm.scatter(own)
+        made = self.comm.gather(self._done(name, (*shared, *mine)))
+        for one in made:
+            if isinstance(one, SSPError):
+                raise one
+        return list(made)
+
+    def dismiss(self, answer: bytes) -> None:
+        """Tell the other ranks of PETSc the answer, after which they take no orders."""
+        self.comm.bcast(("answer", (answer,), False))
+        self.hold(None)
+
+    def serve(self) -> bytes:
+        """Do what the first rank of PETSc orders, until there is an answer."""
+        while True:
+            name, shared, is_more = self.comm.bcast(None)
+            if name == "answer":
+                self.hold(None)
+                answer: bytes = shared[0]
+                return answer
+            mine = self.comm.scatter(None) if is_more else ()
+            self.comm.gather(self._done(name, (*shared, *mine)))
+
+    def hold(self, share: Share | None) -> None:
+        """Hold other rows, or none; all ranks of PETSc let go of its objects together."""
+        if self.share is not None:
+            self.share.clear()
+        self.share, self.held_by, self.chosen = share, None, None
+
+    def _done(self, name: str, given: tuple[Any, ...]) -> Any:
+        """What this rank of PETSc makes of an order; an error ends all ranks, unless it is ours."""
+        try:
+            with until(float("inf")):  # the first rank looked at the time, for all
+                if name == "take":
+                    return self.hold(Share(self.comm, self.petsc, *given))
+                if name == "label":
+                    return self.hold(self._held.labelled_anew(*given))
+                return getattr(self._held, name)(*given)
+        except SSPError as error:
+            return error
+        except Exception:
+            if self.comm.size == 1:
+                raise
+            traceback.print_exc()
+            sys.stderr.flush()
+            self.comm.Abort(1)
+            raise
+
+    @property
+    def _held(self) -> Share:
+        """The rows that this rank of PETSc holds.
+
+        Raises:
+            SolverError: it holds none.
+        """
+        if self.share is None:
+            raise SolverError("no rank of PETSc holds rows yet")
+        return self.share
+
+
+def packed_error(cargo: Cargo, error: BaseException) -> bytes:
+    """An error of one of PETSc's ranks for the others; of one that cannot be pickled, its words."""
+    try:
+        return cargo.pack(error)
+    except (pickle.PicklingError, AttributeError, TypeError):
+        return cargo.pack(SolverError(f"the first rank ended in {type(error).__name__}: {error}"))
+
+
+def unpacked(cargo: Cargo, answer: bytes) -> Any:
+    """The answer of PETSc's first rank, or its error, which is raised."""
+    found = cargo.unpack(answer)
+    if isinstance(found, BaseException):
+        raise found
+    return found
