@@ -78,13 +78,10 @@ class ExplicitPricing(PricingProblem):
         shared: Dynamics = self.partition(self)
         return shared
 
-    @property
-    def priced(self) -> FloatArray:
-        """Rewards as the dynamics of explicit pricing take them.
-
-        [pairs, rewards]; where others hold these, how each is made of theirs, [rewards, rewards].
-        """
-        return self.rewards if self.partition is None else np.eye(self.n_rewards)
+    @cached_property
+    def _held(self) -> FloatArray:
+        """Explicit pricing's rewards, by what others hold: each is theirs, [rewards, rewards]."""
+        return np.eye(self.n_rewards)
 
     @property
     def n_rewards(self) -> int:
@@ -136,7 +133,8 @@ class ExplicitPricing(PricingProblem):
         smaller, at = self.contracted(weights), None if isinstance(price, np.ndarray) else price
         run = partial(iterate_policy, precise=self.precise or None)
         if smaller is None:
-            settled = run(self.dynamics, self.priced, weights, choice, guess)
+            rewards = self.rewards if self.partition is None else self._held
+            settled = run(self.dynamics, rewards, weights, choice, guess)
             kept = {"runs": settled.runs, "work": settled.work, "found_at": at}
             return self._column(settled.choice, settled.totals, **kept)
         choice = smaller.begun(self.process, choice).astype(np.int32)
@@ -192,7 +190,8 @@ class ExplicitPricing(PricingProblem):
             work: what finding it took.
             found_at: a price at which no policy is worth less.
         """
-        totals = evaluate_policy(self.dynamics, choice, self.priced)
+        rewards = self.rewards if self.partition is None else self._held
+        totals = evaluate_policy(self.dynamics, choice, rewards)
         kept = {"runs": totals.runs, "work": work + Work(1, 0), "found_at": found_at}
         return self._column(choice, totals.values, **kept)
 

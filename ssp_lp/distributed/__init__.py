@@ -1,5 +1,10 @@
 """Pricing by several processes, perhaps on several machines: the extra ``distributed``."""
 
+from ssp_lp.distributed.partitioned_model import (
+    PartitionedModel as PartitionedModel,
+    PartitionedSolution as PartitionedSolution,
+)
 from ssp_lp.distributed.petsc import Petsc as Petsc
+from ssp_lp.distributed.slab import StateRows as StateRows
 
-__all__ = ["Petsc"]
+__all__ = ["PartitionedModel", "PartitionedSolution", "Petsc", "StateRows"]

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -30,7 +30,8 @@ _METHODS = ("bcgs", "gmres")  # the second where the first gets nowhere
 _EXCHANGED = 4  # sweeps of each rank between two exchanges of values
 _SHRUNK = (0.0, *10.0 ** np.arange(-13.0, 0.0))  # shares by which values are moved to the floor
 _LOWERINGS = 40  # exchanges of lowered values, after which a larger share is tried
-_FEWER = 0.1  # share of the values by which they may fall in these
+_FIRST_LOWERINGS = 3  # the same where no share is taken off
+_LOST = 1e-3  # share of the greatest value by which one may fall in these
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +41,7 @@ class PartitionedDynamics(Dynamics):
     All of a policy's equations are solved at once, and no component of the process by itself.
     """
 
+    few: ClassVar[int] = 0  # totals on PETSc never show that a policy never leaves
     ranks: Ranks = field(kw_only=True)
     bounds: IntArray = field(kw_only=True)  # [ranks + 1] first state of each rank, and the end
     pair_bounds: IntArray = field(kw_only=True)  # [ranks + 1] likewise, of the pairs
@@ -91,7 +93,8 @@ class PartitionedDynamics(Dynamics):
         n_states = int(bounds[-1])
         nothing = sp.csr_array((0, n_states)), np.zeros(0)
         sizes: dict[str, Any] = {"bounds": bounds, "pair_bounds": pair_bounds, "entries": entries}
-        return cls(np.zeros(n_states + 1, dtype=np.int64), *nothing, ranks=ranks, **sizes, **more)
+        no_pairs = np.zeros(n_states + 1, dtype=np.int64)
+        return cls(no_pairs, nothing[0], nothing[1], ranks=ranks, **sizes, **more)
 
     @property
     def is_solved_backwards(self) -> bool:
@@ -204,8 +207,8 @@ class PartitionedDynamics(Dynamics):
         values = np.maximum(np.where(np.isfinite(values), values, floor), floor)
         for share in _SHRUNK:
             shrunk = floor + (1.0 - share) * (values - floor)
-            lowered, least = shrunk, shrunk - _FEWER * np.abs(shrunk)
-            for _ in range(_LOWERINGS if share else 1):
+            lowered, least = shrunk, shrunk - _LOST * float(np.abs(values).max(initial=0.0))
+            for _ in range(_LOWERINGS if share else _FIRST_LOWERINGS):
                 parts = self.order("lowered", (weights, lowered, floor, _EXCHANGED))
                 if not any(is_lowered for _, is_lowered in parts):
                     return DualBound(lowered, np.zeros_like(lowered))
@@ -289,7 +292,7 @@ class PartitionedSystem(System):
         return PartitionedMoves(self)
 
     @property
-    def closed(self) -> IntArray:  # type: ignore[override]
+    def closed(self) -> IntArray:
         """States from which the chain on PETSc never leaves, [some states]."""
         own = [(pairs,) for pairs in self._dynamics.own_pairs(self._choice)]
         return np.concatenate(self._dynamics.order("closed", (), own))

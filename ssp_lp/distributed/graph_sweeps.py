@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ssp_lp.arrays import BoolArray, IntArray
+from ssp_lp.errors import optional_module
 from ssp_lp.model.graph import Graph, drain, nearer_pairs, pairs_into, reaching_states
 
 
@@ -21,10 +22,8 @@ def on_any(comm: Any, mask: BoolArray) -> BoolArray:
         comm: of mpi4py.
         mask: what this one has found, [states].
     """
-    from mpi4py import MPI
-
     found = np.empty_like(mask)
-    comm.Allreduce(mask, found, op=MPI.LOR)
+    comm.Allreduce(mask, found, op=optional_module("mpi4py.MPI", "distributed").LOR)
     return found
 
 

@@ -57,7 +57,7 @@ class Ranks:
         made, error = None, None
         try:
             made = make()
-        except SSPError as raised:
+        except (SSPError, OSError) as raised:
             error = raised
         packed = None if error is None else packed_error(Cargo(), error)
         for other in self.comm.allgather(packed):

@@ -158,7 +158,9 @@ class Share:
             lack = shortfall(self.dynamics, cost, values)[own]
             if not lack.any():
                 return values[own], sweep > 0
-            values[own] = np.maximum(values[own] - lack, floor)
+            below = np.minimum(values[own] - lack, np.nextafter(values[own], -np.inf))
+            below = np.where(lack > 0.0, below, values[own])
+            values[own] = np.maximum(below, floor)
         return values[own], True
 
     def greatest_constant(self, weights: FloatArray) -> float:
@@ -192,7 +194,8 @@ class Share:
         Raises:
             SolverError: the rank was handed its rows.
         """
-        quotient, model = self._known.quotient, self._known.quotient.model
+        quotient = self._known.quotient
+        model: Any = quotient.model  # a slab
         full = np.zeros(max(quotient.n_nodes, self.dynamics.n_states), dtype=np.int32)
         full[self._own] = choice
         decision = np.full(model.n_states, UNDECIDED, dtype=np.int32)
@@ -200,7 +203,8 @@ class Share:
         live[live] = np.isin(quotient.node_of[live], self._states)
         pairs = quotient.pair_at[full[quotient.node_of[live]]]
         decision[live] = np.where(pairs < 0, pairs, pairs - model.pair_offsets[:-1][live])
-        return decision[model.own]
+        own: IntArray = decision[model.own]
+        return own
 
     def clear(self) -> None:
         """Let go of PETSc's objects, as all ranks do."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -67,6 +68,7 @@ class Dynamics:
     pair_offsets: IntArray  # [states + 1]
     transitions: sp.csr_array  # [pairs, states]
     exits: FloatArray  # [pairs]
+    few: ClassVar[int] = DIRECT_STATES  # states up to which totals show that a policy never leaves
     is_reused: bool = False  # solved again and again, as in every layer of accumulated cost
 
     @cached_property

@@ -256,7 +256,7 @@ class _Evaluation:
 
     def leaving(self, choice: IntArray, before: IntArray | None) -> tuple[System, IntArray]:
         """Chain of an improved policy in policy iteration; small ones show held mass in totals."""
-        if self.dynamics.n_states <= DIRECT_STATES:
+        if self.dynamics.n_states <= self.dynamics.few:
             return self.dynamics.chain(choice), choice
         return leaving_chain(self.dynamics, choice, before)
 

@@ -248,7 +248,10 @@ def pairs_into(model: Graph, states: BoolArray) -> BoolArray:
     for piece in pieces_of_chunks(model.outcome_offsets):
         successors, chances = model.successors[piece.entries], model.probabilities[piece.entries]
         entering = states[successors] & (chances > 0)
-        leads[piece.segments] = np.logical_or.reduceat(entering, piece.firsts)
+        filled = np.flatnonzero(piece.lengths)  # a pair of a process may have no outcome but an end
+        if filled.size:
+            reached = np.logical_or.reduceat(entering, piece.firsts[filled])
+            leads[piece.segments.start + filled] = reached
     return leads
 
 

@@ -96,6 +96,7 @@ def label_failure(
     usable: BoolArray | None = None,
     side: Sequence[UpperRow] = (),
     objective: UpperRow | None = None,
+    quotient: Quotient | None = None,
 ) -> FailureLabelled:
     """Build the process of case M: the states with the failure label.
 
@@ -110,34 +111,19 @@ def label_failure(
             the second stage of a least-failure problem (mathematics, section 4).
         side: what is limited besides.
         objective: what is minimised in place of what the aim counts.
+        quotient: the live part of the model, with the pairs that give up; None: made here.
     """
-    free = None if discount is not None else free_pairs(model, semantics.aim, side, objective)
-    unsure = None
-    if semantics.forbids_failing:
-        sure, keeping, _ = surely_reaching(model)
-        usable, unsure = keeping if usable is None else usable & keeping, ~sure
-    exits = giving_up_states(model, semantics.give_up, usable)
-    quotient = build_quotient(
-        model, usable=usable, free=free, exits=exits, free_exits=usable is None, ended=unsure
-    )
-    return label_nodes(quotient, start, semantics, discount)
-
-
-def label_nodes(
-    quotient: Quotient,
-    start: FloatArray,
-    semantics: FailureSemantics,
-    discount: float | None = None,
-) -> FailureLabelled:
-    """The process of case M on the nodes that bear the failure label s.
-
-    Args:
-        quotient: the live part of the model, with the pairs that give up.
-        start: distribution over states, [states].
-        semantics: as :func:`label_failure` takes them.
-        discount: likewise.
-    """
-    model, survival = quotient.model, survival_of(discount)
+    if quotient is None:
+        free = None if discount is not None else free_pairs(model, semantics.aim, side, objective)
+        unsure = None
+        if semantics.forbids_failing:
+            sure, keeping, _ = surely_reaching(model)
+            usable, unsure = keeping if usable is None else usable & keeping, ~sure
+        exits = giving_up_states(model, semantics.give_up, usable)
+        quotient = build_quotient(
+            model, usable=usable, free=free, exits=exits, free_exits=usable is None, ended=unsure
+        )
+    survival = survival_of(discount)
     stage, entering = stage_costs(model, quotient, semantics, survival)
     to_dead = quotient.at_pairs(successor_means(model, quotient.dead), 1.0)
     to_goal = quotient.at_pairs(successor_means(model, model.goal_mask))

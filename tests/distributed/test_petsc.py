@@ -22,8 +22,11 @@ with_petsc = pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.joi
 with_mpiexec = pytest.mark.skipif(shutil.which("mpiexec") is None, reason="there is no mpiexec")
 
 
-def run(*before: str) -> str:
-    """What the script prints, run after some words of a command."""
+SCRIPTS = ["on_every_rank.py", "on_partitioned_models.py"]
+
+
+def run(script: str, *before: str) -> str:
+    """What a script prints, run after some words of a command."""
     root = HERE.parent.parent
     places = [root, HERE.parent, HERE.parent / "support" / "problems"]
     settings = {
@@ -35,7 +38,7 @@ def run(*before: str) -> str:
         "OMPI_MCA_mpi_yield_when_idle": "1",
     }
     ended = subprocess.run(  # noqa: S603 (this very interpreter)
-        [*before, sys.executable, str(HERE / "on_every_rank.py"), "2"],
+        [*before, sys.executable, str(HERE / script), "2"],
         env=os.environ | settings,
         capture_output=True,
         text=True,
@@ -47,15 +50,17 @@ def run(*before: str) -> str:
 
 
 @with_petsc
-def test_one_rank_needs_no_mpiexec() -> None:
-    assert run() == "1 ranks: well\n"
+@pytest.mark.parametrize("script", SCRIPTS)
+def test_one_rank_needs_no_mpiexec(script: str) -> None:
+    assert run(script) == "1 ranks: well\n"
 
 
 @with_petsc
 @with_mpiexec
+@pytest.mark.parametrize("script", SCRIPTS)
 @pytest.mark.parametrize("ranks", [2, 3])
-def test_every_rank_gets_what_one_process_finds(ranks: int) -> None:
-    assert run("mpiexec", "-n", str(ranks)).strip() == f"{ranks} ranks: well"
+def test_every_rank_gets_what_one_process_finds(ranks: int, script: str) -> None:
+    assert run(script, "mpiexec", "-n", str(ranks)).strip() == f"{ranks} ranks: well"
 
 
 @pytest.mark.skipif(not MISSING, reason="PETSc is installed")

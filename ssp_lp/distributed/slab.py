@@ -1,0 +1,286 @@
+"""A rank's part of a model: all of its states, and the pairs of the rank's own alone.
+
+A slab is a model in every respect that concerns one pair at a time: its expected costs, where it
+leads, what it counts in a limit. What concerns a whole graph is found by all ranks together
+(``graph_sweeps``) and is the same on each: which states have lost the goal, and where it can be
+avoided.
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ssp_lp.arrays import BoolArray, FloatArray, entries_of, offsets_of, read_only
+from ssp_lp.distributed.graph_sweeps import reaching, staying
+from ssp_lp.errors import ModelError
+from ssp_lp.io.archives import load_model
+from ssp_lp.io.controller import controller_label
+from ssp_lp.model import SSP
+from ssp_lp.model.graph import Graph, end_components, pairs_into
+
+_PIECE = 1 << 16  # states whose rows are made at a time
+_READ = 1 << 22  # bytes of a file that are passed over at a time
+
+
+class StateRows(NamedTuple):
+    """Rows of some states in a row, one state's pairs after the other's, as arrays."""
+
+    actions: npt.ArrayLike  # [some states] number of pairs of each
+    outcomes: npt.ArrayLike  # [their pairs] number of outcomes of each
+    successors: npt.ArrayLike  # [their outcomes] numbers of states
+    probabilities: npt.ArrayLike  # [their outcomes]
+    costs: npt.ArrayLike  # one number for all, or [their pairs], or [their outcomes]
+    named_costs: Mapping[str, npt.ArrayLike] = {}  # further ones by name, each as costs
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Slab(SSP):
+    """The states of a model, and the pairs of a rank's own."""
+
+    comm: Any = field(kw_only=True)  # of mpi4py
+    first: int = field(kw_only=True)  # number of the first of the own states
+    end: int = field(kw_only=True)  # number of the state behind the last of them
+    facts: dict[str, Any] = field(kw_only=True, default_factory=dict)  # of the whole graph
+
+    @property
+    def own(self) -> slice:
+        """The states of the slab that have their pairs in it."""
+        return slice(self.first, self.end)
+
+    @property
+    def own_mask(self) -> BoolArray:
+        """States of the slab that have their pairs in it, [states]."""
+        mask = np.zeros(self.n_states, dtype=np.bool_)
+        mask[self.own] = True
+        return mask
+
+    @property
+    def kept_facts(self) -> dict[str, Any]:
+        """Facts about the graph of which the slab is a part, kept by all its copies."""
+        return self.facts
+
+    @property
+    def predecessors(self) -> Any:
+        """Refused: a rank does not know all that leads to a state of its slab.
+
+        Raises:
+            ModelError: always.
+        """
+        raise ModelError("this asks for the whole graph of a model, of which a rank has a part")
+
+    @property
+    def graph(self) -> Graph:
+        """The slab as a graph of its own, made for one search."""
+        return Graph(self.pair_offsets, self.outcome_offsets, self.successors, self.probabilities)
+
+    def of_all_states(self, made: FloatArray) -> FloatArray:
+        """What was made of each state's own pairs on all slabs, for all states, [states]."""
+        return np.concatenate(self.comm.allgather(made[self.own]))
+
+    def staying_free(self, free: BoolArray, ended: BoolArray) -> BoolArray:
+        """States of the slabs' end components of free pairs, [states].
+
+        What moves among states from which one may stay free for ever is gathered on every rank.
+
+        Args:
+            free: pairs that cost nothing in what is asked, [pairs].
+            ended: states in which an episode is over, [states].
+        """
+        graph, own = self.graph, self.own_mask
+        acting = self.of_all_states(np.diff(self.pair_offsets).astype(np.float64)) > 0.0
+        kept = staying(self.comm, graph, own, free, ended | ~acting)
+        if not kept.any():
+            return kept
+        inside = np.flatnonzero(free & kept[self.pair_state] & ~pairs_into(graph, ~kept))
+        entries, lengths = entries_of(self.outcome_offsets, inside)
+        moves = self.successors[entries], self.probabilities[entries]
+        parts = self.comm.allgather((self.pair_state[inside], lengths, *moves))
+        home, lengths, successors, chances = (
+            np.concatenate(part) for part in zip(*parts, strict=True)
+        )
+        counts = np.bincount(home, minlength=self.n_states)
+        among = Graph(offsets_of(counts), offsets_of(lengths), successors, chances)
+        return end_components(among, np.ones(len(home), dtype=np.bool_))[0] >= 0
+
+
+def slab_of(
+    comm: Any,
+    rows: Callable[[int, int], StateRows],
+    n_states: int,
+    goal_states: npt.ArrayLike,
+    states: Sequence[Hashable] | None = None,
+    state_labels: Mapping[str, Any] | None = None,
+) -> Slab:
+    """A rank's slab, whose rows it makes piece by piece.
+
+    Args:
+        comm: of mpi4py.
+        rows: the rows of the states first .. end - 1.
+        n_states: of the model.
+        goal_states: numbers of the goal states.
+        states: labels of all states; None: their numbers.
+        state_labels: names for sets of states.
+
+    Raises:
+        ModelError: naming the state and the action at fault.
+    """
+    first, end = (n_states * (comm.rank + k) // comm.size for k in (0, 1))
+    pieces = [rows(k, min(k + _PIECE, end)) for k in range(first, end, _PIECE)]
+    pieces = pieces or [rows(first, first)]
+    for k, piece in zip(range(first, max(end, first + 1), _PIECE), pieces, strict=True):
+        if np.size(piece.actions) != min(k + _PIECE, end) - k:
+            raise ModelError(
+                f"rows({k}, {min(k + _PIECE, end)}) has {np.size(piece.actions)} states"
+            )
+    counts = np.zeros(n_states, dtype=np.int64)
+    counts[first:end] = _joined(pieces, "actions")
+    named = {name: _joined([p.named_costs for p in pieces], name) for name in pieces[0].named_costs}
+    made = SSP.from_arrays(
+        pair_offsets=offsets_of(counts),
+        outcome_offsets=offsets_of(_joined(pieces, "outcomes")),
+        successors=_joined(pieces, "successors"),
+        probabilities=_joined(pieces, "probabilities"),
+        costs=_joined(pieces, "costs"),
+        named_costs=named,
+        goal_states=goal_states,
+        states=states,
+        state_labels=state_labels,
+        treat_actionless_as_dead_ends=True,
+    )
+    del pieces
+    return with_facts(comm, made, first, end)
+
+
+def _joined(pieces: Sequence[Any], name: str) -> npt.NDArray[Any]:
+    """An array of all pieces of a slab, one after the other; one number for all stays one."""
+    parts = [np.asarray(p[name] if isinstance(p, Mapping) else getattr(p, name)) for p in pieces]
+    if all(part.ndim == 0 and part == parts[0] for part in parts):
+        return parts[0]
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
+def with_facts(comm: Any, part: SSP, first: int, end: int) -> Slab:
+    """A model of a rank's own rows as a slab, with what sweeps find of the whole graph."""
+    own = {one.name: getattr(part, one.name) for one in fields(SSP)}
+    slab = Slab(**own, comm=comm, first=first, end=end)
+    graph, goal = slab.graph, slab.goal_mask
+    every = np.ones(slab.n_pairs, dtype=np.bool_)
+    hopeless = ~reaching(comm, graph, goal)
+    attention = staying(comm, graph, slab.own_mask, every, goal)
+    slab.facts.update(hopeless_states=read_only(hopeless), attention_states=read_only(attention))
+    return slab
+
+
+def slab_of_model(comm: Any, model: SSP) -> Slab:
+    """A rank's slab of a model that every rank has whole; arrays are parts of the model's."""
+    first, end = (model.n_states * (comm.rank + k) // comm.size for k in (0, 1))
+    a, b = model.pair_offsets[[first, end]].tolist()
+    own = slice(*model.outcome_offsets[[a, b]].tolist())
+    plain = {one.name: getattr(model, one.name) for one in fields(SSP)}
+    part = SSP(**plain | {
+        "pair_offsets": np.clip(model.pair_offsets, a, b) - a,
+        "outcome_offsets": model.outcome_offsets[a : b + 1] - own.start,
+        "pair_action": model.pair_action[a:b],
+        "named_costs": {name: costs[own] for name, costs in model.named_costs.items()},
+        **{name: getattr(model, name)[own] for name in ("successors", "probabilities", "costs")},
+    })  # fmt: skip
+    return with_facts(comm, part, first, end)
+
+
+def slab_in_file(comm: Any, path: str | Path) -> Slab:
+    """A rank's slab of a model in the library's own file, of which it keeps no more than that.
+
+    Args:
+        comm: of mpi4py.
+        path: as ``save_model`` wrote it.
+
+    Raises:
+        ModelError: naming the file: it is none of this format, or what it says makes no model.
+        OSError: the file cannot be opened.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return _slab_in_archive(comm, archive)
+    except (zipfile.BadZipFile, KeyError, ValueError, TypeError) as error:
+        load_model(path)  # says what is wrong
+        raise ModelError(f"{path} is damaged: {error!r}") from error
+
+
+def _slab_in_archive(comm: Any, archive: zipfile.ZipFile) -> Slab:
+    """The slab of a model that an archive's texts and arrays state."""
+    texts = json.loads(_part(archive, "header").tobytes())
+    if texts.get("format") != "ssp-lp model":
+        raise ValueError("no model")
+    pair_offsets = _part(archive, "pair_offsets")
+    n_states = len(pair_offsets) - 1
+    first, end = (n_states * (comm.rank + k) // comm.size for k in (0, 1))
+    a, b = pair_offsets[[first, end]].tolist()
+    outcome_offsets = _part(archive, "outcome_offsets", a, b + 1)
+    own = outcome_offsets[[0, -1]].tolist()
+    labels, costs = _part(archive, "label_offsets"), _part(archive, "costs", 0, 2)
+    uniform, names = len(costs) == 1, texts["named_costs"]
+    states, actions = (
+        None if texts[name] is None else [controller_label(part) for part in texts[name]]
+        for name in ("states", "actions")
+    )
+    members = _part(archive, "label_members")
+    labelled: dict[str, Any] = {
+        name: members[labels[k] : labels[k + 1]] for k, name in enumerate(texts["state_labels"])
+    }
+    if states is not None:
+        labelled = {name: [states[k] for k in found.tolist()] for name, found in labelled.items()}
+    made = SSP.from_arrays(
+        pair_offsets=np.clip(pair_offsets, a, b) - a,
+        outcome_offsets=outcome_offsets - own[0],
+        successors=_part(archive, "successors", *own),
+        probabilities=_part(archive, "probabilities", *own),
+        costs=costs[0] if uniform else _part(archive, "costs", *own),
+        named_costs={name: _part(archive, f"costs {k}", *own) for k, name in enumerate(names)},
+        goal_states=_part(archive, "goal_states"),
+        states=states,
+        actions=None if actions is None else [
+            actions[k] for k in _part(archive, "pair_action", a, b).tolist()
+        ],
+        state_labels=labelled,
+        treat_actionless_as_dead_ends=True,
+    )  # fmt: skip
+    chances = read_only(_part(archive, "probabilities", *own))  # not rounded again
+    return with_facts(comm, replace(made, probabilities=chances), first, end)
+
+
+def _part(
+    archive: zipfile.ZipFile, name: str, begin: int = 0, end: int | None = None
+) -> npt.NDArray[Any]:
+    """Some entries of a slab's array in an archive; what stands before is passed over."""
+    with archive.open(f"{name}.npy") as file:
+        version = np.lib.format.read_magic(file)
+        read = (
+            np.lib.format.read_array_header_1_0
+            if version == (1, 0)
+            else (np.lib.format.read_array_header_2_0)
+        )
+        shape, _, kind = read(file)
+        if len(shape) != 1 or kind.hasobject:
+            raise ValueError(f"the array {name} has another type or size than it should")
+        end = shape[0] if end is None else min(end, shape[0])
+        for some in _lengths(begin * kind.itemsize):
+            file.read(some)
+        found = np.empty(max(end - begin, 0), dtype=kind)
+        view, at = found.view(np.uint8), 0
+        for some in _lengths(found.nbytes):
+            view[at : at + some] = np.frombuffer(file.read(some), dtype=np.uint8)
+            at += some
+    return found.astype(kind.newbyteorder("="), copy=False)
+
+
+def _lengths(size: int) -> list[int]:
+    """Lengths of the pieces in which so many bytes of a slab's file are read."""
+    return [min(_READ, size - k) for k in range(0, size, _READ)]

@@ -1,0 +1,194 @@
+"""Models that the ranks of PETSc make in parts, beside one process alone: a script for mpiexec.
+
+It ends with an error where a part differs from the whole model's, or an answer from the local one.
+Its argument is how many drawn models there are.
+"""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from on_every_rank import DUPLICATES, least_failure
+
+from examples.paper_robot.robot import RobotGrid, grid_model, start_state
+from formulations import MCMP, S3P, FinitePenalty, LeastQuantity, MinCost
+from random_models import drawn_model
+from small_models import FIRST, FREE_PAIR, TWO_MOVES, model_of
+from ssp_lp import (
+    InfeasibleError,
+    ModelError,
+    certify,
+    end_probability,
+    secondary_cost,
+    solve,
+    visits,
+)
+from ssp_lp.distributed import PartitionedModel, StateRows
+from ssp_lp.io import save_model
+from ssp_lp.model.graph import attention_states, hopeless_states
+
+COMM = MPI.COMM_WORLD
+
+
+def partitioned(model):
+    """A model as its own rows make it, in parts."""
+
+    def rows(first, end):
+        """The rows of some states."""
+        pairs = slice(*model.pair_offsets[[first, end]].tolist())
+        outcomes = slice(*model.outcome_offsets[[pairs.start, pairs.stop]].tolist())
+        return StateRows(
+            np.diff(model.pair_offsets)[first:end],
+            np.diff(model.outcome_offsets)[pairs],
+            model.successors[outcomes],
+            model.probabilities[outcomes],
+            model.costs[outcomes],
+            {name: costs[outcomes] for name, costs in model.named_costs.items()},
+        )
+
+    goals = np.flatnonzero(model.goal_mask)
+    labels = {name: [model.states[k] for k in of] for name, of in model.state_labels.items()}
+    return PartitionedModel.from_rows(
+        rows, model.n_states, goals, states=model.states, state_labels=labels
+    )
+
+
+def check_parts(model, made):
+    """Put together, the parts are the model, row by row, and so is what is known of its graph."""
+    slab = made.slab
+    first, end = slab.first, slab.end
+    assert COMM.allgather((first, end)) == [
+        (model.n_states * k // COMM.size, model.n_states * (k + 1) // COMM.size)
+        for k in range(COMM.size)
+    ]
+    pairs = slice(*model.pair_offsets[[first, end]].tolist())
+    outcomes = slice(*model.outcome_offsets[[pairs.start, pairs.stop]].tolist())
+    assert slab.n_pairs == pairs.stop - pairs.start
+    assert np.array_equal(
+        np.diff(slab.pair_offsets)[first:end], np.diff(model.pair_offsets)[first:end]
+    )
+    assert np.array_equal(np.diff(slab.outcome_offsets), np.diff(model.outcome_offsets)[pairs])
+    for name in ("successors", "probabilities", "costs"):
+        assert np.array_equal(getattr(slab, name), getattr(model, name)[outcomes])
+    for name, costs in model.named_costs.items():
+        assert np.array_equal(slab.named_costs[name], costs[outcomes])
+    assert [*slab.states] == [*model.states]
+    assert np.array_equal(slab.goal_mask, model.goal_mask)
+    for fact in (hopeless_states, attention_states):
+        assert np.array_equal(fact(slab), fact(model))
+
+
+def check_the_same(model, made, criterion, **asked):
+    """All ranks have one answer, as good as the local one, and proved on the whole model."""
+    answer, problem = made.solve(criterion, **asked), criterion(model, **asked)
+    known = solve(problem)
+    figures = answer.objective, answer.lower_bound, answer.failure, dict(answer.prices)
+    assert COMM.allgather(figures) == [figures] * COMM.size
+    assert answer.objective == pytest.approx(known.objective, rel=1e-9, abs=1e-12), problem
+    assert answer.failure == pytest.approx(known.budget_used, rel=1e-9, abs=1e-12), problem
+    for name, spent in answer.spent.items():
+        assert spent == pytest.approx(known.secondary_costs[name], rel=1e-8, abs=1e-10)
+    assert answer.gap <= 1e-9, (problem, answer.gap)
+    whole = answer.on(problem)
+    assert whole.evaluation.objective == pytest.approx(answer.objective, rel=1e-9, abs=1e-12)
+    assert whole.failure_price == pytest.approx(answer.failure_price + problem.semantics.penalty)
+    if known.value_function.shape == answer.value_function.shape:  # else free states are one there
+        assert certify(whole).accepted
+
+
+def check_file(model):
+    """A part that is read from the library's own file is that of the model."""
+    with TemporaryDirectory() as folder:
+        path = Path(COMM.bcast(folder)) / "model.npz"
+        if COMM.rank == 0:
+            save_model(model, path)
+        COMM.barrier()
+        read = PartitionedModel.from_file(path)
+        check_parts(model, read)
+        COMM.barrier()
+    whole = PartitionedModel.from_model(model)
+    check_parts(model, whole)
+    fuel = {"constraints": {"fuel": secondary_cost("fuel") <= 6.2}}
+    check_the_same(model, read, MCMP, start="x", failure_budget=0.3, **fuel)
+    check_the_same(model, whole, MCMP, start="x", failure_budget=0.4, discount=0.9, **fuel)
+    with pytest.raises(ModelError, match="is no ssp-lp model file"):
+        PartitionedModel.from_file(__file__)
+    with pytest.raises(ModelError, match="has 3 states"):
+        PartitionedModel.from_rows(lambda *_: StateRows([0] * 3, [], [], [], 1.0), 40, [0])
+
+
+def with_fuel(model):
+    """A model with a second cost by name, and its states numbered."""
+    fuel = 1.0 + np.arange(model.n_outcomes) % 3
+    return replace(model, named_costs={"fuel": fuel}).with_labels({"odd": ["x"]})
+
+
+def questions():
+    """Models with questions, of many sizes, which the ranks do not divide evenly."""
+    yield FIRST, MCMP, {"start": "depot", "failure_budget": 0.05}
+    yield model_of(TWO_MOVES), MCMP, {"start": "x", "failure_budget": 0.02}
+    yield model_of(DUPLICATES), MCMP, {"start": "x", "failure_budget": 0.03}
+    several = {"start": {"x": 0.25, "y": 0.75}, "failure_budget": 0.3, "discount": 0.9}
+    yield model_of(DUPLICATES), MCMP, several
+    yield (
+        model_of(DUPLICATES),
+        MCMP,
+        {"start": {"x": 0.5, "g": 0.3, "d": 0.2}, "failure_budget": 0.3},
+    )
+    yield model_of(FREE_PAIR), MCMP, {"start": "x", "failure_budget": 0.25}
+    yield model_of(FREE_PAIR), MCMP, {"start": "x", "failure_budget": 0.25, "give_up": "dead_ends"}
+    few = {"few": visits("wreck") <= 0.04}
+    yield FIRST, MCMP, {"start": "depot", "failure_budget": 0.09, "constraints": few}
+    seen = {"seen": visits("y") <= 1.2, "home": end_probability("goal") >= 0.885}
+    yield model_of(DUPLICATES), MCMP, {"start": "x", "failure_budget": 0.2, "constraints": seen}
+    yield model_of(DUPLICATES), FinitePenalty, {"start": "x", "penalty": 20.0}
+    least = {"start": "x", "quantity": visits("y"), "failure_budget": 0.05}
+    yield model_of(DUPLICATES), LeastQuantity, least
+    for seed in range(int(sys.argv[1])):
+        model, _ = drawn_model(seed, 11 + 3 * (seed % 12))
+        discounted = {"start": {"s1": 0.5, "s5": 0.5}, "discount": 0.95, "give_up": "anywhere"}
+        for question in ({"start": "s0"}, discounted):
+            lowest = least_failure(model, question)
+            yield model, MCMP, question | {"failure_budget": lowest + 0.3 * (1.0 - lowest)}
+    coarse = RobotGrid(segments=12, headings=8)
+    robot = {"start": start_state(coarse), "failure_budget": 0.5}
+    yield grid_model(coarse), MCMP, robot
+    walls = {"give_up": "dead_ends", "constraints": {"walls": visits("wall") <= 0.05}}
+    yield grid_model(coarse), MCMP, robot | walls
+
+
+def check_errors(made):
+    """What is not answered is named on every rank, and the next question is answered."""
+    with pytest.raises(InfeasibleError) as caught:
+        made.solve(MCMP, start="depot", failure_budget=0.001)
+    assert caught.value.least_failure == pytest.approx(0.01)
+    limits = {"few": visits("wreck") <= 0.009}
+    with pytest.raises(InfeasibleError) as caught:
+        made.solve(MCMP, start="depot", failure_budget=0.05, constraints=limits)
+    assert caught.value.conflicting_rows == ("few",)
+    for criterion in (S3P, MCMP):
+        with pytest.raises(ModelError, match="is for case M within a failure budget"):
+            made.solve(criterion, start="depot")
+    with pytest.raises(ModelError, match="forbids failing, which asks for the whole graph"):
+        made.solve(MinCost, start="depot")
+    with pytest.raises(ModelError, match="no horizon"):
+        made.solve(MCMP, start="depot", failure_budget=0.05, horizon=3)
+    with pytest.raises(InfeasibleError) as caught:
+        made.solve(MCMP, start="depot", failure_budget=0.001, discount=0.5)
+    assert caught.value.least_failure == pytest.approx(0.01)
+    assert made.solve(MCMP, start="depot", failure_budget=0.05).gap <= 1e-9
+
+
+if __name__ == "__main__":
+    for model, criterion, asked in questions():
+        made = partitioned(model)
+        check_parts(model, made)
+        check_the_same(model, made, criterion, **asked)
+    check_file(with_fuel(model_of(DUPLICATES)))
+    check_errors(partitioned(FIRST))
+    if COMM.gather(True) is not None:
+        print(f"{COMM.size} ranks: well")
