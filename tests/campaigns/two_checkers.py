@@ -26,7 +26,7 @@ import numpy as np
 from ssp_lp import SSPError, solve
 from ssp_lp.verification import checker
 from ssp_lp.verification.certificate_file import write_certificate
-from tests.campaigns.certificate_check import Lines, asked, changed, lines_of, signed
+from tests.campaigns.certificate_check import Lines, case_of, changed, lines_of, question, signed
 from tests.campaigns.damaged_files import mutated
 
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang") or ""
@@ -108,7 +108,7 @@ def check(
     seed: int, program: Path, changes: int, damages: int, tally: Counter[str], keep: Path
 ) -> Iterator[str]:
     """Files of one problem; yield where the checkers differ, and keep such files in a folder."""
-    problem = asked(seed).problem
+    problem, _ = question(case_of(seed))
     path = keep / "one.cert"
     try:
         write_certificate(solve(problem), path)
