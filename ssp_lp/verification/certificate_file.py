@@ -40,6 +40,7 @@ from ssp_lp.analysis.success_costs import success_costs
 from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray
 from ssp_lp.errors import Argument, ModelError, SolverError
 from ssp_lp.formulation import Formulation
+from ssp_lp.methods.deterministic import is_unmixed
 from ssp_lp.model import SSP
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
@@ -50,7 +51,14 @@ from ssp_lp.solution import Solution, as_solved
 from ssp_lp.solve import solve
 from ssp_lp.verification import checker
 from ssp_lp.verification.checker import Checked, dot
-from ssp_lp.verification.exact_values import leads, member_vectors, text_of, values_below
+from ssp_lp.verification.decision_cases import cases_of_decisions
+from ssp_lp.verification.exact_values import (
+    leads,
+    member_vectors,
+    proved_bound,
+    text_of,
+    values_below,
+)
 
 _MOVED = Fraction(1, 10**6)  # of a price, by which it may be corrected
 _RAISES = 60  # of a price that is not known
@@ -82,8 +90,9 @@ def write_certificate(solution: Solution, path: str | Path, *, tolerance: float 
     goal probability; and of the total cost its mean given success, the mean of its costliest runs
     (CVaR), what arriving costs, the goal within a cost, utilities and quantiles; each with any
     limits and any start, within a horizon too. Not covered, and refused by name, are quantities of
-    what comes after failing. Of a policy that must not be mixed the interval is told among
-    lotteries. At least failure the policy may be shown to fail more than the least by the last
+    what comes after failing. A deterministic policy (``method="deterministic"``) is proved among
+    its like by a tree of at most some hundred cases, except at least failure, where lotteries do no
+    better. At least failure the policy may be shown to fail more than the least by the last
     digits of the proof, unless these are decimals or the goal is sure: that is told as a row
     exceeded.
 
@@ -102,7 +111,9 @@ def write_certificate(solution: Solution, path: str | Path, *, tolerance: float 
             the proof leaves more open than the solution does, or contradicts it.
     """
     asked, solved = repr(solution.problem), as_solved(solution, "write_certificate")
-    statement = Statement(solved.problem, asked)
+    # at least failure no lottery does better than its members
+    is_single = is_unmixed(solution) and solved.problem.failure_budget is not None
+    statement = Statement(solved.problem, f"{asked}, not mixed" if is_single else asked, is_single)
     lines = list(statement.lines())
     try:
         model = _Draft(json.loads(lines[0]), lines[1:])
@@ -206,6 +217,7 @@ class Statement:
 
     problem: Problem
     asked: str
+    is_single: bool = False  # whether policies must not be mixed
     costs: list[tuple[FloatArray, Mapping[float, Fraction]]] = field(default_factory=list)
     sets: dict[str, BoolArray] = field(default_factory=dict)
     totals: Sequence[Fraction] = ()  # that a charge is told of one by one
@@ -278,6 +290,7 @@ class Statement:
             "discount": None if problem.discount is None else _decimal_of(problem.discount),
             "rows": rows,
             **({"ratio": True} if problem.ratio else {}),
+            **({"deterministic": True} if self.is_single else {}),
             **({} if charge is None else self._totals(charge)),
         }
 
@@ -445,7 +458,7 @@ def _exact_proofs(
     takes to tell the fractions by: those of least denominators that are as near.
     """
     uncertain = any(step[1] != step[2] for step in model.question.get("charge", []))
-    if len(model.nodes) > _FEW or uncertain:
+    if len(model.nodes) > _FEW or uncertain or model.is_single:
         return
     for digits in _DIGITS:
         model.spread({**head, "one": str(10**digits)}, nodes)
@@ -517,6 +530,10 @@ def _proof_at(
         head["cases"], values, bound = _cases_of_thresholds(
             model, dual, members, weighed, Fraction(head["threshold"]), slope, upper
         )
+    elif model.is_single:
+        past = slope if any(slope) else []
+        found = cases_of_decisions(model, ssp, members, past, upper)
+        head["cases"], values, bound = found.stated, found.values, found.bound
     else:
         case, v, bound = _priced_values(model, model.low, dual, members, weighed, slope)
         head["prices"], values = [str(price) for price in case.prices], [v]
@@ -691,17 +708,15 @@ def _priced_values(
     best: tuple[Fraction, checker.Case, list[int]] | None = None
     less = _LESS
     for _ in range(_RAISES):
-        case = checker.Case(list(prices), low)
+        case = checker.Case(list(prices), low, {})
         c = model.priced(case)
         past = slope if any(slope) else []
         v, _ = values_below(model, solution.problem.model, c, members, past)
-        bound = c.constant
-        for p, x in model.start:
-            won = c.charge(0) if c.charge and x in model.sets["goal"] else 0
-            bound += p * (c.arrival[x] + Fraction(v[model.at(x, 0)] + won, model.one))
-        if model.ratio and bound < 0 and model.rows[0].loose == 1 and less < _SMALLER:
+        bound = proved_bound(model, c, v)
+        if model.ratio and bound < 0 and model.rows[0].loose == 1:
             # no policy goes below a somewhat smaller ratio; of few digits, which are exact
             prices[0] = Fraction(math.floor(prices[0] * (1 - less) * 10**20), 10**20)
+            prices = prices if less < _SMALLER else [Fraction(0)] * len(prices)
             less *= 100
             continue
         if model.ratio:

@@ -46,6 +46,15 @@ proof must lead. A case holds the z up to its end, from the first one beyond the
 charge that is nowhere more than that of any such z. What is beyond all ends is at least the next
 total, as z is. Above, the lottery is charged at one z; the tail mean is no more.
 
+A deterministic policy takes one decision in each state, or at each total in each state: an action,
+or to stop, which is to give up where it may, or to wander for ever where that is free. A tree of
+cases tells apart what it decides at a node (a state, or a state with a total below the cap): parts
+that together hold all decisions that are left there, each with a tree of its own. So a policy is in
+a case all of whose parts hold its decisions, and v there need bound these alone: v(x) <= c(x, u) +
+sum p v for the decisions u that are left, and v(x) <= what giving up takes if to stop is left. Who
+goes on for ever comes, as above, to where that is free by the actions that are left, or passes the
+cap; there v(x) <= what wandering takes. A file's lottery has one member, which exceeds no row.
+
 Claim: what the solution that is proved said, at least and at most. It must hold the interval.
 """
 
@@ -55,7 +64,7 @@ import json
 import re
 import sys
 from bisect import bisect, bisect_left
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache, lru_cache
@@ -69,6 +78,7 @@ KINDS = {"asked": str, "charge_failing_step": bool, "greatest": bool, "rows": li
 KEYS = "asked charge_failing_step costs discount failure format give_up greatest objective rows"
 NUMBER = re.compile(r"-?[0-9]+(/[0-9]+|(\.[0-9]+)?([eE][-+]?[0-9]+)?)")
 COUNTING = {"charge", "quantile", "tail_mean"}  # keys of questions, one at most, of totals
+YES = ("ratio", "deterministic")  # keys of questions that may be left out
 FAILURE = {"constant": "1", "terms": [["-1", "end", "goal"]]}
 NOTHING: dict[str, Any] = {"constant": "0", "terms": []}
 Pair = tuple[str, int, list[tuple[int, int, int]], list[Fraction]]
@@ -81,6 +91,7 @@ class Case(NamedTuple):
 
     prices: list[Fraction]
     low: Charge | None  # of a total, at most any that is in question
+    only: Mapping[int, Set[int]]  # decisions of nodes, -1 to stop; of others all are left
 
 
 class RefusedError(Exception):
@@ -178,7 +189,7 @@ class Model:
     def __init__(self, question: dict[str, Any], lines: Sequence[bytes]) -> None:
         need(question.get("format") == FORMAT, "this is no certificate of this format")
         known = {*KEYS.split(), "sets", "start", "states"}
-        need(known <= set(question) <= known | COUNTING | {"ratio"}, "an unknown question")
+        need(known <= set(question) <= known | COUNTING | {*YES}, "an unknown question")
         for key, kind in KINDS.items():
             need(type(question[key]) is kind, key, "is", repr(question[key])[:99])
         need(len(COUNTING & set(question)) <= 1, "one question of totals")
@@ -236,8 +247,10 @@ class Model:
     def _ask(self) -> None:
         """Objective and rows of the checked question, and where wandering is free in them."""
         question, budget = self.question, self.question["failure"]
-        self.sign, self.ratio = -1 if question["greatest"] else 1, question.get("ratio", False)
-        need(type(self.ratio) is bool, "ratio is", repr(self.ratio)[:99])
+        self.sign = -1 if question["greatest"] else 1
+        self.ratio, self.is_single = said = [question.get(key, False) for key in YES]
+        for key, value in zip(YES, said, strict=True):
+            need(type(value) is bool, key, "is", repr(value)[:99])
         need(not (question["greatest"] and self.ratio), "a ratio is to be small")
         alone = self.gamma == 1 and question["objective"] == NOTHING
         is_risk = "quantile" in question or "tail_mean" in question
@@ -267,6 +280,8 @@ class Model:
         costless = [not any(p[3][k] for k in paying) and all(y not in seen for _, y, _ in p[2])
                     for p in self.pairs]  # fmt: skip
         self.free = self.staying(self.live, costless)[0]
+        self.waits = [free and not any(t for _, _, t in p[2])  # for nothing, the total as it is
+                      for p, free in zip(self.pairs, costless, strict=True)]  # fmt: skip
 
     def _keep_sure(self) -> None:
         """States and pairs for the checker's lower bound: all, or those that keep the goal sure."""
@@ -387,12 +402,26 @@ class Model:
         return [(-1, first, ZERO, ZERO), (floor(first * self.unit), first, Fraction(1), first),
                 (floor(last * self.unit), last, 1 / share, last)]  # fmt: skip
 
-    def cases(self, stated: Any, low: Charge | None) -> Iterator[Case]:
-        """Cases of the checked proof."""
+    def cases(
+        self, stated: Any, low: Charge | None, only: Mapping[int, Set[int]]
+    ) -> Iterator[Case]:
+        """Cases of the checked proof: one with prices, or decisions of a node in several parts."""
+        if self.is_single and stated.keys() != {"prices"}:
+            x, total, parts = fields(stated, state=int, total=str, parts=list)
+            i = self.at(whole(x, len(self.names)), floor(number(total) * self.unit))
+            need(not self.counts or i >= len(self.names), "decisions below the cap, fails")
+            places: dict[Any, int] = {"stop": -1, **dict(enumerate(self.of[x]))}
+            left = only.get(i, {*places.values()})
+            kept = [(left & {places.get(name, -2) for name in part}, some) for part, some in parts]
+            need(left == set().union(*(part for part, _ in kept)), "each decision is in a part, "
+                 "fails in", self.names[x])  # fmt: skip
+            for part, some in kept:
+                yield from self.cases(some, low, {**only, i: part})
+            return
         prices = [number(text) for text in fields(stated, prices=list)[0]]
         need(min([ZERO, *prices]) >= 0, "prices are >= 0, fails")
         need(len(prices) == len(self.rows), len(prices), "prices of", len(self.rows), "rows")
-        yield Case(prices, low)
+        yield Case(prices, low, only)
 
     def thresholds(self, stated: Iterable[tuple[str, Any]]) -> Iterator[Case]:
         """Cases of the checked proof for thresholds up to one after the other; sets `beyond`."""
@@ -401,7 +430,7 @@ class Model:
         totals = sorted({0, self.cap, *(r + t for to, r in leads for _, y, t in to if y in goal)})
         for text, some in stated:
             first, end = Fraction(totals[bisect(totals, last)], self.unit), number(text)
-            yield from self.cases(some, self.ladder(self.excess(min(first, end), end), 1))
+            yield from self.cases(some, self.ladder(self.excess(min(first, end), end), 1), {})
             last = end * self.unit
         self.beyond = Fraction(totals[bisect(totals, last)], self.unit)
 
@@ -476,16 +505,34 @@ class Model:
         """Total of a node of the checked proof, for messages; none from the cap on."""
         return [f"with {Fraction(self.nodes[i][1], self.unit)}"] if i >= len(self.names) else []
 
-    def below(
-        self, v: Sequence[int], q: Quantity, slope: Sequence[int] = (), begin: int = 0
-    ) -> Fraction:
-        """Checked lower bound of a quantity that v proves, every inequality of it."""
-        nodes = [(i, x) for i, (x, _) in enumerate(self.nodes[: len(v)]) if x in self.moving]
+    def decisions(
+        self, q: Quantity, size: int, only: Mapping[int, Set[int]]
+    ) -> dict[int, list[int]]:
+        """Decisions in a case of some first nodes, -1 to stop, that a checked v has to know."""
         stops = {x for x in self.moving if self.may_fail and q.at_stop(self, x) is not None}
         at = {x: [*filter(self.keeps.__getitem__, self.of[x]), *[-1][: x in stops]]
               for x in self.moving}  # fmt: skip
-        values, choice = {i: v[i] for i, _ in nodes}, {i: at[x] for i, x in nodes}
-        return self.prove(values, q, choice, slope, begin=begin)
+        found = {i: at[x] for i, (x, _) in enumerate(self.nodes[:size]) if x in self.moving}
+        every = range(len(self.home))
+        for total in {self.nodes[i][1] for i in only}:  # who does not stop may wander at it
+            here = {self.nodes[i][0]: some for i, some in only.items() if self.nodes[i][1] == total}
+            loops = [
+                free and k in here.get(self.home[k], every) for k, free in enumerate(self.waits)
+            ]
+            wandering = self.staying(self.live, loops)[0]
+            for x in here.keys() & self.moving:
+                allowed = here[x] | ({-1} if x in wandering else set())
+                i = self.at(x, total)
+                found[i] = [k for k in found[i] if k in allowed]
+        return found
+
+    def below(
+        self, v: Sequence[int], q: Quantity, slope: Sequence[int] = (), begin: int = 0,
+        only: Mapping[int, Set[int]] | None = None,
+    ) -> Fraction:  # fmt: skip
+        """Checked lower bound of a quantity that v proves in a case, every inequality of it."""
+        choice = self.decisions(q, len(v), only or {})
+        return self.prove({i: v[i] for i in choice}, q, choice, slope, begin=begin)
 
     def above(self, member: Mapping[int, Sequence[Any]], words: str) -> list[Fraction]:
         """Checked upper bounds of a member's objective and rows."""
@@ -579,24 +626,27 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
     need(digest == head.get("sha256"), "the SHA-256 is not that of the question and the model")
     model, proof = Model(question, lines[1 : n + 1]), [read(line) for line in lines[n + 2 :]]
     told: dict[str, type] = {"cap": str, "nodes": int} if model.counts else {}
-    in_cases = "tail_mean" in question
-    told |= {"threshold": str, "cases": list} if in_cases else {"prices": list}
+    is_mean, in_cases = "tail_mean" in question, "tail_mean" in question or model.is_single
+    told |= {"threshold": str} if is_mean else {}
+    told |= {"cases": list if is_mean else dict} if in_cases else {"prices": list}
     told |= {"one": str} if "one" in head else {}
     fields(head, sha256=str, claim=list, weights=list, **told)
     need(len(head["claim"]) == 2, "a claim is: at least, at most")
     weights = [number(text) for text in head["weights"]]
     need(min(weights) >= 0 and sum(weights) == 1, "weights are >= 0 and sum to 1, fails")
+    need(max(weights) == 1 or not model.is_single, "no policies are mixed, fails")
     keys = {"v", "members", *["w"][: model.share is not None], *["slope"][: model.counts]}
     is_told = all(line.keys() == keys for line in proof[:n])
     is_told &= all(line.keys() == {"v", "members", "state", "total"} for line in proof[n:])
     is_told &= all(len(line["members"]) == len(weights) for line in proof if is_told)
     need(is_told, "a line of proof has values, and each member, fails")
     model.spread(head, [(whole(line["state"], n), number(line["total"])) for line in proof[n:]])
-    if in_cases:
+    if is_mean:
         cases = list(model.thresholds(head["cases"]))
     else:
-        cases = list(model.cases({"prices": head["prices"]}, model.low))
-        proof = [{**line, "v": [line["v"]]} for line in proof]
+        stated = head["cases"] if in_cases else {"prices": head["prices"]}
+        cases = list(model.cases(stated, model.low, {}))
+    proof = proof if in_cases else [{**line, "v": [line["v"]]} for line in proof]
     is_told = all(type(line["v"]) is list and len(line["v"]) == len(cases) for line in proof)
     need(is_told and len(cases) > 0, "a value for each case, and one case at least, fails")
     none = {"v": ["0"] * len(cases), "members": [None] * len(weights)}
@@ -619,7 +669,8 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
     bounds = [] if model.beyond is None else [model.beyond]
     for j, case in enumerate(cases):
         v = [model.down(number(line["v"][j])) for line in proof]
-        bound = model.below(v, model.priced(case), slope if any(slope) else ())
+        c, past = model.priced(case), slope if any(slope) else ()
+        bound = model.below(v, c, past, only=case.only)
         bounds.append(model.given_success(bound, case.prices[0]) if model.ratio else bound)
     lower = min(bounds)
     exceeded = dict[str, Fraction]()
@@ -631,6 +682,7 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
                 model.at_most(
                     -model.down(-value), model.down(row.bound), "lottery <= bound of row", row.name
                 )
+    need(not (exceeded and model.is_single), "a policy exceeds row", *exceeded)
     if model.ratio:
         need(taken[0] < 1, "the lottery reaches the goal, fails")
         upper = max(upper, upper / (1 - taken[0]))

@@ -9,7 +9,7 @@ turned. In a unit that all values are multiples of they are exact, and nothing i
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from fractions import Fraction
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ from scipy.sparse.linalg import splu
 from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import end_components, nearer_pairs
-from ssp_lp.policies.policy import GIVE_UP_CODE
+from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
 from ssp_lp.verification.checker import ONE, Model, Quantity, dot
 
 _LOST = 10**28
@@ -31,6 +31,7 @@ _IMPROVEMENTS = 500  # of a policy, until which iteration has always ended
 _UNITS = 4  # what an equation may lack in the end
 _ROUNDING_PARTS = 10**45  # values that differ by less than a part of 1 may differ by rounding alone
 _BITS = 960  # of whole numbers of which floats are made
+_ENDLESS = 10**9  # what a node takes in a case that leaves it no end
 
 
 class Row(NamedTuple):
@@ -153,6 +154,16 @@ def _one_way_values(rows: Sequence[Row], one: int, *, is_steps: bool) -> list[in
     return [v * 101 // one * one // 100 for v in values] if is_steps else values
 
 
+def proved_bound(model: Model, c: Quantity, values: Sequence[int] | None) -> Fraction:
+    """Bound that exact values prove of a quantity from the start on; None: values of 0."""
+    bound, goal = c.constant, model.sets["goal"]
+    for p, x in model.start:
+        own = 0 if values is None else values[model.at(x, 0)]
+        won = c.charge(0) if c.charge and x in goal else 0
+        bound += p * (c.arrival[x] + Fraction(own + won, model.one))
+    return bound
+
+
 def values_below(
     model: Model,
     ssp: SSP,
@@ -161,6 +172,7 @@ def values_below(
     slope: Sequence[int] = (),
     *,
     below: bool = True,
+    only: Mapping[int, Set[int]] | None = None,
 ) -> tuple[list[int], dict[int, int]]:
     """Exact values that bound a quantity of all policies from below, in units; a best policy.
 
@@ -173,31 +185,31 @@ def values_below(
         members: policies near the best one.
         slope: of the values in the total, from the cap on; empty: none.
         below: whether the nodes below the cap are asked for.
+        only: decisions of nodes that are left in a case, pairs or GIVE_UP_CODE; of others all are.
     """
     paid = [model.down(dot(c.costs, pair[3])) for pair in model.pairs]
     chosen = {k for member in members for k in member.values() if k >= 0}
     arrival, n = [model.down(a) for a in c.arrival], len(model.names)
     values = [0] * (len(model.nodes) if below else n)
     after, best = [arrival[x] for x, _ in model.nodes[: len(values)]], dict[int, int]()
+    choice = model.decisions(c, len(values), only or {})
     still = {model.home[k] for k, moves in enumerate(p[2] for p in model.pairs)
              if any(t == 0 and y in model.moving for _, y, t in moves)}  # fmt: skip
     for layer in layers_of(model, below=below):
         here = [i for i in layer if model.nodes[i][0] in model.moving]
         r, own, ahead = model.nodes[layer[0]][1], dict[int, int](), dict[int, list[Any]]()
-        for i in here:
-            for k in model.of[model.nodes[i][0]]:
-                if model.keeps[k]:
-                    ahead[k] = leads(model, k, r)
-                    own[k] = paid[k] + sum(a * after[j] for a, j in ahead[k])
-                    own[k] += charged(model, k, r, c, slope)
-        stops = {i: None if not model.may_fail else c.at_stop(model, model.nodes[i][0])
+        for k in (k for i in here for k in choice[i] if k >= 0):
+            ahead[k] = leads(model, k, r)
+            own[k] = paid[k] + sum(a * after[j] for a, j in ahead[k])
+            own[k] += charged(model, k, r, c, slope)
+        stops = {i: c.at_stop(model, model.nodes[i][0]) if choice[i][-1:] == [-1] else None
                  for i in here}  # fmt: skip
         if layer[0] >= n and not any(model.nodes[i][0] in still for i in here):
             for i in here:
-                worth = {k: own[k] // model.pairs[k][1] for k in model.of[model.nodes[i][0]]
-                         if k in own}  # fmt: skip
+                worth = {k: own[k] // model.pairs[k][1] for k in choice[i] if k >= 0}
                 if (stop := stops[i]) is not None:
                     worth[GIVE_UP_CODE] = model.down(stop)
+                worth = worth or {UNDECIDED: _ENDLESS * model.one}
                 best[i] = min(worth, key=worth.__getitem__)
                 values[i] = _shortened(worth[best[i]], model.one)
         else:
@@ -239,6 +251,10 @@ def _connected_values(
             rows.append(Row(node[i], 1, [], model.down(stop)))
             pairs.append(GIVE_UP_CODE)
     first = _leaving_choice(rows, len(number), [k in chosen for k in pairs])
+    for g in (g for g, row in enumerate(first) if row < 0):  # whatever is done, it has no end
+        first[g] = len(rows)
+        rows.append(Row(g, 1, [], _ENDLESS * model.one))
+        pairs.append(GIVE_UP_CODE)
     choice, values = sub_solution(rows, first, model.one)
     taken = np.zeros(ssp.n_pairs, dtype=np.bool_)
     taken[[pairs[r] for r in choice if pairs[r] >= 0]] = True

@@ -31,7 +31,16 @@ from typing import Any
 
 import numpy as np
 
-from formulations import EGUBS, S3P, CostBoundedReach, CostQuantile, CVaR
+from formulations import (
+    EGUBS,
+    MCMP,
+    S3P,
+    AlphaMCMP,
+    CostBoundedReach,
+    CostQuantile,
+    CVaR,
+    FinitePenalty,
+)
 from ssp_lp import SSP, InfeasibleError, ModelError, SSPError, solve
 from ssp_lp.verification.certificate_file import write_certificate
 from ssp_lp.verification.checker import Checked, check_certificate
@@ -63,7 +72,32 @@ WIDTH, AGREED = 1e-9, 1e-7  # of an interval; of solvers in floating point; both
 Lines = list[bytes]
 
 
-KINDS = (*CRITERIA, *(f"{name}, looping" for name in TOTALS), "CVaR", "CostQuantile")
+SINGLE: dict[str, Callable[[SSP, Task, Asked], Any]] = {
+    "MCMP": lambda m, t, n: MCMP(m, t.start, n.level / 2.0, **semantics(n)),
+    "AlphaMCMP": lambda m, t, n: AlphaMCMP(m, t.start, n.level, **semantics(n)),
+    "FinitePenalty": lambda m, t, n: FinitePenalty(m, t.start, float(n.bound)),
+    "S3P": lambda m, t, n: S3P(m, t.start, n.level / 2.0),
+    "discounted": lambda m, t, n: MCMP(
+        m, t.start, 0.4 + n.level / 5.0, discount=0.9, **semantics(n)
+    ),
+    "horizon": lambda m, t, n: MCMP(m, t.start, 0.4 + n.level / 5.0, horizon=2),
+}
+"""Criteria of policies that must not be mixed."""
+
+ALONE = ", not mixed"
+
+
+def semantics(asked: Asked) -> dict[str, Any]:
+    """Where a policy may give up, and whether the failing step is charged."""
+    return {"give_up": asked.give_up, "charge_failing_step": asked.charged}
+
+
+KINDS = (
+    *CRITERIA,
+    *(f"{name}, looping" for name in TOTALS),
+    *("CVaR", "CostQuantile"),
+    *(f"{name}{ALONE}" for name in SINGLE),
+)
 """Problems, one kind after the other by their seeds."""
 
 Case = tuple[Task, Setting]
@@ -74,10 +108,17 @@ def case_of(seed: int) -> Case:
     kind = seed % len(KINDS)
     if kind < len(CRITERIA):
         return drawn_case(seed // len(KINDS) * len(CRITERIA) + kind)
-    rng, loops = np.random.default_rng([seed, 2800]), KINDS[kind].endswith("looping")
+    rng, name = np.random.default_rng([seed, 2800]), KINDS[kind]
+    loops = bool(rng.integers(2)) if name.endswith(ALONE) else name.endswith("looping")
     task, level = drawn_task(rng, loops=loops), float(rng.choice([0.3, 0.5, 0.8, 0.95]))
-    asked = Asked(level, int(rng.integers(1, 12)), 0.0, "attention", True, None)
-    return task, Setting(KINDS[kind], asked, None, False)
+    where = str(rng.choice(["anywhere", "attention", "dead_ends"]))
+    asked = Asked(level, int(rng.integers(1, 12)), 0.0, where, bool(rng.integers(2)), None)
+    return task, Setting(name, asked, None, False)
+
+
+def method_of(case: Case) -> str | None:
+    """How a problem is solved: None, as the library would."""
+    return "deterministic" if case[1].criterion.endswith(ALONE) else None
 
 
 def question(case: Case) -> tuple[Any, Callable[[], float | None]]:
@@ -87,8 +128,9 @@ def question(case: Case) -> tuple[Any, Callable[[], float | None]]:
         draw = posed(task, setting)
         return draw.problem, lambda: draw.optimum(draw.task)
     model = SSP.from_transitions(task.choices, goal=set(GOAL), treat_actionless_as_dead_ends=True)
-    problem = TOTALS[setting.criterion.removesuffix(", looping")](model, task, setting.asked)
-    return problem, lambda: float("nan")
+    name = setting.criterion.removesuffix(", looping")
+    make = SINGLE[name.removesuffix(ALONE)] if name.endswith(ALONE) else TOTALS[name]
+    return make(model, task, setting.asked), lambda: float("nan")
 
 
 def lines_of(path: Path) -> Lines:
@@ -250,17 +292,25 @@ def change_head(content: dict[str, Any], rng: np.random.Generator) -> bool:
     return True
 
 
-def change_cases(cases: list[Any], rng: np.random.Generator) -> bool:
-    """Change the cases of a proof: an end, a price, two exchanged, one left out."""
-    kind, i, j = int(rng.integers(4)), *rng.integers(len(cases), size=2).tolist()
-    if kind == 0:
+def change_cases(cases: Any, rng: np.random.Generator) -> bool:
+    """Change the cases of a proof: an end, a price, two exchanged, one left out, decisions lost."""
+    if isinstance(cases, dict):  # a tree
+        while "parts" in cases and rng.random() < 0.7:
+            cases = _place(rng, cases["parts"])[1]
+        cases = cases.get("parts", [[[], cases]])
+    kind, i, j = int(rng.integers(5)), *rng.integers(len(cases), size=2).tolist()
+    if kind == 0 and isinstance(cases[i][0], str):
         cases[i][0] = moved(cases[i][0], rng)
-    elif kind == 1 and cases[i][1]["prices"]:
+    elif kind == 0:
+        cases[i][0] = cases[i][0][1:]
+    elif kind == 1 and cases[i][1].get("prices"):
         prices = cases[i][1]["prices"]
         k = int(rng.integers(len(prices)))
         prices[k] = moved(prices[k], rng)
     elif kind == 2:
         cases[i], cases[j] = cases[j], cases[i]
+    elif kind == 3:
+        cases[i][0], cases[j][0] = cases[j][0], cases[i][0]
     else:
         cases[i] = cases[j]
     return True
@@ -353,9 +403,12 @@ def told(case: Case, seed: int, changes: int, tally: Counter[str]) -> Iterator[s
     """One problem: its certificate, and changed ones; yield what is not as it should be."""
     (problem, optimum_of_draw), name = question(case), case[1].criterion
     try:
-        solution = solve(problem)
+        solution = solve(problem, method_of(case))
     except InfeasibleError:
         tally["infeasible"] += 1
+        return
+    except ModelError as error:
+        tally[f"not solved: {str(error)[:70]}"] += 1
         return
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "one.cert"

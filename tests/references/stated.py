@@ -7,11 +7,14 @@ weights as they stand: nothing is shared with the library nor with the checker.
 import json
 from collections.abc import Sequence
 from fractions import Fraction
+from itertools import product
+from math import prod
 
 import numpy as np
 from scipy.optimize import linprog
 
 LEAST_ROOM = 1e-11  # beyond the least failure, where that is asked for
+MOST_POLICIES = 800  # that are tried one by one, where they must not be mixed
 
 
 def optimum(lines: Sequence[bytes], most: int = 120, *, whole: bool = False) -> float | None:
@@ -120,23 +123,29 @@ def optimum(lines: Sequence[bytes], most: int = 120, *, whole: bool = False) -> 
     failed = sum(p for p, x in start if x in dead)
 
     def least(
-        objective: np.ndarray, rows: list[tuple[np.ndarray, float]], at_start: float | None = None
-    ) -> float | None:
-        """The least of an objective within rows; given success, with what it takes at the start."""
+        objective: np.ndarray, rows: list[tuple[np.ndarray, float]], at_start: float | None = None,
+        kept: list[int] | None = None,
+    ) -> float | None:  # fmt: skip
+        """The least of an objective within rows; given success, with what it takes at the start.
+
+        Where some columns alone are kept, it is that of the policies that take no others.
+        """
         if not columns:
             is_kept = all(bound >= -1e-9 for _, bound in rows) and (
                 at_start is None or failed < 1.0
             )
             return (at_start or 0.0) / (1.0 - failed * (at_start is not None)) if is_kept else None
-        upper = np.array([r for r, _ in rows]) if rows else None
+        kept = list(range(len(columns))) if kept is None else kept
+        objective, failing = objective[kept], fails[kept]
+        upper = np.array([r[kept] for r, _ in rows]) if rows else None
         bounds = np.array([b for _, b in rows]) if rows else None
-        equal, right = balance, begins
+        equal, right = balance[:, kept], begins
         if at_start is not None:  # all is scaled so that the goal has probability one
             objective = np.append(objective, at_start)
             upper = None if upper is None else np.column_stack([upper, -bounds])
             bounds = None if bounds is None else np.zeros(len(bounds))
-            equal = np.column_stack([balance, -begins])
-            equal = np.vstack([equal, np.append(-fails, 1.0 - failed)])
+            equal = np.column_stack([equal, -begins])
+            equal = np.vstack([equal, np.append(-failing, 1.0 - failed)])
             right = np.append(np.zeros(len(begins)), 1.0)
         for presolve in (True, False):
             answer = linprog(
@@ -168,10 +177,22 @@ def optimum(lines: Sequence[bytes], most: int = 120, *, whole: bool = False) -> 
             rows.append((-takes, at_start - float(Fraction(stated["at_least"]))))
     sign = -1.0 if question["greatest"] else 1.0
     takes, at_start = row(question["objective"])
-    if question.get("ratio"):
-        return least(takes, rows, at_start)
-    found = least(sign * takes, rows)
-    return None if found is None else sign * found + at_start
+
+    def best(kept: list[int] | None) -> float | None:
+        """The optimum of some policies."""
+        if question.get("ratio"):
+            return least(takes, rows, at_start, kept)
+        found = least(sign * takes, rows, None, kept)
+        return None if found is None else sign * found + at_start
+
+    if not question.get("deterministic"):
+        return best(None)
+    choices = [[j for j, column in enumerate(columns) if column[0] == x] for x in live]
+    if prod(map(len, choices)) > MOST_POLICIES:
+        raise OverflowError
+    values = [best(list(kept)) for kept in product(*choices)]
+    known = [value for value in values if value is not None]
+    return (max if question["greatest"] else min)(known, default=None)
 
 
 def _action(stated: list) -> tuple[list[tuple[float, int]], np.ndarray]:

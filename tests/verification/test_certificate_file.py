@@ -206,6 +206,39 @@ KNOWN += [
 ]
 
 
+SINGLE = [
+    (MCMP(ROAD, "road", 0.05), 3),
+    (MCMP(FIRST, "depot", 0.05), "224/25"),
+    (MCMP(ROAD, {"road": 0.5, "home": 0.5}, 0.05), "1/2"),
+    (AlphaMCMP(ROAD, "road", 0.95), 3),
+    (MCMP(ROAD, "road", 0.145, discount=0.9), 3),
+    (MCMP(PITS, "x", 0.25), 5),
+    (MCMP(STAYS, "x", 0.5), 2),
+    (MCMP(model_of(FREE_PAIR), "x", 0.25), 6),
+    (FinitePenalty(ROAD, "road", 10.0), 2),
+    (MinCost(TRIES, "door"), 2),
+    (MCMP(ROAD, "road"), 3),  # at least failure nobody gains by mixing
+    (S3P(ROAD, "road", 0.05), 3),
+    (S3P(TOWN, "road", 0.1), "25/9"),
+    (S3P(STAYS, "x", 0.5), 1),
+    (MCMP(ROBOT, 0, 0.6), "11/3"),
+]
+
+
+@pytest.mark.parametrize(("problem", "known"), SINGLE, ids=range(len(SINGLE)))
+def test_no_policy_does_better_alone(problem, known, tmp_path):
+    written = write_certificate(solve(problem, "deterministic"), tmp_path / "one")
+    lines = lines_of(tmp_path / "one")
+    assert written.lower <= Fraction(known) <= written.upper < written.lower + Fraction(1, 10**9)
+    assert check_certificate(tmp_path / "one") == written
+    is_single = problem.failure_budget is not None
+    assert (
+        (b'"deterministic":true' in lines[0]) == written.asked.endswith(", not mixed") == is_single
+    )
+    if not problem.ratio:  # all policies, one by one
+        assert optimum(lines) == pytest.approx(float(Fraction(known)), rel=1e-8)
+
+
 BETWEEN = {5, 47, 48, 49, 58, 67}
 """Intervals that are no fraction: a higher price, or cap, would prove more; an exponential."""
 
@@ -344,6 +377,7 @@ TAMPERED = {
     "often": CostQuantile(MAZE, "start", 0.9, 0.1),
     "worth it": EGUBS(MAZE, "start", -0.5, 0.7),
     "worst": CVaR(MAZE, "start", 0.9, 0.1),
+    "alone": MCMP(MAZE, "start", 0.15),
 }  # fmt: skip
 
 QUESTION, FIRST_STATE, HEAD, PROOF, NODES = 0, 1, 5, 6, 10
@@ -376,6 +410,12 @@ CHANGES = [
     ("a case", "worst", HEAD, lambda c: c["cases"].pop(), "a value for each case"),
     ("two cases", "worst", HEAD, lambda c: c["cases"].reverse(), "v <= "),
     ("a case's value", "worst", PROOF, _set("v", 1, to="1000"), "v <= "),
+    ("mixing", "alone", QUESTION, _set("deterministic", to=False), "the keys"),
+    ("a lottery's bound", "alone", QUESTION, _set("failure", to="0.05"), "bound of row failure"),
+    ("a part", "alone", HEAD, lambda c: c["cases"]["parts"].pop(), "each decision is in a part"),
+    ("a decision", "alone", HEAD, lambda c: c["cases"]["parts"][0][0].pop(), "each decision"),
+    ("a tree's state", "alone", HEAD, _set("cases", "state", to=1), "each decision|v <= |a value"),
+    ("a leaf price", "alone", HEAD, _set("cases", "parts", 0, 1, "prices", 0, to="1"), "v <= |at"),
     ("a value of no case", "worst", PROOF, lambda c: c["v"].append("0"), "a value for each case"),
     ("a claim", "often", HEAD, _set("claim", to=["3", "3"]), "v <= |sum p u|quantile"),
     ("a line of a total", "given", NODES, _set("total", to="1"), "no line tells of|fails"),
@@ -411,7 +451,8 @@ CHANGES = [
 def folder(tmp_path_factory):
     where = tmp_path_factory.mktemp("certificates")
     for name, problem in TAMPERED.items():
-        assert write_certificate(solve(problem), where / name).accepted
+        solution = solve(problem, "deterministic" if name == "alone" else None)
+        assert write_certificate(solution, where / name).accepted
     return where
 
 

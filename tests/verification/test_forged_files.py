@@ -203,3 +203,107 @@ def test_cases_hold_all_thresholds(cases, values, lower, tmp_path):
 def test_cases_that_prove_nothing(cases, rest, reason, tmp_path):
     told = worst_half(tmp_path / "x", cases, **rest)
     assert told.reason.startswith(reason)
+
+
+BOTH = state(
+    left=([["1", 1], ["1", 2]], ["1"]), right=([["1", 1]], ["3"]), away=([["1", 2]], ["0"])
+)
+LEFT, RIGHT = {"prices": ["0"]}, {"prices": ["0"]}
+
+
+def alone(path, cases, values, members=((1, "1", "3", "0"),), weights=("1",), **asked):
+    """The goal for 3, or half of the time for 1: a lottery attains 2 with failure 0.25, alone 3."""
+    ends = {"v": ["0"] * len(values), "members": [None] * len(members)}
+    proof = [{"v": list(values), "members": [list(member) for member in members]}, ends, ends]
+    head = {"weights": list(weights), "cases": cases}
+    asked = {"deterministic": True, "failure": "0.25", "objective": COST, **asked}
+    return verdict(path, [BOTH, GOAL, DEAD], head, proof, **asked)
+
+
+def tree(*parts, state=0, total="0"):
+    return {"state": state, "total": total, "parts": [list(part) for part in parts]}
+
+
+def leaf(*prices):
+    return {"prices": list(prices)}
+
+
+@pytest.mark.parametrize(
+    ("cases", "values", "lower"),
+    [
+        (leaf("4"), ["3"], 2),  # no lottery attains less
+        (tree([[0, "stop"], leaf("100")], [[1], leaf("0")], [[2], leaf("9")]), ["51", "3", "9"], 3),
+        (tree([[0, 2, "stop"], leaf("12")], [[1], leaf("0")]), ["7", "3"], 3),
+        (tree([[0, 1, 2, "stop"], leaf("4")], [[], leaf("4")]), ["3", "9"], 2),
+        (tree([[1, 0], leaf("4")], [[0, 2, "stop"], leaf("12")]), ["3", "7"], 2),  # 0 twice
+        (
+            tree([[0, 1], tree([[0], leaf("100")], [[1], leaf("0")])], [[2, "stop"], leaf("9")]),
+            ["51", "3", "9"],
+            3,
+        ),
+    ],
+)
+def test_a_tree_holds_all_decisions(cases, values, lower, tmp_path):
+    told = alone(tmp_path / "x", cases, values)
+    assert (told.reason, told.lower, told.upper) == ("", lower, 3)
+
+
+@pytest.mark.parametrize(
+    ("cases", "values", "rest", "reason"),
+    [
+        (tree([[0], leaf("100")], [[1], leaf("0")]), ["51", "3"], {}, "each decision is in a part"),
+        (tree([[0, 2], leaf("12")], [[1], leaf("0")]), ["7", "3"], {}, "each decision is in a"),
+        (tree([[0, 2, "stop"], leaf("12")], [["1"], leaf("0")]), ["7", "3"], {}, "each decision"),
+        (tree(), [], {}, "each decision is in a part"),
+        (tree([[1], leaf("0")], state=2), ["3"], {}, "each decision is in a part"),
+        (tree([[1], leaf("0")], state=9), ["3"], {}, "9 is no whole number"),
+        (
+            tree([[0, 1], tree([[0], leaf("9")])], [[2, "stop"], leaf("9")]), ["9", "9"], {},
+            "each decision is in a part",
+        ),
+        (tree([[0, 2, "stop"], leaf("4")], [[1], leaf("0")]), ["4", "3"], {}, "v <= c + sum p v"),
+        (tree([[0, 2, "stop"], leaf("12")], [[1], leaf("0")]), ["7", "4"], {}, "v <= c + sum p v"),
+        (tree([[0, 2, "stop"], leaf("12")], [[1], leaf("0")]), ["7"], {}, "a value for each case"),
+        (tree([[0, 2, "stop"], leaf()], [[1], leaf("0")]), ["7", "3"], {}, "0 prices of 1 rows"),
+        (tree([[0, 2, "stop"], leaf("-1")], [[1], leaf("0")]), ["7", "3"], {}, "prices are >= 0"),
+        ([["1", leaf("0")]], ["0"], {}, "cases is no dict"),
+        (leaf("4"), ["3"], {"deterministic": "true"}, "deterministic is"),
+        (leaf("4"), ["3"], {"deterministic": False}, "the keys"),
+        (leaf("4"), ["3"], {"members": [(0, "1", "1", "0.5")]}, "lottery <= bound of row failure"),
+        (
+            leaf("4"), ["3"], {"members": [(0, "1", "1", "0.5")], "failure": "0.4999999999"},
+            "a policy exceeds row failure",
+        ),
+        (
+            leaf("4"), ["3"],
+            {"members": [(1, "1", "3", "0"), (0, "1", "1", "0.5")], "weights": ["0.5", "0.5"]},
+            "no policies are mixed, fails",
+        ),
+    ],
+)  # fmt: skip
+def test_trees_and_policies_that_are_none(cases, values, rest, reason, tmp_path):
+    told = alone(tmp_path / "x", cases, values, **rest)
+    assert told.reason.startswith(reason), told.reason
+
+
+@pytest.mark.parametrize(
+    ("give_up", "actions", "lower"),
+    [
+        ("dead_ends", {"wait": ([["1", 0]], ["0"]), "go": ([["1", 1]], ["5"])}, 5),
+        ("attention", {"wait": ([["1", 0]], ["1"]), "go": ([["1", 1]], ["5"])}, 5),
+        ("attention", {"wait": ([["1", 0]], ["0"]), "go": ([["1", 1]], ["5"])}, 5),
+    ],
+)
+def test_who_does_not_stop_may_wander(give_up, actions, lower, tmp_path):
+    """To go costs 5; who neither goes nor stops wanders where that is free, and where not pays."""
+    ends = {"v": ["0", "0"], "members": [None]}
+    for wander, (stop, go) in {"0": (["stop"], [0, 1]), "1": (["stop", 0], [1])}.items():
+        cases = tree([stop, leaf("9")], [go, leaf("0")])
+        proof = [{"v": ["9", "5"], "members": [[1, "1", "5", "0"]]}, ends]
+        asked = {"deterministic": True, "failure": "0.25", "objective": COST, "give_up": give_up}
+        told = verdict(tmp_path / "x", [state(**actions), GOAL], {"cases": cases}, proof, **asked)
+        free = actions["wait"][1] == ["0"]
+        if wander == "0" and free:  # "stop" is not left, but to wait is
+            assert told.reason.startswith("v <= c + sum p v at s")
+        else:
+            assert (told.reason, told.lower) == ("", lower)
