@@ -135,7 +135,7 @@ static rational *many_zeros(size_t count) {
 }
 
 /* A number times a whole one, rounded down. */
-static void floor_of(mpz_t rounded, rational q, const mpz_t scale) {
+static void floor_of(mpz_t rounded, rational q, mpz_srcptr scale) {
     mpz_mul(rounded, mpq_numref(q), scale);
     mpz_fdiv_q(rounded, rounded, mpq_denref(q));
 }
@@ -355,17 +355,17 @@ enum { CONSTANT, STOPPING, BOUND, COSTS };
 enum { VISITS, ENDS, OTHER_ENDS, KINDS };
 
 struct quantity { char *name; rational *weights; };
-struct stair { mpz_t start; rational after, value[2], slope; };  /* least, greatest */
+struct step { rational after, value[2], slope; };  /* of the charge: its least, and greatest */
 
 static long n, n_costs, *start_state;
-static size_t n_sets, n_start, n_rows, n_stairs;  /* rows: the objective among them */
+static size_t n_sets, n_start, n_rows, n_steps;  /* rows: the objective among them */
 static char **sets, *asked;
 static bool **in_set, *ends, *goal;      /* set by set: states in it; whether its ends count */
 static bool anywhere, attention, charging, greatest, least, sharing, limited, ratio;
-static bool totals, quantile;            /* whether totals count; and what is asked of them */
+static bool totals, quantile, tail_mean; /* whether totals count; and what is asked of them */
 static rational discount, share, level, *start_part;
 static struct quantity *quantities;      /* the objective, and the rows */
-static struct stair *stairs;             /* of the charge */
+static struct step *steps;
 
 static size_t weight_of(size_t set, int kind) {
     return COSTS + (size_t)n_costs + 1 + KINDS * set + (size_t)kind;
@@ -441,15 +441,19 @@ static void read_row(struct json *row) {
     weights[CONSTANT] = zero;
 }
 
-/* A step of the charge: after a total; between two values there; its slope. */
-static struct stair *new_stair(rational total, rational value, rational other, rational slope) {
-    stairs = grown(stairs, n_stairs, sizeof *stairs);
-    struct stair *stair = &stairs[n_stairs++];
-    bool falls = less(other, value);
-    *stair = (struct stair){.after = total, .slope = slope,
-                            .value = {falls ? other : value, falls ? value : other}};
-    mpz_init(stair->start);
-    return stair;
+static void read_charge(struct json *step) {
+    for (; step; step = step->next, n_steps++) {
+        struct json *value = after(list(step)), *other = after(value);
+        rational a = turned(value, greatest), b = turned(other, greatest);
+        steps = grown(steps, n_steps, sizeof *steps);
+        steps[n_steps] = (struct step){.after = number(list(step)),
+                                       .value = {less(b, a) ? b : a, less(b, a) ? a : b},
+                                       .slope = turned(after(other), greatest)};
+        if (n_steps ? !less(steps[n_steps - 1].after, steps[n_steps].after)
+                    : less(zero, steps[n_steps].after))
+            refuse("a charge is told from 0 on, fails");
+    }
+    if (!n_steps) refuse("a charge has some value");
 }
 
 static void read_start(struct json *begin) {
@@ -467,7 +471,8 @@ static void read_start(struct json *begin) {
 
 static void read_question(struct json *line) {
     struct json *where = get(line, "give_up"), *gamma = get(line, "discount");
-    struct json *charge = found(line, "charge"), *told = found(line, "quantile");
+    struct json *charge = found(line, "charge"), *quantile_of = found(line, "quantile");
+    struct json *mean_of = found(line, "tail_mean");
     struct json *objective = get(line, "objective");
     if (!says(get(line, "format"), "ssp-lp certificate 1")) refuse("the format is not known");
     asked = kept(string(get(line, "asked")));
@@ -492,19 +497,19 @@ static void read_question(struct json *line) {
     read_quantity(new_quantity("objective"), objective, greatest);
     read_failure(get(line, "failure"));
     for (struct json *row = list(get(line, "rows")); row; row = row->next) read_row(row);
-    quantile = told;
-    totals = charge || quantile;
-    if (charge && quantile) refuse("a charge, or a quantile");
-    for (struct json *step = charge ? list(charge) : NULL; step; step = step->next) {
-        struct json *value = after(list(step)), *other = after(value);
-        new_stair(number(list(step)), turned(value, greatest), turned(other, greatest),
-                  turned(after(other), greatest));
+    quantile = quantile_of;
+    tail_mean = mean_of;
+    totals = charge || quantile || tail_mean;
+    if (!!charge + quantile + tail_mean > 1) refuse("one question of totals");
+    if (charge) read_charge(list(charge));
+    if (quantile || tail_mean) {
+        level = number(quantile ? quantile_of : mean_of);
+        if (!ratio || less(discount, one) || get(objective, "terms")->first
+            || !says(get(objective, "constant"), "0"))
+            refuse("a quantile has no discount and no objective, and is one given success");
+        if (tail_mean && (mpq_sgn(level) < 0 || !less(level, one)))
+            refuse("a level lies in [0, 1)");
     }
-    if (charge && !n_stairs) refuse("a charge has some value");
-    if (quantile) level = number(told);
-    if (quantile && (less(discount, one) || get(objective, "terms")->first
-                     || !says(get(objective, "constant"), "0")))
-        refuse("a quantile has no discount and no objective");
     end_line();
     n_lasting = n_made;
 }
@@ -748,18 +753,21 @@ static void follow_graph(void) {
 
 /* ---- The proof ---- */
 
-enum charged { NOTHING, TOTAL, RISE };   /* at the goal: what a total is charged; its last slope */
-
+struct stair { mpz_t start; rational after, value, slope; };  /* value + slope * (total - after) */
+struct charge { struct stair *stairs; size_t size; };  /* of a total: by the last one before it */
 struct column {
     const char *name;
     rational *weights;           /* of the quantity that it bounds from below */
     long member;                 /* of whose decisions it is asked; NONE: of all that is possible */
     const bool *stops;           /* then: where it is asked of stopping, besides giving up */
-    enum charged charged;
+    struct charge *charge;       /* at the goal; of a member it counts negatively */
     struct column *slope;        /* of its numbers from the cap on */
     bool is_of_states;           /* it tells of nodes from the cap on alone */
     mpz_t arrival;               /* in the state that is read */
 };
+/* Thresholds of a tail mean, in units beyond a total, and up to an end; and the first total at the
+ * goal there, if there is one. All else has one case, whose charge does not depend on them. */
+struct range { rational *prices, after, end; mpz_t first; bool is_met; struct charge charge; };
 struct node {
     long state;
     mpz_t total;                 /* in units of totals; from the cap on: the cap */
@@ -769,10 +777,13 @@ struct node {
 };
 
 static size_t n_columns, n_members, each_member, n_nodes;  /* each_member: columns */
-static struct column *columns, *members, *value, *least_failure;
+static struct column *columns, *members, *least_failure;  /* first: v, of each case */
 static struct node *nodes;               /* by state and total, the last of each state its cap */
 static size_t *first_node;               /* of each state */
-static rational *prices, *weights, claim[2];  /* claim: at least, at most */
+static struct range *cases;              /* and at their end what is beyond all of them */
+static size_t n_cases;
+static struct charge charge_above, rise; /* of the lottery; what charges rise by in the end */
+static rational *weights, claim[2], threshold;  /* claim: at least, at most */
 static mpz_t units, cap;                 /* in 1, 10^60 or as said; in units of totals */
 
 static size_t read_numbers(rational **numbers, struct json *stated) {
@@ -785,36 +796,18 @@ static size_t read_numbers(rational **numbers, struct json *stated) {
 }
 
 /* A total as a number of units. */
-static void read_total(mpz_t count, rational total) {
+static mpz_srcptr in_units(rational total) {
     rational scaled = times(total, of(unit));
     if (mpz_cmp_ui(mpq_denref(scaled), 1)) refuse("%Qd is a sum of costs, fails", total);
-    mpz_set(count, mpq_numref(scaled));
+    return mpq_numref(scaled);
 }
 
-/* Where each stair starts. A quantile is proved by what is late: beyond the claim; for v, from it
- * on. */
-static void build_stairs(void) {
-    if (quantile) {
-        new_stair(minus(zero, one), zero, zero, zero);
-        read_total(new_stair(claim[0], one, one, zero)->start, claim[0]);
-    }
-    for (struct stair *stair = stairs; stair < stairs + n_stairs; stair++) {
-        floor_of(stair->start, stair->after, unit);
-        if (stair > stairs ? !less(stair[-1].after, stair->after) : less(zero, stair->after))
-            refuse("a charge is told from 0 on, fails");
-    }
-    struct stair *last = &stairs[n_stairs - 1];
-    if (last > stairs && mpz_cmp(last->start, cap) >= 0)
-        refuse("the charge is a line from the cap on, fails");
-    if (mpq_sgn(last->slope) < 0) refuse("the charge does not fall in the end, fails");
-}
-
-static struct column *make_column(struct column *y, const char *name, enum charged charged) {
+static struct column *make_column(struct column *y, const char *name, struct charge *charge) {
     y->name = name;
     y->weights = many_zeros(weight_of(n_sets, 0));
     y->member = NONE;
-    y->charged = totals ? charged : NOTHING;
-    y->is_of_states = charged == RISE;
+    y->charge = totals ? charge : NULL;
+    y->is_of_states = charge == &rise;
     y->stops = avoiding;
     mpz_init(y->arrival);
     return y;
@@ -829,36 +822,51 @@ static void add_quantity(struct column *y, rational factor, size_t quantity) {
 static void make_columns(void) {
     rational minus_one = minus(zero, one);
     each_member = 1 + n_rows + totals;
-    n_columns = 1 + (size_t)totals + sharing + n_members * each_member;
+    n_columns = n_cases + totals + sharing + n_members * each_member;
     members = columns = zeros(n_columns, sizeof *columns);
-    value = make_column(members++, "v", TOTAL);
-    value->stops = wandering;
-    for (size_t j = 0; j < n_rows; j++) add_quantity(value, j ? prices[j - 1] : one, j);
-    if (totals) value->slope = make_column(members++, "slope", RISE);
+    for (size_t c = 0; c < n_cases; c++) {
+        struct column *v = make_column(members++, "v", &cases[c].charge);
+        v->stops = wandering;
+        v->slope = totals ? columns + n_cases : NULL;
+        for (size_t j = 0; j < n_rows; j++) add_quantity(v, j ? cases[c].prices[j - 1] : one, j);
+    }
+    if (totals) make_column(members++, "slope", &rise);
     if (sharing) {
-        least_failure = make_column(members++, "w", NOTHING);
+        least_failure = make_column(members++, "w", NULL);
         least_failure->is_of_states = true;
         add_quantity(least_failure, one, 1);
     }
     struct column *y = members;
     for (long m = 0; m < (long)n_members; m++) {  /* steps, objective, rows, and its slope */
-        make_column(y, "- steps", NOTHING)->weights[COSTS + n_costs] = minus_one;
+        make_column(y, "- steps", NULL)->weights[COSTS + n_costs] = minus_one;
         for (size_t j = 0; j < n_rows; j++) {
-            make_column(y + 1 + j, quantities[j].name, j ? NOTHING : TOTAL);
+            make_column(y + 1 + j, quantities[j].name, j ? NULL : &charge_above);
             add_quantity(y + 1 + j, minus_one, j);
         }
-        if (totals) y[1].slope = make_column(y + 1 + n_rows, "- slope", RISE);
+        if (totals) y[1].slope = make_column(y + 1 + n_rows, "- slope", &rise);
         for (size_t j = 0; j < each_member; j++) y++->member = m;
     }
     n_lasting = n_made;
+}
+
+/* A case with thresholds up to this end, and the prices of these objects. */
+static void read_case(struct json *prices, rational end) {
+    cases = grown(cases, n_cases + 1, sizeof *cases);
+    struct range *range = &cases[n_cases++];
+    *range = (struct range){.end = end};
+    if (read_numbers(&range->prices, list(get(prices, "prices"))) != n_rows - 1)
+        refuse("a price a row, fails");
 }
 
 static void read_head(struct json *head) {
     rational total = zero;
     if (!says(get(head, "sha256"), digest))
         refuse("the SHA-256 is not that of the question and the model");
-    if (read_numbers(&prices, list(get(head, "prices"))) != n_rows - 1)
-        refuse("a price a row, fails");
+    if (!tail_mean) read_case(head, zero);
+    for (struct json *each = tail_mean ? list(get(head, "cases")) : NULL; each; each = each->next)
+        read_case(after(list(each)), number(list(each)));
+    if (!n_cases) refuse("one case at least, fails");
+    if (tail_mean) threshold = number(get(head, "threshold"));
     n_members = read_numbers(&weights, list(get(head, "weights")));
     for (size_t m = 0; m < n_members; m++) total = plus(total, weights[m]);
     if (!mpq_equal(total, one)) refuse("weights are >= 0 and sum to 1, fails");
@@ -871,8 +879,13 @@ static void read_head(struct json *head) {
         mpz_set(units, mpq_numref(told));
     }
     if (totals) {
-        read_total(cap, not_negative(get(head, "cap")));
-        build_stairs();
+        mpz_set(cap, in_units(not_negative(get(head, "cap"))));
+        if (quantile) in_units(claim[0]);
+    }
+    cases[n_cases] = (struct range){.end = zero};
+    for (size_t c = 0; c <= n_cases; c++) {
+        cases[c].after = c ? times(cases[c - 1].end, of(unit)) : minus(zero, one);
+        mpz_init(cases[c].first);
     }
 }
 
@@ -914,8 +927,9 @@ static void read_member(struct node *node, long m, struct json *entry, bool at_c
 static struct node *read_node(struct json *line, bool at_cap) {
     struct node *node = new_node();
     struct json *entry = list(get(line, "members"));
-    read_number(node, value, get(line, "v"));
-    if (totals && at_cap) read_number(node, value->slope, get(line, "slope"));
+    struct json *v = tail_mean ? list(get(line, "v")) : get(line, "v");
+    for (size_t c = 0; c < n_cases; c++, v = after(v)) read_number(node, &columns[c], v);
+    if (totals && at_cap) read_number(node, columns->slope, get(line, "slope"));
     if (sharing && at_cap) read_number(node, least_failure, get(line, "w"));
     for (long m = 0; m < (long)n_members; m++, entry = entry->next) {
         if (!entry) refuse("as many members as weights, fails");
@@ -960,7 +974,7 @@ static void read_proof(void) {
 
 /* Node of a state at a total; at the cap it stands for all totals from there on, and for those at
  * which the state has ended. */
-static struct node *node_of(long x, const mpz_t total) {
+static struct node *node_of(long x, mpz_srcptr total) {
     size_t low = first_node[x], high = first_node[x + 1];
     if (!live[x] || mpz_cmp(total, cap) >= 0) return &nodes[high - 1];
     while (low < high) {  /* the last one up to the total is before low */
@@ -973,21 +987,69 @@ static struct node *node_of(long x, const mpz_t total) {
     return &nodes[low - 1];
 }
 
+/* A stair of a charge, from one total on. */
+static void add_stair(struct charge *charge, rational after, rational value, rational slope) {
+    charge->stairs = grown(charge->stairs, charge->size, sizeof *charge->stairs);
+    struct stair *stair = &charge->stairs[charge->size++];
+    *stair = (struct stair){.after = after, .value = value, .slope = slope};
+    mpz_init(stair->start);
+    floor_of(stair->start, after, unit);
+    if (charge->size == 1) return;
+    if (mpz_cmp(stair->start, stair[-1].start) < 0) refuse("a claim is a total, fails");
+    if (mpz_cmp(stair->start, cap) >= 0) refuse("the charge is a line from the cap on, fails");
+}
+
+/* The charge of v, or of the lottery, with which their bounds are proved. */
+static void build_charge(struct charge *charge, bool is_above, rational first, rational last) {
+    rational step = over(one, of(unit)), before = minus(zero, step);
+    if (quantile) {  /* late is for v from the claim on, for the lottery what is beyond it */
+        add_stair(charge, before, zero, zero);
+        add_stair(charge, is_above ? claim[0] : minus(claim[0], step), one, zero);
+    } else if (tail_mean) {  /* at most z + max(total - z, 0) / (1 - level) for z between them */
+        add_stair(charge, before, first, zero);
+        add_stair(charge, first, first, one);
+        add_stair(charge, last, last, over(one, minus(one, level)));
+    } else {
+        for (size_t i = 0; i < n_steps; i++)
+            add_stair(charge, steps[i].after, steps[i].value[is_above], steps[i].slope);
+    }
+    if (mpq_sgn(charge->stairs[charge->size - 1].slope) < 0)
+        refuse("the charge does not fall in the end, fails");
+}
+
+static void build_charges(void) {
+    for (size_t c = 0; c < n_cases; c++) {
+        rational first = over(of(cases[c].first), of(unit)), end = cases[c].end;
+        if (tail_mean && !cases[c + 1].is_met) refuse("an end is no total, fails");
+        build_charge(&cases[c].charge, false, less(end, first) ? end : first, end);
+    }
+    build_charge(&charge_above, true, threshold, threshold);
+    add_stair(&rise, zero, charge_above.stairs[charge_above.size - 1].slope, zero);
+    n_lasting = n_made;
+}
+
+/* A total at the goal is told to the thresholds before it. */
+static void meet(mpz_srcptr total) {
+    for (struct range *range = cases; range <= cases + n_cases; range++)
+        if (mpq_cmp_z(range->after, total) < 0
+            && (!range->is_met || mpz_cmp(total, range->first) < 0)) {
+            mpz_set(range->first, total);
+            range->is_met = true;
+        }
+}
+
 /* What a column counts of the charge on coming to the goal with a total, in units. */
-static void charge(mpz_t count, const struct column *y, const mpz_t total) {
-    int side = y->member != NONE;
-    size_t low = 0, high = n_stairs;
+static void charged(mpz_t count, const struct column *y, mpz_srcptr total) {
+    size_t low = 0, high = y->charge->size;
     while (high - low > 1) {  /* the last stair that starts before the total, or the first */
         size_t middle = (low + high) / 2;
-        if (mpz_cmp(stairs[middle].start, total) < (quantile && !side)) low = middle;
+        if (mpz_cmp(y->charge->stairs[middle].start, total) < 0) low = middle;
         else high = middle;
     }
-    struct stair *stair = &stairs[low];
-    rational worth = stairs[n_stairs - 1].slope;
-    if (y->charged == TOTAL)
-        worth = plus(stair->value[side],
-                     times(stair->slope, minus(over(of(total), of(unit)), stair->after)));
-    floor_of(count, side ? minus(zero, worth) : worth, units);
+    const struct stair *stair = &y->charge->stairs[low];
+    rational further = minus(over(of(total), of(unit)), stair->after);
+    rational worth = plus(stair->value, times(stair->slope, further));
+    floor_of(count, y->member == NONE ? worth : minus(zero, worth), units);
 }
 
 /* Weighted sum of costs. */
@@ -1026,6 +1088,14 @@ static void arrive(void) {
 static void add_arrivals(struct json *actions) {
     if (!live[state]) find_least(actions);
     arrive();
+    for (; tail_mean && live[state] && actions; actions = actions->next) {
+        read_pair(actions);
+        for (struct move *move = moves; move < moves + n_moves; move++)
+            for (size_t i = first_node[state]; i < first_node[state + 1]; i++) {
+                mpz_add(move->total, nodes[i].total, move->further);
+                if (goal[move->state] && mpz_sgn(move->part)) meet(move->total);
+            }
+    }
     for (size_t i = first_node[state]; i < first_node[state + 1]; i++)
         for (size_t c = 0; c < n_columns; c++)
             mpz_add(nodes[i].after[c], nodes[i].after[c], columns[c].arrival);
@@ -1052,8 +1122,8 @@ static void check(const struct column *y, const struct node *node, bool stopping
                    action);
         mpz_add(all, all, move->part);
         mpz_addmul(goes, move->part, move->node->after[c]);
-        if (y->charged && goal[move->state]) {
-            charge(z, y, move->total);
+        if (y->charge && goal[move->state]) {
+            charged(z, y, move->total);
             mpz_addmul(won, move->part, z);
         } else if (y->slope && !ends_there && mpz_cmp(move->total, cap) > 0) {
             mpz_sub(z, move->total, cap);
@@ -1126,8 +1196,9 @@ static void check_state(struct json *actions) {
 /* What a column proves at the start. */
 static rational proved(const struct column *y) {
     rational bound = zero;
-    mpz_t nothing, begun;
-    mpz_inits(nothing, begun, NULL);
+    mpz_srcptr nothing = mpq_numref(zero);
+    mpz_t begun;
+    mpz_init(begun);
     for (size_t i = 0; i < n_start; i++) {
         long x = start_state[i];
         if (!mpq_sgn(start_part[i])) continue;
@@ -1135,11 +1206,11 @@ static rational proved(const struct column *y) {
         if (y->member != NONE && live[x] && node->decision[y->member] == NONE)
             refuse("%s of member %ld decides at the start, fails", y->name, y->member);
         mpz_set_ui(begun, 0);
-        if (y->charged && goal[x]) charge(begun, y, nothing);
+        if (y->charge && goal[x]) charged(begun, y, nothing);
         mpz_add(begun, begun, node->after[y - columns]);
         bound = plus(bound, times(start_part[i], of(begun)));
     }
-    mpz_clears(nothing, begun, NULL);
+    mpz_clear(begun);
     return plus(over(bound, of(units)), y->weights[CONSTANT]);
 }
 
@@ -1159,8 +1230,8 @@ static void print_bound(const char *name, rational bound, bool up) {
 
 /* A bound of a ratio N / (1 - F) from one of N + price * (F - most): it is a ratio of two lines,
  * and least at the failure 0 or at the most. */
-static rational given_success(rational bound, rational most) {
-    rational at_none = plus(bound, times(prices[0], most));
+static rational given_success(rational bound, rational price, rational most) {
+    rational at_none = plus(bound, times(price, most));
     bool some = less(most, one);
     if (!some && mpq_sgn(bound) < 0)
         refuse("0 <= cost + price * (failure - 1) of all policies, fails");
@@ -1185,14 +1256,20 @@ static void conclude(void) {
         bound[1] = budget(proved(least_failure));
         most = budget(failed);
     }
-    lower = proved(value);
     upper = taken[0];
+    lower = tail_mean ? over(of(cases[n_cases].first), of(unit)) : NULL;
+    for (size_t c = 0; c < n_cases; c++) {
+        rational each = proved(&columns[c]), *prices = cases[c].prices;
+        for (size_t j = 1; j < n_rows; j++)
+            each = minus(each, times(prices[j - 1], j == 1 && limited ? most : bound[j]));
+        if (ratio) each = given_success(each, prices[0], most);
+        if (!lower || less(each, lower)) lower = each;
+    }
     mpq_ptr small = made();
     mpq_set_ui(small, 1, 1000000000);
     bool exceeds = false;
     for (size_t j = 1; j < n_rows; j++) {
         rational excess = minus(taken[j], bound[j]), allowed = times(small, bound[j]);
-        lower = minus(lower, times(prices[j - 1], j == 1 && limited ? most : bound[j]));
         if (less(mpq_sgn(allowed) < 0 ? minus(zero, allowed) : allowed, excess))
             refuse("lottery <= bound of row %s fails by %.17g", quantities[j].name,
                    mpq_get_d(excess));
@@ -1200,14 +1277,12 @@ static void conclude(void) {
     }
     if (ratio) {
         if (!less(taken[1], one)) refuse("the lottery reaches the goal, fails");
-        lower = given_success(lower, most);
         rational given = over(upper, minus(one, taken[1]));
         if (less(upper, given)) upper = given;
     }
     if (quantile) {
         rational late = minus(one, level);
-        if (!ratio || less(late, upper))
-            refuse("the lottery exceeds the quantile as rarely, fails");
+        if (less(late, upper)) refuse("the lottery exceeds the quantile as rarely, fails");
         if (exceeds) refuse("a quantile jumps where the lottery exceeds a row");
         if (!less(late, lower)) refuse("no lottery stays below the quantile as often, fails");
         lower = upper = claim[0];
@@ -1236,14 +1311,17 @@ int main(int count, char **arguments) {
     mpz_inits(units, unit, cap, sum, NULL);
     mpz_ui_pow_ui(units, 10, DIGITS);
     mpz_set_ui(unit, 1);
-    zero = share = made();
+    zero = share = threshold = made();
     one = of(unit);
     n_lasting = n_made;
     read_model(keep_graph);
     follow_graph();
     read_proof();
+    meet(mpq_numref(zero));
+    meet(cap);
     read_model(add_arrivals);
     add_arrivals(NULL);  /* of what a discount takes */
+    if (totals) build_charges();
     read_model(check_state);
     n_lines = 0;
     conclude();
