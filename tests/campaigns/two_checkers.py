@@ -54,7 +54,7 @@ def build(folder: Path, flags: Sequence[str] = ()) -> Path:
     (folder / "headers.c").write_text(HEADERS)
     command = [COMPILER, *STRICT, *flags, "-o", str(folder / "check")]
     if subprocess.run([*command, folder / "headers.c", *LIBRARIES], capture_output=True).returncode:  # noqa: S603
-        raise FileNotFoundError("headers in C are missing: libgmp-dev, zlib1g-dev, libssl-dev")
+        raise FileNotFoundError("C lacks libraries or headers: libgmp-dev, zlib1g-dev, libssl-dev")
     source = Path(checker.__file__).with_suffix(".c")
     subprocess.run([*command, source, *LIBRARIES], check=True)  # noqa: S603
     return folder / "check"
