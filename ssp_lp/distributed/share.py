@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, weighted
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_sums, weighted
 from ssp_lp.column_generation.explicit_pricing import pricing_rounding
 from ssp_lp.distributed.graph_sweeps import approaching, on_any, reaching
 from ssp_lp.dynamic_programming.bellman import Backup, Moves, best_pairs, chosen_rows
@@ -228,25 +228,24 @@ class Share:
         n, n_states = len(self._states), self.dynamics.n_states
         chain, exits = chosen_rows(self.dynamics.transitions, choice), self.dynamics.exits[choice]
         self._moves = Moves(self._states, chain, exits)
-        entry = chain.tocoo()
-        away = entry.col != self._states[entry.row]
-        row, column, data = entry.row[away], entry.col[away], entry.data[away]
-        self._departs = exits + np.bincount(row, weights=data, minlength=n)
+        lengths = np.diff(chain.indptr)
+        data = np.where(chain.indices == np.repeat(self._states, lengths), 0.0, chain.data)
+        self._departs = exits + segment_sums(data, chain.indptr)
         if self._any(self._departs <= 0.0):
             raise SolverError(HOLDS_MASS)
-        own = np.arange(n)
-        # PETSc keeps the last of duplicates: scipy adds them up
-        rows = sp.csr_array(
-            (
-                np.concatenate([np.ones(n), -data / self._departs[row]]),
-                (np.concatenate([own, row]), np.concatenate([self._states, column])),
-            ),
-            shape=(n, n_states),
-        )
+        data /= -np.repeat(self._departs, lengths)
+        # the diagonal comes first in each row; PETSc keeps the last of duplicates: scipy adds up
+        indptr = (chain.indptr + np.arange(n + 1)).astype(np.int32)
+        others = np.ones(len(data) + n, dtype=np.bool_)
+        others[indptr[:-1]] = False
+        columns, numbers = np.empty(len(others), dtype=np.int32), np.ones(len(others))
+        columns[indptr[:-1]], columns[others], numbers[others] = self._states, chain.indices, data
+        del others, data
+        rows = sp.csr_array((numbers, columns, indptr), shape=(n, n_states))
         rows.sum_duplicates()
-        parts = rows.indptr.astype(np.int32), rows.indices.astype(np.int32), rows.data
-        layout = (n, n_states), (n, n_states)
+        parts, layout = (rows.indptr, rows.indices, rows.data), ((n, n_states), (n, n_states))
         self._matrix = self._petsc.Mat().createAIJ(size=layout, csr=parts, comm=self._comm)
+        del rows, parts, columns, numbers
         self._x, self._right = self._matrix.createVecs()
         self._left, self._step = self._right.duplicate(), self._x.duplicate()
         self._kept = [self._matrix, self._x, self._right, self._left, self._step]

@@ -133,38 +133,42 @@ def slab_of(
         ModelError: naming the state and the action at fault.
     """
     first, end = (n_states * (comm.rank + k) // comm.size for k in (0, 1))
-    pieces = [rows(k, min(k + _PIECE, end)) for k in range(first, end, _PIECE)]
-    pieces = pieces or [rows(first, first)]
-    for k, piece in zip(range(first, max(end, first + 1), _PIECE), pieces, strict=True):
-        if np.size(piece.actions) != min(k + _PIECE, end) - k:
-            raise ModelError(
-                f"rows({k}, {min(k + _PIECE, end)}) has {np.size(piece.actions)} states"
-            )
+    parts: dict[str, list[npt.NDArray[Any]]] = {}
+    for k in range(first, max(end, first + 1), _PIECE):
+        last = min(k + _PIECE, end)
+        piece = rows(k, last)
+        if np.size(piece.actions) != last - k:
+            raise ModelError(f"rows({k}, {last}) has {np.size(piece.actions)} states")
+        named = {f"costs {name}": costs for name, costs in piece.named_costs.items()}
+        for name, array in {**piece._asdict(), **named}.items():
+            if name != "named_costs":
+                parts.setdefault(name, []).append(np.asarray(array))
+        del piece, named
+
+    def joined(name: str) -> npt.NDArray[Any]:
+        """An array of all pieces, which are let go; one number for all stays one."""
+        own = parts.pop(name)
+        if len(own) == 1 or all(part.ndim == 0 and part == own[0] for part in own):
+            return own[0]
+        return np.concatenate(own)
+
     counts = np.zeros(n_states, dtype=np.int64)
-    counts[first:end] = _joined(pieces, "actions")
-    named = {name: _joined([p.named_costs for p in pieces], name) for name in pieces[0].named_costs}
+    counts[first:end] = joined("actions")
+    chances, successors = joined("probabilities"), joined("successors").astype(np.int32, copy=False)
     made = SSP.from_arrays(
         pair_offsets=offsets_of(counts),
-        outcome_offsets=offsets_of(_joined(pieces, "outcomes")),
-        successors=_joined(pieces, "successors"),
-        probabilities=_joined(pieces, "probabilities"),
-        costs=_joined(pieces, "costs"),
-        named_costs=named,
+        outcome_offsets=offsets_of(joined("outcomes")),
+        successors=successors,
+        probabilities=chances,
+        costs=joined("costs"),
+        named_costs={name.removeprefix("costs "): joined(name) for name in [*parts]},
         goal_states=goal_states,
         states=states,
         state_labels=state_labels,
         treat_actionless_as_dead_ends=True,
     )
-    del pieces
+    del chances, successors
     return with_facts(comm, made, first, end)
-
-
-def _joined(pieces: Sequence[Any], name: str) -> npt.NDArray[Any]:
-    """An array of all pieces of a slab, one after the other; one number for all stays one."""
-    parts = [np.asarray(p[name] if isinstance(p, Mapping) else getattr(p, name)) for p in pieces]
-    if all(part.ndim == 0 and part == parts[0] for part in parts):
-        return parts[0]
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def with_facts(comm: Any, part: SSP, first: int, end: int) -> Slab:
