@@ -590,10 +590,11 @@ class Checked:
         """The verdict in a few lines."""
         asked = self.asked if self.asked.isprintable() else ascii(self.asked)
         lines = [f"accepted: {asked}", f"  SHA-256   {self.digest}"]
-        for name, bound in (("at least", self.lower), ("at most", self.upper)):
-            exact, digits = str(bound), f"{abs(round(bound * 10**25)):026d}"
+        for name, bound, side in (("at least", self.lower, 1), ("at most", self.upper, -1)):
+            near = side * floor(side * bound * 10**25)  # rounded so that it holds
+            exact, digits = str(bound), f"{abs(near):026d}"
             exact = exact if len(exact) < 60 else f"{exact[:24]}...{exact[-24:]}"
-            sign = "-" if bound < 0 else ""
+            sign = "-" if near < 0 else ""
             lines.append(f"  {name:<9} {sign}{digits[:-25]}.{digits[-25:]} = {exact}")
         lines.append(f"  width     {float(self.upper - self.lower):.1e}")
         for name, excess in self.exceeded.items():
