@@ -13,7 +13,7 @@ import gzip
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cache, cached_property, lru_cache
 from hashlib import sha256
@@ -42,14 +42,16 @@ from ssp_lp.errors import Argument, ModelError, SolverError
 from ssp_lp.formulation import Formulation
 from ssp_lp.methods.deterministic import is_unmixed
 from ssp_lp.model import SSP
+from ssp_lp.model.graph import Graph
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
-from ssp_lp.problem import Problem, conditions_of, objective_of, requirements
+from ssp_lp.problem import Problem, as_stated, conditions_of, objective_of, requirements
 from ssp_lp.processes.conditions import Condition, StepTerm
-from ssp_lp.processes.failure_semantics import Aim, FailureSemantics
+from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, GiveUp
 from ssp_lp.solution import Solution, as_solved
 from ssp_lp.solve import solve
 from ssp_lp.verification import checker
+from ssp_lp.verification.after_failing import graph_of, relabelled
 from ssp_lp.verification.checker import Checked, dot
 from ssp_lp.verification.decision_cases import cases_of_decisions
 from ssp_lp.verification.exact_values import (
@@ -113,7 +115,10 @@ def write_certificate(solution: Solution, path: str | Path, *, tolerance: float 
     asked, solved = repr(solution.problem), as_solved(solution, "write_certificate")
     # at least failure no lottery does better than its members
     is_single = is_unmixed(solution) and solved.problem.failure_budget is not None
-    statement = Statement(solved.problem, f"{asked}, not mixed" if is_single else asked, is_single)
+    statement = Statement(
+        _before_labelling(solved.problem), f"{asked}, not mixed" if is_single else asked,
+        is_single, solved.problem.model.failure_label is not None,
+    )  # fmt: skip
     lines = list(statement.lines())
     try:
         model = _Draft(json.loads(lines[0]), lines[1:])
@@ -172,6 +177,15 @@ def _best_proof(
     return min(best, key=lambda one: (one[0].upper - one[0].lower, len(one[0].exceeded)))
 
 
+def _before_labelling(problem: Problem) -> Problem:
+    """The problem of a certificate file on the model without the label of failing."""
+    if (label := problem.model.failure_label) is None:
+        return problem
+    start = {state: p for (state, _), p in cast("Mapping[Any, float]", problem.start).items()}
+    on_it: dict[str, Any] = {"model": label.original, "start": start, **as_stated(problem)}
+    return cast("Problem", replace(cast("Any", problem), **on_it))
+
+
 def _claim(solution: Solution, tolerance: float) -> list[str]:
     """What a certificate file claims of the optimum: at least, and at most."""
     room = tolerance * max(1.0, abs(solution.objective))
@@ -206,9 +220,6 @@ def _check_covered(problem: Problem) -> None:
     if asks.counts_totals and not isinstance(charge, (TotalCostCharge, WithinBound, *_TABLES)):
         raise ModelError(f"no certificate of {name}: its charge of the total cost, a "
                          f"{type(charge).__name__}, is none that certificates know")  # fmt: skip
-    if problem.model.failure_label is not None:
-        raise ModelError(f"no certificate of this {name}: it counts what happens after failing, "
-                         "and certificates end where the goal is lost")  # fmt: skip
 
 
 @dataclass
@@ -218,6 +229,7 @@ class Statement:
     problem: Problem
     asked: str
     is_single: bool = False  # whether policies must not be mixed
+    goes_on: bool = False  # whether something counts after failing
     costs: list[tuple[FloatArray, Mapping[float, Fraction]]] = field(default_factory=list)
     sets: dict[str, BoolArray] = field(default_factory=dict)
     totals: Sequence[Fraction] = ()  # that a charge is told of one by one
@@ -281,7 +293,7 @@ class Statement:
             "costs": len(self.costs),
             "sets": list(self.sets),
             "start": begins,
-            "give_up": str(semantics.give_up),
+            "give_up": str(GiveUp.ATTENTION if charge and self.goes_on else semantics.give_up),
             "charge_failing_step": bool(semantics.charge_failing_step),
             "greatest": objective is None
             and (semantics.aim is Aim.GREATEST_GOAL or semantics.maximises),
@@ -291,6 +303,7 @@ class Statement:
             "rows": rows,
             **({"ratio": True} if problem.ratio else {}),
             **({"deterministic": True} if self.is_single else {}),
+            **({"after_failing": True} if self.goes_on else {}),
             **({} if charge is None else self._totals(charge)),
         }
 
@@ -322,13 +335,15 @@ class Statement:
         constant = Fraction(_decimal_of(condition.constant if stated is None else stated.constant))
         for weight, term in condition.terms:
             text, less = _decimal_of(weight), _decimal_of(-weight)
+            further = " through" if term.through and self.goes_on else ""
             if isinstance(term, StepTerm):
-                terms.append([text, "cost", self._cost(term.model)])
+                terms.append([text, f"cost{further}", self._cost(term.model)])
             elif term.others:
                 constant += Fraction(text)
                 terms.append([less, "end", self._set(term.states)])
             else:
-                terms.append([text, "end" if term.final else "visits", self._set(term.states)])
+                kind = "end" if term.final else f"visits{further}"
+                terms.append([text, kind, self._set(term.states)])
         return {"constant": str(constant), "terms": terms}
 
     def _cost(self, model: SSP) -> int:
@@ -434,11 +449,11 @@ def _proofs(model: _Draft, solution: Solution, head: dict[str, Any]) -> Iterator
     for _ in range(_CAPS):
         nodes = _nodes_below(model, cap)
         model.spread({**head, "cap": str(cap)}, nodes)
-        width, more = _proof_at(model, solution, dual, {**head})
+        width, more, is_cut = _proof_at(model, solution, dual, {**head})
         failed += width >= 0.9 * last
         if width < last:
             lines, last, told = more, width, ({**head, "cap": str(cap)}, nodes)
-        if last <= _WIDTH or failed > 1 or len(nodes) > _MOST_NODES // 2:
+        if last <= _WIDTH or failed > 1 or is_cut or len(nodes) > _MOST_NODES // 2:
             break
         cap = cap * 2
     yield lines
@@ -500,9 +515,10 @@ def _numbers_in(content: Any) -> Iterator[Fraction]:
 
 def _proof_at(
     model: _Draft, solution: Solution, dual: Solution, head: dict[str, Any]
-) -> tuple[float, list[bytes]]:
-    """Relative width of what a certificate file proves from some nodes, and its lines of proof."""
-    ssp, weights, n = solution.problem.model, solution.policy.weights, len(model.names)
+) -> tuple[float, list[bytes], bool]:
+    """Relative width of what some nodes prove, a certificate's lines, and whether cases lack."""
+    weights, n = solution.policy.weights, len(model.names)
+    ssp: Graph = solution.problem.model if not model.shift else graph_of(model)
     drawn = zip(solution.policy.policies, weights.tolist(), strict=True)
     members = [_decisions(model, policy) for policy, weight in drawn if weight > 0.0]
     w = [0] * n
@@ -526,22 +542,26 @@ def _proof_at(
     if model.ratio:
         upper /= max(1 - dot(chosen, [total[1] for total in totals]), Fraction(1, model.one))
     weighed = [] if "quantile" in model.question else totals[: int((weights > 0.0).sum())]
+    is_cut = False
     if "tail_mean" in model.question:
         head["cases"], values, bound = _cases_of_thresholds(
-            model, dual, members, weighed, Fraction(head["threshold"]), slope, upper
+            model, ssp, dual, members, weighed, Fraction(head["threshold"]), slope, upper
         )
     elif model.is_single:
         past = slope if any(slope) else []
         found = cases_of_decisions(model, ssp, members, past, upper)
-        head["cases"], values, bound = found.stated, found.values, found.bound
+        head["cases"], values, bound, is_cut = found
     else:
-        case, v, bound = _priced_values(model, model.low, dual, members, weighed, slope)
+        enough = upper - _LESS * max(abs(upper), Fraction(1))
+        end = (math.inf if "quantile" in model.question else enough,)
+        case, v, bound = _priced_values(model, ssp, model.low, dual, members, weighed, slope, *end)
         head["prices"], values = [str(price) for price in case.prices], [v]
     head["weights"] = [str(weight) for weight in chosen]
     if model.counts:
         head |= {"cap": str(Fraction(model.cap, model.unit)), "nodes": len(model.nodes) - n}
     lines = [_line(head)]
-    for i in [*range(n - 1), *range(n, len(model.nodes))]:
+    own = [x for x in range(n) if (x + 1) % (model.shift or n)]  # but not what a discount takes
+    for i in [*own, *range(n, len(model.nodes))]:
         line: dict[str, Any] = {}
         if i >= n:
             x, total = model.nodes[i]
@@ -556,7 +576,7 @@ def _proof_at(
                 line if model.share is None or i >= n else {**line, "w": text_of(w[i], model.one)}
             )
         )
-    return abs(float(upper - bound)) / max(1.0, abs(float(upper))), lines
+    return abs(float(upper - bound)) / max(1.0, abs(float(upper))), lines, is_cut
 
 
 @dataclass(frozen=True, eq=False)
@@ -595,6 +615,7 @@ def _late_from(solution: Solution) -> Solution:
 
 def _cases_of_thresholds(
     model: _Draft,
+    ssp: Graph,
     solution: Solution,
     members: Sequence[Mapping[int, int]],
     weighed: Sequence[Sequence[Fraction]],
@@ -606,6 +627,7 @@ def _cases_of_thresholds(
 
     Args:
         model: the question and the model, its nodes spread.
+        ssp: the same model, for its graph.
         solution: of the problem.
         members: of its lottery, decisions by node.
         weighed: what each of them takes, the objective that of a threshold.
@@ -630,7 +652,7 @@ def _cases_of_thresholds(
             model.charged[a, b] = _charging(solution, charge)
         dual = model.charged[a, b]
         own = weighed if totals[first] == totals[last - 1] == threshold else []
-        case, v, bound = _priced_values(model, low, dual, members, own, slope)
+        case, v, bound = _priced_values(model, ssp, low, dual, members, own, slope)
         if bound < enough and last - first > 1:
             middle = (first + last) // 2
             ahead += [(middle, last), (first, middle)]
@@ -668,10 +690,10 @@ def _nodes_below(model: checker.Model, cap: Fraction) -> list[tuple[int, Fractio
     unit = model.unit
     steps = [
         sorted({(y, t) for k in model.of[x] if model.keeps[k] for _, y, t in model.pairs[k][2]
-                if y in model.live})
+                if y in model.live - model.still})
         for x in range(len(model.names))
     ]  # fmt: skip
-    met: dict[int, set[int]] = {0: {x for _, x in model.start if x in model.live}}
+    met: dict[int, set[int]] = {0: {x for _, x in model.start if x in model.live - model.still}}
     last, ahead, count = int(cap * unit), [0], 0
     nodes = list[tuple[int, Fraction]]()
     while ahead:
@@ -697,11 +719,13 @@ def _nodes_below(model: checker.Model, cap: Fraction) -> list[tuple[int, Fractio
 
 def _priced_values(
     model: checker.Model,
+    ssp: Graph,
     low: checker.Charge | None,
     solution: Solution,
     members: Sequence[Mapping[int, int]],
     weighed: Sequence[Sequence[Fraction]],
     slope: Sequence[int],
+    enough: Fraction | float = math.inf,
 ) -> tuple[checker.Case, list[int], Fraction]:
     """Prices of the rows, values that bound all policies, in units of a file, and that bound."""
     prices, at = _first_prices(model, solution, weighed)
@@ -711,7 +735,7 @@ def _priced_values(
         case = checker.Case(list(prices), low, {})
         c = model.priced(case)
         past = slope if any(slope) else []
-        v, _ = values_below(model, solution.problem.model, c, members, past)
+        v, _ = values_below(model, ssp, c, members, past)
         bound = proved_bound(model, c, v)
         if model.ratio and bound < 0 and model.rows[0].loose == 1:
             # no policy goes below a somewhat smaller ratio; of few digits, which are exact
@@ -724,7 +748,7 @@ def _priced_values(
         if best is not None and bound <= best[0] + (_LESS * abs(best[0]) if model.counts else 0):
             break
         best = bound, case, v
-        if at is None:
+        if at is None or bound >= enough:
             break
         scale = abs(Fraction(_decimal_of(solution.objective)))
         prices[at] = max(8 * prices[at], scale, Fraction(1, 1000))
@@ -806,7 +830,14 @@ def _decisions(model: checker.Model, policy: Policy) -> dict[int, int]:
     Raises:
         ModelError: it remembers something else than totals, draws its actions, or lacks a decision.
     """
-    live = np.array(sorted(model.live), dtype=np.int64)
+    pair_at = _pairs_by_node(model, policy)
+    if (label := policy.model.failure_label) is not None:
+        pair_at = relabelled(model, label, pair_at)
+    return _reached(model, pair_at)
+
+
+def _pairs_by_node(model: checker.Model, policy: Policy) -> Callable[[int, int], int]:
+    """Pair, or a code, of a policy's model in a state of it and a total, for a certificate file."""
     if isinstance(policy, CostAwarePolicy) and model.counts:
         offsets = policy.model.pair_offsets[:-1]
 
@@ -828,12 +859,16 @@ def _decisions(model: checker.Model, policy: Policy) -> dict[int, int]:
             states = np.arange(len(offsets))
             return list(policy.tails[tail.astype(np.int64), states].tolist())
 
-        return _reached(model, lambda x, r: row(r)[x])
-    branches = policy.branches(live, np.zeros(live.size, dtype=np.int64))
-    if not policy.is_stationary or len(branches.situation) != live.size:
+        return lambda x, r: row(r)[x]
+    label = policy.model.failure_label
+    states = np.array(sorted(model.live), dtype=np.int64)
+    if label is not None:
+        states = np.flatnonzero(~label.goal_mask & ~label.ended)
+    branches = policy.branches(states, np.zeros(states.size, dtype=np.int64))
+    if not policy.is_stationary or len(branches.situation) != states.size:
         raise ModelError("no certificate of a policy that remembers or draws its actions")
-    pair_at = dict(zip(live.tolist(), branches.pair.tolist(), strict=True))
-    return _reached(model, lambda x, r: pair_at[x])
+    taken = dict(zip(states.tolist(), branches.pair.tolist(), strict=True))
+    return lambda x, r: taken.get(x, UNDECIDED)
 
 
 def _reached(model: checker.Model, pair_at: Callable[[int, int], int]) -> dict[int, int]:

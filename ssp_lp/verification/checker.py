@@ -55,6 +55,15 @@ sum p v for the decisions u that are left, and v(x) <= what giving up takes if t
 goes on for ever comes, as above, to where that is free by the actions that are left, or passes the
 cap; there v(x) <= what wandering takes. A file's lottery has one member, which exceeds no row.
 
+After failing, runs may go on, and count. To fail is to enter a dead-end, or to give up. Then a run
+goes on, in dead-ends by all actions, elsewhere by those after which the goal can still surely be
+avoided, to its true end: a dead-end that has no actions, or lies in a set whose end the question
+names; or it wanders for ever. So there is each state x, and x after failing; to give up where the
+goal can be avoided is part of an action that avoids it, and elsewhere ends the run. Costs and
+visits are counted until failing, or "through" it to the end of the run; ends are the true ones.
+What failing charges belongs to costs until failing, and to those through it where the run ends with
+it. All inequalities are those of these states. Totals are not told apart where the goal is lost.
+
 Claim: what the solution that is proved said, at least and at most. It must hold the interval.
 """
 
@@ -78,7 +87,7 @@ KINDS = {"asked": str, "charge_failing_step": bool, "greatest": bool, "rows": li
 KEYS = "asked charge_failing_step costs discount failure format give_up greatest objective rows"
 NUMBER = re.compile(r"-?[0-9]+(/[0-9]+|(\.[0-9]+)?([eE][-+]?[0-9]+)?)")
 COUNTING = {"charge", "quantile", "tail_mean"}  # keys of questions, one at most, of totals
-YES = ("ratio", "deterministic")  # keys of questions that may be left out
+YES = ("ratio", "deterministic", "after_failing")  # keys of questions that may be left out
 FAILURE = {"constant": "1", "terms": [["-1", "end", "goal"]]}
 NOTHING: dict[str, Any] = {"constant": "0", "terms": []}
 Pair = tuple[str, int, list[tuple[int, int, int]], list[Fraction]]
@@ -158,11 +167,16 @@ class Quantity:
         self.costs, self.visits, self.arrival = [ZERO] * model.n_costs, [ZERO] * n, [ZERO] * n
         for text, kind, what in terms:
             weight = sign * number(text)
+            kind, _, further = kind.partition(" ")
             need(kind in ("cost", "visits", "end"), "no quantity is called", kind)
+            need(not further or (further == "through" and model.shift > 0), "nothing is", further)
             if kind == "cost":
-                self.costs[whole(what, model.n_costs)] += weight
+                count = model.question["costs"]
+                self.costs[whole(what, count) + (count if further else 0)] += weight
                 continue
-            states = model.sets[what]
+            states = set(model.sets[what])
+            if further or kind == "end":  # after failing, too
+                states |= {x + model.shift for x in states - model.sets["goal"]}
             need(kind == "visits" or states <= model.ended, "not all states end:", what)
             if kind == "end" and weight < 0:  # P(end) = 1 - P(no such end)
                 self.constant, self.stop = self.constant + weight, self.stop - weight
@@ -171,7 +185,7 @@ class Quantity:
                 self.arrival[x] += weight  # on coming to x
                 self.visits[x] += weight if kind == "visits" else 0
         need(min([*self.costs, *self.visits]) >= 0, "costs or visits count negatively")
-        for x in model.dead:
+        for x in model.failing.keys() - model.giving_up:
             self.arrival[x] += dot(self.costs, model.failing[x])
 
     def at_stop(self, model: "Model", x: int) -> Fraction | None:
@@ -216,12 +230,9 @@ class Model:
             self.home += [x] * len(self.of[x])
         self.names.append("what a discount takes")  # state n: a dead-end without actions
         self.of.append(range(0))
-        goal, every, self.every = self.sets["goal"], set(range(n + 1)), [True] * len(self.pairs)
+        goal, every, self.shift = self.sets["goal"], set(range(n + 1)), 0
         need(not goal & set(self.home), "a goal has actions")
-        self.before: list[list[int]] = [[] for _ in self.names]  # pairs that may lead to a state
-        for k, pair in enumerate(self.pairs):
-            for _, y, _ in pair[2]:
-                self.before[y].append(k)
+        self._link()
         self.dead = every - self.reaching(self.every)
         self.ended, self.live = goal | self.dead, every - goal - self.dead
         start = [(number(p), whole(x, n)) for p, x in question["start"]]
@@ -230,6 +241,12 @@ class Model:
         self.start = [(p / total, x) for p, x in start if p > 0]
         self.attention, stays = self.staying(every - goal, self.every)
         self._charge(self.attention, stays)
+        self.ratio, self.is_single, goes_on = said = [question.get(key, False) for key in YES]
+        for key, value in zip(YES, said, strict=True):
+            need(type(value) is bool, key, "is", repr(value)[:99])
+        self.still = self.ended  # where totals are no longer told apart
+        if goes_on:
+            self._go_on(stays)
         self._ask()
         self._keep_sure()
 
@@ -244,13 +261,62 @@ class Model:
             means = [[c / self.pairs[k][1] for c in self.pairs[k][3]] for k in paid]
             self.failing[x] = list(map(min, zip(*means, strict=True))) or [ZERO] * self.n_costs
 
+    def _link(self) -> None:
+        """Pairs that may lead to each state of the checked model."""
+        self.every = [True] * len(self.pairs)
+        self.before: list[list[int]] = [[] for _ in self.names]
+        for k, pair in enumerate(self.pairs):
+            for _, y, _ in pair[2]:
+                self.before[y].append(k)
+
+    def _go_on(self, stays: Sequence[bool]) -> None:
+        """Let runs of the checked model go on after failing: from state x, then called n + x.
+
+        To give up where the goal can be avoided is part of an action that avoids it. Each cost is
+        paid until failing, as it has been so far, and as a further one to the end of the run.
+        """
+        n, base, free, where = (
+            len(self.names),
+            self.pairs,
+            [ZERO] * self.n_costs,
+            self.question["give_up"],
+        )
+        told = [self.question["objective"], *(row["quantity"] for row in self.question["rows"])]
+        named = {what for q in told for _, kind, what in q["terms"] if kind == "end"}
+        ends = {x for x in self.dead if not self.of[x] or any(x in self.sets[s] for s in named)}
+        quits = self.live & self.attention if where != "dead_ends" else set()
+        old, self.pairs, self.of, self.home = self.of, list[Pair](), list[range](), list[int]()
+        for state in range(2 * n):
+            x, begun = state % n, len(self.pairs)
+            for k in old[x] if x not in ends else ():
+                name, total, moves, paid = base[k]
+                later = [(a, y + n, 0) for a, y, _ in moves]
+                if state in self.live:
+                    self.pairs.append((name, total, moves, paid + paid))
+                if state in quits and stays[k]:
+                    owed = [total * c for c in self.failing[x]]
+                    self.pairs.append((f"give up, {name}", total, later, owed + paid))
+                if x in self.dead or (state - n in quits and stays[k]):
+                    self.pairs.append((name, total, later, free + paid))
+            self.of.append(range(begun, len(self.pairs)))
+            self.home += [state] * len(self.of[state])
+        self.names += [f"{name}, after failing" for name in self.names]
+        self._link()
+        every, goal = set(range(2 * n)), self.sets["goal"]
+        self.failing = {
+            x: c + (free if x in self.dead - ends else c) for x, c in self.failing.items()
+        }
+        self.giving_up, self.shift, self.n_costs = self.giving_up - quits, n, 2 * self.n_costs
+        self.failing = {x: c for x, c in self.failing.items() if x not in quits}
+        self.dead = every - goal - set(self.home)
+        self.ended, self.live = goal | self.dead, set(self.home)
+        self.still = goal | every - self.reaching(self.every)
+        self.attention = self.staying(every - goal, self.every)[0]
+
     def _ask(self) -> None:
         """Objective and rows of the checked question, and where wandering is free in them."""
         question, budget = self.question, self.question["failure"]
         self.sign = -1 if question["greatest"] else 1
-        self.ratio, self.is_single = said = [question.get(key, False) for key in YES]
-        for key, value in zip(YES, said, strict=True):
-            need(type(value) is bool, key, "is", repr(value)[:99])
         need(not (question["greatest"] and self.ratio), "a ratio is to be small")
         alone = self.gamma == 1 and question["objective"] == NOTHING
         is_risk = "quantile" in question or "tail_mean" in question
@@ -451,7 +517,7 @@ class Model:
 
     def at(self, x: int, r: int) -> int:
         """Node of a state of the checked model at a total."""
-        if r >= self.cap or x in self.ended:
+        if r >= self.cap or x in self.still:
             return x
         if (x, r) not in self.place:
             need(False, "no line tells of", self.names[x], "with", Fraction(r, self.unit))
@@ -622,7 +688,8 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
     question = read(lines[0])
     n = whole(question["states"], len(lines))
     digest, head = hashlib.sha256(b"\n".join(lines[: n + 1])).hexdigest(), read(lines[n + 1])
-    size = 2 * n + 2 + whole(head.get("nodes", 0), len(lines))
+    n_told = 2 * n if question.get("after_failing") else n  # states of which the proof has a line
+    size = n + 2 + n_told + whole(head.get("nodes", 0), len(lines))
     need(len(lines) == size, len(lines), "lines where there should be", size)
     need(digest == head.get("sha256"), "the SHA-256 is not that of the question and the model")
     model, proof = Model(question, lines[1 : n + 1]), [read(line) for line in lines[n + 2 :]]
@@ -637,11 +704,12 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
     need(min(weights) >= 0 and sum(weights) == 1, "weights are >= 0 and sum to 1, fails")
     need(max(weights) == 1 or not model.is_single, "no policies are mixed, fails")
     keys = {"v", "members", *["w"][: model.share is not None], *["slope"][: model.counts]}
-    is_told = all(line.keys() == keys for line in proof[:n])
-    is_told &= all(line.keys() == {"v", "members", "state", "total"} for line in proof[n:])
+    is_told = all(line.keys() == keys for line in proof[:n_told])
+    is_told &= all(line.keys() == {"v", "members", "state", "total"} for line in proof[n_told:])
     is_told &= all(len(line["members"]) == len(weights) for line in proof if is_told)
     need(is_told, "a line of proof has values, and each member, fails")
-    model.spread(head, [(whole(line["state"], n), number(line["total"])) for line in proof[n:]])
+    below = proof[n_told:]
+    model.spread(head, [(whole(line["state"], n), number(line["total"])) for line in below])
     if is_mean:
         cases = list(model.thresholds(head["cases"]))
     else:
@@ -650,22 +718,23 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
     proof = proof if in_cases else [{**line, "v": [line["v"]]} for line in proof]
     is_told = all(type(line["v"]) is list and len(line["v"]) == len(cases) for line in proof)
     need(is_told and len(cases) > 0, "a value for each case, and one case at least, fails")
-    none = {"v": ["0"] * len(cases), "members": [None] * len(weights)}
-    proof[n:n], members = [none], list[list[Fraction]]()
+    members = list[list[Fraction]]()
+    none = {"v": ["0"] * len(cases), "members": [None] * len(weights), "w": "0", "slope": "0"}
+    for place in range(n, n_told + 2, n + 1):  # what a discount takes
+        proof.insert(place, none)
     for m in range(len(weights)):
         decided = {i: line["members"][m] for i, line in enumerate(proof)
                    if line["members"][m] is not None}  # fmt: skip
         members.append(model.above(decided, f"member {m}:"))
     if model.share is not None:
-        model.set_share([model.down(number(line["w"])) for line in proof[:n]], members)
+        model.set_share(
+            [model.down(number(line["w"])) for line in proof[: len(model.names)]], members
+        )
     slope = list[int]()
     if model.counts:  # from the cap on v is a line, whose slope is at most that of the charge
-        texts = [line["slope"] if x in model.moving else "0" for x, line in enumerate(proof[:n])]
-        slope, model.slopes.charge = (
-            [model.down(number(t)) for t in texts],
-            lambda r: model.down(model.rise),
-        )
-        slope.append(0)
+        slope = [model.down(number(line["slope"])) if x in model.moving else 0
+                 for x, line in enumerate(proof[: len(model.names)])]  # fmt: skip
+        model.slopes.charge = lambda r: model.down(model.rise)
         model.below(slope, model.slopes)
     bounds = [] if model.beyond is None else [model.beyond]
     for j, case in enumerate(cases):

@@ -14,6 +14,7 @@ decision taken most often, and all others.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -24,13 +25,14 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.optimize import linprog
 
-from ssp_lp.model import SSP
+from ssp_lp.model.graph import Graph
 from ssp_lp.policies.policy import GIVE_UP_CODE
 from ssp_lp.verification.checker import Case, Model, Quantity, dot
 from ssp_lp.verification.exact_values import charged, leads, proved_bound, values_below
 
+_PROOF = logging.getLogger("ssp_lp.proof")
 _ROOM = Fraction(1, 10**11)  # relative, to which cases are to prove what the policy attains
-_MOST_CASES, _MOST_VALUES = 400, 4_000_000
+_MOST_CASES, _MOST_VALUES = 400, 100_000  # leaves, and values in all of them
 _SPLIT = 1e-9  # visits from which on a node counts as one that is come to
 _LEAST_PRICE = 1e-11  # relative to what is proved: less is rounding
 
@@ -74,12 +76,12 @@ class CasesProved(NamedTuple):
     stated: dict[str, Any]  # as a certificate file states them
     values: list[list[int]]  # of each, [nodes]
     bound: Fraction  # the least that they prove
-    finished: bool  # whether that is what the policy attains
+    is_cut: bool  # whether the search ended for their number
 
 
 def cases_of_decisions(
     model: Model,
-    ssp: SSP,
+    ssp: Graph,
     members: Sequence[Mapping[int, int]],
     slope: Sequence[int],
     upper: Fraction,
@@ -127,9 +129,10 @@ def cases_of_decisions(
             heappush(ahead, (one.bound, count, one))
             count += 1
     leaves = list(root.leaves())
-    return CasesProved(
-        root.stated(model), [one.values for one in leaves], min(least), min(least) >= enough
-    )
+    is_cut = min(least) < enough and count >= most
+    if is_cut:
+        _PROOF.warning("%d cases prove %.9g of %.9g", count, float(min(least)), float(upper))
+    return CasesProved(root.stated(model), [one.values for one in leaves], min(least), is_cut)
 
 
 def _split_node(model: Model, leaf: _Leaf) -> tuple[int, list[Set[int]]] | None:

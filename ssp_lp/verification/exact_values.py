@@ -18,8 +18,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from ssp_lp.errors import ModelError, SolverError
-from ssp_lp.model import SSP
-from ssp_lp.model.graph import end_components, nearer_pairs
+from ssp_lp.model.graph import Graph, end_components, nearer_pairs
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
 from ssp_lp.verification.checker import ONE, Model, Quantity, dot
 
@@ -166,7 +165,7 @@ def proved_bound(model: Model, c: Quantity, values: Sequence[int] | None) -> Fra
 
 def values_below(
     model: Model,
-    ssp: SSP,
+    ssp: Graph,
     c: Quantity,
     members: Sequence[Mapping[int, int]],
     slope: Sequence[int] = (),
@@ -223,7 +222,7 @@ def values_below(
 
 def _connected_values(
     model: Model,
-    ssp: SSP,
+    ssp: Graph,
     here: Sequence[int],
     own: Mapping[int, int],
     ahead: Mapping[int, Sequence[tuple[int, int]]],

@@ -44,6 +44,7 @@ from formulations import (
 from ssp_lp import SSP, InfeasibleError, ModelError, SSPError, solve
 from ssp_lp.verification.certificate_file import write_certificate
 from ssp_lp.verification.checker import Checked, check_certificate
+from tests.campaigns import failure_check, program_check
 from tests.campaigns.campaign import run, smallest
 from tests.campaigns.program_check import (
     CRITERIA,
@@ -53,7 +54,6 @@ from tests.campaigns.program_check import (
     drawn_case,
     drawn_task,
     posed,
-    smaller,
 )
 from tests.references.combined import Task
 from tests.references.stated import optimum
@@ -84,7 +84,7 @@ SINGLE: dict[str, Callable[[SSP, Task, Asked], Any]] = {
 }
 """Criteria of policies that must not be mixed."""
 
-ALONE = ", not mixed"
+ALONE, FAILED = ", not mixed", ", after failing"
 
 
 def semantics(asked: Asked) -> dict[str, Any]:
@@ -97,10 +97,11 @@ KINDS = (
     *(f"{name}, looping" for name in TOTALS),
     *("CVaR", "CostQuantile"),
     *(f"{name}{ALONE}" for name in SINGLE),
+    *(f"{name}{FAILED}" for name in failure_check.CRITERIA),
 )
 """Problems, one kind after the other by their seeds."""
 
-Case = tuple[Task, Setting]
+Case = tuple[Task, Setting] | failure_check.Drawn
 
 
 def case_of(seed: int) -> Case:
@@ -108,6 +109,8 @@ def case_of(seed: int) -> Case:
     kind = seed % len(KINDS)
     if kind < len(CRITERIA):
         return drawn_case(seed // len(KINDS) * len(CRITERIA) + kind)
+    if KINDS[kind].endswith(FAILED):
+        return failure_check.drawn(seed, KINDS[kind].removesuffix(FAILED))
     rng, name = np.random.default_rng([seed, 2800]), KINDS[kind]
     loops = bool(rng.integers(2)) if name.endswith(ALONE) else name.endswith("looping")
     task, level = drawn_task(rng, loops=loops), float(rng.choice([0.3, 0.5, 0.8, 0.95]))
@@ -116,13 +119,24 @@ def case_of(seed: int) -> Case:
     return task, Setting(name, asked, None, False)
 
 
-def method_of(case: Case) -> str | None:
-    """How a problem is solved: None, as the library would."""
-    return "deterministic" if case[1].criterion.endswith(ALONE) else None
+def name_of(case: Case) -> str:
+    """The kind of a problem."""
+    if isinstance(case, failure_check.Drawn):
+        return case.criterion + FAILED
+    return case[1].criterion
+
+
+def smaller(case: Case) -> Iterator[Case]:
+    """Smaller problems of the same kind."""
+    if isinstance(case, failure_check.Drawn):
+        return failure_check.smaller(case)
+    return program_check.smaller(case)
 
 
 def question(case: Case) -> tuple[Any, Callable[[], float | None]]:
     """A problem, and its optimum by a program of its own; not a number where there is none."""
+    if isinstance(case, failure_check.Drawn):
+        return failure_check.stated(case), lambda: failure_check.reference(case)
     task, setting = case
     if setting.criterion in CRITERIA:
         draw = posed(task, setting)
@@ -199,6 +213,8 @@ def change_question(content: dict[str, Any], rng: np.random.Generator) -> bool:
         rng.random() < 0.3
     ):
         content[level] = _place(rng, ["0.2", "0.5", "0.9", "0.99"])
+    elif "after_failing" in content and rng.random() < 0.2:
+        content["after_failing"] = not content["after_failing"]
     elif kind == 8:
         content["discount"] = _place(rng, [None, "0.9", "99/100"])
     elif kind == 0:
@@ -401,9 +417,9 @@ def check_changed(
 
 def told(case: Case, seed: int, changes: int, tally: Counter[str]) -> Iterator[str]:
     """One problem: its certificate, and changed ones; yield what is not as it should be."""
-    (problem, optimum_of_draw), name = question(case), case[1].criterion
+    (problem, optimum_of_draw), name = question(case), name_of(case)
     try:
-        solution = solve(problem, method_of(case))
+        solution = solve(problem, "deterministic" if name.endswith(ALONE) else None)
     except InfeasibleError:
         tally["infeasible"] += 1
         return
@@ -454,8 +470,8 @@ def shrunk(seed: int, asked: argparse.Namespace) -> str:
         except SSPError:
             return False  # it says what is wrong with the question
 
-    task, setting = smallest(case_of(seed), smaller, fails)
-    return f"{task}\n{setting}"
+    found = smallest(case_of(seed), smaller, fails)
+    return "\n".join(map(str, found)) if isinstance(found, tuple) else str(found)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

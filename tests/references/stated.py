@@ -57,7 +57,16 @@ def optimum(lines: Sequence[bytes], most: int = 120, *, whole: bool = False) -> 
             least[-1] = 0.0  # the last of these costs is the charge of a total, which no step pays
         return least
 
-    entering = {x: charge(actions[x]) for x in dead}
+    entering, stops = {x: charge(actions[x]) for x in dead}, dict[int, np.ndarray]()
+    for x in live:
+        staying = [a for a in actions[x] if _within(a[0], avoiding)]
+        where = {"anywhere": actions[x], "attention": staying, "dead_ends": []}[question["give_up"]]
+        if where and (question["give_up"] != "attention" or x in avoiding):
+            stops[x] = charge(where)
+    if question.get("after_failing"):
+        question, actions = going_on(question, actions, members, dead, avoiding, entering, stops)
+        dead = {x for x, some in enumerate(actions) if not some} - goal
+        live = [x for x, some in enumerate(actions) if some]
     everything = [question["objective"], *(row["quantity"] for row in question["rows"])]
     counted = [term for quantity in everything for term in quantity["terms"] if Fraction(term[0])]
     costs = {what for _, kind, what in counted if kind == "cost"}
@@ -75,12 +84,8 @@ def optimum(lines: Sequence[bytes], most: int = 120, *, whole: bool = False) -> 
     # a column: where it is taken, where it leads, its mean costs, what fails at once
     columns = [(x, [(gamma * p, y) for p, y in outs], paid, 1.0 - gamma)
                for x in live for outs, paid in actions[x]]  # fmt: skip
-    for x in live:
-        staying = [a for a in actions[x] if _within(a[0], avoiding)]
-        where = {"anywhere": actions[x], "attention": staying, "dead_ends": []}[question["give_up"]]
-        if question["give_up"] != "attention" or x in avoiding:
-            columns += [(x, [], charge(where), 1.0)] if where else []
-        columns += [(x, [], np.zeros(question["costs"]), 1.0)] if x in free else []
+    columns += [(x, [], paid, 1.0) for x, paid in stops.items()]
+    columns += [(x, [], np.zeros(question["costs"]), 1.0) for x in free]
     start = [(float(Fraction(p)), x) for p, x in question["start"]]
     total = sum(p for p, _ in start)
     start = [(p / total, x) for p, x in start]
@@ -91,7 +96,9 @@ def optimum(lines: Sequence[bytes], most: int = 120, *, whole: bool = False) -> 
         for weight, kind, what in terms:
             for p, y in outs:
                 if kind == "cost":
-                    found += float(Fraction(weight)) * p * (entering[y][what] if y in dead else 0.0)
+                    found += (
+                        float(Fraction(weight)) * p * (entering[y][what] if y in entering else 0.0)
+                    )
                 else:
                     found += float(Fraction(weight)) * p * (y in members[what])
         return found
@@ -193,6 +200,56 @@ def optimum(lines: Sequence[bytes], most: int = 120, *, whole: bool = False) -> 
     values = [best(list(kept)) for kept in product(*choices)]
     known = [value for value in values if value is not None]
     return (max if question["greatest"] else min)(known, default=None)
+
+
+def going_on(
+    question: dict, actions: list, members: dict, dead: set, avoiding: set, entering: dict,
+    stops: dict,
+) -> tuple[dict, list]:  # fmt: skip
+    """The same question and actions where runs go on after failing, from state x in state n + x.
+
+    Costs are told twice, until failing and to the end, sets with " through" after failing, too.
+    """
+    n, k, nothing = len(actions), question["costs"], np.zeros(question["costs"])
+    quantities = [question["objective"], *(row["quantity"] for row in question["rows"])]
+    named = {what for q in quantities for _, kind, what in q["terms"] if kind == "end"}
+    ends = {x for x in dead if not actions[x] or any(x in members[name] for name in named)}
+    going = [[] for _ in range(2 * n)]
+    for x, some in enumerate(actions):
+        for outs, paid in some:
+            failed = [(p, y + n) for p, y in outs]
+            stays = x in avoiding and _within(outs, avoiding) and question["give_up"] != "dead_ends"
+            if x in dead - ends:
+                for node in (x, x + n):
+                    going[node].append((failed, np.append(nothing, paid)))
+            if x not in dead:
+                going[x].append((outs, np.append(paid, paid)))
+                if stays:
+                    going[x].append((failed, np.append(stops[x], paid)))
+                    going[x + n].append((failed, np.append(nothing, paid)))
+    for x, paid in entering.items():
+        entering[x] = np.append(paid, paid if x in ends else nothing)
+    for x, paid in list(stops.items()):
+        stops[x] = np.append(paid, paid)
+        if x in avoiding:
+            del stops[x]
+    for name, states in list(members.items()):
+        members[f"{name} through"] = states | {x + n for x in states - members["goal"]}
+
+    def told(quantity: dict) -> dict:
+        """A quantity of sets and costs that are told to the end."""
+        terms = []
+        for weight, kind, what in quantity["terms"]:
+            further = kind == "end" or kind.endswith(" through")
+            if kind.startswith("cost"):
+                terms.append([weight, "cost", what + k * further])
+            else:
+                terms.append([weight, kind.split()[0], f"{what} through" if further else what])
+        return {**quantity, "terms": terms}
+
+    rows = [{**row, "quantity": told(row["quantity"])} for row in question["rows"]]
+    asked = {"costs": 2 * k, "objective": told(question["objective"]), "rows": rows}
+    return {**question, **asked}, going
 
 
 def _action(stated: list) -> tuple[list[tuple[float, int]], np.ndarray]:

@@ -307,3 +307,49 @@ def test_who_does_not_stop_may_wander(give_up, actions, lower, tmp_path):
             assert told.reason.startswith("v <= c + sum p v at s")
         else:
             assert (told.reason, told.lower) == ("", lower)
+
+
+SPIN = state(slide=([["1", 3]], ["0"]), spin=([["1", 2]], ["0"]))
+FAST = state(fast=([["1", 1], ["1", 2]], ["1"]), safe=([["1", 1]], ["4"]))
+
+
+def skidding(path, v, members, price="0", lines=8, **asked):
+    """Half of the runs of "fast" skid, which fails; to slide then is to crash, to spin is not."""
+    row = {"constant": "0", "terms": [["1", "end", "wreck"]]}
+    asked = {
+        "rows": [{"name": "few", "quantity": row, "at_most": "0.25"}], "sets": ["wreck"],
+        "after_failing": True, "objective": COST, **asked,
+    }  # fmt: skip
+    proof = [{"v": v.get(i, "0"), "members": [members.get(i)]} for i in range(lines)]
+    states = [FAST, GOAL, SPIN, {**DEAD, "sets": ["wreck"]}]
+    return verdict(path, states, {"prices": [price]}, proof, **asked)
+
+
+SPINS = {0: [0, "1.5", "1", "0"], 2: ["stop", "1", "0", "0"]}
+SLIDES = {0: [0, "1.5", "1", "0.5"], 2: [0, "1", "0", "1"]}
+
+
+def test_who_has_failed_may_wander(tmp_path):
+    told = skidding(tmp_path / "x", {0: "1"}, SPINS)
+    assert (told.reason, told.lower, told.upper) == ("", 1, 1)
+
+
+@pytest.mark.parametrize(
+    ("v", "members", "rest", "reason"),
+    [
+        ({0: "1"}, SLIDES, {}, "lottery <= bound of row few fails"),
+        ({0: "3", 2: "4", 6: "4"}, SPINS, {"price": "4"}, "v <= c + sum p v at s"),
+        ({0: "3", 2: "4"}, SPINS, {"price": "4"}, "v <= c + sum p v at s"),
+        ({0: "1"}, SPINS, {"after_failing": False}, "14 lines where there should be 10"),
+        ({0: "1"}, SPINS, {"after_failing": False, "lines": 4}, ""),
+        ({0: "1"}, SPINS, {"after_failing": "true"}, "after_failing is"),
+        ({0: "1"}, SPINS, {"lines": 4}, "10 lines where there should be 14"),
+        ({0: "1"}, {0: SPINS[0]}, {}, "member 0: decides after s"),
+        ({0: "1"}, {0: ["stop", "1", "0", "0"]}, {}, "member 0: stops where it may"),
+        ({0: "1"}, {**SPINS, 6: [0, "1", "0", "0"]}, {}, "member 0: few + sum p u <= u"),
+    ],
+)
+def test_what_follows_failing_is_read_in_one_way(v, members, rest, reason, tmp_path):
+    told = skidding(tmp_path / "x", v, members, **rest)
+    assert not told.accepted
+    assert told.reason.startswith(reason), told.reason
