@@ -1115,9 +1115,9 @@ static void check(const struct column *y, const struct node *node, bool stopping
     mpz_t left, right, goes, won, grows, all, z;
     mpz_inits(left, right, goes, won, grows, all, z, NULL);
     for (struct move *move = moves; move < moves + n_moves; move++) {
-        bool ends_there = !live[move->state];
+        bool has_ended = !live[move->state];
         if (!mpz_sgn(move->part)) continue;
-        if (y->member != NONE && !ends_there && move->node->decision[y->member] == NONE)
+        if (y->member != NONE && !has_ended && move->node->decision[y->member] == NONE)
             refuse("%s of member %ld decides after %s %s, fails", y->name, y->member, state_name,
                    action);
         mpz_add(all, all, move->part);
@@ -1125,7 +1125,7 @@ static void check(const struct column *y, const struct node *node, bool stopping
         if (y->charge && goal[move->state]) {
             charged(z, y, move->total);
             mpz_addmul(won, move->part, z);
-        } else if (y->slope && !ends_there && mpz_cmp(move->total, cap) > 0) {
+        } else if (y->slope && !has_ended && mpz_cmp(move->total, cap) > 0) {
             mpz_sub(z, move->total, cap);
             mpz_mul(z, z, move->part);
             mpz_addmul(grows, z, move->node->after[y->slope - columns]);
@@ -1214,18 +1214,13 @@ static rational proved(const struct column *y) {
     return plus(over(bound, of(units)), y->weights[CONSTANT]);
 }
 
-/* A bound in 25 decimals, rounded so that it holds, and as a fraction. */
-static void print_bound(const char *name, rational bound, bool up) {
-    mpz_t scale, left;
-    mpz_inits(scale, left, NULL);
-    mpz_ui_pow_ui(scale, 10, 25);
-    floor_of(left, up ? minus(zero, bound) : bound, scale);
-    if (up) mpz_neg(left, left);
-    const char *sign = mpz_sgn(left) < 0 ? "-" : "";
-    mpz_abs(left, left);
-    mpz_fdiv_qr(left, scale, left, scale);
-    gmp_printf("  %-9s %s%Zd.%025Zd = %Qd\n", name, sign, left, scale, bound);
-    mpz_clears(scale, left, NULL);
+/* A bound in decimals, to be read, and as the fraction that it is. */
+static void print_bound(const char *name, rational bound) {
+    mpf_t decimals;
+    mpf_init2(decimals, 512);
+    mpf_set_q(decimals, bound);
+    gmp_printf("  %-9s %.25Ff = %Qd\n", name, decimals, bound);
+    mpf_clear(decimals);
 }
 
 /* A bound of a ratio N / (1 - F) from one of N + price * (F - most): it is a ratio of two lines,
@@ -1243,12 +1238,13 @@ static rational given_success(rational bound, rational price, rational most) {
 static rational budget(rational failure) { return minus(one, times(share, minus(one, failure))); }
 
 static void conclude(void) {
-    rational *taken = many_zeros(n_rows), *bound = many_zeros(n_rows), failed = one, lower, upper;
+    rational *taken = many_zeros(n_rows), *bound = many_zeros(n_rows), lower, upper;
+    rational failed = NULL;
     for (size_t m = 0; m < n_members; m++)
         for (size_t j = 0; j < n_rows; j++) {
             rational each = minus(zero, proved(&members[m * each_member + 1 + j]));
             taken[j] = plus(taken[j], times(weights[m], each));
-            if (j == 1 && less(each, failed)) failed = each;
+            if (j == 1 && (!failed || less(each, failed))) failed = each;
         }
     for (size_t j = 1; j < n_rows; j++) bound[j] = quantities[j].weights[BOUND];
     rational most = limited ? bound[1] : zero;  /* failure of all within the budget is at most */
@@ -1265,12 +1261,14 @@ static void conclude(void) {
         if (ratio) each = given_success(each, prices[0], most);
         if (!lower || less(each, lower)) lower = each;
     }
-    mpq_ptr small = made();
-    mpq_set_ui(small, 1, 1000000000);
     bool exceeds = false;
     for (size_t j = 1; j < n_rows; j++) {
-        rational excess = minus(taken[j], bound[j]), allowed = times(small, bound[j]);
-        if (less(mpq_sgn(allowed) < 0 ? minus(zero, allowed) : allowed, excess))
+        rational excess = minus(taken[j], bound[j]);
+        mpq_ptr allowed = made();
+        mpq_set_ui(allowed, 1, 1000000000);
+        mpq_mul(allowed, allowed, bound[j]);
+        mpq_abs(allowed, allowed);
+        if (less(allowed, excess))
             refuse("lottery <= bound of row %s fails by %.17g", quantities[j].name,
                    mpq_get_d(excess));
         exceeds = exceeds || mpq_sgn(excess) > 0;
@@ -1287,14 +1285,16 @@ static void conclude(void) {
         if (!less(late, lower)) refuse("no lottery stays below the quantile as often, fails");
         lower = upper = claim[0];
     }
-    rational turned_lower = minus(zero, lower);
-    lower = greatest ? minus(zero, upper) : lower;
-    upper = greatest ? turned_lower : upper;
+    if (greatest) {
+        rational most_of = minus(zero, lower);
+        lower = minus(zero, upper);
+        upper = most_of;
+    }
     if (less(lower, claim[0])) refuse("claimed is at least %Qd, fails: %Qd", claim[0], lower);
     if (less(claim[1], upper)) refuse("claimed is at most %Qd, fails: %Qd", claim[1], upper);
     printf("accepted: \"%s\"\n  SHA-256   %s\n", asked, digest);
-    print_bound("at least", lower, false);
-    print_bound("at most", upper, true);
+    print_bound("at least", lower);
+    print_bound("at most", upper);
     printf("  width     %.1e\n", mpq_get_d(minus(upper, lower)));
     for (size_t j = 1; j < n_rows; j++)
         if (less(bound[j], taken[j]))
