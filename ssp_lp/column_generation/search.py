@@ -94,12 +94,17 @@ class Generated:
         return float(self.figures[1])
 
     @property
-    def ratio(self) -> float:
-        """Cost given success of column generation's lottery; infinite where there is no success.
+    def goal(self) -> float:
+        """Goal probability of column generation's lottery.
 
         Summed over the members' own goal probabilities, which are exact where the sum is small.
         """
-        goal = float(self.weights @ [column.goal for column in self.columns])
+        return float(self.weights @ [column.goal for column in self.columns])
+
+    @property
+    def ratio(self) -> float:
+        """Cost given success of column generation's lottery; infinite where there is no success."""
+        goal = self.goal
         return float(self.figures[0]) / goal if goal > _NEVER else float("inf")
 
     def lottery(self, pricing: PricingProblem) -> MixedPolicy:

@@ -273,6 +273,7 @@ def _remarks(
 _MOST = 8  # policies of the search that are evaluated
 _STEEPER = (0.01, 0.1, 1.0, 100.0)  # shares of the prices that are added for further ones
 _RATIOS = 40  # steps of Dinkelbach's iteration
+_LUCK = 1e-12  # of the greatest goal probability: what the room for rounding of a limit may buy
 _SETTLED = 1e-14  # relative change of a ratio that is rounding
 _STEEP = 1e3  # factor of a ratio at which nothing reached the goal
 _STEEPEST = 1e15
@@ -290,10 +291,11 @@ def best_lottery(
     if not compiled.ratio:
         return generate(replace(opened), options), 0.0
     rule, best, ratio = opened, None, opened.rows.ratio
+    rounding = _LUCK * compiled.greatest_goal
     for _ in range(_RATIOS):
         rule = replace(rule, rows=replace(opened.rows, ratio=ratio))
         generated = generate(rule, options)
-        attained = generated.ratio
+        attained = generated.ratio if generated.goal > rounding else np.inf
         if best is None and not np.isfinite(attained):
             ratio *= _STEEP
             if ratio > _STEEPEST:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -140,6 +141,25 @@ def test_bounds_of_rare_goals_are_bounds(rare: float, late: float) -> None:
     assert solution.objective == pytest.approx(1.0, rel=1e-12)
     worse = DeterministicPolicy.from_actions(model, {"a": "worse"})
     assert certify(replace(solution, policy=alone(worse))).lower_bound <= 1.0
+
+
+@each_method
+@pytest.mark.parametrize(
+    "criterion", [S3P, partial(CVaR, level=0.3), partial(CostQuantile, level=0.3)]
+)
+def test_the_room_for_rounding_of_a_limit_buys_no_success(criterion, method: str) -> None:
+    """Only to lose and to go hit the wall with 0.2; to win is free, and does so with 0.1."""
+    model = model_of({
+        "a": {"lose": [(1.0, "b", 0.0)], "win": [(1.0, "g", 0.0)],
+              "go": [(0.8, "g", 3.0), (0.2, "wall", 1.0)]},
+        "b": {"on": [(0.2, "wall", 0.0), (0.8, "ditch", 0.0)]},
+    })  # fmt: skip
+    for limit in (end_probability("wall") == 0.2, end_probability("wall") >= 0.2):
+        limits = {"wall": limit}
+        problem = criterion(model, {"a": 0.5, "b": 0.5}, failure_budget=1.0, constraints=limits)
+        solution = solve(problem, method)
+        assert solution.objective == pytest.approx(3.0, rel=1e-9)
+        assert solution.goal_probability == pytest.approx(0.4, rel=1e-9)
 
 
 def test_to_stay_for_ever_must_be_free_in_everything() -> None:
