@@ -108,6 +108,10 @@ def test_the_incumbent_keeps_to_the_budget_and_lies_beside_the_optimum(problem):
         assert best.objective <= found.upper_bound * (1.0 + 1e-12)
         assert found.objective <= best.upper_bound * (1.0 + 1e-9)
     assert incumbent.improving(best).gap <= best.gap
+    if not problem.constraints:  # the cheapest of least failure is one policy
+        single = Incumbent(problem, deterministic=True)
+        assert single.find() is single
+        assert len(single.solution.policy.policies) == 1
     for limit in (None, 20.0):
         certificate = certify(replace(found, status=Status.TIME_LIMIT), time_limit=limit)
         assert certificate.accepted

@@ -1,10 +1,13 @@
 """Quantiles: one sweep answers all bounds, and the search ends at the first that is kept."""
 
+import math
+
 import numpy as np
 import pytest
 
 from examples.solver_comparison.instances.families import corridor, layered
 from formulations import EGUBS, CostBoundedReach, CostQuantile, CVaR
+from small_models import model_of
 from ssp_lp import certify, evaluate, solve, success_costs
 from ssp_lp.accumulated_cost.charges import LateCharge
 from ssp_lp.methods import risk
@@ -153,3 +156,21 @@ def test_tables_cut_for_want_of_room_are_certified():
         certificate = certify(solve(problem))
         assert certificate.accepted
         assert certificate.objective <= certificate.upper_bound
+
+
+@pytest.mark.parametrize("shares", [(0.5, 0.3), (0.2, 0.6)])
+def test_quantiles_and_tail_means_of_irrational_totals(shares):
+    """Nothing, or the root of 2 or 5; or surely that of 2. A lottery of the two is no better."""
+    chances, totals = [*shares, 0.9 - sum(shares)], [math.sqrt(k) for k in (0, 2, 5)]
+    outcomes = [(p, "G", c) for p, c in zip(chances, totals, strict=True)]
+    sure = [(0.9, "G", totals[1]), (0.1, "pit", 1.0)]
+    model = model_of({"a": {"go": [*outcomes, (0.1, "pit", 1.0)], "sure": sure}}, "G")
+    upto = np.cumsum(chances) / 0.9
+    for level in (0.01, 0.1, 0.4, 0.8, 0.97):
+        at = int(np.searchsorted(upto, level + 1e-9))
+        quantile = solve(CostQuantile(model, "a", level, 1.0))
+        assert quantile.objective == pytest.approx(min(totals[at], totals[1]), rel=1e-12)
+        late = sum(p * c for p, c in zip(chances[at + 1 :], totals[at + 1 :], strict=True)) / 0.9
+        mean = ((upto[at] - level) * totals[at] + late) / (1.0 - level)
+        tail_mean = solve(CVaR(model, "a", level, 1.0))
+        assert tail_mean.objective == pytest.approx(min(mean, totals[1]), rel=1e-9)
