@@ -27,8 +27,9 @@ from ssp_lp.column_generation.layered_pricing import LayeredPricing
 from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.methods import rounding
 from ssp_lp.methods.risk import exactly_refuted, question_of_compiled
-from ssp_lp.methods.rounding import is_split, with_split_costs
+from ssp_lp.methods.rounding import is_split, split_optimum, with_split_costs
 from ssp_lp.model.graph import dead_ends
+from ssp_lp.options import SolveOptions
 from ssp_lp.problem import requirements
 from ssp_lp.processes.live_rows import cost_means
 from ssp_lp.verification.certify import certificate_of
@@ -313,6 +314,9 @@ def test_no_more_totals_are_told_apart_than_asked(levels):
     model, start = field(4, 5, 0)
     exact = solve(S3P(model, start, 0.3, cost_levels=EXACT))
     check_enclosed(solve(S3P(model, start, 0.3, cost_levels=levels)), exact, levels)
+    unit = Fraction(1, 100)
+    outcome = split_optimum(exact.problem, unit, SolveOptions(), None, most=levels)
+    assert outcome.compiled.layers <= levels
 
 
 @pytest.mark.parametrize(
