@@ -360,8 +360,9 @@ class Checkpoint:
 
     def keep(self, weights: FloatArray, column: Column) -> None:
         """Keep a column in the checkpoint, and the weights at which it was found."""
-        self._columns.append((weights, column.figures, required(column.choice)))
-        self._write()
+        if self._path is not None:
+            self._columns.append((weights, column.figures, required(column.choice)))
+            self._write()
 
     def keep_proof(self, weights: FloatArray, bound: float) -> None:
         """Keep a lower bound of all weighted totals in the checkpoint."""
@@ -378,7 +379,7 @@ class Checkpoint:
         with beside.open("wb") as file:
             np.savez(
                 file, told=np.array(self._told), weights=weights, figures=figures, choices=choices,
-                proofs=np.array(proofs).reshape(len(proofs), -1),
+                proofs=np.array(proofs).reshape(-1, weights.shape[1] + 1),
             )  # fmt: skip
         beside.replace(self._path)
 

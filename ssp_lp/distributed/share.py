@@ -73,6 +73,7 @@ class Share:
         self._own, self._states = slice(first, end), np.arange(first, end, dtype=np.int32)
         self._labelled, self._anew = labelled, anew
         self._solvers: dict[str, Any] = {}
+        self._moves: Any = None  # the chain of the equations that are set up
         self._kept: list[Any] = []  # objects of PETSc's, which are destroyed by all ranks at once
 
     def sizes(self) -> tuple[int, int, int]:
@@ -210,7 +211,7 @@ class Share:
         """Let go of PETSc's objects, as all ranks do."""
         for one in self._kept:
             one.destroy()
-        self._kept, self._solvers = [], {}
+        self._kept, self._solvers, self._moves = [], {}, None
 
     def choose(self, choice: IntArray) -> int:
         """Set up the equations of a policy, seen on departing only: ``x - step @ x = right``.

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.arrays import BoolArray, FloatArray, entries_of, offsets_of, read_only
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, entries_of, offsets_of, read_only
 from ssp_lp.distributed.graph_sweeps import reaching, staying
 from ssp_lp.errors import ModelError
 from ssp_lp.io.archives import load_model
@@ -26,6 +26,7 @@ from ssp_lp.io.controller import controller_label
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import Graph, end_components, pairs_into
 
+_PROBES = 256  # states that are tried to see how many outcomes there are
 _PIECE = 1 << 16  # states whose rows are made at a time
 _READ = 1 << 22  # bytes of a file that are passed over at a time
 
@@ -132,7 +133,7 @@ def slab_of(
     Raises:
         ModelError: naming the state and the action at fault.
     """
-    first, end = (n_states * (comm.rank + k) // comm.size for k in (0, 1))
+    first, end = _balanced(comm, rows, n_states)
     parts: dict[str, list[npt.NDArray[Any]]] = {}
     for k in range(first, max(end, first + 1), _PIECE):
         last = min(k + _PIECE, end)
@@ -171,6 +172,24 @@ def slab_of(
     return with_facts(comm, made, first, end)
 
 
+def _balanced(comm: Any, rows: Callable[[int, int], StateRows], n_states: int) -> tuple[int, int]:
+    """The own states of a slab, so that all have about as many outcomes: some states are tried."""
+    probes = np.unique(np.linspace(0, n_states, _PROBES, endpoint=False).astype(np.int64))
+    own = probes[comm.rank :: comm.size].tolist()
+    tried = comm.allgather([(k, int(np.sum(rows(k, k + 1).outcomes))) for k in own])
+    counts = dict(one for part in tried for one in part)
+    weights = np.array([1.0 + counts[k] for k in probes.tolist()])
+    ends = np.append(probes, n_states)
+    return _share_of(comm, np.append(0.0, np.cumsum(weights * np.diff(ends))), ends)
+
+
+def _share_of(comm: Any, work: FloatArray | IntArray, states: IntArray) -> tuple[int, int]:
+    """The own states of a slab, by the work that is done up to some states, [some states] each."""
+    wanted = work[-1] * np.array([comm.rank, comm.rank + 1]) / comm.size
+    first, end = np.interp(wanted, work, states).astype(np.int64).tolist()
+    return (0 if comm.rank == 0 else first), (int(states[-1]) if wanted[1] >= work[-1] else end)
+
+
 def with_facts(comm: Any, part: SSP, first: int, end: int) -> Slab:
     """A model of a rank's own rows as a slab, with what sweeps find of the whole graph."""
     own = {one.name: getattr(part, one.name) for one in fields(SSP)}
@@ -185,7 +204,7 @@ def with_facts(comm: Any, part: SSP, first: int, end: int) -> Slab:
 
 def slab_of_model(comm: Any, model: SSP) -> Slab:
     """A rank's slab of a model that every rank has whole; arrays are parts of the model's."""
-    first, end = (model.n_states * (comm.rank + k) // comm.size for k in (0, 1))
+    first, end = _share_of(comm, model.pair_offsets, np.arange(model.n_states + 1))
     a, b = model.pair_offsets[[first, end]].tolist()
     own = slice(*model.outcome_offsets[[a, b]].tolist())
     plain = {one.name: getattr(model, one.name) for one in fields(SSP)}
@@ -225,7 +244,7 @@ def _slab_in_archive(comm: Any, archive: zipfile.ZipFile) -> Slab:
         raise ValueError("no model")
     pair_offsets = _part(archive, "pair_offsets")
     n_states = len(pair_offsets) - 1
-    first, end = (n_states * (comm.rank + k) // comm.size for k in (0, 1))
+    first, end = _share_of(comm, pair_offsets, np.arange(n_states + 1))
     a, b = pair_offsets[[first, end]].tolist()
     outcome_offsets = _part(archive, "outcome_offsets", a, b + 1)
     own = outcome_offsets[[0, -1]].tolist()

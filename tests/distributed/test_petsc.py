@@ -8,6 +8,7 @@ import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
+from subprocess import CompletedProcess
 
 import pytest
 
@@ -25,8 +26,8 @@ with_mpiexec = pytest.mark.skipif(shutil.which("mpiexec") is None, reason="there
 SCRIPTS = ["on_every_rank.py", "on_partitioned_models.py"]
 
 
-def run(script: str, *before: str) -> str:
-    """What a script prints, run after some words of a command."""
+def ended(script: str, *arguments: str, ranks: int | None = None) -> CompletedProcess[str]:
+    """A script that has ended, run by so many ranks of mpiexec; None: without it."""
     root = HERE.parent.parent
     places = [root, HERE.parent, HERE.parent / "support" / "problems"]
     settings = {
@@ -37,22 +38,28 @@ def run(script: str, *before: str) -> str:
         "OMPI_MCA_rmaps_base_oversubscribe": "1",
         "OMPI_MCA_mpi_yield_when_idle": "1",
     }
-    ended = subprocess.run(  # noqa: S603 (this very interpreter)
-        [*before, sys.executable, str(HERE / script), "2"],
+    before = [] if ranks is None else ["mpiexec", "-n", str(ranks)]
+    return subprocess.run(  # noqa: S603 (this very interpreter)
+        [*before, sys.executable, str(HERE / script), *arguments],
         env=os.environ | settings,
         capture_output=True,
         text=True,
         check=False,
         timeout=300,
     )
-    assert ended.returncode == 0, ended.stdout + ended.stderr
-    return ended.stdout
+
+
+def run(script: str, *arguments: str, ranks: int | None = None) -> str:
+    """What a script prints that ends well."""
+    found = ended(script, *arguments, ranks=ranks)
+    assert found.returncode == 0, found.stdout + found.stderr
+    return found.stdout
 
 
 @with_petsc
 @pytest.mark.parametrize("script", SCRIPTS)
 def test_one_rank_needs_no_mpiexec(script: str) -> None:
-    assert run(script) == "1 ranks: well\n"
+    assert run(script, "2") == "1 ranks: well\n"
 
 
 @with_petsc
@@ -60,7 +67,18 @@ def test_one_rank_needs_no_mpiexec(script: str) -> None:
 @pytest.mark.parametrize("script", SCRIPTS)
 @pytest.mark.parametrize("ranks", [2, 3])
 def test_every_rank_gets_what_one_process_finds(ranks: int, script: str) -> None:
-    assert run(script, "mpiexec", "-n", str(ranks)).strip() == f"{ranks} ranks: well"
+    assert run(script, "2", ranks=ranks).strip() == f"{ranks} ranks: well"
+
+
+@with_petsc
+@with_mpiexec
+def test_a_killed_rank_ends_the_run_and_another_goes_on_from_its_checkpoint(tmp_path: Path) -> None:
+    script, checkpoint = "on_a_checkpoint.py", str(tmp_path / "search.npz")
+    killed = ended(script, checkpoint, "dies", ranks=2)
+    assert killed.returncode != 0
+    assert "on signal 9" in killed.stderr + killed.stdout or "KILLED" in killed.stderr
+    assert run(script, checkpoint, "resumes", ranks=2).strip() == "2 ranks: well"
+    assert run(script, checkpoint, "resumes").strip() == "1 ranks: well"
 
 
 @pytest.mark.skipif(not MISSING, reason="PETSc is installed")
