@@ -12,17 +12,16 @@ from __future__ import annotations
 import gzip
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import cache, cached_property, lru_cache
+from functools import cached_property, lru_cache
 from hashlib import sha256
 from heapq import heappop, heappush
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from scipy.optimize import linprog
 
 from ssp_lp.accumulated_cost.charges import (
     TOTAL_COST,
@@ -44,22 +43,27 @@ from ssp_lp.methods.deterministic import is_unmixed
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import Graph
 from ssp_lp.policies.cost_aware import CostAwarePolicy
-from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
+from ssp_lp.policies.policy import UNDECIDED
 from ssp_lp.problem import Problem, as_stated, conditions_of, objective_of, requirements
 from ssp_lp.processes.conditions import Condition, StepTerm
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, GiveUp
 from ssp_lp.solution import Solution, as_solved
 from ssp_lp.solve import solve
 from ssp_lp.verification import checker
-from ssp_lp.verification.after_failing import graph_of, relabelled
 from ssp_lp.verification.checker import Checked, dot
 from ssp_lp.verification.decision_cases import cases_of_decisions
 from ssp_lp.verification.exact_values import (
-    leads,
     member_vectors,
     proved_bound,
     text_of,
     values_below,
+)
+from ssp_lp.verification.lottery import (
+    decisions,
+    exact_solution,
+    graph_of,
+    lottery_weights,
+    reached,
 )
 
 _MOVED = Fraction(1, 10**6)  # of a price, by which it may be corrected
@@ -81,7 +85,6 @@ _FARTHEST, _USED_UP = (
     1e-11,
 )  # total up to which a utility is told, or until so little is left
 _ENDLESS = 1e300  # claimed where a solution states no bound
-_SHIFT = Fraction(1, 10**9)  # of a lottery, which may be moved to another one
 
 
 def write_certificate(solution: Solution, path: str | Path, *, tolerance: float = 1e-6) -> Checked:
@@ -520,14 +523,14 @@ def _proof_at(
     weights, n = solution.policy.weights, len(model.names)
     ssp: Graph = solution.problem.model if not model.shift else graph_of(model)
     drawn = zip(solution.policy.policies, weights.tolist(), strict=True)
-    members = [_decisions(model, policy) for policy, weight in drawn if weight > 0.0]
+    members = [decisions(model, policy) for policy, weight in drawn if weight > 0.0]
     w = [0] * n
     if model.share is not None:  # a member of weight 0 shows how likely the goal can be
         failure = checker.Quantity(model, checker.FAILURE, 1, "w")
         failure.free = model.attention
         w, likely = values_below(model, ssp, failure, members, below=False)
         pairs = [likely.get(x, UNDECIDED) for x in range(n)]
-        members.append(_reached(model, lambda x, r: pairs[x]))
+        members.append(reached(model, lambda x, r: pairs[x]))
     vectors = [member_vectors(model, decided) for decided in members]
     totals = [model.above(entries, f"member {m}") for m, entries in enumerate(vectors)]
     if model.share is not None:
@@ -537,7 +540,7 @@ def _proof_at(
         model.slopes.charge = lambda r: model.down(model.rise)
         rising, _ = values_below(model, ssp, model.slopes, members, below=False)
         slope = [max(one, 0) for one in rising]
-    chosen = _weights(model, weights[weights > 0.0], totals)
+    chosen = lottery_weights(model, weights[weights > 0.0], totals)
     upper = dot(chosen, [total[0] for total in totals])
     if model.ratio:
         upper /= max(1 - dot(chosen, [total[1] for total in totals]), Fraction(1, model.one))
@@ -785,7 +788,7 @@ def _first_prices(
             beyond = [[model.rows[j].bound - t[1 + j] for j in some] for t in weighed]
             table = [[1 - t[1], *row] for t, row in zip(weighed, beyond, strict=True)]
             right = [t[0] for t in weighed]
-        exact = _exact_solution(table, right)
+        exact = exact_solution(table, right)
         if exact and model.ratio:
             ratio, *exact = exact
         if exact and all(
@@ -803,146 +806,3 @@ def _is_met(model: checker.Model, total: Sequence[Fraction]) -> bool:
     """Whether the only member of a certificate's lottery uses the budget up, but for rounding."""
     row = model.rows[0]
     return row.name == "failure" and row.bound < 1 and total[1] >= row.bound - checker.EXCESS
-
-
-def _exact_solution(
-    table: Sequence[Sequence[Fraction]], right: Sequence[Fraction]
-) -> list[Fraction]:
-    """Exact solution of a small system by elimination, for a certificate file; or empty."""
-    rows, n = [[*row, r] for row, r in zip(table, right, strict=True)], len(right)
-    if any(len(row) != n + 1 for row in rows):
-        return []
-    for i in range(n):
-        pivot = max(range(i, n), key=lambda k: abs(rows[k][i]))
-        if rows[pivot][i] == 0:
-            return []
-        rows[i], rows[pivot] = rows[pivot], rows[i]
-        rows[i] = [a / rows[i][i] for a in rows[i]]
-        for k in range(n):
-            if k != i and rows[k][i]:
-                rows[k] = [a - rows[k][i] * b for a, b in zip(rows[k], rows[i], strict=True)]
-    return [row[n] for row in rows]
-
-
-def _decisions(model: checker.Model, policy: Policy) -> dict[int, int]:
-    """A member's decisions in a certificate file by node; GIVE_UP_CODE: it stops or wanders.
-
-    Raises:
-        ModelError: it remembers something else than totals, draws its actions, or lacks a decision.
-    """
-    pair_at = _pairs_by_node(model, policy)
-    if (label := policy.model.failure_label) is not None:
-        pair_at = relabelled(model, label, pair_at)
-    return _reached(model, pair_at)
-
-
-def _pairs_by_node(model: checker.Model, policy: Policy) -> Callable[[int, int], int]:
-    """Pair, or a code, of a policy's model in a state of it and a total, for a certificate file."""
-    if isinstance(policy, CostAwarePolicy) and model.counts:
-        offsets = policy.model.pair_offsets[:-1]
-
-        @cache
-        def row(r: int) -> list[int]:
-            """Pair of each state at a total."""
-            total = float(Fraction(r, model.unit))
-            if policy.levels is None:
-                layer = round(total / policy.unit)
-                place = float(layer)
-            else:
-                layer, place = int(np.abs(policy.levels - total).argmin()), total
-            if layer < policy.cap:
-                taken = policy.decision[layer].astype(np.int64)
-                return list(np.where(taken < 0, taken, offsets + taken).tolist())
-            tail = np.where(place >= policy.tail_threshold, len(policy.tails) - 1, 0)
-            if policy.tail_table is not None:
-                tail = policy.tail_table[min(layer - policy.cap, len(policy.tail_table) - 1)]
-            states = np.arange(len(offsets))
-            return list(policy.tails[tail.astype(np.int64), states].tolist())
-
-        return lambda x, r: row(r)[x]
-    label = policy.model.failure_label
-    states = np.array(sorted(model.live), dtype=np.int64)
-    if label is not None:
-        states = np.flatnonzero(~label.goal_mask & ~label.ended)
-    branches = policy.branches(states, np.zeros(states.size, dtype=np.int64))
-    if not policy.is_stationary or len(branches.situation) != states.size:
-        raise ModelError("no certificate of a policy that remembers or draws its actions")
-    taken = dict(zip(states.tolist(), branches.pair.tolist(), strict=True))
-    return lambda x, r: taken.get(x, UNDECIDED)
-
-
-def _reached(model: checker.Model, pair_at: Callable[[int, int], int]) -> dict[int, int]:
-    """Part of a member met from the start, for a certificate file; endless parts stop at once.
-
-    Args:
-        model: the question and the model, its nodes spread.
-        pair_at: pair, or a code, of each state and total in units.
-    """
-    met = {model.at(x, 0) for _, x in model.start if x in model.live}
-    ahead, before, pairs = list(met), dict[int, list[int]](), dict[int, int]()
-    ending = []
-    while ahead:
-        i = ahead.pop()
-        x, r = model.nodes[i]
-        pairs[i] = k = pair_at(x, r)
-        if k == UNDECIDED:
-            raise ModelError(f"the policy has no decision in state {model.names[x]!r}")
-        after = {j for _, j in leads(model, k, r)} if k >= 0 else set()
-        if k < 0 or after & model.ended:
-            ending.append(i)
-        for j in after - model.ended:
-            before.setdefault(j, []).append(i)
-        ahead += after - model.ended - met
-        met |= after - model.ended
-    ends = set(ending)
-    while ending:
-        more = set(before.get(ending.pop(), ())) - ends
-        ends |= more
-        ending += more
-    return {i: pairs[i] if i in ends else GIVE_UP_CODE for i in met}
-
-
-def _weights(
-    model: checker.Model, drawn: FloatArray, totals: Sequence[Sequence[Fraction]]
-) -> list[Fraction]:
-    """Weights of a certificate file's lottery that keep every row exactly, where they can."""
-    weights = [Fraction(_decimal_of(w)) for w in drawn.tolist()]
-    weights += [Fraction(0)] * (len(totals) - len(weights))
-    largest = max(range(len(weights)), key=weights.__getitem__)
-    weights[largest] += 1 - sum(weights)
-    beyond = [[total[j] - row.bound for total in totals] for j, row in enumerate(model.rows, 1)]
-    excess = [dot(weights, each) for each in beyond]
-    # the weights at which rows that are nearly met are met exactly
-    met = [e for e, x, row in zip(beyond, excess, model.rows, strict=True)
-           if abs(x) <= checker.EXCESS * abs(row.bound)]  # fmt: skip
-    size = len(drawn)
-    exact = _exact_solution(
-        [*(each[:size] for each in met), [Fraction(1)] * size],
-        [Fraction(0)] * len(met) + [Fraction(1)],
-    ) + [Fraction(0)] * (len(totals) - size)
-    if len(exact) == len(totals) and min(exact) >= 0:
-        kept = max((dot(exact, each) for each in beyond), default=Fraction(0)) <= 0
-        moved = max(abs(a - b) for a, b in zip(exact, weights, strict=True))
-        if kept and moved <= _SHIFT:
-            return exact
-    if max(excess, default=Fraction(0)) <= 0:
-        return weights
-    # the lottery that leaves most room in every row, of which as much is mixed in as is needed
-    table = np.array(beyond, dtype=np.float64)
-    table /= np.maximum(np.abs(table).max(axis=1, keepdims=True), 1e-300)
-    roomy = linprog(
-        np.append(np.zeros(len(totals)), -1.0),
-        np.column_stack([table, np.ones(len(table))]), np.zeros(len(table)),
-        np.append(np.ones(len(totals)), 0.0)[None, :], [1.0],
-        bounds=[(0.0, 1.0)] * len(totals) + [(None, 1.0)],
-    )  # fmt: skip
-    other = [Fraction(max(w, 0.0)) for w in np.asarray(roomy.x)[:-1].tolist()]
-    other = [w / sum(other) for w in other]
-    room = [-dot(other, each) for each in beyond]
-    if min(room) <= 0:
-        return weights
-    part = max(e / (e + r) for e, r in zip(excess, room, strict=True) if e > 0)
-    if part > _SHIFT:
-        return weights
-    part = Fraction(-model.down(-part), model.one)
-    return [w + part * (o - w) for w, o in zip(weights, other, strict=True)]

@@ -87,6 +87,7 @@ KINDS = {"asked": str, "charge_failing_step": bool, "greatest": bool, "rows": li
 KEYS = "asked charge_failing_step costs discount failure format give_up greatest objective rows"
 NUMBER = re.compile(r"-?[0-9]+(/[0-9]+|(\.[0-9]+)?([eE][-+]?[0-9]+)?)")
 COUNTING = {"charge", "quantile", "tail_mean"}  # keys of questions, one at most, of totals
+WHILE, THROUGH = {"cost", "visits", "end"}, {"cost through", "visits through"}  # failing
 YES = ("ratio", "deterministic", "after_failing")  # keys of questions that may be left out
 FAILURE = {"constant": "1", "terms": [["-1", "end", "goal"]]}
 NOTHING: dict[str, Any] = {"constant": "0", "terms": []}
@@ -167,23 +168,23 @@ class Quantity:
         self.costs, self.visits, self.arrival = [ZERO] * model.n_costs, [ZERO] * n, [ZERO] * n
         for text, kind, what in terms:
             weight = sign * number(text)
-            kind, _, further = kind.partition(" ")
-            need(kind in ("cost", "visits", "end"), "no quantity is called", kind)
-            need(not further or (further == "through" and model.shift > 0), "nothing is", further)
-            if kind == "cost":
+            known = WHILE | (THROUGH if model.shift else set())
+            need(kind in known, "no quantity is called", kind)
+            after = kind in THROUGH or kind == "end"
+            if kind in ("cost", "cost through"):
                 count = model.question["costs"]
-                self.costs[whole(what, count) + (count if further else 0)] += weight
+                self.costs[whole(what, count) + count * after] += weight
                 continue
-            states = set(model.sets[what])
-            if further or kind == "end":  # after failing, too
-                states |= {x + model.shift for x in states - model.sets["goal"]}
-            need(kind == "visits" or states <= model.ended, "not all states end:", what)
+            states = model.sets[what]
+            if after:
+                states = states | {x + model.shift for x in states - model.sets["goal"]}
+            need(kind != "end" or states <= model.ended, "not all states end:", what)
             if kind == "end" and weight < 0:  # P(end) = 1 - P(no such end)
                 self.constant, self.stop = self.constant + weight, self.stop - weight
                 states, weight = model.ended - states, -weight
             for x in states:
                 self.arrival[x] += weight  # on coming to x
-                self.visits[x] += weight if kind == "visits" else 0
+                self.visits[x] += weight if kind != "end" else 0
         need(min([*self.costs, *self.visits]) >= 0, "costs or visits count negatively")
         for x in model.failing.keys() - model.giving_up:
             self.arrival[x] += dot(self.costs, model.failing[x])
@@ -212,10 +213,8 @@ class Model:
         self.gamma = number("1" if question["discount"] is None else question["discount"])
         need(0 < self.gamma <= 1, "a discount lies in (0, 1)")
         self.names, self.of, self.home = list[str](), list[range](), list[int]()
-        self.pairs, states = (
-            list[Pair](),
-            [fields(read(line), name=str, sets=list, actions=list) for line in lines],
-        )
+        self.pairs = list[Pair]()
+        states = [fields(read(line), name=str, sets=list, actions=list) for line in lines]
         self.counts, self.unit = not COUNTING.isdisjoint(question), 1
         if self.counts:  # totals are multiples of 1 / unit
             first = [action[2][0] for state in states for action in state[2]]
@@ -275,16 +274,11 @@ class Model:
         To give up where the goal can be avoided is part of an action that avoids it. Each cost is
         paid until failing, as it has been so far, and as a further one to the end of the run.
         """
-        n, base, free, where = (
-            len(self.names),
-            self.pairs,
-            [ZERO] * self.n_costs,
-            self.question["give_up"],
-        )
+        n, base, free = len(self.names), self.pairs, [ZERO] * self.n_costs
         told = [self.question["objective"], *(row["quantity"] for row in self.question["rows"])]
         named = {what for q in told for _, kind, what in q["terms"] if kind == "end"}
         ends = {x for x in self.dead if not self.of[x] or any(x in self.sets[s] for s in named)}
-        quits = self.live & self.attention if where != "dead_ends" else set()
+        quits = self.giving_up & self.attention
         old, self.pairs, self.of, self.home = self.of, list[Pair](), list[range](), list[int]()
         for state in range(2 * n):
             x, begun = state % n, len(self.pairs)
@@ -303,11 +297,9 @@ class Model:
         self.names += [f"{name}, after failing" for name in self.names]
         self._link()
         every, goal = set(range(2 * n)), self.sets["goal"]
-        self.failing = {
-            x: c + (free if x in self.dead - ends else c) for x, c in self.failing.items()
-        }
+        self.failing = {x: c + (c if x in ends or x in self.live else free)
+                        for x, c in self.failing.items() if x not in quits}  # fmt: skip
         self.giving_up, self.shift, self.n_costs = self.giving_up - quits, n, 2 * self.n_costs
-        self.failing = {x: c for x, c in self.failing.items() if x not in quits}
         self.dead = every - goal - set(self.home)
         self.ended, self.live = goal | self.dead, set(self.home)
         self.still = goal | every - self.reaching(self.every)
@@ -727,9 +719,8 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
                    if line["members"][m] is not None}  # fmt: skip
         members.append(model.above(decided, f"member {m}:"))
     if model.share is not None:
-        model.set_share(
-            [model.down(number(line["w"])) for line in proof[: len(model.names)]], members
-        )
+        w = [model.down(number(line["w"])) for line in proof[: len(model.names)]]
+        model.set_share(w, members)
     slope = list[int]()
     if model.counts:  # from the cap on v is a line, whose slope is at most that of the charge
         slope = [model.down(number(line["slope"])) if x in model.moving else 0
