@@ -135,7 +135,7 @@ def write_certificate(solution: Solution, path: str | Path, *, tolerance: float 
     digest = sha256(b"\n".join(lines)).hexdigest()
     try:
         head = {"sha256": digest, "claim": _claim(solved, tolerance)}
-        checked, proved = _best_proof(lines, _proofs(model, solved, head))
+        checked, proved = _best_proof(lines, _proofs(model, solved, head), is_single)
     except checker.RefusedError as error:
         raise SolverError(f"the answer is not proved: {error}") from error
     with open(path, "wb") as raw, gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as file:
@@ -158,9 +158,11 @@ class _Draft(checker.Model):
 
 
 def _best_proof(
-    lines: Sequence[bytes], proofs: Iterable[Sequence[bytes]]
+    lines: Sequence[bytes], proofs: Iterable[Sequence[bytes]], is_single: bool
 ) -> tuple[Checked, list[bytes]]:
     """What the best of some certificate files proves, and its lines: the first that is exact.
+
+    Of a policy that must not be mixed the first one that is accepted, as trees take their time.
 
     Raises:
         RefusedError: the first is refused, and no other is better.
@@ -173,7 +175,7 @@ def _best_proof(
             refused.append(error)
             continue
         best.append((checked, [*lines, *proof]))
-        if checked.lower == checked.upper and not checked.exceeded:
+        if is_single or (checked.lower == checked.upper and not checked.exceeded):
             break
     if not best:
         raise refused[0]
@@ -476,7 +478,7 @@ def _exact_proofs(
     takes to tell the fractions by: those of least denominators that are as near.
     """
     uncertain = any(step[1] != step[2] for step in model.question.get("charge", []))
-    if len(model.nodes) > _FEW or uncertain or model.is_single:
+    if len(model.nodes) > _FEW or uncertain:
         return
     for digits in _DIGITS:
         model.spread({**head, "one": str(10**digits)}, nodes)
@@ -495,9 +497,11 @@ def _exact_proofs(
 def _common_unit(model: checker.Model, proof: Sequence[bytes], digits: int) -> int | None:
     """Units in 1 of which all numbers of a certificate's proof are multiples; None: not told."""
     head, *lines = map(json.loads, proof)
-    told = [line.get(key, []) for line in lines for key in ("v", "w", "slope")]
+    known = ("w", "slope") if model.is_single else ("v", "w", "slope")  # of cases v is rounded
+    told = [line.get(key, []) for line in lines for key in known]
     told += [one[2:] for line in lines for one in line["members"] if one]  # but for the steps
-    prices = {*_numbers_in([head.get("prices", []), head.get("cases", [])])}
+    stated = [] if model.is_single else [head.get("prices", []), head.get("cases", [])]
+    prices = {*_numbers_in(stated)}
     near, one = 10 ** (digits // 2 - 10), checker.ONE  # of steps some digits
     for number in {*_numbers_in(told)}:
         one = math.lcm(one, number.limit_denominator(near).denominator)

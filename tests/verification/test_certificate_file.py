@@ -222,7 +222,18 @@ def few(label):
     return MCMP(SKID, "a", 0.1, constraints={"few": end_probability(label) <= 0.01})
 
 
+THIRD = model_of(
+    {
+        "s": {"go": [(0.6, "x", 1.0), (0.4, "g", 1.0)], "safe": [(1.0, "g", 10.0)]},
+        "x": {"u": [(0.7, "x", 1.0), (0.1, "d", 1.0), (0.2, "g", 1.0)]},
+        "d": {},
+    }
+)
+"""From x a third fails, from s a fifth."""
+
 SINGLE = [
+    (MCMP(THIRD, "s", 0.2), 3),
+    (S3P(THIRD, "s", 0.2), "8/3"),
     (MCMP(ROAD, "road", 0.05), 3),
     (MCMP(FIRST, "depot", 0.05), "224/25"),
     (MCMP(ROAD, {"road": 0.5, "home": 0.5}, 0.05), "1/2"),
