@@ -1,6 +1,6 @@
 /* Check a certificate by exact inequalities, a million actions within a minute.
  *
- *     cc -O2 -o check checker.c -lgmp -lz-lcrypto && ./check FILE
+ *     cc -O2 -o check checker.c -lgmp -lz -lcrypto && ./check FILE
  *
  * It prints an interval that holds the optimum, and answers 0; or which inequality fails where, and
  * answers 1; or it cannot work, and answers 2. It shares nothing with the library, nor with
@@ -16,17 +16,20 @@
  * Totals. A charge depends on what a run has paid of the first cost when it comes to the goal, and
  * is paid with the step into it. A node is a state with a total below the cap, which has a line of
  * the proof, or a state from the cap on. There numbers are lines, y + slope (total - cap), and so
- * are charges: the inequality at the cap, and that of the slopes, prove those at all totals.
+ * are charges: the inequality at the cap, and that of the slopes, prove those at all totals. A
+ * quantile is the claim if late runs, of a charge of 1, are few enough. A tail mean is the least
+ * over thresholds z of z + max(total - z, 0) / (1 - level), and the best z is a total at the goal:
+ * the cases of the proof hold all such z up to the last end, beyond which none does less than z.
  *
  * The proof. Each column of numbers y in the file bounds a quantity of its own from below:
  *
  *     y(x) <= own(x, u) + sum p(x') (arrival(x') + y(x')),  or y(x) <= own(x) + stop on stopping,
  *
  * so that none of those to whom its inequalities apply takes less than y at the start:
- *   v       the objective and, at prices >= 0, the rows. It is asked of all actions and stops; a
- *           lottery within the rows wanders by actions alone that take nothing of any quantity, as
- *           it would take infinitely much of one otherwise. Where no failure is allowed, it is
- *           asked of what keeps the goal sure;
+ *   v       the objective and, at prices >= 0, the rows, in each case. It is asked of all actions
+ *           and stops; a lottery within the rows wanders by actions alone that take nothing of any
+ *           quantity, as it would take infinitely much of one otherwise. Where no failure is
+ *           allowed, it is asked of what keeps the goal sure;
  *   w       failure, if a share of the greatest goal probability is asked for;
  *   -t, -u  of a member of the lottery: minus its steps, which shows that it ends, and minus the
  *           objective and each row, which it takes at most u of. They are asked of its decisions;
@@ -49,7 +52,7 @@
 #include <string.h>
 #include <zlib.h>
 
-enum { DIGITS = 60, LONGEST = 4000, DEEPEST = 9, NONE = -1, STOP = -2 };
+enum { DIGITS = 60, LONGEST = 4000, DEEPEST = 900, NONE = -1, STOP = -2 };
 
 static size_t n_lines;  /* that were read; 0 when all is read */
 
@@ -143,8 +146,8 @@ static void floor_of(mpz_t rounded, rational q, mpz_srcptr scale) {
 /* ---- Lines of JSON ---- */
 
 struct json {
-    char kind, *key, *text;      /* kind: { [ " t f n, or 0 for a whole number */
-    long number;
+    char kind, *key, *text;      /* kind: its first letter, or 0 for each whole number */
+    size_t number;
     struct json *first, *next;   /* of its entries; behind it in the same list or object */
     bool is_read;
 };
@@ -195,9 +198,9 @@ static struct json *parsed(int depth) {
             (*end)->key = key;
         }
     } else if (isdigit(*at)) {
-        value->kind = 0;
+        value->kind = '0';
         if (*at == '0' && isdigit(at[1])) refuse("\"%.20s\" is no whole number", at);
-        value->number = strtol(at, &at, 10);
+        value->number = strtoul(at, &at, 10);
     } else {
         const char *word = *at == 't' ? "true" : *at == 'f' ? "false" : "null";
         if (strncmp(at, word, strlen(word))) refuse("\"%.20s\" is no value", at);
@@ -266,31 +269,27 @@ static struct json *get(struct json *object, const char *key) {
 
 static struct json *after(struct json *value) { return value ? value->next : NULL; }
 
-static void need(bool holds, struct json *value, const char *otherwise) {
+/* A value, which is to be of one of these kinds. */
+static struct json *typed(struct json *value, const char *kinds, const char *otherwise) {
     const char *key = value && value->key ? value->key : "an entry";
     const char *text = value && value->text ? value->text : "";
-    if (!holds) refuse("%s \"%.40s\" is %s", key, text, otherwise);
+    if (!value || !strchr(kinds, value->kind)) refuse("%s \"%.40s\" is %s", key, text, otherwise);
+    value->is_read = true;
+    return value;
 }
 
-static struct json *list(struct json *value) {
-    need(is(value, '['), value, "no list");
-    return value->first;
-}
+static struct json *list(struct json *value) { return typed(value, "[", "no list")->first; }
 
-static char *string(struct json *value) {
-    need(is(value, '"'), value, "no text");
-    return value->text;
-}
+static char *string(struct json *value) { return typed(value, "\"", "no text")->text; }
 
 static bool truth(struct json *value) {
-    need(is(value, 't') || is(value, 'f'), value, "neither true nor false");
-    return value->kind == 't';
+    return typed(value, "tf", "neither true nor false")->kind == 't';
 }
 
-static long whole(struct json *value, long below) {
-    need(is(value, 0), value, "no whole number");
-    if (value->number >= below) refuse("%ld is no whole number below %ld", value->number, below);
-    return value->number;
+static size_t whole(struct json *value, size_t below) {
+    size_t number = typed(value, "0", "no whole number")->number;
+    if (number >= below) refuse("%zu is no whole number below %zu", number, below);
+    return number;
 }
 
 static char *kept(const char *text) { return strcpy(zeros(strlen(text), 1), text); }
@@ -357,18 +356,19 @@ enum { VISITS, ENDS, OTHER_ENDS, KINDS };
 struct quantity { char *name; rational *weights; };
 struct step { rational after, value[2], slope; };  /* of the charge: its least, and greatest */
 
-static long n, n_costs, *start_state;
+static size_t n, n_costs, *start_state;
 static size_t n_sets, n_start, n_rows, n_steps;  /* rows: the objective among them */
 static char **sets, *asked;
 static bool **in_set, *ends, *goal;      /* set by set: states in it; whether its ends count */
 static bool anywhere, attention, charging, greatest, least, sharing, limited, ratio;
 static bool totals, quantile, tail_mean; /* whether totals count; and what is asked of them */
+static bool single;                      /* whether policies must not be mixed */
 static rational discount, share, level, *start_part;
 static struct quantity *quantities;      /* the objective, and the rows */
 static struct step *steps;
 
 static size_t weight_of(size_t set, int kind) {
-    return COSTS + (size_t)n_costs + 1 + KINDS * set + (size_t)kind;
+    return COSTS + n_costs + 1 + KINDS * set + (size_t)kind;
 }
 
 static size_t set_of(const char *name) {
@@ -381,7 +381,7 @@ static void new_set(char *name) {
     sets = grown(sets, n_sets, sizeof *sets);
     in_set = grown(in_set, n_sets, sizeof *in_set);
     sets[n_sets] = name;
-    in_set[n_sets++] = zeros((size_t)n + 1, 1);
+    in_set[n_sets++] = zeros(n + 1, 1);
 }
 
 static rational *new_quantity(char *name) {
@@ -400,7 +400,7 @@ static void read_quantity(rational *weights, struct json *value, bool turn) {
         rational weight = turned(list(term), turn);
         size_t place;
         if (says(kind, "cost")) {
-            place = COSTS + (size_t)whole(what, n_costs);
+            place = COSTS + whole(what, n_costs);
         } else if (says(kind, "visits")) {
             place = weight_of(set_of(string(what)), VISITS);
         } else if (says(kind, "end")) {
@@ -414,7 +414,7 @@ static void read_quantity(rational *weights, struct json *value, bool turn) {
         } else refuse("no quantity is called \"%s\"", string(kind));
         weights[place] = plus(weights[place], weight);
     }
-    for (long cost = 0; cost < n_costs; cost++)
+    for (size_t cost = 0; cost < n_costs; cost++)
         if (mpq_sgn(weights[COSTS + cost]) < 0) refuse("costs count negatively");
 }
 
@@ -477,7 +477,7 @@ static void read_question(struct json *line) {
     if (!says(get(line, "format"), "ssp-lp certificate 1")) refuse("the format is not known");
     asked = kept(string(get(line, "asked")));
     n = whole(get(line, "states"), INT32_MAX);
-    n_hashed = 1 + (size_t)n;
+    n_hashed = 1 + n;
     n_costs = whole(get(line, "costs"), 1000);
     new_set("goal");
     goal = in_set[0];
@@ -487,10 +487,12 @@ static void read_question(struct json *line) {
     read_start(list(get(line, "start")));
     anywhere = says(where, "anywhere");
     attention = says(where, "attention");
-    need(anywhere || attention || says(where, "dead_ends"), where, "no place to give up in");
+    if (!anywhere && !attention && !says(where, "dead_ends"))
+        refuse("give_up is \"%s\"", string(where));
     charging = truth(get(line, "charge_failing_step"));
     greatest = truth(get(line, "greatest"));
     ratio = found(line, "ratio") && truth(found(line, "ratio"));
+    single = found(line, "deterministic") && truth(found(line, "deterministic"));
     if (ratio && greatest) refuse("a ratio is to be small");
     discount = is(gamma, 'n') ? one : number(gamma);
     if (mpq_sgn(discount) <= 0 || less(one, discount)) refuse("a discount lies in (0, 1)");
@@ -517,15 +519,16 @@ static void read_question(struct json *line) {
 /* ---- The model ---- */
 
 struct outcome { uint32_t pair, state, other; };  /* and another one that comes to the state */
-struct move { long state; rational chance; mpz_t part, further, total; struct node *node; };
+struct move { size_t state; rational chance; mpz_t part, further, total; struct node *node; };
 
 static size_t n_pairs, n_outcomes, *first_pair;  /* pairs of a state and an action; of each state */
 static uint32_t *home;                   /* of each pair: its state */
-static bool *costless, *stays, *keeps;   /* it costs nothing; avoids the goal; is asked of v */
+static bool *costless, *stays, *keeps;   /* it costs nothing; avoids the goal; is asked of v; */
+static bool *waits;                      /* costs nothing, and adds nothing to the total */
 static struct outcome *outcomes;
 static uint32_t *coming;                 /* 1 + an outcome that comes to each state, or 0 */
 static mpz_t unit;                       /* of totals: 1 / unit */
-static long state;                       /* that is read, */
+static size_t state;                     /* that is read, */
 static char *state_name, *action;        /* and its action: with part / sum it comes to a state, */
 static struct move *moves;               /* and so much further in units of totals; */
 static size_t n_moves;
@@ -572,7 +575,7 @@ static void read_pair(struct json *stated) {
     }
     mpz_clear(scale);
     if (!mpz_sgn(sum)) refuse("probabilities >= 0, not all of them 0");
-    long count = 0;
+    size_t count = 0;
     for (struct json *cost = list(costs); cost; cost = cost->next, count++)
         if (count < n_costs) paid[count] = read_cost(cost, totals && !count);
     if (count != n_costs || !count) refuse("as many costs as are said to be there, fails");
@@ -590,10 +593,10 @@ static void read_model(void (*use)(struct json *)) {
     struct json *line = next_line(true);
     if (!asked) {
         read_question(line);
-        paid = many_zeros((size_t)n_costs + 1);
-        least_paid = many_zeros((size_t)n_costs + 1);
-        first_pair = zeros((size_t)n + 1, sizeof *first_pair);
-        coming = zeros((size_t)n, sizeof *coming);
+        paid = many_zeros(n_costs + 1);
+        least_paid = many_zeros(n_costs + 1);
+        first_pair = zeros(n + 1, sizeof *first_pair);
+        coming = zeros(n, sizeof *coming);
     }
     for (state = 0; state < n; state++) {
         line = next_line(true);
@@ -608,7 +611,7 @@ static void read_model(void (*use)(struct json *)) {
     strcpy(digest, digits);
 }
 
-static void keep_outcome(long y) {
+static void keep_outcome(size_t y) {
     outcomes = grown(outcomes, n_outcomes, sizeof *outcomes);
     outcomes[n_outcomes] = (struct outcome){(uint32_t)n_pairs, (uint32_t)y, coming[y]};
     coming[y] = (uint32_t)++n_outcomes;
@@ -620,14 +623,18 @@ static void keep_graph(struct json *actions) {
         read_pair(actions);
         home = grown(home, n_pairs, sizeof *home);
         costless = grown(costless, n_pairs, sizeof *costless);
+        waits = grown(waits, n_pairs, sizeof *waits);
         home[n_pairs] = (uint32_t)state;
-        costless[n_pairs] = true;
+        costless[n_pairs] = waits[n_pairs] = true;
         for (size_t j = 0; j < n_rows; j++)
-            for (long cost = 0; cost < n_costs; cost++)
+            for (size_t cost = 0; cost < n_costs; cost++)
                 if (mpq_sgn(paid[cost]) && mpq_sgn(quantities[j].weights[COSTS + cost]))
                     costless[n_pairs] = false;
-        for (struct move *move = moves; move < moves + n_moves; move++)
-            if (mpz_sgn(move->part)) keep_outcome(move->state);
+        for (struct move *move = moves; move < moves + n_moves; move++) {
+            if (!mpz_sgn(move->part)) continue;
+            keep_outcome(move->state);
+            if (totals && mpz_sgn(move->further)) waits[n_pairs] = false;
+        }
         if (less(discount, one)) keep_outcome(n);
     }
     first_pair[state + 1] = first_pair[n + 1] = n_pairs;
@@ -647,16 +654,16 @@ static bool *copied(const bool *flags, size_t count) {
 /* The part of a set of states in which each has no pair, or one that stays in it; or, if so asked,
  * of which all pairs stay. Pairs are those that are allowed, of which those that stay are left. */
 static bool *shrunk(const bool *states, bool *allowed, bool all) {
-    bool *inside = copied(states, (size_t)n + 1);
-    uint32_t *ahead = zeros((size_t)n + 1, sizeof *ahead);
-    uint32_t *ways = zeros((size_t)n + 1, sizeof *ways);  /* to stay, or 1 */
+    bool *inside = copied(states, n + 1);
+    uint32_t *ahead = zeros(n + 1, sizeof *ahead);
+    uint32_t *ways = zeros(n + 1, sizeof *ways);  /* to stay, or 1 */
     size_t size = 0;
     for (size_t pair = 0; pair < n_pairs; pair++) {
         uint32_t x = home[pair];
         allowed[pair] = allowed[pair] && inside[x];
         if (allowed[pair] && !(all && ways[x])) ways[x]++;
     }
-    for (long x = 0; x <= n; x++)
+    for (size_t x = 0; x <= n; x++)
         if (!inside[x] || (!all && !ways[x] && first_pair[x] < first_pair[x + 1]))
             ahead[size++] = (uint32_t)x;
     while (size) {
@@ -675,7 +682,7 @@ static bool *shrunk(const bool *states, bool *allowed, bool all) {
 }
 
 /* What a quantity counts on arriving in a state: of visits alone, or of ends too; but for costs. */
-static rational arrivals(rational *weights, long x, bool of_ends) {
+static rational arrivals(rational *weights, size_t x, bool of_ends) {
     rational count = zero;
     for (size_t s = 0; s < n_sets; s++) {
         if (in_set[s][x]) count = plus(count, weights[weight_of(s, VISITS)]);
@@ -687,8 +694,8 @@ static rational arrivals(rational *weights, long x, bool of_ends) {
 
 /* Refuse quantities that have no meaning; pairs after which they count a visit are not costless. */
 static void check_quantities(void) {
-    bool *seen = zeros((size_t)n + 1, 1);
-    for (long x = 0; x <= n; x++) {
+    bool *seen = zeros(n + 1, 1);
+    for (size_t x = 0; x <= n; x++) {
         n_made = n_lasting;
         for (size_t s = 0; s < n_sets; s++)
             if (ends[s] && in_set[s][x] && live[x]) refuse("not all states end: %s", sets[s]);
@@ -711,7 +718,7 @@ static void find_sure(const bool *not_goal) {
         for (struct outcome *o = outcomes; o < outcomes + n_outcomes; o++)
             if (!sure[o->state] && not_goal[o->state]) keeps[o->pair] = false;
         bool *allowed = copied(keeps, n_pairs), *lost = shrunk(not_goal, allowed, true);
-        for (long x = 0; x <= n; x++)
+        for (size_t x = 0; x <= n; x++)
             if (sure[x] && lost[x]) shrinks = true, sure[x] = false;
         free(allowed);
         free(lost);
@@ -719,26 +726,27 @@ static void find_sure(const bool *not_goal) {
 }
 
 static void follow_graph(void) {
-    bool *not_goal = zeros((size_t)n + 1, 1), surely = true;
-    live = zeros((size_t)n + 1, 1);
-    giving_up = zeros((size_t)n + 1, 1);
+    bool *not_goal = zeros(n + 1, 1), surely = true;
+    live = zeros(n + 1, 1);
+    giving_up = zeros(n + 1, 1);
     keeps = memset(zeros(n_pairs, 1), true, n_pairs);
     stays = copied(keeps, n_pairs);
-    for (long x = 0; x <= n; x++) {
+    for (size_t x = 0; x <= n; x++) {
         not_goal[x] = !goal[x];
         if (goal[x] && first_pair[x] < first_pair[x + 1])
-            refuse("a goal has actions: state %ld", x);
+            refuse("a goal has actions: state %zu", x);
     }
     bool *dead = shrunk(not_goal, keeps, true);
     avoiding = shrunk(not_goal, stays, false);
-    for (long x = 0; x <= n; x++) {
+    for (size_t x = 0; x <= n; x++) {
         live[x] = not_goal[x] && !dead[x];
         avoiding[x] = avoiding[x] && live[x];
         giving_up[x] = live[x] && (anywhere || (attention && avoiding[x]));
     }
     check_quantities();
+    for (size_t pair = 0; pair < n_pairs; pair++) waits[pair] = waits[pair] && costless[pair];
     wandering = shrunk(live, costless, false);
-    sure = copied(live, (size_t)n + 1);
+    sure = copied(live, n + 1);
     find_sure(not_goal);
     for (size_t i = 0; i < n_start; i++)
         if (mpq_sgn(start_part[i]) && !sure[start_state[i]])
@@ -747,8 +755,8 @@ static void follow_graph(void) {
     may_fail = !limited || sharing || mpq_sgn(quantities[1].weights[BOUND]);
     if (!may_fail && !surely) refuse("failure 0: the goal can be reached surely, fails");
     if (may_fail) memset(keeps, true, n_pairs);
-    void *done[] = {not_goal, dead, home, costless, outcomes, coming};
-    for (size_t i = 0; i < sizeof done / sizeof *done; i++) free(done[i]);
+    free(not_goal);
+    free(dead);
 }
 
 /* ---- The proof ---- */
@@ -765,11 +773,21 @@ struct column {
     bool is_of_states;           /* it tells of nodes from the cap on alone */
     mpz_t arrival;               /* in the state that is read */
 };
-/* Thresholds of a tail mean, in units beyond a total, and up to an end; and the first total at the
- * goal there, if there is one. All else has one case, whose charge does not depend on them. */
-struct range { rational *prices, after, end; mpz_t first; bool is_met; struct charge charge; };
+/* Decisions that are left at a node in a case: to stop, and each action; and whether one who does not
+ * stop there may wander by those that are left. */
+struct choice { size_t state; mpz_t total; bool *left, wanders; };
+/* A case of the proof: policies whose decisions are left, and thresholds of a tail mean, in units
+ * beyond a total, and up to an end; the first total at the goal there, if there is one. */
+struct range {
+    rational *prices, after, end;
+    mpz_t first;
+    bool is_met;
+    struct charge charge;
+    struct choice *choices;
+    size_t n_choices;
+};
 struct node {
-    long state;
+    size_t state;
     mpz_t total;                 /* in units of totals; from the cap on: the cap */
     mpz_t *after;                /* of each column: arrival + y, in units */
     int32_t *decision;           /* of each member */
@@ -849,43 +867,85 @@ static void make_columns(void) {
     n_lasting = n_made;
 }
 
-/* A case with thresholds up to this end, and the prices of these objects. */
-static void read_case(struct json *prices, rational end) {
-    cases = grown(cases, n_cases + 1, sizeof *cases);
-    struct range *range = &cases[n_cases++];
-    *range = (struct range){.end = end};
-    if (read_numbers(&range->prices, list(get(prices, "prices"))) != n_rows - 1)
+static struct choice *choice_at(const struct range *range, size_t x, mpz_srcptr total) {
+    for (size_t i = 0; i < range->n_choices; i++)
+        if (range->choices[i].state == x && !mpz_cmp(range->choices[i].total, total))
+            return &range->choices[i];
+    return NULL;
+}
+
+/* The decisions of a part of what is left at a node in a case. */
+static bool *read_part(struct json *decisions, const bool *left, size_t n_actions) {
+    bool *part = zeros(n_actions + 1, 1);
+    for (; decisions; decisions = decisions->next) {
+        size_t place = says(decisions, "stop") ? 0 : 1 + whole(decisions, n_actions);
+        part[place] = left[place];
+    }
+    return part;
+}
+
+/* Cases of a tree, or the only one. */
+static void read_cases(struct json *tree, struct range range) {
+    if (single && found(tree, "parts")) {
+        size_t x = whole(get(tree, "state"), n), size = first_pair[x + 1] - first_pair[x];
+        struct choice *above, here = {.state = x};
+        mpz_init(here.total);
+        floor_of(here.total, not_negative(get(tree, "total")), unit);
+        if (!totals) mpz_set(here.total, cap);
+        above = choice_at(&range, x, here.total);
+        bool *left = above ? above->left : memset(zeros(size + 1, 1), true, size + 1);
+        bool *missing = copied(left, size + 1);
+        struct choice *outer = range.choices;
+        size_t place = above ? (size_t)(above - outer) : range.n_choices;
+        range.n_choices += !above;
+        for (struct json *part = list(get(tree, "parts")); part; part = part->next) {
+            range.choices = zeros(range.n_choices, sizeof *outer);
+            if (outer) memcpy(range.choices, outer, (range.n_choices - !above) * sizeof *outer);
+            here.left = read_part(list(list(part)), left, size);
+            range.choices[place] = here;
+            for (size_t i = 0; i <= size; i++) missing[i] = missing[i] && !here.left[i];
+            read_cases(after(list(part)), range);
+        }
+        if (memchr(missing, true, size + 1)) refuse("each decision is in a part, fails");
+        return;
+    }
+    if (read_numbers(&range.prices, list(get(tree, "prices"))) != n_rows - 1)
         refuse("a price a row, fails");
+    cases = grown(cases, n_cases + 1, sizeof *cases);
+    mpz_init(range.first);
+    cases[n_cases++] = range;
 }
 
 static void read_head(struct json *head) {
     rational total = zero;
     if (!says(get(head, "sha256"), digest))
         refuse("the SHA-256 is not that of the question and the model");
-    if (!tail_mean) read_case(head, zero);
-    for (struct json *each = tail_mean ? list(get(head, "cases")) : NULL; each; each = each->next)
-        read_case(after(list(each)), number(list(each)));
+    if (totals) mpz_set(cap, in_units(not_negative(get(head, "cap"))));
+    struct range range = {.after = minus(zero, one), .end = zero};
+    if (!tail_mean) read_cases(single ? get(head, "cases") : head, range);
+    for (struct json *each = tail_mean ? list(get(head, "cases")) : NULL; each; each = each->next) {
+        range.end = number(list(each));
+        read_cases(after(list(each)), range);
+        range.after = times(range.end, of(unit));
+    }
     if (!n_cases) refuse("one case at least, fails");
+    mpz_init(range.first);
+    cases[n_cases] = range;
     if (tail_mean) threshold = number(get(head, "threshold"));
     n_members = read_numbers(&weights, list(get(head, "weights")));
     for (size_t m = 0; m < n_members; m++) total = plus(total, weights[m]);
     if (!mpq_equal(total, one)) refuse("weights are >= 0 and sum to 1, fails");
+    bool mixed = single;
+    for (size_t m = 0; m < n_members; m++) mixed = mixed && !mpq_equal(weights[m], one);
+    if (mixed) refuse("no policies are mixed, fails");
     claim[0] = number(list(get(head, "claim")));
     claim[1] = number(after(list(get(head, "claim"))));
+    if (quantile) in_units(claim[0]);
     if (found(head, "one")) {
         rational told = number(found(head, "one"));
         if (mpz_cmp_ui(mpq_denref(told), 1) || less(told, one))
             refuse("units are parts of 1, fails");
         mpz_set(units, mpq_numref(told));
-    }
-    if (totals) {
-        mpz_set(cap, in_units(not_negative(get(head, "cap"))));
-        if (quantile) in_units(claim[0]);
-    }
-    cases[n_cases] = (struct range){.end = zero};
-    for (size_t c = 0; c <= n_cases; c++) {
-        cases[c].after = c ? times(cases[c - 1].end, of(unit)) : minus(zero, one);
-        mpz_init(cases[c].first);
     }
 }
 
@@ -911,14 +971,14 @@ static void read_number(struct node *node, const struct column *y, struct json *
     mpz_clear(z);
 }
 
-static void read_member(struct node *node, long m, struct json *entry, bool at_cap) {
+static void read_member(struct node *node, size_t m, struct json *entry, bool at_cap) {
     int32_t *decision = &node->decision[m];
-    if (!live[state]) refuse("member %ld decides where nothing has ended, fails", m);
+    if (!live[state]) refuse("member %zu decides where nothing has ended, fails", m);
     if (says(entry, "stop")) *decision = STOP;
-    else *decision = (int32_t)whole(entry, (long)(first_pair[state + 1] - first_pair[state]));
+    else *decision = (int32_t)whole(entry, first_pair[state + 1] - first_pair[state]);
     if (*decision == STOP && !wandering[state] && !giving_up[state])
-        refuse("member %ld stops where it may, fails", m);
-    struct column *y = members + (size_t)m * each_member;
+        refuse("member %zu stops where it may, fails", m);
+    struct column *y = members + m * each_member;
     for (size_t j = 0; j < each_member; j++, y++)
         if (at_cap || !y->is_of_states) read_number(node, y, entry = after(entry));
 }
@@ -927,11 +987,11 @@ static void read_member(struct node *node, long m, struct json *entry, bool at_c
 static struct node *read_node(struct json *line, bool at_cap) {
     struct node *node = new_node();
     struct json *entry = list(get(line, "members"));
-    struct json *v = tail_mean ? list(get(line, "v")) : get(line, "v");
+    struct json *v = tail_mean || single ? list(get(line, "v")) : get(line, "v");
     for (size_t c = 0; c < n_cases; c++, v = after(v)) read_number(node, &columns[c], v);
     if (totals && at_cap) read_number(node, columns->slope, get(line, "slope"));
     if (sharing && at_cap) read_number(node, least_failure, get(line, "w"));
-    for (long m = 0; m < (long)n_members; m++, entry = entry->next) {
+    for (size_t m = 0; m < n_members; m++, entry = entry->next) {
         if (!entry) refuse("as many members as weights, fails");
         if (!is(entry, 'n')) read_member(node, m, list(entry), at_cap);
     }
@@ -946,7 +1006,7 @@ static int by_state_and_total(const void *one_node, const void *other_node) {
 
 static void read_proof(void) {
     struct json *line = next_line(true);
-    long n_below = totals ? whole(get(line, "nodes"), INT32_MAX) : 0;
+    size_t n_below = totals ? whole(get(line, "nodes"), INT32_MAX) : 0;
     read_head(line);
     end_line();
     make_columns();
@@ -955,7 +1015,7 @@ static void read_proof(void) {
         end_line();
     }
     new_node();  /* what a discount takes */
-    for (long k = 0; k < n_below; k++) {
+    for (size_t k = 0; k < n_below; k++) {
         line = next_line(true);
         state = whole(get(line, "state"), n);
         struct node *node = read_node(line, false);
@@ -966,7 +1026,7 @@ static void read_proof(void) {
     }
     if (next_line(false)) refuse("there are more lines than are said to be there");
     qsort(nodes, n_nodes, sizeof *nodes, by_state_and_total);
-    first_node = zeros((size_t)n + 1, sizeof *first_node);
+    first_node = zeros(n + 1, sizeof *first_node);
     for (size_t i = 0; i < n_nodes; i++) first_node[nodes[i].state + 1] = i + 1;
 }
 
@@ -974,7 +1034,7 @@ static void read_proof(void) {
 
 /* Node of a state at a total; at the cap it stands for all totals from there on, and for those at
  * which the state has ended. */
-static struct node *node_of(long x, mpz_srcptr total) {
+static struct node *node_of(size_t x, mpz_srcptr total) {
     size_t low = first_node[x], high = first_node[x + 1];
     if (!live[x] || mpz_cmp(total, cap) >= 0) return &nodes[high - 1];
     while (low < high) {  /* the last one up to the total is before low */
@@ -983,8 +1043,31 @@ static struct node *node_of(long x, mpz_srcptr total) {
         else high = middle;
     }
     if (low == first_node[x] || mpz_cmp(nodes[low - 1].total, total))
-        refuse("no line tells of state %ld with %Qd", x, over(of(total), of(unit)));
+        refuse("no line tells of state %zu with %Qd", x, over(of(total), of(unit)));
     return &nodes[low - 1];
+}
+
+/* What is left in each case is so at nodes that have a line; and who may wander by it. */
+static void settle_choices(void) {
+    for (struct range *range = cases; range < cases + n_cases; range++)
+        for (size_t i = 0; i < range->n_choices; i++) {
+            struct choice *here = &range->choices[i];
+            if (totals && (!live[here->state] || mpz_cmp(here->total, cap) >= 0))
+                refuse("decisions below the cap, fails");
+            node_of(here->state, here->total);
+            bool *allowed = copied(waits, n_pairs);
+            for (size_t pair = 0; pair < n_pairs; pair++) {
+                const struct choice *at_home = choice_at(range, home[pair], here->total);
+                size_t number_of = pair - first_pair[home[pair]];
+                allowed[pair] = allowed[pair] && (!at_home || at_home->left[1 + number_of]);
+            }
+            bool *inside = shrunk(live, allowed, false);
+            here->wanders = inside[here->state];
+            free(allowed);
+            free(inside);
+        }
+    void *done[] = {home, costless, waits, outcomes, coming};
+    for (size_t i = 0; i < sizeof done / sizeof *done; i++) free(done[i]);
 }
 
 /* A stair of a charge, from one total on. */
@@ -1020,7 +1103,8 @@ static void build_charge(struct charge *charge, bool is_above, rational first, r
 static void build_charges(void) {
     for (size_t c = 0; c < n_cases; c++) {
         rational first = over(of(cases[c].first), of(unit)), end = cases[c].end;
-        if (tail_mean && !cases[c + 1].is_met) refuse("an end is no total, fails");
+        if (tail_mean && (!cases[c].is_met || !cases[n_cases].is_met))
+            refuse("an end is no total, fails");
         build_charge(&cases[c].charge, false, less(end, first) ? end : first, end);
     }
     build_charge(&charge_above, true, threshold, threshold);
@@ -1055,7 +1139,7 @@ static void charged(mpz_t count, const struct column *y, mpz_srcptr total) {
 /* Weighted sum of costs. */
 static rational dot(rational *weights_of, rational *costs) {
     rational count = zero;
-    for (long cost = 0; cost <= n_costs; cost++)
+    for (size_t cost = 0; cost <= n_costs; cost++)
         count = plus(count, times(weights_of[COSTS + cost], costs[cost]));
     return count;
 }
@@ -1063,12 +1147,12 @@ static rational dot(rational *weights_of, rational *costs) {
 /* What failing in the state is charged: least means of the costs. */
 static void find_least(struct json *actions) {
     bool charges = false;
-    for (long cost = 0; cost < n_costs; cost++) least_paid[cost] = zero;
+    for (size_t cost = 0; cost < n_costs; cost++) least_paid[cost] = zero;
     if (!charging || (live[state] && !giving_up[state])) return;
     for (size_t pair = first_pair[state]; actions; actions = actions->next, pair++) {
         if (!anywhere && !stays[pair]) continue;
         read_pair(actions);
-        for (long cost = 0; cost < n_costs; cost++) {
+        for (size_t cost = 0; cost < n_costs; cost++) {
             rational mean = over(paid[cost], of(sum));
             if (!charges || less(mean, least_paid[cost])) least_paid[cost] = mean;
         }
@@ -1105,8 +1189,12 @@ static void add_arrivals(struct json *actions) {
 static bool asked_of(const struct column *y, const struct node *node, int32_t choice, size_t pair) {
     if (y->is_of_states && mpz_cmp(node->total, cap)) return false;
     if (y->member != NONE) return node->decision[y->member] == choice;
-    if (choice == STOP) return may_fail && (y->stops[state] || giving_up[state]);
-    return keeps[pair];
+    const struct choice *here = y < columns + n_cases
+        ? choice_at(&cases[y - columns], state, node->total) : NULL;
+    if (choice == STOP)
+        return may_fail && (y->stops[state] || giving_up[state])
+               && (!here || here->left[0] || here->wanders);
+    return keeps[pair] && (!here || here->left[1 + choice]);
 }
 
 /* A column's inequality at a node and the action that was read; a stop leads nowhere. */
@@ -1185,7 +1273,7 @@ static void check_state(struct json *actions) {
     n_moves = 0;
     mpz_set_ui(sum, 1);
     action = stopping;
-    for (long cost = 0; cost < n_costs; cost++)
+    for (size_t cost = 0; cost < n_costs; cost++)
         paid[cost] = wandering[state] ? zero : least_paid[cost];
     paid[n_costs] = one;
     check_nodes(STOP, 0);
@@ -1200,7 +1288,7 @@ static rational proved(const struct column *y) {
     mpz_t begun;
     mpz_init(begun);
     for (size_t i = 0; i < n_start; i++) {
-        long x = start_state[i];
+        size_t x = start_state[i];
         if (!mpq_sgn(start_part[i])) continue;
         const struct node *node = node_of(x, y->is_of_states ? cap : nothing);
         if (y->member != NONE && live[x] && node->decision[y->member] == NONE)
@@ -1214,13 +1302,18 @@ static rational proved(const struct column *y) {
     return plus(over(bound, of(units)), y->weights[CONSTANT]);
 }
 
-/* A bound in decimals, to be read, and as the fraction that it is. */
-static void print_bound(const char *name, rational bound) {
-    mpf_t decimals;
-    mpf_init2(decimals, 512);
-    mpf_set_q(decimals, bound);
-    gmp_printf("  %-9s %.25Ff = %Qd\n", name, decimals, bound);
-    mpf_clear(decimals);
+/* A bound in 25 decimals, rounded so that it holds, and as the fraction that it is. */
+static void print_bound(const char *name, rational bound, bool up) {
+    mpz_t scale, left;
+    mpz_inits(scale, left, NULL);
+    mpz_ui_pow_ui(scale, 10, 25);
+    floor_of(left, up ? minus(zero, bound) : bound, scale);
+    if (up) mpz_neg(left, left);
+    const char *sign = mpz_sgn(left) < 0 ? "-" : "";
+    mpz_abs(left, left);
+    mpz_fdiv_qr(left, scale, left, scale);
+    gmp_printf("  %-9s %s%Zd.%025Zd = %Qd\n", name, sign, left, scale, bound);
+    mpz_clears(scale, left, NULL);
 }
 
 /* A bound of a ratio N / (1 - F) from one of N + price * (F - most): it is a ratio of two lines,
@@ -1273,6 +1366,7 @@ static void conclude(void) {
                    mpq_get_d(excess));
         exceeds = exceeds || mpq_sgn(excess) > 0;
     }
+    if (exceeds && single) refuse("a policy exceeds a row");
     if (ratio) {
         if (!less(taken[1], one)) refuse("the lottery reaches the goal, fails");
         rational given = over(upper, minus(one, taken[1]));
@@ -1293,8 +1387,8 @@ static void conclude(void) {
     if (less(lower, claim[0])) refuse("claimed is at least %Qd, fails: %Qd", claim[0], lower);
     if (less(claim[1], upper)) refuse("claimed is at most %Qd, fails: %Qd", claim[1], upper);
     printf("accepted: \"%s\"\n  SHA-256   %s\n", asked, digest);
-    print_bound("at least", lower);
-    print_bound("at most", upper);
+    print_bound("at least", lower, false);
+    print_bound("at most", upper, true);
     printf("  width     %.1e\n", mpq_get_d(minus(upper, lower)));
     for (size_t j = 1; j < n_rows; j++)
         if (less(bound[j], taken[j]))
@@ -1317,6 +1411,7 @@ int main(int count, char **arguments) {
     read_model(keep_graph);
     follow_graph();
     read_proof();
+    settle_choices();
     meet(mpq_numref(zero));
     meet(cap);
     read_model(add_arrivals);
