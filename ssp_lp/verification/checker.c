@@ -20,6 +20,7 @@
  * quantile is the claim if late runs, of a charge of 1, are few enough. A tail mean is the least
  * over thresholds z of z + max(total - z, 0) / (1 - level), and the best z is a total at the goal:
  * the cases of the proof hold all such z up to the last end, beyond which none does less than z.
+ * Where policies must not be mixed, cases hold all decisions at a node, part by part.
  *
  * The proof. Each column of numbers y in the file bounds a quantity of its own from below:
  *
@@ -773,8 +774,8 @@ struct column {
     bool is_of_states;           /* it tells of nodes from the cap on alone */
     mpz_t arrival;               /* in the state that is read */
 };
-/* Decisions that are left at a node in a case: to stop, and each action; and whether one who does not
- * stop there may wander by those that are left. */
+/* Decisions that are left at a node in a case: to stop, and each action; and whether one who does
+ * not stop there may wander by those that are left. */
 struct choice { size_t state; mpz_t total; bool *left, wanders; };
 /* A case of the proof: policies whose decisions are left, and thresholds of a tail mean, in units
  * beyond a total, and up to an end; the first total at the goal there, if there is one. */
