@@ -760,6 +760,11 @@ static void follow_graph(void) {
     free(dead);
 }
 
+static void forget_graph(void) {
+    void *arrays[] = {home, costless, waits, outcomes, coming};
+    for (size_t i = 0; i < sizeof arrays / sizeof *arrays; i++) free(arrays[i]);
+}
+
 /* ---- The proof ---- */
 
 struct stair { mpz_t start; rational after, value, slope; };  /* value + slope * (total - after) */
@@ -1067,8 +1072,6 @@ static void settle_choices(void) {
             free(allowed);
             free(inside);
         }
-    void *done[] = {home, costless, waits, outcomes, coming};
-    for (size_t i = 0; i < sizeof done / sizeof *done; i++) free(done[i]);
 }
 
 /* A stair of a charge, from one total on. */
@@ -1411,8 +1414,9 @@ int main(int count, char **arguments) {
     n_lasting = n_made;
     read_model(keep_graph);
     follow_graph();
+    if (!single) forget_graph();
     read_proof();
-    settle_choices();
+    if (single) settle_choices();
     meet(mpq_numref(zero));
     meet(cap);
     read_model(add_arrivals);
