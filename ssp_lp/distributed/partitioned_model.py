@@ -37,7 +37,16 @@ from ssp_lp.distributed.partitioned_pricing import (
 )
 from ssp_lp.distributed.petsc import Petsc
 from ssp_lp.distributed.ranks import Ranks, packed_error, unpacked
-from ssp_lp.distributed.slab import Slab, StateRows, slab_in_file, slab_of, slab_of_model
+from ssp_lp.distributed.slab import (
+    Slab,
+    StateRows,
+    balanced_states,
+    part_by_rows,
+    part_in_file,
+    part_of_model,
+    tried_states,
+    with_facts,
+)
 from ssp_lp.errors import ModelError, OutOfTimeError
 from ssp_lp.formulation import Formulation
 from ssp_lp.methods.approaches import refusal
@@ -139,11 +148,15 @@ class PartitionedModel:
         Raises:
             ModelError: naming the state and the action at fault, on every rank.
         """
-        ranks = Ranks.all()
-        made = ranks.agreed(
-            lambda: slab_of(ranks.comm, rows, n_states, goal_states, states, state_labels)
-        )
-        return cls(made, ranks)
+        ranks, named = Ranks.all(), (goal_states, states, state_labels)
+        tried: dict[int, float] = {}
+        for some in ranks.comm.allgather(
+            ranks.agreed(lambda: tried_states(ranks.comm, rows, n_states))
+        ):
+            tried |= some
+        first, end = balanced_states(ranks.comm, tried, n_states)
+        part = ranks.agreed(lambda: part_by_rows(rows, first, end, n_states, *named))
+        return cls(ranks.together(lambda: with_facts(ranks.comm, part, first, end)), ranks)
 
     @classmethod
     def from_file(cls, path: str | Path) -> PartitionedModel:
@@ -157,13 +170,15 @@ class PartitionedModel:
             OSError: the file cannot be opened.
         """
         ranks = Ranks.all()
-        return cls(ranks.agreed(lambda: slab_in_file(ranks.comm, path)), ranks)
+        part = ranks.agreed(lambda: part_in_file(ranks.comm, path))
+        return cls(ranks.together(lambda: with_facts(ranks.comm, *part)), ranks)
 
     @classmethod
     def from_model(cls, model: SSP) -> PartitionedModel:
         """Take each rank's part of a model that all ranks have."""
         ranks = Ranks.all()
-        return cls(slab_of_model(ranks.comm, model), ranks)
+        part = part_of_model(ranks.comm, model)
+        return cls(ranks.together(lambda: with_facts(ranks.comm, *part)), ranks)
 
     def solve(
         self,
@@ -195,7 +210,7 @@ class PartitionedModel:
         options = options_of(method, tolerance, began, time_limit, progress)
         ranks, cargo = self.ranks, Cargo()
         compiled = ranks.agreed(lambda: self._compiled(criterion, method, asked))
-        share, own = labelled_share(ranks, compiled)
+        share, own = ranks.together(lambda: labelled_share(ranks, compiled))
         ranks.hold(share)
         if ranks.comm.rank > 0:
             answer: PartitionedSolution = unpacked(cargo, ranks.serve())

@@ -52,18 +52,36 @@ class Ranks:
         """What every rank makes by itself; where one cannot, all raise its error.
 
         Raises:
-            SSPError: of the first rank that has one.
+            Exception: of the rank itself, or else of the first rank that has one.
         """
         made, error = None, None
         try:
             made = make()
-        except (SSPError, OSError) as raised:
+        except Exception as raised:
             error = raised
         packed = None if error is None else packed_error(Cargo(), error)
         for other in self.comm.allgather(packed):
             if other is not None:
                 raise error or Cargo().unpack(other)
         return made  # type: ignore[return-value]
+
+    def together(self, make: Callable[[], _Made]) -> _Made:
+        """What all ranks make with each other; an error of one of them ends all, unless it is ours.
+
+        Raises:
+            SSPError: which all of them raise.
+        """
+        try:
+            return make()
+        except SSPError:
+            raise
+        except Exception:
+            if self.comm.size == 1:
+                raise
+            traceback.print_exc()
+            sys.stderr.flush()
+            self.comm.Abort(1)
+            raise
 
     def order(
         self, name: str, shared: tuple[Any, ...] = (), own: Sequence[tuple[Any, ...]] | None = None
@@ -111,23 +129,16 @@ class Ranks:
         self.share, self.held_by, self.chosen = share, None, None
 
     def _done(self, name: str, given: tuple[Any, ...]) -> Any:
-        """What this rank of PETSc makes of an order; an error ends all ranks, unless it is ours."""
+        """What this rank of PETSc makes of an order, or its error, if that is ours."""
         try:
             with until(float("inf")):  # the first rank looked at the time, for all
                 if name == "take":
                     return self.hold(Share(self.comm, self.petsc, *given))
                 if name == "label":
-                    return self.hold(self._held.labelled_anew(*given))
-                return getattr(self._held, name)(*given)
+                    return self.hold(self.together(lambda: self._held.labelled_anew(*given)))
+                return self.together(lambda: getattr(self._held, name)(*given))
         except SSPError as error:
             return error
-        except Exception:
-            if self.comm.size == 1:
-                raise
-            traceback.print_exc()
-            sys.stderr.flush()
-            self.comm.Abort(1)
-            raise
 
     @property
     def _held(self) -> Share:

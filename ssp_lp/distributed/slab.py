@@ -112,19 +112,44 @@ class Slab(SSP):
         return end_components(among, np.ones(len(home), dtype=np.bool_))[0] >= 0
 
 
-def slab_of(
-    comm: Any,
+def tried_states(
+    comm: Any, rows: Callable[[int, int], StateRows], n_states: int
+) -> dict[int, float]:
+    """Outcomes of some states of a slab's model, by their numbers; each rank tries its share."""
+    probes = np.unique(np.linspace(0, n_states, _PROBES, endpoint=False).astype(np.int64))
+    own = probes[comm.rank :: comm.size].tolist()
+    return {k: 1.0 + float(np.sum(rows(k, k + 1).outcomes)) for k in own}
+
+
+def balanced_states(comm: Any, tried: Mapping[int, float], n_states: int) -> tuple[int, int]:
+    """The own states of a slab, first and end, so that all ranks have about as many outcomes.
+
+    Args:
+        comm: of mpi4py.
+        tried: what all ranks have made of :func:`tried_states`.
+        n_states: of the model.
+    """
+    probes = sorted(tried)
+    states = np.append(np.array(probes), n_states)
+    work = np.array([tried[k] for k in probes]) * np.diff(states)
+    return _share_of(comm, np.append(0.0, np.cumsum(work)), states)
+
+
+def part_by_rows(
     rows: Callable[[int, int], StateRows],
+    first: int,
+    end: int,
     n_states: int,
     goal_states: npt.ArrayLike,
     states: Sequence[Hashable] | None = None,
     state_labels: Mapping[str, Any] | None = None,
-) -> Slab:
-    """A rank's slab, whose rows it makes piece by piece.
+) -> SSP:
+    """A slab's rows, made piece by piece, as a model in which other states have no pairs.
 
     Args:
-        comm: of mpi4py.
         rows: the rows of the states first .. end - 1.
+        first: number of the first of the own states.
+        end: number of the state behind the last of them.
         n_states: of the model.
         goal_states: numbers of the goal states.
         states: labels of all states; None: their numbers.
@@ -133,30 +158,36 @@ def slab_of(
     Raises:
         ModelError: naming the state and the action at fault.
     """
-    first, end = _balanced(comm, rows, n_states)
     parts: dict[str, list[npt.NDArray[Any]]] = {}
     for k in range(first, max(end, first + 1), _PIECE):
         last = min(k + _PIECE, end)
         piece = rows(k, last)
         if np.size(piece.actions) != last - k:
             raise ModelError(f"rows({k}, {last}) has {np.size(piece.actions)} states")
-        named = {f"costs {name}": costs for name, costs in piece.named_costs.items()}
-        for name, array in {**piece._asdict(), **named}.items():
-            if name != "named_costs":
-                parts.setdefault(name, []).append(np.asarray(array))
-        del piece, named
+        outcomes = np.asarray(piece.outcomes)
+        costs = {"costs": piece.costs}
+        costs |= {f"costs {name}": paid for name, paid in piece.named_costs.items()}
+        for name in ("actions", "outcomes", "successors", "probabilities"):
+            parts.setdefault(name, []).append(np.asarray(getattr(piece, name)))
+        for name, paid in costs.items():
+            numbers = np.asarray(paid, dtype=np.float64)
+            by_pair = numbers.shape == outcomes.shape
+            parts.setdefault(name, []).append(np.repeat(numbers, outcomes) if by_pair else numbers)
+        del piece, costs
+    sizes = [int(outcomes.sum()) for outcomes in parts["outcomes"]]
 
     def joined(name: str) -> npt.NDArray[Any]:
         """An array of all pieces, which are let go; one number for all stays one."""
         own = parts.pop(name)
         if len(own) == 1 or all(part.ndim == 0 and part == own[0] for part in own):
             return own[0]
-        return np.concatenate(own)
+        filled = zip(own, sizes, strict=True)
+        return np.concatenate([np.full(n, part) if part.ndim == 0 else part for part, n in filled])
 
     counts = np.zeros(n_states, dtype=np.int64)
     counts[first:end] = joined("actions")
     chances, successors = joined("probabilities"), joined("successors").astype(np.int32, copy=False)
-    made = SSP.from_arrays(
+    return SSP.from_arrays(
         pair_offsets=offsets_of(counts),
         outcome_offsets=offsets_of(joined("outcomes")),
         successors=successors,
@@ -168,19 +199,6 @@ def slab_of(
         state_labels=state_labels,
         treat_actionless_as_dead_ends=True,
     )
-    del chances, successors
-    return with_facts(comm, made, first, end)
-
-
-def _balanced(comm: Any, rows: Callable[[int, int], StateRows], n_states: int) -> tuple[int, int]:
-    """The own states of a slab, so that all have about as many outcomes: some states are tried."""
-    probes = np.unique(np.linspace(0, n_states, _PROBES, endpoint=False).astype(np.int64))
-    own = probes[comm.rank :: comm.size].tolist()
-    tried = comm.allgather([(k, int(np.sum(rows(k, k + 1).outcomes))) for k in own])
-    counts = dict(one for part in tried for one in part)
-    weights = np.array([1.0 + counts[k] for k in probes.tolist()])
-    ends = np.append(probes, n_states)
-    return _share_of(comm, np.append(0.0, np.cumsum(weights * np.diff(ends))), ends)
 
 
 def _share_of(comm: Any, work: FloatArray | IntArray, states: IntArray) -> tuple[int, int]:
@@ -191,7 +209,10 @@ def _share_of(comm: Any, work: FloatArray | IntArray, states: IntArray) -> tuple
 
 
 def with_facts(comm: Any, part: SSP, first: int, end: int) -> Slab:
-    """A model of a rank's own rows as a slab, with what sweeps find of the whole graph."""
+    """A model of a rank's own rows as a slab, with what sweeps find of the whole graph.
+
+    All ranks make theirs at the same time.
+    """
     own = {one.name: getattr(part, one.name) for one in fields(SSP)}
     slab = Slab(**own, comm=comm, first=first, end=end)
     graph, goal = slab.graph, slab.goal_mask
@@ -202,8 +223,8 @@ def with_facts(comm: Any, part: SSP, first: int, end: int) -> Slab:
     return slab
 
 
-def slab_of_model(comm: Any, model: SSP) -> Slab:
-    """A rank's slab of a model that every rank has whole; arrays are parts of the model's."""
+def part_of_model(comm: Any, model: SSP) -> tuple[SSP, int, int]:
+    """A slab's rows of a model that every rank has, with the own states' first and end."""
     first, end = _share_of(comm, model.pair_offsets, np.arange(model.n_states + 1))
     a, b = model.pair_offsets[[first, end]].tolist()
     own = slice(*model.outcome_offsets[[a, b]].tolist())
@@ -215,11 +236,11 @@ def slab_of_model(comm: Any, model: SSP) -> Slab:
         "named_costs": {name: costs[own] for name, costs in model.named_costs.items()},
         **{name: getattr(model, name)[own] for name in ("successors", "probabilities", "costs")},
     })  # fmt: skip
-    return with_facts(comm, part, first, end)
+    return part, first, end
 
 
-def slab_in_file(comm: Any, path: str | Path) -> Slab:
-    """A rank's slab of a model in the library's own file, of which it keeps no more than that.
+def part_in_file(comm: Any, path: str | Path) -> tuple[SSP, int, int]:
+    """A slab's rows of a model in the library's own file, with the own states' first and end.
 
     Args:
         comm: of mpi4py.
@@ -231,14 +252,14 @@ def slab_in_file(comm: Any, path: str | Path) -> Slab:
     """
     try:
         with zipfile.ZipFile(path) as archive:
-            return _slab_in_archive(comm, archive)
+            return _part_in_archive(comm, archive)
     except (zipfile.BadZipFile, KeyError, ValueError, TypeError) as error:
         load_model(path)  # says what is wrong
         raise ModelError(f"{path} is damaged: {error!r}") from error
 
 
-def _slab_in_archive(comm: Any, archive: zipfile.ZipFile) -> Slab:
-    """The slab of a model that an archive's texts and arrays state."""
+def _part_in_archive(comm: Any, archive: zipfile.ZipFile) -> tuple[SSP, int, int]:
+    """A slab's rows of a model that an archive's texts and arrays state."""
     texts = json.loads(_part(archive, "header").tobytes())
     if texts.get("format") != "ssp-lp model":
         raise ValueError("no model")
@@ -276,7 +297,7 @@ def _slab_in_archive(comm: Any, archive: zipfile.ZipFile) -> Slab:
         treat_actionless_as_dead_ends=True,
     )  # fmt: skip
     chances = read_only(_part(archive, "probabilities", *own))  # not rounded again
-    return with_facts(comm, replace(made, probabilities=chances), first, end)
+    return replace(made, probabilities=chances), first, end
 
 
 def _part(

@@ -119,6 +119,34 @@ def check_file(model):
         PartitionedModel.from_rows(lambda *_: StateRows([0] * 3, [], [], [], 1.0), 40, [0])
 
 
+def check_that_rows_of_one_rank_fail_on_all():
+    """Where one rank cannot make its rows, all raise its error; costs are given in any form."""
+
+    def rows(first, end):
+        """Rows that fail in the last state."""
+        if end == 40 and first < 39:
+            raise ZeroDivisionError("no rows here")
+        n = end - first
+        return StateRows([1] * n, [1] * n, [39] * n, [1.0] * n, 1.0)
+
+    with pytest.raises(ZeroDivisionError, match="no rows here"):
+        PartitionedModel.from_rows(rows, 40, [39])
+    n = 70_000
+
+    def walk(first, end):
+        """A walk to the last state, whose pieces give their costs as numbers and by pairs."""
+        here = np.arange(first, min(end, n - 1))
+        ones, paid = np.ones(len(here), dtype=np.int64), float(1 + first // (1 << 16))
+        return StateRows(
+            np.append(ones, 0)[: end - first], ones, here + 1, ones.astype(float),
+            paid if first % 2 == 0 else paid * ones,
+        )  # fmt: skip
+
+    made = PartitionedModel.from_rows(walk, n, [n - 1])
+    assert COMM.allreduce(made.slab.n_pairs) == n - 1
+    assert made.slab.costs.size == made.slab.n_outcomes
+
+
 def with_fuel(model):
     """A model with a second cost by name, and its states numbered."""
     fuel = 1.0 + np.arange(model.n_outcomes) % 3
@@ -187,6 +215,7 @@ if __name__ == "__main__":
         check_parts(model, made)
         check_the_same(model, made, criterion, **asked)
     check_file(with_fuel(model_of(DUPLICATES)))
+    check_that_rows_of_one_rank_fail_on_all()
     check_errors(partitioned(FIRST))
     if COMM.gather(True) is not None:
         print(f"{COMM.size} ranks: well")
