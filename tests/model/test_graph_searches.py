@@ -103,6 +103,16 @@ def test_dead_ends_attention_states_and_pairs_that_lead_somewhere(path, seed, n_
     assert members(graph.pairs_into(model, some)) == expected
 
 
+def test_pairs_without_outcomes_lead_nowhere(path):
+    """Of a process, whose pairs may do no more than end."""
+    arrays = np.array([0, 2, 4]), np.array([0, 0, 2, 2, 3]), np.array([0, 1, 1], dtype=np.int32)
+    process = graph.Graph(*arrays, np.array([0.5, 0.0, 1.0]))
+    assert members(graph.pairs_into(process, np.array([True, False]))) == {1}
+    assert members(graph.pairs_into(process, np.array([False, True]))) == {3}
+    nothing = graph.Graph(np.array([0, 1]), np.array([0, 0]), arrays[2][:0], np.zeros(0))
+    assert not graph.pairs_into(nothing, np.array([True])).any()
+
+
 @each_model
 def test_states_from_which_the_goal_is_sure(path, seed, n_states):
     model, _ = drawn_model(seed, n_states)
