@@ -47,8 +47,9 @@ ROOMS = {
     "dynamic_programming": "equations numerics rows_and_nodes",
     "game": "time_bounds operators game_lemmas game_edge_cases bayes_adaptive "
     "-k 'not robot and not feasible'",
-    "methods": "numerics frontier deterministic quantiles incumbents cost_law_criteria "
-    "-k 'not no_search_ends'",
+    "methods": "numerics frontier deterministic quantiles incumbents cost_law_criteria rounding "
+    "-k 'not no_search_ends and not gap_that and not within_a_budget and not symmetries "
+    "and not utility and not finer and not safest'",
     "policies": "policies episodes drawn_laws controller -k 'not distribution'",
     "processes": "rows_and_nodes semantics goal_reach "
     "-k 'not grid and not racetrack and not exponentially'",
