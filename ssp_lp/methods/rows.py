@@ -334,7 +334,7 @@ def true_lottery(
         figures: a policy's true cost, failure and rows.
 
     Returns:
-        None where none of them keeps to the rows: the grid is too coarse.
+        None where none of them keeps to the rows, and succeeds: the grid is too coarse.
     """
     pricing, order = compiled.pricing(), np.argsort(weights @ pool.figures, kind="stable")
     best, points = pool.columns[int(order[0])], [pool.columns[k] for k in order[:_MOST].tolist()]
@@ -354,7 +354,7 @@ def true_lottery(
     def given_success(weights: FloatArray) -> float:
         """The cost given success of a lottery."""
         goal = float((1.0 - failure) @ weights)
-        return float(cost @ weights) / goal if goal > 0.0 else np.inf
+        return float(cost @ weights) / goal if goal > _LUCK * compiled.greatest_goal else np.inf
 
     chosen = solve_master(cost, taken, *limits, elastic=True).weights
     if (taken @ chosen > rows.bounds * (1.0 + 1e-12) + 1e-15).any():
@@ -370,6 +370,8 @@ def true_lottery(
         if not attained < ratio * (1.0 - _SETTLED):
             break
         chosen, ratio = optimal, attained
+    if compiled.ratio and not np.isfinite(given_success(chosen)):
+        return None
     used = np.flatnonzero(chosen > 0.0)
     lottery = MixedPolicy(tuple(policies[k] for k in used.tolist()), chosen[used])
     return lottery, float(failure @ chosen)

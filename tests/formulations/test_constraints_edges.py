@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -143,23 +144,38 @@ def test_bounds_of_rare_goals_are_bounds(rare: float, late: float) -> None:
     assert certify(replace(solution, policy=alone(worse))).lower_bound <= 1.0
 
 
-@each_method
-@pytest.mark.parametrize(
-    "criterion", [S3P, partial(CVaR, level=0.3), partial(CostQuantile, level=0.3)]
-)
-def test_the_room_for_rounding_of_a_limit_buys_no_success(criterion, method: str) -> None:
+def lucky(first: dict, wall: Any, *, may_go: bool = True) -> dict[str, Any]:
     """Only to lose and to go hit the wall with 0.2; to win is free, and does so with 0.1."""
-    model = model_of({
-        "a": {"lose": [(1.0, "b", 0.0)], "win": [(1.0, "g", 0.0)],
-              "go": [(0.8, "g", 3.0), (0.2, "wall", 1.0)]},
-        "b": {"on": [(0.2, "wall", 0.0), (0.8, "ditch", 0.0)]},
-    })  # fmt: skip
-    for limit in (end_probability("wall") == 0.2, end_probability("wall") >= 0.2):
-        limits = {"wall": limit}
-        problem = criterion(model, {"a": 0.5, "b": 0.5}, failure_budget=1.0, constraints=limits)
-        solution = solve(problem, method)
+    actions = {"lose": [(1.0, "b", 0.0)], "win": [(1.0, "g", 0.0)]}
+    go = {"go": [(0.8, "g", 3.0), (0.2, "wall", 1.0)]} if may_go else {}
+    lost = {"on": [(0.2, "wall", 0.0), (0.8, "ditch", 0.0)]}
+    model = model_of({"s": first, "a": actions | go, "b": lost})
+    asked = {"failure_budget": 1.0, "constraints": {"wall": wall}}
+    return {"model": model, "start": {"s": 0.5, "b": 0.5}, **asked}
+
+
+WALLS = (end_probability("wall") == 0.2, end_probability("wall") >= 0.2)
+GIVEN_SUCCESS = [S3P, partial(CVaR, level=0.3), partial(CostQuantile, level=0.3)]
+
+
+@each_method
+@pytest.mark.parametrize("criterion", GIVEN_SUCCESS)
+def test_the_room_for_rounding_of_a_limit_buys_no_success(criterion, method: str) -> None:
+    step = {"on": [(1.0, "a", 0.0)]}
+    for wall in WALLS:
+        solution = solve(criterion(**lucky(step, wall)), method)
         assert solution.objective == pytest.approx(3.0, rel=1e-9)
         assert solution.goal_probability == pytest.approx(0.4, rel=1e-9)
+        with pytest.raises(InfeasibleError, match="no cost given success exists"):
+            solve(criterion(**lucky(step, wall, may_go=False)), method)
+
+
+@pytest.mark.parametrize("wall", WALLS, ids=["equal", "at least"])
+def test_nor_is_success_bought_where_totals_are_rounded(wall) -> None:
+    roots = {"on": [(1.0, "a", 2.0**0.5)], "far": [(1.0, "a", 3.0**0.5)]}
+    solution = solve(S3P(**lucky(roots, wall), cost_levels=1))
+    assert solution.objective == pytest.approx(3.0 + 2.0**0.5, rel=1e-9)
+    assert solution.goal_probability == pytest.approx(0.4, rel=1e-9)
 
 
 def test_to_stay_for_ever_must_be_free_in_everything() -> None:
