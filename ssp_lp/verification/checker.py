@@ -170,9 +170,8 @@ class Quantity:
             weight = sign * number(text)
             known = WHILE | (THROUGH if model.shift else set())
             need(kind in known, "no quantity is called", kind)
-            after = kind in THROUGH or kind == "end"
+            after, count = kind in THROUGH or kind == "end", model.question["costs"]
             if kind in ("cost", "cost through"):
-                count = model.question["costs"]
                 self.costs[whole(what, count) + count * after] += weight
                 continue
             states = model.sets[what]
@@ -574,9 +573,7 @@ class Model:
         every = range(len(self.home))
         for total in {self.nodes[i][1] for i in only}:  # who does not stop may wander at it
             here = {self.nodes[i][0]: some for i, some in only.items() if self.nodes[i][1] == total}
-            loops = [
-                free and k in here.get(self.home[k], every) for k, free in enumerate(self.waits)
-            ]
+            loops = [self.waits[k] and k in here.get(x, every) for k, x in enumerate(self.home)]
             wandering = self.staying(self.live, loops)[0]
             for x in here.keys() & self.moving:
                 allowed = here[x] | ({-1} if x in wandering else set())
@@ -740,9 +737,8 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
         if value > row.bound:
             exceeded[row.name] = value - row.bound
             if value - row.bound > EXCESS * abs(row.bound):
-                model.at_most(
-                    -model.down(-value), model.down(row.bound), "lottery <= bound of row", row.name
-                )
+                sides = -model.down(-value), model.down(row.bound)
+                model.at_most(*sides, "lottery <= bound of row", row.name)
     need(not (exceeded and model.is_single), "a policy exceeds row", *exceeded)
     if model.ratio:
         need(taken[0] < 1, "the lottery reaches the goal, fails")
