@@ -22,6 +22,7 @@ from formulations import (
     AlphaMCMP,
     CostBoundedReach,
     CostQuantile,
+    CVaR,
     FinitePenalty,
     LeastQuantity,
     MaxProb,
@@ -137,6 +138,9 @@ PROBLEMS = {
     "in time": CostBoundedReach(MAZE, "start", 4.5, 0.2),
     "often": CostQuantile(MAZE, "start", 0.9, 0.1),
     "often in loops": CostQuantile(SLOPE, "x", 0.75, 0.3),
+    "worst": CVaR(SLOPE, "x", 0.75, 0.3),
+    "unmixed": MCMP(MAZE, "start", 0.07),
+    "unmixed, given": S3P(SLOPE, "x", 0.3),
     "worth it": EGUBS(MAZE, "start", -0.5, 0.7),
     "patient": GUBS(PITS, "x", patience, 1.0),
 }
@@ -148,7 +152,8 @@ def folder(tmp_path_factory):
     """A certificate of each problem."""
     where = tmp_path_factory.mktemp("certificates")
     for name, problem in PROBLEMS.items():
-        assert write_certificate(solve(problem), where / name, tolerance=1e9).accepted
+        method = "deterministic" if name.startswith("unmixed") else None
+        assert write_certificate(solve(problem, method), where / name, tolerance=1e9).accepted
     return where
 
 
@@ -257,10 +262,25 @@ def test_both_say_the_same_of_what_was_tampered_with(program, folder, tmp_path, 
         agreed(program, written(tampered, tmp_path / "x"))
 
 
+def moved(value, step):
+    """A number, or the first one of a list, and a little more."""
+    if isinstance(value, list):
+        return [moved(value[0], step), *value[1:]]
+    return str(Fraction(value) + step)
+
+
+def low(line):
+    """A line of proof with values that prove little."""
+    stated = json.loads(line)
+    return stated | {"v": ["-1000"] * len(stated["v"]) if type(stated["v"]) is list else "-1000"}
+
+
 def edges(lines):
     """Files that differ in a number of the proof by next to nothing, or in a decision."""
     n = states_of(lines)
-    rows = len(json.loads(lines[n + 1])["prices"])
+    question = json.loads(lines[0])
+    limited = question["failure"] is not None or question.get("ratio", False)
+    rows = len(question["rows"]) + limited
     for k in range(n + 2, len(lines)):
         stated = json.loads(lines[k])
         acts = len(json.loads(lines[1 + stated.get("state", k - n - 2)])["actions"])
@@ -268,7 +288,7 @@ def edges(lines):
             if name not in stated:
                 continue
             for step in ("1e-30", "1e-61"):
-                yield k, stated | {name: str(Fraction(stated[name]) + Fraction(step))}
+                yield k, stated | {name: moved(stated[name], Fraction(step))}
         for m, entry in enumerate(stated["members"]):
             others = [None, *(["stop", *range(acts + 1)])]
             big = ["1000", "1000", *["1"] * rows, *["9"] * ("slope" in stated)]
@@ -288,12 +308,12 @@ def test_both_say_the_same_at_the_edge(program, folder, tmp_path, name):
     lines = lines_of(folder / name)
     n = states_of(lines)
     every = list(edges(lines))
-    low = [json.dumps(json.loads(line) | {"v": "-1000"}).encode() for line in lines[n + 2 :]]
+    lowered = [json.dumps(low(line)).encode() for line in lines[n + 2 :]]
     for k, stated in random.Random(name).sample(every, min(len(every), 60)):
         tampered = [*lines]
         if any(entry and entry[1] == "1000" for entry in stated["members"]):
-            tampered[n + 2 :] = low  # so that only members are in question
-            stated["v"] = "-1000"
+            tampered[n + 2 :] = lowered  # so that only members are in question
+            stated["v"] = json.loads(lowered[k - n - 2])["v"]
         tampered[k] = json.dumps(stated).encode()
         agreed(program, written(tampered, tmp_path / "x"))
 
