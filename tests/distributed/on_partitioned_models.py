@@ -32,6 +32,12 @@ from ssp_lp.io import save_model
 from ssp_lp.model.graph import attention_states, hopeless_states
 
 COMM = MPI.COMM_WORLD
+ENDS = {
+    "x": {"go": [(0.5, "g", 1.0), (0.5, "skid", 1.0)]},
+    "skid": {"on": [(1.0, "wreck", 1.0)]},
+    "wreck": {},
+}
+"""Who skids has failed, and comes to the wreck after that."""
 
 
 def partitioned(model):
@@ -169,6 +175,9 @@ def questions():
     yield model_of(FREE_PAIR), MCMP, {"start": "x", "failure_budget": 0.25, "give_up": "dead_ends"}
     few = {"few": visits("wreck") <= 0.04}
     yield FIRST, MCMP, {"start": "depot", "failure_budget": 0.09, "constraints": few}
+    named = {"wrecks": end_probability("wreck") <= 0.04}
+    ends = {"give_up": "dead_ends", "constraints": named}
+    yield FIRST, MCMP, {"start": "depot", "failure_budget": 0.09} | ends
     seen = {"seen": visits("y") <= 1.2, "home": end_probability("goal") >= 0.885}
     yield model_of(DUPLICATES), MCMP, {"start": "x", "failure_budget": 0.2, "constraints": seen}
     yield model_of(DUPLICATES), FinitePenalty, {"start": "x", "penalty": 20.0}
@@ -201,6 +210,9 @@ def check_errors(made):
             made.solve(criterion, start="depot")
     with pytest.raises(ModelError, match="forbids failing, which asks for the whole graph"):
         made.solve(MinCost, start="depot")
+    named = {"wrecks": end_probability("wreck") <= 0.04}
+    with pytest.raises(ModelError, match="does not tell apart"):
+        partitioned(model_of(ENDS)).solve(MCMP, start="x", failure_budget=0.5, constraints=named)
     with pytest.raises(ModelError, match="no horizon"):
         made.solve(MCMP, start="depot", failure_budget=0.05, horizon=3)
     with pytest.raises(InfeasibleError) as caught:
