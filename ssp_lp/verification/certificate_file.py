@@ -72,6 +72,7 @@ _LESS = Fraction(1, 10**12)  # of a ratio, than which nothing less is told apart
 _SMALLER = Fraction(1, 10**4)  # by so much a ratio may be proved to be at least
 _LEAST_ROOM = Fraction(1, 10**12)  # relative, to which cases are to prove a bound
 _CAPS, _WIDTH = 12, 1e-10  # of totals tried, until an interval is as narrow as this
+_MANY, _WIDER = 20_000, 1e-7  # nodes, of more of which an interval of this width will do
 _MOST_NODES = 2_000_000
 _FEW = 500  # nodes, of which proofs in fractions are tried
 _DIGITS = (120, 960)  # by which fractions are told
@@ -458,7 +459,8 @@ def _proofs(model: _Draft, solution: Solution, head: dict[str, Any]) -> Iterator
         failed += width >= 0.9 * last
         if width < last:
             lines, last, told = more, width, ({**head, "cap": str(cap)}, nodes)
-        if last <= _WIDTH or failed > 1 or is_cut or len(nodes) > _MOST_NODES // 2:
+        is_narrow = last <= (_WIDTH if len(nodes) < _MANY else _WIDER)
+        if is_narrow or failed > 1 or is_cut or len(nodes) > _MOST_NODES // 2:
             break
         cap = cap * 2
     yield lines
