@@ -661,7 +661,7 @@ def _cases_of_thresholds(
             model.charged[a, b] = _charging(solution, charge)
         dual = model.charged[a, b]
         own = weighed if totals[first] == totals[last - 1] == threshold else []
-        case, v, bound = _priced_values(model, ssp, low, dual, members, own, slope)
+        case, v, bound = _priced_values(model, ssp, low, dual, members, own, slope, enough)
         if bound < enough and last - first > 1:
             middle = (first + last) // 2
             ahead += [(middle, last), (first, middle)]
