@@ -174,3 +174,10 @@ def test_quantiles_and_tail_means_of_irrational_totals(shares):
         mean = ((upto[at] - level) * totals[at] + late) / (1.0 - level)
         tail_mean = solve(CVaR(model, "a", level, 1.0))
         assert tail_mean.objective == pytest.approx(min(mean, totals[1]), rel=1e-9)
+
+
+@pytest.mark.parametrize("level", [0.5, 0.9])
+def test_the_least_tail_mean_is_proved_on_every_threshold(level):
+    """The halves of an interval of thresholds are told apart where it does not begin at 0, too."""
+    solution = solve(CVaR(layered(5, 4, seed=2), 0, level, 0.2), time_limit=10.0)
+    assert solution.gap <= 1e-9
