@@ -32,7 +32,7 @@ from typing import NamedTuple
 
 from tests.campaigns.planted_faults import environment, scratch_copy
 
-LIMIT = 150
+LIMIT = 600
 """Seconds of a processor that the tests of one mutant may take, thrice what they take without."""
 
 BREAKING = re.compile(
@@ -48,6 +48,7 @@ ROOMS = {
     "game": "time_bounds operators game_lemmas game_edge_cases bayes_adaptive "
     "-k 'not robot and not feasible'",
     "methods": "numerics frontier deterministic quantiles incumbents cost_law_criteria rounding "
+    "constraints_edges "
     "-k 'not no_search_ends and not gap_that and not within_a_budget and not symmetries "
     "and not utility and not finer and not safest'",
     "policies": "policies episodes drawn_laws controller -k 'not distribution'",

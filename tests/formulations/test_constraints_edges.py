@@ -168,6 +168,8 @@ def test_the_room_for_rounding_of_a_limit_buys_no_success(criterion, method: str
         assert solution.goal_probability == pytest.approx(0.4, rel=1e-9)
         with pytest.raises(InfeasibleError, match="no cost given success exists"):
             solve(criterion(**lucky(step, wall, may_go=False)), method)
+        free = criterion(**lucky(step, wall) | {"constraints": {}})
+        assert solve(free, method).objective == 0.0
 
 
 @pytest.mark.parametrize("wall", WALLS, ids=["equal", "at least"])
