@@ -59,6 +59,7 @@ from ssp_lp.verification.exact_values import (
     values_below,
 )
 from ssp_lp.verification.lottery import (
+    NEARLY_MET,
     decisions,
     exact_solution,
     graph_of,
@@ -811,4 +812,4 @@ def _first_prices(
 def _is_met(model: checker.Model, total: Sequence[Fraction]) -> bool:
     """Whether the only member of a certificate's lottery uses the budget up, but for rounding."""
     row = model.rows[0]
-    return row.name == "failure" and row.bound < 1 and total[1] >= row.bound - checker.EXCESS
+    return row.name == "failure" and row.bound < 1 and total[1] >= row.bound - NEARLY_MET

@@ -1362,8 +1362,9 @@ static void conclude(void) {
     for (size_t j = 1; j < n_rows; j++) {
         rational excess = minus(taken[j], bound[j]);
         mpq_ptr allowed = made();
-        mpq_set_ui(allowed, 1, 1000000000);
-        mpq_mul(allowed, allowed, bound[j]);
+        mpq_set_ui(allowed, 1, 1000000000000);
+        if (less(minus(zero, one), bound[j]) && less(bound[j], one))
+            mpq_mul(allowed, allowed, bound[j]);
         mpq_abs(allowed, allowed);
         if (less(allowed, excess))
             refuse("lottery <= bound of row %s fails by %.17g", quantities[j].name,

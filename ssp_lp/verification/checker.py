@@ -22,7 +22,8 @@ less than v at the start less prices * b. Where no failure is allowed, only acti
 the goal sure. A share of the greatest goal probability, or all of it ("least"), is bounded from two
 sides: failure by w as the objective is by v, and by what a member fails. Above: on the states that
 a member of the lottery comes to, t >= 1 + sum p t, so that it ends, and u >= own + sum p u for the
-objective and each row, so that it takes at most u.
+objective and each row, so that it takes at most u. By 1e-12 of its bound, or of 1, it may exceed
+a row, which is told: what it attains is then attained within bounds that are so much looser.
 
 A ratio is objective / goal probability, "failure" its first row, with the bound 1 if none is asked:
 N + price * F >= b of all lotteries within the rows bounds N / (1 - F) for each failure F that is
@@ -82,7 +83,7 @@ from typing import Any, NamedTuple
 
 FORMAT, ZERO = "ssp-lp certificate 1", Fraction(0)
 ONE = 10**60  # units in 1 that a proof's numbers are compared in, rounded against the proof
-EXCESS = Fraction(1, 10**9)  # of a bound: so much a lottery may exceed it, which is told
+EXCESS = Fraction(1, 10**12)  # of a bound, or of 1: so much a lottery may exceed it, told
 KINDS = {"asked": str, "charge_failing_step": bool, "greatest": bool, "rows": list, "sets": list}
 KEYS = "asked charge_failing_step costs discount failure format give_up greatest objective rows"
 NUMBER = re.compile(r"-?[0-9]+(/[0-9]+|(\.[0-9]+)?([eE][-+]?[0-9]+)?)")
@@ -736,7 +737,7 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
     for row, value in zip(model.rows, taken, strict=True):
         if value > row.bound:
             exceeded[row.name] = value - row.bound
-            if value - row.bound > EXCESS * abs(row.bound):
+            if value - row.bound > EXCESS * min(Fraction(1), abs(row.bound)):
                 sides = -model.down(-value), model.down(row.bound)
                 model.at_most(*sides, "lottery <= bound of row", row.name)
     need(not (exceeded and model.is_single), "a policy exceeds row", *exceeded)

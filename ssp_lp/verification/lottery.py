@@ -22,9 +22,10 @@ from ssp_lp.model.failure_product import FailureSSP
 from ssp_lp.model.graph import Graph
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
-from ssp_lp.verification.checker import EXCESS, Model, dot
+from ssp_lp.verification.checker import Model, dot
 from ssp_lp.verification.exact_values import leads
 
+NEARLY_MET = Fraction(1, 10**9)  # of a bound: rows as near to it are met exactly, where they can
 _SHIFT = Fraction(1, 10**9)  # of a lottery, which may be moved to another one
 
 
@@ -210,7 +211,7 @@ def lottery_weights(
     excess = [dot(weights, each) for each in beyond]
     # the weights at which rows that are nearly met are met exactly
     met = [e for e, x, row in zip(beyond, excess, model.rows, strict=True)
-           if abs(x) <= EXCESS * abs(row.bound)]  # fmt: skip
+           if abs(x) <= NEARLY_MET * abs(row.bound)]  # fmt: skip
     size = len(drawn)
     exact = exact_solution(
         [*(each[:size] for each in met), [Fraction(1)] * size],

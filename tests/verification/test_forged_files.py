@@ -83,6 +83,41 @@ def test_units_are_parts_of_one(one, accepted, tmp_path):
     assert told.accepted == accepted
 
 
+AWAY = {"v": "0", "members": [None]}
+OFTEN = {"name": "few", "at_most": "1e12", "quantity": {
+    "constant": "0", "terms": [["1e12", "end", "all"], ["1", "end", "dead"]]}}  # fmt: skip
+
+
+@pytest.mark.parametrize("failure", ["least", {"share": "1"}])
+def test_no_more_than_least_failure(failure, tmp_path):
+    """By 2e-10 more the cost is 1 in place of 10."""
+    both = state(
+        safe=([["0.7", 1], ["0.3", 2]], ["10"]),
+        risky=([["0.6999999998", 1], ["0.3000000002", 2]], ["1"]),
+    )
+    own = {"v": "1", "w": "0.3", "members": [[1, "1", "1", "0.3000000002"]]}
+    proof = [own, {**AWAY, "w": "0"}, {**AWAY, "w": "0"}]
+    states, head = [both, GOAL, DEAD], {"prices": ["0"]}
+    told = verdict(tmp_path / "x", states, head, proof, objective=COST, failure=failure)
+    assert "row failure fails" in told.reason
+
+
+@pytest.mark.parametrize(
+    ("action", "takes", "asked"),
+    [
+        (([["0.7499999998", 1], ["0.2500000002", 2]], ["1"]), "0.2500000002", {"failure": "0.25"}),
+        (([["1", 1], ["1", 2]], ["1"]), "1000000000000.5", {"rows": [OFTEN]}),
+    ],
+)
+def test_a_bound_leaves_no_room(action, takes, asked, tmp_path):
+    """Nobody fails as rarely; nobody may fail, though all runs count a thousand billion."""
+    goal, dead = {**GOAL, "sets": ["goal", "all"]}, {**DEAD, "sets": ["all", "dead"]}
+    proof = [{"v": "1", "members": [[0, "1", "1", takes]]}, AWAY, AWAY]
+    states, asked = [state(only=action), goal, dead], {"sets": ["all", "dead"], **asked}
+    told = verdict(tmp_path / "x", states, {"prices": ["0"]}, proof, objective=COST, **asked)
+    assert "lottery <= bound of row" in told.reason
+
+
 @pytest.mark.parametrize("ratio", [True, False])
 def test_no_cap_is_below_the_start(ratio, tmp_path):
     """Values there would be read at a total that no run has."""
@@ -127,11 +162,11 @@ def test_a_quantile_is_of_the_law_alone(rest, v, members, price, tmp_path):
 
 
 def test_a_quantile_jumps_where_a_row_is_exceeded(tmp_path):
-    """Half of the runs of the cheap action fail, a ten billionth more than may."""
+    """Half of the runs of the cheap action fail, a little more than may."""
     away = {"v": "0", "slope": "0", "members": [None]}
     first = {"state": 0, "total": "0", "v": "1", "members": [[1, "1", "0", "0.5"]]}
     head = {"prices": ["1"], "cap": "11", "nodes": 1, "claim": ["1", "1"]}
-    asked = {"ratio": True, "quantile": "1", "failure": "0.4999999999"}
+    asked = {"ratio": True, "quantile": "1", "failure": "0.4999999999999999"}
     told = verdict(tmp_path / "x", [CHOICE, GOAL, DEAD], head, [away, away, away, first], **asked)
     assert not told.accepted
 
@@ -271,7 +306,7 @@ def test_a_tree_holds_all_decisions(cases, values, lower, tmp_path):
         (leaf("4"), ["3"], {"deterministic": False}, "the keys"),
         (leaf("4"), ["3"], {"members": [(0, "1", "1", "0.5")]}, "lottery <= bound of row failure"),
         (
-            leaf("4"), ["3"], {"members": [(0, "1", "1", "0.5")], "failure": "0.4999999999"},
+            leaf("4"), ["3"], {"members": [(0, "1", "1", "0.5")], "failure": "0.4999999999999999"},
             "a policy exceeds row failure",
         ),
         (
