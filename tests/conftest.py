@@ -9,8 +9,8 @@ from ssp_lp import SSP
 from ssp_lp.compiled import accelerator
 from tests.support.compiled import Switch
 
-collect_ignore_glob = ["campaigns/[!t]*"]
-"""Campaigns are run by hand; ``campaigns/test_campaigns.py`` has samples of them."""
+collect_ignore_glob = ["campaigns/[!t]*", "*/conftest.py"]
+"""Campaigns are run by hand, but for the samples in ``campaigns/test_campaigns.py``."""
 
 
 @pytest.fixture(scope="session")
