@@ -746,6 +746,8 @@ def _priced_values(
         c = model.priced(case)
         past = slope if any(slope) else []
         v, _ = values_below(model, ssp, c, members, past)
+        if model.ratio and not any(prices):
+            v = [max(value, 0) for value in v]  # what is paid is no less than nothing
         bound = proved_bound(model, c, v)
         if model.ratio and bound < 0 and model.rows[0].loose == 1:
             # no policy goes below a somewhat smaller ratio; of few digits, which are exact
