@@ -55,6 +55,7 @@ class Run:
     work: Work = field(default_factory=Work)  # passes over the process
     program: str = ""  # the linear program's own report, where one was solved
     time_limit: float | None = None  # seconds of the call, and of numbers worked out later
+    deterministic: bool = False  # whether the best policy that is not mixed was sought
 
     @property
     def backups(self) -> int:

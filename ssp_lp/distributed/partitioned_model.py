@@ -36,7 +36,7 @@ from ssp_lp.distributed.partitioned_pricing import (
     labelled_share,
 )
 from ssp_lp.distributed.petsc import Petsc
-from ssp_lp.distributed.ranks import Ranks, packed_error, unpacked
+from ssp_lp.distributed.ranks import Ranks
 from ssp_lp.distributed.slab import (
     Slab,
     StateRows,
@@ -208,28 +208,21 @@ class PartitionedModel:
         """
         began, method = time.perf_counter(), ColumnGeneration(pricing=Petsc())
         options = options_of(method, tolerance, began, time_limit, progress)
-        ranks, cargo = self.ranks, Cargo()
+        ranks = self.ranks
         compiled = ranks.agreed(lambda: self._compiled(criterion, method, asked))
         share, own = ranks.together(lambda: labelled_share(ranks, compiled))
         ranks.hold(share)
-        if ranks.comm.rank > 0:
-            answer: PartitionedSolution = unpacked(cargo, ranks.serve())
-            return answer
-        packed = b""
-        try:
+
+        def searched() -> PartitionedSolution:
+            """The answer, on the first rank."""
             kept = Checkpoint(checkpoint, f"{criterion.__name__}, {compiled.told}, "
                               f"{compiled.bounds.tolist()}, {compiled.semantics}, "
                               f"{compiled.discount}, {self.slab.n_states} states")  # fmt: skip
             held = PartitionedDynamics.held_by(ranks)
             pricing = PartitionedPricing(own.augmented, rows=own.rows, shared=held, kept=kept)
-            found = _searched(CompiledPartitioned.of(compiled, pricing), options, began)
-            packed = cargo.pack(found)
-        except BaseException as error:
-            packed = packed_error(cargo, error)
-            raise
-        finally:
-            ranks.dismiss(packed)
-        return found
+            return _searched(CompiledPartitioned.of(compiled, pricing), options, began)
+
+        return ranks.answered(Cargo(), searched)
 
     def _compiled(
         self, criterion: type[Any], method: ColumnGeneration, asked: Mapping[str, Any]

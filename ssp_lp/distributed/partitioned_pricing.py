@@ -197,8 +197,7 @@ class PartitionedPricing(ExplicitPricing):
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
         """Partitioned pricing: a column of least priced cost, kept in the checkpoint."""
-        weights = pricing_weights(price)
-        weights = np.append(weights, np.zeros(self.n_rewards - len(weights)))
+        weights = self._weights(price)
         known = [column for column in (*warm, self.kept.nearest(self, weights)) if column]
         known.sort(key=lambda column: float(weights @ column.figures))
         column = super().minimise(price, *known)
@@ -219,10 +218,13 @@ class PartitionedPricing(ExplicitPricing):
     ) -> Proof:
         """Lower values of partitioned pricing, and keep the proof in the checkpoint."""
         proof = super().check(price, values, slack=slack, choice=choice)
-        weights = pricing_weights(price)
-        weights = np.append(weights, np.zeros(self.n_rewards - len(weights)))
-        self.kept.keep_proof(weights, proof.bound)
+        self.kept.keep_proof(self._weights(price), proof.bound)
         return proof
+
+    def _weights(self, price: float | FloatArray) -> FloatArray:
+        """Weights of all rewards in partitioned pricing at a price, or at some of the weights."""
+        weights = pricing_weights(price)
+        return np.append(weights, np.zeros(self.n_rewards - len(weights)))
 
     def lowered(
         self, weights: FloatArray, values: FloatArray, choice: IntArray | None = None

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from ssp_lp.cargo import Cargo, models_of
 from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
 from ssp_lp.distributed.dynamics import PartitionedDynamics
-from ssp_lp.distributed.ranks import Ranks, packed_error, unpacked
+from ssp_lp.distributed.ranks import Ranks
 from ssp_lp.errors import ModelError
 from ssp_lp.options import Partition
 from ssp_lp.problem import Problem
@@ -52,9 +52,6 @@ class Petsc:
         asked = ranks.comm.allgather(repr(problem))
         if len(set(asked)) > 1:
             raise ModelError(f"all ranks of PETSc must ask for the same, not {' and '.join(asked)}")
-        if ranks.comm.rank > 0:
-            answer: Solution = unpacked(cargo, ranks.serve())
-            return answer
         known: dict[int, tuple[object, PartitionedDynamics]] = {}
 
         def partition(pricing: ExplicitPricing) -> PartitionedDynamics:
@@ -64,13 +61,4 @@ class Petsc:
                 known[id(whole)] = whole, PartitionedDynamics.handed_out(ranks, pricing)
             return known[id(whole)][1]
 
-        packed = b""
-        try:
-            solution = solved(partition)
-            packed = cargo.pack(solution)
-        except BaseException as error:
-            packed = packed_error(cargo, error)
-            raise
-        finally:
-            ranks.dismiss(packed)
-        return solution
+        return ranks.answered(cargo, lambda: solved(partition))

@@ -106,6 +106,30 @@ class Ranks:
                 raise one
         return list(made)
 
+    def answered(self, cargo: Cargo, find: Callable[[], _Made]) -> _Made:
+        """What PETSc's first rank finds, giving orders; the others serve until they hear of it.
+
+        Args:
+            cargo: packs and unpacks the answer.
+            find: called on the first rank.
+
+        Raises:
+            Exception: what the first rank raised, on every rank.
+        """
+        if self.comm.rank > 0:
+            answer: _Made = unpacked(cargo, self.serve())
+            return answer
+        packed = b""
+        try:
+            found = find()
+            packed = cargo.pack(found)
+        except BaseException as error:
+            packed = packed_error(cargo, error)
+            raise
+        finally:
+            self.dismiss(packed)
+        return found
+
     def dismiss(self, answer: bytes) -> None:
         """Tell the other ranks of PETSc the answer, after which they take no orders."""
         self.comm.bcast(("answer", (answer,), False))

@@ -147,7 +147,7 @@ def best_within_budget(problem: Problem, options: SolveOptions) -> Solution:
         return solution
     reason += "; then one policy by mixed-integer programs"
     single = best_deterministic(solution, outcome, options.tolerance, options.deadline)
-    return replace(single, run=replace(single.run, reason=reason))
+    return replace(single, run=replace(single.run, reason=reason, deterministic=True))
 
 
 def prove_goal(solution: Solution, evaluation: Evaluation, _: float) -> Proved:

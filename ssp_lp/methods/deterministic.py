@@ -70,7 +70,6 @@ _RATIOS = 30  # Dinkelbach's iteration converges in a handful
 _SPREADS = (1e-6, 0.03, 0.1, 0.3, 1.0, 3.0)  # relative distances of prices, up and down
 _SKIPS = 8  # states skipped on the way between two policies
 _REFUSED = 100  # policies that keep to the budget by HiGHS's tolerances only
-_REMARK = "deterministic: the mixed optimum is"  # how the notes of such solutions begin
 _ROUNDING = 1e-13
 _SMALL = 1e-10  # relative
 """A policy's failure, summed in another order, may lie so far above the budget that it meets."""
@@ -107,7 +106,9 @@ def best_deterministic(
     single = search.best
     gap = relative_gap(single.value, single.bound)
     cost = f"{'at most ' if gap > _OPEN else ''}{max(single.value - mixed.objective, 0.0):.9g}"
-    remarks = [f"{_REMARK} {mixed.objective:.9g}, determinism costs {cost}"]
+    remarks = [
+        f"deterministic: the mixed optimum is {mixed.objective:.9g}, determinism costs {cost}"
+    ]
     if mixed.note:
         remarks.append(mixed.note)
     if not finished and "stopped" not in mixed.note:
@@ -122,11 +123,6 @@ def best_deterministic(
         budget_used=single.failure,
         note="; ".join(remarks),
     )
-
-
-def is_unmixed(solution: Solution) -> bool:
-    """Whether a solution is the best deterministic policy, not a lottery that happens to be one."""
-    return solution.note.startswith(_REMARK)
 
 
 @dataclass(eq=False)

@@ -39,7 +39,6 @@ from ssp_lp.analysis.success_costs import success_costs
 from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray
 from ssp_lp.errors import Argument, ModelError, SolverError
 from ssp_lp.formulation import Formulation
-from ssp_lp.methods.deterministic import is_unmixed
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import Graph
 from ssp_lp.policies.cost_aware import CostAwarePolicy
@@ -53,8 +52,8 @@ from ssp_lp.verification import checker
 from ssp_lp.verification.checker import Checked, dot
 from ssp_lp.verification.decision_cases import cases_of_decisions
 from ssp_lp.verification.exact_values import (
+    case_values,
     member_vectors,
-    proved_bound,
     text_of,
     values_below,
 )
@@ -82,10 +81,7 @@ _TABLES = (ExpectedUtility, ExponentialUtility, ExpectedArrivalCost)
 """Charges that are told of one total after the other, as far as they change."""
 
 _ROUNDED = 1e-15  # of an exponential
-_FARTHEST, _USED_UP = (
-    10**6,
-    1e-11,
-)  # total up to which a utility is told, or until so little is left
+_FARTHEST, _USED_UP = 10**6, 1e-11  # total up to which a utility is told, or what is left there
 _ENDLESS = 1e300  # claimed where a solution states no bound
 
 
@@ -96,12 +92,12 @@ def write_certificate(solution: Solution, path: str | Path, *, tolerance: float 
     of the greatest goal probability, a penalty or failing forbidden, the greatest and the least
     goal probability; and of the total cost its mean given success, the mean of its costliest runs
     (CVaR), what arriving costs, the goal within a cost, utilities and quantiles; each with any
-    limits and any start, within a horizon too. Not covered, and refused by name, are quantities of
-    what comes after failing. A deterministic policy (``method="deterministic"``) is proved among
-    its like by a tree of at most some hundred cases, except at least failure, where lotteries do no
-    better. At least failure the policy may be shown to fail more than the least by the last
-    digits of the proof, unless these are decimals or the goal is sure: that is told as a row
-    exceeded.
+    limits and any start, within a horizon too, and with quantities of what comes after failing. A
+    charge of the total cost that is none of these is refused by name, and a share with a discount.
+    A deterministic policy (``method="deterministic"``) is proved among its like by a tree of at
+    most some hundred cases, except at least failure, where lotteries do no better. At least failure
+    the policy may be shown to fail more than the least by the last digits of the proof, unless
+    these are exact or the goal is sure: that is told as a row exceeded.
 
     Args:
         solution: of ``solve``; its policy and its prices are what is proved to be best.
@@ -119,7 +115,7 @@ def write_certificate(solution: Solution, path: str | Path, *, tolerance: float 
     """
     asked, solved = repr(solution.problem), as_solved(solution, "write_certificate")
     # at least failure no lottery does better than its members
-    is_single = is_unmixed(solution) and solved.problem.failure_budget is not None
+    is_single = solution.run.deterministic and solved.problem.failure_budget is not None
     statement = Statement(
         _before_labelling(solved.problem), f"{asked}, not mixed" if is_single else asked,
         is_single, solved.problem.model.failure_label is not None,
@@ -436,11 +432,10 @@ def _text_of(value: Any) -> str:
 
 def _proofs(model: _Draft, solution: Solution, head: dict[str, Any]) -> Iterator[list[bytes]]:
     """Lines of a certificate file's proof, its head and a line a node: in decimals, then exact."""
-    dual, nodes = solution, list[tuple[int, Fraction]]()
     if not model.counts:
         model.spread({}, [])
-        yield _proof_at(model, solution, solution, head)[1]
-        yield from _exact_proofs(model, solution, dual, head, nodes)
+        yield _proof_at(model, solution, solution, {**head})[1]
+        yield from _exact_proofs(model, solution, solution, head, [])
         return
     dual, risk = solution, solution.problem.semantics.risk
     if risk is not None:  # a quantile is a total that occurs
@@ -484,17 +479,18 @@ def _exact_proofs(
     if len(model.nodes) > _FEW or uncertain:
         return
     for digits in _DIGITS:
-        model.spread({**head, "one": str(10**digits)}, nodes)
-        model.is_checked = False
-        one = _common_unit(model, _proof_at(model, solution, dual, {**head})[1], digits)
-        model.is_checked = True
-        if one is not None:
+        try:
+            model.spread({**head, "one": str(10**digits)}, nodes)
+            model.is_checked = False
+            draft = _proof_at(model, solution, dual, {**head})[1]
+            one, model.is_checked = _common_unit(model, draft, digits), True
+            if one is None:
+                continue
             model.spread({**head, "one": str(one)}, nodes)
-            try:
-                proof = _proof_at(model, solution, dual, {**head, "one": str(one)})[1]
-            except checker.RefusedError:
-                continue  # of more digits there may be other fractions
-            yield proof
+            proof = _proof_at(model, solution, dual, {**head, "one": str(one)})[1]
+        except (checker.RefusedError, SolverError):
+            continue  # of more digits there may be other fractions; decimals there are
+        yield proof
 
 
 def _common_unit(model: checker.Model, proof: Sequence[bytes], digits: int) -> int | None:
@@ -562,11 +558,35 @@ def _proof_at(
         found = cases_of_decisions(model, ssp, members, past, upper)
         head["cases"], values, bound, is_cut = found
     else:
-        enough = upper - _LESS * max(abs(upper), Fraction(1))
-        end = (math.inf if "quantile" in model.question else enough,)
-        case, v, bound = _priced_values(model, ssp, model.low, dual, members, weighed, slope, *end)
+        is_attained = "quantile" not in model.question
+        enough = upper - _LESS * max(abs(upper), Fraction(1)) if is_attained else math.inf
+        asked = members, weighed, slope, enough
+        case, v, bound = _priced_values(model, ssp, model.low, dual, *asked)
         head["prices"], values = [str(price) for price in case.prices], [v]
     head["weights"] = [str(weight) for weight in chosen]
+    lines = _proof_lines(model, head, values, vectors, slope, w)
+    return abs(float(upper - bound)) / max(1.0, abs(float(upper))), lines, is_cut
+
+
+def _proof_lines(
+    model: checker.Model,
+    head: dict[str, Any],
+    values: Sequence[Sequence[int]],
+    vectors: Sequence[Mapping[int, list[Any]]],
+    slope: Sequence[int],
+    w: Sequence[int],
+) -> list[bytes]:
+    """A certificate file's proof: its head, and a line for each state and each node.
+
+    Args:
+        model: the question and the model, its nodes spread.
+        head: with prices or cases, and weights.
+        values: of each case, [nodes].
+        vectors: of each member, by node.
+        slope: of the values in the total, [states].
+        w: what bounds failing from below, where a share is asked, [states].
+    """
+    n = len(model.names)
     if model.counts:
         head |= {"cap": str(Fraction(model.cap, model.unit)), "nodes": len(model.nodes) - n}
     lines = [_line(head)]
@@ -581,12 +601,10 @@ def _proof_at(
         line |= {"members": [entries.get(i) for entries in vectors]}
         if model.counts and i < n:
             line["slope"] = text_of(slope[i], model.one)
-        lines.append(
-            _line(
-                line if model.share is None or i >= n else {**line, "w": text_of(w[i], model.one)}
-            )
-        )
-    return abs(float(upper - bound)) / max(1.0, abs(float(upper))), lines, is_cut
+        if model.share is not None and i < n:
+            line["w"] = text_of(w[i], model.one)
+        lines.append(_line(line))
+    return lines
 
 
 @dataclass(frozen=True, eq=False)
@@ -740,15 +758,10 @@ def _priced_values(
     """Prices of the rows, values that bound all policies, in units of a file, and that bound."""
     prices, at = _first_prices(model, solution, weighed)
     best: tuple[Fraction, checker.Case, list[int]] | None = None
-    less = _LESS
+    less, past = _LESS, slope if any(slope) else []
     for _ in range(_RAISES):
         case = checker.Case(list(prices), low, {})
-        c = model.priced(case)
-        past = slope if any(slope) else []
-        v, _ = values_below(model, ssp, c, members, past)
-        if model.ratio and not any(prices):
-            v = [max(value, 0) for value in v]  # what is paid is no less than nothing
-        bound = proved_bound(model, c, v)
+        v, bound = case_values(model, ssp, case, members, past)
         if model.ratio and bound < 0 and model.rows[0].loose == 1:
             # no policy goes below a somewhat smaller ratio; of few digits, which are exact
             prices[0] = Fraction(math.floor(prices[0] * (1 - less) * 10**20), 10**20)

@@ -673,8 +673,10 @@ def check_certificate(path: Any) -> Checked:
         return Checked(False, f"the file is damaged: {type(error).__name__}: {error}")
 
 
-def check_lines(lines: Sequence[bytes]) -> Checked:
-    """Check the lines of a certificate's file; raises where it is refused."""
+def read_lines(
+    lines: Sequence[bytes],
+) -> tuple[Model, dict[str, Any], list[Fraction], list[Case], list[dict[str, Any]]]:
+    """Model, head of the proof, weights, cases, and what is told of each node, in this order."""
     question = read(lines[0])
     n = whole(question["states"], len(lines))
     digest, head = hashlib.sha256(b"\n".join(lines[: n + 1])).hexdigest(), read(lines[n + 1])
@@ -708,10 +710,16 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
     proof = proof if in_cases else [{**line, "v": [line["v"]]} for line in proof]
     is_told = all(type(line["v"]) is list and len(line["v"]) == len(cases) for line in proof)
     need(is_told and len(cases) > 0, "a value for each case, and one case at least, fails")
-    members = list[list[Fraction]]()
     none = {"v": ["0"] * len(cases), "members": [None] * len(weights), "w": "0", "slope": "0"}
     for place in range(n, n_told + 2, n + 1):  # what a discount takes
         proof.insert(place, none)
+    return model, head, weights, cases, proof
+
+
+def check_lines(lines: Sequence[bytes]) -> Checked:
+    """Check the lines of a certificate's file; raises where it is refused."""
+    model, head, weights, cases, proof = read_lines(lines)
+    question, members = model.question, list[list[Fraction]]()
     for m in range(len(weights)):
         decided = {i: line["members"][m] for i, line in enumerate(proof)
                    if line["members"][m] is not None}  # fmt: skip
@@ -755,7 +763,7 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
     proved = f"proved from {float(lower)} to {float(upper)}"
     need(least <= lower, "claimed is at least", head["claim"][0], "fails,", proved)
     need(upper <= most, "claimed is at most", head["claim"][1], "fails,", proved)
-    return Checked(True, "", *ends, exceeded, str(question["asked"]), digest)
+    return Checked(True, "", *ends, exceeded, str(question["asked"]), head["sha256"])
 
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ from scipy.optimize import linprog
 from ssp_lp.model.graph import Graph
 from ssp_lp.policies.policy import GIVE_UP_CODE
 from ssp_lp.verification.checker import Case, Model, Quantity, dot
-from ssp_lp.verification.exact_values import charged, leads, proved_bound, values_below
+from ssp_lp.verification.exact_values import case_values, charged, leads, proved_bound
 
 _PROOF = logging.getLogger("ssp_lp.proof")
 _ROOM = Fraction(1, 10**11)  # relative, to which cases are to prove what the policy attains
@@ -101,14 +101,11 @@ def cases_of_decisions(
         """A case, proved."""
         prices, flows = _prices_and_flows(model, slope, upper, only)
         case = Case(prices, model.low, only)
-        c = model.priced(case)
-        values, _ = values_below(model, ssp, c, members, slope, only=only)
-        bound = proved_bound(model, c, values)
+        values, bound = case_values(model, ssp, case, members, slope)
         if model.ratio and bound < 0 and model.rows[0].loose == 1:
             # nothing is known of a ratio where success may be as rare as one likes
             case = Case([Fraction(0)] * len(prices), model.low, only)
-            values, _ = values_below(model, ssp, model.priced(case), members, slope, only=only)
-            bound = proved_bound(model, model.priced(case), values)
+            values, bound = case_values(model, ssp, case, members, slope)
         if model.ratio:
             bound = model.given_success(bound, case.prices[0])
         return _Leaf(case, values, bound, flows)

@@ -20,7 +20,7 @@ from scipy.sparse.linalg import splu
 from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.model.graph import Graph, end_components, nearer_pairs
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
-from ssp_lp.verification.checker import ONE, Model, Quantity, dot
+from ssp_lp.verification.checker import ONE, Case, Model, Quantity, dot
 
 _LOST = 10**28
 """Values are lowered by at most one part in so many of the largest."""
@@ -161,6 +161,29 @@ def proved_bound(model: Model, c: Quantity, values: Sequence[int] | None) -> Fra
         won = c.charge(0) if c.charge and x in goal else 0
         bound += p * (c.arrival[x] + Fraction(own + won, model.one))
     return bound
+
+
+def case_values(
+    model: Model,
+    ssp: Graph,
+    case: Case,
+    members: Sequence[Mapping[int, int]],
+    slope: Sequence[int] = (),
+) -> tuple[list[int], Fraction]:
+    """Exact values of a case of a proof, in units, and the bound of all its policies they prove.
+
+    Args:
+        model: the question and the model, its nodes spread.
+        ssp: the same model, for its graph.
+        case: its prices, and the decisions that it leaves.
+        members: policies near the best one.
+        slope: of the values in the total, from the cap on; empty: none.
+    """
+    c = model.priced(case)
+    values, _ = values_below(model, ssp, c, members, slope, only=case.only)
+    if model.ratio and not any(case.prices):
+        values = [max(value, 0) for value in values]  # what is paid is no less than nothing
+    return values, proved_bound(model, c, values)
 
 
 def values_below(
@@ -354,10 +377,8 @@ def _solved(chosen: Sequence[Row], enough: int) -> list[int]:
         chosen: a row of each node.
         enough: units that an equation may lack.
     """
-    n, entries = (
-        len(chosen),
-        [(i, j, a / row.total) for i, row in enumerate(chosen) for a, j in row.outcomes],
-    )
+    n = len(chosen)
+    entries = [(i, j, a / row.total) for i, row in enumerate(chosen) for a, j in row.outcomes]
     at, there, chances = np.array(entries).reshape(-1, 3).T
     steps = sp.csc_array((chances, (at.astype(int), there.astype(int))), shape=(n, n))
     factors = splu(sp.csc_array(sp.identity(n, format="csc") - steps))
@@ -367,12 +388,12 @@ def _solved(chosen: Sequence[Row], enough: int) -> list[int]:
             row.own + sum(a * values[j] for a, j in row.outcomes) - row.total * value
             for row, value in zip(chosen, values, strict=True)
         ]
-        worst = max(-(-abs(one) // row.total) for one, row in zip(lack, chosen, strict=True))
+        worst = max(-(-abs(own) // row.total) for own, row in zip(lack, chosen, strict=True))
         if worst <= enough or (last is not None and 2 * worst > last):
             return values
         finer = max(worst.bit_length() - _BITS, 0)
-        least = [(one >> finer) / row.total for one, row in zip(lack, chosen, strict=True)]
-        last, more = worst, factors.solve(np.array(least))
+        scaled = [(own >> finer) / row.total for own, row in zip(lack, chosen, strict=True)]
+        last, more = worst, factors.solve(np.array(scaled))
         values = [v + (round(step) << finer) for v, step in zip(values, more.tolist(), strict=True)]
 
 

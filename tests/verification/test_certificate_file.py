@@ -57,7 +57,7 @@ from ssp_lp import (
 )
 from ssp_lp.formulation import Formulation
 from ssp_lp.processes import failure_label, failure_semantics
-from ssp_lp.verification import checker
+from ssp_lp.verification import checker, exact_values
 
 ROAD = model_of(
     {
@@ -321,6 +321,20 @@ def test_the_members_of_another_policy(tmp_path):
     words = "bound of row failure fails"
     refused(words, write_certificate, fast, tmp_path / "x", error=SolverError)
     assert not (tmp_path / "x").exists()
+
+
+def test_decimals_do_where_fractions_do_not(tmp_path, monkeypatch):
+    """What stops the exact attempts leaves the proof in decimals."""
+    known = exact_values.best_values
+
+    def failing(rows, choice, one):
+        if one != checker.ONE:
+            raise SolverError("no policy is best")
+        return known(rows, choice, one)
+
+    monkeypatch.setattr(exact_values, "best_values", failing)
+    written = write_certificate(solve(MCMP(FIRST, "depot", 0.05)), tmp_path / "one")
+    assert written.lower < Fraction(20, 3) <= written.upper < written.lower + Fraction(1, 10**12)
 
 
 def test_a_wrong_reading_of_the_model_is_seen(tmp_path, monkeypatch):
