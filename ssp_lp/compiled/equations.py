@@ -275,7 +275,7 @@ def sweep(
     """
     change, size = 0.0, 0.0
     if x.shape[1] == 2:  # each entry is read once
-        for s in range(x.shape[0]):
+        for s in range(right.shape[0]):
             first, second = right[s, 0], right[s, 1]
             for k in range(indptr[s], indptr[np.uint32(s + 1)]):
                 weight, column = data[k], indices[k]
@@ -285,7 +285,7 @@ def sweep(
             size = max(size, max(abs(first), abs(second)))
             x[s, 0], x[s, 1] = first, second
         return change, size
-    for s in range(x.shape[0]):
+    for s in range(right.shape[0]):
         for j in range(x.shape[1]):
             total = right[s, j]
             for k in range(indptr[s], indptr[np.uint32(s + 1)]):

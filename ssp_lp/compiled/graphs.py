@@ -406,6 +406,18 @@ def _close_component(
 
 
 @njit(cache=True)
+def mark_leading(
+    indptr: Array, indices: Array, data: Array, states: Array, marked: BoolArray
+) -> None:
+    """Compiled: mark each of some states of a graph that leads to a marked one, one by one."""
+    for s in states:
+        for k in range(indptr[s], indptr[np.uint32(s + 1)]):
+            if data[k] > 0.0 and marked[indices[k]]:
+                marked[s] = True
+                break
+
+
+@njit(cache=True)
 def mark_left(
     indptr: Array, indices: Array, data: Array, exits: Array, label: Array, left: Array
 ) -> None:

@@ -17,6 +17,7 @@ import scipy.sparse as sp
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
 from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
 from ssp_lp.compiled.deadline import check_time
+from ssp_lp.distributed.equations import SWEEPS
 from ssp_lp.distributed.ranks import Ranks
 from ssp_lp.dynamic_programming.bellman import Backup
 from ssp_lp.dynamic_programming.dual_bound import DualBound
@@ -26,8 +27,9 @@ from ssp_lp.errors import SolverError
 
 _STUCK = 0.5  # share of the residual from which a run got nowhere
 _LET_PASS = 1e-12  # relative residual that will do where nothing gets further
-_METHODS = ("bcgs", "gmres")  # the second where the first gets nowhere
-_EXCHANGED = 4  # sweeps of each rank between two exchanges of values
+_UNSOLVED = "neither sweeps nor PETSc's Krylov methods solve the equations of a policy"
+_METHODS = (SWEEPS, "bcgs", "gmres")  # each where those before it get nowhere
+_LOWERED = 4  # times that each rank lowers its values between two exchanges
 _SHRUNK = (0.0, *10.0 ** np.arange(-13.0, 0.0))  # shares by which values are moved to the floor
 _LOWERINGS = 40  # exchanges of lowered values, after which a larger share is tried
 _FIRST_LOWERINGS = 3  # the same where no share is taken off
@@ -138,8 +140,8 @@ class PartitionedDynamics(Dynamics):
 
     def back_up(self, pair_cost: FloatArray, values: FloatArray, held: IntArray) -> Backup:
         """Bellman backup of the dynamics on PETSc, each rank's states by itself."""
-        own = [(choice,) for choice in self.own_pairs(held)]
-        parts = self.order("back_up", (pair_cost, values), own)
+        own = list(zip(self.own_pairs(held), self.by_state(values), strict=True))
+        parts = self.order("back_up", (pair_cost,), own)
         return Backup(
             np.concatenate([part.minima for part in parts]),
             self.whole_choice([part.choice for part in parts]),
@@ -155,7 +157,8 @@ class PartitionedDynamics(Dynamics):
         self, pair_cost: FloatArray, values: FloatArray, low: FloatArray
     ) -> tuple[FloatArray, IntArray]:
         """Gain of each state's best pair of the dynamics on PETSc: see ``Dynamics``."""
-        parts = self.order("precise_gains", (pair_cost, values, low))
+        own = list(zip(self.by_state(values), self.by_state(low), strict=True))
+        parts = self.order("precise_gains", (pair_cost,), own)
         picks = self.whole_choice([pick for _, pick in parts])
         return np.concatenate([gain for gain, _ in parts]), picks
 
@@ -170,20 +173,13 @@ class PartitionedDynamics(Dynamics):
         is_sorted_anew: bool,
         states: IntArray | None = None,
     ) -> int:
-        """Improve a policy of the dynamics on PETSc, in place: see ``Dynamics``.
-
-        Each rank sweeps its states a few times, then all hear of the values.
-        """
-        sweeps, rest = 0, (floor, _EXCHANGED, is_sorted_anew)
-        while sweeps < most_sweeps:
-            own = [(pairs,) for pairs in self.own_pairs(choice)]
-            parts = self.order("improve_by_sweeps", (pair_cost, values, rest), own)
-            choice[:] = self.whole_choice([part[0] for part in parts])
-            values[:] = np.concatenate([part[1] for part in parts])
-            sweeps += _EXCHANGED
-            if not any(part[2] for part in parts):
-                break
-        return sweeps
+        """Improve a policy of the dynamics on PETSc, in place: see ``Dynamics``."""
+        rest = floor, most_sweeps, is_sorted_anew
+        own = list(zip(self.own_pairs(choice), self.by_state(values), strict=True))
+        parts = self.order("improve_by_sweeps", (pair_cost, rest), own)
+        choice[:] = self.whole_choice([part[0] for part in parts])
+        values[:] = np.concatenate([part[1] for part in parts])
+        return int(max(part[2] for part in parts))
 
     def approach(self) -> IntArray:
         """A policy of the dynamics on PETSc that leaves, towards the goal first, [states]."""
@@ -209,7 +205,8 @@ class PartitionedDynamics(Dynamics):
             shrunk = floor + (1.0 - share) * (values - floor)
             lowered, least = shrunk, shrunk - _LOST * float(np.abs(values).max(initial=0.0))
             for _ in range(_LOWERINGS if share else _FIRST_LOWERINGS):
-                parts = self.order("lowered", (weights, lowered, floor, _EXCHANGED))
+                own = [(part,) for part in self.by_state(lowered)]
+                parts = self.order("lowered", (weights, floor, _LOWERED), own)
                 if not any(is_lowered for _, is_lowered in parts):
                     return DualBound(lowered, np.zeros_like(lowered))
                 lowered = np.concatenate([own for own, _ in parts])
@@ -264,6 +261,7 @@ class PartitionedSystem(System):
         """
         super().__init__(sp.csr_array((0, dynamics.n_states)), np.zeros(0))
         self._dynamics, self._choice, self._entries = dynamics, choice, 0
+        self._is_slow = False  # whether sweeps contract slowly
 
     @property
     def size(self) -> int:
@@ -283,8 +281,8 @@ class PartitionedSystem(System):
 
     @property
     def is_solved_reward_by_reward(self) -> bool:
-        """Always: equations on PETSc take as long for each reward."""
-        return True
+        """Whether the equations on PETSc took a Krylov method, which takes as long for each."""
+        return self._is_slow
 
     @property
     def moves(self) -> Any:
@@ -294,8 +292,10 @@ class PartitionedSystem(System):
     @property
     def closed(self) -> IntArray:
         """States from which the chain on PETSc never leaves, [some states]."""
-        own = [(pairs,) for pairs in self._dynamics.own_pairs(self._choice)]
-        return np.concatenate(self._dynamics.order("closed", (), own))
+        self._choose()
+        starts = self._dynamics.bounds
+        found = self._dynamics.order("closed")
+        return np.concatenate([own + start for own, start in zip(found, starts, strict=False)])
 
     def advantages(self, kind: str, cost: FloatArray, *vectors: FloatArray) -> list[Any]:
         """Advantages of the chain on PETSc, by rank.
@@ -306,8 +306,8 @@ class PartitionedSystem(System):
             vectors: its other arguments, [states] each.
         """
         self._choose()
-        own = [(part,) for part in self._dynamics.by_state(cost)]
-        return self._dynamics.order("advantages", (kind, vectors), own)
+        own = list(zip(*map(self._dynamics.by_state, (cost, *vectors)), strict=True))
+        return self._dynamics.order("advantages", (kind,), own)
 
     def solve(
         self, rewards: FloatArray, guess: FloatArray | None = None, accuracy: float = EXACT
@@ -323,7 +323,7 @@ class PartitionedSystem(System):
         dynamics, right = self._dynamics, rewards.reshape(self.size, -1)
         x = np.zeros(right.shape) if guess is None else guess.reshape(right.shape)
         rights, missed = dynamics.by_state(right), np.full(right.shape[1], np.inf)
-        for method in _METHODS:
+        for method in _METHODS[1:] if self._is_slow else _METHODS:
             before, is_open = np.full_like(missed, np.inf), np.ones(missed.size, dtype=np.bool_)
             while (missed <= _STUCK * before)[is_open].any():
                 check_time()
@@ -335,9 +335,12 @@ class PartitionedSystem(System):
                 is_open = ~(missed <= accuracy * scale)
                 if not is_open.any():
                     return x.reshape(rewards.shape)
+                if not np.isfinite(missed).all():
+                    break
             if (missed <= _LET_PASS * scale).all():
                 return x.reshape(rewards.shape)
-        raise SolverError("PETSc's Krylov methods do not solve the equations of a policy")
+            self._is_slow = True
+        raise SolverError(_UNSOLVED)
 
     def solve_by_reduction(self, rewards: FloatArray) -> FloatArray:
         """Refused of equations on PETSc.
@@ -345,7 +348,7 @@ class PartitionedSystem(System):
         Raises:
             SolverError: always.
         """
-        raise SolverError("PETSc's Krylov methods do not solve the equations of a policy")
+        raise SolverError(_UNSOLVED)
 
     def _choose(self) -> None:
         """Have the ranks of PETSc set up these equations, unless they have."""

@@ -82,8 +82,8 @@ def labelled_share(ranks: Ranks, compiled: CompiledExplicit) -> tuple[Share, Exp
         """The same with another discount."""
         return labelled_share(ranks, replace(compiled, discount=discount))[0]
 
-    held = labelled.process.dynamics, own.rewards, first, end, labelled, anew
-    return Share(comm, ranks.petsc, *held), own
+    held = labelled.process.dynamics, own.rewards, first, end
+    return Share(comm, ranks.petsc, *held, labelled, anew), own
 
 
 def _without_last_pair(process: ExplicitProcess) -> ExplicitProcess:

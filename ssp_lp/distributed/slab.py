@@ -12,6 +12,7 @@ import json
 import zipfile
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, entries_of, offsets_of, read_only
-from ssp_lp.distributed.graph_sweeps import reaching, staying
+from ssp_lp.distributed.graph_sweeps import on_any, reaching, staying
 from ssp_lp.errors import ModelError
 from ssp_lp.io.archives import load_model
 from ssp_lp.io.controller import controller_label
@@ -97,7 +98,8 @@ class Slab(SSP):
         """
         graph, own = self.graph, self.own_mask
         acting = self.of_all_states(np.diff(self.pair_offsets).astype(np.float64)) > 0.0
-        kept = staying(self.comm, graph, own, free, ended | ~acting)
+        told = partial(on_any, self.comm)
+        kept = staying(self.comm, told, graph, own, free, ended | ~acting)
         if not kept.any():
             return kept
         inside = np.flatnonzero(free & kept[self.pair_state] & ~pairs_into(graph, ~kept))
@@ -217,8 +219,9 @@ def with_facts(comm: Any, part: SSP, first: int, end: int) -> Slab:
     slab = Slab(**own, comm=comm, first=first, end=end)
     graph, goal = slab.graph, slab.goal_mask
     every = np.ones(slab.n_pairs, dtype=np.bool_)
-    hopeless = ~reaching(comm, graph, goal)
-    attention = staying(comm, graph, slab.own_mask, every, goal)
+    told = partial(on_any, comm)
+    hopeless = ~reaching(comm, told, graph, goal)
+    attention = staying(comm, told, graph, slab.own_mask, every, goal)
     slab.facts.update(hopeless_states=read_only(hopeless), attention_states=read_only(attention))
     return slab
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
+from typing import ClassVar
 from weakref import proxy
 
 import numpy as np
@@ -43,7 +44,6 @@ _BANDED = 4.0  # times the work of sparse factors that are worth a reduction wit
 _MOST_BAND_WORK = 1e10  # the same where nothing else is precise enough
 _TRIAL = 6  # sweeps over which the contraction is judged
 _CONTRACTION = 0.7  # per sweep; slower components are left to other methods
-_SWEEPS = 300
 _KRYLOV_STEPS = 400
 _AT_ONCE = 10_000_000  # entries of steps between two looks at the time
 _RESTARTS = 8
@@ -203,6 +203,8 @@ class LargeComponent:
 class Iteration:
     """Equations ``y = right + own @ y`` whose iteration converges."""
 
+    most_sweeps: ClassVar[int] = 300  # of one run of them
+
     def __init__(
         self, own: sp.csr_array, direct_work: Callable[[], float], *, is_compiled: bool
     ) -> None:
@@ -251,35 +253,61 @@ class Iteration:
         """The arrays of the matrix, as the iterative solver's compiled sweeps read them."""
         return unsigned(self.own.indptr), unsigned(self.own.indices), self.own.data
 
-    def _sweep(self, right: FloatArray, y: FloatArray) -> tuple[float, float]:
-        """One sweep of the iterative solver, in place: greatest change and greatest size."""
+    def sweep(self, right: FloatArray, y: FloatArray) -> tuple[float, float]:
+        """One sweep of the iterative solver, in place: greatest change and greatest size.
+
+        Args:
+            right: [members, rewards].
+            y: of the members, and of what else the rows lead to, which stays, [columns, rewards].
+        """
         check_time()
         self.products += 1
         if self._is_compiled:
             from ssp_lp.compiled.equations import sweep
 
             return sweep(*self._own_arrays, right, y)
+        own = y[: len(right)]
         ahead = right + self.own @ y
-        change = float(np.abs(ahead - y).max())
-        y[:] = ahead
-        return change, float(np.abs(ahead).max())
+        change = float(np.abs(ahead - own).max(initial=0.0))
+        own[:] = ahead
+        return change, float(np.abs(ahead).max(initial=0.0))
 
-    def _swept(self, right: FloatArray, y: FloatArray, target: float) -> bool:
-        """Sweeps of the iterative solver while they contract well; whether the target is met."""
-        changes: list[float] = []
-        most = float(np.abs(right).max())
-        while len(changes) <= _SWEEPS:
-            change, size = self._sweep(right, y)
+    def greatest(self, *numbers: float) -> tuple[float, ...]:
+        """The greatest of each number over all who share the iterative solver: here, itself."""
+        return numbers
+
+    def change_left(self, right: FloatArray, y: FloatArray, target: float) -> float:
+        """Relative change of the last sweep of the iterative solver, while they contract well.
+
+        Args:
+            right: as :meth:`sweep` takes it.
+            y: improved in place, likewise.
+            target: a change that is small enough.
+
+        Returns:
+            Infinity where they contract slowly.
+
+        Raises:
+            SolverError: the totals overflow.
+        """
+        changes, relative = list[float](), np.inf
+        (most,) = self.greatest(float(np.abs(right).max(initial=0.0)))
+        while len(changes) <= self.most_sweeps:
+            change, size = self.sweep(right, y)
             relative = change / (size + most) if size + most > 0 else 0.0
             if relative <= target:
-                return True
+                break
             if not np.isfinite(relative):
                 raise SolverError("a policy's totals overflow")
             judged = len(changes) >= _TRIAL
             if judged and relative > _CONTRACTION**_TRIAL * changes[-_TRIAL]:
-                return False
+                return np.inf
             changes.append(relative)
-        return False
+        return relative
+
+    def _swept(self, right: FloatArray, y: FloatArray, target: float) -> bool:
+        """Sweeps of the iterative solver while they contract well; whether the target is met."""
+        return self.change_left(right, y, target) <= target
 
     def _by_krylov(self, right: FloatArray, y: FloatArray, target: float) -> bool:
         """BiCGStab, the iterative solver for each reward; whether all met the target."""
@@ -298,7 +326,7 @@ class Iteration:
         kept, before = y.copy(), np.inf
         for attempt in range(_RESTARTS + 1):
             swept = y.copy()
-            self._sweep(right[:, None], swept[:, None])
+            self.sweep(right[:, None], swept[:, None])
             residual = swept - y
             change = float(np.abs(residual).max())
             scale = float(np.abs(y).max()) + float(np.abs(right).max())
@@ -306,7 +334,7 @@ class Iteration:
             if not relative < before:  # it broke down: go on from before by sweeps
                 y[:] = kept
                 for _ in range(_SWEEPS_BETWEEN):
-                    self._sweep(right[:, None], y[:, None])
+                    self.sweep(right[:, None], y[:, None])
                 before = np.inf
                 continue
             if relative <= target or attempt == _RESTARTS or self._passes_left == 0:

@@ -44,7 +44,7 @@ _KEPT_CHAINS = 4
 """Layers of accumulated cost ask for the equations of the same few policies again and again."""
 
 _KEPT_STATES = 100_000  # states up to which they are kept
-_SETTLED = 0.1  # share of the first sweep's changes below which sweeping stops
+SETTLED = 0.1  # share of the first sweep's changes below which sweeping stops
 _LAYERS = 500  # passes that a process is good for where it is one layer of many
 _SMALL = 48
 """States of a component up to which it is solved by itself, by dense state reduction."""
@@ -220,7 +220,7 @@ class Dynamics:
                     choice.view(np.uint32), values,
                 )  # fmt: skip
             most = max(most, changed)
-            if changed <= _SETTLED * most and sweep > 1:  # one way changed nothing, the other may
+            if changed <= SETTLED * most and sweep > 1:  # one way changed nothing, the other may
                 return sweep
         return most_sweeps
 

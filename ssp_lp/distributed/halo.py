@@ -1,0 +1,100 @@
+"""Ghosts: the values of other ranks' states to which a rank's own rows lead, exchanged on demand.
+
+States are numbered from rank to rank. A rank numbers those that it knows by its own first, then the
+ghosts in increasing order, so that ghosts of one owner lie in a row and are received in place.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ssp_lp.arrays import IntArray, read_only
+from ssp_lp.errors import optional_module
+
+_TAG = 71  # of these messages
+
+
+class Halo:
+    """A rank's ghosts, and the own states that others want. Mutable: it counts what it sends.
+
+    All ranks make theirs at the same time, and fill at the same time.
+    """
+
+    def __init__(self, comm: Any, bounds: IntArray, columns: IntArray) -> None:
+        """Find the ghosts, and tell their owners.
+
+        Args:
+            comm: of mpi4py.
+            bounds: first state of each rank, and the end, [ranks + 1].
+            columns: numbers of states to which the rank's rows lead, in any order.
+        """
+        self._comm = comm
+        self.first, self.end = int(bounds[comm.rank]), int(bounds[comm.rank + 1])
+        outside = (columns < self.first) | (columns >= self.end)
+        self.ghosts: IntArray = read_only(np.unique(columns[outside]).astype(np.int64))
+        places = np.searchsorted(self.ghosts, bounds)
+        asked, lengths = np.diff(places).astype(np.int64), np.empty(comm.size, dtype=np.int64)
+        comm.Alltoall(asked, lengths)
+        wanted = np.empty(int(lengths.sum()), dtype=np.int64)
+        begins = np.concatenate([[0], np.cumsum(lengths)])
+        comm.Alltoallv([self.ghosts, (asked, places[:-1])], [wanted, (lengths, begins[:-1])])
+        self._wanted = wanted - self.first  # own states that others want, by rank
+        self._from = _parts(self.n_own + places)  # where the ghosts of each neighbour lie
+        self._to = _parts(begins)  # and among the wanted those that each neighbour wants
+        self._buffers: dict[Any, npt.NDArray[Any]] = {}
+        self.messages, self.bytes = 0, 0  # sent so far
+
+    @property
+    def n_own(self) -> int:
+        """Number of the rank's own states."""
+        return self.end - self.first
+
+    @property
+    def size(self) -> int:
+        """Number of states that the rank knows: its own and the ghosts."""
+        return self.n_own + len(self.ghosts)
+
+    def places(self, states: IntArray) -> IntArray:
+        """Where own states and ghosts stand among those that the rank knows, like ``states``."""
+        places = states - states.dtype.type(self.first)
+        outside = np.flatnonzero((places < 0) | (places >= self.n_own))
+        places[outside] = self.n_own + np.searchsorted(self.ghosts, states[outside])
+        return places
+
+    def fill(self, values: npt.NDArray[Any]) -> None:
+        """Receive the ghosts' values, in place, and send own ones to whom they are ghosts.
+
+        Args:
+            values: contiguous, those of the own states given, [size, ...].
+        """
+        request, row = optional_module("mpi4py.MPI", "distributed").Request, values.shape[1:]
+        shape, key = (len(self._wanted), *row), (row, values.dtype.str)
+        if key not in self._buffers:
+            self._buffers[key] = np.empty(shape, dtype=values.dtype)
+        buffer, comm = self._buffers[key], self._comm
+        waiting = [comm.Irecv(values[part], rank, _TAG) for rank, part in self._from]
+        np.take(values, self._wanted, axis=0, out=buffer, mode="clip")
+        for rank, part in self._to:
+            waiting.append(comm.Isend(buffer[part], rank, _TAG))
+            self.messages, self.bytes = self.messages + 1, self.bytes + buffer[part].nbytes
+        request.Waitall(waiting)
+
+    def filled(self, own: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Values of the rank's own states with those of the ghosts behind them, [size, ...].
+
+        Args:
+            own: [own states, ...].
+        """
+        values = np.empty((self.size, *own.shape[1:]), dtype=own.dtype)
+        values[: self.n_own] = own
+        self.fill(values)
+        return values
+
+
+def _parts(bounds: IntArray) -> list[tuple[int, slice]]:
+    """The neighbours of a halo, and the part of each by the bounds of all ranks' parts."""
+    pairs = zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)
+    return [(rank, slice(a, b)) for rank, (a, b) in enumerate(pairs) if a < b]
