@@ -75,15 +75,21 @@ def labelled_share(ranks: Ranks, compiled: CompiledExplicit) -> tuple[Share, Exp
         end = process.n_states
     elif process.n_states > quotient.n_nodes:  # the source is the last rank's
         labelled = replace(labelled, process=_without_last_pair(process))
+    stated = replace(compiled)
+    vars(stated)["augmented"] = labelled
+    rows, own = labelled.process.dynamics, stated.explicit_pricing
+    nothing = sp.csr_array(
+        rows.transitions.shape
+    )  # the share has the rows, with columns of its own
+    labelled = replace(labelled, process=replace(labelled.process, transitions=nothing))
     vars(compiled)["augmented"] = labelled
-    own = compiled.explicit_pricing
 
     def anew(discount: float | None) -> Share:
         """The same with another discount."""
         return labelled_share(ranks, replace(compiled, discount=discount))[0]
 
-    held = labelled.process.dynamics, own.rewards, first, end
-    return Share(comm, ranks.petsc, *held, labelled, anew), own
+    share = Share(comm, ranks.petsc, rows, own.rewards, first, end, labelled, anew)
+    return share, replace(own, augmented=labelled)
 
 
 def _without_last_pair(process: ExplicitProcess) -> ExplicitProcess:
