@@ -53,6 +53,8 @@ from ssp_lp.methods.approaches import refusal
 from ssp_lp.methods.columns import refined_optimum
 from ssp_lp.methods.rows import lagrange_bound, rows_optimum
 from ssp_lp.model import SSP
+from ssp_lp.model.continuous_model import ContinuousModel
+from ssp_lp.model.discretise import MIDPOINTS, Quadrature, discretised_rows
 from ssp_lp.options import ColumnGeneration, Progress, SolveOptions, options_of
 from ssp_lp.policies import DeterministicPolicy, MixedPolicy
 from ssp_lp.problem import compiled_constrained
@@ -157,6 +159,31 @@ class PartitionedModel:
         first, end = balanced_states(ranks.comm, tried, n_states)
         part = ranks.agreed(lambda: part_by_rows(rows, first, end, n_states, *named))
         return cls(ranks.together(lambda: with_facts(ranks.comm, part, first, end)), ranks)
+
+    @classmethod
+    def from_continuous(
+        cls, world: ContinuousModel, points: Quadrature = MIDPOINTS
+    ) -> PartitionedModel:
+        """Discretise each rank's cells of a continuous world: the rows of ``discretise``'s model.
+
+        Args:
+            world: the step function and the grid, the same on every rank.
+            points: a ``Quadrature``; samples are drawn in one order and cannot be shared.
+
+        Raises:
+            ModelError: samples are asked for, or what ``discretise`` raises, on every rank.
+        """
+
+        def rows(first: int, end: int) -> StateRows:
+            """The rows of some cells, and of the ends behind them."""
+            actions, found = discretised_rows(world, points, first, end)
+            return StateRows(actions, np.diff(found.outcome_offsets), *found[1:])
+
+        if not isinstance(points, Quadrature):
+            raise ModelError(f"the ranks share points such as Quadrature(4), not {points!r}")
+        labels = {name: [world.end_state(name)] for name in world.dead_ends}
+        goal = [world.end_state("goal")]
+        return cls.from_rows(rows, world.n_states, goal, state_labels=labels)
 
     @classmethod
     def from_file(cls, path: str | Path) -> PartitionedModel:

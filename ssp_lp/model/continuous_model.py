@@ -307,7 +307,7 @@ class ContinuousModel:
             each axis, positions of actions) -> whole numbers >= 0, not many more than pairs,
             equal for pairs with equal outcomes.
         allowed: where actions are not there everywhere, a function that says where each is:
-            ``allowed(point, action) -> truth values``, called with the middles of all cells, an
+            ``allowed(point, action) -> truth values``, called with the middles of many cells, an
             array for each axis. What a cell's middle allows goes for the whole cell, in the model
             and when it is played in the world; ``step`` is asked for nothing else.
 
@@ -354,16 +354,24 @@ class ContinuousModel:
         Raises:
             ModelError: ``allowed`` returns no truth values, or leaves a cell without actions.
         """
+        return self.allowed_between(0, self.grid.n_cells)
+
+    def allowed_between(self, first: int, end: int) -> IntArray | None:
+        """Pairs of the continuous model's cells first .. end - 1, as in ``allowed_pairs``.
+
+        Raises:
+            ModelError: ``allowed`` returns no truth values, or leaves a cell without actions.
+        """
         if self.allowed is None:
             return None
-        n_cells, n_actions = self.grid.n_cells, len(self.actions)
-        middles = tuple(self.grid.centre(np.arange(n_cells)).T)
-        there = np.empty((n_cells, n_actions), dtype=np.bool_)
+        n_actions, count = len(self.actions), end - first
+        middles = tuple(self.grid.centre(np.arange(first, end)).T)
+        there = np.empty((count, n_actions), dtype=np.bool_)
         for k, action in enumerate(self.actions):
             answer = np.asarray(self.allowed(middles, action))
-            if answer.dtype != np.bool_ or answer.shape not in ((), (n_cells,)):
+            if answer.dtype != np.bool_ or answer.shape not in ((), (count,)):
                 raise ModelError(
-                    f"allowed must return a truth value for each of {n_cells:,} middles, not "
+                    f"allowed must return a truth value for each of {count:,} middles, not "
                     f"{in_short(answer)}"
                 )
             there[:, k] = answer
@@ -374,7 +382,7 @@ class ContinuousModel:
                 f"no action is allowed in the cell about {middle}: allow one, or let the steps "
                 "that lead there end in a dead-end"
             )
-        return read_only(np.flatnonzero(there))
+        return read_only(np.flatnonzero(there) + first * n_actions)
 
     @explained
     def end_state(self, end: str | int) -> int:

@@ -282,6 +282,9 @@ SPOT_CHECKS: Final = 30
 
 MIDPOINTS: Final = Quadrature()
 
+_SPREAD: Final = 4
+"""Numbers of kinds for each pair, from which they are numbered anew."""
+
 _BUILDING = logging.getLogger("ssp_lp.building")
 
 
@@ -311,27 +314,90 @@ def discretise(
     Raises:
         ModelError: the step function's answer is of a wrong form, or it leaves the box.
     """
-    if not isinstance(points, (Quadrature, Samples)):
-        raise ModelError(f"points must be Quadrature(4) or Samples(1000, seed=0), not {points!r}")
-    trials = points.trials(world)
-    n_all = world.grid.n_cells * len(world.actions)
-    distinct, row_of_pair = _distinct_pairs(world, n_all)
-    store = _OutcomeStore()
-    n_distinct = n_all if distinct is None else len(distinct)
-    size = max(1, TRIALS // math.prod(trials.shape))
-    for begin in range(0, n_distinct, size):
-        some = np.arange(begin, min(begin + size, n_distinct), dtype=least_integer_type(n_all))
-        store.append(_discretised_rows(world, trials, some if distinct is None else distinct[some]))
-        done = int(some[-1]) + 1
-        share = {"share": done / n_distinct}
-        _BUILDING.debug("%d of %d pairs tried", done, n_distinct, extra=share)
-        if progress is not None:
-            progress(done, n_distinct)
-    if row_of_pair is not None:
-        store = _repeated_rows(world, trials, store.outcomes(), row_of_pair)
-    model = _discretised_model(world, store)
+    actions, outcomes = discretised_rows(world, points, 0, world.n_states, progress=progress)
+    model = SSP.from_arrays(
+        pair_offsets=offsets_of(actions),
+        **outcomes._asdict(),
+        goal_states=np.array([world.end_state("goal")]),
+        state_labels={name: [world.end_state(name)] for name in world.dead_ends},
+    )
+    names: dict[str, Any] = {"action_names": tuple(world.actions)}
+    if (pairs := world.allowed_pairs) is not None:
+        taken = np.append(pairs % len(world.actions), np.zeros(len(world.dead_ends), np.int64))
+        names["pair_action"] = read_only(taken)
+    model = replace(model, **names)
     _BUILDING.info("%r", model)
     return model
+
+
+def discretised_rows(
+    world: ContinuousModel,
+    points: Quadrature | Samples,
+    first: int,
+    end: int,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[IntArray, Outcomes]:
+    """Rows of some states of a discretised world, those of :func:`discretise`'s model.
+
+    With a quadrature they are the same whatever range they are asked for in; where pairs are said
+    to be alike, one of those in the range is worked out for all of these.
+
+    Args:
+        world: the step function and the grid.
+        points: as :func:`discretise` takes them.
+        first: number of the first of the states.
+        end: number of the state behind the last of them.
+        progress: called with the number of pairs worked out and their total.
+
+    Returns:
+        How many actions each state has, [some states], and the outcomes of their pairs.
+
+    Raises:
+        ModelError: as :func:`discretise` does.
+    """
+    if not isinstance(points, (Quadrature, Samples)):
+        raise ModelError(f"points must be Quadrature(4) or Samples(1000, seed=0), not {points!r}")
+    trials, n_cells, n_actions = points.trials(world), world.grid.n_cells, len(world.actions)
+    begin, behind = min(first, n_cells), min(end, n_cells)
+    is_whole = (begin, behind) == (0, n_cells)
+    pairs = world.allowed_pairs if is_whole else world.allowed_between(begin, behind)
+    if pairs is None:
+        number = least_integer_type(n_cells * n_actions)
+        pairs = np.arange(begin * n_actions, behind * n_actions, dtype=number)
+        actions = np.full(behind - begin, n_actions)
+    else:
+        actions = np.bincount(pairs // n_actions - begin, minlength=behind - begin)
+    store = _rows_of_pairs(world, trials, pairs, progress)
+
+    # the ends: nothing is done at the goal, dead-ends stay where they are
+    goal, ends = world.end_state("goal"), np.arange(max(first, n_cells), max(end, n_cells))
+    dead_ends = list(world.dead_ends.values())
+    for state in ends[ends > goal].tolist():
+        cost = np.asarray(float(dead_ends[state - goal - 1]))
+        store.append(Outcomes(np.array([0, 1]), np.array([state]), np.ones(1), cost))
+    return np.append(actions, ends > goal), store.outcomes()
+
+
+def _rows_of_pairs(
+    world: ContinuousModel,
+    trials: Trials,
+    pairs: IntArray,
+    progress: Callable[[int, int], None] | None,
+) -> _OutcomeStore:
+    """Discretised outcomes of pairs in increasing order; of those that are alike once."""
+    distinct, row_of_pair = _distinct_pairs(world, pairs)
+    store, size = _OutcomeStore(), max(1, TRIALS // math.prod(trials.shape))
+    for begin in range(0, len(distinct), size):
+        store.append(_discretised_rows(world, trials, distinct[begin : begin + size]))
+        done = min(begin + size, len(distinct))
+        share = {"share": done / len(distinct)}
+        _BUILDING.debug("%d of %d pairs tried", done, len(distinct), extra=share)
+        if progress is not None:
+            progress(done, len(distinct))
+    if row_of_pair is None:
+        return store
+    return _repeated_rows(world, trials, store.outcomes(), pairs, distinct, row_of_pair)
 
 
 class _Tried(NamedTuple):
@@ -379,76 +445,63 @@ def _discretised_rows(world: ContinuousModel, trials: Trials, pairs: IntArray) -
     return tally_outcomes(states.reshape(len(pairs), -1), weights, costs)
 
 
-def _distinct_pairs(world: ContinuousModel, n_all: int) -> tuple[IntArray | None, IntArray | None]:
-    """Discretised pairs with different outcomes, in order, and each pair's place among them.
+def _distinct_pairs(world: ContinuousModel, pairs: IntArray) -> tuple[IntArray, IntArray | None]:
+    """Those of some discretised pairs with different outcomes, and each one's place among them.
 
-    None and None where nothing is known of pairs that are alike, and all are allowed.
+    All of them and None where nothing is known of pairs that are alike.
     """
-    pairs = world.allowed_pairs
-    if world.alike is None:
+    if world.alike is None or not len(pairs):
         return pairs, None
-    sizes = (*world.grid.shape, len(world.actions))
-    *index, actions = np.ogrid[tuple(slice(size) for size in sizes)]
-    alike = np.asarray(world.alike(tuple(index), actions))
-    if alike.ndim > len(sizes) or alike.dtype.kind not in "iu" or alike.min() < 0:
+    n_actions = len(world.actions)
+    begin, last = int(pairs[0]) // n_actions, int(pairs[-1]) // n_actions
+    cells = np.arange(begin, last + 1)
+    index = tuple(places[:, None] for places in world.grid.index_of(cells))
+    alike = np.asarray(world.alike(index, np.arange(n_actions)[None, :]))
+    if alike.ndim > 2 or alike.dtype.kind not in "iu" or alike.min() < 0:
         raise ModelError("alike must return whole numbers >= 0")
-    kinds = np.broadcast_to(alike, sizes).ravel()
-    kinds = kinds if pairs is None else kinds[pairs]
-    number = least_integer_type(n_all)
-    first = np.full(int(kinds.max()) + 1, -1, dtype=number)
-    first[kinds[::-1]] = np.arange(len(kinds), dtype=number)[::-1]  # each kind's first comes last
+    kinds = np.broadcast_to(alike, (len(cells), n_actions)).ravel()
+    kinds = kinds if len(pairs) == len(kinds) else kinds[pairs - begin * n_actions]
+    kinds = kinds - kinds.min()
+    if int(kinds.max()) > _SPREAD * len(kinds):
+        kinds = np.unique(kinds, return_inverse=True)[1]
+    first = np.full(int(kinds.max()) + 1, -1, dtype=pairs.dtype)
+    first[kinds[::-1]] = np.arange(len(kinds), dtype=pairs.dtype)[::-1]  # each kind's first is last
     distinct = np.sort(first[first >= 0])
-    place = np.empty(len(kinds), dtype=number)
-    place[distinct] = np.arange(len(distinct), dtype=number)
-    return distinct if pairs is None else pairs[distinct], place[first[kinds]]
+    place = np.empty(len(kinds), dtype=pairs.dtype)
+    place[distinct] = np.arange(len(distinct), dtype=pairs.dtype)
+    return pairs[distinct], place[first[kinds]]
 
 
 def _repeated_rows(
-    world: ContinuousModel, trials: Trials, found: Outcomes, row_of_pair: IntArray
+    world: ContinuousModel,
+    trials: Trials,
+    found: Outcomes,
+    pairs: IntArray,
+    distinct: IntArray,
+    row_of_pair: IntArray,
 ) -> _OutcomeStore:
-    """The rows of all discretised pairs, from those of the distinct ones.
+    """The rows of discretised pairs, from those of the distinct ones.
 
     Raises:
         ModelError: a pair that is worked out once more has other outcomes.
     """
-    allowed, checks = world.allowed_pairs, SPOT_CHECKS if trials.repeatable else 0
-    for k in np.unique(np.linspace(0, len(row_of_pair) - 1, checks).astype(np.int64)):
-        pair = k if allowed is None else allowed[k]
-        own, shared = _discretised_rows(world, trials, pair[None]), found.rows(row_of_pair[k, None])
+    repeated = np.flatnonzero(distinct[row_of_pair] != pairs)
+    checks = min(SPOT_CHECKS, len(repeated)) if trials.repeatable else 0
+    for k in repeated[np.linspace(0, len(repeated) - 1, checks).astype(np.int64)]:
+        own = _discretised_rows(world, trials, pairs[k, None])
+        shared = found.rows(row_of_pair[k, None])
         same = np.array_equal(own.successors, shared.successors) and all(
             np.allclose(getattr(own, name), getattr(shared, name), rtol=1e-9, atol=1e-9)
             for name in ("probabilities", "costs")
         )
         if not same:
-            cell, action = divmod(int(pair), len(world.actions))
+            cell, action = divmod(int(pairs[k]), len(world.actions))
             raise ModelError(
                 f"alike says that action {world.actions[action]!r} in cell {cell} has the outcomes "
                 "of another pair; it has others"
             )
     lengths = np.diff(found.outcome_offsets)
     store = _OutcomeStore(int(lengths[row_of_pair].sum()) + len(world.dead_ends))
-    for begin in range(0, len(row_of_pair), PAIRS):
+    for begin in range(0, len(pairs), PAIRS):
         store.append(found.rows(row_of_pair[begin : begin + PAIRS]))
     return store
-
-
-def _discretised_model(world: ContinuousModel, store: _OutcomeStore) -> SSP:
-    """The model of all pairs of the cells, with the ends added."""
-    n_cells, n_actions, pairs = world.grid.n_cells, len(world.actions), world.allowed_pairs
-    goal = world.end_state("goal")
-    for state, cost in enumerate(world.dead_ends.values(), goal + 1):
-        one = np.ones(1)
-        store.append(Outcomes(np.array([0, 1]), np.array([state]), one, np.asarray(float(cost))))
-    offsets = np.arange(0, n_cells * n_actions + 1, n_actions)
-    if pairs is not None:
-        offsets = np.searchsorted(pairs, offsets)
-    model = SSP.from_arrays(
-        pair_offsets=np.append(offsets, offsets[-1] + np.arange(len(world.dead_ends) + 1)),
-        **store.outcomes()._asdict(),
-        goal_states=np.array([goal]),
-        state_labels={name: [world.end_state(name)] for name in world.dead_ends},
-    )
-    if pairs is None:
-        return replace(model, action_names=tuple(world.actions))
-    action = np.append(pairs % n_actions, np.zeros(len(world.dead_ends), dtype=np.int64))
-    return replace(model, action_names=tuple(world.actions), pair_action=read_only(action))

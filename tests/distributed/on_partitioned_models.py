@@ -14,14 +14,17 @@ import pytest
 from mpi4py import MPI
 from on_every_rank import DUPLICATES, least_failure
 
-from examples.paper_robot.robot import RobotGrid, grid_model, start_state
+from examples.paper_robot.robot import RobotGrid, continuous_robot, grid_model, start_state
 from formulations import MCMP, S3P, FinitePenalty, LeastQuantity, MinCost
 from random_models import drawn_model
 from small_models import FIRST, FREE_PAIR, TWO_MOVES, model_of
 from ssp_lp import (
     InfeasibleError,
     ModelError,
+    Quadrature,
+    Samples,
     certify,
+    discretise,
     end_probability,
     secondary_cost,
     solve,
@@ -123,6 +126,24 @@ def check_file(model):
         PartitionedModel.from_file(__file__)
     with pytest.raises(ModelError, match="has 3 states"):
         PartitionedModel.from_rows(lambda *_: StateRows([0] * 3, [], [], [], 1.0), 40, [0])
+
+
+def check_discretised():
+    """A continuous world that ranks discretise in parts has the rows of the whole grid model."""
+    turning = RobotGrid(segments=6, headings=4, quadrature=2, turning_cost=0.5)
+    walls = RobotGrid(segments=7, headings=6, quadrature=2, wall_cost=100.0)
+    for grid in (walls, turning):
+        points = Quadrature(grid.quadrature)
+        made = PartitionedModel.from_continuous(continuous_robot(grid), points)
+        check_parts(grid_model(grid), made)
+    narrow = {"allowed": lambda at, turn: (at[0] < 0.5) | (turn < 3)}
+    world = replace(continuous_robot(walls), **narrow)
+    check_parts(discretise(world, Quadrature(2)), PartitionedModel.from_continuous(world, points))
+    asked = {"start": start_state(walls), "failure_budget": 0.9}
+    check_the_same(grid_model(walls), PartitionedModel.from_continuous(
+        continuous_robot(walls), points), MCMP, **asked)  # fmt: skip
+    with pytest.raises(ModelError, match=r"such as Quadrature\(4\), not Samples"):
+        PartitionedModel.from_continuous(world, Samples(3, 0))
 
 
 def check_that_rows_of_one_rank_fail_on_all():
@@ -227,6 +248,7 @@ if __name__ == "__main__":
         check_parts(model, made)
         check_the_same(model, made, criterion, **asked)
     check_file(with_fuel(model_of(DUPLICATES)))
+    check_discretised()
     check_that_rows_of_one_rank_fail_on_all()
     check_errors(partitioned(FIRST))
     if COMM.gather(True) is not None:

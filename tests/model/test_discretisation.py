@@ -134,6 +134,34 @@ def test_pieces_change_nothing(monkeypatch):
     assert fingerprint(discretise(replace(robot, alike=None), Quadrature(2))) == fingerprint(shared)
 
 
+def in_ranges(world, points, size):
+    """Actions and outcomes of all states, from rows of ranges of so many."""
+    parts = [
+        building.discretised_rows(world, points, k, min(k + size, world.n_states))
+        for k in range(0, world.n_states, size)
+    ]
+    actions, rows = zip(*parts, strict=True)
+    paid = [np.broadcast_to(one.costs, one.successors.shape) for one in rows]
+    lengths = [np.diff(one.outcome_offsets) for one in rows]
+    successors, chances = ([one[k] for one in rows] for k in (1, 2))
+    return [*map(np.concatenate, (actions, lengths, successors, chances, paid))]
+
+
+@pytest.mark.parametrize("size", [1, 7, 1000])
+def test_rows_of_ranges_of_states_are_those_of_the_model(size):
+    robot = continuous_robot(RobotGrid(segments=4, headings=4, quadrature=2, wall_cost=5.0))
+    far = replace(robot, alike=lambda cell, turn: 10**6 * robot.alike(cell, turn))
+    early = replace(drift(), allowed=lambda at, action: (at[0] < 1.0) | (action == 1))
+    for world in (robot, far, drift(), early):
+        model = discretise(world, Quadrature(2))
+        whole = [
+            np.diff(model.pair_offsets), np.diff(model.outcome_offsets), model.successors,
+            model.probabilities, model.costs,
+        ]  # fmt: skip
+        for one, other in zip(in_ranges(world, Quadrature(2), size), whole, strict=True):
+            assert np.array_equal(one, other)
+
+
 def test_equal_costs_stay_what_they_are_to_the_last_bit():
     world = drift()
 
