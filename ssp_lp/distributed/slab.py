@@ -118,7 +118,8 @@ def tried_states(
     comm: Any, rows: Callable[[int, int], StateRows], n_states: int
 ) -> dict[int, float]:
     """Outcomes of some states of a slab's model, by their numbers; each rank tries its share."""
-    probes = np.unique(np.linspace(0, n_states, _PROBES, endpoint=False).astype(np.int64))
+    count = _PROBES if comm.size > 1 else 1  # one rank has all
+    probes = np.unique(np.linspace(0, n_states, count, endpoint=False).astype(np.int64))
     own = probes[comm.rank :: comm.size].tolist()
     return {k: 1.0 + float(np.sum(rows(k, k + 1).outcomes)) for k in own}
 

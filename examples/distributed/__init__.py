@@ -1,0 +1,1 @@
+"""Models on the ranks of PETSc, over MPI."""

@@ -1,0 +1,308 @@
+"""How memory and seconds go with the number of ranks: the paper's robot, and a windy corridor.
+
+    python examples/distributed/scaling.py --ranks 1 2 4 --robots 40x24 80x36 --turns 3
+
+starts mpiexec itself. Every number of ranks, and the local method on as many threads as --threads
+says, is a whole process of its own; they take turns, and ratios are medians over the turns of what
+stands in one turn. Seconds are those of the slowest rank, after one small question has loaded the
+compiled loops; memory is the most that a rank had resident, with Python and all libraries.
+
+Strong scaling asks the same of more ranks: the least cost of the robot (M), and that given success
+with costs capped at 80 (S80), exact and discounted. Weak scaling gives each rank as many states of
+a corridor whose width grows with them; what is near the start, and so the cost, stays the same.
+"""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
+from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import product
+from statistics import median
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from examples.distributed.robot_on_ranks import shared_robot
+from examples.paper_robot.robot import RobotGrid, grid_model, start_state
+from formulations import MCMP, S3P
+from ssp_lp import ModelError, solve
+from ssp_lp.distributed import PartitionedModel, StateRows
+
+SETTINGS = {
+    "OMP_NUM_THREADS": "1",
+    "NUMBA_NUM_THREADS": "1",
+    "SSP_LP_ACCELERATOR": "numba",  # loops are compiled, however short: all are loaded before
+    "OMPI_ALLOW_RUN_AS_ROOT": "1",
+    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+    "OMPI_MCA_rmaps_base_oversubscribe": "1",  # more ranks than cores
+    "OMPI_MCA_mpi_yield_when_idle": "1",  # a rank that waits lets others work
+}
+CASES: dict[str, tuple[type[Any], dict[str, Any]]] = {
+    "M": (MCMP, {}),
+    "S80": (S3P, {"cost_cap": 80.0}),
+}
+LIMIT = 3600  # seconds after which a process has hung
+LENGTH = 100  # cells of the corridor from the start to the goal
+BESIDE = 0.1  # probability of being blown to either side
+SLIPS = 0.05  # of what comes besides: standing still, or a step of one cell
+RISKS = 17  # kinds of ground
+WORST = 0.02  # probability of falling where the ground is worst
+WAYS = ((1, 0), (1, -1), (1, 1), (2, 0))  # cells ahead and across that are meant; the last runs
+
+Results = dict[str, list[dict[str, Any]]]
+"""What each kind of process measured, a turn after the other."""
+
+
+def corridor(width: int) -> tuple[Callable[[int, int], StateRows], int, int]:
+    """Return a windy corridor of so many lanes: its rows, their number, and the start.
+
+    Lanes follow each other, so that neighbours are at most LENGTH numbers apart. Who runs may fall
+    through rotten ground; who walks never fails. Behind the cells come the goal and the hole.
+    """
+    n, middle = width * LENGTH, width // 2
+    goal, hole = n, n + 1
+
+    def rows(first: int, end: int) -> StateRows:
+        """Return the rows of some cells; the goal and the hole have none."""
+        here = np.arange(first, min(end, n))
+        lane, along = np.divmod(here, LENGTH)
+        ground = (7 * along + 5 * (lane - middle)) % RISKS / (RISKS - 1)
+
+        def cell(ahead: int, across: int) -> npt.NDArray[Any]:
+            """Return where so many cells ahead and across lead: walls stop, the end is the goal."""
+            there = np.clip(lane + across, 0, width - 1) * LENGTH + along + ahead
+            return np.where(along + ahead < LENGTH, there, goal)
+
+        successors, chances = [], []
+        for ahead, across in WAYS:
+            runs = ahead > 1
+            risk = WORST * ground + 1e-4 if runs else np.zeros(len(here))
+            last = np.full(len(here), hole) if runs else cell(0, 0)
+            blown = [cell(ahead - 1, -1), cell(ahead - 1, 1)]
+            successors += [cell(ahead, across), *blown, last]
+            kept = SLIPS * np.ones(len(here))
+            beside = np.full(len(here), BESIDE)
+            missed = risk if runs else kept
+            chances += [1.0 - 2.0 * beside - missed, beside, beside, missed]
+        return StateRows(
+            actions=np.where(np.arange(first, end) < n, len(WAYS), 0),
+            outcomes=np.full(len(WAYS) * len(here), 4),
+            successors=np.stack(successors, axis=1).ravel(),
+            probabilities=np.stack(chances, axis=1).ravel(),
+            costs=1.0,
+        )
+
+    return rows, n + 2, middle * LENGTH
+
+
+def shared_corridor(width: int) -> tuple[PartitionedModel, int]:
+    """Return the corridor whose rows the ranks make, and its start."""
+    rows, n_states, start = corridor(width)
+    return PartitionedModel.from_rows(rows, n_states, [n_states - 2]), start
+
+
+def measured(world: str, case: str, discount: float | None, budget: float, ranks: int) -> Any:
+    """Return what one process, or its ranks, measure of one question; None beside the first rank.
+
+    world: such as "40x24", a robot, or "corridor 200", of so many lanes.
+    ranks: 0 for the local method.
+    """
+    criterion, more = CASES[case]
+    asked: dict[str, Any] = {"discount": discount, **more}
+
+    def built(world: str) -> tuple[Any, int]:
+        """Return the model and the start."""
+        if world.startswith("corridor"):
+            return shared_corridor(int(world.split()[1]))
+        segments, headings = map(int, world.split("x"))
+        grid = RobotGrid(segments=segments, headings=headings)
+        return (shared_robot if ranks else grid_model)(grid), start_state(grid)
+
+    def answered(model: Any, start: int, budget: float) -> Any:
+        """Return the answer."""
+        given = {"start": start, "failure_budget": budget, **asked}
+        return model.solve(criterion, **given) if ranks else solve(criterion(model, **given))
+
+    def gathered(mine: Any) -> list[Any]:
+        """Return what each rank has, on every rank."""
+        return model.ranks.comm.allgather(mine) if ranks else [mine]
+
+    model, start = built("6x4")
+    try:
+        answered(model, start, 0.9)
+        began = perf_counter()
+        model, start = built(world)
+        made = max(gathered(perf_counter() - began))
+        began = perf_counter()
+        answer = answered(model, start, budget)
+    except ModelError as error:
+        return {"refused": str(error)}
+    took = max(gathered(perf_counter() - began))
+    memory = gathered(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+    sizes = gathered((model.slab if ranks else model).n_outcomes)
+    if ranks and model.ranks.comm.rank > 0:
+        return None
+    return {
+        "states": (model.slab if ranks else model).n_states,
+        "outcomes": sum(sizes),
+        "built": made,
+        "solved": took,
+        "largest": max(memory),
+        "all": sum(memory),
+        "objective": answer.objective,
+        "price": answer.failure_price,
+        "gap": answer.gap,
+        "calls": answer.run.pricing_calls,
+    }
+
+
+def said(*command: str, ranks: int, threads: int = 1) -> str:
+    """Return what a script of Python says, on so many ranks of mpiexec; 0: without it.
+
+    Raises RuntimeError, with what it said, where it fails.
+    """
+    before = ["mpiexec", "-n", str(ranks)] if ranks else []
+    ended = subprocess.run(  # noqa: S603 (this very interpreter)
+        [*before, sys.executable, *command],
+        env=os.environ | SETTINGS | {"NUMBA_NUM_THREADS": str(threads)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=LIMIT,
+    )
+    if ended.returncode != 0:
+        raise RuntimeError(f"{command} on {ranks} ranks failed:\n{ended.stdout}{ended.stderr}")
+    return ended.stdout
+
+
+def run(question: tuple[Any, ...], ranks: int, threads: int = 1) -> dict[str, Any]:
+    """Return what a process of its own measures; no ranks: the local method."""
+    printed = said(
+        __file__, "--measure", json.dumps([*question, ranks]), ranks=ranks, threads=threads
+    )
+    found: dict[str, Any] = json.loads(printed.strip().splitlines()[-1])
+    return found
+
+
+def in_turns(kinds: dict[str, Callable[[], dict[str, Any]]], turns: int) -> Results:
+    """Return what each kind of process measured, one after the other in each turn."""
+    results: Results = {name: [] for name in kinds}
+    for _ in range(turns):
+        for name, measure in kinds.items():
+            results[name].append(measure())
+    return results
+
+
+def ratio(results: Results, name: str, base: str, *keys: str) -> float:
+    """Return the median over the turns of what a kind takes, as a share of what another takes."""
+    pairs = zip(results[name], results[base], strict=True)
+    return median(sum(one[k] for k in keys) / sum(other[k] for k in keys) for one, other in pairs)
+
+
+def lines(results: Results, base: str) -> Iterator[str]:
+    """Yield the table of some kinds of processes, with shares of what the base takes."""
+    yield (
+        f"{'':18} {'built':>7} {'solved':>8} {'of ' + base:>10} {'largest':>9} {'of ' + base:>10} "
+        f"{'all MB':>8} {'calls':>5} {'objective':>15} {'price':>12} {'gap':>8}"
+    )
+    for name, turns in results.items():
+        if "refused" in turns[0]:
+            yield f"{name:18} not answered: {turns[0]['refused']}"
+            continue
+        figures = [median(one[k] for one in turns) for k in ("built", "solved", "largest", "all")]
+        own = turns[0]
+        known = "refused" not in results[base][0]
+        shares = [ratio(results, name, base, k) if known else np.nan for k in ("solved", "largest")]
+        yield (
+            f"{name:18} {figures[0]:7.2f} {figures[1]:8.2f} {shares[0]:10.2f} {figures[2]:9.0f} "
+            f"{shares[1]:10.2f} {figures[3]:8.0f} {own['calls']:5} {own['objective']:15.9f} "
+            f"{own['price']:12.6f} {own['gap']:8.0e}"
+        )
+    objectives = [one["objective"] for turns in results.values() for one in turns if "gap" in one]
+    if objectives:
+        spread = np.ptp(objectives) / max(objectives)
+        yield f"{'':18} objectives differ by a share of at most {spread:.0e}"
+
+
+def table(title: str, results: Results, base: str) -> None:
+    """Print a table, and the load that other work puts on the machine beside it."""
+    print(f"\n{title}; load now {os.getloadavg()[0]:.1f}")
+    print("\n".join(lines(results, base)), flush=True)
+
+
+def named(ranks: int) -> str:
+    """Return the name of the kind of process that has so many ranks."""
+    return f"{ranks} rank{'s' * (ranks > 1)}"
+
+
+def strong(given: Namespace) -> None:
+    """Print a table for each question about each robot."""
+    for asked in product(given.robots, given.cases, given.discounts, [given.budget]):
+        world, case, discount, _ = asked
+        kinds = {
+            f"local, {n} thread{'s' * (n > 1)}": partial(run, asked, 0, n) for n in given.threads
+        }
+        kinds |= {named(n): partial(run, asked, n) for n in given.ranks}
+        results = in_turns(kinds, given.turns)
+        told = "exact" if discount is None else f"discount {discount}"
+        title = f"robot {world}, case {case}, {told}"
+        for one in [turns[0] for turns in results.values() if "refused" not in turns[0]][:1]:
+            title += f": {one['states']:,} states, {one['outcomes']:,} outcomes"
+        table(title, results, named(given.ranks[0]))
+
+
+def weak(given: Namespace) -> None:
+    """Print a table of corridors with a fixed number of states for each rank."""
+    kinds = {}
+    for n in given.ranks:
+        lanes = max(1, given.weak * n // LENGTH)
+        kinds[named(n)] = partial(run, (f"corridor {lanes}", "M", None, given.budget), n)
+    title = f"corridor, case M, exact: {given.weak:,} states a rank"
+    table(title, in_turns(kinds, given.turns), named(given.ranks[0]))
+
+
+def discount_of(text: str) -> float | None:
+    """Return the discount that an argument names."""
+    return None if text == "exact" else float(text)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Measure and print, or be one of the processes that are measured."""
+    cores = len(os.sched_getaffinity(0))
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    add = parser.add_argument
+    add("--ranks", type=int, nargs="+", default=[1, 2], metavar="N", help="1 2")
+    add("--threads", type=int, nargs="*", default=[1], metavar="N", help="of the local method; 1")
+    add("--robots", nargs="*", default=["20x12"], metavar="SxH", help="segments x headings; 20x12")
+    add("--cases", nargs="+", default=[*CASES], choices=[*CASES], help="M S80")
+    add("--discounts", type=discount_of, nargs="+", default=[None], metavar="D",
+        help="numbers, or 'exact', which it is unless asked")  # fmt: skip
+    add("--budget", type=float, default=0.05, help="failure budget; 0.05")
+    add("--weak", type=int, default=20_000, metavar="N", help="states of a rank, 0: none; 20000")
+    add("--turns", type=int, default=1, metavar="N", help="1")
+    add("--measure", help="what a process that is started measures")
+    given = parser.parse_args(arguments)
+    if given.measure:
+        found = measured(*json.loads(given.measure))
+        if found is not None:
+            print(json.dumps(found))
+        return
+    print(f"{cores} cores, load {os.getloadavg()[0]:.1f} before; seconds, MB", end="")
+    shared = [ranks for ranks in given.ranks if ranks > cores]
+    told = [
+        f"{n} ranks share {cores} cores: at best {n / cores:g} times the seconds" for n in shared
+    ]
+    print("".join(f"\n{line}" for line in told))
+    strong(given)
+    if given.weak:
+        weak(given)
+
+
+if __name__ == "__main__":
+    main()
