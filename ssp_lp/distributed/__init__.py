@@ -1,5 +1,6 @@
 """Pricing by several processes, perhaps on several machines: the extra ``distributed``."""
 
+from ssp_lp.distributed.order import narrow_order as narrow_order
 from ssp_lp.distributed.partitioned_model import (
     PartitionedModel as PartitionedModel,
     PartitionedSolution as PartitionedSolution,
@@ -7,4 +8,4 @@ from ssp_lp.distributed.partitioned_model import (
 from ssp_lp.distributed.petsc import Petsc as Petsc
 from ssp_lp.distributed.slab import StateRows as StateRows
 
-__all__ = ["PartitionedModel", "PartitionedSolution", "Petsc", "StateRows"]
+__all__ = ["PartitionedModel", "PartitionedSolution", "Petsc", "StateRows", "narrow_order"]

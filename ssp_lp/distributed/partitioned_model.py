@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +30,7 @@ from ssp_lp.column_generation.compiled_problem import CompiledExplicit
 from ssp_lp.column_generation.search import DualGuess
 from ssp_lp.compiled.deadline import Stop, until
 from ssp_lp.distributed.dynamics import PartitionedDynamics
+from ssp_lp.distributed.order import inverse, reordered, values_in_first_order
 from ssp_lp.distributed.partitioned_pricing import (
     Checkpoint,
     CompiledPartitioned,
@@ -126,6 +128,7 @@ class PartitionedModel:
 
     slab: Slab  # this rank's part
     ranks: Ranks = field(repr=False)
+    order: IntArray | None = field(repr=False, default=None)  # [states] of the model's own numbers
 
     @classmethod
     def from_rows(
@@ -201,11 +204,21 @@ class PartitionedModel:
         return cls(ranks.together(lambda: with_facts(ranks.comm, *part)), ranks)
 
     @classmethod
-    def from_model(cls, model: SSP) -> PartitionedModel:
-        """Take each rank's part of a model that all ranks have."""
+    def from_model(cls, model: SSP, order: IntArray | None = None) -> PartitionedModel:
+        """Take each rank's part of a model that all ranks have.
+
+        Args:
+            model: the same on every rank.
+            order: of its states, among the ranks alone, such as :func:`narrow_order`'s; what is
+                asked and answered is in the model's own.
+
+        Raises:
+            ModelError: some state does not come once in the order.
+        """
         ranks = Ranks.all()
-        part = part_of_model(ranks.comm, model)
-        return cls(ranks.together(lambda: with_facts(ranks.comm, *part)), ranks)
+        named = model if order is None else ranks.agreed(lambda: reordered(model, order))
+        part = part_of_model(ranks.comm, named)
+        return cls(ranks.together(lambda: with_facts(ranks.comm, *part)), ranks, order)
 
     def solve(
         self,
@@ -242,12 +255,23 @@ class PartitionedModel:
 
         def searched() -> PartitionedSolution:
             """The answer, on the first rank."""
-            kept = Checkpoint(checkpoint, f"{criterion.__name__}, {compiled.told}, "
-                              f"{compiled.bounds.tolist()}, {compiled.semantics}, "
-                              f"{compiled.discount}, {self.slab.n_states} states")  # fmt: skip
+            order = self.order
+            asked_for = [criterion.__name__, compiled.told, compiled.bounds.tolist()]
+            asked_for += [compiled.semantics, compiled.discount, f"{self.slab.n_states} states"]
+            asked_for += [] if order is None else [f"order {crc32(order.tobytes())}"]
+            kept = Checkpoint(checkpoint, ", ".join(map(str, asked_for)))
             held = PartitionedDynamics.held_by(ranks)
             pricing = PartitionedPricing(own.augmented, rows=own.rows, shared=held, kept=kept)
-            return _searched(CompiledPartitioned.of(compiled, pricing), options, began)
+            answer = _searched(CompiledPartitioned.of(compiled, pricing), options, began)
+            if order is None:
+                return answer
+            live: Any = own.augmented
+            live = live.quotient.node_of >= 0
+            return replace(
+                answer,
+                positions=read_only(answer.positions[:, inverse(order)]),
+                value_function=values_in_first_order(answer.value_function, live, order),
+            )
 
         return ranks.answered(Cargo(), searched)
 

@@ -14,6 +14,7 @@ import pytest
 from mpi4py import MPI
 from on_every_rank import DUPLICATES, least_failure
 
+from examples.distributed.scaling import corridor
 from examples.paper_robot.robot import RobotGrid, continuous_robot, grid_model, start_state
 from formulations import MCMP, S3P, FinitePenalty, LeastQuantity, MinCost
 from random_models import drawn_model
@@ -30,7 +31,9 @@ from ssp_lp import (
     solve,
     visits,
 )
-from ssp_lp.distributed import PartitionedModel, StateRows
+from ssp_lp.distributed import PartitionedModel, StateRows, narrow_order
+from ssp_lp.distributed.order import reordered
+from ssp_lp.distributed.slab import part_by_rows
 from ssp_lp.io import save_model
 from ssp_lp.model.graph import attention_states, hopeless_states
 
@@ -146,6 +149,35 @@ def check_discretised():
         PartitionedModel.from_continuous(world, Samples(3, 0))
 
 
+def ghosts(slab):
+    """Live states of other ranks to which the own rows lead."""
+    ahead = np.unique(slab.successors)
+    lost = slab.goal_mask | hopeless_states(slab)
+    return np.count_nonzero(~lost[ahead] & ~slab.own_mask[ahead])
+
+
+def check_order():
+    """Reordered, a shuffled corridor has few ghosts; it is answered in its own numbers."""
+    rows, n_states, start = corridor(20)
+    tidy = part_by_rows(rows, 0, n_states, n_states, [n_states - 2])
+    shuffle = np.random.default_rng(0).permutation(n_states)
+    model = reordered(tidy, shuffle).with_labels({"midway": [20 * k + 50 for k in range(5)]})
+    plain = PartitionedModel.from_model(model)
+    narrow = PartitionedModel.from_model(model, narrow_order(model))
+    asked = {"start": start, "failure_budget": 0.3}
+    limits = {"constraints": {"seldom": visits("midway") <= 0.1}}
+    check_the_same(model, plain, MCMP, **asked)
+    check_the_same(model, narrow, MCMP, **asked)
+    check_the_same(model, narrow, MCMP, **asked, **limits, give_up="anywhere")
+    check_the_same(model, narrow, MCMP, **asked | {"start": {start: 0.5, n_states - 2: 0.5}})
+    counts = [COMM.allreduce(ghosts(made.slab)) for made in (plain, narrow)]
+    if COMM.size > 1:
+        assert counts[1] <= 0.25 * counts[0], counts
+    with pytest.raises(ModelError, match=r"each of the states 0 .. 2001 once"):
+        PartitionedModel.from_model(model, np.zeros(n_states, dtype=np.int64))
+    return counts
+
+
 def check_that_rows_of_one_rank_fail_on_all():
     """Where one rank cannot make its rows, all raise its error; costs are given in any form."""
 
@@ -249,6 +281,7 @@ if __name__ == "__main__":
         check_the_same(model, made, criterion, **asked)
     check_file(with_fuel(model_of(DUPLICATES)))
     check_discretised()
+    check_order()
     check_that_rows_of_one_rank_fail_on_all()
     check_errors(partitioned(FIRST))
     if COMM.gather(True) is not None:
