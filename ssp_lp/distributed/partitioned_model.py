@@ -74,6 +74,7 @@ class PartitionedSolution(ReadOnlyCopies):
     lower_bound: float  # of the optimum, certified
     failure: float  # of the lottery, discounted where that is limited
     weights: FloatArray  # [members] of the lottery
+    figures: FloatArray  # [members, 2 + limits] objective, failure, limited quantities, as measured
     positions: IntArray  # [members, states] of actions, or GIVE_UP_CODE or UNDECIDED
     prices: Mapping[str, float]  # multiplier of each row, by name
     spent: Mapping[str, float]  # each limited quantity under the lottery, by name
@@ -334,16 +335,21 @@ def _searched(
         ) from stop
     bound = max(bound, min(_bound_by_proofs(compiled), value))
     members: Any = lottery.policies  # as pricing pulls them back
-    figures = lottery.weights @ np.stack([one.figures for one in members])
-    activities = zip(compiled.side, figures[2:].tolist(), strict=True)
+    figures = np.stack([one.figures for one in members])
+    figures[:, 0] = [sense.worth(cost) for cost in figures[:, 0].tolist()]
+    for place, row in enumerate(compiled.side, 2):
+        figures[:, place] = row.sign * (figures[:, place] - row.offset)
+    totals = (lottery.weights @ figures).tolist()
+    limited = [row.condition.name for row in compiled.side]
     return PartitionedSolution(
         objective=sense.worth(value),
         lower_bound=sense.worth(sense.settled_bound(value, bound)),
-        failure=float(figures[1]),
+        failure=totals[1],
         weights=lottery.weights,
+        figures=read_only(figures),
         positions=read_only(np.stack([one.positions for one in members])),
         prices=prices,
-        spent={row.condition.name: row.sign * (took - row.offset) for row, took in activities},
+        spent=dict(zip(limited, totals[2:], strict=True)),
         value_function=read_only(compiled.shared.anything if values is None else values),
         run=Run(
             options.method,

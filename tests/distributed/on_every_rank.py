@@ -6,6 +6,7 @@ argument is how many drawn models there are.
 
 import sys
 
+import numpy as np
 import pytest
 from mpi4py import MPI
 
@@ -26,6 +27,8 @@ from ssp_lp import (
     visits,
 )
 from ssp_lp.distributed import Petsc
+from ssp_lp.methods.rows import limited_rows
+from ssp_lp.problem import compiled_constrained
 
 RANK, SIZE = MPI.COMM_WORLD.rank, MPI.COMM_WORLD.size
 BY_PETSC = ColumnGeneration(pricing=Petsc())
@@ -78,6 +81,30 @@ def least_failure(model, question):
         return error.least_failure if discounted is None else discounted
 
 
+def check_prices(problem, answer, known):
+    """Both answers' prices are the same, or, at a kink, both support the optimum.
+
+    Prices z >= 0 do, by Lagrange, where the least ``cost + z @ activity`` of all policies, less
+    ``z @ bounds``, is the optimum.
+    """
+    compiled = compiled_constrained(problem)
+    rows = limited_rows(compiled)
+    names = [compiled.names[k - 1] for k in rows.index]
+    own, local = (
+        np.array([one.prices.get(name, 0.0) for name in names]) for one in (answer, known)
+    )
+    if np.abs(own - local).max(initial=0.0) <= 1e-9 * np.abs(local).max(initial=0.0):
+        return True
+    pricing = compiled.pricing()
+    for prices in (own, local):
+        weights = rows.weights(prices)
+        supported = weights @ pricing.minimise(weights).figures - prices @ rows.bounds
+        worth = compiled.sense.worth(float(supported))
+        assert (prices >= 0.0).all()
+        assert worth == pytest.approx(known.objective, rel=1e-9, abs=1e-11), (problem, own, local)
+    return False
+
+
 def check_the_same(problem):
     """All ranks have one answer on their own model, as proved and as good as the local one."""
     answer, known = solve(problem, BY_PETSC), solve(problem)
@@ -90,6 +117,9 @@ def check_the_same(problem):
     assert answer.objective == pytest.approx(known.objective, rel=1e-9, abs=1e-12)
     assert answer.budget_used == pytest.approx(known.budget_used, rel=1e-9, abs=1e-12)
     assert answer.gap <= 1e-9
+    check_prices(problem, answer, known)
+    failures = [evaluate(one, problem).limited_failure for one in members]
+    assert answer.policy.weights @ failures == pytest.approx(answer.budget_used, rel=1e-9)
     assert answer.policy.model is problem.model
     assert certify(answer).accepted
 

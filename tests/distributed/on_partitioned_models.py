@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 from mpi4py import MPI
-from on_every_rank import DUPLICATES, least_failure
+from on_every_rank import DUPLICATES, check_prices, least_failure
 
 from examples.distributed.scaling import corridor
 from examples.paper_robot.robot import RobotGrid, continuous_robot, grid_model, start_state
@@ -27,6 +27,7 @@ from ssp_lp import (
     certify,
     discretise,
     end_probability,
+    evaluate,
     secondary_cost,
     solve,
     visits,
@@ -104,6 +105,12 @@ def check_the_same(model, made, criterion, **asked):
         assert spent == pytest.approx(known.secondary_costs[name], rel=1e-8, abs=1e-10)
     assert answer.gap <= 1e-9, (problem, answer.gap)
     whole = answer.on(problem)
+    check_prices(problem, answer, known)
+    for member, measured in zip(whole.policy.policies, answer.figures, strict=True):
+        own = evaluate(member, problem)
+        spent = [own.secondary_costs[name] for name in answer.spent]
+        figures = [own.objective, own.limited_failure, *spent]
+        assert measured == pytest.approx(figures, rel=1e-9, abs=1e-12), problem
     assert whole.evaluation.objective == pytest.approx(answer.objective, rel=1e-9, abs=1e-12)
     assert whole.failure_price == pytest.approx(answer.failure_price + problem.semantics.penalty)
     if known.value_function.shape == answer.value_function.shape:  # else free states are one there
