@@ -105,8 +105,11 @@ def check_prices(problem, answer, known):
     return False
 
 
-def check_the_same(problem):
-    """All ranks have one answer on their own model, as proved and as good as the local one."""
+def check_the_same(problem, *, optima=1):
+    """All ranks have one answer on their own model, as proved and as good as the local one.
+
+    Where there may be several optima, they spend the same of what has a price.
+    """
     answer, known = solve(problem, BY_PETSC), solve(problem)
     members = answer.policy.policies
     figures = (
@@ -115,7 +118,8 @@ def check_the_same(problem):
     )  # fmt: skip
     assert MPI.COMM_WORLD.allgather(figures) == [figures] * SIZE
     assert answer.objective == pytest.approx(known.objective, rel=1e-9, abs=1e-12)
-    assert answer.budget_used == pytest.approx(known.budget_used, rel=1e-9, abs=1e-12)
+    if optima == 1 or answer.failure_price > 0.0:
+        assert answer.budget_used == pytest.approx(known.budget_used, rel=1e-9, abs=1e-12)
     assert answer.gap <= 1e-9
     check_prices(problem, answer, known)
     failures = [evaluate(one, problem).limited_failure for one in members]
