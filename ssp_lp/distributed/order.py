@@ -27,6 +27,8 @@ def narrow_order(model: SSP) -> IntArray:
     apart = model.goal_mask | hopeless_states(model)
     inside, starts = np.flatnonzero(~apart), model.outcome_offsets[model.pair_offsets]
     steps = np.ones(model.n_outcomes, dtype=np.int32), model.successors, starts
+    if not inside.size:
+        return np.arange(model.n_states)
     graph = sp.csr_matrix(steps, shape=(model.n_states, model.n_states))[inside][:, inside]
     return np.concatenate([inside[reverse_cuthill_mckee(graph)], np.flatnonzero(apart)])
 
