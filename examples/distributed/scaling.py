@@ -14,13 +14,13 @@ a corridor whose width grows with them; what is near the start, and so the cost,
 
 import json
 import os
-import resource
 import subprocess
 import sys
 from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import product
+from pathlib import Path
 from statistics import median
 from time import perf_counter
 from typing import Any
@@ -107,6 +107,12 @@ def shared_corridor(width: int) -> tuple[PartitionedModel, int]:
     return PartitionedModel.from_rows(rows, n_states, [n_states - 2]), start
 
 
+def most_resident() -> float:
+    """Return the most memory that this process had resident, in MB, as Linux tells it."""
+    told = Path("/proc/self/status").read_text(encoding="utf-8")
+    return next(int(line.split()[1]) for line in told.splitlines() if "VmHWM" in line) / 1024
+
+
 def measured(world: str, case: str, discount: float | None, budget: float, ranks: int) -> Any:
     """Return what one process, or its ranks, measure of one question; None beside the first rank.
 
@@ -144,7 +150,7 @@ def measured(world: str, case: str, discount: float | None, budget: float, ranks
     except ModelError as error:
         return {"refused": str(error)}
     took = max(gathered(perf_counter() - began))
-    memory = gathered(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+    memory = gathered(most_resident())
     sizes = gathered((model.slab if ranks else model).n_outcomes)
     if ranks and model.ranks.comm.rank > 0:
         return None
@@ -157,6 +163,7 @@ def measured(world: str, case: str, discount: float | None, budget: float, ranks
         "all": sum(memory),
         "objective": answer.objective,
         "price": answer.failure_price,
+        "failure": answer.failure if ranks else answer.budget_used,
         "gap": answer.gap,
         "calls": answer.run.pricing_calls,
     }
@@ -199,41 +206,50 @@ def in_turns(kinds: dict[str, Callable[[], dict[str, Any]]], turns: int) -> Resu
     return results
 
 
-def ratio(results: Results, name: str, base: str, *keys: str) -> float:
+def ratio(results: Results, name: str, base: str, key: str) -> float:
     """Return the median over the turns of what a kind takes, as a share of what another takes."""
     pairs = zip(results[name], results[base], strict=True)
-    return median(sum(one[k] for k in keys) / sum(other[k] for k in keys) for one, other in pairs)
+    return median(one[key] / other[key] for one, other in pairs)
 
 
-def lines(results: Results, base: str) -> Iterator[str]:
-    """Yield the table of some kinds of processes, with shares of what the base takes."""
+def lines(results: Results) -> Iterator[str]:
+    """Yield the table of some kinds of processes, with shares of what one rank takes, if it can."""
+    answered = {name: turns for name, turns in results.items() if "refused" not in turns[0]}
+    base = next((name for name in answered if "rank" in name), next(iter(answered), ""))
+    share = f"of {base.split(',')[0]}"
     yield (
-        f"{'':18} {'built':>7} {'solved':>8} {'of ' + base:>10} {'largest':>9} {'of ' + base:>10} "
+        f"{'':18} {'built':>7} {'solved':>8} {share:>10} {'largest':>9} {share:>10} "
         f"{'all MB':>8} {'calls':>5} {'objective':>15} {'price':>12} {'gap':>8}"
     )
     for name, turns in results.items():
-        if "refused" in turns[0]:
+        if name not in answered:
             yield f"{name:18} not answered: {turns[0]['refused']}"
             continue
-        figures = [median(one[k] for one in turns) for k in ("built", "solved", "largest", "all")]
-        own = turns[0]
-        known = "refused" not in results[base][0]
-        shares = [ratio(results, name, base, k) if known else np.nan for k in ("solved", "largest")]
-        yield (
-            f"{name:18} {figures[0]:7.2f} {figures[1]:8.2f} {shares[0]:10.2f} {figures[2]:9.0f} "
-            f"{shares[1]:10.2f} {figures[3]:8.0f} {own['calls']:5} {own['objective']:15.9f} "
-            f"{own['price']:12.6f} {own['gap']:8.0e}"
+        built, solved, largest, whole = (
+            median(one[k] for one in turns) for k in ("built", "solved", "largest", "all")
         )
-    objectives = [one["objective"] for turns in results.values() for one in turns if "gap" in one]
-    if objectives:
-        spread = np.ptp(objectives) / max(objectives)
-        yield f"{'':18} objectives differ by a share of at most {spread:.0e}"
+        longer, larger = (ratio(results, name, base, k) for k in ("solved", "largest"))
+        one = turns[0]
+        yield (
+            f"{name:18} {built:7.2f} {solved:8.2f} {longer:10.2f} {largest:9.0f} {larger:10.2f} "
+            f"{whole:8.0f} {one['calls']:5} {one['objective']:15.9f} {one['price']:12.6f} "
+            f"{one['gap']:8.0e}"
+        )
+    if len(answered) > 1:
+        differ = [f"{spread(answered, k):.0e} ({k})" for k in ("objective", "price", "failure")]
+        yield f"{'':18} shares by which they differ: {', '.join(differ)}"
 
 
-def table(title: str, results: Results, base: str) -> None:
+def spread(results: Results, key: str) -> float:
+    """Return by what share of the greatest a figure differs between all processes."""
+    figures = [one[key] for turns in results.values() for one in turns]
+    return float(np.ptp(figures) / max(np.abs(figures).max(), 1e-300))
+
+
+def table(title: str, results: Results) -> None:
     """Print a table, and the load that other work puts on the machine beside it."""
     print(f"\n{title}; load now {os.getloadavg()[0]:.1f}")
-    print("\n".join(lines(results, base)), flush=True)
+    print("\n".join(lines(results)), flush=True)
 
 
 def named(ranks: int) -> str:
@@ -254,7 +270,7 @@ def strong(given: Namespace) -> None:
         title = f"robot {world}, case {case}, {told}"
         for one in [turns[0] for turns in results.values() if "refused" not in turns[0]][:1]:
             title += f": {one['states']:,} states, {one['outcomes']:,} outcomes"
-        table(title, results, named(given.ranks[0]))
+        table(title, results)
 
 
 def weak(given: Namespace) -> None:
@@ -264,7 +280,7 @@ def weak(given: Namespace) -> None:
         lanes = max(1, given.weak * n // LENGTH)
         kinds[named(n)] = partial(run, (f"corridor {lanes}", "M", None, given.budget), n)
     title = f"corridor, case M, exact: {given.weak:,} states a rank"
-    table(title, in_turns(kinds, given.turns), named(given.ranks[0]))
+    table(title, in_turns(kinds, given.turns))
 
 
 def discount_of(text: str) -> float | None:
