@@ -1,8 +1,5 @@
-"""The script for mpiexec is no module of tests: it asks for MPI when it is imported."""
+"""The scripts for mpiexec are no modules of tests: they ask for MPI when they are imported."""
 
-collect_ignore = [
-    "on_every_rank.py",
-    "on_partitioned_models.py",
-    "on_a_checkpoint.py",
-    "on_drawn_problems.py",
-]
+from pathlib import Path
+
+collect_ignore = [path.name for path in Path(__file__).parent.glob("on_*.py")]
