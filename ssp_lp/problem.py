@@ -166,8 +166,13 @@ def requirements(problem: Problem) -> Requirements:
     return Requirements(law, is_risk, semantics.aim, problem.ratio, rows, totals, least)
 
 
-def compiled_constrained(problem: Problem) -> CompiledExplicit:
-    """Compile a problem with constraints: its process and its rows."""
+def compiled_constrained(problem: Problem, *, by_units: bool = False) -> CompiledExplicit:
+    """Compile a problem with constraints: its process and its rows.
+
+    Args:
+        problem: the problem.
+        by_units: tell totals apart as multiples of a unit whatever the costs are.
+    """
     logging.getLogger("ssp_lp.compiling").info("%r, with its rows", problem)
     objective, model = objective_of(problem), problem.model
     start = start_distribution(model, problem.start)
@@ -190,7 +195,7 @@ def compiled_constrained(problem: Problem) -> CompiledExplicit:
         ratio=problem.ratio,
         fixed_cap=getattr(problem, "cost_cap", None),
         objective=None if objective is None else objective.minimised(),
-        resolution=resolution_of(problem),
+        resolution=None if by_units else resolution_of(problem),
     )
 
 

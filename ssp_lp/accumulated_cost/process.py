@@ -184,6 +184,7 @@ def accumulate_cost(
     usable: BoolArray | None = None,
     side: Iterable[UpperRow] = (),
     by_steps: bool = False,
+    quotient: Quotient | None = None,
 ) -> AccumulatedCost:
     """Build the process of case S: the states with the accumulated cost.
 
@@ -197,14 +198,16 @@ def accumulate_cost(
             the second stage of a least-failure problem (mathematics, section 4).
         side: what is limited besides.
         by_steps: steps are told apart by their distinct costs, not by multiples of a common unit.
+        quotient: the live part of the model, with the pairs that give up; None: made here.
 
     Raises:
         ModelError: the costs have no common unit that gives a sane number of layers.
     """
     survival = survival_of(discount)
-    free = free_pairs(model, Aim.LEAST_COST, side) if discount is None else None
-    exits = giving_up_states(model, GiveUp.ATTENTION, usable)
-    quotient = build_quotient(model, usable=usable, free=free, exits=exits)
+    if quotient is None:
+        free = free_pairs(model, Aim.LEAST_COST, side) if discount is None else None
+        exits = giving_up_states(model, GiveUp.ATTENTION, usable)
+        quotient = build_quotient(model, usable=usable, free=free, exits=exits)
     going_on = quotient.node_of >= 0
     counted = going_on | model.goal_mask if arrivals else going_on
     if by_steps:

@@ -28,6 +28,7 @@ from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import STOPS, Stop, backward, check_time, end_with_incumbent, pieces
 from ssp_lp.dynamic_programming.bellman import (
     PairCost,
+    SparseRows,
     backup_rounding,
     best_pairs,
     chosen_product,
@@ -245,7 +246,10 @@ class Sweep:
 
     def follow(self, choice: IntArray, tail_price: float) -> FloatArray:
         """Charge, failure and goal of a choice by a forward sweep of its mass, [3]."""
-        process, mass = self.process, _LayerMass(self.process.base, self.process.totals)
+        process, mass = (
+            self.process,
+            LayerMass(LayerRows.of(self.process.base), self.process.totals),
+        )
         sums = [mass.follow(choice[k], process.charged(k)).tolist() for k in range(process.cap)]
         beyond = process.beyond(tail_price)
         sums.append([float((mass.left[: len(each)] * each).sum()) for each in beyond])
@@ -253,7 +257,10 @@ class Sweep:
 
     def mass_beyond(self, choice: IntArray) -> FloatArray:
         """Mass of a choice that gets beyond the cap, by a forward sweep, [layers beyond, nodes]."""
-        base, mass = self.process.base, _LayerMass(self.process.base, self.process.totals)
+        base, mass = (
+            self.process.base,
+            LayerMass(LayerRows.of(self.process.base), self.process.totals),
+        )
         for chosen in choice:
             mass.follow(chosen, PairCost(base.gain_cost))
         return mass.left
@@ -487,7 +494,7 @@ def follow_rule(
     Returns:
         None where nothing is seen to arrive, or much is still on its way by then.
     """
-    mass, sums = _LayerMass(base, base.totals(0)), np.zeros(3)
+    mass, sums = LayerMass(LayerRows.of(base), base.totals(0)), np.zeros(3)
     for layer in range(most_layers):
         mass.here[mass.here < _DROPPED] = 0.0
         sums += mass.follow(rule, PairCost(base.gain_cost, base.gain, layer * base.unit))
@@ -496,25 +503,41 @@ def follow_rule(
     return None
 
 
-class _LayerMass:
+class LayerRows(NamedTuple):
+    """One layer of a process without free steps, as far as mass is sent on from it."""
+
+    later: SparseRows  # [pairs, layers ahead * nodes]
+    pair_offsets: IntArray  # [nodes that have pairs + 1]
+    gain: FloatArray  # [pairs]
+    failure: FloatArray  # [pairs]
+    survival: float
+    start: FloatArray  # [nodes]
+
+    @classmethod
+    def of(cls, base: AccumulatedCost) -> LayerRows:
+        """The layer of an accumulated-cost process."""
+        return cls(*(getattr(base, name) for name in cls._fields))
+
+
+class LayerMass:
     """The mass of a layer and of those that its steps lead to. Mutable: layer after layer."""
 
-    def __init__(self, base: AccumulatedCost, totals: Totals) -> None:
+    def __init__(self, rows: LayerRows, totals: Totals) -> None:
         """Begin in the first layer of a process without free steps.
 
         Args:
-            base: one layer of it.
+            rows: of one layer of it.
             totals: of the layers, and which step leads where.
         """
-        self._base, self._span, self._leads = base, totals.span, totals.ahead
-        self._buffer = np.zeros((2 * self._span + 1, base.n_nodes))
-        self._buffer[0], self._front, self._layer = base.start, 0, 0
+        self._rows, self._span, self._leads = rows, totals.span, totals.ahead
+        self._buffer = np.zeros((2 * self._span + 1, len(rows.start)))
+        self._buffer[0], self._front, self._layer = rows.start, 0, 0
         classes = 0 if self._leads is None else self._leads.shape[1]
-        self._by_class = np.zeros((classes, base.n_nodes))
+        self._by_class = np.zeros((classes, len(rows.start)))
 
     @property
     def here(self) -> FloatArray:
-        """The mass of the layer, [nodes]."""
+        """The mass of the layer, [nodes]; where a node has no pairs it must be 0."""
         here: FloatArray = self._buffer[self._front]
         return here
 
@@ -536,12 +559,12 @@ class _LayerMass:
         from ssp_lp.compiled.layers import follow_layer
 
         check_time()
-        base, sums = self._base, np.zeros((3, 2))  # and what was rounded off them
+        rows, sums = self._rows, np.zeros((3, 2))  # and what was rounded off them
         first, leads = self._front + 1, self._leads
         onward = self._buffer[first : first + self._span] if leads is None else self._by_class
         follow_layer(
-            self.here, choice, unsigned(base.pair_offsets), *row_parts(base.later), *charge.parts,
-            base.gain, base.failure, base.survival, onward.reshape(-1), sums,
+            self.here, choice, unsigned(rows.pair_offsets), *row_parts(rows.later), *charge.parts,
+            rows.gain, rows.failure, rows.survival, onward.reshape(-1), sums,
         )  # fmt: skip
         if leads is not None:
             for mass, lead in zip(self._by_class, leads[self._layer].tolist(), strict=True):

@@ -136,7 +136,7 @@ class StepClasses:
             classes: [costs].
         """
         least, classes = int(classes.min()) if classes.size else 0, classes.astype(np.int32)
-        if uniform_cost(model) is not None:
+        if uniform_cost(model) is not None and costs.size <= 1:
             ahead = np.broadcast_to(np.int32(least), (model.n_outcomes,))
             return cls(unit, ahead, least + 1, least)
         ahead = np.zeros(model.n_outcomes, dtype=np.int32)
@@ -173,7 +173,7 @@ def multiples_of_unit(model: SSP, counted: BoolArray) -> StepClasses:
     Raises:
         ModelError: the costs have no common unit that gives a sane number of layers.
     """
-    costs = _costs_into(model, counted)
+    costs = model.in_all_parts(_costs_into(model, counted))
     unit = common_unit(costs, model.exact_costs)
     layers = layers_of(costs, unit, model.exact_costs)
     return StepClasses.of(model, counted, unit, costs, layers)

@@ -229,11 +229,19 @@ class OpenEnded(ChargedLayers):
 
         However a policy goes on, it reaches the goal with the least probability that there is.
         """
-        base, quotient = self.base, self.base.quotient
         if self.least_goal is None:
-            return np.zeros(len(base.gain))
-        going_on = np.where(quotient.node_of >= 0, self.least_goal, 0.0)
-        return quotient.at_pairs(cost_means(quotient.model, going_on)) / base.departs
+            return np.zeros(len(self.base.gain))
+        going_on = self.base.quotient.node_of >= 0
+        return self.step_cost(np.where(going_on, self.least_goal, 0.0))
+
+    def step_cost(self, goal: FloatArray) -> FloatArray:
+        """Cost of a step to those of the open-ended table's runs that succeed after it, [pairs].
+
+        Args:
+            goal: probability of succeeding from each state on, [states].
+        """
+        quotient = self.base.quotient
+        return quotient.at_pairs(cost_means(quotient.model, goal)) / self.base.departs
 
     @cached_property
     def shift_of_ends(self) -> tuple[FloatArray, float]:

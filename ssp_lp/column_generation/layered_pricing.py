@@ -11,22 +11,25 @@ integers that hold it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from math import fsum
+from typing import Any, Protocol
 
 import numpy as np
 
 from ssp_lp.accumulated_cost.process import LayeredProcess
-from ssp_lp.accumulated_cost.sweep import KEPT_VALUES, PartOfSweep, Sweep
+from ssp_lp.accumulated_cost.sweep import KEPT_VALUES, LayerMass, LayerRows, PartOfSweep, Sweep
 from ssp_lp.accumulated_cost.totals import Window
 from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import MACHINE_EPSILON, TIED, FloatArray, IntArray, least_integer_type, weighted
 from ssp_lp.column_generation import explicit_pricing
 from ssp_lp.column_generation.column import Column, PricingProblem, Proof, required
+from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import backward
 from ssp_lp.dynamic_programming import bellman
+from ssp_lp.dynamic_programming.bellman import PairCost, SparseRows
 from ssp_lp.dynamic_programming.dual_bound import DualBound
 from ssp_lp.policies.policy import DeterministicPolicy, Policy
 
@@ -183,6 +186,206 @@ class LayeredPricing(PricingProblem):
         return self.process.policy(required(column.choice), column.tail_price)
 
 
+class Neighbours(Protocol):
+    """Ranks that sweep other nodes of the same layers, at the same time."""
+
+    @property
+    def size(self) -> int:
+        """Number of nodes that are known: the own ones first, then neighbours' ghosts."""
+
+    def filled(self, own: FloatArray) -> FloatArray:
+        """Values of own nodes, [nodes, ...], with those of neighbours', [known nodes, ...]."""
+
+    def gather(self, values: FloatArray) -> None:
+        """Add up, in place, what was sent to own nodes; to neighbours' there is nothing then."""
+
+
+@dataclass(frozen=True, eq=False)
+class OpenSweeps:
+    """Backward sweeps over the layers of an open-ended table: of all nodes, or of a rank's own.
+
+    A rank knows some nodes of its neighbours, too.
+    """
+
+    layered: OpenEnded
+    rows: tuple[FloatArray, ...]  # [pairs] each: what is counted besides cost and failure
+    later: SparseRows  # [pairs, layers ahead * known nodes]
+    own: slice  # the nodes that are swept
+    neighbours: Neighbours | None = None  # who know the others; None: all nodes are swept
+    follows: bool = False  # mass is followed forwards, in compiled loops
+
+    @property
+    def pair_offsets(self) -> IntArray:
+        """Offsets of the pairs of each swept node in a layer, [nodes + 1]."""
+        return self.layered.base.pair_offsets[self.own.start : self.own.stop + 1]
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes that are swept."""
+        return len(self.pair_offsets) - 1
+
+    @cached_property
+    def start(self) -> FloatArray:
+        """Start mass of the swept nodes, 0 at others, [known nodes]."""
+        known = self.n_nodes if self.neighbours is None else self.neighbours.size
+        start = np.zeros(known)
+        start[: self.n_nodes] = self.layered.base.start[self.own]
+        return start
+
+    def _told(self, values: FloatArray) -> FloatArray:
+        """Values of swept nodes, [nodes, ...], with those of all known ones, [known nodes, ...]."""
+        return values if self.neighbours is None else self.neighbours.filled(values)
+
+    @cached_property
+    def counted(self) -> FloatArray:
+        """Failure and rows of each pair of a swept layer, [pairs, rewards - 1]."""
+        return np.stack([self.layered.base.failure, *self.rows], axis=1)
+
+    def charged(self, layer: int) -> PairCost:
+        """Charges of arriving from a swept layer with the shift, [pairs]."""
+        charge, shift = self.layered.charged(layer), self.layered.shift_of_ends[0]
+        return charge if self.layered.shift == 0.0 else PairCost(charge.total + shift)
+
+    def best(self, last: IntArray, values: FloatArray, weights: FloatArray) -> IntArray:
+        """Sweep for the best pairs at some weights.
+
+        Args:
+            last: position of the pair that is taken beyond the cap, [nodes].
+            values: what all that lies beyond is worth at least, [nodes].
+            weights: of the rewards, [rewards].
+
+        Returns:
+            The choice, [layers + 1, nodes], the last layer for all beyond.
+        """
+        window, owed, offsets = self._window(values), self.counted @ weights[1:], self.pair_offsets
+        costs = self._by_layer(weights[0], lambda charged: weights[0] * charged + owed)
+        choice = self.always(last)
+        for layer in backward(self.layered.cap):
+            rows = offsets, self.later, costs(layer), window.flat
+            backup = bellman.best_pairs(*rows, tied=TIED)
+            window.push(self._told(backup.minima))
+            choice[layer] = backup.choice - offsets[:-1]
+        return choice
+
+    def always(self, last: IntArray) -> IntArray:
+        """The choice that is the same in all swept layers and beyond, [layers + 1, nodes]."""
+        most = int(np.diff(self.pair_offsets).max(initial=1))
+        same = np.broadcast_to(last, (self.layered.cap + 1, len(last)))
+        return same.astype(least_integer_type(most))
+
+    def measured(self, choice: IntArray, totals: FloatArray) -> FloatArray:
+        """Totals of a choice from the start of the swept nodes on, by a sweep, [rewards].
+
+        Args:
+            choice: [layers + 1, nodes].
+            totals: beyond the cap, in each layer that a step can reach, [layers, nodes, rewards].
+        """
+        return self._followed(choice, totals) if self.follows else self._summed(choice, totals)
+
+    def _summed(self, choice: IntArray, totals: FloatArray) -> FloatArray:
+        """Totals of a choice by a sweep backwards."""
+        told, offsets = [self._told(layer) for layer in totals], self.pair_offsets
+        window = Window(np.stack(told) if told else totals)
+        for layer in backward(self.layered.cap):
+            chosen, charged = offsets[:-1] + choice[layer], self.charged(layer)
+            here = np.empty(totals.shape[1:])
+            here[:, 0], here[:, 1:] = charged.total[chosen], self.counted[chosen]
+            here += bellman.chosen_product(self.later, chosen, window.flat)
+            window.push(self._told(here))
+        return np.asarray(self.start[: self.n_nodes] @ here)
+
+    def _followed(self, choice: IntArray, totals: FloatArray) -> FloatArray:
+        """Totals of a choice by a sweep of its mass forwards, only from where it comes to."""
+        base, offsets, sums = self.layered.base, self.pair_offsets, list[list[float]]()
+        counted = base.gain, base.failure, base.survival
+        rows = LayerRows(self.later, offsets, *counted, self.start)
+        mass = LayerMass(rows, self.layered.totals)
+        for layer in range(self.layered.cap):
+            here = self._gathered(mass.here)
+            chosen = offsets[:-1] + choice[layer] if self.rows else offsets[:0]
+            limited = [float(here @ row[chosen]) for row in self.rows]
+            paid, failed, _ = mass.follow(choice[layer], self.charged(layer)).tolist()
+            sums.append([paid, failed, *limited])
+        for left, each in zip(mass.left, totals, strict=False):
+            sums.append((self._gathered(left) @ each).tolist())
+        return np.array([fsum(each) for each in zip(*sums, strict=True)])
+
+    def _gathered(self, mass: FloatArray) -> FloatArray:
+        """Mass of the swept nodes, with what others have sent to them, [nodes]."""
+        if self.neighbours is not None:
+            self.neighbours.gather(mass)
+        return mass[: self.n_nodes]
+
+    def _by_layer(
+        self, weight: float, summed: Callable[[FloatArray], FloatArray]
+    ) -> Callable[[int], PairCost]:
+        """Costs of the pairs of each swept layer; those that grow evenly are summed up once.
+
+        Args:
+            weight: of what arriving is charged.
+            summed: the cost of a charge, with what is counted besides, [pairs] -> [pairs].
+        """
+        layered = self.layered
+        even, totals = layered.charged(0), layered.totals.values
+        if even.slope is None:
+            return lambda layer: PairCost(summed(self.charged(layer).total))
+        cost = PairCost(summed(even.fixed), weight * even.slope)
+        return lambda layer: replace(cost, factor=float(totals[layer]))
+
+    def priced(self, weights: FloatArray) -> Callable[[int], PairCost]:
+        """Priced costs of the pairs of each swept layer, rounded down, [pairs]."""
+        owed = self.counted @ weights[1:]
+        lost = explicit_pricing.pricing_rounding(self.counted, weights[1:]) * owed
+
+        def summed(charged: FloatArray) -> FloatArray:
+            """A charge with the priced rows."""
+            cost = weights[0] * charged
+            both = (cost != 0.0) & (owed != 0.0)
+            return np.asarray(
+                cost + owed - (lost + both * explicit_pricing.LOST * (np.abs(cost) + owed))
+            )
+
+        return self._by_layer(weights[0] * (1.0 - explicit_pricing.LOST), summed)
+
+    def priced_less(self, weights: FloatArray, ratio: float) -> Callable[[int], PairCost]:
+        """The same less what every episode pays on ending: a ratio, and the shift."""
+        base, owed = self.layered.base, self.counted @ weights[1:]
+        earned = ratio * base.survival * base.gain
+
+        def cost_in(layer: int) -> PairCost:
+            """Those of a layer."""
+            own = self.layered.own_cost_from(layer)
+            return PairCost(explicit_pricing.costs_less_earned(own, own + owed, earned))
+
+        return cost_in
+
+    def lowered(
+        self, lowest: FloatArray, priced: Callable[[int], PairCost]
+    ) -> Iterator[tuple[int, FloatArray]]:
+        """Sweep for lower bounds of all policies' values; what is sent back is a ceiling.
+
+        Args:
+            lowest: of what lies beyond the cap, [nodes].
+            priced: what the pairs of a layer cost at least, [pairs].
+
+        Yields:
+            A layer and its bounds, [nodes], which may be lowered in place.
+        """
+        window = self._window(lowest)
+        for layer in backward(self.layered.cap):
+            cost = priced(layer)
+            size = np.abs(cost.fixed)
+            sums = cost, size, size, window.flat
+            lowest = bellman.safe_minima(self.pair_offsets, self.later, *sums)
+            yield layer, lowest
+            window.push(self._told(lowest))
+
+    def _window(self, last: FloatArray) -> Window:
+        """Values of the layers ahead of the last swept one, the open end's."""
+        reached, told = self.layered.base.width - 1, self._told(last)
+        return Window(np.broadcast_to(told, (reached, *told.shape)))
+
+
 @dataclass(frozen=True, eq=False)
 class OpenEndedPricing(PricingProblem):
     """Minimises weighted totals of cost, failure and rows; see :class:`ExplicitPricing`.
@@ -211,9 +414,11 @@ class OpenEndedPricing(PricingProblem):
         return explicit_pricing.ExplicitPricing(self.augmented.beyond, self.precise, rows)
 
     @cached_property
-    def _counted(self) -> FloatArray:
-        """Failure and rows of each pair of a priced layer, [pairs, rewards - 1]."""
-        return np.stack([self.augmented.base.failure, *(row for row, _ in self.rows)], axis=1)
+    def sweeps(self) -> OpenSweeps:
+        """The sweeps of layered pricing with rows."""
+        base, rows = self.augmented.base, tuple(row for row, _ in self.rows)
+        follows, every = accelerated(base.later.nnz), slice(0, base.n_nodes)
+        return OpenSweeps(self.augmented, rows, base.later, every, follows=follows)
 
     @cached_property
     def _at_source(self) -> FloatArray:
@@ -222,29 +427,18 @@ class OpenEndedPricing(PricingProblem):
         cost = layered.start_charge + layered.shift_of_ends[1]
         return np.array([cost, layered.base.start_failure, *(at for _, at in self.rows)])
 
-    def _cost_from(self, layer: int) -> FloatArray:
-        """Charges of arriving from a priced layer with the shift, [pairs]."""
-        return self.augmented.own_cost_from(layer) + self.augmented.shift_of_ends[0]
-
     def first(self) -> Column:
         """The policy that leaves the open end, whatever has been paid: nearer to the goal."""
-        beyond = self._beyond.first()
-        last = required(beyond.choice) - self.augmented.base.pair_offsets[:-1]
-        return self._swept(beyond, lambda charged, ahead: last, np.zeros(self.n_rewards))
+        return self._swept(self._beyond.first(), None)
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
         """Layered pricing with rows: a column of least priced cost, measured exactly."""
-        weights, base = explicit_pricing.pricing_weights(price), self.augmented.base
-        owed = self._counted @ weights[1:]
-        last = self._beyond.minimise(weights, *map(self._last, warm))
+        weights = explicit_pricing.pricing_weights(price)
+        return self._swept(self._best_beyond(weights, *warm), weights)
 
-        def best(charged: FloatArray, ahead: FloatArray) -> IntArray:
-            """The best position of each node in a layer, from the priced totals ahead of it."""
-            cost = bellman.PairCost(weights[0] * charged + owed)
-            backup = bellman.best_pairs(base.pair_offsets, base.later, cost, ahead, tied=TIED)
-            return np.asarray(backup.choice - base.pair_offsets[:-1])
-
-        return self._swept(last, best, weights)
+    def _best_beyond(self, weights: FloatArray, *warm: Column | None) -> Column:
+        """What is best beyond the cap at some weights, by what is known of layered columns."""
+        return self._beyond.minimise(weights, *map(self._last, warm))
 
     def _last(self, column: Column | None) -> Column | None:
         """The choice of a layered column beyond the cap."""
@@ -253,46 +447,26 @@ class OpenEndedPricing(PricingProblem):
         choice = self.augmented.base.pair_offsets[:-1] + column.choice[-1]
         return Column(0.0, 0.0, 0.0, choice.astype(np.int32))
 
-    def _swept(
-        self,
-        last: Column,
-        position_of: Callable[[FloatArray, FloatArray], IntArray],
-        weights: FloatArray,
-    ) -> Column:
+    def _swept(self, last: Column, weights: FloatArray | None) -> Column:
         """A policy with its totals from the start, found layer by layer.
 
         Args:
             last: what is done beyond the cap, with its totals.
-            position_of: the position of each node's pair in a layer, [nodes], from the charges of
-                arriving from it, [pairs], and the priced totals of what its steps lead to.
-            weights: at which totals are priced, [rewards].
+            weights: at which the best is done in each layer, [rewards]; None: always the same.
         """
-        layered, base = self.augmented, self.augmented.base
-        most = int(np.diff(base.pair_offsets).max(initial=1))
-        choice = np.empty((layered.cap + 1, base.n_nodes), dtype=least_integer_type(most))
-        choice[-1] = required(last.choice) - base.pair_offsets[:-1]
-        totals = required(last.totals)
-        window, values = self._window(totals), self._window(weighted(totals, weights))
-        for layer in backward(layered.cap):
-            charged = self._cost_from(layer)
-            choice[layer] = position_of(charged, values.flat)
-            chosen = base.pair_offsets[:-1] + choice[layer]
-            totals = np.empty((base.n_nodes, self.n_rewards))
-            totals[:, 0], totals[:, 1:] = charged[chosen], self._counted[chosen]
-            totals += bellman.chosen_product(base.later, chosen, window.flat)
-            window.push(totals)
-            values.push(weighted(totals, weights))
-        figures = base.start @ totals + self._at_source
+        base, own = self.augmented.base, required(last.totals)
+        position = required(last.choice) - base.pair_offsets[:-1]
+        totals = np.broadcast_to(own, (base.width - 1, *own.shape))
+        if weights is None:
+            choice = self.sweeps.always(position)
+        else:
+            choice = self.sweeps.best(position, weighted(own, weights), weights)
+        figures = self.sweeps.measured(choice, totals) + self._at_source
         return Column.of_figures(figures, choice, work=last.work + bellman.Work(1, 1))
-
-    def _window(self, last: FloatArray) -> Window:
-        """Values of the layers ahead of the last priced one, the open end's."""
-        reached = self.augmented.base.width - 1  # layers, counted from the next one
-        return Window(np.broadcast_to(last, (reached, *last.shape)))
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
         """Best lower bound that layered pricing's sweep with rows gives."""
-        return self.check(price, self.anything)
+        return self._proved(explicit_pricing.pricing_weights(price), self.anything, best)
 
     def prove_afresh(self, weights: FloatArray, warm: Column) -> Proof:
         """Best lower bound of layered pricing at weights that nothing has been priced at yet."""
@@ -304,20 +478,15 @@ class OpenEndedPricing(PricingProblem):
         Raises:
             ModelError: values of another shape.
         """
-        weights = explicit_pricing.pricing_weights(price)
-        owed, at_source = self._counted @ weights[1:], float(self._at_source @ weights)
-        lost = explicit_pricing.pricing_rounding(self._counted, weights[1:]) * owed
+        self.check_shape(values)
+        return self._proved(explicit_pricing.pricing_weights(price), values, None)
 
-        def priced(layer: int) -> FloatArray:
-            """Priced costs of a layer's pairs, rounded down, [pairs]."""
-            cost = weights[0] * self._cost_from(layer)
-            both = (cost != 0.0) & (owed != 0.0)
-            return np.asarray(
-                cost + owed - (lost + both * explicit_pricing.LOST * (np.abs(cost) + owed))
-            )
-
-        last = self._beyond.lowered(weights, self._asked_beyond(values, weights))
-        bound, kept = self._lowered(last, priced, values, at_source)
+    def _proved(self, weights: FloatArray, values: FloatArray, best: Column | None) -> Proof:
+        """Lower layered values to a proof; a policy that is best, or about, saves work."""
+        asked = self._asked_beyond(values, weights, best)
+        last = self._beyond.lowered(weights, asked)
+        at_source = float(self._at_source @ weights)
+        bound, kept = self._lowered(last, self.sweeps.priced(weights), values, at_source)
         return Proof(float(weights[1]), float(weights[1]), bound, kept)
 
     def check_less(
@@ -329,35 +498,31 @@ class OpenEndedPricing(PricingProblem):
         """
         base, counted = self.augmented.base, weights.copy()
         counted[1] += ratio
-        earned, owed = ratio * base.survival * base.gain, self._counted @ weights[1:]
         begun, earned_at_once = float(self._at_source @ weights), ratio * base.start_goal
         shift = self.augmented.shift_of_ends[1]
         summed = begun + shift + earned_at_once
         at_source = begun - shift - earned_at_once - explicit_pricing.LOST * summed
-
-        def left(layer: int) -> FloatArray:
-            """What a layer's pairs cost beside what is paid on ending, rounded down, [pairs]."""
-            own = self.augmented.own_cost_from(layer)
-            return explicit_pricing.costs_less_earned(own, own + owed, earned)
-
         values_beyond = self._asked_beyond(values, counted)
         last = self._beyond.lowered_less(weights, ratio, paid, values_beyond)
+        left = self.sweeps.priced_less(weights, ratio)
         return self._lowered(
             last, left, explicit_pricing.values_less_paid(values, paid), at_source, -paid
         )[0]
 
-    def _asked_beyond(self, values: FloatArray, weights: FloatArray) -> FloatArray:
+    def _asked_beyond(
+        self, values: FloatArray, weights: FloatArray, best: Column | None = None
+    ) -> FloatArray:
         """Values of layered pricing beyond the cap; if infinite, those of the best policy."""
         self.check_shape(values)
         beyond = values[self.augmented.cap * self.augmented.n_nodes : -1]
         if np.isfinite(beyond).all():
             return beyond
-        return weighted(required(self._beyond.minimise(weights).totals), weights)
+        return weighted(required(self._best_beyond(weights, best).totals), weights)
 
     def _lowered(
         self,
         beyond: DualBound,
-        priced: Callable[[int], FloatArray],
+        priced: Callable[[int], PairCost],
         values: FloatArray,
         at_source: float,
         floor: float = 0.0,
@@ -371,33 +536,31 @@ class OpenEndedPricing(PricingProblem):
             at_source: what is paid before the first step.
             floor: a constant that is known to be a sub-solution.
         """
-        layered, base, n = self.augmented, self.augmented.base, self.augmented.n_nodes
+        layered, n = self.augmented, self.augmented.n_nodes
         given, lowest = values[:-1].reshape(layered.cap + 1, n), beyond.rounded
-        window = self._window(lowest)
         is_kept = values.size <= KEPT_VALUES
         kept = np.empty(values.shape) if is_kept else np.broadcast_to(np.inf, values.shape)
         if is_kept:
             kept[layered.cap * n : -1] = lowest
-        for layer in backward(layered.cap):
-            cost = priced(layer)
-            size = np.abs(cost)
-            lowest = bellman.safe_minima(
-                base.pair_offsets, base.later, bellman.PairCost(cost), size, size, window.flat
-            )
+        for layer, lowest in self.sweeps.lowered(lowest, priced):  # noqa: B020 (the last is used)
             ceiling = np.nan_to_num(given[layer], nan=floor, posinf=np.inf)
-            lowest = np.minimum(lowest, np.maximum(ceiling, floor))
-            window.push(lowest)
+            np.minimum(lowest, np.maximum(ceiling, floor), out=lowest)
             if is_kept:
                 kept[layer * n : (layer + 1) * n] = lowest
-        entries = np.flatnonzero(base.start)
-        parts = base.start[entries] * lowest[entries]
-        terms = entries.size + self.n_rewards  # each of these is rounded once at the start
-        loss = terms * MACHINE_EPSILON * (float(np.abs(parts).sum()) + abs(at_source))
-        exact = entries.size == 1 and float(base.start[entries[0]]) == 1.0 and at_source == 0.0
-        bound = float(parts.sum()) + at_source - (0.0 if exact else loss)
+        bound = self._at_start(lowest[np.flatnonzero(layered.base.start)], at_source)
         if is_kept:
             kept[-1] = bound
         return bound, kept
+
+    def _at_start(self, lowest: FloatArray, at_source: float) -> float:
+        """Layered pricing's bound at the start by those where it has mass, [some nodes]."""
+        start = self.augmented.base.start
+        shares = start[start != 0.0]
+        parts = shares * lowest
+        terms = parts.size + self.n_rewards  # each of these is rounded once at the start
+        loss = terms * MACHINE_EPSILON * (float(np.abs(parts).sum()) + abs(at_source))
+        exact = parts.size == 1 and float(shares[0]) == 1.0 and at_source == 0.0
+        return float(parts.sum()) + at_source - (0.0 if exact else loss)
 
     def pulled_back(self, column: Column) -> Policy:
         """The cost-aware policy of a layered choice with an open end."""

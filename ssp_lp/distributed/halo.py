@@ -70,17 +70,45 @@ class Halo:
         Args:
             values: contiguous, those of the own states given, [size, ...].
         """
-        request, row = optional_module("mpi4py.MPI", "distributed").Request, values.shape[1:]
-        shape, key = (len(self._wanted), *row), (row, values.dtype.str)
-        if key not in self._buffers:
-            self._buffers[key] = np.empty(shape, dtype=values.dtype)
-        buffer, comm = self._buffers[key], self._comm
-        waiting = [comm.Irecv(values[part], rank, _TAG) for rank, part in self._from]
+        buffer = self._buffer(values)
         np.take(values, self._wanted, axis=0, out=buffer, mode="clip")
-        for rank, part in self._to:
-            waiting.append(comm.Isend(buffer[part], rank, _TAG))
-            self.messages, self.bytes = self.messages + 1, self.bytes + buffer[part].nbytes
-        request.Waitall(waiting)
+        self._exchange(buffer, self._to, values, self._from)
+
+    def _exchange(
+        self,
+        sent: npt.NDArray[Any],
+        to: list[tuple[int, slice]],
+        received: npt.NDArray[Any],
+        by: list[tuple[int, slice]],
+    ) -> None:
+        """Send parts of an array to neighbours, and receive parts of another, without a copy."""
+        comm, waiting = self._comm, []
+        for rank, part in by:
+            waiting.append(comm.Irecv(received[part], rank, _TAG))
+        for rank, part in to:
+            waiting.append(comm.Isend(sent[part], rank, _TAG))
+            self.messages, self.bytes = self.messages + 1, self.bytes + sent[part].nbytes
+        optional_module("mpi4py.MPI", "distributed").Request.Waitall(waiting)
+
+    def _buffer(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Room for what neighbours want, or send, of values of this kind, [wanted, ...]."""
+        row = values.shape[1:]
+        key = row, values.dtype.str
+        if key not in self._buffers:
+            self._buffers[key] = np.empty((len(self._wanted), *row), dtype=values.dtype)
+        return self._buffers[key]
+
+    def gather(self, values: npt.NDArray[Any]) -> None:
+        """Add what ghosts have to their owners' values, in place; nothing is left at ghosts.
+
+        Args:
+            values: contiguous, [size, ...].
+        """
+        buffer = self._buffer(values)
+        self._exchange(values, self._from, buffer, self._to)
+        for _, part in self._to:
+            values[self._wanted[part]] += buffer[part]  # of one neighbour each state once
+        values[self.n_own :] = 0
 
     def filled(self, own: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Values of the rank's own states with those of the ghosts behind them, [size, ...].

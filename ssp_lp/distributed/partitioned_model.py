@@ -1,4 +1,4 @@
-"""Models that no rank of PETSc holds whole, and questions of case M on them.
+"""Models that no rank of PETSc holds whole, and questions on them.
 
 Each rank makes, or reads, the rows of its own states. The first one searches with vectors over
 states, as it does on any process (``column_generation``, ``methods``): whatever takes rows is an
@@ -8,8 +8,9 @@ order to all ranks (``dynamics``).
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -25,11 +26,12 @@ from ssp_lp.arrays import (
     read_only,
 )
 from ssp_lp.cargo import Cargo
-from ssp_lp.column_generation.column import relative_gap
+from ssp_lp.column_generation.column import two_sided_gap
 from ssp_lp.column_generation.compiled_problem import CompiledExplicit
 from ssp_lp.column_generation.search import DualGuess
 from ssp_lp.compiled.deadline import Stop, until
 from ssp_lp.distributed.dynamics import PartitionedDynamics
+from ssp_lp.distributed.layers import CompiledLayers, LayeredShare, OwnLayers
 from ssp_lp.distributed.order import inverse, reordered, values_in_first_order
 from ssp_lp.distributed.partitioned_pricing import (
     Checkpoint,
@@ -58,12 +60,39 @@ from ssp_lp.model import SSP
 from ssp_lp.model.continuous_model import ContinuousModel
 from ssp_lp.model.discretise import MIDPOINTS, Quadrature, discretised_rows
 from ssp_lp.options import ColumnGeneration, Progress, SolveOptions, options_of
-from ssp_lp.policies import DeterministicPolicy, MixedPolicy
-from ssp_lp.problem import compiled_constrained
+from ssp_lp.policies import CostAwarePolicy, DeterministicPolicy, MixedPolicy, Policy
+from ssp_lp.problem import compiled_constrained, has_rows
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.solution import CUT_SHORT, Run, Solution
 
 _SURE = 1e-6  # relative uncertainty of a price in a checkpoint
+_FINER = 1e-3  # of the tolerance, where a complement is minimised, which may be much larger
+
+
+@dataclass(frozen=True, eq=False)
+class ActionsByCost:
+    """What the members of a lottery do by accumulated cost, as each rank has it of its states."""
+
+    slab: Slab = field(repr=False)
+    unit: float  # cost of a layer
+    positions: tuple[IntArray, ...]  # [layers + 1, own states] each, as PartitionedSolution's
+
+    @property
+    def cap(self) -> int:
+        """Number of layers below the last, which stands for all costs beyond them."""
+        return len(self.positions[0]) - 1
+
+    def members(self, model: SSP, beyond: IntArray) -> Iterator[Policy]:
+        """The members on a whole model; all ranks at the same time.
+
+        Args:
+            model: on which this process holds all pairs.
+            beyond: what each does from the cap on, as pairs of the model or codes, [states].
+        """
+        never = np.full(model.n_states, np.inf)
+        for own, tail in zip(self.positions, beyond, strict=True):
+            below = np.concatenate(self.slab.comm.allgather(own[:-1]), axis=1)
+            yield CostAwarePolicy(model, self.unit, below, tail[None, :], never)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,16 +105,18 @@ class PartitionedSolution(ReadOnlyCopies):
     weights: FloatArray  # [members] of the lottery
     figures: FloatArray  # [members, 2 + limits] objective, failure, limited quantities, as measured
     positions: IntArray  # [members, states] of actions, or GIVE_UP_CODE or UNDECIDED
+    """Where accumulated cost is told apart, what is done from the cap on."""
     prices: Mapping[str, float]  # multiplier of each row, by name
     spent: Mapping[str, float]  # each limited quantity under the lottery, by name
     value_function: FloatArray  # [process states] the checked sub-solution
     run: Run
     note: str = ""
+    layers: ActionsByCost | None = None  # where accumulated cost is told apart
 
     @property
     def gap(self) -> float:
         """Relative gap between the partitioned solution's objective and its bound."""
-        return relative_gap(self.objective, self.lower_bound)
+        return two_sided_gap(self.objective, self.lower_bound)
 
     @property
     def failure_price(self) -> float:
@@ -95,21 +126,28 @@ class PartitionedSolution(ReadOnlyCopies):
     def on(self, problem: Formulation) -> Solution:
         """The same answer to the same problem on a model that this process holds whole.
 
+        Where accumulated cost is told apart all ranks ask at the same time: each has its own part.
+
         Args:
             problem: with which ``certify`` and ``evaluate`` go on.
         """
-        offsets = problem.model.pair_offsets[:-1]
-        members = tuple(
-            DeterministicPolicy(problem.model, np.where(own >= 0, own + offsets, own))
-            for own in self.positions.astype(np.int64)
-        )
+        model, values, layers = problem.model, self.value_function, self.layers
+        own = self.positions.astype(np.int64)
+        pairs = np.where(own >= 0, own + model.pair_offsets[:-1], own)
+        members: Iterable[Policy]
+        if layers is None:
+            members = [DeterministicPolicy(model, decision) for decision in pairs]
+        else:
+            members = layers.members(model, pairs)
+            if not has_rows(problem):  # values of its layers alone, which ask for the best
+                values = np.broadcast_to(np.inf, (layers.cap, values.size // (layers.cap + 1)))
         return Solution(
             problem=problem,
-            policy=MixedPolicy(members, self.weights),
+            policy=MixedPolicy(tuple(members), self.weights),
             objective=self.objective,
             lower_bound=self.lower_bound,
             failure_price=self.failure_price + problem.semantics.penalty,
-            value_function=self.value_function,
+            value_function=values,
             budget_used=self.failure,
             run=self.run,
             note=self.note,
@@ -231,16 +269,18 @@ class PartitionedModel:
         checkpoint: str | Path | None = None,
         **asked: Any,
     ) -> PartitionedSolution:
-        """Solve a question of case M within a failure budget, on all ranks together.
+        """Solve a question within a failure budget, on all ranks together.
 
         Args:
-            criterion: such as ``MCMP``, stated with what else is given: ``start=``,
+            criterion: such as ``MCMP`` or ``S3P``, stated with what else is given: ``start=``,
                 ``failure_budget=``, ``discount=``, ``constraints=``, ...; secondary costs by name.
+                Where the total cost counts, every step must cost something.
             tolerance: relative gap to reach.
             time_limit: seconds after which the best lottery so far is the answer, if there is one.
             progress: as ``solve`` takes it; called on the first rank.
             checkpoint: a file of the first rank's, to which each policy and each proof goes that is
                 found; a later run of the same question, on any number of ranks, begins with them.
+                For questions of case M.
 
         Raises:
             ModelError: another question, or one that needs the whole graph.
@@ -251,6 +291,8 @@ class PartitionedModel:
         options = options_of(method, tolerance, began, time_limit, progress)
         ranks = self.ranks
         compiled = ranks.agreed(lambda: self._compiled(criterion, method, asked))
+        if compiled.charge is not None:
+            return self._solved_by_layers(compiled, options, began, checkpoint)
         share, own = ranks.together(lambda: labelled_share(ranks, compiled))
         ranks.hold(share)
 
@@ -263,7 +305,8 @@ class PartitionedModel:
             kept = Checkpoint(checkpoint, ", ".join(map(str, asked_for)))
             held = PartitionedDynamics.held_by(ranks)
             pricing = PartitionedPricing(own.augmented, rows=own.rows, shared=held, kept=kept)
-            answer = _searched(CompiledPartitioned.of(compiled, pricing), options, began)
+            begun = CompiledPartitioned.of(compiled, pricing)
+            answer = _searched(lambda: begun, options, began)
             if order is None:
                 return answer
             live: Any = own.augmented
@@ -275,6 +318,34 @@ class PartitionedModel:
             )
 
         return ranks.answered(Cargo(), searched)
+
+    def _solved_by_layers(
+        self,
+        compiled: CompiledExplicit,
+        options: SolveOptions,
+        began: float,
+        checkpoint: str | Path | None,
+    ) -> PartitionedSolution:
+        """The answer on the partitioned model where accumulated cost is told apart.
+
+        Raises:
+            ModelError: a checkpoint is asked for, or a step costs nothing.
+        """
+        if checkpoint is not None:
+            raise ModelError("a checkpoint keeps policies of case M: leave it out of this question")
+        ranks = self.ranks
+        share = ranks.together(lambda: LayeredShare(ranks, OwnLayers.of(ranks, compiled), 1))
+        ranks.hold(share)
+        begun = partial(CompiledLayers.begun, ranks, share)
+        answer = ranks.answered(Cargo(), lambda: _searched(begun, options, began))
+        own = share.layers
+        layers = tuple(own.positions(int(number)) for number in answer.positions[:, 0])
+        positions = [np.concatenate(ranks.comm.allgather(each[-1])) for each in layers]
+        return replace(
+            answer,
+            positions=read_only(np.stack(positions)),
+            layers=ActionsByCost(self.slab, own.base.unit, layers),
+        )
 
     def _compiled(
         self, criterion: type[Any], method: ColumnGeneration, asked: Mapping[str, Any]
@@ -288,7 +359,13 @@ class PartitionedModel:
             raise ModelError("a partitioned model has no horizon and no reach_fraction: state the "
                              "budget, and steps as a part of the states")  # fmt: skip
         problem: Formulation = criterion(self.slab, **asked)
-        if (refused := refusal(problem, method)) is not None:
+        charge = problem.semantics.charge(problem.ratio)
+        is_layered = charge is not None and problem.failure_budget is not None
+        if is_layered:
+            if problem.semantics.risk is not None or getattr(problem, "cost_levels", None):
+                raise ModelError(f"{criterion.__name__} is not answered on a partitioned model, "
+                                 "nor with cost_levels")  # fmt: skip
+        elif (refused := refusal(problem, method)) is not None:
             raise refused
         if problem.semantics.forbids_failing:
             raise ModelError(f"{criterion.__name__} forbids failing, which asks for the whole "
@@ -300,21 +377,27 @@ class PartitionedModel:
         if not is_told:
             raise ModelError("a limit counts what may come after failing, which a partitioned "
                              "model does not tell apart: visits() counts until then")  # fmt: skip
-        return compiled_constrained(problem)
+        return compiled_constrained(problem, by_units=is_layered)
 
 
 def _searched(
-    compiled: CompiledPartitioned, options: SolveOptions, began: float
+    begun: Callable[[], CompiledPartitioned], options: SolveOptions, began: float
 ) -> PartitionedSolution:
     """The search's answer to a question on a partitioned model, on the first rank.
+
+    Args:
+        begun: compiles the question for the first rank.
+        options: tolerance and limits.
+        began: on the clock of ``time.perf_counter``.
 
     Raises:
         OutOfTimeError: the time ended before there was an answer.
     """
-    sense, budget, kept = compiled.sense, compiled.budget, compiled.shared.kept
-    budget = 1.0 if budget is None else budget
     try:
         with until(options.deadline):
+            compiled = begun()
+            sense, budget, kept = compiled.sense, compiled.budget, compiled.shared.kept
+            budget = 1.0 if budget is None else budget
             if compiled.side or compiled.objective is not None:
                 optimum = rows_optimum(compiled, options)
                 prices, note = dict(optimum.prices), optimum.note
@@ -323,8 +406,12 @@ def _searched(
             else:
                 price = kept.price
                 guess = DualGuess(price, _SURE) if price else None
-                outcome = refined_optimum(compiled, budget, options, guess)
-                found, prices = outcome.generated, {FAILURE_ROW: max(outcome.generated.price, 0.0)}
+                finer = 1.0 if sense.constant is None else _FINER
+                exactly = replace(options, tolerance=finer * options.tolerance)
+                outcome = refined_optimum(compiled, budget, exactly, guess)
+                found = outcome.generated
+                beyond = found.objective if compiled.ratio else 0.0
+                prices = {FAILURE_ROW: max(found.price - beyond, 0.0)}
                 value, bound, lottery = found.objective, found.lower_bound, outcome.lottery
                 values, calls, work = found.values, outcome.calls, outcome.work
                 note = "" if found.finished else CUT_SHORT
@@ -353,8 +440,7 @@ def _searched(
         value_function=read_only(compiled.shared.anything if values is None else values),
         run=Run(
             options.method,
-            f"column generation on {compiled.shared.shared.ranks.comm.size} ranks, "
-            f"{calls} pricing calls",
+            f"column generation on {compiled.ranks.comm.size} ranks, {calls} pricing calls",
             calls,
             time.perf_counter() - began,
             work,

@@ -258,6 +258,11 @@ class CompiledPartitioned(CompiledExplicit):
         own = {part.name: getattr(compiled, part.name) for part in fields(CompiledExplicit)}
         return cls(**own, shared=pricing)
 
+    @property
+    def ranks(self) -> Ranks:
+        """The ranks that share the compiled problem's pricing."""
+        return self.shared.shared.ranks
+
     def pricing(self) -> PartitionedPricing:
         """The partitioned pricing problem, with a price for each row."""
         return self._priced
@@ -275,7 +280,7 @@ class CompiledPartitioned(CompiledExplicit):
 
     def failure_at_least(self, discount: float | None) -> float:
         """The least failure of all policies on the partitioned model, for an error."""
-        ranks = self.shared.shared.ranks
+        ranks = self.ranks
         if discount == self.discount and ranks.held_by is self.shared.shared:
             return self.least_failure().column.failure
         ranks.order("label", (discount,))

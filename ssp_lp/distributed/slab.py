@@ -87,6 +87,10 @@ class Slab(SSP):
         """What was made of each state's own pairs on all slabs, for all states, [states]."""
         return np.concatenate(self.comm.allgather(made[self.own]))
 
+    def in_all_parts(self, numbers: FloatArray) -> FloatArray:
+        """Distinct numbers that were found in any slab, increasing."""
+        return np.unique(np.concatenate(self.comm.allgather(numbers)))
+
     def staying_free(self, free: BoolArray, ended: BoolArray) -> BoolArray:
         """States of the slabs' end components of free pairs, [states].
 

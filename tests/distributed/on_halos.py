@@ -21,6 +21,12 @@ def check_exchange(bounds, columns):
         for _ in range(2):
             assert np.array_equal(halo.filled(values[own]), values[known])
     sent = COMM.allreduce(halo.bytes)
+    masses = np.random.default_rng(COMM.rank).random((halo.size, 2))
+    every = np.zeros((bounds[-1], 2))
+    every[known] = masses
+    halo.gather(masses)
+    assert np.allclose(masses[: halo.n_own], COMM.allreduce(every)[own], rtol=1e-15)
+    assert not masses[halo.n_own :].any()
     assert sent == COMM.allreduce(len(outside)) * 2 * (6 * 8 + 8 + 3)
 
 

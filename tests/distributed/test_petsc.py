@@ -23,7 +23,7 @@ with_petsc = pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.joi
 with_mpiexec = pytest.mark.skipif(shutil.which("mpiexec") is None, reason="there is no mpiexec")
 
 
-SCRIPTS = ["on_every_rank.py", "on_partitioned_models.py", "on_halos.py"]
+SCRIPTS = ["on_every_rank.py", "on_partitioned_models.py", "on_halos.py", "on_layers.py"]
 
 
 def ended(script: str, *arguments: str, ranks: int | None = None) -> CompletedProcess[str]:
