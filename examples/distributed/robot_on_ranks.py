@@ -29,8 +29,8 @@ def report(model: PartitionedModel, answer: PartitionedSolution) -> None:
         print(f"rank {rank}: states {first:,} .. {end - 1:,}, {outcomes:,} outcomes")
     print(f"cost {answer.objective:.9f}, proved to a relative gap of {answer.gap:.1e}")
     print(f"failure probability {answer.failure:.6f}, price {answer.failure_price:.6f}")
-    shares = " and ".join(f"{weight:.4f}" for weight in answer.weights)
-    print(f"a lottery of {len(answer.weights)} policies, with probabilities {shares}")
+    shares = " and ".join(f"{weight:.4f}" for weight in answer.policy.weights)
+    print(f"a lottery of {len(answer.policy.weights)} policies, with probabilities {shares}")
 
 
 def main(arguments: list[str] | None = None) -> None:

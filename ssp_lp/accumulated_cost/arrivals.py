@@ -40,7 +40,7 @@ from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.errors import ModelError
-from ssp_lp.policies.chain import Chain, reaching_in_chain
+from ssp_lp.policies.chain import Chain
 
 _FEW = 256  # nodes of which a table of all visits is kept
 
@@ -57,7 +57,7 @@ class ChainProspect:
     @classmethod
     def of(cls, chain: Chain) -> ChainProspect:
         """Goal probability and E[cost; goal] to come at each node of a chain, by two solves."""
-        alive = reaching_in_chain(chain, chain.goal > 0) & (chain.goal == 0)
+        alive = chain.reaching(chain.goal > 0) & (chain.goal == 0)
         goal = chain.accumulate(chain.per_node(chain.goal[chain.target]), alive) + chain.goal
         paid = chain.per_node(goal[chain.target] * chain.cost)
         return cls(chain, alive, read_only(goal), read_only(chain.accumulate(paid, alive)))

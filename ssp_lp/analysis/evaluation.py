@@ -35,7 +35,7 @@ from ssp_lp.model.graph import dead_ends, end_marks, stop_marks
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.model.text_tables import ByName, Reported
 from ssp_lp.policies import StochasticPolicy
-from ssp_lp.policies.chain import Chain, policy_chain, reaching_in_chain
+from ssp_lp.policies.chain import Chain, policy_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, MixedPolicy, Policy
 from ssp_lp.policies.remembering import common_memory
 from ssp_lp.problem import NEEDED, Problem, conditions_of, objective_of, on_one_model
@@ -140,19 +140,19 @@ def evaluate_each(
         measures, chain = layered_measures(member, problem, start), None
         if measures is None:
             chain = policy_chain(problem.model, member, start)
-            measures = _evaluated_measures(chain, problem, declared=member.declares_failing)
+            measures = evaluated_measures(chain, problem, declared=member.declares_failing)
         members.append(measures)
         if semantics.counts_law and weight > 0.0:  # the law needs it as well
             chains.append(chains_of_law(problem.model, member, start, chain, soon=True))
-    evaluation = _evaluation_of(mean_of(members, lottery.weights), problem)
-    each = [_evaluation_of(member, problem) for member in members]
+    evaluation = evaluation_of(mean_of(members, lottery.weights), problem)
+    each = [evaluation_of(member, problem) for member in members]
     if not semantics.counts_law:
         return evaluation, each
     law = measured_law(chains, lottery.weights[lottery.weights > 0.0], semantics)
     return replace(evaluation, objective=semantics.worth_of(law)), each
 
 
-def _evaluation_of(sums: _Measures, problem: Problem) -> Evaluation:
+def evaluation_of(sums: _Measures, problem: Problem) -> Evaluation:
     """The evaluation of a policy from its measures."""
     discounted = problem.discount is not None
     failure, surrogate = sums.failure, sums.discounted_failure
@@ -182,9 +182,9 @@ def _evaluation_of(sums: _Measures, problem: Problem) -> Evaluation:
     )
 
 
-def _evaluated_measures(chain: Chain, problem: Problem, *, declared: bool = False) -> _Measures:
+def evaluated_measures(chain: Chain, problem: Problem, *, declared: bool = False) -> _Measures:
     """Measures for a policy's evaluation, on its chain."""
-    hopeful = reaching_in_chain(chain, chain.goal > 0)
+    hopeful = chain.reaching(chain.goal > 0)
     counted = counted_nodes(chain, hopeful, problem, declared=declared)
     check_giving_up(chain, problem.semantics, pairs_free_in_all_quantities(problem))
     mass = np.zeros((chain.n_nodes, 3))
@@ -231,7 +231,7 @@ def _chain_totals(
     cost = chain.accumulate(chain.per_node(weight * chain.cost), alive, survival)
     reached = survival * early + chain.goal
     ended = (~alive & (chain.goal == 0.0)).astype(np.float64)
-    leaks = (1.0 - survival) + survival * (chain.matrix @ ended + chain.give_up)
+    leaks = (1.0 - survival) + survival * (chain.ahead(ended) + chain.give_up)
     failed = chain.accumulate(np.where(alive, leaks, 0.0), alive, survival) + ended
     goes_on = problem.semantics.give_up is GiveUp.DEAD_ENDS
     begins = entering + lost if goes_on else entering
@@ -329,7 +329,7 @@ def expected_visits(chain: Chain, survival: float = 1.0) -> FloatArray:
     """
     if survival == 1.0:
         ends = (chain.goal > 0) | (chain.dead > 0) | (chain.give_up > 0)
-        if not reaching_in_chain(chain, ends).all():
+        if not chain.reaching(ends).all():
             raise ModelError("the policy may wander for ever: its expected visits are infinite")
     return chain.push(chain.start, survival)
 
@@ -481,7 +481,7 @@ def _landed_totals(chain: Chain, mass: FloatArray, problem: Problem) -> list[lis
     Raises:
         ModelError: the tail gives up where it may not.
     """
-    hopeful, survivals = reaching_in_chain(chain, chain.goal > 0), _survivals(problem)
+    hopeful, survivals = chain.reaching(chain.goal > 0), _survivals(problem)
     check_giving_up(chain, problem.semantics, pairs_free_in_all_quantities(problem))
     return [
         _chain_totals(chain, hopeful, hopeful, problem, survival, block)

@@ -9,11 +9,10 @@ import numpy as np
 
 from ssp_lp.accumulated_cost.policy_layers import giving_up_where_lost
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
-from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import attention_states, dead_ends, end_components
-from ssp_lp.policies.chain import Chain, policy_chain, reaching_in_chain
+from ssp_lp.model.graph import attention_states, dead_ends
+from ssp_lp.policies.chain import Chain, policy_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, Policy, as_lottery
 from ssp_lp.problem import Problem, conditions_of, objective_of
 from ssp_lp.processes.conditions import StepTerm, Term
@@ -73,7 +72,7 @@ def lost_costs(
         survival: discount of costs to come, 1 for none.
         free: see ``state_give_up_charges``.
     """
-    entering = dead_end_charges(chain.model, dead_ends(chain.model), semantics)[chain.state]
+    entering = entering_charges(chain.model, semantics)[chain.state]
     lost = ~hopeful & (chain.dead == 0)
     values = np.where(chain.dead > 0, entering, 0.0)
     if not lost.any():
@@ -82,15 +81,14 @@ def lost_costs(
         return np.where(
             lost, state_give_up_charges(chain.model, semantics, free)[chain.state], values
         )
-    stage = chain.per_node(chain.cost) + survival * (chain.matrix @ values)
+    stage = chain.per_node(chain.cost) + survival * chain.ahead(values)
     if survival < 1.0:
         return values + chain.accumulate(np.where(lost, stage, 0.0), lost, survival)
-    # lost nodes in closed classes, and those that may come to pay in one for ever
+    # lost nodes from which nothing is paid any more, and those that may come to pay for ever
     leaving = (chain.dead > 0) | (chain.give_up > 0) | ~lost
-    closed = np.zeros(chain.n_nodes, dtype=np.bool_)
-    closed[System(chain.matrix, np.where(leaving, 1.0, 0.0)).closed] = True
-    infinite = lost & reaching_in_chain(chain, closed & (chain.per_node(chain.cost) > 0))
-    values = values + chain.accumulate(np.where(lost, stage, 0.0), lost & ~closed & ~infinite)
+    free = ~chain.reaching(leaving | (chain.per_node(chain.cost) > 0.0))
+    infinite = lost & chain.reaching(~chain.reaching(leaving | free))
+    values = values + chain.accumulate(np.where(lost, stage, 0.0), lost & ~free & ~infinite)
     return np.where(infinite, np.inf, values)
 
 
@@ -109,8 +107,15 @@ def state_give_up_charges(
     wandering = np.zeros(model.n_states, dtype=np.bool_)
     if semantics.give_up is GiveUp.DEAD_ENDS:  # else whoever may stay may give up for as little
         free = costless_pairs(model) if free is None else free
-        wandering = end_components(model, free)[0] >= 0
-    return give_up_charges(model, attention_states(model), wandering, semantics)
+        wandering = model.staying_free(free)
+    return model.of_all_states(
+        give_up_charges(model, attention_states(model), wandering, semantics)
+    )
+
+
+def entering_charges(model: SSP, semantics: FailureSemantics) -> FloatArray:
+    """Charge of entering each dead-end, for quantities' values, 0 elsewhere, [states]."""
+    return model.of_all_states(dead_end_charges(model, dead_ends(model), semantics))
 
 
 def counted_nodes(
@@ -135,10 +140,10 @@ def counted_nodes(
         if not declared:
             quits &= ~attention_states(problem.model)[chain.state]
         over = (chain.goal > 0) | quits
-        return reaching_in_chain(chain, over | (chain.dead > 0) if declared else over)
+        return chain.reaching(over | (chain.dead > 0) if declared else over)
     if problem.semantics.forbids_failing or not _asks_for_ends(problem):
         return hopeful
-    return reaching_in_chain(chain, (chain.goal > 0) | (chain.dead > 0) | (chain.give_up > 0))
+    return chain.reaching((chain.goal > 0) | (chain.dead > 0) | (chain.give_up > 0))
 
 
 def lost_situations(policy: Policy, problem: Problem) -> Callable[[IntArray, IntArray], BoolArray]:
@@ -153,11 +158,22 @@ def lost_situations(policy: Policy, problem: Problem) -> Callable[[IntArray, Int
         (stopping,) = giving_up_where_lost(as_lottery(policy)).policies
         return lambda states, memory: stopping.branches(states, memory).pair == GIVE_UP_CODE
     chain = policy_chain(model, policy, start_distribution(model, problem.start))
-    hopeful = reaching_in_chain(chain, chain.goal > 0)
-    counted = counted_nodes(chain, hopeful, problem, declared=policy.declares_failing)
-    lost = ~counted & (chain.dead == 0)
+    lost = lost_nodes(chain, problem, declared=policy.declares_failing)
     keys = (chain.memory * model.n_states + chain.state)[lost]
     return lambda states, memory: np.isin(memory * model.n_states + states, keys)
+
+
+def lost_nodes(chain: Chain, problem: Problem, *, declared: bool = False) -> BoolArray:
+    """Nodes of a policy's chain at which it has failed, as quantities count it, [nodes].
+
+    Args:
+        chain: the policy's.
+        problem: with what is asked.
+        declared: as of :func:`counted_nodes`.
+    """
+    hopeful = chain.reaching(chain.goal > 0)
+    counted = counted_nodes(chain, hopeful, problem, declared=declared)
+    return np.asarray(~counted & (chain.dead == 0))
 
 
 def _asks_for_ends(problem: Problem) -> bool:
@@ -181,7 +197,7 @@ def cost_after_failing(chain: Chain, counted: BoolArray) -> float | None:
     later = replace(chain, cost=np.where(failed, paid, 0.0))
     over = (chain.goal > 0) | (chain.dead > 0) | (chain.give_up > 0)
     unpaid = FailureSemantics(GiveUp.DEAD_ENDS)
-    return value_until_failure(later, reaching_in_chain(chain, over), unpaid, 1.0)
+    return value_until_failure(later, chain.reaching(over), unpaid, 1.0)
 
 
 def quantity_values(chain: Chain, counted: BoolArray, problem: Problem) -> dict[str, float]:
@@ -201,7 +217,7 @@ def _quantity_value(chain: Chain, counted: BoolArray, problem: Problem, term: Te
     if term.through and chain.model.failure_label is not None:  # to the true end of the run
         semantics = replace(semantics, give_up=GiveUp.DEAD_ENDS)
         over = (chain.goal > 0) | (chain.dead > 0) | (chain.give_up > 0)
-        counted = reaching_in_chain(chain, over)
+        counted = chain.reaching(over)
     if isinstance(term, StepTerm):
         other = replace(chain, model=term.model, cost=term.model.costs[chain.outcome])
         return value_until_failure(other, counted, semantics, survival)
@@ -228,8 +244,8 @@ def ending_values(
         at_stop: where giving up does, [nodes, ways].
     """
     final = (chain.goal > 0) | (chain.dead > 0)
-    settling = reaching_in_chain(chain, final | (chain.give_up > 0)) & ~final
-    hits = survival * (chain.matrix @ at_end) + chain.give_up[:, None] * at_stop
+    settling = chain.reaching(final | (chain.give_up > 0)) & ~final
+    hits = survival * chain.ahead(at_end) + chain.give_up[:, None] * at_stop
     return at_end + chain.accumulate(np.where(settling[:, None], hits, 0.0), settling, survival)
 
 
@@ -268,11 +284,11 @@ def value_until_failure(
         lost = np.where(hopeful & (chain.give_up == 0.0), lost, np.inf)
     charged = give_up_costs(chain, semantics, free)
     endless = np.isinf(lost) | np.isinf(charged)
-    if endless.any() and (start[reaching_in_chain(chain, endless)] > 0).any():
+    if endless.any() and (start[chain.reaching(endless)] > 0).any():
         return float("inf")
     lost, charged = np.where(endless, 0.0, [lost, chain.give_up * charged])
     alive = hopeful & (chain.goal == 0) & (chain.dead == 0)
-    stage = chain.per_node(chain.cost) + charged + survival * (chain.matrix @ lost)
+    stage = chain.per_node(chain.cost) + charged + survival * chain.ahead(lost)
     return float(start @ (lost + chain.accumulate(np.where(alive, stage, 0.0), alive, survival)))
 
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.sparse import csgraph
 
-from ssp_lp.analysis.quantity_values import lost_situations, state_give_up_charges
+from ssp_lp.analysis.quantity_values import entering_charges, lost_situations, state_give_up_charges
 from ssp_lp.arrays import (
     FloatArray,
     IntArray,
@@ -40,7 +40,6 @@ from ssp_lp.problem import Problem, on_one_model
 from ssp_lp.processes.failure_semantics import (
     GiveUp,
     as_percentage,
-    dead_end_charges,
     start_distribution,
 )
 
@@ -322,13 +321,17 @@ def simulate(
     source, limits = generator_of(seed), (max_steps, record)
     with progress_shown(verbose):
         played = _simulate_episodes(played_by, solved, simulator, episodes, source, *limits)
-        report = _simulation_report(solved, played, float(confidence), max_steps)
+        dearest = float(solved.model.costs.max(initial=0.0))
+        most = greatest_total(solved.model, max_steps), dearest
+        report = simulation_report(solved, played, float(confidence), max_steps, *most)
         _LOG.info("%r", report)
     return report
 
 
 @dataclass(frozen=True, eq=False)
-class _Played:
+class Played:
+    """What became of simulated episodes."""
+
     mark: IntArray  # [episodes] as of graph.end_marks, -1 for unfinished
     cost: FloatArray  # [episodes] total of stage costs until failing
     charge: FloatArray  # [episodes] what failing cost in the end
@@ -345,7 +348,7 @@ def _simulate_episodes(
     rng: np.random.Generator,
     max_steps: int,
     record: int,
-) -> _Played:
+) -> Played:
     """Play the episodes of a simulation side by side."""
     model, marks = problem.model, end_marks(problem.model)
     players = as_lottery(policy).start_many(episodes, rng)
@@ -354,7 +357,7 @@ def _simulate_episodes(
     players.begin(state, marks[state] < 0)
     cost, later, steps = np.zeros(episodes), np.zeros(episodes), np.zeros(episodes, dtype=np.int64)
     gave_up, lost = np.zeros((2, episodes), dtype=np.bool_)
-    charge, charges = np.zeros(episodes), _failing_charges(problem)
+    charge, charges = np.zeros(episodes), failing_charges(problem)
     label, lost_in = model.failure_label, cache(lambda member: lost_situations(member, problem))
     watched = attention_states(model) & (marks < 0)  # elsewhere no policy has lost the goal
     watched &= problem.semantics.give_up is not GiveUp.DEAD_ENDS  # which pays until a dead-end
@@ -391,7 +394,7 @@ def _simulate_episodes(
     history = np.stack(trace)
     paths = tuple(history[: int(steps[i]) + 1, i] for i in range(min(record, episodes)))
     ended = np.where(gave_up, charges[1][state], charges[0][state])
-    return _Played(mark, cost, np.where(lost, charge, ended), later, steps, paths)
+    return Played(mark, cost, np.where(lost, charge, ended), later, steps, paths)
 
 
 def _checked_step(
@@ -411,28 +414,41 @@ def _check_simulated_states(model: SSP, state: IntArray) -> None:
         raise ModelError(f"the simulator left the model's states 0 .. {model.n_states - 1}")
 
 
-def _failing_charges(problem: Problem) -> tuple[FloatArray, FloatArray]:
+def failing_charges(problem: Problem) -> tuple[FloatArray, FloatArray]:
     """What failing costs who enters a dead-end, and who gives up or has lost the goal, [states]."""
     model, semantics = problem.model, problem.semantics
-    entering = dead_end_charges(model, dead_ends(model), semantics)
+    entering = entering_charges(model, semantics)
     if semantics.forbids_failing:
         return np.where(dead_ends(model), np.inf, entering), np.full(model.n_states, np.inf)
     return entering, state_give_up_charges(model, semantics)
 
 
-def _simulation_report(
-    problem: Problem, played: _Played, confidence: float, max_steps: int
+def simulation_report(
+    problem: Problem,
+    played: Played,
+    confidence: float,
+    max_steps: int,
+    most: float,
+    dearest: float,
 ) -> SimulationReport:
-    """Report of the episodes that a simulation played."""
+    """Report of the episodes that a simulation played.
+
+    Args:
+        problem: whose model they were played on.
+        played: what became of them.
+        confidence: of the intervals.
+        max_steps: after which they counted as unfinished.
+        most: the greatest total that an episode can pay in so many steps.
+        dearest: the greatest cost of a step.
+    """
     names = ["goal", *problem.model.state_labels, "dead_end", "gave_up"]
     ends = {name: int((played.mark == i).sum()) for i, name in enumerate(names)}
     ends["unfinished"] = int((played.mark < 0).sum())
-    reached, most = played.mark == 0, greatest_total(problem.model, max_steps)
-    charged = most + float(problem.model.costs.max(initial=0.0))  # failing costs a step at most
+    reached, charged = played.mark == 0, most + dearest  # failing costs a step at most
     after = None
     if (label := problem.model.failure_label) is not None:
-        dearest = max_steps * float(label.original.costs.max(initial=0.0))
-        after = mean_estimate(played.later, confidence, dearest)
+        later = max_steps * float(label.original.costs.max(initial=0.0))
+        after = mean_estimate(played.later, confidence, later)
     return SimulationReport(
         episodes=len(played.mark),
         ends=ByName(ends),

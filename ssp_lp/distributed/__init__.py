@@ -5,7 +5,15 @@ from ssp_lp.distributed.partitioned_model import (
     PartitionedModel as PartitionedModel,
     PartitionedSolution as PartitionedSolution,
 )
+from ssp_lp.distributed.partitioned_policy import PartitionedPolicy as PartitionedPolicy
 from ssp_lp.distributed.petsc import Petsc as Petsc
 from ssp_lp.distributed.slab import StateRows as StateRows
 
-__all__ = ["PartitionedModel", "PartitionedSolution", "Petsc", "StateRows", "narrow_order"]
+__all__ = [
+    "PartitionedModel",
+    "PartitionedPolicy",
+    "PartitionedSolution",
+    "Petsc",
+    "StateRows",
+    "narrow_order",
+]

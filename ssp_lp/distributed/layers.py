@@ -32,8 +32,8 @@ from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.distributed.dynamics import PartitionedDynamics
 from ssp_lp.distributed.halo import Halo
 from ssp_lp.distributed.partitioned_pricing import (
-    ActionPositions,
     Checkpoint,
+    ChosenPairs,
     CompiledPartitioned,
     PartitionedPricing,
 )
@@ -379,7 +379,8 @@ class PartitionedLayers(OpenEndedPricing):
         """A layered column's totals, with the number of its choice, which the ranks keep."""
         own: Any = column
         model = self.augmented.base.quotient.model
-        return ActionPositions(model, np.array([own.number]), column.figures)
+        parts = [np.array([own.number])] * self.ranks.comm.size
+        return ChosenPairs(model, parts, column.figures)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ order to all ranks (``dynamics``).
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -18,29 +18,27 @@ from zlib import crc32
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.arrays import (
-    RELATIVE_GAP,
-    FloatArray,
-    IntArray,
-    ReadOnlyCopies,
-    read_only,
-)
+from ssp_lp.analysis.evaluation import Evaluation
+from ssp_lp.analysis.simulation import SimulationReport
+from ssp_lp.arrays import RELATIVE_GAP, BoolArray, FloatArray, IntArray, ReadOnlyCopies, read_only
 from ssp_lp.cargo import Cargo
-from ssp_lp.column_generation.column import two_sided_gap
-from ssp_lp.column_generation.compiled_problem import CompiledExplicit
+from ssp_lp.column_generation.column import CONTRADICTION, Proof, two_sided_gap
+from ssp_lp.column_generation.compiled_problem import ATTAINABLE, CompiledExplicit
+from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
 from ssp_lp.column_generation.search import DualGuess
 from ssp_lp.compiled.deadline import Stop, until
-from ssp_lp.distributed.dynamics import PartitionedDynamics
 from ssp_lp.distributed.layers import CompiledLayers, LayeredShare, OwnLayers
-from ssp_lp.distributed.order import inverse, reordered, values_in_first_order
+from ssp_lp.distributed.order import reordered, values_in_first_order
+from ssp_lp.distributed.partitioned_policy import PartitionedPolicy
 from ssp_lp.distributed.partitioned_pricing import (
     Checkpoint,
+    ChosenPairs,
     CompiledPartitioned,
-    PartitionedPricing,
     labelled_share,
 )
 from ssp_lp.distributed.petsc import Petsc
 from ssp_lp.distributed.ranks import Ranks
+from ssp_lp.distributed.share import Share
 from ssp_lp.distributed.slab import (
     Slab,
     StateRows,
@@ -51,48 +49,35 @@ from ssp_lp.distributed.slab import (
     tried_states,
     with_facts,
 )
-from ssp_lp.errors import ModelError, OutOfTimeError
+from ssp_lp.errors import (
+    InfeasibleError,
+    ModelError,
+    OutOfTimeError,
+    SolverError,
+    check_between_0_and_1,
+    check_whole,
+)
 from ssp_lp.formulation import Formulation
 from ssp_lp.methods.approaches import refusal
 from ssp_lp.methods.columns import refined_optimum
-from ssp_lp.methods.rows import lagrange_bound, rows_optimum
+from ssp_lp.methods.incumbent import broken_limit
+from ssp_lp.methods.refinement import Proved
+from ssp_lp.methods.rows import lagrange_bound, proved_at_prices, rows_optimum
 from ssp_lp.model import SSP
 from ssp_lp.model.continuous_model import ContinuousModel
 from ssp_lp.model.discretise import MIDPOINTS, Quadrature, discretised_rows
 from ssp_lp.options import ColumnGeneration, Progress, SolveOptions, options_of
-from ssp_lp.policies import CostAwarePolicy, DeterministicPolicy, MixedPolicy, Policy
+from ssp_lp.policies.policy import MOST_EPISODES
 from ssp_lp.problem import compiled_constrained, has_rows
 from ssp_lp.processes.conditions import FAILURE_ROW
+from ssp_lp.processes.failure_semantics import as_percentage
 from ssp_lp.solution import CUT_SHORT, Run, Solution
+from ssp_lp.verification.certify import Certificate, certificate_of
 
 _SURE = 1e-6  # relative uncertainty of a price in a checkpoint
 _FINER = 1e-3  # of the tolerance, where a complement is minimised, which may be much larger
-
-
-@dataclass(frozen=True, eq=False)
-class ActionsByCost:
-    """What the members of a lottery do by accumulated cost, as each rank has it of its states."""
-
-    slab: Slab = field(repr=False)
-    unit: float  # cost of a layer
-    positions: tuple[IntArray, ...]  # [layers + 1, own states] each, as PartitionedSolution's
-
-    @property
-    def cap(self) -> int:
-        """Number of layers below the last, which stands for all costs beyond them."""
-        return len(self.positions[0]) - 1
-
-    def members(self, model: SSP, beyond: IntArray) -> Iterator[Policy]:
-        """The members on a whole model; all ranks at the same time.
-
-        Args:
-            model: on which this process holds all pairs.
-            beyond: what each does from the cap on, as pairs of the model or codes, [states].
-        """
-        never = np.full(model.n_states, np.inf)
-        for own, tail in zip(self.positions, beyond, strict=True):
-            below = np.concatenate(self.slab.comm.allgather(own[:-1]), axis=1)
-            yield CostAwarePolicy(model, self.unit, below, tail[None, :], never)
+_NOTHING = 1e-12  # worth that is compared with 0
+_MOST_SEED = 2**64 - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,16 +87,16 @@ class PartitionedSolution(ReadOnlyCopies):
     objective: float  # of the lottery, as measured
     lower_bound: float  # of the optimum, certified
     failure: float  # of the lottery, discounted where that is limited
-    weights: FloatArray  # [members] of the lottery
+    policy: PartitionedPolicy  # each rank has the decisions of its own states
     figures: FloatArray  # [members, 2 + limits] objective, failure, limited quantities, as measured
-    positions: IntArray  # [members, states] of actions, or GIVE_UP_CODE or UNDECIDED
-    """Where accumulated cost is told apart, what is done from the cap on."""
     prices: Mapping[str, float]  # multiplier of each row, by name
     spent: Mapping[str, float]  # each limited quantity under the lottery, by name
     value_function: FloatArray  # [process states] the checked sub-solution
     run: Run
+    problem: Formulation  # on this rank's part of the model
     note: str = ""
-    layers: ActionsByCost | None = None  # where accumulated cost is told apart
+    live: BoolArray | None = field(repr=False, default=None)
+    """[states] that the process has, where the ranks have the states in an order of their own."""
 
     @property
     def gap(self) -> float:
@@ -124,26 +109,22 @@ class PartitionedSolution(ReadOnlyCopies):
         return self.prices.get(FAILURE_ROW, 0.0)
 
     def on(self, problem: Formulation) -> Solution:
-        """The same answer to the same problem on a model that this process holds whole.
+        """The same answer to the same problem on a model that every rank holds whole.
 
-        Where accumulated cost is told apart all ranks ask at the same time: each has its own part.
+        The policy is gathered on every rank: all of them ask together.
 
         Args:
             problem: with which ``certify`` and ``evaluate`` go on.
         """
-        model, values, layers = problem.model, self.value_function, self.layers
-        own = self.positions.astype(np.int64)
-        pairs = np.where(own >= 0, own + model.pair_offsets[:-1], own)
-        members: Iterable[Policy]
-        if layers is None:
-            members = [DeterministicPolicy(model, decision) for decision in pairs]
-        else:
-            members = layers.members(model, pairs)
-            if not has_rows(problem):  # values of its layers alone, which ask for the best
-                values = np.broadcast_to(np.inf, (layers.cap, values.size // (layers.cap + 1)))
+        values, layers, order = self.value_function, self.policy.below, self.policy.model.order
+        if layers and not has_rows(problem):  # values of its layers alone, which ask for the best
+            cap = len(layers[0])
+            values = np.broadcast_to(np.inf, (cap, values.size // (cap + 1)))
+        elif order is not None and self.live is not None:
+            values = values_in_first_order(values, self.live, order)
         return Solution(
             problem=problem,
-            policy=MixedPolicy(tuple(members), self.weights),
+            policy=self.policy.on(problem.model),
             objective=self.objective,
             lower_bound=self.lower_bound,
             failure_price=self.failure_price + problem.semantics.penalty,
@@ -280,7 +261,6 @@ class PartitionedModel:
             progress: as ``solve`` takes it; called on the first rank.
             checkpoint: a file of the first rank's, to which each policy and each proof goes that is
                 found; a later run of the same question, on any number of ranks, begins with them.
-                For questions of case M.
 
         Raises:
             ModelError: another question, or one that needs the whole graph.
@@ -290,67 +270,181 @@ class PartitionedModel:
         began, method = time.perf_counter(), ColumnGeneration(pricing=Petsc())
         options = options_of(method, tolerance, began, time_limit, progress)
         ranks = self.ranks
-        compiled = ranks.agreed(lambda: self._compiled(criterion, method, asked))
-        if compiled.charge is not None:
-            return self._solved_by_layers(compiled, options, began, checkpoint)
-        share, own = ranks.together(lambda: labelled_share(ranks, compiled))
-        ranks.hold(share)
+        problem = ranks.agreed(lambda: self._problem(criterion, asked, method))
+        if problem.semantics.charge(problem.ratio) is not None:
+            if checkpoint is not None:
+                raise ModelError("a checkpoint keeps policies of case M: leave it out of this "
+                                 "question")  # fmt: skip
+            return self._solved_by_layers(problem, options, began)
+        compiled, share, own = self._held(problem)
+        members: list[ChosenPairs] = []
 
-        def searched() -> PartitionedSolution:
-            """The answer, on the first rank."""
+        def searched() -> dict[str, Any]:
+            """What all ranks hear of the answer, on the first rank, which keeps the members."""
             order = self.order
-            asked_for = [criterion.__name__, compiled.told, compiled.bounds.tolist()]
-            asked_for += [compiled.semantics, compiled.discount, f"{self.slab.n_states} states"]
-            asked_for += [] if order is None else [f"order {crc32(order.tobytes())}"]
-            kept = Checkpoint(checkpoint, ", ".join(map(str, asked_for)))
-            held = PartitionedDynamics.held_by(ranks)
-            pricing = PartitionedPricing(own.augmented, rows=own.rows, shared=held, kept=kept)
-            begun = CompiledPartitioned.of(compiled, pricing)
-            answer = _searched(lambda: begun, options, began)
-            if order is None:
-                return answer
-            live: Any = own.augmented
-            live = live.quotient.node_of >= 0
-            return replace(
-                answer,
-                positions=read_only(answer.positions[:, inverse(order)]),
-                value_function=values_in_first_order(answer.value_function, live, order),
-            )
+            told = [criterion.__name__, compiled.told, compiled.bounds.tolist()]
+            told += [compiled.semantics, compiled.discount, f"{self.slab.n_states} states"]
+            told += [] if order is None else [f"order {crc32(order.tobytes())}"]
+            kept = Checkpoint(checkpoint, ", ".join(map(str, told)))
+            begun = partial(CompiledPartitioned.of, ranks, compiled, own, kept)
+            answer, lottery = _searched(begun, options, began)
+            members.extend(lottery)
+            return answer
 
-        return ranks.answered(Cargo(), searched)
+        answer = ranks.answered(Cargo(), searched)
+        positions = np.stack([share.positions(part) for part in _own_parts(ranks, members)])
+        policy = PartitionedPolicy(self, answer.pop("weights"), positions)
+        live: Any = own.augmented
+        live = None if self.order is None else live.quotient.node_of >= 0
+        return PartitionedSolution(policy=policy, problem=problem, live=live, **answer)
 
     def _solved_by_layers(
-        self,
-        compiled: CompiledExplicit,
-        options: SolveOptions,
-        began: float,
-        checkpoint: str | Path | None,
+        self, problem: Formulation, options: SolveOptions, began: float
     ) -> PartitionedSolution:
         """The answer on the partitioned model where accumulated cost is told apart.
 
         Raises:
-            ModelError: a checkpoint is asked for, or a step costs nothing.
+            ModelError: a step costs nothing, or the costs have no common unit.
         """
-        if checkpoint is not None:
-            raise ModelError("a checkpoint keeps policies of case M: leave it out of this question")
-        ranks = self.ranks
+        ranks, members = self.ranks, list[ChosenPairs]()
+        compiled = ranks.agreed(lambda: compiled_constrained(problem, by_units=True))
         share = ranks.together(lambda: LayeredShare(ranks, OwnLayers.of(ranks, compiled), 1))
         ranks.hold(share)
-        begun = partial(CompiledLayers.begun, ranks, share)
-        answer = ranks.answered(Cargo(), lambda: _searched(begun, options, began))
-        own = share.layers
-        layers = tuple(own.positions(int(number)) for number in answer.positions[:, 0])
-        positions = [np.concatenate(ranks.comm.allgather(each[-1])) for each in layers]
-        return replace(
-            answer,
-            positions=read_only(np.stack(positions)),
-            layers=ActionsByCost(self.slab, own.base.unit, layers),
-        )
 
-    def _compiled(
-        self, criterion: type[Any], method: ColumnGeneration, asked: Mapping[str, Any]
-    ) -> CompiledExplicit:
-        """The question on the rank's part of the partitioned model, checked and compiled.
+        def searched() -> dict[str, Any]:
+            """What all ranks hear of the answer, on the first rank, which keeps the members."""
+            begun = partial(CompiledLayers.begun, ranks, share)
+            answer, lottery = _searched(begun, options, began)
+            members.extend(lottery)
+            return answer
+
+        answer = ranks.answered(Cargo(), searched)
+        each = [share.layers.positions(int(number)) for (number,) in _own_parts(ranks, members)]
+        policy = PartitionedPolicy(
+            self,
+            answer.pop("weights"),
+            np.stack([layers[-1] for layers in each]),
+            tuple(layers[:-1] for layers in each),
+            share.layers.base.unit,
+        )
+        return PartitionedSolution(policy=policy, problem=problem, **answer)
+
+    def evaluate(self, policy: PartitionedPolicy, criterion: type[Any], **asked: Any) -> Evaluation:
+        """Evaluate a policy on the rows of all ranks, exactly, as ``ssp_lp.evaluate`` does.
+
+        All ranks ask together, and get the same.
+
+        Args:
+            policy: on this model; an answer's, or one that was loaded.
+            criterion: such as ``MCMP``, stated as in :meth:`solve`: which start, what failing
+                costs, which quantities are limited.
+
+        Raises:
+            ModelError: the policy is of another model, has no decision in a state that it reaches
+                or gives up where it may not; or something is asked that needs the whole graph.
+        """
+        self._check_policy(policy)
+        problem = self.ranks.agreed(lambda: self._problem(criterion, asked))
+        return self.ranks.together(lambda: policy.evaluated(problem)[0])
+
+    def certify(self, answer: PartitionedSolution) -> Certificate:
+        """Certify an answer: recompute both sides from the rows of all ranks.
+
+        The policy is evaluated on the model. The value function is checked as it stands, by one
+        backup of each rank's rows, rounding counted against it, to bound every policy's cost at
+        the stated prices; where the time ended before there was one, the best is looked for.
+        All ranks ask together, and get the same.
+
+        Returns:
+            The certificate. It refuses a policy that breaks the budget or a limit, or is worth
+            something else than is stated, and a bound that the value function does not prove.
+        """
+        ranks, problem = self.ranks, answer.problem
+        self._check_policy(answer.policy)
+        evaluation, _ = ranks.together(lambda: answer.policy.evaluated(problem))
+        compiled, _, own = self._held(problem)
+
+        def proved() -> Proved:
+            """What the prices and the values prove, on the first rank."""
+            kept = Checkpoint(None, "")
+            return _proved(CompiledPartitioned.of(ranks, compiled, own, kept), answer, evaluation)
+
+        found = ranks.answered(Cargo(), proved)
+        reason = found.reason or broken_limit(problem, evaluation)
+        sides = evaluation, found.bound, found.allowed
+        certificate = certificate_of(*sides, reason)
+        if certificate.accepted and (claim := _false_claim(answer, evaluation, found.bound)):
+            return certificate_of(*sides, claim)
+        return certificate
+
+    def simulate(
+        self,
+        policy: PartitionedPolicy,
+        criterion: type[Any],
+        *,
+        episodes: int = 10_000,
+        seed: int,
+        max_steps: int = 10_000,
+        record: int = 0,
+        confidence: float = 0.95,
+        **asked: Any,
+    ) -> SimulationReport:
+        """Play episodes and count how they end, as ``ssp_lp.simulate`` does.
+
+        An episode is with the rank that owns its state, and goes to the owner of the next one. What
+        is drawn depends on the seed, the episode and the step alone, so that any number of ranks
+        plays the same episodes. All ranks ask together, and get the same.
+
+        Args:
+            policy: on this model.
+            criterion: such as ``MCMP``, stated as in :meth:`solve`.
+            episodes: how many to play.
+            seed: a number.
+            max_steps: steps after which an episode counts as unfinished.
+            record: keep the paths, numbers of states, of this many first episodes.
+            confidence: of the intervals; the upper ends of mean costs count the dearest step of the
+                model in every step.
+
+        Raises:
+            ModelError: wrong arguments, or as of :meth:`evaluate`.
+        """
+        check_between_0_and_1("confidence", confidence, as_percentage(confidence))
+        check_whole("episodes", episodes, most=MOST_EPISODES)
+        check_whole("max_steps", max_steps)
+        check_whole("record", record, 0)
+        check_whole("seed", seed, 0, _MOST_SEED)
+        self._check_policy(policy)
+        problem = self.ranks.agreed(lambda: self._problem(criterion, asked))
+        settings = episodes, seed, max_steps, record, float(confidence)
+        return self.ranks.together(lambda: policy.simulated(problem, *settings))
+
+    def _held(self, problem: Formulation) -> tuple[CompiledExplicit, Share, ExplicitPricing]:
+        """A problem on the partitioned model, compiled, and the rank holds its rows."""
+        ranks = self.ranks
+        compiled = ranks.agreed(lambda: compiled_constrained(problem))
+        share, own = ranks.together(lambda: labelled_share(ranks, compiled))
+        ranks.hold(share)
+        return compiled, share, own
+
+    def _check_policy(self, policy: PartitionedPolicy) -> None:
+        """Raise :class:`ModelError` unless a policy is one of this partitioned model."""
+        if policy.model.slab is not self.slab:
+            raise ModelError("the policy is for another model: PartitionedPolicy.load() reads it "
+                             "for this one")  # fmt: skip
+        if policy.below:
+            raise ModelError("a policy that acts on the cost paid is measured on a model held "
+                             "whole: answer.on(problem)")  # fmt: skip
+        self.ranks.agreed(policy.check)
+
+    def _problem(
+        self, criterion: type[Any], asked: Mapping[str, Any], method: ColumnGeneration | None = None
+    ) -> Formulation:
+        """The question on the rank's part of the partitioned model, checked.
+
+        Args:
+            criterion: the class.
+            asked: its arguments.
+            method: that is to solve it; None: a policy is measured.
 
         Raises:
             ModelError: another question, or one that needs the whole graph.
@@ -359,15 +453,17 @@ class PartitionedModel:
             raise ModelError("a partitioned model has no horizon and no reach_fraction: state the "
                              "budget, and steps as a part of the states")  # fmt: skip
         problem: Formulation = criterion(self.slab, **asked)
+        if method is None and problem.semantics.counts_law:
+            raise ModelError(f"{criterion.__name__} makes something of the law of total costs, "
+                             "which is not worked out on a partitioned model")  # fmt: skip
         charge = problem.semantics.charge(problem.ratio)
-        is_layered = charge is not None and problem.failure_budget is not None
-        if is_layered:
+        if method is not None and charge is not None and problem.failure_budget is not None:
             if problem.semantics.risk is not None or getattr(problem, "cost_levels", None):
                 raise ModelError(f"{criterion.__name__} is not answered on a partitioned model, "
                                  "nor with cost_levels")  # fmt: skip
-        elif (refused := refusal(problem, method)) is not None:
+        elif method is not None and (refused := refusal(problem, method)) is not None:
             raise refused
-        if problem.semantics.forbids_failing:
+        if method is not None and problem.semantics.forbids_failing:
             raise ModelError(f"{criterion.__name__} forbids failing, which asks for the whole "
                              "graph: on a partitioned model give a failure budget")  # fmt: skip
         try:
@@ -377,13 +473,20 @@ class PartitionedModel:
         if not is_told:
             raise ModelError("a limit counts what may come after failing, which a partitioned "
                              "model does not tell apart: visits() counts until then")  # fmt: skip
-        return compiled_constrained(problem, by_units=is_layered)
+        return problem
+
+
+def _own_parts(ranks: Ranks, members: Sequence[ChosenPairs]) -> list[IntArray]:
+    """This rank's part of each member that the first rank has found."""
+    parts = [list(part) for part in zip(*(one.parts for one in members), strict=True)]
+    own: list[IntArray] = ranks.comm.scatter(parts or None)
+    return own
 
 
 def _searched(
     begun: Callable[[], CompiledPartitioned], options: SolveOptions, began: float
-) -> PartitionedSolution:
-    """The search's answer to a question on a partitioned model, on the first rank.
+) -> tuple[dict[str, Any], Sequence[ChosenPairs]]:
+    """The search's answer to a question on a partitioned model, on the first rank, and its members.
 
     Args:
         begun: compiles the question for the first rank.
@@ -420,7 +523,10 @@ def _searched(
         raise OutOfTimeError(
             f"the time limit ended before there was an answer ({words}): allow more time"
         ) from stop
-    bound = max(bound, min(_bound_by_proofs(compiled), value))
+    proved, at = _best_proof(compiled)
+    if min(proved, value) > bound + CONTRADICTION * abs(value):  # an earlier run's, without values
+        prices, values = at, None
+    bound = max(bound, min(proved, value))
     members: Any = lottery.policies  # as pricing pulls them back
     figures = np.stack([one.figures for one in members])
     figures[:, 0] = [sense.worth(cost) for cost in figures[:, 0].tolist()]
@@ -428,33 +534,69 @@ def _searched(
         figures[:, place] = row.sign * (figures[:, place] - row.offset)
     totals = (lottery.weights @ figures).tolist()
     limited = [row.condition.name for row in compiled.side]
-    return PartitionedSolution(
-        objective=sense.worth(value),
-        lower_bound=sense.worth(sense.settled_bound(value, bound)),
-        failure=totals[1],
-        weights=lottery.weights,
-        figures=read_only(figures),
-        positions=read_only(np.stack([one.positions for one in members])),
-        prices=prices,
-        spent=dict(zip(limited, totals[2:], strict=True)),
-        value_function=read_only(compiled.shared.anything if values is None else values),
-        run=Run(
+    answer = {
+        "objective": sense.worth(value),
+        "lower_bound": sense.worth(sense.settled_bound(value, bound)),
+        "failure": totals[1],
+        "figures": read_only(figures),
+        "weights": lottery.weights,
+        "prices": prices,
+        "spent": dict(zip(limited, totals[2:], strict=True)),
+        "value_function": read_only(compiled.shared.anything if values is None else values),
+        "run": Run(
             options.method,
             f"column generation on {compiled.ranks.comm.size} ranks, {calls} pricing calls",
             calls,
             time.perf_counter() - began,
             work,
         ),
-        note=note,
-    )
+        "note": note,
+    }
+    return answer, members
 
 
-def _bound_by_proofs(compiled: CompiledPartitioned) -> float:
-    """The best bound that the proofs of the checkpoint make, those of earlier runs included."""
-    best = -np.inf
+def _proved(
+    compiled: CompiledPartitioned, answer: PartitionedSolution, evaluation: Evaluation
+) -> Proved:
+    """What prices and values prove of an answer on a partitioned model, on the first rank."""
+    pricing, values = compiled.pricing(), np.asarray(answer.value_function)
+    budget = 1.0 if compiled.budget is None else compiled.budget
+    try:
+        if evaluation.limited_failure > budget * (1.0 + ATTAINABLE):  # the least, or too much
+            compiled = compiled.settled()
+            budget = budget if compiled.budget is None else compiled.budget
+        prices, is_known = answer.prices, bool(np.isfinite(values).all())
+
+        def prove(weights: FloatArray) -> Proof:
+            """What the values prove as they stand; without any, the best that can be proved."""
+            if is_known:
+                return pricing.confirmed(weights, values)
+            return pricing.prove(weights, pricing.minimise(weights))
+
+        return proved_at_prices(compiled, evaluation, budget, prices, prove)
+    except (SolverError, ModelError, InfeasibleError) as error:
+        return Proved(evaluation.objective, compiled.sense.worth(0.0), budget, str(error))
+
+
+def _false_claim(answer: PartitionedSolution, evaluation: Evaluation, bound: float) -> str:
+    """What an answer on a partitioned model states that was not found again; empty: nothing."""
+    room = CONTRADICTION * max(abs(evaluation.objective), abs(answer.objective)) + _NOTHING
+    if not abs(evaluation.objective - answer.objective) <= room:
+        return f"the policy is worth {evaluation.objective:.12g}, not {answer.objective:.12g}"
+    if not abs(evaluation.limited_failure - answer.failure) <= CONTRADICTION:
+        return f"the policy fails with {evaluation.limited_failure:.12g}, not {answer.failure:.12g}"
+    if not answer.lower_bound - bound <= room:
+        return f"the value function proves {bound:.12g}, not {answer.lower_bound:.12g}"
+    return ""
+
+
+def _best_proof(compiled: CompiledPartitioned) -> tuple[float, dict[str, float]]:
+    """The best bound of the checkpoint's proofs, those of earlier runs included, and its prices."""
+    best, at = -np.inf, np.zeros(0)
     for weights, least in compiled.shared.kept.proofs:
         priced = weights[1:] > 0.0
         bounds = compiled.bounds[priced]
         if weights[0] == 1.0 and np.isfinite(bounds).all():
-            best = max(best, lagrange_bound(least, weights[1:][priced], bounds))
-    return best
+            bound = lagrange_bound(least, weights[1:][priced], bounds)
+            best, at = max((best, at), (bound, weights[1:]), key=lambda proof: proof[0])
+    return best, dict(zip(compiled.names, at.tolist(), strict=False))

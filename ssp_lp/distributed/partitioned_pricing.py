@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import scipy.sparse as sp
@@ -24,22 +24,21 @@ from ssp_lp.distributed.dynamics import PartitionedDynamics
 from ssp_lp.distributed.ranks import Ranks
 from ssp_lp.distributed.share import Share
 from ssp_lp.dynamic_programming.dual_bound import DualBound
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import hopeless_states
 from ssp_lp.policies.policy import Branches, Policy
 from ssp_lp.processes.explicit_process import ExplicitProcess
-from ssp_lp.processes.failure_label import label_failure
+from ssp_lp.processes.failure_label import FailureLabelled, label_failure
 from ssp_lp.processes.failure_semantics import free_pairs, giving_up_states
 from ssp_lp.processes.quotient import build_quotient
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ActionPositions(Policy):
-    """A policy of a partitioned model: the position of each state's action, or a code."""
+class ChosenPairs(Policy):
+    """A policy of a partitioned model that the search has found: a pair of each process state."""
 
     model: SSP
-    positions: IntArray  # [states] among the state's actions, GIVE_UP_CODE or UNDECIDED
+    parts: list[IntArray]  # [ranks] of each rank's own states, pairs counted from its first
     figures: FloatArray  # [rewards] cost, failure and rows, measured
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
@@ -48,7 +47,7 @@ class ActionPositions(Policy):
         Raises:
             ModelError: always.
         """
-        raise ModelError("a policy of a partitioned model is played on a whole one: solution.on()")
+        raise ModelError("a policy of a partitioned model is played by all ranks: model.simulate()")
 
 
 def labelled_share(ranks: Ranks, compiled: CompiledExplicit) -> tuple[Share, ExplicitPricing]:
@@ -63,7 +62,7 @@ def labelled_share(ranks: Ranks, compiled: CompiledExplicit) -> tuple[Share, Exp
     wandering = np.zeros(slab.n_states, dtype=np.bool_)
     if discount is None:
         free = free_pairs(slab, semantics.aim, compiled.side, compiled.objective)
-        wandering = slab.staying_free(free, slab.goal_mask | hopeless_states(slab))
+        wandering = slab.staying_free(free)
     quotient = build_quotient(slab, exits=(exits | wandering) & slab.own_mask)
     quotient = replace(quotient, merged=wandering)
     setting = compiled.start, semantics, discount
@@ -239,11 +238,39 @@ class PartitionedPricing(ExplicitPricing):
         return self.shared.lower_bound(weights, values)
 
     def pulled_back(self, column: Column) -> Policy:
-        """The positions of the actions that a column of partitioned pricing takes."""
-        own = [(pairs,) for pairs in self.shared.own_pairs(required(column.choice))]
-        positions = np.concatenate(self.shared.order("positions", (), own))
-        own_part: Any = self.augmented
-        return ActionPositions(own_part.quotient.model, positions, column.figures)
+        """The pairs that a column of partitioned pricing takes, by rank."""
+        parts, own = self.shared.own_pairs(required(column.choice)), self._labelled
+        return ChosenPairs(own.quotient.model, parts, column.figures)
+
+    @property
+    def _labelled(self) -> FailureLabelled:
+        """The first rank's part of the process of partitioned pricing."""
+        own: Any = self.augmented
+        return cast("FailureLabelled", own)
+
+    def confirmed(self, weights: FloatArray, values: FloatArray) -> Proof:
+        """Proof by values as they stand, on all ranks' rows; partitioned check() lowers.
+
+        Args:
+            weights: of the rewards, >= 0, [rewards].
+            values: finite, [states].
+
+        Raises:
+            SolverError: they are no sub-solution; it names a state in which they are too high.
+        """
+        self.check_shape(values)
+        parts = self.shared.order(
+            "lowered", (weights, -np.inf, 1), [(part,) for part in self.shared.by_state(values)]
+        )
+        if any(is_lowered for _, is_lowered in parts):
+            excess = values - np.concatenate([own for own, _ in parts])
+            k, states = int(np.argmax(excess)), self._labelled.quotient.first_states
+            model = self._labelled.quotient.model
+            where = f"state {model.states[int(states[k])]!r}" if k < len(states) else "the start"
+            raise SolverError(f"the value function is no bound: in {where} it is too high by "
+                              f"{excess[k]:.3g} at least")  # fmt: skip
+        bound, failing = DualBound(values, np.zeros_like(values)), float(weights[1])
+        return Proof(failing, failing, bound.at(self.process.start), values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,10 +280,21 @@ class CompiledPartitioned(CompiledExplicit):
     shared: PartitionedPricing = field(kw_only=True)
 
     @classmethod
-    def of(cls, compiled: CompiledExplicit, pricing: PartitionedPricing) -> CompiledPartitioned:
-        """A compiled problem whose pricing the ranks share."""
-        own = {part.name: getattr(compiled, part.name) for part in fields(CompiledExplicit)}
-        return cls(**own, shared=pricing)
+    def of(
+        cls, ranks: Ranks, compiled: CompiledExplicit, own: ExplicitPricing, kept: Checkpoint
+    ) -> CompiledPartitioned:
+        """A compiled problem whose pricing is that of the rows which the ranks hold.
+
+        Args:
+            ranks: which hold theirs.
+            compiled: the problem, on the first rank's part of the model.
+            own: pricing by the first rank's rows.
+            kept: what is found goes there.
+        """
+        held = PartitionedDynamics.held_by(ranks)
+        pricing = PartitionedPricing(own.augmented, rows=own.rows, shared=held, kept=kept)
+        stated = {part.name: getattr(compiled, part.name) for part in fields(CompiledExplicit)}
+        return cls(**stated, shared=pricing)
 
     @property
     def ranks(self) -> Ranks:

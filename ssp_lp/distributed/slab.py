@@ -25,7 +25,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.io.archives import load_model
 from ssp_lp.io.controller import controller_label
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import Graph, end_components, pairs_into
+from ssp_lp.model.graph import Graph, end_components, hopeless_states, pairs_into
 
 _PROBES = 256  # states that are tried to see how many outcomes there are
 _PIECE = 1 << 16  # states whose rows are made at a time
@@ -91,16 +91,15 @@ class Slab(SSP):
         """Distinct numbers that were found in any slab, increasing."""
         return np.unique(np.concatenate(self.comm.allgather(numbers)))
 
-    def staying_free(self, free: BoolArray, ended: BoolArray) -> BoolArray:
-        """States of the slabs' end components of free pairs, [states].
+    def staying_free(self, free: BoolArray) -> BoolArray:
+        """States of the slabs' end components of free pairs, dead-ends left out, [states].
 
         What moves among states from which one may stay free for ever is gathered on every rank.
 
         Args:
             free: pairs that cost nothing in what is asked, [pairs].
-            ended: states in which an episode is over, [states].
         """
-        graph, own = self.graph, self.own_mask
+        graph, own, ended = self.graph, self.own_mask, self.goal_mask | hopeless_states(self)
         acting = self.of_all_states(np.diff(self.pair_offsets).astype(np.float64)) > 0.0
         told = partial(on_any, self.comm)
         kept = staying(self.comm, told, graph, own, free, ended | ~acting)

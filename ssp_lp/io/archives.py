@@ -56,7 +56,7 @@ _VERSION = 1
 _HEADER = "header"
 
 
-def _write_archive(
+def write_archive(
     path: FilePath, kind: str, header: Mapping[str, Any], arrays: Mapping[str, Array]
 ) -> None:
     """Write a compressed archive; the same content gives the same bytes.
@@ -104,7 +104,7 @@ def _read_archive(path: FilePath, kind: str) -> tuple[Any, dict[str, Array]]:
 
 
 @contextmanager
-def _opened_archive(path: FilePath, kind: str) -> Iterator[tuple[Any, dict[str, Array]]]:
+def opened_archive(path: FilePath, kind: str) -> Iterator[tuple[Any, dict[str, Array]]]:
     """Header and arrays of an archive; :class:`ModelError` names the file where they are wrong."""
     content = _read_archive(path, kind)
     try:
@@ -173,7 +173,7 @@ def save_model(model: SSP, path: FilePath) -> None:
     }
     arrays = {name: found[name].astype(f"<{kind}") for name, kind in _ARRAYS.items()}
     named = {f"costs {k}": costs for k, costs in enumerate(model.named_costs.values())}
-    _write_archive(path, "model", header, arrays | named)
+    write_archive(path, "model", header, arrays | named)
 
 
 @explained
@@ -191,7 +191,7 @@ def load_model(path: FilePath) -> SSP:
             makes no model.
         OSError: the file cannot be opened.
     """
-    with _opened_archive(path, "model") as (header, arrays):
+    with opened_archive(path, "model") as (header, arrays):
         return _model_in_archive(header, arrays)
 
 
@@ -260,7 +260,7 @@ def save_policy(policy: AnyPolicy, path: FilePath) -> None:
         ModelError: the policy is of another class, or the model has labels that cannot be stated.
     """
     records = _PolicyRecords()
-    _write_archive(path, "policy", records.header(policy), records.arrays)
+    write_archive(path, "policy", records.header(policy), records.arrays)
 
 
 @explained
@@ -280,7 +280,7 @@ def load_policy(path: FilePath, model: SSP, *, check: bool = True) -> AnyPolicy:
         ModelError: the file is none of a policy, or the model is another one.
     """
     check_model(model, "load_policy")
-    with _opened_archive(path, "policy") as (header, arrays):
+    with opened_archive(path, "policy") as (header, arrays):
         horizon = header.get("horizon")
         if horizon is not None and not isinstance(model, HorizonSSP):
             begin = arrays[horizon["begin"]]
@@ -456,7 +456,7 @@ def save_solution(solution: Solution, path: FilePath) -> None:
     header["prices"] = {name: float(price) for name, price in solution.prices.items()}
     header["value_function"] = None if values is None else records.add_array(np.asarray(values))
     header["run"], header["status"] = asdict(solution.run), solution.status.name
-    _write_archive(path, "solution", header, records.arrays)
+    write_archive(path, "solution", header, records.arrays)
 
 
 @explained
@@ -472,7 +472,7 @@ def load_solution(path: FilePath, problem: Problem) -> Solution:
             another criterion, start, budget, discount, penalty, or other limits.
     """
     model = unrolled(problem).model
-    with _opened_archive(path, "solution") as (header, arrays):
+    with opened_archive(path, "solution") as (header, arrays):
         policy = _policy_in(header, arrays, model, check=True)
         _check_problem(problem, header["problem"], arrays[header["start"]])
         if not isinstance(policy, MixedPolicy):

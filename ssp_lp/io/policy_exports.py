@@ -31,7 +31,7 @@ from ssp_lp.model.failure_product import FailureSSP
 from ssp_lp.model.graph import attention_pairs, attention_states, dead_ends
 from ssp_lp.model.product import HorizonSSP, ProductSSP
 from ssp_lp.policies import MixedPolicy, Policy, StochasticPolicy
-from ssp_lp.policies.chain import Chain, policy_chain, reaching_in_chain
+from ssp_lp.policies.chain import Chain, policy_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, as_lottery
 from ssp_lp.policies.remembering import (
     FAILING_WORDS,
@@ -231,7 +231,7 @@ def induced_chain(
         begun = np.flatnonzero(chain.start > 0.0)
         drawn += [(weight * float(chain.start[node]), names[node], 0.0) for node in begun]
         # the steps while the goal is in reach, the last of them giving up
-        hopeful = reaching_in_chain(chain, chain.goal > 0.0)
+        hopeful = chain.reaching(chain.goal > 0.0)
         steps = chain.source, chain.target, chain.probability, chain.cost
         for node, to, chance, cost in zip(*(part.tolist() for part in steps), strict=True):
             if hopeful[node]:

@@ -18,7 +18,7 @@ long as it stays a conflict.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -724,16 +724,7 @@ def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved
         compiled = replace(compiled, resolution=Resolution(fixed=tuple(levels.tolist())))
     compiled = compiled.matching(values)
     least = compiled.least.column.failure if compiled.budget is None else 0.0
-    budget, spent = max(stated.budget or 0.0, least), [evaluation.limited_failure]
-    spent += row_activities(stated, evaluation)
-    prices = np.array([solution.prices.get(name, 0.0) for name in compiled.names])
-    if not ((prices >= 0.0) & (prices <= LARGEST)).all():
-        return Proved(evaluation.objective, 0.0, budget, "a price is not a number >= 0")
-    rows = limited_rows(compiled)
-    places, bounds = rows.index - 1, rows.bounds
-    prices, most = prices[places], bounds + ATTAINABLE * np.abs(bounds)
-    rows = replace(rows, bounds=np.clip(np.array(spent)[places], bounds, most))
-    claims = evaluation.objective, solution.lower_bound
+    budget, claims = max(stated.budget or 0.0, least), (evaluation.objective, solution.lower_bound)
     own_values = None if solution.method == Game.name else values  # a game's are of its own layers
     pricing = compiled.pricing()
 
@@ -744,6 +735,35 @@ def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved
         return pricing.check(weights, own_values)
 
     ratios = [claim for claim in claims if claim > 0.0] if compiled.ratio else [0.0]
+    return proved_at_prices(compiled, evaluation, budget, solution.prices, prove, ratios)
+
+
+def proved_at_prices(
+    compiled: CompiledExplicit,
+    evaluation: Evaluation,
+    budget: float,
+    named: Mapping[str, float],
+    prove: Callable[[FloatArray], Proof],
+    ratios: Sequence[float] = (0.0,),
+) -> Proved:
+    """What prices of all rows prove of an evaluated lottery, by checked bounds of priced totals.
+
+    Args:
+        compiled: the problem.
+        evaluation: of the lottery.
+        budget: the failure allowed.
+        named: prices by name.
+        prove: a checked bound of every policy's totals, by the weights of the rewards.
+        ratios: in case S those that are tried.
+    """
+    prices = np.array([named.get(name, 0.0) for name in compiled.names])
+    if not ((prices >= 0.0) & (prices <= LARGEST)).all():
+        return Proved(evaluation.objective, 0.0, budget, "a price is not a number >= 0")
+    rows, spent = limited_rows(compiled), [evaluation.limited_failure]
+    spent += row_activities(compiled, evaluation)
+    places, bounds = rows.index - 1, rows.bounds
+    prices, most = prices[places], bounds + ATTAINABLE * np.abs(bounds)
+    rows = replace(rows, bounds=np.clip(np.array(spent)[places], bounds, most))
     bounded = [rows_bound(compiled, replace(rows, ratio=r), prices, prove)[0] for r in ratios]
     lower = max([0.0, *bounded])
     budget = float(rows.bounds[0]) if 0 in places else budget

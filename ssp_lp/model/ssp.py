@@ -30,7 +30,7 @@ from ssp_lp.arrays import (
 )
 from ssp_lp.errors import Argument, ModelError, check_whole, did_you_mean, in_short
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.graph import Graph
+from ssp_lp.model.graph import Graph, end_components
 from ssp_lp.model.text_tables import html_table
 
 if TYPE_CHECKING:
@@ -467,6 +467,14 @@ class SSP(Graph, ReadOnlyCopies):
     def in_all_parts(self, numbers: FloatArray) -> FloatArray:
         """Distinct numbers that were found in the model, or in any part of it, increasing."""
         return numbers
+
+    def staying_free(self, free: BoolArray) -> BoolArray:
+        """States of the model's end components of free pairs, [states].
+
+        Args:
+            free: pairs among which one may stay, [pairs].
+        """
+        return np.asarray(end_components(self, free)[0] >= 0)
 
     @property
     def failure_label(self) -> FailureSSP | None:

@@ -78,6 +78,15 @@ class Chain:
             self.source, weights=self.probability * move_values, minlength=self.n_nodes
         ).astype(np.float64)
 
+    def ahead(self, values: FloatArray) -> FloatArray:
+        """Expected value of the chain's next node, [nodes] or [nodes, values], as ``values``."""
+        return np.asarray(self.matrix @ values)
+
+    def reaching(self, ends: BoolArray) -> BoolArray:
+        """Nodes from which the chain may come to one of the given nodes, [nodes]."""
+        backward = self.matrix.tocsc()
+        return reached_along(backward.indices, backward.indptr, np.flatnonzero(ends))
+
     def accumulate(
         self, reward: FloatArray, inside: BoolArray, survival: float = 1.0
     ) -> FloatArray:
@@ -108,13 +117,25 @@ class Chain:
         key = survival, inside.tobytes()
         if key not in self._systems:
             nodes = np.flatnonzero(inside)
-            rows = self.matrix if nodes.size == self.n_nodes else self.matrix[nodes]
-            own = sp.csr_array(rows[:, nodes] * survival)
-            beyond = np.where(inside, 0.0, survival)
-            ending = (self.goal + self.dead)[nodes] > 0.0
-            moving = (1.0 - survival) + survival * self.give_up[nodes] + rows @ beyond
-            self._systems[key] = nodes, System(own, np.where(ending, 1.0, moving))
+            self._systems[key] = nodes, System(*self._equations(nodes, inside, survival))
         return self._systems[key]
+
+    def _equations(
+        self, some: IntArray, inside: BoolArray, survival: float
+    ) -> tuple[sp.csr_array, FloatArray]:
+        """Rows of the chain's equations within some nodes, and what leaves for good by each.
+
+        Args:
+            some: nodes whose rows they are, of those within, ascending.
+            inside: [nodes].
+            survival: factor of every move.
+        """
+        rows = self.matrix if some.size == self.n_nodes else self.matrix[some]
+        own = sp.csr_array(rows[:, np.flatnonzero(inside)] * survival)
+        ending = (self.goal + self.dead)[some] > 0.0
+        moving = (1.0 - survival) + survival * self.give_up[some]
+        moving += rows @ np.where(inside, 0.0, survival)
+        return own, np.where(ending, 1.0, moving)
 
     @cached_property
     def _systems(self) -> dict[tuple[float, bytes], tuple[IntArray, System]]:
@@ -253,9 +274,3 @@ def _expand_chain(model: SSP, policy: Policy, keys: IntArray, ended: BoolArray) 
     target = after * model.n_states + successor
     return (keys[situation], target, chance[chance > 0], cost, outcome,
             keys[branch.situation], branch.pair, branch.probability)  # fmt: skip
-
-
-def reaching_in_chain(chain: Chain, ends: BoolArray) -> BoolArray:
-    """Nodes from which the chain may come to one of the given nodes, [nodes]."""
-    backward = chain.matrix.tocsc()
-    return reached_along(backward.indices, backward.indptr, np.flatnonzero(ends))

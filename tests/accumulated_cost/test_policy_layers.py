@@ -29,7 +29,7 @@ from ssp_lp.accumulated_cost.policy_layers import chain_of_law
 from ssp_lp.analysis import evaluation
 from ssp_lp.analysis.evaluation import layered_measures
 from ssp_lp.analysis.success_costs import law_of_chains
-from ssp_lp.policies.chain import policy_chain, reaching_in_chain
+from ssp_lp.policies.chain import policy_chain
 from ssp_lp.policies.policy import UNDECIDED
 from ssp_lp.processes.failure_semantics import start_distribution
 from written_models import written
@@ -40,7 +40,7 @@ costs = pytest.mark.parametrize("zero", [[], [0.0]], ids=["paying", "free steps"
 
 
 def chain_measures(policy, problem, start):
-    return evaluation._evaluated_measures(policy_chain(problem.model, policy, start), problem)
+    return evaluation.evaluated_measures(policy_chain(problem.model, policy, start), problem)
 
 
 @either_way
@@ -188,7 +188,7 @@ def test_nothing_is_paid_once_the_goal_is_lost(criterion, seed, cheapest, compil
     solution = solve(problem)
     for member in solution.policy.policies:
         chain = policy_chain(model, member, start_distribution(model, "r0"))
-        lost = ~reaching_in_chain(chain, chain.goal > 0)
+        lost = ~chain.reaching(chain.goal > 0)
         assert not chain.per_node(chain.cost)[lost].any()
     found = evaluate(solution.policy, problem)
     assert found.objective == pytest.approx(solution.objective, rel=1e-9)

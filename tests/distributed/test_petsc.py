@@ -23,7 +23,9 @@ with_petsc = pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.joi
 with_mpiexec = pytest.mark.skipif(shutil.which("mpiexec") is None, reason="there is no mpiexec")
 
 
-SCRIPTS = ["on_every_rank.py", "on_partitioned_models.py", "on_halos.py", "on_layers.py"]
+SCRIPTS = [
+    f"on_{name}.py" for name in ("every_rank", "partitioned_models", "halos", "layers", "results")
+]
 
 
 def ended(script: str, *arguments: str, ranks: int | None = None) -> CompletedProcess[str]:
@@ -79,6 +81,15 @@ def test_a_killed_rank_ends_the_run_and_another_goes_on_from_its_checkpoint(tmp_
     assert "on signal 9" in killed.stderr + killed.stdout or "KILLED" in killed.stderr
     assert run(script, checkpoint, "resumes", ranks=2).strip() == "2 ranks: well"
     assert run(script, checkpoint, "resumes").strip() == "1 ranks: well"
+
+
+@with_petsc
+@with_mpiexec
+def test_a_policy_that_three_ranks_saved_is_read_by_two_and_by_one(tmp_path: Path) -> None:
+    folder = str(tmp_path / "policy")
+    for ranks, does in ((3, "saves"), (2, "reads"), (None, "reads")):
+        words = run("on_results.py", folder, does, ranks=ranks)
+        assert words.strip() == f"{ranks or 1} ranks: well"
 
 
 @pytest.mark.skipif(not MISSING, reason="PETSc is installed")
