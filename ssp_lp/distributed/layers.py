@@ -13,6 +13,7 @@ that succeed: from there on the totals that are swept are the true ones.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import count
@@ -39,7 +40,8 @@ from ssp_lp.distributed.partitioned_pricing import (
 )
 from ssp_lp.distributed.ranks import Ranks
 from ssp_lp.distributed.share import Share
-from ssp_lp.dynamic_programming.bellman import SharedRows, SparseRows, Work, written_out
+from ssp_lp.dynamic_programming.bellman import SharedRows, Work, written_out
+from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.evaluation import EVALUATED
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.policy import UNDECIDED, Policy
@@ -55,10 +57,7 @@ class OwnLayers:
 
     compiled: CompiledExplicit
     base: AccumulatedCost  # with the pairs of the own nodes
-    onward: sp.csr_array  # [pairs, nodes] its steps, whichever layer they lead to
-    later: SparseRows  # [pairs, layers ahead * known nodes] the same for sweeps
     own: slice  # nodes
-    halo: Halo
     rows: tuple[tuple[FloatArray, float], ...]  # limited ones, [pairs] each, and at the source
     choices: dict[int, IntArray] = field(default_factory=dict)
     """Of the policies that were found, by number: [layers + 1, own nodes], the last beyond."""
@@ -80,18 +79,34 @@ class OwnLayers:
             quotient=build_quotient(slab, exits=exits),
         )
         _check_that_steps_cost(ranks, base)
-        live, n = base.quotient.node_of >= 0, max(base.n_nodes, 1)
-        bounds = ranks.comm.allgather(int(np.count_nonzero(live[: slab.first])))
-        bounds = np.array([*bounds, base.n_nodes])
-        later = written_out(base.later)
-        onward = sp.csr_array(
-            (later.data, later.indices % n, later.indptr), shape=(len(base.gain), base.n_nodes)
-        )
-        halo = Halo(ranks.comm, bounds, onward.indices)
-        own, known = slice(halo.first, halo.end), _by_known_nodes(base, halo)
-        layers = cls(compiled, base, onward, known, own, halo, ())
+        live = base.quotient.node_of >= 0
+        own = slice(*(int(np.count_nonzero(live[:k])) for k in (slab.first, slab.end)))
+        layers = cls(compiled, base, own, ())
         counting = layers.table(1).counting(compiled.semantics)
         return replace(layers, rows=tuple(row.at(counting) for row in compiled.side))
+
+    @property
+    def onward(self) -> Dynamics:
+        """Steps from the own nodes, whichever layer they lead to, made anew."""
+        base, n = self.base, self.base.n_nodes
+        later = written_out(base.later)
+        nodes = later.indices if base.width <= 2 else later.indices % n
+        rows = sp.csr_array((later.data, nodes, later.indptr), shape=(len(base.gain), n))
+        return Dynamics(base.pair_offsets, rows, base.survival * base.gain + base.failure)
+
+    def known_by(self, halo: Halo) -> OwnLayers:
+        """The same with later steps of the nodes that the rank knows, in place of all nodes."""
+        base, n = self.base, max(self.base.n_nodes, 1)
+        later, indices = base.later, np.empty_like(base.later.indices)
+        for some in chunks(len(indices)):
+            ahead, node = np.divmod(later.indices[some], indices.dtype.type(n))
+            indices[some] = ahead * indices.dtype.type(halo.size) + halo.places(node)
+        shape, known = (len(base.gain), (base.width - 1) * halo.size), later
+        if isinstance(later, SharedRows):
+            known = replace(later, indices=indices, shape=shape)
+        else:
+            known = sp.csr_array((later.data, indices, later.indptr), shape=shape)
+        return replace(self, base=replace(base, later=known))
 
     def table(self, cap: int) -> OpenEnded:
         """The rank's part of the open-ended table with so many layers below the cap."""
@@ -100,12 +115,12 @@ class OwnLayers:
         return OpenEnded(self.base, charge, compiled.sense.shift, totals, compiled.start)
 
     def end(self, table: OpenEnded) -> LastLayer:
-        """The rank's part of a table's open end."""
+        """The rank's part of a table's open end, without its rows."""
         base = self.base
         cost = table.own_cost_from(table.cap) + table.shift_of_ends[0]
         counted = cost, base.failure, base.survival * base.gain
-        start = np.zeros(base.n_nodes)
-        return LastLayer(ExplicitProcess(base.pair_offsets, self.onward, start, *counted), table)
+        start, nothing = np.zeros(base.n_nodes), sp.csr_array((len(cost), base.n_nodes))
+        return LastLayer(ExplicitProcess(base.pair_offsets, nothing, start, *counted), table)
 
     def positions(self, number: int) -> IntArray:
         """Positions of actions, or codes, that a policy takes by layer, [layers + 1, own states].
@@ -137,50 +152,46 @@ def _check_that_steps_cost(ranks: Ranks, base: AccumulatedCost) -> None:
             )
 
 
-def _by_known_nodes(base: AccumulatedCost, halo: Halo) -> SparseRows:
-    """Steps to later layers of the nodes that a rank knows, in place of those of all nodes."""
-    later, n = base.later, np.int64(max(base.n_nodes, 1))
-    indices = np.empty_like(later.indices)
-    for some in chunks(len(indices)):
-        ahead, node = np.divmod(later.indices[some].astype(np.int64), n)
-        indices[some] = ahead * halo.size + halo.places(node)
-    shape = int(later.shape[0]), (base.width - 1) * halo.size
-    if isinstance(later, SharedRows):
-        return replace(later, indices=indices, shape=shape)
-    return sp.csr_array((later.data, indices, later.indptr), shape=shape)
-
-
 class LayeredShare(Share):
     """A rank's rows beyond a cap, as of any process, and its sweeps over the layers below it."""
 
-    def __init__(self, ranks: Ranks, layers: OwnLayers, cap: int) -> None:
-        """Take the rows.
+    def __init__(self, ranks: Ranks, compiled: CompiledExplicit) -> None:
+        """Compile a question's layers on the slabs, the cap being one; all ranks do so together.
 
         Args:
             ranks: all of them.
-            layers: of this rank.
-            cap: number of layers below it.
+            compiled: the question.
+
+        Raises:
+            ModelError: a step costs nothing, or the costs have no common unit.
         """
-        table, base = layers.table(cap), layers.base
-        known = tuple(row for row, _ in layers.rows)
-        self.layers, self._ranks = layers, ranks
+        layers, self._ranks = OwnLayers.of(ranks, compiled), ranks
+        own, nothing = layers.own, np.zeros((len(layers.base.gain), 0))
+        super().__init__(ranks.comm, ranks.petsc, layers.onward, nothing, own.start, own.stop)
+        self.layers = layers.known_by(self.halo)
         # all ranks sweep in the same way
-        follows = all(ranks.comm.allgather(accelerated(layers.later.nnz)))
-        rows = known, layers.later, layers.own, layers.halo
-        self._sweeps = OpenSweeps(table, *rows, follows=follows)
-        process, own = layers.end(table).process, layers.own
-        rewards = np.stack([process.cost, base.failure, *known], axis=1)
-        labelled = FailureLabelled(process, base.quotient, base.departs)
-        held = process.dynamics, rewards, own.start, own.stop, labelled
-        super().__init__(ranks.comm, ranks.petsc, *held)
+        self._follows = all(ranks.comm.allgather(accelerated(layers.base.later.nnz)))
+        self._take(1)
+
+    def _take(self, cap: int) -> None:
+        """Take a cap."""
+        layers = self.layers
+        table, base = layers.table(cap), layers.base
+        known, process = tuple(row for row, _ in layers.rows), layers.end(table).process
+        rows = known, base.later, layers.own, self.halo
+        self._sweeps = OpenSweeps(table, *rows, follows=self._follows)
+        self.rewards = np.stack([process.cost, base.failure, *known], axis=1)
+        self._labelled = FailureLabelled(process, base.quotient, base.departs)
 
     def labelled_anew(self, setting: Any) -> Share:
         """The rows with another cap, and maybe another discount: ``setting`` is both."""
-        discount, cap = setting
-        layers, compiled = self.layers, self.layers.compiled
+        (discount, cap), compiled = setting, self.layers.compiled
+        share = copy(self)
+        share._equations = None
         if discount != compiled.discount:
-            layers = OwnLayers.of(self._ranks, replace(compiled, discount=discount))
-        return LayeredShare(self._ranks, layers, cap)
+            share = LayeredShare(self._ranks, replace(compiled, discount=discount))
+        share._take(cap)
+        return share
 
     def step_costs(self, goal: FloatArray, choice: IntArray) -> FloatArray:
         """Cost of a policy's steps beyond the cap to those that succeed after it, [own nodes].

@@ -27,7 +27,7 @@ from ssp_lp.column_generation.compiled_problem import ATTAINABLE, CompiledExplic
 from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
 from ssp_lp.column_generation.search import DualGuess
 from ssp_lp.compiled.deadline import Stop, until
-from ssp_lp.distributed.layers import CompiledLayers, LayeredShare, OwnLayers
+from ssp_lp.distributed.layers import CompiledLayers, LayeredShare
 from ssp_lp.distributed.order import reordered, values_in_first_order
 from ssp_lp.distributed.partitioned_policy import PartitionedPolicy
 from ssp_lp.distributed.partitioned_pricing import (
@@ -308,7 +308,7 @@ class PartitionedModel:
         """
         ranks, members = self.ranks, list[ChosenPairs]()
         compiled = ranks.agreed(lambda: compiled_constrained(problem, by_units=True))
-        share = ranks.together(lambda: LayeredShare(ranks, OwnLayers.of(ranks, compiled), 1))
+        share = ranks.together(lambda: LayeredShare(ranks, compiled))
         ranks.hold(share)
 
         def searched() -> dict[str, Any]:
@@ -530,6 +530,9 @@ def _searched(
     members: Any = lottery.policies  # as pricing pulls them back
     figures = np.stack([one.figures for one in members])
     figures[:, 0] = [sense.worth(cost) for cost in figures[:, 0].tolist()]
+    if compiled.ratio:  # each member's own, given that it succeeds
+        with np.errstate(divide="ignore", invalid="ignore"):
+            figures[:, 0] /= 1.0 - figures[:, 1]
     for place, row in enumerate(compiled.side, 2):
         figures[:, place] = row.sign * (figures[:, place] - row.offset)
     totals = (lottery.weights @ figures).tolist()
