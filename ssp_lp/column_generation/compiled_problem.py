@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -804,6 +804,8 @@ class CompiledExplicit(CompiledProblem):
     objective: UpperRow | None = None  # minimised in place of the cost; no charge then
     resolution: Resolution | None = None  # totals that are no multiples of a unit
     partition: Partition | None = None  # who shares the pricing
+
+    is_whole: ClassVar[bool] = True  # other questions can be asked of the model as well
 
     def shared_by(self, partition: Partition) -> CompiledExplicit:
         """The compiled problem whose explicit pricing several ranks share."""

@@ -17,7 +17,7 @@ from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import count
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 import scipy.sparse as sp
@@ -400,6 +400,8 @@ class CompiledLayers(CompiledPartitioned):
 
     shared: PartitionedLayers = field(kw_only=True)  # type: ignore[assignment]
     own: OwnLayers = field(kw_only=True)  # of the first rank
+
+    is_whole: ClassVar[bool] = False
 
     @classmethod
     def begun(cls, ranks: Ranks, share: LayeredShare) -> CompiledLayers:

@@ -461,6 +461,9 @@ class PartitionedModel:
             if problem.semantics.risk is not None or getattr(problem, "cost_levels", None):
                 raise ModelError(f"{criterion.__name__} is not answered on a partitioned model, "
                                  "nor with cost_levels")  # fmt: skip
+            if problem.ratio and has_rows(problem) and (problem.failure_budget or 0.0) >= 1.0:
+                raise ModelError(f"{criterion.__name__} within limits takes a failure budget below "
+                                 "1 on a partitioned model")  # fmt: skip
         elif method is not None and (refused := refusal(problem, method)) is not None:
             raise refused
         if method is not None and problem.semantics.forbids_failing:

@@ -674,7 +674,7 @@ def least_goal_within(compiled: CompiledExplicit, rows: Rows) -> float:
         compiled: the problem, settled.
         rows: what is limited, all of it.
     """
-    if compiled.budget is None:
+    if compiled.budget is None or not compiled.is_whole:
         return compiled.least_goal
     semantics = FailureSemantics(aim=Aim.LEAST_GOAL)
     reach = replace(compiled, semantics=semantics, charge=None, ratio=False, resolution=None)

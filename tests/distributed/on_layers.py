@@ -5,6 +5,7 @@ models there are.
 """
 
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from ssp_lp import (
     solve,
     visits,
 )
+from ssp_lp.distributed import PartitionedModel
 
 COMM = MPI.COMM_WORLD
 ONE_STEP = {"x": {"go": [(0.75, "g", 2.0), (0.25, "d", 1.0)], "wait": [(1.0, "d", 1.0)]}, "d": {}}
@@ -95,6 +97,33 @@ def check_the_same(model, criterion, **asked):
     assert certify(whole).accepted, problem
 
 
+def check_order():
+    """States in another order among the ranks: what is done is told by the model's own numbers."""
+    model = model_of(DUPLICATES)
+    asked = {"start": {"x": 0.25, "y": 0.75}, "failure_budget": 0.1}
+    problem, shuffled = S3P(model, **asked), np.array([2, 0, 3, 1])
+    answer = PartitionedModel.from_model(model, shuffled).solve(S3P, **asked)
+    assert certify(answer.on(problem)).accepted
+    assert answer.objective == pytest.approx(solve(problem).objective, rel=1e-9)
+    assert answer.weights @ answer.figures[:, 1] == pytest.approx(answer.failure)
+
+
+def check_time_limit():
+    """A search that is cut short has a lottery that keeps to the budget, and an honest bound."""
+    grid = RobotGrid(segments=20, headings=12)
+    made, asked = partitioned(grid_model(grid)), {"start": start_state(grid), "failure_budget": 0.1}
+    whole = made.solve(S3P, **asked)
+    calls = []
+
+    def late(*_):
+        """Wait until the time is over, once there is a first lottery."""
+        calls.append(time.sleep(2.0))
+
+    answer = made.solve(S3P, **asked, time_limit=2.0, progress=late)
+    assert answer.failure <= 0.1 + 1e-12
+    assert answer.lower_bound <= whole.objective <= answer.objective * (1.0 + 1e-9)
+
+
 def check_errors():
     """What is not answered is named on every rank, and the next question is answered."""
     made = partitioned(FIRST)
@@ -111,6 +140,8 @@ def check_errors():
     for criterion, more in ((CostQuantile, {"level": 0.9}), (S3P, {"cost_levels": 7})):
         with pytest.raises(ModelError, match="is not answered on a partitioned model"):
             made.solve(criterion, start="depot", failure_budget=0.05, **more)
+    with pytest.raises(ModelError, match="takes a failure budget below 1"):
+        made.solve(S3P, start="depot", failure_budget=1.0, constraints=limits)
     free = model_of(
         {"x": {"go": [(0.5, "y", 0.0), (0.5, "g", 1.0)]}, "y": DUPLICATES["y"], "d": {}}
     )
@@ -124,6 +155,8 @@ def check_errors():
 if __name__ == "__main__":
     for model, criterion, asked in questions():
         check_the_same(model, criterion, **asked)
+    check_order()
+    check_time_limit()
     check_errors()
     if COMM.gather(True) is not None:
         print(f"{COMM.size} ranks: well")
