@@ -105,7 +105,7 @@ def check_order():
     answer = PartitionedModel.from_model(model, shuffled).solve(S3P, **asked)
     assert certify(answer.on(problem)).accepted
     assert answer.objective == pytest.approx(solve(problem).objective, rel=1e-9)
-    assert answer.weights @ answer.figures[:, 1] == pytest.approx(answer.failure)
+    assert answer.policy.weights @ answer.figures[:, 1] == pytest.approx(answer.failure)
 
 
 def check_time_limit():
