@@ -9,6 +9,7 @@ simulated episode is with the rank that owns its state, and goes to the owner of
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from hashlib import sha256
@@ -119,8 +120,7 @@ class PartitionedPolicy(ReadOnlyCopies):
     def __repr__(self) -> str:
         """One line: the members' weights and how many states they decide in."""
         weights = ", ".join(f"{weight:.6g}" for weight in self.weights)
-        states = f"{self.model.slab.n_states:,} states"
-        return f"PartitionedPolicy({states}, {len(self.weights)} members of weight {weights})"
+        return f"PartitionedPolicy({self.model.slab.n_states:,} states, members' weights {weights})"
 
     def gathered(self) -> IntArray:
         """Positions of the partitioned policy, [members, states]; all ranks ask together."""
@@ -151,13 +151,14 @@ class PartitionedPolicy(ReadOnlyCopies):
             folder: that all ranks can write to; it is made if need be. A policy in it is replaced.
 
         Raises:
-            ModelError: it acts on the cost paid so far.
+            ModelError: it acts on the cost paid so far, or has decisions that are none.
             OSError: a file cannot be written.
         """
         if self.below:
             raise ModelError("a policy that acts on the cost paid is saved from a model held "
                              "whole: save_policy(answer.on(problem).policy, ...)")  # fmt: skip
         ranks, slab, told = self.model.ranks, self.model.slab, _told(self.model)
+        ranks.agreed(self.check)
         rank, whole = ranks.comm.rank, Path(folder) / _WHOLE
         bounds = np.array([*ranks.comm.allgather(slab.first), slab.n_states])
 
@@ -210,8 +211,10 @@ class PartitionedPolicy(ReadOnlyCopies):
 
         return model.ranks.agreed(read)
 
-    def chains(self, start: FloatArray) -> list[PartitionedChain]:
-        """The chains of the partitioned policy's members, as far as they are reached.
+    def chains(self, start: FloatArray) -> Iterator[PartitionedChain]:
+        """The chain of each member of the partitioned policy, as far as it is reached.
+
+        Each is made when it is asked for, which all ranks do together.
 
         Args:
             start: distribution, [states].
@@ -219,7 +222,7 @@ class PartitionedPolicy(ReadOnlyCopies):
         Raises:
             ModelError: a member has no decision in a state that it reaches.
         """
-        return [self._chain(positions, start) for positions in self.positions]
+        return (self._chain(positions, start) for positions in self.positions)
 
     def _chain(self, positions: IntArray, start: FloatArray) -> PartitionedChain:
         """The chain of one member of the partitioned policy."""
