@@ -5,7 +5,8 @@
 starts mpiexec itself. Every number of ranks, and the local method on as many threads as --threads
 says, is a whole process of its own; they take turns, and ratios are medians over the turns of what
 stands in one turn. Seconds are those of the slowest rank, after one small question has loaded the
-compiled loops; memory is the most that a rank had resident, with Python and all libraries.
+compiled loops; memory is the most that a rank had resident, with Python and all libraries. Messages
+and megabytes are those of ghosts' values that the rank which sends most of them has sent.
 
 Strong scaling asks the same of more ranks: the least cost of the robot (M), and that given success
 with costs capped at 80 (S80), exact and discounted. Weak scaling gives each rank as many states of
@@ -151,6 +152,7 @@ def measured(world: str, case: str, discount: float | None, budget: float, ranks
         return {"refused": str(error)}
     took = max(gathered(perf_counter() - began))
     memory = gathered(most_resident())
+    sent = gathered((model.ranks.messages, model.ranks.bytes) if ranks else (0, 0))
     sizes = gathered((model.slab if ranks else model).n_outcomes)
     if ranks and model.ranks.comm.rank > 0:
         return None
@@ -165,6 +167,8 @@ def measured(world: str, case: str, discount: float | None, budget: float, ranks
         "price": answer.failure_price,
         "failure": answer.failure if ranks else answer.budget_used,
         "gap": answer.gap,
+        "messages": max(messages for messages, _ in sent),
+        "sent": max(size for _, size in sent) / 1e6,
         "calls": answer.run.pricing_calls,
     }
 
@@ -219,7 +223,8 @@ def lines(results: Results) -> Iterator[str]:
     share = f"of {base.split(',')[0]}"
     yield (
         f"{'':18} {'built':>7} {'solved':>8} {share:>10} {'largest':>9} {share:>10} "
-        f"{'all MB':>8} {'calls':>5} {'objective':>15} {'price':>12} {'gap':>8}"
+        f"{'all MB':>8} {'messages':>8} {'sent':>8} {'calls':>5} "
+        f"{'objective':>15} {'price':>12} {'gap':>8}"
     )
     for name, turns in results.items():
         if name not in answered:
@@ -232,8 +237,8 @@ def lines(results: Results) -> Iterator[str]:
         one = turns[0]
         yield (
             f"{name:18} {built:7.2f} {solved:8.2f} {longer:10.2f} {largest:9.0f} {larger:10.2f} "
-            f"{whole:8.0f} {one['calls']:5} {one['objective']:15.9f} {one['price']:12.6f} "
-            f"{one['gap']:8.0e}"
+            f"{whole:8.0f} {one['messages']:8,} {one['sent']:8.1f} {one['calls']:5} "
+            f"{one['objective']:15.9f} {one['price']:12.6f} {one['gap']:8.0e}"
         )
     if len(answered) > 1:
         differ = [f"{spread(answered, k):.0e} ({k})" for k in ("objective", "price", "failure")]

@@ -36,6 +36,7 @@ class Ranks:
         self.share: Share | None = None
         self.held_by: object = None  # the dynamics whose rows the ranks hold
         self.chosen: object = None  # the equations that they have set up
+        self.messages, self.bytes = 0, 0  # of ghosts' values, sent while rows were held
 
     @classmethod
     def all(cls) -> Ranks:
@@ -149,6 +150,8 @@ class Ranks:
     def hold(self, share: Share | None) -> None:
         """Hold other rows, or none; all ranks of PETSc let go of its objects together."""
         if self.share is not None:
+            self.messages += self.share.halo.messages
+            self.bytes += self.share.halo.bytes
             self.share.clear()
         self.share, self.held_by, self.chosen = share, None, None
 
