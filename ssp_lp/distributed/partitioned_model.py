@@ -88,7 +88,7 @@ class PartitionedSolution(ReadOnlyCopies):
     lower_bound: float  # of the optimum, certified
     failure: float  # of the lottery, discounted where that is limited
     policy: PartitionedPolicy  # each rank has the decisions of its own states
-    figures: FloatArray  # [members, 2 + limits] objective, failure, limited quantities, as measured
+    figures: FloatArray  # [members, 2 + limits] cost, failure, limited quantities, as measured
     prices: Mapping[str, float]  # multiplier of each row, by name
     spent: Mapping[str, float]  # each limited quantity under the lottery, by name
     value_function: FloatArray  # [process states] the checked sub-solution
