@@ -2,16 +2,18 @@
 
     mpiexec -n 2 python examples/distributed/robot_on_ranks.py --segments 40 --headings 24
 
-finds the least cost within a failure budget of 5 % on 38,403 states in about ten seconds. Without
-mpiexec there is one rank. It needs petsc4py and mpi4py (docs/guides/big_models.md).
+finds the least cost within a failure budget of 5 % on 38,403 states in about ten seconds, certifies
+it anew from the rows of all ranks, and plays ten thousand episodes on them. Without mpiexec there
+is one rank. It needs petsc4py and mpi4py (docs/guides/big_models.md).
 """
 
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
+from typing import Any
 
 from examples.paper_robot.robot import RobotGrid, continuous_robot, start_state
 from formulations import MCMP
 from ssp_lp import Quadrature
-from ssp_lp.distributed import PartitionedModel, PartitionedSolution
+from ssp_lp.distributed import PartitionedModel
 
 
 def shared_robot(grid: RobotGrid) -> PartitionedModel:
@@ -19,18 +21,24 @@ def shared_robot(grid: RobotGrid) -> PartitionedModel:
     return PartitionedModel.from_continuous(continuous_robot(grid), Quadrature(grid.quadrature))
 
 
-def report(model: PartitionedModel, answer: PartitionedSolution) -> None:
-    """Print, on the first rank alone, who has how much of the model, and the answer."""
-    comm, slab = model.ranks.comm, model.slab
-    parts = comm.gather((slab.first, slab.end, slab.n_outcomes))
-    if comm.rank > 0:
-        return
-    for rank, (first, end, outcomes) in enumerate(parts):
-        print(f"rank {rank}: states {first:,} .. {end - 1:,}, {outcomes:,} outcomes")
-    print(f"cost {answer.objective:.9f}, proved to a relative gap of {answer.gap:.1e}")
-    print(f"failure probability {answer.failure:.6f}, price {answer.failure_price:.6f}")
-    shares = " and ".join(f"{weight:.4f}" for weight in answer.policy.weights)
-    print(f"a lottery of {len(answer.policy.weights)} policies, with probabilities {shares}")
+def report(model: PartitionedModel, **asked: Any) -> list[str]:
+    """Solve, certify and play, all ranks together; return lines that tell who has what, and how."""
+    answer = model.solve(MCMP, **asked)
+    proof = model.certify(answer)
+    played = model.simulate(answer.policy, MCMP, seed=0, **asked).failure_probability
+    parts = model.ranks.comm.allgather((model.slab.first, model.slab.end, model.slab.n_outcomes))
+    weights = answer.policy.weights
+    return [
+        *(
+            f"rank {rank}: states {first:,} .. {end - 1:,}, {outcomes:,} outcomes"
+            for rank, (first, end, outcomes) in enumerate(parts)
+        ),
+        f"cost {answer.objective:.9f}, certified to a relative gap of {proof.gap:.1e}",
+        f"a failure costs {answer.failure_price:.6f} at the margin",
+        f"a lottery of {len(weights)}: {' and '.join(f'{weight:.4f}' for weight in weights)}",
+        f"failure charged to the budget {answer.failure:.6f}",
+        f"failure probability as played {played.low:.4f} .. {played.high:.4f}",
+    ]
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -44,7 +52,9 @@ def main(arguments: list[str] | None = None) -> None:
     grid = RobotGrid(segments=given.segments, headings=given.headings)
     model = shared_robot(grid)
     asked = {"failure_budget": given.budget, "discount": given.discount}
-    report(model, model.solve(MCMP, start=start_state(grid), **asked))
+    told = report(model, start=start_state(grid), **asked)
+    if model.ranks.comm.rank == 0:
+        print("\n".join(told))
 
 
 if __name__ == "__main__":

@@ -36,8 +36,10 @@ def test_the_robot_on_ranks_costs_what_it_does_on_one_process(monkeypatch):
     printed = scaling.said(script, *asked, ranks=2)
     grid = RobotGrid(segments=7, headings=6)
     known = solve(MCMP(grid_model(grid), start_state(grid), 0.9))
-    (cost,) = re.findall(r"^cost ([\d.]+), proved", printed, re.MULTILINE)
+    (cost,) = re.findall(r"^cost ([\d.]+), certified", printed, re.MULTILINE)
     assert float(cost) == pytest.approx(known.objective, abs=1e-8)
+    (low, high) = re.findall(r"as played ([\d.]+) \.\. ([\d.]+)", printed)[0]
+    assert float(low) <= 0.9 <= float(high)
     states = re.findall(r"^rank (\d): states ([\d,]+) \.\. ([\d,]+),", printed, re.MULTILINE)
     assert [int(rank) for rank, *_ in states] == [0, 1]
     assert (states[0][1], states[1][2]) == ("0", "296")
