@@ -116,8 +116,7 @@ def check_the_same(model, made, criterion, *, optima=1, **asked):
     for member, measured in zip(whole.policy.policies, answer.figures, strict=True):
         own = evaluate(member, problem)
         spent = [own.secondary_costs[name] for name in answer.spent]
-        cost = own.success_cost if problem.ratio else own.objective
-        figures = [cost, own.limited_failure, *spent]
+        figures = [own.objective, own.limited_failure, *spent]
         assert measured == pytest.approx(figures, rel=1e-9, abs=1e-12), problem
     assert whole.evaluation.objective == pytest.approx(answer.objective, rel=1e-9, abs=1e-12)
     assert whole.failure_price == pytest.approx(answer.failure_price + problem.semantics.penalty)
