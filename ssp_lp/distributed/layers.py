@@ -25,13 +25,12 @@ import scipy.sparse as sp
 from ssp_lp.accumulated_cost.charges import Charge, TailValues
 from ssp_lp.accumulated_cost.process import AccumulatedCost, accumulate_cost
 from ssp_lp.accumulated_cost.written_out import LastLayer, OpenEnded, first_cap, truncates
-from ssp_lp.arrays import FloatArray, IntArray, chunks, expected, least_integer_type, weighted
+from ssp_lp.arrays import FloatArray, IntArray, expected, least_integer_type, weighted
 from ssp_lp.column_generation.column import Column, Proof, required
 from ssp_lp.column_generation.compiled_problem import CompiledExplicit
 from ssp_lp.column_generation.layered_pricing import OpenEndedPricing, OpenSweeps
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.distributed.dynamics import PartitionedDynamics
-from ssp_lp.distributed.halo import Halo
 from ssp_lp.distributed.partitioned_pricing import (
     Checkpoint,
     ChosenPairs,
@@ -40,7 +39,7 @@ from ssp_lp.distributed.partitioned_pricing import (
 )
 from ssp_lp.distributed.ranks import Ranks
 from ssp_lp.distributed.share import Share
-from ssp_lp.dynamic_programming.bellman import SharedRows, Work, written_out
+from ssp_lp.dynamic_programming.bellman import SharedRows, SparseRows, Work, written_out
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.evaluation import EVALUATED
 from ssp_lp.errors import ModelError
@@ -94,19 +93,24 @@ class OwnLayers:
         rows = sp.csr_array((later.data, nodes, later.indptr), shape=(len(base.gain), n))
         return Dynamics(base.pair_offsets, rows, base.survival * base.gain + base.failure)
 
-    def known_by(self, halo: Halo) -> OwnLayers:
-        """The same with later steps of the nodes that the rank knows, in place of all nodes."""
-        base, n = self.base, max(self.base.n_nodes, 1)
-        later, indices = base.later, np.empty_like(base.later.indices)
-        for some in chunks(len(indices)):
-            ahead, node = np.divmod(later.indices[some], indices.dtype.type(n))
-            indices[some] = ahead * indices.dtype.type(halo.size) + halo.places(node)
-        shape, known = (len(base.gain), (base.width - 1) * halo.size), later
+    def known_by(self, size: int, places: IntArray) -> OwnLayers:
+        """The same with later steps of the nodes that the rank knows, in place of all nodes.
+
+        Args:
+            size: number of known nodes.
+            places: among these, of the nodes that steps lead to, [entries].
+        """
+        base, later, known = self.base, self.base.later, places
+        if base.width > 2:  # else each step leads to the next layer
+            known = later.indices // later.indices.dtype.type(base.n_nodes)
+            known *= known.dtype.type(size)
+            known += places
+        shape = len(base.gain), (base.width - 1) * size
         if isinstance(later, SharedRows):
-            known = replace(later, indices=indices, shape=shape)
+            rows: SparseRows = replace(later, indices=known, shape=shape)
         else:
-            known = sp.csr_array((later.data, indices, later.indptr), shape=shape)
-        return replace(self, base=replace(base, later=known))
+            rows = sp.csr_array((later.data, known, later.indptr), shape=shape)
+        return replace(self, base=replace(base, later=rows))
 
     def table(self, cap: int) -> OpenEnded:
         """The rank's part of the open-ended table with so many layers below the cap."""
@@ -168,7 +172,7 @@ class LayeredShare(Share):
         layers, self._ranks = OwnLayers.of(ranks, compiled), ranks
         own, nothing = layers.own, np.zeros((len(layers.base.gain), 0))
         super().__init__(ranks.comm, ranks.petsc, layers.onward, nothing, own.start, own.stop)
-        self.layers = layers.known_by(self.halo)
+        self.layers = layers.known_by(self.halo.size, self.dynamics.transitions.indices)
         # all ranks sweep in the same way
         self._follows = all(ranks.comm.allgather(accelerated(layers.base.later.nnz)))
         self._take(1)
