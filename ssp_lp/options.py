@@ -49,11 +49,14 @@ rewards, too."""
 class SharedPricing(Protocol):
     """Pricing by several ranks, such as :class:`ssp_lp.distributed.Petsc`."""
 
-    def on_every_rank(self, problem: Any, solved: Callable[[Partition], Any]) -> Any:
+    def on_every_rank(
+        self, problem: Any, options: SolveOptions, solved: Callable[[Partition], Any]
+    ) -> Any:
         """The solution of a problem, on every rank that asks for it.
 
         Args:
             problem: the problem.
+            options: tolerance and limits.
             solved: finds the solution, given what shares the pricing; called on one rank.
         """
 
@@ -63,7 +66,7 @@ class ColumnGeneration:
     """Policies priced one by one into a small master program; what is chosen unless asked.
 
     Args:
-        pricing: who shares the pricing of case M, such as ``ssp_lp.distributed.Petsc()``; None:
+        pricing: who shares the pricing, such as ``ssp_lp.distributed.Petsc()``; None:
             this process does it alone.
 
     Raises:

@@ -77,7 +77,7 @@ def solve(
 
     solved = partial(_solution_to, problem, method, options, time_limit, verbose)
     if isinstance(chosen, ColumnGeneration) and chosen.pricing is not None:
-        answer: Solution = chosen.pricing.on_every_rank(problem, solved)
+        answer: Solution = chosen.pricing.on_every_rank(problem, options, solved)
         return answer
     return solved()
 

@@ -36,7 +36,6 @@ from ssp_lp.distributed.partitioned_pricing import (
     CompiledPartitioned,
     labelled_share,
 )
-from ssp_lp.distributed.petsc import Petsc
 from ssp_lp.distributed.ranks import Ranks
 from ssp_lp.distributed.share import Share
 from ssp_lp.distributed.slab import (
@@ -58,7 +57,7 @@ from ssp_lp.errors import (
     check_whole,
 )
 from ssp_lp.formulation import Formulation
-from ssp_lp.methods.approaches import refusal
+from ssp_lp.methods.approaches import is_shared
 from ssp_lp.methods.columns import refined_optimum
 from ssp_lp.methods.incumbent import broken_limit
 from ssp_lp.methods.refinement import Proved
@@ -68,7 +67,7 @@ from ssp_lp.model.continuous_model import ContinuousModel
 from ssp_lp.model.discretise import MIDPOINTS, Quadrature, discretised_rows
 from ssp_lp.options import ColumnGeneration, Progress, SolveOptions, options_of
 from ssp_lp.policies.policy import MOST_EPISODES
-from ssp_lp.problem import compiled_constrained, has_rows
+from ssp_lp.problem import compiled_constrained, has_rows, requirements
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_semantics import as_percentage
 from ssp_lp.solution import CUT_SHORT, Run, Solution
@@ -267,7 +266,7 @@ class PartitionedModel:
             InfeasibleError: no policy keeps to the budget and the limits.
             OutOfTimeError: the time ended before there was an answer.
         """
-        began, method = time.perf_counter(), ColumnGeneration(pricing=Petsc())
+        began, method = time.perf_counter(), ColumnGeneration()
         options = options_of(method, tolerance, began, time_limit, progress)
         ranks = self.ranks
         problem = ranks.agreed(lambda: self._problem(criterion, asked, method))
@@ -456,16 +455,16 @@ class PartitionedModel:
         if method is None and problem.semantics.counts_law:
             raise ModelError(f"{criterion.__name__} makes something of the law of total costs, "
                              "which is not worked out on a partitioned model")  # fmt: skip
-        charge = problem.semantics.charge(problem.ratio)
-        if method is not None and charge is not None and problem.failure_budget is not None:
-            if problem.semantics.risk is not None or getattr(problem, "cost_levels", None):
-                raise ModelError(f"{criterion.__name__} is not answered on a partitioned model, "
-                                 "nor with cost_levels")  # fmt: skip
-            if problem.ratio and has_rows(problem) and (problem.failure_budget or 0.0) >= 1.0:
-                raise ModelError(f"{criterion.__name__} within limits takes a failure budget below "
-                                 "1 on a partitioned model")  # fmt: skip
-        elif method is not None and (refused := refusal(problem, method)) is not None:
-            raise refused
+        if method is not None and not is_shared(requirements(problem)):
+            raise ModelError("a partitioned model answers costs within a failure budget, not "
+                             f"{criterion.__name__} as it is asked")  # fmt: skip
+        if method is not None and getattr(problem, "cost_levels", None):
+            raise ModelError("a partitioned model knows no cost_levels: its totals are multiples "
+                             "of a unit")  # fmt: skip
+        is_slack = (problem.failure_budget or 0.0) >= 1.0
+        if method is not None and problem.ratio and has_rows(problem) and is_slack:
+            raise ModelError(f"{criterion.__name__} within limits takes a failure budget below 1 "
+                             "on a partitioned model")  # fmt: skip
         if method is not None and problem.semantics.forbids_failing:
             raise ModelError(f"{criterion.__name__} forbids failing, which asks for the whole "
                              "graph: on a partitioned model give a failure budget")  # fmt: skip

@@ -10,22 +10,24 @@ by state, and Bellman backups of their states. What the equations are solved to 
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 from ssp_lp.cargo import Cargo, models_of
 from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
 from ssp_lp.distributed.dynamics import PartitionedDynamics
 from ssp_lp.distributed.ranks import Ranks
 from ssp_lp.errors import ModelError
-from ssp_lp.options import Partition
-from ssp_lp.problem import Problem
+from ssp_lp.options import Partition, SolveOptions
+from ssp_lp.problem import Problem, requirements
 from ssp_lp.solution import Solution
 
 
 @dataclass(frozen=True)
 class Petsc:
-    """Pricing of case M, with any limits, by the ranks of PETSc.
+    """Pricing within a failure budget, with any limits, by the ranks of PETSc.
 
     ``solve(problem, method=ColumnGeneration(pricing=Petsc()))`` asks for it. Under ``mpiexec -n 4
     python plan.py`` every rank states the same problem and gets the same solution, on its own
@@ -34,11 +36,14 @@ class Petsc:
     first. :class:`PartitionedModel` is for models that no rank holds.
     """
 
-    def on_every_rank(self, problem: Problem, solved: Callable[[Partition], Solution]) -> Solution:
+    def on_every_rank(
+        self, problem: Problem, options: SolveOptions, solved: Callable[[Partition], Solution]
+    ) -> Solution:
         """The solution of a problem, on every rank of PETSc that asks for it.
 
         Args:
             problem: the same on every rank.
+            options: tolerance and limits.
             solved: finds the solution, given what shares the pricing; called on the first rank.
 
         Raises:
@@ -52,6 +57,8 @@ class Petsc:
         asked = ranks.comm.allgather(repr(problem))
         if len(set(asked)) > 1:
             raise ModelError(f"all ranks of PETSc must ask for the same, not {' and '.join(asked)}")
+        if requirements(problem).counts_totals:
+            return _solved_in_parts(problem, options)
         known: dict[int, tuple[object, PartitionedDynamics]] = {}
 
         def partition(pricing: ExplicitPricing) -> PartitionedDynamics:
@@ -62,3 +69,20 @@ class Petsc:
             return known[id(whole)][1]
 
         return ranks.answered(cargo, lambda: solved(partition))
+
+
+def _solved_in_parts(problem: Any, options: SolveOptions) -> Solution:
+    """The solution on PETSc where the total cost counts: each rank takes its states' layers."""
+    from ssp_lp.distributed.partitioned_model import PartitionedModel  # which names this method
+
+    left = options.deadline - time.perf_counter()
+    model = PartitionedModel.from_model(problem.model)
+    asked = {one.name: getattr(problem, one.name) for one in fields(problem) if one.init}
+    answer = model.solve(
+        type(problem),
+        tolerance=options.tolerance,
+        time_limit=left if left < float("inf") else None,
+        progress=options.progress,
+        **{name: value for name, value in asked.items() if name != "model"},
+    )
+    return answer.on(problem)

@@ -110,6 +110,12 @@ def approach_to(case: Case) -> _Approach:
     return next(approach for approach in APPROACHES if approach.answers(case))
 
 
+def is_shared(asks: Requirements) -> bool:
+    """Whether several ranks share an approach to what is asked: costs within a failure budget."""
+    is_cost = asks.counts_totals or asks.aim is Aim.LEAST_COST
+    return is_cost and not (asks.least_failure or asks.is_risk)
+
+
 def refusal(problem: Problem, method: options.Method) -> ModelError | None:
     """Why no approach of a method answers a problem; None: one does."""
     relaxation = getattr(method, "relaxation", method)
@@ -119,11 +125,10 @@ def refusal(problem: Problem, method: options.Method) -> ModelError | None:
     asks, named = requirements(problem), Argument("method", method.name)
     name = f"{type(problem).__name__}{' with limits' if conditions_of(problem) else ''}"
     if pricing is not None:
-        shared = not (asks.counts_totals or asks.least_failure)
-        if shared and asks.aim is Aim.LEAST_COST and relaxation is method:
+        if is_shared(asks) and relaxation is method:
             return None
-        return ModelError(f"pricing by {pricing!r} is for case M within a failure budget, not ",
-                          f"for {name}: leave ", Argument("pricing"), " out")  # fmt: skip
+        return ModelError(f"pricing by {pricing!r} is for costs within a failure budget, not for ",
+                          f"{name}: leave ", Argument("pricing"), " out")  # fmt: skip
     if isinstance(method, options.DeterministicPolicies) and (
         asks.several_rows or asks.totals is TotalScale.SUMS or asks.law
     ):

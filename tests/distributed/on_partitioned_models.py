@@ -276,7 +276,7 @@ def check_errors(made):
         made.solve(MCMP, start="depot", failure_budget=0.05, constraints=limits)
     assert caught.value.conflicting_rows == ("few",)
     for criterion in (S3P, MCMP):
-        with pytest.raises(ModelError, match="is for case M within a failure budget"):
+        with pytest.raises(ModelError, match="answers costs within a failure budget"):
             made.solve(criterion, start="depot")
     with pytest.raises(ModelError, match="forbids failing, which asks for the whole graph"):
         made.solve(MinCost, start="depot")
