@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from hashlib import sha256
 from itertools import pairwise
@@ -121,6 +121,14 @@ class PartitionedPolicy(ReadOnlyCopies):
         """One line: the members' weights and how many states they decide in."""
         weights = ", ".join(f"{weight:.6g}" for weight in self.weights)
         return f"PartitionedPolicy({self.model.slab.n_states:,} states, members' weights {weights})"
+
+    @property
+    def members(self) -> tuple[PartitionedPolicy, ...]:
+        """Each member of the partitioned policy by itself."""
+        return tuple(
+            replace(self, weights=np.ones(1), positions=own[None], below=self.below[k : k + 1])
+            for k, own in enumerate(self.positions)
+        )
 
     def gathered(self) -> IntArray:
         """Positions of the partitioned policy, [members, states]; all ranks ask together."""

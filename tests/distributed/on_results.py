@@ -90,6 +90,9 @@ def check_answer(model, made, criterion, asked):
     check_evaluation(found, evaluate(answer.policy.on(model), criterion(model, **asked)))
     assert found.objective == pytest.approx(answer.objective, rel=1e-9, abs=1e-12)
     assert found.limited_failure == pytest.approx(answer.failure, rel=1e-9, abs=1e-12)
+    each = [made.evaluate(one, criterion, **asked) for one in answer.policy.members]
+    figures = [[one.objective, one.limited_failure] for one in each]
+    assert np.allclose(figures, answer.figures[:, :2], rtol=1e-9, atol=1e-12)
     certificate = made.certify(answer)
     assert COMM.allgather(repr(certificate)) == [repr(certificate)] * COMM.size
     assert certificate.accepted, (certificate, criterion, asked)
