@@ -24,7 +24,7 @@ from ssp_lp.arrays import RELATIVE_GAP, BoolArray, FloatArray, IntArray, ReadOnl
 from ssp_lp.cargo import Cargo
 from ssp_lp.column_generation.column import CONTRADICTION, Proof, two_sided_gap
 from ssp_lp.column_generation.compiled_problem import ATTAINABLE, CompiledExplicit
-from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
+from ssp_lp.column_generation.explicit_pricing import LARGEST, ExplicitPricing
 from ssp_lp.column_generation.search import DualGuess
 from ssp_lp.compiled.deadline import Stop, until
 from ssp_lp.distributed.layers import CompiledLayers, LayeredShare
@@ -601,7 +601,7 @@ def _best_proof(compiled: CompiledPartitioned) -> tuple[float, dict[str, float]]
     for weights, least in compiled.shared.kept.proofs:
         priced = weights[1:] > 0.0
         bounds = compiled.bounds[priced]
-        if weights[0] == 1.0 and np.isfinite(bounds).all():
+        if weights[0] == 1.0 and np.isfinite(bounds).all() and (weights <= LARGEST).all():
             bound = lagrange_bound(least, weights[1:][priced], bounds)
             best, at = max((best, at), (bound, weights[1:]), key=lambda proof: proof[0])
     return best, dict(zip(compiled.names, at.tolist(), strict=False))

@@ -32,6 +32,9 @@ from ssp_lp.processes.failure_label import FailureLabelled, label_failure
 from ssp_lp.processes.failure_semantics import free_pairs, giving_up_states
 from ssp_lp.processes.quotient import build_quotient
 
+_STEEPER = 10.0 ** np.arange(1, 14, 3)  # prices of failure, by the cost, for one that fails least
+_SAME = 1e-13  # relative distance of failures that are one, summed in two ways
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ChosenPairs(Policy):
@@ -311,10 +314,22 @@ class CompiledPartitioned(CompiledExplicit):
         return replace(self.shared, precise=True) if self.precise else self.shared
 
     def least_failure(self) -> LeastFailure:
-        """A policy that fails least, whatever it costs: nothing is known of the cost."""
-        weights = np.eye(self.shared.n_rewards)[1]
-        column = replace(self._priced.minimise(weights), found_at=None)
-        return LeastFailure(self._priced.policy(column), column, 0.0)
+        """The cheapest of the policies that fail least, by a price of failure at which it does.
+
+        Whatever attains the least of ``cost + price * failure`` and fails least is the cheapest of
+        all that do. Where no price is steep enough, one that fails least, whatever it costs.
+        """
+        pricing, (cost, failure) = self._priced, np.eye(2, self.shared.n_rewards)
+        safest = pricing.minimise(failure)
+        column, least = safest, safest.failure * (1.0 + _SAME)
+        for steep in _STEEPER if np.isfinite(safest.cost) else ():
+            price = steep * max(safest.cost, 1.0)
+            cheaper = pricing.minimise(cost + price * failure, column)
+            if cheaper.failure <= least:
+                column = cheaper
+                break
+        column = replace(column, found_at=None)
+        return LeastFailure(pricing.policy(column), column, 0.0)
 
     def failure_at_least(self, discount: float | None) -> float:
         """The least failure of all policies on the partitioned model, for an error."""

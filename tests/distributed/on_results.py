@@ -20,7 +20,7 @@ from on_partitioned_models import ENDS, partitioned, questions, with_fuel
 from formulations import MCMP, S3P, CVaR
 from random_models import drawn_model
 from small_models import FIRST, model_of
-from ssp_lp import ModelError, evaluate, secondary_cost, visits
+from ssp_lp import ModelError, evaluate, secondary_cost, solve, visits
 from ssp_lp.distributed import PartitionedModel, PartitionedPolicy
 from ssp_lp.model.graph import end_marks
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
@@ -222,6 +222,14 @@ def check_simulations():
         check_simulation(model, drawn_policy(made, seed, quits=quits), anywhere, plainly=20)
 
 
+def check_least_failure(seed):
+    """Within a budget that only the safest keep to, the cheapest of them is the answer."""
+    model, _ = drawn_model(seed, 11 + 3 * (seed % 12))
+    asked = {"start": "s0", "failure_budget": least_failure(model, {"start": "s0"})}
+    answer = check_answer(model, partitioned(model), MCMP, asked)
+    assert answer.objective == pytest.approx(solve(MCMP(model, **asked)).objective, **EXACT)
+
+
 def check_orders(seed):
     """In whatever order the ranks take the states, all is told in the model's own numbers."""
     model, _ = drawn_model(seed, 11 + 3 * seed)
@@ -332,6 +340,8 @@ if __name__ == "__main__":
         check_what_an_earlier_run_proved()
         check_simulations()
         check_orders(3)
+        for seed in (3, 5, 37):
+            check_least_failure(seed)
         check_errors()
     if COMM.gather(True) is not None:
         print(f"{COMM.size} ranks: well")
