@@ -31,6 +31,7 @@ _UNSOLVED = "neither sweeps nor PETSc's Krylov methods solve the equations of a 
 _METHODS = (SWEEPS, "bcgs", "gmres")  # each where those before it get nowhere
 _LOWERED = 4  # times that each rank lowers its values between two exchanges
 _SHRUNK = (0.0, *10.0 ** np.arange(-13.0, 0.0))  # shares by which values are moved to the floor
+_DUST = 0.1  # of such a share, by which all values go down
 _LOWERINGS = 40  # exchanges of lowered values, after which a larger share is tried
 _FIRST_LOWERINGS = 3  # the same where no share is taken off
 _LOST = 1e-3  # share of the greatest value by which one may fall in these
@@ -190,7 +191,9 @@ class PartitionedDynamics(Dynamics):
 
         They are moved towards the floor by a share, the least that will do: a step that costs has
         that share of its cost to spare then. Where nothing is paid values are lowered to those
-        ahead, in the end to the least of all that lead to each other.
+        ahead, in the end to the least of all that lead to each other. All go down a little besides,
+        by a smaller share of the greatest: what is free is not left with the dust of its equations,
+        of which such sweeps take a part at a time without end.
 
         Args:
             weights: of the rewards, >= 0, [rewards].
@@ -201,9 +204,11 @@ class PartitionedDynamics(Dynamics):
         if np.isfinite(constant):
             floor = max(0.0, constant - 4.0 * MACHINE_EPSILON * abs(constant))
         values = np.maximum(np.where(np.isfinite(values), values, floor), floor)
+        greatest = float(np.abs(values).max(initial=0.0))
         for share in _SHRUNK:
-            shrunk = floor + (1.0 - share) * (values - floor)
-            lowered, least = shrunk, shrunk - _LOST * float(np.abs(values).max(initial=0.0))
+            shrunk = floor + (1.0 - share) * (values - floor) - share * _DUST * greatest
+            lowered = np.maximum(shrunk, floor)
+            least = lowered - _LOST * greatest
             for _ in range(_LOWERINGS if share else _FIRST_LOWERINGS):
                 own = [(part,) for part in self.by_state(lowered)]
                 parts = self.order("lowered", (weights, floor, _LOWERED), own)

@@ -26,7 +26,10 @@ from ssp_lp import (
     solve,
     visits,
 )
+from ssp_lp.cargo import Cargo
 from ssp_lp.distributed import Petsc
+from ssp_lp.distributed.dynamics import PartitionedDynamics
+from ssp_lp.distributed.ranks import Ranks
 from ssp_lp.methods.rows import limited_rows
 from ssp_lp.problem import compiled_constrained
 
@@ -178,11 +181,30 @@ def check_that_equations_are_solved_together():
     check_the_same(problem)
 
 
+def check_that_dust_costs_no_bound():
+    """Where going on is free a value of 1e-119, as sweeps leave it, is taken for nothing."""
+    free = {
+        "x": {"on": [(0.5, "y", 0.0), (0.5, "g", 0.0)]},
+        "y": {"back": [(1.0, "x", 0.0)]},
+        "z": {"pay": [(1.0, "x", 1.0)]},
+    }
+    pricing = compiled_constrained(MCMP(model_of(free), "z", 0.5)).pricing()
+    ranks = Ranks.all()
+
+    def bound():
+        """Values below those that are stated, checked on all ranks."""
+        dynamics = PartitionedDynamics.handed_out(ranks, pricing)
+        return dynamics.lower_bound(np.array([1.0, 0.0]), np.array([1e-119, 1e-119, 1.0])).values
+
+    assert ranks.answered(Cargo(), bound) == pytest.approx([0.0, 0.0, 1.0], abs=1e-12)
+
+
 if __name__ == "__main__":
     for one in problems():
         check_the_same(one)
     check_totals()
     check_errors()
     check_that_equations_are_solved_together()
+    check_that_dust_costs_no_bound()
     if MPI.COMM_WORLD.gather(True) is not None:
         print(f"{SIZE} ranks: well")
