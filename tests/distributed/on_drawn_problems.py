@@ -28,6 +28,7 @@ from ssp_lp import (
     SSP,
     InfeasibleError,
     ModelError,
+    SolverError,
     end_probability,
     evaluate,
     secondary_cost,
@@ -123,6 +124,8 @@ def check(seed, tally, _):
             elif not np.isclose(error.least_failure, refused.least_failure, rtol=1e-9, atol=1e-12):
                 yield f"{way}: least failure {error.least_failure}, not {refused.least_failure}"
             tally[f"{way}: infeasible"] += 1
+        except SolverError as error:
+            yield f"{way}: {error}"
 
 
 def asked_of(make, model, asked):
