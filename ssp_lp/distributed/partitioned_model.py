@@ -69,7 +69,7 @@ from ssp_lp.options import ColumnGeneration, Progress, SolveOptions, options_of
 from ssp_lp.policies.policy import MOST_EPISODES
 from ssp_lp.problem import compiled_constrained, has_rows, requirements
 from ssp_lp.processes.conditions import FAILURE_ROW
-from ssp_lp.processes.failure_semantics import as_percentage
+from ssp_lp.processes.failure_semantics import Aim, as_percentage
 from ssp_lp.solution import CUT_SHORT, Run, Solution
 from ssp_lp.verification.certify import Certificate, certificate_of
 
@@ -84,10 +84,10 @@ class PartitionedSolution(ReadOnlyCopies):
     """The optimum of a question on a partitioned model, the same on every rank."""
 
     objective: float  # of the lottery, as measured
-    lower_bound: float  # of the optimum, certified
+    lower_bound: float  # of the optimum, certified; of a greatest one it is an upper bound
     failure: float  # of the lottery, discounted where that is limited
     policy: PartitionedPolicy  # each rank has the decisions of its own states
-    figures: FloatArray  # [members, 2 + limits] cost, failure, limited quantities, as measured
+    figures: FloatArray  # [members, 2 + limits] objective, failure, limited quantities, as measured
     prices: Mapping[str, float]  # multiplier of each row, by name
     spent: Mapping[str, float]  # each limited quantity under the lottery, by name
     value_function: FloatArray  # [process states] the checked sub-solution
@@ -121,11 +121,13 @@ class PartitionedSolution(ReadOnlyCopies):
             values = np.broadcast_to(np.inf, (cap, values.size // (cap + 1)))
         elif order is not None and self.live is not None:
             values = values_in_first_order(values, self.live, order)
+        is_greatest = problem.semantics.sense.constant is not None
         return Solution(
             problem=problem,
             policy=self.policy.on(problem.model),
             objective=self.objective,
-            lower_bound=self.lower_bound,
+            lower_bound=self.objective if is_greatest else self.lower_bound,
+            upper_bound=max(self.lower_bound, self.objective) if is_greatest else None,
             failure_price=self.failure_price + problem.semantics.penalty,
             value_function=values,
             budget_used=self.failure,
@@ -252,7 +254,7 @@ class PartitionedModel:
         """Solve a question within a failure budget, on all ranks together.
 
         Args:
-            criterion: such as ``MCMP`` or ``S3P``, stated with what else is given: ``start=``,
+            criterion: such as ``MCMP``, ``S3P`` or ``MaxProb``, stated with what else: ``start=``,
                 ``failure_budget=``, ``discount=``, ``constraints=``, ...; secondary costs by name.
                 Where the total cost counts, every step must cost something.
             tolerance: relative gap to reach.
@@ -455,7 +457,8 @@ class PartitionedModel:
         if method is None and problem.semantics.counts_law:
             raise ModelError(f"{criterion.__name__} makes something of the law of total costs, "
                              "which is not worked out on a partitioned model")  # fmt: skip
-        if method is not None and not is_shared(requirements(problem)):
+        greatest = problem.semantics.aim is Aim.GREATEST_GOAL  # failing is what is minimised
+        if method is not None and not (greatest or is_shared(requirements(problem))):
             raise ModelError("a partitioned model answers costs within a failure budget, not "
                              f"{criterion.__name__} as it is asked")  # fmt: skip
         if method is not None and getattr(problem, "cost_levels", None):
