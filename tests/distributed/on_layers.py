@@ -139,7 +139,7 @@ def check_errors():
     with pytest.raises(InfeasibleError, match="the goal cannot be reached"):
         made.solve(S3P, start="wreck", failure_budget=0.5)
     for criterion, more in ((CostQuantile, {"level": 0.9}), (S3P, {"cost_levels": 7})):
-        with pytest.raises(ModelError, match="within a failure budget|knows no cost_levels"):
+        with pytest.raises(ModelError, match=r"within a failure budget|knows no cost_levels"):
             made.solve(criterion, start="depot", failure_budget=0.05, **more)
     with pytest.raises(ModelError, match="takes a failure budget below 1"):
         made.solve(S3P, start="depot", failure_budget=1.0, constraints=limits)
