@@ -7,7 +7,7 @@ take over, on a matrix whose rows are shared by state, each rank's own half fact
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from ssp_lp.distributed.graph_sweeps import reaching
 from ssp_lp.distributed.halo import Halo
 from ssp_lp.dynamic_programming.bellman import Moves
 from ssp_lp.dynamic_programming.chain_solvers import HOLDS_MASS, Iteration
+from ssp_lp.dynamic_programming.equations import EXACT
 from ssp_lp.errors import SolverError, optional_module
 from ssp_lp.model.graph import Graph
 
@@ -27,6 +28,7 @@ _STEPS = 200  # of a run of a Krylov method
 _RUNS = 3  # of it for each reward between two looks at the time
 _FINEST = 1e-8  # relative residual of one run of it; what is left is corrected by the next
 _SHARE = 0.1  # of the accuracy that is asked for, which a run goes for
+_AGAIN = 2  # sweeps, after what is next to nothing was taken for nothing
 _PASSES = 8  # over the rows in search of what leaves, after which the graph is searched
 
 
@@ -194,20 +196,46 @@ class OwnEquations:
         Raises:
             SolverError: some state is never left.
         """
-        if method == SWEEPS:
-            return self._swept(accuracy, right, guess)
-        return self._iterated(method, accuracy, right, guess)
+        run = self._swept if method == SWEEPS else partial(self._iterated, method)
+        found = run(accuracy, right, guess)
+        if accuracy <= EXACT and (found.missed <= accuracy * found.scale).all():
+            return found._replace(x=self._without_dust(right, found.x))
+        return found
 
     def _swept(self, accuracy: float, right: FloatArray, guess: FloatArray) -> Improved:
         """Solutions improved by sweeps while they contract well."""
-        sweeps, order = self._sweeps, self._order
+        sweeps, y = self._sweeps, self._known(guess)
         before, departs = sweeps.products, self._rows_in_order[1]
-        y = np.zeros((self._halo.size, right.shape[1]))
-        y[: len(order)] = guess[order]
-        missed = sweeps.change_left(right[order] / departs[:, None], y, accuracy)
-        x, ones = np.empty_like(guess), np.ones(right.shape[1])
-        x[order] = y[: len(order)]
-        return Improved(x, missed * ones, ones, sweeps.products - before)
+        missed = sweeps.change_left(right[self._order] / departs[:, None], y, accuracy)
+        ones = np.ones(right.shape[1])
+        return Improved(self._own(y), missed * ones, ones, sweeps.products - before)
+
+    def _without_dust(self, right: FloatArray, x: FloatArray) -> FloatArray:
+        """Solutions without what methods leave of a guess where nothing is to be had.
+
+        What is far below the greatest is worked out once more as if it were nothing.
+        """
+        y, departs = self._known(x), self._rows_in_order[1]
+        sizes, paid = (
+            np.array(self._sweeps.greatest(*np.abs(part).max(axis=0, initial=0.0)))
+            for part in (x, right)
+        )
+        y[np.abs(y) <= np.where(paid > 0.0, EXACT * sizes, np.inf)] = 0.0
+        for _ in range(_AGAIN):
+            self._sweeps.sweep(right[self._order] / departs[:, None], y)
+        return self._own(y)
+
+    def _known(self, x: FloatArray) -> FloatArray:
+        """Values of own states in the order of sweeps, with room for the ghosts behind them."""
+        y = np.zeros((self._halo.size, x.shape[1]))
+        y[: len(x)] = x[self._order]
+        return y
+
+    def _own(self, y: FloatArray) -> FloatArray:
+        """Values of own states from those in the order of sweeps, [own states, rewards]."""
+        x = np.empty((len(self._order), y.shape[1]))
+        x[self._order] = y[: len(x)]
+        return x
 
     def _iterated(
         self, method: str, accuracy: float, right: FloatArray, guess: FloatArray
