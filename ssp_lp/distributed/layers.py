@@ -12,7 +12,7 @@ that succeed: from there on the totals that are swept are the true ones.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -25,9 +25,17 @@ import scipy.sparse as sp
 from ssp_lp.accumulated_cost.charges import Charge, TailValues
 from ssp_lp.accumulated_cost.process import AccumulatedCost, accumulate_cost
 from ssp_lp.accumulated_cost.written_out import LastLayer, OpenEnded, first_cap, truncates
-from ssp_lp.arrays import FloatArray, IntArray, expected, least_integer_type, weighted
+from ssp_lp.arrays import (
+    MACHINE_EPSILON,
+    FloatArray,
+    IntArray,
+    expected,
+    least_integer_type,
+    weighted,
+)
 from ssp_lp.column_generation.column import Column, Proof, required
 from ssp_lp.column_generation.compiled_problem import CompiledExplicit
+from ssp_lp.column_generation.explicit_pricing import LOST
 from ssp_lp.column_generation.layered_pricing import OpenEndedPricing, OpenSweeps
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.distributed.dynamics import PartitionedDynamics
@@ -39,7 +47,7 @@ from ssp_lp.distributed.partitioned_pricing import (
 )
 from ssp_lp.distributed.ranks import Ranks
 from ssp_lp.distributed.share import Share
-from ssp_lp.dynamic_programming.bellman import SharedRows, SparseRows, Work, written_out
+from ssp_lp.dynamic_programming.bellman import PairCost, SharedRows, SparseRows, Work, written_out
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.evaluation import EVALUATED
 from ssp_lp.errors import ModelError
@@ -254,7 +262,32 @@ class LayeredShare(Share):
             weights: of the rewards, >= 0, [rewards].
             lowest: of what lies beyond the cap, [own nodes].
         """
-        for _, lower in self._sweeps.lowered(lowest, self._sweeps.priced(weights)):
+        return self._lower(lowest, self._sweeps.priced(weights))
+
+    def lower_less(self, ratio: float) -> FloatArray:
+        """Lower bounds of all policies' costs, less a ratio for success, as of :meth:`lower`.
+
+        Beyond the cap it is a constant: 0, or what arriving there at once costs less than it earns.
+
+        Args:
+            ratio: what success earns.
+        """
+        sweeps, exits = self._sweeps, self.dynamics.exits
+        left = sweeps.priced_less(np.eye(1, self.rewards.shape[1])[0], ratio)
+        end = left(sweeps.layered.cap).total
+        ends = (end < 0.0) & (exits > 0.0)
+        least = float((end[ends] / exits[ends]).min(initial=0.0))
+        constant = min(self._comm.allgather(least)) * (1.0 + 4.0 * MACHINE_EPSILON)
+        return self._lower(np.full(sweeps.n_nodes, constant), left)
+
+    def _lower(self, lowest: FloatArray, priced: Callable[[int], PairCost]) -> FloatArray:
+        """Lower bounds at the own start, [some own nodes].
+
+        Args:
+            lowest: of what lies beyond the cap, [own nodes].
+            priced: what the pairs of a layer cost at least, [pairs].
+        """
+        for _, lower in self._sweeps.lowered(lowest, priced):
             lowest = lower
         return lowest[np.flatnonzero(self._sweeps.start[: len(lowest)])]
 
@@ -384,6 +417,21 @@ class PartitionedLayers(OpenEndedPricing):
         bound = self._at_start(np.concatenate(parts), float(self._at_source @ weights))
         return Proof(float(weights[1]), float(weights[1]), bound, self.anything)
 
+    def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
+        """Best lower bound that the ranks' sweep gives.
+
+        Where the budget is slack failing counts nothing and success earns the price, which is exact
+        where nothing but failing pays: no large number is taken from another.
+        """
+        layered = self.augmented
+        if not slack or layered.shift > 0.0 or isinstance(price, np.ndarray):
+            return super().prove(price, best)
+        parts = self.end.shared.order("lower_less", (price,))
+        charged, earned = layered.start_charge, price * layered.base.start_goal
+        at_source = charged - earned - LOST * (charged + earned)
+        bound = self._at_start(np.concatenate(parts), at_source)
+        return Proof(price, 0.0, bound, self.anything)
+
     def check_less(
         self, weights: FloatArray, ratio: float, paid: float, values: FloatArray
     ) -> float:
@@ -447,11 +495,12 @@ class CompiledLayers(CompiledPartitioned):
 
     def failure_at_least(self, discount: float | None) -> float:
         """The least failure of all policies on the partitioned layers, for an error."""
-        if discount == self.discount:
+        ranks = self.ranks
+        if discount == self.discount and ranks.held_by is self.shared.end.shared:
             return self.least_failure().column.failure
-        self.ranks.order("label", ((discount, 1),))
-        held: Any = self.ranks.share
-        anew = CompiledLayers.begun(self.ranks, held)
+        ranks.order("label", ((discount, 1),))
+        held: Any = ranks.share
+        anew = CompiledLayers.begun(ranks, held)
         return anew.least_failure().column.failure
 
     def refined(self, price: float) -> CompiledLayers | None:  # type: ignore[override]

@@ -30,6 +30,12 @@ from ssp_lp.distributed import PartitionedModel
 COMM = MPI.COMM_WORLD
 ONE_STEP = {"x": {"go": [(0.75, "g", 2.0), (0.25, "d", 1.0)], "wait": [(1.0, "d", 1.0)]}, "d": {}}
 """No step leads from one state to another at which something is still to be done."""
+GIVEN_UP = {
+    "x": {"go": [(0.3, "y", 3.0), (0.6, "x", 2.0), (0.1, "d", 1.0)], "wait": [(1.0, "d", 1.0)]},
+    "y": {"go": [(0.7, "g", 2.0), (0.3, "x", 1.0)], "wait": [(1.0, "d", 1.0)]},
+    "d": {},
+}
+"""One may fail surely from everywhere: nothing is above the price of failing but by rounding."""
 SURE = {
     "x": {"go": [(0.5, "g", 1.0), (0.5, "x", 1.0)], "try": [(0.9, "g", 1.0), (0.1, "d", 1.0)]},
     "d": {},
@@ -53,6 +59,7 @@ def questions():
     yield FIRST, S3P, {"start": "depot", "failure_budget": 0.05}
     yield FIRST, S3P, {"start": {"depot": 0.5, "home": 0.4, "wreck": 0.1}, "failure_budget": 0.15}
     yield model_of(ONE_STEP), S3P, {"start": "x", "failure_budget": 0.5}
+    yield model_of(GIVEN_UP), S3P, {"start": {"x": 0.7, "y": 0.3}, "failure_budget": 1.0}
     yield model_of(SURE), S3P, {"start": "x", "failure_budget": 0.05}
     yield model_of(SURE), S3P, {"start": "x", "failure_budget": 0.05, "cost_cap": 60.0}
     duplicates = model_of(DUPLICATES)
@@ -136,6 +143,14 @@ def check_errors():
     with pytest.raises(InfeasibleError) as caught:
         made.solve(S3P, start="depot", failure_budget=0.05, constraints=limits)
     assert caught.value.conflicting_rows == ("few",)
+    asked = {"start": "depot", "failure_budget": 0.4, "discount": 0.9}
+    asked["constraints"] = {"few": visits("wreck") <= 0.008}
+    with pytest.raises(InfeasibleError) as known:
+        solve(S3P(FIRST, **asked))
+    with pytest.raises(InfeasibleError) as caught:
+        made.solve(S3P, **asked)
+    for least in ("least_failure", "least_discounted_failure"):
+        assert getattr(caught.value, least) == pytest.approx(getattr(known.value, least))
     with pytest.raises(InfeasibleError, match="the goal cannot be reached"):
         made.solve(S3P, start="wreck", failure_budget=0.5)
     for criterion, more in ((CostQuantile, {"level": 0.9}), (S3P, {"cost_levels": 7})):
