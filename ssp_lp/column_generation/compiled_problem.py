@@ -184,7 +184,7 @@ class CompiledProblem(ABC):
         return other
 
 
-def _unreachable(budget: float | None, discounted: float | None = None) -> InfeasibleError:
+def unreachable(budget: float | None, discounted: float | None = None) -> InfeasibleError:
     """The error of case S where the goal is out of reach."""
     return InfeasibleError(
         "the goal cannot be reached from the start: no cost given success exists",
@@ -207,7 +207,7 @@ def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> Le
     least_failure = compiled.least_failure()
     failure, discounted = least_failure.column.failure, compiled.discount is not None
     if compiled.ratio and least_failure.column.goal <= 0.0:
-        raise _unreachable(budget, 1.0 if discounted else None)
+        raise unreachable(budget, 1.0 if discounted else None)
     if budget is None or failure <= budget + LEAST_BUDGET:
         return least_failure
     if not discounted:
@@ -899,7 +899,7 @@ class CompiledExplicit(CompiledProblem):
         """
         self.check_sure()
         if self.ratio and self.greatest_goal <= 0.0:
-            raise _unreachable(self.budget)
+            raise unreachable(self.budget)
         if self.budget is None or self.budget >= 1.0:
             return self
         at_least = self.budget <= self.least.column.failure

@@ -34,7 +34,7 @@ from ssp_lp.arrays import (
     weighted,
 )
 from ssp_lp.column_generation.column import Column, Proof, required
-from ssp_lp.column_generation.compiled_problem import CompiledExplicit
+from ssp_lp.column_generation.compiled_problem import CompiledExplicit, unreachable
 from ssp_lp.column_generation.explicit_pricing import LOST
 from ssp_lp.column_generation.layered_pricing import OpenEndedPricing, OpenSweeps
 from ssp_lp.compiled.accelerator import accelerated
@@ -457,8 +457,14 @@ class CompiledLayers(CompiledPartitioned):
 
     @classmethod
     def begun(cls, ranks: Ranks, share: LayeredShare) -> CompiledLayers:
-        """The compiled question with a first cap."""
+        """The compiled question with a first cap.
+
+        Raises:
+            InfeasibleError: the goal cannot be reached, where costs are given success.
+        """
         own, compiled = share.layers, share.layers.compiled
+        if compiled.ratio and not (own.base.start_goal or own.base.start.any()):
+            raise unreachable(compiled.budget, None if compiled.discount is None else 1.0)
         pricing = PartitionedLayers.begun(ranks, share, compiled.fixed_cap)
         stated = {part.name: getattr(compiled, part.name) for part in fields(CompiledExplicit)}
         return cls(**stated, shared=pricing, own=own)

@@ -151,8 +151,9 @@ def check_errors():
         made.solve(S3P, **asked)
     for least in ("least_failure", "least_discounted_failure"):
         assert getattr(caught.value, least) == pytest.approx(getattr(known.value, least))
-    with pytest.raises(InfeasibleError, match="the goal cannot be reached"):
-        made.solve(S3P, start="wreck", failure_budget=0.5)
+    for budget in (0.5, 1.0):
+        with pytest.raises(InfeasibleError, match="the goal cannot be reached"):
+            made.solve(S3P, start="wreck", failure_budget=budget)
     for criterion, more in ((CostQuantile, {"level": 0.9}), (S3P, {"cost_levels": 7})):
         with pytest.raises(ModelError, match=r"within a failure budget|knows no cost_levels"):
             made.solve(criterion, start="depot", failure_budget=0.05, **more)
