@@ -27,6 +27,7 @@ from ssp_lp.errors import SolverError
 
 _STUCK = 0.5  # share of the residual from which a run got nowhere
 _LET_PASS = 1e-12  # relative residual that will do where nothing gets further
+_LEAST_SCALE = 1e-300  # of a solution that is 0
 _UNSOLVED = "neither sweeps nor PETSc's Krylov methods solve the equations of a policy"
 _METHODS = (SWEEPS, "bcgs", "gmres")  # each where those before it get nowhere
 _LOWERED = 4  # times that each rank lowers its values between two exchanges
@@ -335,14 +336,14 @@ class PartitionedSystem(System):
                 own = list(zip(rights, dynamics.by_state(x), strict=True))
                 parts, before = dynamics.order("improve", (method, accuracy), own), missed
                 x = np.concatenate([part.x for part in parts])
-                missed, scale = parts[0].missed, parts[0].scale
+                missed = parts[0].missed / np.maximum(parts[0].scale, _LEAST_SCALE)
                 self.products += parts[0].products
-                is_open = ~(missed <= accuracy * scale)
+                is_open = ~(missed <= accuracy)
                 if not is_open.any():
                     return x.reshape(rewards.shape)
                 if not np.isfinite(missed).all():
                     break
-            if (missed <= _LET_PASS * scale).all():
+            if (missed <= _LET_PASS).all():
                 return x.reshape(rewards.shape)
             self._is_slow = True
         raise SolverError(_UNSOLVED)

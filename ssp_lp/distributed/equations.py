@@ -258,8 +258,8 @@ class OwnEquations:
                 solver.solve(left, step)
                 x.axpy(1.0, step)
                 products += 2 * solver.getIterationNumber()
-                before, (missed, scale) = missed, self._residual()
-                if not missed < before:  # nan: it broke down
+                before, (missed, scale) = missed / scale, self._residual()
+                if not missed < before * scale:  # nan: it broke down
                     x.array = found.x[:, j]
                     missed, scale = self._residual()
                     break
