@@ -33,6 +33,8 @@ from ssp_lp.processes.failure_semantics import free_pairs, giving_up_states
 from ssp_lp.processes.quotient import build_quotient
 
 _STEEPER = 10.0 ** np.arange(1, 14, 3)  # prices of failure, by the cost, for one that fails least
+_DUST = 1e-14
+"""Below it a total is measured again, from 0 on: what was a guess of nothing may have left it."""
 _SAME = 1e-13  # relative distance of failures that are one, summed in two ways
 
 
@@ -209,6 +211,8 @@ class PartitionedPricing(ExplicitPricing):
         known = [column for column in (*warm, self.kept.nearest(self, weights)) if column]
         known.sort(key=lambda column: float(weights @ column.figures))
         column = super().minimise(price, *known)
+        if ((column.figures > 0.0) & (column.figures < _DUST)).any():
+            column = self.measure(required(column.choice), column.work, column.found_at)
         self.kept.keep(weights, column)
         return column
 

@@ -17,9 +17,10 @@ from on_every_rank import DUPLICATES, check_prices, least_failure
 from examples.distributed.scaling import corridor
 from examples.paper_robot.robot import RobotGrid, continuous_robot, grid_model, start_state
 from formulations import MCMP, S3P, FinitePenalty, LeastQuantity, MaxProb, MinCost
-from random_models import drawn_model
+from random_models import drawn_model, random_choices
 from small_models import FIRST, FREE_PAIR, TWO_MOVES, model_of
 from ssp_lp import (
+    SSP,
     InfeasibleError,
     ModelError,
     Quadrature,
@@ -203,6 +204,19 @@ def check_order():
         PartitionedModel.from_model(model, np.zeros(n_states, dtype=np.int64))
 
 
+def check_surely():
+    """Who cannot fail fails with probability 0, whatever an evaluation began with."""
+    for seed in (18, 36):
+        choices = random_choices(np.random.default_rng(seed), 6 + seed % 14, free_share=0.0)
+        model = SSP.from_transitions(choices, {"goal"}, treat_actionless_as_dead_ends=True)
+        asked = {"start": "s0", "failure_budget": 0.0}
+        asked["constraints"] = {"seen": visits("s1") <= 1e9}
+        for order in (narrow_order(model), np.arange(model.n_states)[::-1].copy()):
+            answer = PartitionedModel.from_model(model, order).solve(MCMP, **asked)
+            assert not answer.figures[:, 1].any()
+            assert answer.objective == pytest.approx(solve(MCMP(model, **asked)).objective)
+
+
 def check_that_rows_of_one_rank_fail_on_all():
     """Where one rank cannot make its rows, all raise its error; costs are given in any form."""
 
@@ -312,6 +326,7 @@ if __name__ == "__main__":
     check_file(with_fuel(model_of(DUPLICATES)))
     check_discretised()
     check_order()
+    check_surely()
     check_that_rows_of_one_rank_fail_on_all()
     check_errors(partitioned(FIRST))
     if COMM.gather(True) is not None:
