@@ -7,6 +7,7 @@ order to all ranks (``dynamics``).
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -55,6 +56,7 @@ from ssp_lp.errors import (
     SolverError,
     check_between_0_and_1,
     check_whole,
+    wrong_argument,
 )
 from ssp_lp.formulation import Formulation
 from ssp_lp.methods.approaches import is_shared
@@ -67,9 +69,9 @@ from ssp_lp.model.continuous_model import ContinuousModel
 from ssp_lp.model.discretise import MIDPOINTS, Quadrature, discretised_rows
 from ssp_lp.options import ColumnGeneration, Progress, SolveOptions, options_of
 from ssp_lp.policies.policy import MOST_EPISODES
-from ssp_lp.problem import compiled_constrained, has_rows, requirements
+from ssp_lp.problem import compiled_constrained, conditions_of, has_rows, requirements
 from ssp_lp.processes.conditions import FAILURE_ROW
-from ssp_lp.processes.failure_semantics import Aim, as_percentage
+from ssp_lp.processes.failure_semantics import Aim, as_percentage, start_distribution
 from ssp_lp.solution import CUT_SHORT, Run, Solution
 from ssp_lp.verification.certify import Certificate, certificate_of
 
@@ -79,7 +81,7 @@ _NOTHING = 1e-12  # worth that is compared with 0
 _MOST_SEED = 2**64 - 1
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PartitionedSolution(ReadOnlyCopies):
     """The optimum of a question on a partitioned model, the same on every rank."""
 
@@ -96,6 +98,13 @@ class PartitionedSolution(ReadOnlyCopies):
     note: str = ""
     live: BoolArray | None = field(repr=False, default=None)
     """[states] that the process has, where the ranks have the states in an order of their own."""
+
+    def __repr__(self) -> str:
+        """One line: what was asked, the objective with its gap, the failure, and the lottery."""
+        return (
+            f"PartitionedSolution({type(self.problem).__name__}: objective {self.objective:.9g}, "
+            f"gap {self.gap:.1e}, failure {self.failure:.6g}, {self.policy!r})"
+        )
 
     @property
     def gap(self) -> float:
@@ -114,7 +123,13 @@ class PartitionedSolution(ReadOnlyCopies):
 
         Args:
             problem: with which ``certify`` and ``evaluate`` go on.
+
+        Raises:
+            ModelError: it is no problem, or its model has other states.
         """
+        if not isinstance(problem, Formulation):
+            raise wrong_argument("problem", "be the question on a model held whole, such as "
+                                 "MCMP(model, ...)", problem)  # fmt: skip
         values, layers, order = self.value_function, self.policy.below, self.policy.model.order
         if layers and not has_rows(problem):  # values of its layers alone, which ask for the best
             cap = len(layers[0])
@@ -175,6 +190,8 @@ class PartitionedModel:
             ModelError: naming the state and the action at fault, on every rank.
         """
         ranks, named = Ranks.all(), (goal_states, states, state_labels)
+        ranks.agreed(lambda: check_whole("n_states", n_states))
+        ranks.alike("models", {"n_states": n_states})
         tried: dict[int, float] = {}
         for some in ranks.comm.allgather(
             ranks.agreed(lambda: tried_states(ranks.comm, rows, n_states))
@@ -182,7 +199,7 @@ class PartitionedModel:
             tried |= some
         first, end = balanced_states(ranks.comm, tried, n_states)
         part = ranks.agreed(lambda: part_by_rows(rows, first, end, n_states, *named))
-        return cls(ranks.together(lambda: with_facts(ranks.comm, part, first, end)), ranks)
+        return cls._of(ranks, part, first, end)
 
     @classmethod
     def from_continuous(
@@ -203,6 +220,8 @@ class PartitionedModel:
             actions, found = discretised_rows(world, points, first, end)
             return StateRows(actions, np.diff(found.outcome_offsets), *found[1:])
 
+        if not isinstance(world, ContinuousModel):
+            raise wrong_argument("world", "be a ContinuousModel", world)
         if not isinstance(points, Quadrature):
             raise ModelError(f"the ranks share points such as Quadrature(4), not {points!r}")
         labels = {name: [world.end_state(name)] for name in world.dead_ends}
@@ -222,7 +241,7 @@ class PartitionedModel:
         """
         ranks = Ranks.all()
         part = ranks.agreed(lambda: part_in_file(ranks.comm, path))
-        return cls(ranks.together(lambda: with_facts(ranks.comm, *part)), ranks)
+        return cls._of(ranks, *part)
 
     @classmethod
     def from_model(cls, model: SSP, order: IntArray | None = None) -> PartitionedModel:
@@ -237,9 +256,36 @@ class PartitionedModel:
             ModelError: some state does not come once in the order.
         """
         ranks = Ranks.all()
-        named = model if order is None else ranks.agreed(lambda: reordered(model, order))
-        part = part_of_model(ranks.comm, named)
-        return cls(ranks.together(lambda: with_facts(ranks.comm, *part)), ranks, order)
+        order = None if order is None else np.asarray(order)
+
+        def named() -> SSP:
+            """The model in the order that was asked for."""
+            if not isinstance(model, SSP):
+                raise wrong_argument("model", "be an SSP", model)
+            return model if order is None else reordered(model, order)
+
+        whole = ranks.agreed(named)
+        return cls._of(ranks, *part_of_model(ranks.comm, whole), order)
+
+    @classmethod
+    def _of(
+        cls, ranks: Ranks, part: SSP, first: int, end: int, order: IntArray | None = None
+    ) -> PartitionedModel:
+        """The partitioned model of which each rank has a part, from the state first on.
+
+        Raises:
+            ModelError: the ranks have parts of different models.
+        """
+        labels = {name: states.tobytes() for name, states in sorted(part.state_labels.items())}
+        ranks.alike("models", {
+            "the number of states": part.n_states,
+            "the set of goal states (its checksum)": crc32(part.goal_mask.tobytes()),
+            "the labels of states": [*labels],
+            "the labelled states (their checksum)": crc32(b"".join(labels.values())),
+            "the named costs": sorted(part.named_costs),
+            "the order (its checksum)": None if order is None else crc32(order.tobytes()),
+        })  # fmt: skip
+        return cls(ranks.together(lambda: with_facts(ranks.comm, part, first, end)), ranks, order)
 
     def solve(
         self,
@@ -269,13 +315,20 @@ class PartitionedModel:
             OutOfTimeError: the time ended before there was an answer.
         """
         began, method = time.perf_counter(), ColumnGeneration()
-        options = options_of(method, tolerance, began, time_limit, progress)
         ranks = self.ranks
-        problem = ranks.agreed(lambda: self._problem(criterion, asked, method))
-        if problem.semantics.charge(problem.ratio) is not None:
-            if checkpoint is not None:
+
+        def stated() -> tuple[Formulation, SolveOptions]:
+            """The question and its options."""
+            options = options_of(method, tolerance, began, time_limit, progress)
+            problem = self._problem(criterion, asked, method)
+            if checkpoint is not None and problem.semantics.charge(problem.ratio) is not None:
                 raise ModelError("a checkpoint keeps policies of case M: leave it out of this "
                                  "question")  # fmt: skip
+            return problem, options
+
+        problem, options = ranks.agreed(stated)
+        ranks.alike("questions", _words(problem))
+        if problem.semantics.charge(problem.ratio) is not None:
             return self._solved_by_layers(problem, options, began)
         compiled, share, own = self._held(problem)
         members: list[ChosenPairs] = []
@@ -344,8 +397,7 @@ class PartitionedModel:
             ModelError: the policy is of another model, has no decision in a state that it reaches
                 or gives up where it may not; or something is asked that needs the whole graph.
         """
-        self._check_policy(policy)
-        problem = self.ranks.agreed(lambda: self._problem(criterion, asked))
+        problem = self._measured(policy, criterion, asked)
         return self.ranks.together(lambda: policy.evaluated(problem)[0])
 
     def certify(self, answer: PartitionedSolution) -> Certificate:
@@ -360,8 +412,17 @@ class PartitionedModel:
             The certificate. It refuses a policy that breaks the budget or a limit, or is worth
             something else than is stated, and a bound that the value function does not prove.
         """
-        ranks, problem = self.ranks, answer.problem
-        self._check_policy(answer.policy)
+        ranks = self.ranks
+
+        def checked() -> Formulation:
+            """The question that was answered."""
+            if not isinstance(answer, PartitionedSolution):
+                raise wrong_argument("answer", "be a PartitionedSolution, as solve() gives", answer)
+            self._check_policy(answer.policy)
+            return answer.problem
+
+        problem = ranks.agreed(checked)
+        ranks.alike("questions", _words(problem))
         evaluation, _ = ranks.together(lambda: answer.policy.evaluated(problem))
         compiled, _, own = self._held(problem)
 
@@ -409,14 +470,20 @@ class PartitionedModel:
         Raises:
             ModelError: wrong arguments, or as of :meth:`evaluate`.
         """
-        check_between_0_and_1("confidence", confidence, as_percentage(confidence))
-        check_whole("episodes", episodes, most=MOST_EPISODES)
-        check_whole("max_steps", max_steps)
-        check_whole("record", record, 0)
-        check_whole("seed", seed, 0, _MOST_SEED)
-        self._check_policy(policy)
-        problem = self.ranks.agreed(lambda: self._problem(criterion, asked))
+
+        def check() -> None:
+            """Check what is not the question."""
+            check_between_0_and_1("confidence", confidence, as_percentage(confidence))
+            check_whole("episodes", episodes, most=MOST_EPISODES)
+            check_whole("max_steps", max_steps)
+            check_whole("record", record, 0)
+            check_whole("seed", seed, 0, _MOST_SEED)
+
+        self.ranks.agreed(check)
         settings = episodes, seed, max_steps, record, float(confidence)
+        names = "episodes", "seed", "max_steps", "record", "confidence"
+        self.ranks.alike("simulations", dict(zip(names, settings, strict=True)))
+        problem = self._measured(policy, criterion, asked)
         return self.ranks.together(lambda: policy.simulated(problem, *settings))
 
     def _held(self, problem: Formulation) -> tuple[CompiledExplicit, Share, ExplicitPricing]:
@@ -427,15 +494,32 @@ class PartitionedModel:
         ranks.hold(share)
         return compiled, share, own
 
+    def _measured(
+        self, policy: PartitionedPolicy, criterion: type[Any], asked: Mapping[str, Any]
+    ) -> Formulation:
+        """The question by which a policy of the partitioned model is measured, on every rank."""
+
+        def checked() -> Formulation:
+            """The question, where the policy is one of this model."""
+            self._check_policy(policy)
+            return self._problem(criterion, asked)
+
+        problem = self.ranks.agreed(checked)
+        self.ranks.alike("questions", _words(problem))
+        self.ranks.alike("policies", {"the members' weights": policy.weights.tolist()})
+        return problem
+
     def _check_policy(self, policy: PartitionedPolicy) -> None:
         """Raise :class:`ModelError` unless a policy is one of this partitioned model."""
+        if not isinstance(policy, PartitionedPolicy):
+            raise wrong_argument("policy", "be a PartitionedPolicy, such as answer.policy", policy)
         if policy.model.slab is not self.slab:
             raise ModelError("the policy is for another model: PartitionedPolicy.load() reads it "
                              "for this one")  # fmt: skip
         if policy.below:
             raise ModelError("a policy that acts on the cost paid is measured on a model held "
                              "whole: answer.on(problem)")  # fmt: skip
-        self.ranks.agreed(policy.check)
+        policy.check()
 
     def _problem(
         self, criterion: type[Any], asked: Mapping[str, Any], method: ColumnGeneration | None = None
@@ -450,10 +534,16 @@ class PartitionedModel:
         Raises:
             ModelError: another question, or one that needs the whole graph.
         """
+        if not isinstance(criterion, type):
+            raise wrong_argument("criterion", "be a class such as MCMP, its arguments beside it",
+                                 criterion)  # fmt: skip
         if asked.get("horizon") is not None or asked.get("reach_fraction") is not None:
             raise ModelError("a partitioned model has no horizon and no reach_fraction: state the "
                              "budget, and steps as a part of the states")  # fmt: skip
-        problem: Formulation = criterion(self.slab, **asked)
+        try:
+            problem: Formulation = criterion(self.slab, **asked)
+        except TypeError as error:
+            raise ModelError(f"{criterion.__name__} cannot be stated so: {error}") from error
         if method is None and problem.semantics.counts_law:
             raise ModelError(f"{criterion.__name__} makes something of the law of total costs, "
                              "which is not worked out on a partitioned model")  # fmt: skip
@@ -479,6 +569,22 @@ class PartitionedModel:
             raise ModelError("a limit counts what may come after failing, which a partitioned "
                              "model does not tell apart: visits() counts until then")  # fmt: skip
         return problem
+
+
+def _words(problem: Formulation) -> dict[str, Any]:
+    """What is asked of a partitioned model, by name, in words and numbers that ranks compare."""
+    begun = start_distribution(problem.model, problem.start)
+    places = np.flatnonzero(begun)
+    several = crc32(places.tobytes() + begun[places].tobytes())
+    return {
+        "the criterion": type(problem).__name__,
+        "the start": f"state {places[0]}" if places.size == 1 else f"several, checksum {several}",
+        "failure_budget": problem.failure_budget,
+        "discount": problem.discount,
+        "cost_cap": problem.cost_cap,
+        "what an episode is worth": re.sub(r" at 0x\w+", "", repr(problem.semantics)),
+        "the limits": [(one.name, one.lower, one.upper) for one in conditions_of(problem)],
+    }
 
 
 def _own_parts(ranks: Ranks, members: Sequence[ChosenPairs]) -> list[IntArray]:

@@ -140,7 +140,15 @@ class PartitionedPolicy(ReadOnlyCopies):
         return every if self.model.order is None else every[:, inverse(self.model.order)]
 
     def on(self, model: SSP) -> MixedPolicy:
-        """The partitioned policy on the same model, held whole; all ranks ask together."""
+        """The partitioned policy on the same model, held whole; all ranks ask together.
+
+        Raises:
+            ModelError: the model has another number of states.
+        """
+        n_states = self.model.slab.n_states
+        if model.n_states != n_states:
+            raise ModelError(f"the policy is for another model, of {n_states:,} states: this one "
+                             f"has {model.n_states:,}")  # fmt: skip
         offsets = model.pair_offsets[:-1]
         every = self.gathered().astype(np.int64)
         pairs = np.where(every >= 0, every + offsets, every)

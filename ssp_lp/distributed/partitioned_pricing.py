@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
+from zipfile import BadZipFile
 
 import numpy as np
 import scipy.sparse as sp
@@ -126,6 +127,8 @@ class Checkpoint:
         self._columns: list[tuple[FloatArray, FloatArray, IntArray]] = []
         self.proofs: list[tuple[FloatArray, float]] = []
         self._measured: dict[int, Column] = {}
+        if self._path is not None and not self._path.parent.is_dir():
+            raise ModelError(f"the checkpoint {path} is in no folder: make {self._path.parent}")
         if self._path is not None and self._path.exists():
             try:
                 with np.load(self._path, allow_pickle=False) as file:
@@ -134,8 +137,10 @@ class Checkpoint:
                 self._columns = list(columns)
                 self.proofs = [(row[:-1], float(row[-1])) for row in kept["proofs"]]
                 known = str(kept["told"])
-            except (OSError, ValueError, KeyError) as error:
-                raise ModelError(f"{path} is no checkpoint: {error}") from error
+            except (OSError, EOFError, ValueError, KeyError, TypeError, BadZipFile) as error:
+                raise ModelError(
+                    f"{path} is no checkpoint: {error}; delete it or name another"
+                ) from error
             if known != told:
                 raise ModelError(f"the checkpoint {path} is of {known}, not of {told}")
         self.n_begun = len(self._columns)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import pickle
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 from ssp_lp.cargo import Cargo
 from ssp_lp.compiled.deadline import check_time, until
 from ssp_lp.distributed.share import Share
-from ssp_lp.errors import SolverError, SSPError, optional_module
+from ssp_lp.errors import ModelError, SolverError, SSPError, in_short, optional_module
 
 EXTRA = "distributed"
 
@@ -49,6 +49,17 @@ class Ranks:
         optional_module("petsc4py", EXTRA).init([])
         return cls(world, optional_module("petsc4py.PETSc", EXTRA))
 
+    def __reduce__(self) -> Any:
+        """Refused: what lies with the ranks has no meaning in another process.
+
+        Raises:
+            ModelError: always.
+        """
+        raise ModelError(
+            "what lies with the ranks of PETSc cannot be pickled or copied: answer.policy.save() "
+            "keeps decisions, and answer.on(problem) is a Solution that can be pickled"
+        )
+
     def agreed(self, make: Callable[[], _Made]) -> _Made:
         """What every rank makes by itself; where one cannot, all raise its error.
 
@@ -66,8 +77,30 @@ class Ranks:
                 raise error or Cargo().unpack(other)
         return made  # type: ignore[return-value]
 
+    def alike(self, what: str, mine: Mapping[str, Any]) -> None:
+        """Check that every rank states the same.
+
+        Args:
+            what: is stated, for the error.
+            mine: by name, as values that can be sent and compared.
+
+        Raises:
+            ModelError: naming two ranks and what they state, on every rank.
+        """
+        every = self.comm.allgather(dict(mine))
+        for rank, other in enumerate(every):
+            for name in dict.fromkeys([*every[0], *other]):
+                one, two = every[0].get(name), other.get(name)
+                if one != two:
+                    raise ModelError(
+                        f"the ranks state different {what}: {name} is {in_short(one)} on rank 0, "
+                        f"{in_short(two)} on rank {rank}; every rank has to state the same"
+                    )
+
     def together(self, make: Callable[[], _Made]) -> _Made:
         """What all ranks make with each other; an error of one of them ends all, unless it is ours.
+
+        So does an interrupt, where there are several: the others would wait for what is left out.
 
         Raises:
             SSPError: which all of them raise.
@@ -76,7 +109,7 @@ class Ranks:
             return make()
         except SSPError:
             raise
-        except Exception:
+        except (Exception, KeyboardInterrupt):
             if self.comm.size == 1:
                 raise
             traceback.print_exc()
@@ -99,13 +132,18 @@ class Ranks:
             Stop: the time ended.
         """
         check_time()
-        self.comm.bcast((name, shared, own is not None))
-        mine = () if own is None else self.comm.scatter(own)
-        made = self.comm.gather(self._done(name, (*shared, *mine)))
+
+        def gathered() -> list[Any]:
+            """What the ranks make of it."""
+            self.comm.bcast((name, shared, own is not None))
+            mine = () if own is None else self.comm.scatter(own)
+            return list(self.comm.gather(self._done(name, (*shared, *mine))))
+
+        made = self.together(gathered)
         for one in made:
             if isinstance(one, SSPError):
                 raise one
-        return list(made)
+        return made
 
     def answered(self, cargo: Cargo, find: Callable[[], _Made]) -> _Made:
         """What PETSc's first rank finds, giving orders; the others serve until they hear of it.
@@ -118,7 +156,7 @@ class Ranks:
             Exception: what the first rank raised, on every rank.
         """
         if self.comm.rank > 0:
-            answer: _Made = unpacked(cargo, self.serve())
+            answer: _Made = unpacked(cargo, self.together(self.serve))
             return answer
         packed = b""
         try:

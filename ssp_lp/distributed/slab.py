@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, entries_of, offsets_of, read_only
 from ssp_lp.distributed.graph_sweeps import on_any, reaching, staying
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, in_short
 from ssp_lp.io.archives import load_model
 from ssp_lp.io.controller import controller_label
 from ssp_lp.model import SSP
@@ -124,7 +124,55 @@ def tried_states(
     count = _PROBES if comm.size > 1 else 1  # one rank has all
     probes = np.unique(np.linspace(0, n_states, count, endpoint=False).astype(np.int64))
     own = probes[comm.rank :: comm.size].tolist()
-    return {k: 1.0 + float(np.sum(rows(k, k + 1).outcomes)) for k in own}
+    return {k: 1.0 + float(np.sum(_checked_rows(rows, k, k + 1).outcomes)) for k in own}
+
+
+def _checked_rows(rows: Callable[[int, int], StateRows], first: int, end: int) -> StateRows:
+    """The rows of some of a slab's states, as arrays whose lengths fit.
+
+    Raises:
+        ModelError: naming the call and the array at fault.
+    """
+    made, call = rows(first, end), f"rows({first}, {end})"
+    if not isinstance(made, StateRows):
+        raise ModelError(f"{call} must be StateRows, not {in_short(made)}")
+    if not isinstance(made.named_costs, Mapping):
+        raise ModelError(f"{call}: named_costs must be costs by name, not "
+                         f"{in_short(made.named_costs)}")  # fmt: skip
+    arrays: dict[str, Any] = {name: np.asarray(getattr(made, name)) for name in made._fields[:4]}
+    for name, array in arrays.items():
+        kinds, kind = ("iuf", "numbers") if name == "probabilities" else ("iu", "whole numbers")
+        if array.ndim != 1 or (array.size and array.dtype.kind not in kinds):
+            raise ModelError(f"{call}: {name} must be one row of {kind}, not {in_short(array)} "
+                             f"of {array.dtype}")  # fmt: skip
+        if not array.size:  # which numpy takes for floats
+            arrays[name] = array.astype(np.int32)
+    for name in ("actions", "outcomes"):
+        if (arrays[name] < 0).any():
+            raise ModelError(f"{call}: {name} must be >= 0")
+    pairs, outcomes = int(arrays["actions"].sum()), int(arrays["outcomes"].sum())
+    wanted = {"actions": (end - first, "one a state"), "outcomes": (pairs, "one a pair"),
+              "successors": (outcomes, "one an outcome"),
+              "probabilities": (outcomes, "one an outcome")}  # fmt: skip
+    for name, (size, why) in wanted.items():
+        if arrays[name].size != size:
+            raise ModelError(f"{call}: {name} must have length {size}, {why}, not "
+                             f"{arrays[name].size}")  # fmt: skip
+    costs = {"costs": made.costs} | {
+        f"cost {name!r}": paid for name, paid in made.named_costs.items()
+    }
+    for name, paid in costs.items():
+        try:
+            shape = np.asarray(paid, dtype=np.float64).shape
+        except (TypeError, ValueError) as error:
+            raise ModelError(f"{call}: {name} must be numbers, not {in_short(paid)}") from error
+        if shape not in ((), (pairs,), (outcomes,)):
+            raise ModelError(f"{call}: {name} must be one number, {pairs} (one a pair) or "
+                             f"{outcomes} (one an outcome), not of shape {shape}")  # fmt: skip
+    most = max(arrays["successors"].max(initial=0), -arrays["successors"].min(initial=0))
+    if most <= np.iinfo(np.int32).max:  # else some are no states, which is found later
+        arrays["successors"] = arrays["successors"].astype(np.int32, copy=False)
+    return made._replace(**arrays)
 
 
 def balanced_states(comm: Any, tried: Mapping[int, float], n_states: int) -> tuple[int, int]:
@@ -165,11 +213,14 @@ def part_by_rows(
         ModelError: naming the state and the action at fault.
     """
     parts: dict[str, list[npt.NDArray[Any]]] = {}
+    named: Mapping[str, npt.ArrayLike] = {}
     for k in range(first, max(end, first + 1), _PIECE):
         last = min(k + _PIECE, end)
-        piece = rows(k, last)
-        if np.size(piece.actions) != last - k:
-            raise ModelError(f"rows({k}, {last}) has {np.size(piece.actions)} states")
+        piece = _checked_rows(rows, k, last)
+        if parts and {*piece.named_costs} != {*named}:
+            raise ModelError(f"rows({k}, {last}) has the named costs {sorted(piece.named_costs)}, "
+                             f"those before have {sorted(named)}")  # fmt: skip
+        named = piece.named_costs
         outcomes = np.asarray(piece.outcomes)
         costs = {"costs": piece.costs}
         costs |= {f"costs {name}": paid for name, paid in piece.named_costs.items()}
@@ -192,7 +243,7 @@ def part_by_rows(
 
     counts = np.zeros(n_states, dtype=np.int64)
     counts[first:end] = joined("actions")
-    chances, successors = joined("probabilities"), joined("successors").astype(np.int32, copy=False)
+    chances, successors = joined("probabilities"), joined("successors")
     return SSP.from_arrays(
         pair_offsets=offsets_of(counts),
         outcome_offsets=offsets_of(joined("outcomes")),

@@ -1,6 +1,6 @@
 """A search that a rank's death ends, and another that goes on from its checkpoint: for mpiexec.
 
-Its arguments are the checkpoint's file and "dies" or "resumes".
+Its arguments are the checkpoint's file and "dies", "interrupted" or "resumes".
 """
 
 import os
@@ -20,14 +20,14 @@ GRID = RobotGrid(segments=12, headings=8)
 FEW = {"walls": visits("wall") <= 0.05}
 
 
-def dies_after(calls):
-    """What is called after each pricing call: the last rank is killed after so many."""
+def dies_after(calls, by):
+    """What is called after each pricing call: the last rank gets a signal after so many."""
     last = COMM.allgather(os.getpid())[-1]
 
     def progress(done, *_):
-        """Have it killed, as by a system that lacks memory."""
+        """Have it killed, as by a system that lacks memory, or interrupted."""
         if done >= calls:
-            os.kill(last, signal.SIGKILL)
+            os.kill(last, by)
 
     return progress
 
@@ -37,8 +37,9 @@ if __name__ == "__main__":
     model = grid_model(GRID)
     made, start = partitioned(model), start_state(GRID)
     asked = {"start": start, "failure_budget": 0.5, "give_up": "dead_ends", "constraints": FEW}
-    if doing == "dies":
-        made.solve(MCMP, **asked, checkpoint=path, progress=dies_after(3))
+    if doing != "resumes":
+        by = signal.SIGKILL if doing == "dies" else signal.SIGINT
+        made.solve(MCMP, **asked, checkpoint=path, progress=dies_after(3, by))
         sys.exit("nobody died")
     known = solve(MCMP(model, **asked))
     afresh = made.solve(MCMP, **asked)

@@ -150,7 +150,7 @@ def check_file(model):
     check_the_same(model, whole, MCMP, start="x", failure_budget=0.4, discount=0.9, **fuel)
     with pytest.raises(ModelError, match="is no ssp-lp model file"):
         PartitionedModel.from_file(__file__)
-    with pytest.raises(ModelError, match="has 3 states"):
+    with pytest.raises(ModelError, match="actions must have length 1, one a state, not 3"):
         PartitionedModel.from_rows(lambda *_: StateRows([0] * 3, [], [], [], 1.0), 40, [0])
 
 

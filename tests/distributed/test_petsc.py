@@ -24,7 +24,8 @@ with_mpiexec = pytest.mark.skipif(shutil.which("mpiexec") is None, reason="there
 
 
 SCRIPTS = [
-    f"on_{name}.py" for name in ("every_rank", "partitioned_models", "halos", "layers", "results")
+    f"on_{name}.py"
+    for name in ("every_rank", "partitioned_models", "halos", "layers", "results", "mistakes")
 ]
 
 
@@ -81,6 +82,15 @@ def test_a_killed_rank_ends_the_run_and_another_goes_on_from_its_checkpoint(tmp_
     assert "on signal 9" in killed.stderr + killed.stdout or "KILLED" in killed.stderr
     assert run(script, checkpoint, "resumes", ranks=2).strip() == "2 ranks: well"
     assert run(script, checkpoint, "resumes").strip() == "1 ranks: well"
+
+
+@with_petsc
+@with_mpiexec
+def test_an_interrupted_rank_ends_the_run(tmp_path: Path) -> None:
+    interrupted = ended("on_a_checkpoint.py", str(tmp_path / "a.npz"), "interrupted", ranks=2)
+    assert interrupted.returncode != 0
+    assert "KeyboardInterrupt" in interrupted.stderr + interrupted.stdout
+    assert "nobody died" not in interrupted.stderr
 
 
 @with_petsc
