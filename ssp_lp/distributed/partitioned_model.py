@@ -46,6 +46,7 @@ from ssp_lp.distributed.slab import (
     part_by_rows,
     part_in_file,
     part_of_model,
+    rows_checksum,
     tried_states,
     with_facts,
 )
@@ -327,17 +328,19 @@ class PartitionedModel:
             return problem, options
 
         problem, options = ranks.agreed(stated)
-        ranks.alike("questions", _words(problem))
+        ranks.alike("questions", _words(problem) | {"checkpoint": checkpoint is not None})
         if problem.semantics.charge(problem.ratio) is not None:
             return self._solved_by_layers(problem, options, began)
         compiled, share, own = self._held(problem)
         members: list[ChosenPairs] = []
+        rows = None if checkpoint is None else rows_checksum(self.slab)
 
         def searched() -> dict[str, Any]:
             """What all ranks hear of the answer, on the first rank, which keeps the members."""
             order = self.order
             told = [criterion.__name__, compiled.told, compiled.bounds.tolist()]
             told += [compiled.semantics, compiled.discount, f"{self.slab.n_states} states"]
+            told += [f"rows {rows}", f"start {_words(problem)['the start']}"]
             told += [] if order is None else [f"order {crc32(order.tobytes())}"]
             kept = Checkpoint(checkpoint, ", ".join(map(str, told)))
             begun = partial(CompiledPartitioned.of, ranks, compiled, own, kept)

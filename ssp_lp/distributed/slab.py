@@ -29,6 +29,7 @@ from ssp_lp.model.graph import Graph, end_components, hopeless_states, pairs_int
 
 _PROBES = 256  # states that are tried to see how many outcomes there are
 _PIECE = 1 << 16  # states whose rows are made at a time
+_MIXER, _HALF = np.uint64(0x9E3779B97F4A7C15), 32  # an odd number of bits as if drawn
 _READ = 1 << 22  # bytes of a file that are passed over at a time
 
 
@@ -279,6 +280,35 @@ def with_facts(comm: Any, part: SSP, first: int, end: int) -> Slab:
     attention = staying(comm, told, graph, slab.own_mask, every, goal)
     slab.facts.update(hopeless_states=read_only(hopeless), attention_states=read_only(attention))
     return slab
+
+
+def rows_checksum(slab: Slab) -> int:
+    """A checksum of all slabs' rows and costs, the same on any number of ranks; all ask together.
+
+    Returns:
+        The sum modulo 2^64 of mixed words, one of each outcome: its state, its place among the
+        state's pairs and outcomes, where it leads, its probability and its costs.
+    """
+    total, named = 0, [slab.named_costs[name] for name in sorted(slab.named_costs)]
+    for first in range(slab.first, slab.end, _PIECE):
+        states = np.arange(first, min(first + _PIECE, slab.end) + 1)
+        pairs = np.arange(*slab.pair_offsets[states[[0, -1]]].tolist())
+        home = np.repeat(states[:-1], np.diff(slab.pair_offsets[states]))
+        lengths = np.diff(slab.outcome_offsets)[pairs]
+        own = slice(*slab.outcome_offsets[slab.pair_offsets[states[[0, -1]]]].tolist())
+        begins = slab.outcome_offsets[slab.pair_offsets[home]]
+        words = np.zeros(own.stop - own.start, dtype=np.uint64)
+        for one in (
+            np.repeat(home, lengths),
+            np.repeat(pairs - slab.pair_offsets[home], lengths),
+            np.arange(own.start, own.stop) - np.repeat(begins, lengths),
+            slab.successors[own].astype(np.int64),
+            *(part[own] for part in (slab.probabilities, slab.costs, *named)),
+        ):
+            words = (words ^ np.ascontiguousarray(one).view(np.uint64)) * _MIXER
+            words ^= words >> np.uint64(_HALF)
+        total += int(words.sum(dtype=np.uint64))
+    return int(sum(slab.comm.allgather(total)) % 2**64)
 
 
 def part_of_model(comm: Any, model: SSP) -> tuple[SSP, int, int]:

@@ -5,6 +5,7 @@ it hangs, the test ends it.
 """
 
 import pickle
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,9 +15,11 @@ import pytest
 from mpi4py import MPI
 
 from formulations import MCMP, S3P, MaxProb
+from random_models import drawn_model
 from small_models import FIRST
-from ssp_lp import ModelError, visits
+from ssp_lp import SSP, ModelError, visits
 from ssp_lp.distributed import PartitionedModel, PartitionedPolicy, StateRows
+from ssp_lp.distributed.slab import Slab, rows_checksum
 
 COMM = MPI.COMM_WORLD
 CELLS = 6
@@ -191,12 +194,38 @@ def check_checkpoints(model, folder):
         COMM.barrier()
         refused("is no checkpoint: .*; delete it", lambda path=path: asked(checkpoint=path))
     assert asked(checkpoint=kept).objective == pytest.approx(6.64081736668104)
+    refused("the checkpoint .* is of", lambda: asked(start=1, checkpoint=kept))
+    dearer = made(changed(costs=lambda one: 2.0 * one))
+    refused("the checkpoint .* is of", lambda: dearer.solve(MCMP, **ASKED, checkpoint=kept))
+    swapped = made(changed(successors=lambda a: a.reshape(-1, 2, 3)[:, ::-1].ravel()))
+    refused("the checkpoint .* is of", lambda: swapped.solve(MCMP, **ASKED, checkpoint=kept))
+
+
+def check_checksums():
+    """The rows' checksum is the same however ranks share them, and another for other rows."""
+    model, others = drawn_model(3, 23)[0], [drawn_model(4, 23)[0]]
+    whole = SSP.from_arrays(
+        **{name: getattr(model, name) for name in ("pair_offsets", "outcome_offsets",
+                                                   "successors", "probabilities", "costs")},
+        goal_states=np.flatnonzero(model.goal_mask), treat_actionless_as_dead_ends=True,
+    )  # fmt: skip
+    alone = {one.name: getattr(whole, one.name) for one in fields(SSP)}
+    single = Slab(**alone, comm=MPI.COMM_SELF, first=0, end=whole.n_states)
+    shared = PartitionedModel.from_model(whole).slab
+    assert rows_checksum(shared) == rows_checksum(single)
+    others += [
+        replace(whole, costs=whole.costs + 1e-12),
+        replace(whole, named_costs={"a": whole.costs}),
+    ]
+    for other in others:
+        assert rows_checksum(PartitionedModel.from_model(other).slab) != rows_checksum(shared)
 
 
 if __name__ == "__main__":
     walked = made()
     found = walked.solve(MCMP, **ASKED)
     check_rows()
+    check_checksums()
     check_few_states()
     check_that_ranks_differ(walked, found.policy)
     check_questions(walked, found)
