@@ -27,6 +27,7 @@ from ssp_lp.errors import SolverError
 
 _STUCK = 0.5  # share of the residual from which a run got nowhere
 _LET_PASS = 1e-12  # relative residual that will do where nothing gets further
+_GATHERED = 1_000_000  # entries of a policy's rows that one rank takes, where it is hardly left
 _LEAST_SCALE = 1e-300  # of a solution that is 0
 _UNSOLVED = "neither sweeps nor PETSc's Krylov methods solve the equations of a policy"
 _METHODS = (SWEEPS, "bcgs", "gmres")  # each where those before it get nowhere
@@ -349,12 +350,17 @@ class PartitionedSystem(System):
         raise SolverError(_UNSOLVED)
 
     def solve_by_reduction(self, rewards: FloatArray) -> FloatArray:
-        """Refused of equations on PETSc.
+        """Solve the equations on PETSc without any subtraction, gathered on the first rank.
 
         Raises:
-            SolverError: always.
+            SolverError: there are too many of them, or as of ``System``.
         """
-        raise SolverError(_UNSOLVED)
+        self._choose()
+        if self._entries > _GATHERED:
+            raise SolverError(_UNSOLVED)
+        chains, exits = zip(*self._dynamics.order("policy_rows"), strict=True)
+        whole = System(sp.csr_array(sp.vstack(chains)), np.concatenate(exits))
+        return whole.solve_by_reduction(rewards)
 
     def _choose(self) -> None:
         """Have the ranks of PETSc set up these equations, unless they have."""

@@ -251,6 +251,16 @@ class Share:
         """Own states from which the policy of the equations never leaves, [some states]."""
         return self._stated.closed()
 
+    def policy_rows(self) -> tuple[sp.csr_array, FloatArray]:
+        """Own rows of the policy of the equations, [own states, all states], and its exits."""
+        _, chain, exits = self._stated.moves
+        halo, shape = self.halo, (self.halo.n_own, self._comm.allreduce(self.halo.n_own))
+        numbers = np.append(np.arange(halo.first, halo.end), halo.ghosts).astype(np.int32)
+        parts = chain.data, numbers[chain.indices], chain.indptr
+        rows = sp.csr_array(parts, shape=shape, copy=True)  # summed up in place
+        rows.sum_duplicates()
+        return rows, exits
+
     def improve(
         self, method: str, accuracy: float, right: FloatArray, guess: FloatArray
     ) -> Improved:

@@ -217,6 +217,21 @@ def check_surely():
             assert answer.objective == pytest.approx(solve(MCMP(model, **asked)).objective)
 
 
+def check_hardly_left():
+    """Loops across ranks that are left once in a billion times are evaluated, as locally."""
+    for seed in (133, 274, 296):
+        choices = random_choices(np.random.default_rng(seed), 20, free_share=0.0)
+        for k in range(0, 20, 2):
+            onward = (1.0 - 1e-9, f"s{(k + 1) % 20}", 1e-3)
+            choices[f"s{k}"]["loop"] = [onward, (1e-9, "goal", 1.0)]
+            choices[f"s{k + 1}"]["loop"] = [(1.0, f"s{k}", 1e-3)]
+        model = SSP.from_transitions(choices, {"goal"}, treat_actionless_as_dead_ends=True)
+        known = solve(MCMP(model, "s0", 0.3)).objective
+        answer = partitioned(model).solve(MCMP, start="s0", failure_budget=0.3)
+        assert answer.objective == pytest.approx(known, rel=1e-9)
+        assert answer.lower_bound <= known * (1.0 + 1e-9)
+
+
 def check_that_rows_of_one_rank_fail_on_all():
     """Where one rank cannot make its rows, all raise its error; costs are given in any form."""
 
@@ -327,6 +342,7 @@ if __name__ == "__main__":
     check_discretised()
     check_order()
     check_surely()
+    check_hardly_left()
     check_that_rows_of_one_rank_fail_on_all()
     check_errors(partitioned(FIRST))
     if COMM.gather(True) is not None:
