@@ -32,7 +32,7 @@ import numpy.typing as npt
 from examples.distributed.robot_on_ranks import shared_robot
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from formulations import MCMP, S3P
-from ssp_lp import ModelError, solve
+from ssp_lp import SSPError, solve
 from ssp_lp.distributed import PartitionedModel, StateRows
 
 SETTINGS = {
@@ -148,7 +148,7 @@ def measured(world: str, case: str, discount: float | None, budget: float, ranks
         made = max(gathered(perf_counter() - began))
         began = perf_counter()
         answer = answered(model, start, budget)
-    except ModelError as error:
+    except SSPError as error:
         return {"refused": str(error)}
     took = max(gathered(perf_counter() - began))
     memory = gathered(most_resident())
