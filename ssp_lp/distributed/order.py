@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, entries_of, offsets_of
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, wrong_argument
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import hopeless_states
 
@@ -23,7 +23,12 @@ def narrow_order(model: SSP) -> IntArray:
 
     Returns:
         [states] the number of the state that comes first, second, ...
+
+    Raises:
+        ModelError: it is no model that this process holds whole.
     """
+    if not isinstance(model, SSP):
+        raise wrong_argument("model", "be an SSP", model)
     apart = model.goal_mask | hopeless_states(model)
     inside, starts = np.flatnonzero(~apart), model.outcome_offsets[model.pair_offsets]
     steps = np.ones(model.n_outcomes, dtype=np.int32), model.successors, starts

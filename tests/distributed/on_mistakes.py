@@ -18,7 +18,7 @@ from formulations import MCMP, S3P, MaxProb
 from random_models import drawn_model
 from small_models import FIRST
 from ssp_lp import SSP, ModelError, visits
-from ssp_lp.distributed import PartitionedModel, PartitionedPolicy, StateRows
+from ssp_lp.distributed import PartitionedModel, PartitionedPolicy, StateRows, narrow_order
 from ssp_lp.distributed.slab import Slab, rows_checksum
 
 COMM = MPI.COMM_WORLD
@@ -87,6 +87,7 @@ def check_rows():
                 lambda n=n_states: PartitionedModel.from_rows(walk, n, [6]))  # fmt: skip
     refused("the model has no goal state", lambda: made(goal_states=[]))
     refused("model must be an SSP", lambda: PartitionedModel.from_model(made()))
+    refused("model must be an SSP", lambda: narrow_order(made()))
     refused("world must be a ContinuousModel", lambda: PartitionedModel.from_continuous(FIRST))
     named = [{"fuel": 1.0}, {"petrol": 1.0}]
     n = 70_000  # states in several pieces
