@@ -36,7 +36,7 @@ from ssp_lp.processes.quotient import build_quotient
 _STEEPER = 10.0 ** np.arange(1, 14, 3)  # prices of failure, by the cost, for one that fails least
 _DUST = 1e-14
 """Below it a total is measured again, from 0 on: what was a guess of nothing may have left it."""
-_SAME = 1e-13  # relative distance of failures that are one, summed in two ways
+_SAME = 1e-13  # of failing or not, the rarer: distance of failures that are one
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -330,7 +330,8 @@ class CompiledPartitioned(CompiledExplicit):
         """
         pricing, (cost, failure) = self._priced, np.eye(2, self.shared.n_rewards)
         safest = pricing.minimise(failure)
-        column, least = safest, safest.failure * (1.0 + _SAME)
+        rarer = min(safest.failure, 1.0 - safest.failure)
+        column, least = safest, safest.failure + _SAME * max(rarer, 0.0)
         for steep in _STEEPER if np.isfinite(safest.cost) else ():
             price = steep * max(safest.cost, 1.0)
             cheaper = pricing.minimise(cost + price * failure, column)
