@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, offsets_of, segment_sums, unsigned
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, unsigned
 from ssp_lp.compiled.accelerator import accelerated, has_accelerator
 from ssp_lp.distributed.graph_sweeps import reaching
 from ssp_lp.distributed.halo import Halo
 from ssp_lp.dynamic_programming.bellman import Moves
-from ssp_lp.dynamic_programming.chain_solvers import HOLDS_MASS, Iteration
+from ssp_lp.dynamic_programming.chain_solvers import HOLDS_MASS, Iteration, on_departing
 from ssp_lp.dynamic_programming.equations import EXACT
 from ssp_lp.errors import SolverError, optional_module
 from ssp_lp.model.graph import Graph
@@ -129,26 +129,11 @@ class OwnEquations:
         _, chain, exits = self.moves
         place = np.arange(self._halo.size, dtype=np.int32)
         place[self._order] = np.arange(len(self._order), dtype=np.int32)
-        shape = len(self._order), self._halo.size
-        if not accelerated(chain.nnz):
-            rows = chain[self._order].tocoo()
-            away = place[rows.col] != rows.row
-            data, row, column = rows.data[away], rows.row[away], place[rows.col[away]]
-            departs = exits[self._order] + np.bincount(row, weights=data, minlength=shape[0])
-            with np.errstate(divide="ignore", invalid="ignore"):
-                data = data / departs[row]
-            return sp.csr_array((data, (row, column)), shape=shape), departs
-        from ssp_lp.compiled.equations import gather_inside
-
-        indptr = offsets_of(np.diff(chain.indptr)[self._order]).astype(np.int32)
-        indices, data = np.empty(indptr[-1], dtype=np.int32), np.empty(indptr[-1])
-        departs, leaving = np.empty(shape[0]), np.empty(shape[0])
-        arrays = unsigned(chain.indptr), unsigned(chain.indices), chain.data
-        gather_inside(chain.nnz)(
-            *arrays, exits, unsigned(self._order), place, unsigned(indptr), unsigned(indices), data,
-            departs, leaving,
-        )  # fmt: skip
-        return sp.csr_array((data, indices, indptr), shape=shape), departs
+        try:
+            rows, departs, _ = on_departing(chain, exits, self._order, place)
+        except SolverError:  # which the ranks have to raise together
+            return sp.csr_array((len(self._order), self._halo.size)), np.zeros(len(self._order))
+        return rows, departs
 
     def closed(self) -> IntArray:
         """Own states from which the policy never leaves, [some states]."""
@@ -278,30 +263,19 @@ class OwnEquations:
     @cached_property
     def _matrix(self) -> tuple[Any, Any, Any, Any, Any, FloatArray]:
         """PETSc's matrix, four vectors, and the probabilities of departing from own states."""
-        (home, chain, exits), halo = self.moves, self._halo
-        lengths = np.diff(chain.indptr)
-        data = np.where(chain.indices == np.repeat(home, lengths), 0.0, chain.data)
-        departs = exits + segment_sums(data, chain.indptr)
-        if self._any(departs <= 0.0):
-            raise SolverError(HOLDS_MASS)
-        data /= -np.repeat(departs, lengths)
-        numbers = np.append(np.arange(halo.first, halo.end), halo.ghosts).astype(np.int32)
-        # the diagonal comes first in each row; PETSc keeps the last of duplicates: scipy adds up
+        (step, departs), halo, order = self._rows_in_order, self._halo, self._order
         n, n_states = halo.n_own, self._comm.allreduce(halo.n_own)
-        indptr = (chain.indptr + np.arange(n + 1)).astype(np.int32)
-        others = np.ones(len(data) + n, dtype=np.bool_)
-        others[indptr[:-1]] = False
-        columns, entries = np.empty(len(others), dtype=np.int32), np.ones(len(others))
-        columns[indptr[:-1]], columns[others] = numbers[home], numbers[chain.indices]
-        entries[others] = data
-        rows = sp.csr_array((entries, columns, indptr), shape=(n, n_states))
-        rows.sum_duplicates()
+        numbers, place = halo.numbers, np.argsort(order)
+        numbers[:n] = numbers[order]
+        step = sp.csr_array((step.data, numbers[step.indices], step.indptr), shape=(n, n_states))
+        # PETSc keeps the last of duplicates: scipy adds them up
+        rows = sp.csr_array(sp.eye(n, n_states, k=halo.first, format="csr")) - step[place]
         parts, layout = (rows.indptr, rows.indices, rows.data), ((n, n_states), (n, n_states))
         matrix = self._petsc.Mat().createAIJ(size=layout, csr=parts, comm=self._comm)
         x, right = matrix.createVecs()
-        left, step = right.duplicate(), x.duplicate()
-        self._kept += [matrix, x, right, left, step]
-        return matrix, x, right, left, step, departs
+        left, change = right.duplicate(), x.duplicate()
+        self._kept += [matrix, x, right, left, change]
+        return matrix, x, right, left, change, departs[place]
 
     def _solver(self, method: str) -> Any:
         """Krylov method for the equations as they stand, own rows half factorised."""

@@ -57,6 +57,11 @@ class Halo:
         """Number of states that the rank knows: its own and the ghosts."""
         return self.n_own + len(self.ghosts)
 
+    @property
+    def numbers(self) -> IntArray:
+        """Numbers of the states that the rank knows, its own first, then the ghosts, [size]."""
+        return np.append(np.arange(self.first, self.end), self.ghosts).astype(np.int32)
+
     def places(self, states: IntArray) -> IntArray:
         """Where own states and ghosts stand among those that the rank knows, like ``states``."""
         places = states - states.dtype.type(self.first)

@@ -332,24 +332,20 @@ class PartitionedModel:
         if problem.semantics.charge(problem.ratio) is not None:
             return self._solved_by_layers(problem, options, began)
         compiled, share, own = self._held(problem)
-        members: list[ChosenPairs] = []
         rows = None if checkpoint is None else rows_checksum(self.slab)
 
-        def searched() -> dict[str, Any]:
-            """What all ranks hear of the answer, on the first rank, which keeps the members."""
+        def begun() -> CompiledPartitioned:
+            """The question for the first rank, with what an earlier run has left."""
             order = self.order
             told = [criterion.__name__, compiled.told, compiled.bounds.tolist()]
             told += [compiled.semantics, compiled.discount, f"{self.slab.n_states} states"]
             told += [f"rows {rows}", f"start {_words(problem)['the start']}"]
             told += [] if order is None else [f"order {crc32(order.tobytes())}"]
             kept = Checkpoint(checkpoint, ", ".join(map(str, told)))
-            begun = partial(CompiledPartitioned.of, ranks, compiled, own, kept)
-            answer, lottery = _searched(begun, options, began)
-            members.extend(lottery)
-            return answer
+            return CompiledPartitioned.of(ranks, compiled, own, kept)
 
-        answer = ranks.answered(Cargo(), searched)
-        positions = np.stack([share.positions(part) for part in _own_parts(ranks, members)])
+        answer, parts = self._answered(begun, options, began)
+        positions = np.stack([share.positions(part) for part in parts])
         policy = PartitionedPolicy(self, answer.pop("weights"), positions)
         live: Any = own.augmented
         live = None if self.order is None else live.quotient.node_of >= 0
@@ -363,20 +359,14 @@ class PartitionedModel:
         Raises:
             ModelError: a step costs nothing, or the costs have no common unit.
         """
-        ranks, members = self.ranks, list[ChosenPairs]()
+        ranks = self.ranks
         compiled = ranks.agreed(lambda: compiled_constrained(problem, by_units=True))
         share = ranks.together(lambda: LayeredShare(ranks, compiled))
         ranks.hold(share)
 
-        def searched() -> dict[str, Any]:
-            """What all ranks hear of the answer, on the first rank, which keeps the members."""
-            begun = partial(CompiledLayers.begun, ranks, share)
-            answer, lottery = _searched(begun, options, began)
-            members.extend(lottery)
-            return answer
-
-        answer = ranks.answered(Cargo(), searched)
-        each = [share.layers.positions(int(number)) for (number,) in _own_parts(ranks, members)]
+        begun = partial(CompiledLayers.begun, ranks, share)
+        answer, parts = self._answered(begun, options, began)
+        each = [share.layers.positions(int(number)) for (number,) in parts]
         policy = PartitionedPolicy(
             self,
             answer.pop("weights"),
@@ -385,6 +375,29 @@ class PartitionedModel:
             share.layers.base.unit,
         )
         return PartitionedSolution(policy=policy, problem=problem, **answer)
+
+    def _answered(
+        self, begun: Callable[[], CompiledPartitioned], options: SolveOptions, began: float
+    ) -> tuple[dict[str, Any], list[IntArray]]:
+        """What the first rank finds on the partitioned model, and each rank's part of the members.
+
+        Args:
+            begun: as :func:`_searched` takes it.
+            options: likewise.
+            began: likewise.
+        """
+        ranks, members = self.ranks, list[ChosenPairs]()
+
+        def searched() -> dict[str, Any]:
+            """What all ranks hear of the answer, on the first rank, which keeps the members."""
+            answer, lottery = _searched(begun, options, began)
+            members.extend(lottery)
+            return answer
+
+        answer = ranks.answered(Cargo(), searched)
+        parts = [list(part) for part in zip(*(one.parts for one in members), strict=True)]
+        own: list[IntArray] = ranks.comm.scatter(parts or None)
+        return answer, own
 
     def evaluate(self, policy: PartitionedPolicy, criterion: type[Any], **asked: Any) -> Evaluation:
         """Evaluate a policy on the rows of all ranks, exactly, as ``ssp_lp.evaluate`` does.
@@ -590,13 +603,6 @@ def _words(problem: Formulation) -> dict[str, Any]:
     }
 
 
-def _own_parts(ranks: Ranks, members: Sequence[ChosenPairs]) -> list[IntArray]:
-    """This rank's part of each member that the first rank has found."""
-    parts = [list(part) for part in zip(*(one.parts for one in members), strict=True)]
-    own: list[IntArray] = ranks.comm.scatter(parts or None)
-    return own
-
-
 def _searched(
     begun: Callable[[], CompiledPartitioned], options: SolveOptions, began: float
 ) -> tuple[dict[str, Any], Sequence[ChosenPairs]]:
@@ -642,13 +648,7 @@ def _searched(
         prices, values = at, None
     bound = max(bound, min(proved, value))
     members: Any = lottery.policies  # as pricing pulls them back
-    figures = np.stack([one.figures for one in members])
-    figures[:, 0] = [sense.worth(cost) for cost in figures[:, 0].tolist()]
-    if compiled.ratio:  # each member's own, given that it succeeds
-        with np.errstate(divide="ignore", invalid="ignore"):
-            figures[:, 0] /= 1.0 - figures[:, 1]
-    for place, row in enumerate(compiled.side, 2):
-        figures[:, place] = row.sign * (figures[:, place] - row.offset)
+    figures = _stated_figures(compiled, members)
     totals = (lottery.weights @ figures).tolist()
     limited = [row.condition.name for row in compiled.side]
     answer = {
@@ -670,6 +670,18 @@ def _searched(
         "note": note,
     }
     return answer, members
+
+
+def _stated_figures(compiled: CompiledPartitioned, members: Sequence[ChosenPairs]) -> FloatArray:
+    """Objective, failure and limited quantities of each member as a partitioned answer has them."""
+    figures = np.stack([one.figures for one in members])
+    figures[:, 0] = [compiled.sense.worth(cost) for cost in figures[:, 0].tolist()]
+    if compiled.ratio:  # each member's own, given that it succeeds
+        with np.errstate(divide="ignore", invalid="ignore"):
+            figures[:, 0] /= 1.0 - figures[:, 1]
+    for place, row in enumerate(compiled.side, 2):
+        figures[:, place] = row.sign * (figures[:, place] - row.offset)
+    return figures
 
 
 def _proved(

@@ -254,9 +254,8 @@ class Share:
     def policy_rows(self) -> tuple[sp.csr_array, FloatArray]:
         """Own rows of the policy of the equations, [own states, all states], and its exits."""
         _, chain, exits = self._stated.moves
-        halo, shape = self.halo, (self.halo.n_own, self._comm.allreduce(self.halo.n_own))
-        numbers = np.append(np.arange(halo.first, halo.end), halo.ghosts).astype(np.int32)
-        parts = chain.data, numbers[chain.indices], chain.indptr
+        shape = self.halo.n_own, self._comm.allreduce(self.halo.n_own)
+        parts = chain.data, self.halo.numbers[chain.indices], chain.indptr
         rows = sp.csr_array(parts, shape=shape, copy=True)  # summed up in place
         rows.sum_duplicates()
         return rows, exits

@@ -77,7 +77,7 @@ class LargeComponent:
         self._is_compiled = accelerated(matrix.nnz)
         self._place = np.full(matrix.shape[0], -1, dtype=np.int32)
         self._place[states] = np.arange(len(states), dtype=np.int32)
-        self._own, self._departs, self._leaving = self._gathered(exits)
+        self._own, self._departs, self._leaving = on_departing(matrix, exits, states, self._place)
         self._direct: Solver | None = None
         weak = proxy(self)  # in a ring of references large arrays would wait for its collection
         self._iteration = Iteration(
@@ -146,29 +146,6 @@ class LargeComponent:
             )
         exits, right = self._leaving / self._departs, self._right(rewards, x)
         x[self._states] = band_solver(self._own, exits, order, width)(right)
-
-    def _gathered(self, exits: FloatArray) -> tuple[sp.csr_array, FloatArray, FloatArray]:
-        """Matrix of a large component for its solver: moves by departing, that, and what leaves."""
-        size, states = len(self._states), self._states
-        if not self._is_compiled:
-            rows = self._chain[states]
-            leaving = exits[states] + rows @ (self._place < 0).astype(np.float64)
-            row, column, data, departs = departures(sp.csr_array(rows[:, states]), leaving)
-            own = sp.csr_array((data / departs[row], (row, column)), shape=(size, size))
-            return own, departs, leaving
-        from ssp_lp.compiled.equations import gather_inside
-
-        members, begin = unsigned(states), self._chain.indptr
-        indptr = offsets_of(np.diff(begin)[states]).astype(np.int32)
-        indices, data = np.empty(indptr[-1], dtype=np.int32), np.empty(indptr[-1])
-        departs, leaving = np.empty(size), np.empty(size)
-        for some in pieces(size, len(indices)):
-            gather_inside(len(indices))(
-                *self._arrays, exits, members[some], self._place,
-                unsigned(indptr)[some.start : some.stop + 1], unsigned(indices), data,
-                departs[some], leaving[some],
-            )  # fmt: skip
-        return sp.csr_array((data, indices, indptr), shape=(size, size)), departs, leaving
 
     @property
     def _arrays(self) -> tuple[IntArray, IntArray, FloatArray]:
@@ -473,13 +450,57 @@ def _solved_in_place(ordered: FloatArray, order: IntArray | None) -> FloatArray:
     return result
 
 
+def on_departing(
+    chain: sp.csr_array, exits: FloatArray, states: IntArray, place: IntArray
+) -> tuple[sp.csr_array, FloatArray, FloatArray]:
+    """Rows of some states of a chain for a solver, seen on departing only.
+
+    Args:
+        chain: probabilities of going on, [states, columns].
+        exits: of the whole chain, [states].
+        states: whose rows they are, in the order in which they are swept, [members].
+        place: where each column stands among those of the result, -1: it is left out, [columns];
+            the members stand first, in their order.
+
+    Returns:
+        Moves by departing, [members, places]; the probability of departing, and what of it is left
+        out, [members] each.
+
+    Raises:
+        SolverError: some state is never departed from.
+    """
+    size, width = len(states), int(place.max(initial=-1)) + 1
+    if not accelerated(chain.nnz):
+        rows = chain[states]
+        leaving = exits[states] + rows @ (place < 0).astype(np.float64)
+        entry = rows.tocoo()
+        kept = place[entry.col] >= 0
+        parts = entry.data[kept], (entry.row[kept], place[entry.col[kept]])
+        row, column, data, departs = departures(sp.csr_array(parts, shape=(size, width)), leaving)
+        shared = sp.csr_array((data / departs[row], (row, column)), shape=(size, width))
+        return shared, departs, leaving
+    from ssp_lp.compiled.equations import gather_inside
+
+    members, begin = unsigned(states), chain.indptr
+    indptr = offsets_of(np.diff(begin)[states]).astype(np.int32)
+    indices, data = np.empty(indptr[-1], dtype=np.int32), np.empty(indptr[-1])
+    departs, leaving = np.empty(size), np.empty(size)
+    for some in pieces(size, len(indices)):
+        gather_inside(len(indices))(
+            unsigned(begin), unsigned(chain.indices), chain.data, exits, members[some], place,
+            unsigned(indptr)[some.start : some.stop + 1], unsigned(indices), data,
+            departs[some], leaving[some],
+        )  # fmt: skip
+    return sp.csr_array((data, indices, indptr), shape=(size, width)), departs, leaving
+
+
 def departures(
     matrix: sp.csr_array, exits: FloatArray
 ) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
     """Moves of a chain to other states, and the probability of departing, summed, never 1 - p.
 
     Args:
-        matrix: [states, states].
+        matrix: [states, columns], of which the states come first.
         exits: [states].
 
     Returns:
