@@ -246,21 +246,20 @@ class Sweep:
 
     def follow(self, choice: IntArray, tail_price: float) -> FloatArray:
         """Charge, failure and goal of a choice by a forward sweep of its mass, [3]."""
-        process, mass = (
-            self.process,
-            LayerMass(LayerRows.of(self.process.base), self.process.totals),
-        )
+        process, mass = self.process, self._begun_mass
         sums = [mass.follow(choice[k], process.charged(k)).tolist() for k in range(process.cap)]
         beyond = process.beyond(tail_price)
         sums.append([float((mass.left[: len(each)] * each).sum()) for each in beyond])
         return np.array([fsum(each) for each in zip(*sums, strict=True)])
 
+    @property
+    def _begun_mass(self) -> LayerMass:
+        """The mass of the sweep's first layer, to be followed forwards."""
+        return LayerMass(LayerRows.of(self.process.base), self.process.totals)
+
     def mass_beyond(self, choice: IntArray) -> FloatArray:
         """Mass of a choice that gets beyond the cap, by a forward sweep, [layers beyond, nodes]."""
-        base, mass = (
-            self.process.base,
-            LayerMass(LayerRows.of(self.process.base), self.process.totals),
-        )
+        base, mass = self.process.base, self._begun_mass
         for chosen in choice:
             mass.follow(chosen, PairCost(base.gain_cost))
         return mass.left
