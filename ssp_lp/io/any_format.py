@@ -20,7 +20,7 @@ Start = Hashable | Mapping[Hashable, float]
 _JSON, _ARCHIVE = (".json", ".json.gz"), ".npz"
 _STORM = (".prism", ".nm", ".pm", ".jani", ".umb")
 _READERS: dict[str, Callable[..., ModelFile]] = {
-    **{".drn": read_drn, ".drn.gz": read_drn, ".tra": read_prism},
+    **{".drn": read_drn, ".drn.gz": read_drn, ".drn.xz": read_drn, ".tra": read_prism},
     **dict.fromkeys(_STORM, read_with_storm),
 }
 """What reads a file whose goals are the states of one label, by the ending of its name."""
@@ -28,6 +28,7 @@ _READERS: dict[str, Callable[..., ModelFile]] = {
 _WRITERS: dict[str, Callable[..., None]] = {
     ".drn": write_drn,
     ".drn.gz": write_drn,
+    ".drn.xz": write_drn,
     ".tra": write_prism,
     ".prism": write_prism_program,
     ".jani": write_jani,

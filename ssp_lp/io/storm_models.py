@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import tarfile
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import MappingProxyType
 from typing import Any, cast
 
 import numpy as np
@@ -24,6 +26,7 @@ from ssp_lp.io.model_files.raw_model import (
     distinct_actions,
     exported,
     finished,
+    named_rewards,
 )
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
@@ -32,7 +35,8 @@ Constants = str | Mapping[str, Any]
 """What the constants of a program are, such as "N=5,p=0.1"."""
 
 _BEYOND = "_OutOfBoundsBit"
-"""Storm's variable of states that it adds where another variable is to leave its bounds."""
+"""Storm's variable of states that it adds where another variable is to leave its bounds; in a
+program that is explored again, underscores follow its name."""
 
 _REFUSALS = (RuntimeError, ValueError, IndexError, TypeError, OverflowError, MemoryError)
 """Errors of Storm arrive as errors of Python's own classes, too."""
@@ -71,8 +75,7 @@ def _ask_storm(source: object, call: Callable[..., Any], *arguments: Any, **opti
     try:
         return call(*arguments, **options)
     except (*_REFUSALS, stormpy.exceptions.StormError) as error:
-        hint = _AVERAGED if "Transition rewards are not supported" in str(error) else ""
-        raise ModelError(f"{source}: Storm refuses it: {error}{hint}") from error
+        raise ModelError(f"{source}: Storm refuses it: {error}") from error
     finally:
         log.set_log_level(level)
 
@@ -83,18 +86,20 @@ def read_with_storm(
 ) -> ModelFile:
     """Read a model through Storm: a program in PRISM's language, in JANI, or a UMB archive.
 
-    States are tuples of the values of their variables, in Storm's order; actions bear their
-    labels; the cost is that of :func:`~ssp_lp.io.from_stormpy`, PRISM's rewards of states and of
-    actions. JANI's rewards that differ between outcomes of an action are refused: Storm could
-    only average them.
+    States are tuples of the values of their variables, in Storm's order (in JANI followed by the
+    names of locations, where an automaton has several); actions bear their labels; costs are those
+    of :func:`~ssp_lp.io.from_stormpy`, PRISM's rewards of states and of actions. All rewards are
+    ``named_costs``, except those that Storm cannot build or that are negative somewhere. JANI's
+    rewards that differ between outcomes of an action cannot be built: Storm could only average
+    them.
 
     Args:
         path: the file; its ending says what it is: .prism, .nm and .pm PRISM's language, .jani, or
             .umb.
         goal: a label, or a condition on the variables such as "x=4 & !broken" (of an archive:
             on labels).
-        cost: the name of a reward model, or of a transient variable of JANI; None: the only one, or
-            1 for each action if there is none.
+        cost: the name of a reward model ("" for PRISM's without a name), or of a transient variable
+            of JANI; None: the only one, or 1 for each action if there is none.
         constants: values of the constants that the program leaves open, as text or by name.
 
     Returns:
@@ -124,6 +129,9 @@ def read_with_storm(
         )
     _check_kind(_ask_storm(file, getattr, program, "model_type").name, file)
     program, _ = _ask_storm(file, stormpy.instantiate_constants, program, constants or {})
+    if missing := [constant.name for constant in program.constants if not constant.defined]:
+        told = f"{file} has undefined constants: {', '.join(missing)}; give their values ("
+        raise ModelError(told, Argument("constants"), ")")
     return _explored_program(stormpy, file, program, goal, cost)
 
 
@@ -134,10 +142,10 @@ def _explored_program(
 
     def asked(source: str, text: str) -> Any:
         """One property of the program."""
-        known = _ask_storm(source, stormpy.parse_properties, text, program)
-        if len(known) != 1:
-            raise ModelError(f"{source}: one condition, not {len(known)}")
-        return known[0]
+        parsed = _ask_storm(source, stormpy.parse_properties, text, program)
+        if len(parsed) != 1:
+            raise ModelError(f"{source}: one condition, not {len(parsed)}")
+        return parsed[0]
 
     labels = [label.name for label in getattr(program, "labels", ())]  # JANI's are variables
     listed = f" (labels: {', '.join(map(repr, labels))})" if labels else ""
@@ -145,19 +153,25 @@ def _explored_program(
     formula = asked(f"{file}, goal {goal!r}{listed}", quoted)
     # a condition that stands alone would have Storm explore no further than where it holds
     wanted = [formula, asked(str(file), "true")]
-    if cost not in (None, FIRST_COST):
-        reward = f'R{{"{cost}"}}min=? [C]' if cost else "Rmin=? [C]"
-        wanted.append(asked(f"{file}, cost {cost!r}", reward))
-    options = _ask_storm(file, stormpy.BuilderOptions, wanted, program)
-    options.set_build_all_labels()
-    options.set_build_choice_labels()
-    options.set_build_state_valuations()
-    options.set_scale_and_lift_transition_rewards(False)
-    options.set_add_out_of_bounds_state()  # its own check would refuse 0.8 + 0.1 + 0.1
-    if cost in (None, FIRST_COST):
-        options.set_build_all_reward_models()
-    sparse = _ask_storm(file, stormpy.build_model, program, options=options)
-    answer = _model_of_storm(sparse, goal, formula, cost, str(file))
+    known = _reward_names(program)
+    place = chosen_reward(file, known, cost)
+
+    def built(rewards: list[str] | None) -> Any:
+        """Storm's sparse model with some rewards; None: all."""
+        formulas = [f'R{{"{name}"}}min=? [C]' if name else "Rmin=? [C]" for name in rewards or ()]
+        conditions = [*wanted, *(asked(str(file), text) for text in formulas)]
+        options = _ask_storm(file, stormpy.BuilderOptions, conditions, program)
+        options.set_build_all_labels()
+        options.set_build_choice_labels()
+        options.set_build_state_valuations()
+        options.set_scale_and_lift_transition_rewards(False)
+        options.set_add_out_of_bounds_state()  # its own check would refuse 0.8 + 0.1 + 0.1
+        if rewards is None:
+            options.set_build_all_reward_models()
+        return _ask_storm(file, stormpy.build_model, program, options=options)
+
+    sparse = _with_most_rewards(built, known, None if cost == FIRST_COST else place, program)
+    answer = _model_of_storm(sparse, goal, formula, cost, str(file), _bookkeeping(program))
     if _states_beyond(sparse).size:
         model = answer.model
         names = enumerate(model.states)
@@ -166,6 +180,77 @@ def _explored_program(
         where = model._describe_outcome(int(leading[0])) if leading.size else "a goal"
         raise ModelError(f"{file}, {where}: a variable leaves its bounds")
     return answer
+
+
+def _reward_names(program: Any) -> list[str]:
+    """Names of the rewards of Storm's program; those of JANI are its transient numbers."""
+    if hasattr(program, "reward_models"):
+        return sorted(reward.name for reward in program.reward_models)
+    numbers = [v for v in program.global_variables if v.is_transient]
+    return sorted(v.name for v in numbers if not v.expression_variable.has_boolean_type())
+
+
+def _with_most_rewards(
+    built: Callable[[list[str] | None], Any], names: list[str], place: int | None, program: Any
+) -> Any:
+    """Storm's model of a program with all rewards; where Storm refuses, with those that it builds.
+
+    Args:
+        built: builds the model with some rewards; None: with all.
+        names: of the rewards.
+        place: of the reward that must be there; None: no one must.
+        program: of stormpy.
+
+    Raises:
+        ModelError: Storm cannot build the reward that must be there, or the model.
+    """
+    try:
+        return built(None)
+    except ModelError:
+        kept = [] if place is None else [names[place]]
+    try:
+        sparse = built(kept)
+    except ModelError as error:
+        hint = _AVERAGED if kept and _differs_between_outcomes(program, kept[0]) else ""
+        raise ModelError(f"{error}{hint}") from error
+    for name in names:
+        if name not in kept:
+            with suppress(ModelError):
+                sparse = built([*kept, name])
+                kept.append(name)
+    return sparse
+
+
+def _differs_between_outcomes(program: Any, cost: str) -> bool:
+    """Whether a program in JANI assigns a variable differently at destinations of one edge."""
+
+    def paid(destination: Any) -> float | str:
+        """The value assigned at a destination; as text where it is no number."""
+        for each in destination.assignments:
+            if each.variable.name == cost:
+                value = each.expression
+                return str(value) if value.contains_variables() else value.evaluate_as_double()
+        return 0.0
+
+    automata = getattr(program, "automata", ())
+    edges = [edge for automaton in automata for edge in automaton.edges]
+    return any(len({paid(destination) for destination in edge.destinations}) > 1 for edge in edges)
+
+
+def _bookkeeping(program: Any) -> dict[str, list[str] | None]:
+    """Variables of states that Storm adds to those of a program in JANI.
+
+    Returns:
+        The names of the locations that they stand for; None: they distinguish no states.
+    """
+    added: dict[str, list[str] | None] = {}
+    automata = list(getattr(program, "automata", ()))
+    for variables in (getattr(program, "global_variables", ()), *(a.variables for a in automata)):
+        added |= {variable.name: None for variable in variables if variable.is_transient}
+    for automaton in automata:
+        places = [location.name for location in automaton.locations]
+        added[automaton.location_variable.name] = places if len(places) > 1 else None
+    return added
 
 
 @explained
@@ -204,7 +289,12 @@ def _label_formula(goal: str) -> Any:
 
 
 def _model_of_storm(
-    model: Any, goal: str, formula: Any, cost: str | None, source: str
+    model: Any,
+    goal: str,
+    formula: Any,
+    cost: str | None,
+    source: str,
+    added: Mapping[str, Sequence[str] | None] = MappingProxyType({}),
 ) -> ModelFile:
     """Make a model of Storm's whose goals are the states with a label, or those of a formula.
 
@@ -214,6 +304,7 @@ def _model_of_storm(
         formula: stormpy's property that says what the goal is; None: the label of its name.
         cost: as in :func:`from_stormpy`.
         source: where the model comes from, for errors.
+        added: variables that Storm added, with the names of their values; None: leave them out.
 
     Raises:
         ModelError: see :func:`from_stormpy`.
@@ -240,20 +331,18 @@ def _model_of_storm(
     if not model.transition_matrix.has_trivial_row_grouping:
         pair_offsets = np.array(model.nondeterministic_choice_indices, dtype=np.int64)
     state = np.repeat(np.arange(model.nr_states), np.diff(pair_offsets))
+    models = list(rewards.values()) or [None]
+    costs = [_costs_of_storm(reward, state, offsets, successors) for reward in models]
     raw = RawModel(
         pair_offsets=pair_offsets,
         outcome_offsets=offsets,
         successors=successors,
         probabilities=probabilities,
-        costs=_costs_of_storm(rewards.get(paid), state, offsets, successors),
-        named_costs={
-            name: _costs_of_storm(reward, state, offsets, successors)
-            for name, reward in rewards.items()
-            if name
-        },
+        costs=costs[place or 0],
+        named_costs=named_rewards(list(rewards), costs) if rewards else {},
         actions=_ask_storm(source, _action_names_of_storm, model, state, pair_offsets),
         labels=labels,
-        states=_ask_storm(source, _state_names_of_storm, model),
+        states=_ask_storm(source, _state_names_of_storm, model, added),
     )
     return finished(raw, goal, f"{source}, cost {paid!r}" if paid else source)
 
@@ -340,13 +429,24 @@ def _action_names_of_storm(
     return distinct_actions(names.tolist(), state)
 
 
-def _state_names_of_storm(model: Any) -> Sequence[Hashable] | None:
-    """Values of each state's variables, in Storm's order; None: they name no state."""
+def _state_names_of_storm(
+    model: Any, added: Mapping[str, Sequence[str] | None]
+) -> Sequence[Hashable] | None:
+    """Values of each state's variables, in Storm's order; None: they name no state.
+
+    Args:
+        model: of stormpy.
+        added: as in :func:`_model_of_storm`.
+    """
     if not model.has_state_valuations():
         return None
     valuations = model.state_valuations
-    variables = [each for each in valuations.get_all_variables() if each.name != _BEYOND]
-    columns = [_values_of_variable(valuations, variable) for variable in variables]
+    columns = []
+    for variable in sorted(valuations.get_all_variables(), key=lambda each: each.name in added):
+        words = added.get(variable.name, ())
+        if variable.name.rstrip("_") != _BEYOND and words is not None:
+            values = _values_of_variable(valuations, variable)
+            columns.append([words[cast("int", value)] for value in values] if words else values)
     names: list[Hashable] = list(zip(*columns, strict=True))
     for state in _states_beyond(model).tolist():
         names[state] = _BEYOND, state  # what its variables show is another's
@@ -357,7 +457,7 @@ def _states_beyond(model: Any) -> IntArray:
     """States that Storm added where a variable is to leave its bounds, [members]."""
     valuations = model.state_valuations
     for variable in valuations.get_all_variables():
-        if variable.name == _BEYOND:
+        if variable.name.rstrip("_") == _BEYOND:
             return np.flatnonzero(np.array(_values_of_variable(valuations, variable)))
     return np.zeros(0, dtype=np.int64)
 

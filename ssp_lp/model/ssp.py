@@ -828,8 +828,8 @@ def _action_table(
         return range(most), position
     if len(actions) != n_pairs:
         raise ModelError(f"{len(actions)} action labels given for {n_pairs} pairs")
-    table: dict[Hashable, int] = {}
-    code = np.array([table.setdefault(a, len(table)) for a in actions], dtype=np.int32)
+    table = {action: k for k, action in enumerate(dict.fromkeys(actions))}
+    code = np.fromiter(map(table.__getitem__, actions), np.int32, n_pairs)
     state = np.repeat(np.arange(len(pair_offsets) - 1), np.diff(pair_offsets))
     order = np.lexsort((code, state))
     again = (np.diff(state[order]) == 0) & (np.diff(code[order]) == 0)

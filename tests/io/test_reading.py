@@ -37,6 +37,7 @@ def kept(name):
     ("name", "way"),
     [(name, way) for name in MODELS for way in ENDINGS]
     + [(name, f"{way}.gz") for name in ("first", "awkward") for way in ("json", "drn")]
+    + [("first", "drn.xz")]
     + [(name, way) for name in ("first", "awkward", "alone") for way in ("stormpy", "storm.drn")],
 )
 def test_whatever_is_written_is_read_again(name, way, tmp_path):

@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 from array import array
 from collections.abc import Hashable, Iterable, Iterator, Sequence
-from itertools import chain, count
+from dataclasses import dataclass, field
+from itertools import chain, compress, count, takewhile
+from operator import methodcaller
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,6 +27,8 @@ from ssp_lp.io.model_files.raw_model import (
     distinct_actions,
     exported,
     finished,
+    named_rewards,
+    write_archive,
     write_text,
 )
 from ssp_lp.model import SSP
@@ -45,13 +49,17 @@ _SECTIONS = {
 their own below their names."""
 
 _ENTRY = re.compile(r"(state|action)\s+([^\s\[]+)\s*(?:\[([^\]]*)\])?\s*(.*)")
+_ENTRIES = re.compile(r"\n[ \t]*(state|action)[ \t]+([^\s\[]+)[ \t]*(?:\[([^\]\n]*)\])?[ \t]*(.*)")
+"""A line of a state or an action, and all such lines of a block of the file."""
+
+_COLONS, _COMMAS = methodcaller("count", ":"), methodcaller("count", ",")
 _LABEL = re.compile(r'"([^"]*)"|(\S+)')
 _NO_NAME = "__NOLABEL__"
 
 
 @explained
 def read_drn(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFile:
-    """Read a model from a DRN file of Storm, plain or gzip.
+    """Read a model from a DRN file of Storm, plain or packed as Storm packs it (or by gzip alone).
 
     The cost of an action is its reward plus that of its state. Actions of goal states are dropped,
     and of states with the label "deadlock" that no action leaves: they are dead-ends. Other labels
@@ -96,11 +104,129 @@ def _drn_header(file: TextFile, lines: Iterator[str]) -> dict[str, str]:
         if name not in _SECTIONS:
             raise file.fault(f"{name[:60]!r} is no section that can be read")
         pattern, complaint = _SECTIONS[name]
-        value = value if name in ("@type", "@value_type") else next(lines, "")
-        sections[name] = value = value.strip()
+        value = value.strip() if name in ("@type", "@value_type") else next(lines, "")
+        sections[name] = value
+        if name == "@reward_models":
+            sections[name] = file.text.rstrip("\n")  # a reward without a name is a blank more
         if not re.fullmatch(pattern, value):
             raise file.fault(complaint.format(name=name, value=value[:60]))
     raise file.fault("the file ends before @model")
+
+
+@dataclass
+class _Entries:
+    """Lines of a DRN file below its header: states and actions in their order, and transitions."""
+
+    file: TextFile
+    n_rewards: int
+    n_states: int
+    is_action: array[int] = field(default_factory=lambda: array("b"))  # [entries]
+    n_outcomes: array[int] = field(default_factory=lambda: array("q"))  # [entries]
+    rewards: array[float] = field(default_factory=lambda: array("d"))  # [entries, rewards or 1]
+    successors: array[int] = field(default_factory=lambda: array("q"))  # [outcomes]
+    probabilities: array[float] = field(default_factory=lambda: array("d"))  # [outcomes]
+    names: list[str] = field(default_factory=list)  # [actions]
+    labels: dict[str, list[int]] = field(default_factory=dict)
+    states_read: int = 0
+    is_rewarded: bool = False
+
+    def add_lines(self, block: str) -> None:
+        """Add a block line by line, however it is written.
+
+        Raises:
+            ModelError: naming the line at fault.
+        """
+        for raw_line in block.splitlines():
+            self.file.number += 1
+            line = raw_line.strip()
+            match = _ENTRY.fullmatch(line)
+            if match is not None:
+                self._add_entry(*match.groups())
+            elif line[:1].isdigit():
+                if not self.is_action or not self.is_action[-1]:
+                    raise self.file.fault("it stands before any state or action that it belongs to")
+                successor, probability = _drn_transition(line, self.file, self.n_states)
+                self.successors.append(successor)
+                self.probabilities.append(probability)
+                self.n_outcomes[-1] += 1
+            elif line:
+                raise self.file.fault("neither a state nor an action nor a transition")
+
+    def _add_entry(self, kind: str, name: str, listed: str | None, rest: str) -> None:
+        """Add the line of a state or an action."""
+        is_action = kind == "action"
+        if is_action and not self.states_read:
+            raise self.file.fault("it stands before any state that it belongs to")
+        if not is_action and name != str(self.states_read):
+            raise self.file.fault(f"state {self.states_read} should come here")
+        paid = _listed_rewards(listed, self.n_rewards, self.file)
+        self.is_rewarded |= bool(paid)
+        self.rewards.extend(paid or [0.0] * max(self.n_rewards, 1))
+        self.is_action.append(is_action)
+        self.n_outcomes.append(0)
+        if is_action:
+            self.names.append(name)
+        else:
+            self._add_labels(self.states_read, rest)
+            self.states_read += 1
+
+    def _add_labels(self, state: int, listed: str) -> None:
+        """Add a state's labels."""
+        for label in _labels_of_line(listed, self.file):
+            self.labels.setdefault(label, []).append(state)
+
+    def add_block(self, block: str) -> bool:
+        """Add a block of many lines at once, written as Storm writes them.
+
+        Returns:
+            Whether it is added; if not, it is written otherwise, or wrong.
+        """
+        lines = "\n" + block.rstrip()  # comments, such as Storm's on states, leave empty ones
+        pieces = _ENTRIES.split(re.sub("\n+", "\n", lines) if "\n\n" in lines else lines)
+        moves, kinds, names, listed, rests = (pieces[k::5] for k in range(5))
+        is_action = [kind == "action" for kind in kinds]
+        is_state = [kind == "state" for kind in kinds]
+        nothing = ",".join(["0"] * max(self.n_rewards, 1))
+        rewards = [each or nothing for each in listed]
+        first, sizes = self.states_read, [*map(_COLONS, moves)]
+        numbers = range(first, first + sum(is_state))
+        text, paid, n_moves = "".join(moves), ",".join(rewards), sum(sizes)
+        words = text.replace(":", " : ").split()
+        ends = words[::3]
+        follows = self.is_action or (kinds[:1] == ["state"] and not sizes[0])
+        if (
+            not follows or (sizes[0] and not self.is_action[-1])
+            or any(compress(sizes[1:], is_state))  # transitions belong to actions
+            or [*compress(names, is_state)] != [*map(str, numbers)]
+            or (rewards and paid.count(",") + 1 != max(self.n_rewards, 1) * len(rewards))
+            or (self.n_rewards > 1 and len({*map(_COMMAS, rewards)}) > 1)
+            or len(words) != 3 * n_moves or words[1::3].count(":") != n_moves
+            or text.count("\n") != n_moves or not (n_moves == 0 or "".join(ends).isdigit())
+            or "_" in text + paid or not (text + paid).isascii()
+        ):  # fmt: skip
+            return False
+        try:
+            probabilities = array("d", map(float, words[2::3]))
+            costs = array("d", map(float, paid.split(",") if paid else ()))
+        except ValueError:
+            return False
+        successors = np.fromstring(" ".join(ends), np.int64, sep=" ")
+        if successors.max(initial=0) >= self.n_states:
+            return False
+        if sizes[0]:
+            self.n_outcomes[-1] += sizes[0]
+        self.n_outcomes += array("q", sizes[1:])
+        self.is_action += array("b", is_action)
+        self.successors.frombytes(successors.tobytes())
+        self.probabilities += probabilities
+        self.is_rewarded |= any(listed)
+        self.rewards += costs
+        self.names += compress(names, is_action)
+        for state, rest in zip(numbers, compress(rests, is_state), strict=True):
+            if rest:
+                self._add_labels(state, rest)
+        self.states_read += len(numbers)
+        return True
 
 
 def _drn_body(
@@ -111,69 +237,48 @@ def _drn_body(
     Raises:
         ModelError: naming the line at fault, or no cost of this name.
     """
-    rewards = [word.strip('"') for word in header.get("@reward_models", "").split()]
-    column = chosen_reward(file.path, rewards, cost)  # "" is Storm's model without a name
+    rewards = _drn_reward_names(header.get("@reward_models", ""))
+    place = chosen_reward(file.path, rewards, cost)
     n_states, n_choices = int(header["@nr_states"]), int(header.get("@nr_choices", -1))
-    pair_counts, outcome_counts, successors = array("q"), array("q"), array("q")
-    state_rewards, pair_rewards, probabilities = array("d"), array("d"), array("d")
-    names: list[str] = []
-    labels: dict[str, list[int]] = {}
-    width, is_rewarded = max(len(rewards), 1), column is not None
-    for line in filter(None, lines):
-        if line[0].isdigit():
-            if not pair_counts or not pair_counts[-1]:
-                raise file.fault("it stands before any state or action that it belongs to")
-            successor, probability = _drn_transition(line, file, n_states)
-            successors.append(successor)
-            probabilities.append(probability)
-            outcome_counts[-1] += 1
-            continue
-        match = _ENTRY.fullmatch(line)
-        if match is None:
-            raise file.fault("neither a state nor an action nor a transition")
-        kind, name, listed, rest = match.groups()
-        paid = _listed_rewards(listed, len(rewards), file)
-        is_rewarded |= bool(paid)
-        if kind == "state":
-            if name != str(len(pair_counts)):
-                raise file.fault(f"state {len(pair_counts)} should come here")
-            for label in _labels_of_line(rest, file):
-                labels.setdefault(label, []).append(len(pair_counts))
-            state_rewards.extend(paid or [0.0] * width)
-            pair_counts.append(0)
-        elif pair_counts:
-            pair_rewards.extend(paid or [0.0] * width)
-            names.append(name if name != _NO_NAME else str(pair_counts[-1]))
-            pair_counts[-1] += 1
-            outcome_counts.append(0)
-        else:
-            raise file.fault("it stands before any state that it belongs to")
-    if n_states != len(pair_counts) or n_choices not in (-1, len(names)):
+    read = _Entries(file, len(rewards), n_states)
+    file.in_blocks = True
+    for block in lines:
+        if not read.add_block(block):
+            read.add_lines(block)
+    if n_states != read.states_read or n_choices not in (-1, len(read.names)):
         stated = f"{n_states} states" + f" and {n_choices} choices" * (n_choices >= 0)
-        there = f"{len(pair_counts)} and {len(names)}"
+        there = f"{read.states_read} and {len(read.names)}"
         raise file.fault(f"the header says {stated}, the file has {there}")
-    counts, sizes = np.array(pair_counts), np.array(outcome_counts)
-    state = np.repeat(np.arange(n_states), counts)
-    listed_costs = _drn_costs(pair_rewards, state_rewards, state, width)
-    costs = [np.repeat(c, sizes) for c in (listed_costs if is_rewarded else [np.ones(len(names))])]
+    is_action = np.array(read.is_action, dtype=np.bool_)
+    state = (np.cumsum(~is_action) - 1)[is_action]
+    sizes = np.array(read.n_outcomes)[is_action]
+    counts = np.bincount(state, minlength=n_states)
+    paid = np.reshape(read.rewards, (is_action.size, -1))
+    of_pairs, of_states = paid[is_action].T, paid[~is_action][state].T
+    listed = [decimal_sum(*each) for each in zip(of_pairs, of_states, strict=True)]
+    is_rewarded = read.is_rewarded or place is not None
+    costs = [np.repeat(c, sizes) for c in (listed if is_rewarded else [np.ones(state.size)])]
+    offsets, names = offsets_of(counts), read.names
+    if _NO_NAME in names:
+        positions = (np.arange(state.size) - offsets[state]).tolist()
+        numbered = zip(names, positions, strict=True)
+        names = [str(position) if name == _NO_NAME else name for name, position in numbered]
     return RawModel(
-        pair_offsets=offsets_of(counts),
+        pair_offsets=offsets,
         outcome_offsets=offsets_of(sizes),
-        successors=np.array(successors),
-        probabilities=np.array(probabilities),
-        costs=costs[column or 0],
-        named_costs={name: c for name, c in zip(rewards, costs, strict=False) if name},
+        successors=np.array(read.successors),
+        probabilities=np.array(read.probabilities),
+        costs=costs[place or 0],
+        named_costs=named_rewards(rewards, costs) if rewards else {},
         actions=distinct_actions(names, state),
-        labels={name: np.array(at, dtype=np.int64) for name, at in labels.items()},
+        labels={name: np.array(at, dtype=np.int64) for name, at in read.labels.items()},
     )
 
 
-def _drn_costs(
-    pair_rewards: array[float], state_rewards: array[float], state: IntArray, width: int
-) -> list[FloatArray]:
-    """Each cost of the pairs, [pairs]: the action's reward plus its state's, of so many models."""
-    of_pairs, of_states = (np.reshape(r, (-1, width)) for r in (pair_rewards, state_rewards))
-    return [decimal_sum(*each) for each in zip(of_pairs.T, of_states[state].T, strict=True)]
+def _drn_reward_names(listed: str) -> list[str]:
+    """Names of reward models, each with a blank behind it as Storm writes them: one may be ""."""
+    names = [word.strip('"') for word in re.split("[ \t]", listed.removesuffix(" "))]
+    return names if names.count("") == 1 < len(names) else list(filter(None, names))
 
 
 def _drn_transition(line: str, file: TextFile, n_states: int) -> tuple[int, float]:
@@ -207,7 +312,7 @@ def _labels_of_line(text: str, file: TextFile) -> dict[str, None]:
 
 @explained
 def write_drn(model: SSP, path: FilePath, *, start: Hashable) -> None:
-    """Write a model as a DRN file for Storm; gzip if the name ends in .gz.
+    """Write a model as a DRN file for Storm; packed for it if the name ends in .gz or .xz.
 
     State k of the file is the k-th of ``model.states``. Each cost is an action reward, the model's
     own first, called "cost" where it has no name.
@@ -225,7 +330,7 @@ def write_drn(model: SSP, path: FilePath, *, start: Hashable) -> None:
     Raises:
         ModelError: the start is no state, or a label cannot be written.
     """
-    write_text(path, _drn_text(exported(model, start)))
+    write_archive(path, _drn_text(exported(model, start)))
 
 
 def _drn_text(process: Exported) -> Iterator[str]:
@@ -248,7 +353,7 @@ def _drn_text(process: Exported) -> Iterator[str]:
             yield f"\t\t{successor} : {chance!r}\n"
 
 
-_COMMENT, _NO_COMMENT = r"^#.*", r"(?!)"
+_COMMENT, _NO_COMMENT = r'^\s*#.*|\s#[^"]*$', r"(?!)"
 _NUMBERED = re.compile(r'(\d{1,9})="([^"]*)"', re.ASCII)
 _STRUCTURE = re.compile(r'#\s*Reward structure\s*"([^"]*)"')
 _TRUTH = {"true": True, "false": False}
@@ -259,16 +364,17 @@ def read_prism(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFi
     """Read a Markov decision process or Markov chain from PRISM's explicit files.
 
     The files are ``path.tra`` and ``path.lab``; where they are there, ``path.sta``, which names
-    the states; and rewards, ``path.srew`` and ``path.trew``, or ``path1.srew`` and so on for
-    several structures. Each may be gzip, with a further .gz. The cost of an outcome is the reward
+    the states; and rewards, ``path.srew`` and ``path.trew``, or else ``path1.srew`` and so on, up
+    to the first number that is missing or has a .tra of its own. Each may be gzip, with a further
+    .gz. Lines that begin with # are comments. The cost of an outcome is the reward
     of its transition plus that of its state. Actions of goal states are dropped, and of states
     with the label "deadlock" that no action leaves: they are dead-ends.
 
     Args:
         path: the path of the files without an ending, or that of the .tra file.
         goal: the label of the goal states.
-        cost: the name of a reward structure; None: the only one, or 1 for each action if there is
-            none.
+        cost: the name of a reward structure, "" for one without a name; None: the only one, or 1
+            for each action if there is none.
 
     Returns:
         The model and its initial states: those with the label "init", or state 0.
@@ -301,7 +407,8 @@ def read_prism(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFi
         first = zip(order[firsts].tolist(), choice[firsts].tolist(), strict=True)
         names = distinct_actions([table.names[k] or str(number) for k, number in first], owner)
     rewards, states = _reward_files(base), _existing(base, ".sta")
-    place = chosen_reward(base, list(rewards.values()), cost)
+    titles = [*map(_reward_name, rewards)]
+    place = chosen_reward(base, titles, cost)
     costs = [_costs(*files, n_states, keys) for files in rewards] or [np.ones(len(keys))]
     raw = RawModel(
         pair_offsets=offsets_of(np.bincount(owner, minlength=n_states)),
@@ -309,7 +416,7 @@ def read_prism(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFi
         successors=keys[:, -1],
         probabilities=table.values[order],
         costs=costs[place or 0],
-        named_costs={n: c for n, c in zip(rewards.values(), costs, strict=False) if n},
+        named_costs=named_rewards(titles, costs) if titles else {},
         actions=names,
         labels={"init": np.zeros(1, dtype=np.int64)} | _read_labels(labels, n_states),
         states=None if states is None else _read_states(states, n_states),
@@ -372,7 +479,7 @@ def _read_labels(path: Path, n_states: int) -> dict[str, IntArray]:
         ModelError: naming the line at fault.
     """
     file = TextFile(path, _COMMENT)
-    lines = file.lines()
+    lines = filter(None, file.lines())
     line = next(lines, "")
     names = dict(_NUMBERED.findall(line))
     if not names or _NUMBERED.sub("", line).strip():
@@ -388,7 +495,7 @@ def _read_labels(path: Path, n_states: int) -> dict[str, IntArray]:
 
 def _entries(file: TextFile, lines: Iterator[str], n_states: int) -> Iterator[tuple[int, str]]:
     """Lines ``state: ...`` of PRISM's explicit files, taken apart."""
-    for line in filter(None, lines):
+    for line in lines:
         state, colon, listed = line.partition(":")
         if not colon or not WHOLE.fullmatch(state) or not 0 <= int(state) < n_states:
             raise file.fault(f"the line must begin with a state, 0 to {n_states - 1}, and a colon")
@@ -405,7 +512,7 @@ def _read_states(path: Path, n_states: int) -> Sequence[Hashable] | None:
         ModelError: naming the line at fault.
     """
     file = TextFile(path, _COMMENT)
-    lines = file.lines()
+    lines = filter(None, file.lines())
     variables = next(lines, "").strip("()").split(",")
     states: list[Hashable] = [None] * n_states
     for state, listed in _entries(file, lines, n_states):
@@ -421,17 +528,37 @@ def _read_states(path: Path, n_states: int) -> Sequence[Hashable] | None:
     return None if all(s == (k,) for k, s in enumerate(states)) else states
 
 
-def _reward_files(base: Path) -> dict[tuple[Path | None, Path | None], str | None]:
-    """The files of each reward structure, of states and of transitions, and its name."""
-    known: dict[tuple[Path | None, Path | None], str | None] = {}
+def _reward_files(base: Path) -> list[tuple[Path | None, Path | None]]:
+    """The files of each reward structure, of states and of transitions.
+
+    They are one pair without a number, or else those from 1 up to the first gap; a number with
+    transitions of its own is another model's.
+    """
+    found = []
     for number in chain(("",), map(str, count(1))):
         files = _existing(base, f"{number}.srew"), _existing(base, f"{number}.trew")
-        if (named := files[1] or files[0]) is not None:
-            match = _STRUCTURE.match(next(TextFile(named, _NO_COMMENT).lines(), ""))
-            known[files] = match[1] if match else None
-        elif number not in ("", "1"):
+        if number and (files == (None, None) or _existing(base, f"{number}.tra")):
             break
-    return known
+        if files != (None, None):
+            found.append(files)
+            if not number:
+                break
+    return found
+
+
+def _reward_name(files: tuple[Path | None, Path | None]) -> str:
+    """The name of a reward structure in the comments of its files, "" where it has none.
+
+    Raises:
+        ModelError: the two files name different ones.
+    """
+    names = set()
+    for path in filter(None, files):
+        heading = takewhile(lambda line: line[:1] in ("", "#"), TextFile(path, _NO_COMMENT).lines())
+        names |= {match[1] for match in map(_STRUCTURE.match, heading) if match}
+    if len(names) > 1:
+        raise ModelError(f"{files[0]} and {files[1]} name different reward structures")
+    return "".join(names)
 
 
 def _costs(

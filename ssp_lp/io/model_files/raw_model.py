@@ -6,7 +6,11 @@ Text files have an entry per line, plain or gzip; errors name the file and the l
 from __future__ import annotations
 
 import gzip
+import io
+import lzma
 import re
+import tarfile
+import zipfile
 import zlib
 from collections import Counter
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
@@ -16,8 +20,9 @@ from fractions import Fraction
 from itertools import pairwise
 from os import PathLike
 from pathlib import Path
+from tempfile import TemporaryFile
 from types import MappingProxyType
-from typing import NamedTuple, TextIO
+from typing import IO, Any, NamedTuple, TextIO
 
 import numpy as np
 
@@ -31,26 +36,67 @@ FilePath = str | PathLike[str]
 _LONGEST_LINE = 1 << 24
 """Characters of a line beyond which a file is taken for no text at all."""
 
-_GZIP = b"\x1f\x8b"
+_BLOCK = 1 << 18
+"""Characters of a file read at a time where lines are not read one by one."""
+
+_GZIP, _XZ, _ZIP = b"\x1f\x8b", b"\xfd7", b"PK"  # the first two bytes of packed files
 _GZIP_LEVEL = 6  # the usual compromise of size and time; 9 takes several times as long
 WHOLE = re.compile(r"-?\d{1,18}", re.ASCII)  # of 64 bits
+
+_BROKEN = (
+    UnicodeDecodeError, EOFError, gzip.BadGzipFile, zlib.error, lzma.LZMAError, tarfile.TarError,
+    zipfile.BadZipFile, NotImplementedError,
+)  # fmt: skip
+"""Errors of a file that is no text, or packed in a way that cannot be undone."""
 
 
 @contextmanager
 def opened_text(path: Path, what: str = "text") -> Iterator[TextIO]:
-    """A text file of a model, plain or gzip, opened to be read.
+    """A text file of a model, opened to be read.
+
+    It may be plain, packed by gzip or xz, or the only file of an archive as Storm packs its models
+    (tar, packed or not, or zip).
 
     Raises:
-        ModelError: no UTF-8, or a broken gzip file.
+        ModelError: no UTF-8, a broken packed file, or an archive of several files.
         OSError: the file cannot be opened.
     """
-    with path.open("rb") as stream:
-        packed = stream.read(2) == _GZIP
-    with (gzip.open if packed else open)(path, "rt", encoding="utf-8") as file:
-        try:
+    try:
+        with _unpacked(path) as stream, io.TextIOWrapper(stream, encoding="utf-8") as file:
             yield file
-        except (UnicodeDecodeError, EOFError, gzip.BadGzipFile, zlib.error) as error:
-            raise ModelError(f"{path} is no {what}: {error}") from error
+    except _BROKEN as error:
+        raise ModelError(f"{path} is no {what}: {error}") from error
+
+
+@contextmanager
+def _unpacked(path: Path) -> Iterator[IO[bytes]]:
+    """The bytes of a model's text file, taken out of what they are packed in."""
+    with path.open("rb") as plain:
+        packing = plain.read(2)
+    if packing == _ZIP:
+        with zipfile.ZipFile(path) as archive:
+            files = [m for m in archive.infolist() if not (m.is_dir() or m.flag_bits & 1)]
+            _check_single(len(files), path)
+            with archive.open(files[0]) as member:
+                yield member
+        return
+    opener: Any = {_GZIP: gzip.open, _XZ: lzma.open}.get(packing, open)
+    with opener(path, "rb") as stream:
+        is_tar = stream.read(tarfile.BLOCKSIZE)[257:262] == b"ustar"
+        stream.seek(0)
+        if not is_tar:
+            yield stream
+            return
+        with tarfile.open(fileobj=stream, mode="r:") as tar:
+            members = [m for m in tar if m.isfile()]
+            _check_single(len(members), path)
+            yield tar.extractfile(members[0]) or stream
+
+
+def _check_single(n_files: int, path: Path) -> None:
+    """Raise :class:`ModelError` unless an archive holds one file that can be read."""
+    if n_files != 1:
+        raise ModelError(f"{path}: an archive must hold one file that can be read, not {n_files}")
 
 
 class TextFile:
@@ -58,22 +104,29 @@ class TextFile:
 
     def __init__(self, path: FilePath, comment: str) -> None:
         """Name a file; ``comment`` is a pattern of what is left out of its lines."""
-        self.path, self.number = Path(path), 0
-        self._comment = re.compile(comment)
+        self.path, self.number, self.text = Path(path), 0, ""  # the text that was last read
+        self.in_blocks = False  # whether ``lines`` gives the rest as blocks of many whole lines
+        self._comment = re.compile(comment, re.MULTILINE)
 
     def lines(self) -> Iterator[str]:
         """Lines of a model's text file without comments and outer spaces.
+
+        Once ``in_blocks`` is set, blocks of many whole lines without comments; ``number`` is then
+        the number of lines before the block.
 
         Raises:
             ModelError: a line without end, no UTF-8, or a broken gzip file.
             OSError: the file cannot be opened.
         """
         with opened_text(self.path) as file:
-            while line := file.readline(_LONGEST_LINE):
-                self.number += 1
-                if len(line) == _LONGEST_LINE:
+            while text := file.read(_BLOCK * self.in_blocks) + file.readline(_LONGEST_LINE):
+                start = self.number
+                self.number += not self.in_blocks
+                if len(text) >= _LONGEST_LINE:
                     raise self.fault("the line is too long for a model")
-                yield self._comment.sub("", line).strip()
+                self.text = self._comment.sub("", text)
+                yield self.text if self.in_blocks else self.text.strip()
+                self.number = start + text.count("\n")
 
     def fault(self, complaint: str) -> ModelError:
         """The error that names a model's text file and the line last read."""
@@ -106,16 +159,38 @@ def write_text(path: FilePath, pieces: Iterable[str]) -> None:
             plain.writelines(pieces)
 
 
+def write_archive(path: FilePath, pieces: Iterable[str]) -> None:
+    """Write a model's text file; packed as Storm reads it where the name ends in .gz or .xz.
+
+    That is a tar archive with this one file.
+    """
+    place = Path(path)
+    if place.suffix not in (".gz", ".xz"):
+        write_text(path, pieces)
+        return
+    with TemporaryFile() as text:  # an archive states the size before the text
+        text.writelines(piece.encode() for piece in pieces)
+        member = tarfile.TarInfo(place.stem)
+        member.size = text.tell()
+        text.seek(0)
+        is_gzip = place.suffix == ".gz"
+        with (
+            gzip.open(place, "wb", _GZIP_LEVEL) if is_gzip else lzma.open(place, "wb") as packed,
+            tarfile.open(fileobj=packed, mode="w:") as archive,
+        ):
+            archive.addfile(member, text)
+
+
 FIRST_COST = "*"
 """The name of whichever cost comes first, where a model is looked at and nothing is minimised."""
 
 
-def chosen_reward(source: object, names: Sequence[str | None], cost: str | None) -> int | None:
+def chosen_reward(source: object, names: Sequence[str], cost: str | None) -> int | None:
     """Position of the reward model that is the cost; None: there is none at all.
 
     Args:
         source: for errors.
-        names: of the reward models.
+        names: of the reward models; "" for one without a name.
         cost: the name; None: the only one; ``FIRST_COST``.
 
     Raises:
@@ -132,6 +207,16 @@ def chosen_reward(source: object, names: Sequence[str | None], cost: str | None)
     choices = ", ".join(map(repr, names)) or "none"
     message = f"{source}: {said}choose one of the reward models ("
     raise ModelError(message, Argument("cost"), f"): {choices}")
+
+
+def named_rewards(names: Sequence[str], costs: Sequence[FloatArray]) -> dict[str, FloatArray]:
+    """Costs of the reward models by name, where the name belongs to one alone.
+
+    A reward model without a name is "" beside others; where it is the only one it has no name.
+    """
+    return {
+        n: c for n, c in zip(names, costs, strict=True) if names.count(n) == 1 and names != [""]
+    }
 
 
 INITIAL, DEADLOCK, PAYING = "init", "deadlock", "paying"
@@ -188,7 +273,8 @@ def without_paying_states(raw: RawModel, goals: IntArray) -> RawModel:
     def whole(costs: FloatArray) -> FloatArray:
         """A cost of outcomes with what the state behind it pays, [outcomes]."""
         rest = np.where(through, costs[firsts[raw.successors]], 0.0)
-        return decimal_sum(costs, rest, raw.exact_costs)
+        least = np.minimum(costs, rest)  # a negative one is not hidden by the sum
+        return np.where(least < 0.0, least, decimal_sum(costs, rest, raw.exact_costs))
 
     moved = raw._replace(
         successors=np.where(through, raw.successors[firsts[raw.successors]], raw.successors),
@@ -289,7 +375,9 @@ def absorbed(raw: RawModel, goals: IntArray, idle: IntArray, source: str) -> SSP
     leaves[from_state[(raw.successors != from_state) & (raw.probabilities != 0.0)]] = True
     acts[idle] = leaves[idle]
     acts[goals] = False
-    parts = _with_pairs(raw, acts[state])._asdict()
+    raw = _with_pairs(raw, acts[state])
+    named = {n: c for n, c in raw.named_costs.items() if (c >= 0.0).all() and np.isfinite(c).all()}
+    parts = raw._replace(named_costs=named)._asdict()
     states = range(acts.size) if raw.states is None else raw.states
     labels = {name: [states[i] for i in at.tolist()] for name, at in parts.pop("labels").items()}
     try:
@@ -302,9 +390,9 @@ def absorbed(raw: RawModel, goals: IntArray, idle: IntArray, source: str) -> SSP
 
 def distinct_actions(names: Sequence[str], pair_state: IntArray) -> Sequence[str]:
     """Action names of a raw model, distinct in each state: a repeat gets a number, [pairs]."""
-    table: dict[str, int] = {}
-    code = np.array([table.setdefault(name, len(table)) for name in names], dtype=np.int64)
-    if np.unique(pair_state * len(table) + code).size == code.size:
+    table = {name: k for k, name in enumerate(dict.fromkeys(names))}
+    code = np.fromiter(map(table.__getitem__, names), np.int64, len(names))
+    if np.diff(np.sort(pair_state * len(table) + code)).all():
         return names
     taken, counts = set(zip(pair_state.tolist(), names, strict=True)), Counter[tuple[int, str]]()
     distinct = []

@@ -3,6 +3,7 @@
 import gzip
 import io
 import json
+import tarfile
 import zipfile
 from fractions import Fraction
 
@@ -12,6 +13,7 @@ import scipy.sparse as sp
 
 from checks import optima
 from formulations import MCMP
+from random_models import drawn_model
 from refusing import refused
 from small_models import AWKWARD, FIRST, model_of
 from ssp_lp import SSP, SSPError, solve
@@ -24,6 +26,7 @@ from ssp_lp.io import (
     save_model,
     write_drn,
 )
+from ssp_lp.io.model_files import explicit_files, raw_model
 from tests.campaigns.damaged_files import GOALS, READ, REFUSED, damaged, verdict
 
 ARRAYS = ("pair_offsets", "outcome_offsets", "successors", "probabilities", "costs", "goal_mask")
@@ -183,6 +186,106 @@ def test_an_error_in_a_drn_text_names_its_line(old, new, message, tmp_path):
     refused(message, read_drn, drn(tmp_path, DRN.replace(old, new, 1)), goal="done", cost="time")
 
 
+def in_archive(path, kind, text):
+    """Write texts as files of an archive in a folder."""
+    members = {"folder/model.drn": text} if isinstance(text, str) else text
+    if kind == "zip":
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, content in members.items():
+                archive.writestr(name, content)
+        return
+    with tarfile.open(path, f"w:{kind}") as archive:
+        folder = tarfile.TarInfo("folder")
+        folder.type = tarfile.DIRTYPE
+        archive.addfile(folder)
+        for name, content in members.items():
+            member = tarfile.TarInfo(name)
+            member.size = len(content.encode())
+            archive.addfile(member, io.BytesIO(content.encode()))
+
+
+@pytest.mark.parametrize("kind", ["gz", "xz", "", "zip"])
+def test_a_packed_drn_is_read_as_storm_packs_it(kind, tmp_path):
+    path, known = tmp_path / "m.drn.gz", read_drn(drn(tmp_path), goal="done", cost="time").model
+    in_archive(path, kind, DRN)
+    found = read_drn(path, goal="done", cost="time").model
+    assert all(np.array_equal(getattr(found, name), getattr(known, name)) for name in ARRAYS)
+    for members in ({}, {"a.drn": DRN, "b.drn": DRN}):
+        in_archive(path, kind, members)
+        refused("m.drn.gz: an archive must hold one file", read_drn, path, goal="done")
+    in_archive(path, kind, DRN)
+    content = path.read_bytes().rstrip(b"\0")
+    path.write_bytes(content[: len(content) // 2])
+    refused(r"m\.drn\.gz", read_drn, path, goal="done", cost="time")
+
+
+@pytest.mark.parametrize("ending", ["drn", "drn.gz", "drn.xz"])
+def test_storm_reads_the_drn_that_is_written(ending, tmp_path):
+    stormpy = pytest.importorskip("stormpy")
+    path = tmp_path / f"m.{ending}"
+    write_drn(FIRST, path, start="depot")
+    theirs, ours = stormpy.build_model_from_drn(str(path)), read_drn(path, goal="goal").model
+    assert theirs.nr_states == ours.n_states + 2  # two that only pay
+    assert optima(ours, 0, 0.05) == pytest.approx(optima(FIRST, "depot", 0.05), rel=1e-12)
+
+
+def test_a_reward_model_without_a_name_beside_others_in_drn(tmp_path):
+    """Storm puts a blank behind each name, also where the name is empty."""
+    for line, names in {
+        " coins ": ["", "coins"],
+        "time  ": ["time", ""],
+        "time coins ": [],
+    }.items():
+        path = drn(tmp_path, DRN.replace('time "coins"', line))
+        paid_by_each = [0.3, 0.3, 0.3, 1.1, 10.0], [6, 6, 6, 6, 7]
+        costs = dict(zip(names or ["time", "coins"], paid_by_each, strict=True))
+        for name, paid in costs.items():
+            model = read_drn(path, goal="done", cost=name).model
+            assert model.costs.tolist() == paid
+            assert {n: c.tolist() for n, c in model.named_costs.items()} == costs
+
+
+def test_blocks_of_drn_are_read_as_lines_are(tmp_path, monkeypatch):
+    """Blanks that Storm does not write have a block read line by line."""
+    model = drawn_model(3, 60)[0]
+    write_drn(model, path := tmp_path / "m.drn", start="s0")
+    text = path.read_text(encoding="utf-8")
+    head, body = text.split("@model\n")
+    spaced = head + "@model\n" + "\n".join(line + " \n" for line in body.splitlines())
+    for block, written in ((1 << 18, text), (64, text), (64, spaced), (1 << 18, spaced + "// end")):
+        monkeypatch.setattr(raw_model, "_BLOCK", block)
+        found = read_drn(drn(tmp_path, written), goal="goal").model
+        assert optima(found, 0, 0.5) == pytest.approx(optima(model, "s0", 0.5), rel=1e-12)
+        assert list(found.action_names) == list(map(str, model.action_names))
+        wrong = written.replace("state 40", "state 41", 1)
+        line = wrong[: wrong.index("state 41")].count("\n") + 1
+        refused(rf"line {line}: state 40 should come", read_drn, drn(tmp_path, wrong), goal="goal")
+
+
+def test_what_storm_writes_is_read_in_blocks(tmp_path, monkeypatch):
+    """Reading line by line takes three times as long."""
+    monkeypatch.delattr(explicit_files._Entries, "add_lines")
+    write_drn(drawn_model(3, 60)[0], path := tmp_path / "m.drn", start="s0")
+    assert read_drn(path, goal="goal").model.n_states == drawn_model(3, 60)[0].n_states
+    stormpy = pytest.importorskip("stormpy")
+    program = tmp_path / "m.prism"
+    program.write_text(
+        "mdp\nmodule m\n x : [0..9];\n [] x<9 -> 1/3:(x'=x+1)+2/3:true;\nendmodule\n"
+        'rewards "time"\n true : 1;\nendrewards\nrewards\n x=2 : 0.5;\nendrewards\n'
+        'label "end" = x=9;\n',
+        encoding="utf-8",
+    )
+    options = stormpy.BuilderOptions()
+    for name in ("all_labels", "all_reward_models", "state_valuations", "choice_labels"):
+        getattr(options, f"set_build_{name}")()
+    model = stormpy.build_model(stormpy.parse_prism_program(str(program)), options=options)
+    stormpy.io.export_to_drn(model, str(path))
+    assert "//[" in path.read_text(encoding="utf-8")
+    found = read_drn(path, goal="end", cost="")
+    assert set(found.model.named_costs) == {"time", ""}
+    assert solve(MCMP(found.model, found.start, 0.0)).objective == pytest.approx(1.5)
+
+
 def test_a_drn_cost_must_be_chosen(tmp_path):
     path = drn(tmp_path)
     refused(r"choose one of the reward models.*'time', 'coins'", read_drn, path, goal="done")
@@ -245,6 +348,85 @@ def test_a_prism_structure_is_chosen_by_name(tmp_path):
     refused(r"choose one .* 'time', 'coins'", read_prism, base, goal="done")
     for cost, paid in (("time", [3, 3, 3, 0, 0, 0]), ("coins", [0, 0, 0, 0, 0, 7])):
         assert read_prism(base, goal="done", cost=cost).model.costs.tolist() == paid
+
+
+IROBOT = {
+    "tra": "# Transitions (MDP)\n6 10 16\n0 0 1 0.1 south\n0 0 3 0.8 south\n0 0 4 0.1 south\n"
+    "0 1 0 0.4 east\n0 1 1 0.6 east\n1 0 2 0.5 south\n1 0 4 0.5 south\n1 1 2 1 east\n"
+    "2 0 2 1 stuck\n3 0 3 1 stuck\n4 0 3 0.6 west\n4 0 4 0.4 west\n4 1 5 1 north\n"
+    "5 0 2 0.9 east\n5 0 5 0.1 east\n5 1 5 1 stuck\n",
+    "lab": '# Labels\n0="init" 1="deadlock" 2="hazard" 3="goal1" 4="goal2"\n0: 0\n1: 2\n'
+    "2: 4\n3: 4\n5: 3\n",
+    "sta": "# States\n(s)\n0:(0)\n1:(1)\n2:(2)\n3:(3)\n4:(4)\n5:(5)\n",
+    "1.srew": '# Reward structure "time"\n# State rewards\n6 6\n0 1\n1 1\n2 1\n3 1\n4 1\n5 1\n',
+    "1.trew": '# Reward structure "time"\n# Transition rewards\n6 10 0\n',
+    "2.srew": "# Reward structure\n# State rewards\n6 0\n",
+    "2.trew": "# Reward structure\n# Transition rewards\n6 10 3\n0 0 1 2\n0 0 3 2\n0 0 4 2\n",
+    "3.srew": '# Reward structure "odd"\n# State rewards\n6 1\n0 -1\n',
+    "3.trew": '# Reward structure "odd"\n# Transition rewards\n6 10 0\n',
+}  # fmt: skip
+"""The robot of PRISM's tutorial as PRISM 4.10 exports it, with three reward structures."""
+
+
+def exported_by_prism(folder, stem="run", **changes):
+    for ending, text in (IROBOT | changes).items():
+        name = f"{stem}{ending}" if ending[0].isdigit() else f"{stem}.{ending}"
+        (folder / name).write_text(text, encoding="utf-8", newline="\n")
+    return folder / stem
+
+
+def test_the_files_that_prism_exports_are_read(tmp_path):
+    """By hand: time 2 to "goal2" from 0 by south 0.8 / 0.1 / 0.1; moving south first costs 2."""
+    base = exported_by_prism(tmp_path)
+    for cost in ("time", ""):
+        model = read_prism(base, goal="goal2", cost=cost).model
+        assert set(model.named_costs) == {"time", ""}  # "odd" is negative in state 0
+        assert [model.action_of(k) for k in range(4)] == ["south", "east", "south", "east"]
+        assert model.state_labels["hazard"].tolist() == [1]
+    time = solve(MCMP(read_prism(base, goal="goal2", cost="time").model, 0, 0.0)).objective
+    assert time == pytest.approx(1 + 0.1 * 1 + 0.1 / 0.6)
+    free = solve(MCMP(read_prism(base, goal="goal2", cost="").model, 0, 0.0)).objective
+    assert free == pytest.approx(0.0)  # east until 1
+    refused("choose one .* 'time', '', 'odd'", read_prism, base, goal="goal2")
+    refused("negative cost", read_prism, base, goal="goal2", cost="odd")
+
+
+def test_comments_stand_anywhere_in_prisms_files(tmp_path):
+    plain = read_prism(exported_by_prism(tmp_path), goal="goal2", cost="time").model
+    noisy = {
+        ending: "# x\n\n"
+        + text.replace("\n0", "\n\n  # 0 0 1\n0", 1).replace("\n3", "  # three\n3")
+        for ending, text in IROBOT.items()
+    }
+    again = read_prism(exported_by_prism(tmp_path, "noisy", **noisy), goal="goal2", cost="time")
+    for field in ARRAYS:
+        assert np.array_equal(getattr(again.model, field), getattr(plain, field))
+    assert list(again.model.named_costs) == list(plain.named_costs)
+
+
+def test_rewards_of_other_models_of_prism_are_left_alone(tmp_path):
+    base = exported_by_prism(tmp_path)
+    dear = {"1.srew": IROBOT["1.srew"].replace("0 1\n", "0 200\n")}
+
+    def costs(base):
+        """The costs of the first outcome by name; None: 1 for each action."""
+        named = read_prism(base, goal="goal2", cost="*").model.named_costs
+        return {name: float(paid[0]) for name, paid in named.items()} or None
+
+    assert costs(base) == {"time": 1.0, "": 2.0}
+    (tmp_path / "run2.tra").write_text("of another model", encoding="utf-8")
+    assert costs(base) == {"time": 1.0}
+    (tmp_path / "run1.tra.gz").write_text("of another model", encoding="utf-8")
+    assert costs(base) is None
+    gap = exported_by_prism(tmp_path, "gap", **dear)
+    for ending in ("srew", "trew"):
+        (tmp_path / f"gap2.{ending}").unlink()
+    assert costs(gap) == {"time": 200.0}
+    own = IROBOT["1.srew"].replace("time", "own")
+    (tmp_path / "gap.srew").write_text(own, encoding="utf-8")
+    assert costs(gap) == {"own": 1.0}
+    (tmp_path / "gap.trew").write_text(IROBOT["1.trew"], encoding="utf-8")
+    refused("name different reward structures", read_prism, gap, goal="goal2")
 
 
 def test_a_markov_chain_of_prism(tmp_path):

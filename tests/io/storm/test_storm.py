@@ -1,5 +1,6 @@
 """Storm's door: its programs and models read, ours given to it, and what it says of them."""
 
+import json
 import sys
 
 import pytest
@@ -9,8 +10,8 @@ from cases import load_case
 from formulations import MCMP, MaxProb
 from refusing import refused
 from small_models import FIRST
-from ssp_lp import SSP, MissingDependencyError, solve
-from ssp_lp.io import from_stormpy, read_with_storm, to_stormpy
+from ssp_lp import SSP, MissingDependencyError, secondary_cost, solve
+from ssp_lp.io import from_stormpy, read_any, read_with_storm, to_stormpy
 from ssp_lp.model.graph import dead_end_labels
 from storm_values import value
 from tests.campaigns.damaged_files import JANI
@@ -80,13 +81,14 @@ def test_a_goal_may_be_a_condition(goal, tmp_path):
     ("old", "new", "options", "message"),
     [
         ("", "", {"cost": None}, "choose one of the reward models .cost.: .*'coins', 'time'"),
-        ("", "", {"cost": "fuel"}, "unknown reward model 'fuel'"),
+        ("", "", {"cost": "fuel"}, "no reward model 'fuel'; choose .*'coins', 'time'"),
         ("", "", {"goal": "doen"}, r"goal 'doen' \(labels: 'done'\)"),
         ("", "", {"goal": '"doen"'}, "unknown label 'doen'"),
         ("", "", {"goal": "x=1;x=2"}, "one condition, not 2"),
         ("", "", {"goal": 'Pmax=? [F "done"]'}, "must say of each state"),
         ("", "", {"goal": "x = 99"}, "no state has the label 'x = 99'"),
-        ("", "", {"constants": "N=2"}, "undefined constants: p"),
+        ("", "", {"constants": "N=2"}, "undefined constants: p; give .*constants"),
+        ("", "", {"constants": None}, "undefined constants: N, p; give .*constants"),
         ("", "", {"constants": "N=2,p=2"}, "negative probabilities"),
         ("", "", {"constants": "N=2,p=0.1,q=1"}, "unknown undefined constant 'q'"),
         ("[walk] true : 3", "[walk] true : 2 - 3", {}, "action 'walk' of state .* negative cost"),
@@ -157,6 +159,102 @@ def test_jani_rewards_of_edges_are_read_and_those_of_outcomes_refused(tmp_path):
     toll = '{"exp": "p"}, "assignments": [{"ref": "toll", "value": 7}]'
     path = written(tmp_path, open_one.replace('{"exp": "p"}', toll), "walker.jani")
     refused("only average", read_with_storm, path, goal="done", cost="toll", constants="p=0.2")
+
+
+THREE = """mdp
+module m
+  x : [0..3] init 0;
+  [fast] x < 3 -> 0.5 : (x' = x + 1) + 0.5 : true;
+  [slow] x < 3 -> (x' = x + 1);
+endmodule
+rewards "time"
+  [fast] true : 1;
+  [slow] true : 3;
+endrewards
+rewards "fuel"
+  [fast] true : 2;
+endrewards
+rewards "noise"
+  [slow] true : 1;
+endrewards
+rewards "profit"
+  [slow] true : x - 1;
+endrewards
+label "done" = x = 3;
+"""
+
+
+@pytest.mark.parametrize("ending", ["prism", "jani", "umb", "drn", " prism", " drn"])
+def test_every_reward_is_kept_whichever_counts(ending, tmp_path):
+    """Three steps, each at time 2 and fuel 4 by "fast", at time 3 and noise 1 by "slow"."""
+    time = "" if ending[0] == " " else "time"  # a reward without a name
+    text = THREE if time else THREE.replace('rewards "time"', "rewards")
+    path = written(tmp_path, text, "three.prism")
+    program = stormpy.parse_prism_program(str(path))
+    storms = stormpy.build_model(program)
+    if ending == "jani":
+        stormpy.io.export_jani_to_file(str(path := tmp_path / "three.jani"), program.to_jani([])[0])
+    elif ending == "umb":
+        stormpy.io.export_to_umb(storms, str(path := tmp_path / "three.umb"))
+    elif ending.strip() == "drn":
+        stormpy.io.export_to_drn(storms, str(path := tmp_path / "three.drn"))
+    cases = [(time, 6.0, "fuel", 6.0, 7.5), ("fuel", 0.0, "noise", 1.5, 6.0)]
+    cases += [("noise", 0.0, "fuel", 6.0, 1.5)]
+    for cost, least_cost, other, most, within in cases:
+        found = read_any(path, "x = 3" if ending == "jani" else "done", cost)
+        model = found.model
+        assert set(model.named_costs) == {time, "fuel", "noise"}  # "profit" is negative at 0
+        assert (model.n_states, model.n_pairs + 1) == (storms.nr_states, storms.nr_choices)
+        assert least(found).objective == pytest.approx(least_cost)
+        if cost:  # Storm cannot be asked about the one without a name beside others
+            theirs = value(storms, f'R{{"{cost}"}}min=? [F "done"]')
+            assert theirs == pytest.approx(least_cost, abs=1e-6)
+        limits = {"other": secondary_cost(other) <= most}
+        limited = MCMP(model, found.start, failure_budget=0.0, constraints=limits)
+        assert solve(limited).objective == pytest.approx(within)
+
+
+def jani(tmp_path, at_outcomes=(None, None), **defaults):
+    """The walker with a reward "fuel" that is assigned at the outcomes of its one action."""
+    document = json.loads(JANI)
+    for name, default in {"fuel": 0, **defaults}.items():
+        kind = {"type": "real", "transient": True, "initial-value": default}
+        document["variables"].insert(1, {"name": name, **kind})
+    (edge,) = document["automata"][0]["edges"]
+    for destination, paid in zip(edge["destinations"], at_outcomes, strict=True):
+        if paid is not None:
+            destination.setdefault("assignments", []).append({"ref": "fuel", "value": paid})
+    return written(tmp_path, json.dumps(document), "walker.jani")
+
+
+def test_a_reward_that_storm_cannot_build_leaves_the_others(tmp_path):
+    path = jani(tmp_path, (None, 7))  # fuel where the walker stays
+    model = read_with_storm(path, goal="done", cost="toll").model
+    assert list(model.named_costs) == ["toll"]
+    assert model.states == [(0,), (1,), (2,), (3,)]
+    assert "only average" in refused(
+        "Storm refuses", read_with_storm, path, goal="done", cost="fuel"
+    )
+    path = jani(tmp_path, (7, 7), base=1)  # a default of 1 is paid at each outcome
+    refused("Storm refuses it", read_with_storm, path, goal="done", cost="base")
+    for cost in ("toll", "fuel", "*"):
+        model = read_with_storm(path, goal="done", cost=cost).model
+        assert list(model.named_costs) == ["fuel", "toll"]
+    assert set(model.named_costs["fuel"]) == {7.0}
+    for options in ({"at_outcomes": (0, None)}, {"fuel": 1}):
+        path = jani(tmp_path, **options)
+        error = refused("Storm refuses it", read_with_storm, path, goal="done", cost="fuel")
+        assert "only average" not in error  # no cost differs between outcomes
+
+
+def test_states_of_jani_have_the_names_of_their_locations(tmp_path):
+    document = json.loads(JANI)
+    (automaton,) = document["automata"]
+    automaton["locations"].append({"name": "lost"})
+    automaton["edges"][0]["destinations"][1]["location"] = "lost"
+    path = written(tmp_path, json.dumps(document), "walker.jani")
+    model = read_with_storm(path, goal="x = 3", cost="toll").model
+    assert set(model.states) == {(k, "l") for k in range(4)} | {(k, "lost") for k in range(3)}
 
 
 def rows_of(rows):
