@@ -25,6 +25,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.game.best_response import BestResponse, Discounted, iterate_values
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.remembering import TimedPolicy
+from ssp_lp.processes.goal_reach import least_goal_reach
 from ssp_lp.processes.live_rows import cost_means
 
 _MOST_ENTRIES = 200_000_000
@@ -232,7 +233,7 @@ class CappedCostPlayer:
         """
         stationary, units = CostPlayer(self.base), self.cap / self.base.unit
         units = units if self.base.by_steps else float(np.ceil(units * (1.0 - SAME_TOTAL)))
-        return LayeredProcess(self.base, stationary.totals(units), undiscounted_tail(stationary))
+        return LayeredProcess(self.base, stationary.totals(units), undiscounted_tail(stationary)[1])
 
     def response(
         self, objective_weight: float, condition_weight: float, accuracy: float
@@ -267,12 +268,29 @@ class CappedCostPlayer:
         return strategy.process.policy(strategy.choice, strategy.price)
 
 
-def undiscounted_tail(stationary: CostPlayer) -> LayeredTails:
-    """The tail pi'_or alone of a cost player; J_obj is undiscounted there, J_cond discounted."""
-    pairs, tails = stationary.outer_tails
-    goal, cost = followed_tails(stationary.base, pairs[1:], 1.0)
-    values = TailValues(*(each[1:] for each in tails.values))._replace(early=goal, cost=cost)
-    return replace(tails, decisions=tails.decisions[1:], values=values)
+def undiscounted_tail(stationary: CostPlayer) -> tuple[IntArray, LayeredTails]:
+    """The tail pi'_or of section 3.5.1, which is of Pi_{d,or}: undiscounted MINPROB (section 2.3).
+
+    It gives up at attention states; of pairs that reach the goal with equal probability it takes
+    the one stated first. J_obj is undiscounted, J_cond discounted.
+
+    Args:
+        stationary: the cost player, whose bounds hold for the tail too.
+
+    Returns:
+        Its pair at each node, [nodes], and what it attains.
+    """
+    base, tails = stationary.base, stationary.tails
+    quotient, giving_up = base.quotient, np.full(base.n_nodes, -1, dtype=np.int32)
+    giving_up[quotient.pair_node[quotient.gives_up]] = quotient.gives_up.nonzero()[0]
+    placed = quotient.placed(least_goal_reach(quotient.model).decision)
+    pairs = np.where(placed >= 0, placed, giving_up)
+    (early, _), (goal, cost) = (
+        followed_tails(base, pairs[None], survival) for survival in (base.survival, 1.0)
+    )
+    saved = base.survival * early
+    values = TailValues(saved, 1.0 - saved, goal, cost, np.zeros_like(cost))
+    return pairs, replace(tails, decisions=quotient.pull_back(pairs)[None], values=values)
 
 
 def lower_bounds(sweep: Sweep, price: float, failing: float) -> tuple[FloatArray, FloatArray]:
@@ -307,9 +325,9 @@ def outer_tails(base: AccumulatedCost) -> tuple[IntArray, LayeredTails]:
 
     Both are value iterations on the discounted process without accumulated cost. The paper follows
     pi'_or, which fails most, beyond M. Where failing is dear, M would have to be very large for
-    that: there the policy that fails least is followed until as much has been paid that pi'_or is
-    no worse. Section 3.5.1 leaves the tail's J_obj undiscounted; it is discounted here like what
-    comes before M, so that c-hat does not depend on M once M is large.
+    that: there the policy that fails least is followed until as much has been paid that failing
+    most is no worse. The paper leaves pi'_or and J_obj undiscounted there (``undiscounted_tail``);
+    both are discounted here as before M, so that c-hat does not depend on M once M is large.
 
     Args:
         base: the process.
@@ -372,12 +390,14 @@ class BayesCostPlayer:
     base: AccumulatedCost
 
     @cached_property
-    def tails(self) -> LayeredTails:
-        """The Bayesian cost player's tail pi'_or beyond cap and horizon; bounds of all policies.
-
-        J_obj is undiscounted, while J_cond stays discounted (section 3.3).
-        """
+    def outer_tail(self) -> tuple[IntArray, LayeredTails]:
+        """The pairs of pi'_or, [nodes], and what it attains (see ``undiscounted_tail``)."""
         return undiscounted_tail(self.stationary)
+
+    @property
+    def tails(self) -> LayeredTails:
+        """The Bayesian cost player's tail pi'_or beyond cap and horizon; bounds of all policies."""
+        return self.outer_tail[1]
 
     def _surplus(self, paid: FloatArray, weights: FloatArray) -> FloatArray:
         """The Bayesian cost player's bound of weighted cost less sure failure's, [totals, nodes].
@@ -446,7 +466,7 @@ class BayesCostPlayer:
         Successive stages that decide alike are one object.
         """
         strategy: _TimedLayers = response.strategy
-        worst = self.stationary.outer_tails[0][1] - self.base.pair_offsets[:-1]
+        worst = self.outer_tail[0] - self.base.pair_offsets[:-1]
         after = np.broadcast_to(worst, strategy.choice.shape[1:])
         rows = [*strategy.choice, after.astype(strategy.choice.dtype)]
         stages: list[CostAwarePolicy] = []

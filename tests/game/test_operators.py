@@ -1,5 +1,6 @@
 """The players' best responses against the operators of the paper, written out literally."""
 
+import numpy as np
 import pytest
 from hypothesis import given, reject, strategies as st
 
@@ -7,11 +8,14 @@ from checks import library_model, plain
 from formulations import MCMP, S3P
 from games import RETRY, hand_problem
 from operators import bayes_label, cost_game, cost_tail, stationary_label
-from references.chain import mean, plain_model, start_distribution
-from small_models import TWO_MOVES
-from ssp_lp import InfeasibleError
+from references import s3p
+from references.chain import mean, plain_model, policies, start_distribution
+from small_models import TWO_MOVES, model_of
+from ssp_lp import Game, InfeasibleError, solve
+from ssp_lp.game import stationary_game
 from ssp_lp.game.optimum import bayes_player, stationary_player
 from strategies import Draw, often, problems
+from written_models import drawn_table, written
 
 few = often(25)
 alphas = st.sampled_from([0.5, 0.1, 0.9, 0.99])
@@ -154,22 +158,84 @@ def test_the_operators_of_case_s_on_drawn_models(drawn, alpha, scale):
         assert found.bound == pytest.approx(exact, rel=1e-7, abs=1e-9)
 
 
-@few
+def minprob_rules(model, gamma=None):
+    """Pi_{d,or} of section 2.3: stationary policies of least goal probability from every state.
+
+    With ``gamma`` the discounted probability, E[gamma^T; goal].
+    """
+    rules = list(policies(model, model.choices, lambda state: list(model.choices[state])))
+    reaches = [s3p.values(model, rule, gamma)[0] for rule in rules]
+    least = {state: min(goal.get(state, 0.0) for goal in reaches) for state in model.choices}
+    return [
+        rule
+        for rule, goal in zip(rules, reaches, strict=True)
+        if all(goal.get(state, 0.0) <= bound + 1e-12 for state, bound in least.items())
+    ]
+
+
+@often(40)
 @given(draws_of_s, st.sampled_from([0.5, 0.9, 0.99]), alphas, scales)
 def test_the_operator_of_case_s_at_a_fixed_cap(drawn, gamma, alpha, scale):
-    """T_alpha of 3.5.1 as printed, V undiscounted beyond M: at every M, not in the limit only."""
-    weights, before = (alpha, (1 - alpha) * scale), float("inf")
+    """T_alpha of 3.5.1 as printed: a rule of Pi_{d,or}, undiscounted beyond M, at every M.
+
+    The rule comes from an enumeration of policies; where several are of least goal probability,
+    one of them holds at every M.
+    """
+    weights, before, rules = (alpha, (1 - alpha) * scale), float("inf"), None
     for cap in (0.5, 1, 2, 3, 7):
         reference, problem, player = in_case_s(drawn, gamma, tail=cap)
-        rule = rule_of(problem.model, player.process.tails)
-        tail = cost_tail(reference, rule, gamma, scale, discounted=False)
-        exact = literal(drawn, reference, gamma, alpha, scale, cap, tail, bayes=False)
+        rules = minprob_rules(reference) if rules is None else rules
         found = player.response(*weights, 1e-12)
-        assert found.payoff(*weights) == pytest.approx(exact, rel=1e-11, abs=1e-13)
-        assert exact * (1 - 1e-11) - 1e-13 <= found.bound <= found.payoff(*weights) + 1e-13
-        assert exact <= before + 1e-11
-        before = exact
+
+        def exact(rule, reference=reference, cap=cap):
+            tail = cost_tail(reference, rule, gamma, scale, discounted=False)
+            return literal(drawn, reference, gamma, alpha, scale, cap, tail, bayes=False)
+
+        payoff = pytest.approx(found.payoff(*weights), rel=1e-11, abs=1e-13)
+        rules = [rule for rule in rules if exact(rule) == payoff]
+        assert rules
+        assert found.payoff(*weights) * (1 - 1e-11) - 1e-13 <= found.bound
+        assert found.bound <= found.payoff(*weights) + 1e-13
+        assert found.payoff(*weights) <= before + 1e-11
+        before = found.payoff(*weights)
     assert stationary_player(problem).response(*weights, 1e-12).bound <= before * (1 + 1e-11)
+
+
+def test_the_tail_is_of_least_undiscounted_goal_probability():
+    """T_alpha of 3.5.1 on random models, many of which have another rule under the discount."""
+    rng, gamma, alpha, scale, told_apart = np.random.default_rng(3), 0.3, 0.5, 8.0, 0
+    for _ in range(150):
+        choices = drawn_table(rng, "xyz", "ggd", [1, 2], actions=2) | {"d": {}}
+        model = plain_model(choices, {"g"})
+        rules, hasty = minprob_rules(model), minprob_rules(model, gamma)
+        told_apart += all(rule not in rules for rule in hasty)
+        problem = S3P(model_of(choices), "x", failure_budget=0.5, discount=gamma)
+        for cap in () if "x" in model.dead_ends else (1, 3):
+            reply = stationary_player(problem, tail=cap).response(alpha, (1 - alpha) * scale, 1e-12)
+            tails = (cost_tail(model, rule, gamma, scale, discounted=False) for rule in rules)
+            exact = [cost_game(model, "x", gamma, alpha, scale, cap, t, bayes=False) for t in tails]
+            assert reply.payoff(alpha, (1 - alpha) * scale) in map(pytest.approx, exact)
+    assert told_apart >= 5
+
+
+def test_a_detour_of_greater_goal_probability_is_no_tail():
+    """pi'_or takes a: 1/2 is below the detour's 3/5, although discounted 0.4 is above 0.384.
+
+    It pays 2, discounted once on the way to y (M = 1 is paid there): 0.8 / 0.32 = 2.5.
+    """
+    model = written(
+        """
+        x on: y 1
+        y a: 1/2 g 1, 1/2 d 1
+        y b: z 1
+        z c: 3/5 g 1, 2/5 d 1
+        """
+    )
+    cheapest = stationary_game(S3P(model, "x", failure_budget=0.95, discount=0.8), tail=1)
+    assert cheapest.objective == pytest.approx(2.5, rel=1e-12)
+    tight = S3P(model, "x", failure_budget=0.69, discount=0.8)
+    assert solve(tight, method=Game(tail=1)).objective == pytest.approx(2.5, rel=1e-12)
+    assert stationary_game(tight, tail=1).objective == pytest.approx(2.5, rel=1e-12)
 
 
 @pytest.mark.parametrize("alpha", [0.2, 0.5, 0.9])
