@@ -193,6 +193,8 @@ class SolveOptions:
     @property
     def method(self) -> str:
         """The name of the method in the solve options."""
+        if self.deterministic:
+            return DeterministicPolicies.name
         return ColumnGeneration.name if self.program is None else self.program.name
 
     def after(self, calls: int) -> SolveOptions:

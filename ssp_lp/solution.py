@@ -48,7 +48,7 @@ _LEAST_LIMIT = 1.0  # seconds that numbers have which are worked out after a sho
 class Run:
     """The run of a method: which one, why, and its work."""
 
-    method: str  # "columns", "lp" or "game"
+    method: str  # "columns", "lp", "game" or "deterministic"
     reason: str  # why this method, and what it had to do
     pricing_calls: int
     seconds: float
@@ -80,7 +80,9 @@ class Solution(ReadOnlyCopies):
     policy: MixedPolicy
     objective: float  # c*: the exact value of the policy
     lower_bound: float  # of the optimum, certified; of a greatest probability, the one attained
-    failure_price: float | None  # lambda >= 0, or the penalty; None at least failure
+    failure_price: (
+        float | None
+    )  # lambda >= 0, or the penalty; None: there is none, at least failure
     value_function: FloatArray | None  # sub-solution: [process states], or [layers, nodes]
     budget_used: float  # failure of the policy (discounted, if that is limited), as measured
     run: Run

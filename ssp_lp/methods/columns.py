@@ -36,7 +36,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.methods.deterministic import best_deterministic
 from ssp_lp.methods.full_program import check_agreement, solve_program
 from ssp_lp.methods.refinement import Proved, refine
-from ssp_lp.options import Game, SolveOptions
+from ssp_lp.options import CERTIFYING, Game, SolveOptions
 from ssp_lp.policies import DeterministicPolicy, MixedPolicy
 from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.problem import Problem
@@ -76,7 +76,7 @@ def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
     return assembled(problem, answer, run, ObjectiveSense(0.0 if greatest else None))
 
 
-def cheapest_at_least_failure(problem: Problem, _: SolveOptions) -> Solution:
+def cheapest_at_least_failure(problem: Problem, options: SolveOptions) -> Solution:
     """Solve at least failure: the best column of those that fail least, by two stages.
 
     Raises:
@@ -88,7 +88,8 @@ def cheapest_at_least_failure(problem: Problem, _: SolveOptions) -> Solution:
     then = "greatest worth" if problem.semantics.maximises else "least cost"
     reason = f"two stages: greatest goal probability, then {then}"
     answer = Answer(safest.policy, objective, safest.objective_bound, safest.column.failure)
-    return assembled(problem, answer, Run("columns", reason, 2, 0.0), problem.semantics.sense)
+    run = Run(replace(options, program=None).method, reason, 2, 0.0)
+    return assembled(problem, answer, run, problem.semantics.sense)
 
 
 _LEAST_TOLERANCE = 1e-15
@@ -123,7 +124,8 @@ def best_within_budget(problem: Problem, options: SolveOptions) -> Solution:
     beyond = generated.objective if outcome.row.ratio else 0.0
     price = max(generated.price - beyond, 0.0)
     compiled, unlimited = outcome.compiled, not problem.ratio and outcome.row.budget >= 1.0
-    reason = _REASONS["unlimited" if unlimited and options.program is None else options.method]
+    relaxed = replace(options, deterministic=False).method
+    reason = _REASONS["unlimited" if unlimited and options.program is None else relaxed]
     if sense.constant is not None:
         reason = f"backward sweeps over {compiled.layers:,} layers of accumulated cost"
         if compiled.cost_horizon > 0.0:
@@ -209,6 +211,9 @@ def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: fl
         ModelError: the solution carries no price and value function, or one that does not fit.
     """
     problem, budget = solution.problem, max(solution.problem.failure_budget or 0.0, 0.0)
+    is_priced = not solution.run.deterministic or solution.failure_price is not None
+    if not is_priced:  # the bound is that of lotteries, and so are the prices that prove it
+        solution = best_within_budget(problem, CERTIFYING)
     sense, price, values = problem.semantics.sense, solution.failure_price, solution.value_function
     if price is None or values is None:
         raise ModelError("a certificate needs the failure price and its value function")
@@ -219,7 +224,7 @@ def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: fl
         return Proved(evaluation.objective, sense.worth(0.0), budget, reason)
     kappa = price
     if problem.ratio and evaluation.goal_probability > 0:
-        kappa += evaluation.objective
+        kappa += evaluation.objective if is_priced else solution.objective
     levels = levels_of(solution.policy.policies, len(values))
     compiled, least = problem.compile().matching(np.asarray(values), levels), None
     row = FailureRow(budget, problem.ratio, compiled.lowest)

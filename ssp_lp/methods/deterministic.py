@@ -16,8 +16,13 @@ answer whose visits come up to it needs no second try with a larger one.
 
 The ratio of case S is minimised by Dinkelbach's iteration. Every policy is read off y and measured
 exactly on the process; one that keeps to the budget only within HiGHS's tolerances is refused and
-excluded by a further row. The lower bound is the better of HiGHS's dual bound, lowered by 1e-9 of
-itself, and the lottery's; the former carries HiGHS's tolerances and is not a checked sub-solution.
+excluded by a further row. The lower bound is the better of the lottery's and HiGHS's dual bound,
+lowered by 1e-9 of itself: that carries HiGHS's tolerances and is not a checked sub-solution. Where
+it misses the tolerance for that, the best policies, whose values are exact, are excluded one by
+one, and HiGHS's bound is needed of the others alone.
+
+A deterministic optimum has no price of failure unless the budget is slack: as a function of the
+budget it is a step function.
 
 Policies that leave a collapsed component by a way that depends on where it was entered, or go on
 beyond the cap of case S otherwise than by the tails, are counted in the bound but not searched: a
@@ -70,6 +75,9 @@ _RATIOS = 30  # Dinkelbach's iteration converges in a handful
 _SPREADS = (1e-6, 0.03, 0.1, 0.3, 1.0, 3.0)  # relative distances of prices, up and down
 _SKIPS = 8  # states skipped on the way between two policies
 _REFUSED = 100  # policies that keep to the budget by HiGHS's tolerances only
+_EXCLUDED = (
+    8  # policies that are as good as the best but for HiGHS's tolerances; each costs a search
+)
 _ROUNDING = 1e-13
 _SMALL = 1e-10  # relative
 """A policy's failure, summed in another order, may lie so far above the budget that it meets."""
@@ -84,7 +92,7 @@ def best_deterministic(
     between its members; the lottery's own bound is the first lower bound.
 
     Args:
-        mixed: the best lottery; its price of failure and its value function are kept.
+        mixed: the best lottery; its value function is kept.
         outcome: of the search that found it.
         tolerance: relative gap at which to stop.
         deadline: on the clock of ``time.perf_counter``.
@@ -115,9 +123,14 @@ def best_deterministic(
         remarks.append("stopped before the search was finished; the gap is honest")
     if finished and gap > max(_OPEN, 2.0 * tolerance):
         remarks.append("the gap is what policies outside the search could gain at most")
+    is_slack = (
+        len(generated.columns) == 1 and mixed.failure_price == mixed.problem.semantics.penalty
+    )
     return replace(
         mixed,
         policy=as_lottery(single.policy),
+        failure_price=mixed.failure_price if is_slack else None,
+        prices=mixed.prices if is_slack else {},
         objective=single.value,
         lower_bound=min(single.bound, single.value),
         budget_used=single.failure,
@@ -228,7 +241,7 @@ class _PolicySearch:
         program = _IntegerProgram(process, self.most, visits, free, max(gap, _LEAST_GAP))
         if program.pairs.size == 0:
             return 0.0, True  # nothing is to be decided: the lottery's bound is all there is
-        bound = 0.0
+        bound, excluded = 0.0, 0
         for _ in range(_RATIOS):
             answer = self._solved_without_refused(program, process.cost - ratio * process.goal)
             least = answer.bound
@@ -237,16 +250,21 @@ class _PolicySearch:
                 if row.ratio:
                     beyond = least / share if share > 0.0 else -np.inf
                     least = ratio if least >= 0.0 else max(ratio + beyond, 0.0)
-            bound = max(bound, min(least, incumbent))
+            bound = max(bound, min(least, self.best.value))  # no policy that is excluded has less
             if not answer.finished:
                 return bound, False
             better = ratio
             if row.ratio and answer.x is not None:
                 goal = float(process.goal @ answer.x)
                 better = float(process.cost @ answer.x) / goal if goal > 0.0 else np.inf
-            if not better < ratio * (1.0 - _DUAL):
+            if better < ratio * (1.0 - _DUAL):
+                ratio = better
+                continue
+            is_met = relative_gap(self.best.value, bound) <= self.tolerance
+            if is_met or answer.choice is None or free.any() or excluded == _EXCLUDED:
                 return bound, True
-            ratio = better
+            excluded += 1
+            self._exclude(program, answer.choice)
         return bound, False
 
     def _solved_without_refused(self, program: _IntegerProgram, cost: FloatArray) -> _IntegerAnswer:
@@ -259,7 +277,11 @@ class _PolicySearch:
             if self.refused == _REFUSED:
                 return replace(answer, finished=False)
             self.refused += 1
-            program.forbid(choice[self.relaxation.completed(choice)[1]])
+            self._exclude(program, choice)
+
+    def _exclude(self, program: _IntegerProgram, choice: IntArray) -> None:
+        """Exclude the policy of a choice from an integer program."""
+        program.forbid(choice[self.relaxation.completed(choice)[1]])
 
 
 def _with_states(choice: IntArray, other: IntArray, states: IntArray) -> IntArray:
