@@ -140,7 +140,7 @@ def _solved_with_proof(
                     raise
                 too_large = error  # a table of totals: what is in hand is the answer
         if solution is None or not isfinite(solution.objective):
-            with closing():
+            with WithIncumbent(), closing():
                 incumbent.find()
             if solution is None or incumbent.solution is None:
                 solution = incumbent.solution  # else it keeps its bound, and gets that policy below
@@ -151,8 +151,9 @@ def _solved_with_proof(
         if not has_rows(problem) and problem.semantics.give_up is not GiveUp.DEAD_ENDS:
             with WithIncumbent():
                 solution = replace(solution, policy=giving_up_where_lost(solution.policy))
-    if deadline.was_met:
-        solution = incumbent.improving(solution)
+        if deadline.was_met:
+            with WithIncumbent(), closing():
+                solution = incumbent.improving(solution)
     _check_solution(solution)
     figures = solution.run.method, solution.run.pricing_calls, solution.objective
     _SEARCH.info("%s: %d pricing calls, objective %.9g", *figures)

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar, Token
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import isfinite
 from typing import Any, Final
@@ -68,6 +68,7 @@ class Deadline:
     prepare: Callable[[], Any] | None = None  # finds an answer where none is in hand soon
     prepared: Any = None  # what it found
     due: float = 0.0  # when a look at it is due: an answer is to be prepared, or it is past
+    late: str = "the time limit ended before there was an answer: allow more time"
     _before: Token[Deadline | None] | None = None
 
     def __enter__(self) -> Deadline:
@@ -75,10 +76,19 @@ class Deadline:
         self._before = _running.set(self)
         return self
 
-    def __exit__(self, *raised: object) -> None:
-        """What was the deadline before is it again."""
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        """What was the deadline before is it again; no stop leaves the outermost of a call.
+
+        Raises:
+            OutOfTimeError: nobody within had an answer to go on with.
+            KeyboardInterrupt: the same where Ctrl-C came.
+        """
         if self._before is not None:
             _running.reset(self._before)
+        if isinstance(error, Stop) and _running.get() is None:
+            if self.is_interrupted:
+                raise KeyboardInterrupt(error.told) from None
+            raise OutOfTimeError(self.late) from None
 
     def find_incumbent(self) -> None:
         """Find an incumbent before the deadline, with a share of its time, where there is none."""
@@ -153,12 +163,12 @@ def limited(time_limit: float | None, doing: str) -> Iterator[None]:
     if time_limit is None:
         yield
         return
+    late = f"the time limit of {time_limit:g} s ended before {doing}: allow more time"
     try:
-        with until(deadline_of(time_limit, time.perf_counter())):
+        with replace(until(deadline_of(time_limit, time.perf_counter())), late=late):
             yield
     except Stop:
-        message = f"the time limit of {time_limit:g} s ended before {doing}: allow more time"
-        raise OutOfTimeError(message) from None
+        raise OutOfTimeError(late) from None
 
 
 @contextmanager

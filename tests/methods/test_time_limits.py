@@ -5,13 +5,33 @@ import os
 import signal
 import sys
 import threading
+import time
 
 import pytest
 
 from examples.solver_comparison.instances.models import random_model
-from formulations import MCMP, S3P
+from formulations import (
+    EGUBS,
+    GUBS,
+    ISSPUDE,
+    MCMP,
+    S3P,
+    AlphaMCMP,
+    ConstrainedCost,
+    CostBoundedReach,
+    CostBudgetedMaxProb,
+    CostQuantile,
+    CVaR,
+    FinitePenalty,
+    LeastQuantity,
+    MaxProb,
+    MinCost,
+    MinProb,
+)
 from ssp_lp import (
+    Game,
     OutOfTimeError,
+    SSPError,
     Status,
     certify,
     solve,
@@ -19,6 +39,7 @@ from ssp_lp import (
     visits,
 )
 from ssp_lp.compiled import deadline
+from written_models import written
 
 COARSE = 1e-3  # gap of a frontier of a few points
 criteria = pytest.mark.parametrize("criterion", [MCMP, S3P])
@@ -181,3 +202,76 @@ def test_limits_on_other_quantities_are_kept_by_what_comes_back(coarse_robot):
 def test_a_tolerance_that_is_missed_is_no_interruption(coarse_robot):
     capped = S3P(*coarse_robot, failure_budget=0.3, cost_cap=4.0)
     assert solve(capped).status is Status.TOLERANCE_MISSED
+
+
+FERRY = """
+    s go: 0.9 t 1, 0.1 d 1
+    s safe: t DEAR
+    t go: 0.6 g 1, 0.3 s 1, 0.1 d 1
+    t safe: 0.7 g DEAR, 0.3 s 2
+    t wait: t 0
+    d sink: d 0
+"""
+SEEN, TIGHT = {"seen": visits("t") <= 1.35}, {"failure_budget": 0.1}
+ASKED = [
+    (None, lambda m: MCMP(m, "s", **TIGHT)),
+    ("lp", lambda m: MCMP(m, "s", **TIGHT)),
+    ("deterministic", lambda m: MCMP(m, "s", **TIGHT)),
+    ("game", lambda m: MCMP(m, "s", failure_budget=0.5, discount=0.9)),
+    (None, lambda m: MCMP(m, "s", failure_budget=None)),
+    (None, lambda m: MCMP(m, "s", constraints=SEEN, **TIGHT)),
+    ("lp", lambda m: MCMP(m, "s", constraints=SEEN, **TIGHT)),
+    (None, lambda m: MCMP(m, "s", horizon=10, **TIGHT)),
+    (None, lambda m: S3P(m, "s", **TIGHT)),
+    ("lp", lambda m: S3P(m, "s", **TIGHT)),
+    ("deterministic", lambda m: S3P(m, "s", **TIGHT)),
+    (Game(tail=4), lambda m: S3P(m, "s", failure_budget=0.5, discount=0.9)),
+    (None, lambda m: S3P(m, "s", failure_budget=None)),
+    (None, lambda m: S3P(m, "s", constraints=SEEN, **TIGHT)),
+    (None, lambda m: MaxProb(m, "s")),
+    (None, lambda m: MaxProb(m, "s", constraints=SEEN)),
+    (None, lambda m: MinProb(m, "s")),
+    (None, lambda m: GUBS(m, "s", lambda cost: 0.9**cost, goal_bonus=1.0)),
+    (None, lambda m: EGUBS(m, "s", risk_factor=-0.1, goal_bonus=1.0)),
+    (None, lambda m: CVaR(m, "s", 0.9, **TIGHT)),
+    (None, lambda m: CostQuantile(m, "s", 0.5, **TIGHT)),
+    (None, lambda m: CostQuantile(m, "s", 0.5, constraints=SEEN, **TIGHT)),
+    (None, lambda m: AlphaMCMP(m, "s", 0.9)),
+    (None, lambda m: FinitePenalty(m, "s", 10.0)),
+    (None, lambda m: ConstrainedCost(m, "s")),
+    (None, lambda m: CostBoundedReach(m, "s", 6.0)),
+    (None, lambda m: CostBudgetedMaxProb(m, "s", 4.0)),
+    (None, lambda m: LeastQuantity(m, "s", visits("t"))),
+    (None, lambda m: ISSPUDE(m, "s")),
+    (None, lambda m: MinCost(m, "s")),
+]
+
+
+@pytest.mark.parametrize(("tick", "looks"), [(0.05, range(0, 60, 3)), (1.0, range(0, 36, 3))])
+@pytest.mark.parametrize("dear", ["3", str(2**0.5)])
+def test_nothing_but_its_own_errors_leaves_the_library(monkeypatch, dear, tick, looks):
+    """The clock moves on by a tick at each look, so that the time ends at every look in turn."""
+
+    def at_most(looks, call):
+        """A call whose time ends at some look."""
+        now = iter(range(10**9))
+        monkeypatch.setattr(time, "perf_counter", lambda: tick * next(now))
+        try:
+            return call(tick * looks)
+        except SSPError as error:
+            return error
+        finally:
+            monkeypatch.undo()
+
+    def model():
+        return written(FERRY.replace("DEAR", dear))
+
+    for method, problem in ASKED:
+        for k in looks:
+            answer = at_most(k, lambda t, p=problem, m=method: solve(p(model()), m, time_limit=t))
+            if not isinstance(answer, SSPError) and answer.status is Status.OPTIMAL:
+                break
+    answer = solve(MCMP(model(), "s", **TIGHT))
+    for k in looks:
+        at_most(k, lambda t: certify(answer, time_limit=t))
+        at_most(k, lambda t: trace_frontier(MCMP(model(), "s", **TIGHT), time_limit=t))
