@@ -56,6 +56,7 @@ _AHEAD = 2  # problems in hand for each process, one of them waiting, so that no
 _LATE = 2.0  # seconds beyond the limit of the whole in which answers that were begun may come
 _LEAVING = 0.5  # seconds for a process that is told to end, before it is killed
 _ASKED = 3  # times that a problem is given to a process, if those before died of it
+_STILLBORN = 10  # pools in a row of which no process comes to work, where one has worked before
 _DIED = (
     f"{_ASKED} processes died while they solved it, perhaps for want of memory: try it by itself"
 )
@@ -519,9 +520,12 @@ class _Dispatch:
         error = CancelledError() if future.cancelled() else future.exception()
         if isinstance(error, BrokenExecutor):
             self._crew.is_broken = True
-            self._deaths[place] += 1
             if not self._crew.is_own:
                 return self._crew.error()
+            if not self._crew.has_started:  # whoever died had no problem in hand yet
+                (self._suspects if self._deaths[place] else self._waiting).appendleft(place)
+                return None
+            self._deaths[place] += 1
             if self._deaths[place] == _ASKED:
                 return SolverError(_DIED)
             self._suspects.append(place)
@@ -568,6 +572,7 @@ class _Crew:
         self.room = _AHEAD * self._count if given is None else inf
         self._spawning = _Spawning()
         self._first: Future[None] | None = None  # of the pool: it could be started
+        self._has_worked, self._stillborn = False, 0  # a process of any pool; the last pools
         self._executor = self._new_pool() if given is None else given
 
     def __enter__(self) -> _Crew:
@@ -590,9 +595,22 @@ class _Crew:
         """Give a problem to the crew."""
         return self._executor.submit(_answer, shipment, packed, order)
 
+    @property
+    def has_started(self) -> bool:
+        """Whether a process of the crew's present pool came to work."""
+        return self._first is not None and self._first.exception() is None
+
     def renew(self) -> bool:
-        """Replace a broken pool; whether that can be done."""
-        if self._first is None or self._first.exception() is not None:
+        """Replace a broken pool; whether that can be done.
+
+        Where some process has worked before, one that dies while it starts may be followed by one
+        that does not.
+        """
+        if self._first is None:
+            return False
+        self._stillborn = 0 if self.has_started else self._stillborn + 1
+        self._has_worked |= self.has_started
+        if self._stillborn > (_STILLBORN if self._has_worked else 0):
             return False
         self._executor, self.is_broken = self._new_pool(), False
         return True
@@ -616,6 +634,11 @@ class _Crew:
         """The answer to what is left where the crew is broken for good."""
         if not self.is_own:
             return SolverError("the executor broke or was shut down: give a new one, or none")
+        if self._has_worked:
+            return SolverError(
+                f"processes died {self._stillborn} times in a row while they started, perhaps for "
+                "want of memory: take fewer workers"
+            )
         return SolverError(
             "no process could be started (in a script solve_many stands under "
             'if __name__ == "__main__":)'

@@ -9,6 +9,7 @@ import signal
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
+from itertools import chain, repeat
 from pathlib import Path
 
 import numpy as np
@@ -207,13 +208,43 @@ def test_an_executor_of_ones_own_that_breaks_is_not_replaced() -> None:
     assert "give a new one" in str(found[3])
 
 
-def test_processes_that_cannot_be_started_say_so(monkeypatch) -> None:
-    class Stillborn(Executor):
-        def submit(self, function, *given):
-            future = Future()
-            future.set_exception(BrokenProcessPool("it died at once"))
-            return future
+class Stillborn(Executor):
+    """A pool whose first process dies while it starts: all that it was given fails."""
 
+    def submit(self, function, *given):
+        future = Future()
+        future.set_exception(BrokenProcessPool("it died at once"))
+        return future
+
+
+@pytest.mark.parametrize("stillborn", [1, 3, 10])
+def test_a_process_that_dies_while_it_starts_is_replaced_if_any_has_worked(
+    monkeypatch, stillborn
+) -> None:
+    """No answer is lost, and no problem counts as one that processes die of."""
+    deaths = []
+    pools = iter([Frail(deaths, 1), *[Stillborn()] * stillborn, *[Frail(deaths, 1)] * 2])
+    monkeypatch.setattr(answers, "ProcessPoolExecutor", lambda *_: next(pools))
+    problems = sweep(MCMP, FIRST, "depot", failure_budget=np.linspace(0.01, 0.1, 40))
+    problems.insert(20, Deadly(FIRST, "depot", 0.05))
+    check_answers(problems, solve_many(problems, workers=1))
+    assert len(deaths) == 1
+
+
+def test_processes_that_never_start_again_end_the_call_and_nobody_is_blamed(monkeypatch) -> None:
+    deaths = []
+    pools = chain([Frail(deaths, 1)], repeat(Stillborn()))
+    monkeypatch.setattr(answers, "ProcessPoolExecutor", lambda *_: next(pools))
+    problems = sweep(MCMP, FIRST, "depot", failure_budget=np.linspace(0.01, 0.1, 7))
+    problems.insert(4, Deadly(FIRST, "depot", 0.05))
+    found = solve_many(problems, workers=1)
+    assert [isinstance(answer, Solution) for answer in found] == [True] * 4 + [False] * 4
+    for error in found.errors.values():
+        assert "died 11 times in a row while they started" in str(error)
+        assert "__main__" not in str(error)
+
+
+def test_processes_that_cannot_be_started_say_so(monkeypatch) -> None:
     monkeypatch.setattr(answers, "ProcessPoolExecutor", lambda *_: Stillborn())
     with pytest.raises(SolverError, match=r"no process could be started .*__main__"):
         solve_many([MCMP(FIRST, "depot", 0.05)])
