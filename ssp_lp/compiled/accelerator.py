@@ -47,25 +47,44 @@ _LOOPS: Final = 300
 _INDEX: Final = "**/backups.back_up*.nbi"  # numba's index of the loop that every solve needs
 
 
-@cache
 def has_accelerator() -> bool:
     """Whether the accelerator, numba's compiled loops, is installed and not switched off.
 
-    Ctrl-C waits for the second that loading takes: what is loaded by half would stay so, and every
-    later loop of the process would fail ("module 'numba' has no attribute 'core'").
-
     Raises:
         ModelError: the environment variable holds another word.
+    """
+    return not _interpreted.is_for_good and _load()
+
+
+def give_up_compiling() -> None:
+    """Go on in numpy until the process ends, as numba was left halfway."""
+    _interpreted.is_for_good = True
+    message = "numba was interrupted while it compiled: this process goes on without it"
+    logging.getLogger("ssp_lp.compiling").info(message)
+
+
+@cache
+def _load() -> bool:
+    """Load numba, once, unless it is missing or switched off.
+
+    Ctrl-C waits for the second that loading takes: what is loaded by half would stay so, and every
+    later loop of the process would fail ("module 'numba' has no attribute 'core'"). After any other
+    exception from outside, such as an alarm of the caller's, numba is not used any more.
     """
     wish = os.environ.get(SWITCH, "")
     if wish not in ("", "numba", "none"):
         raise ModelError(f"{SWITCH} must be 'numba' or 'none', not {wish!r}")
     if wish == "none" or importlib.util.find_spec("numba") is None:
         return False
-    with _interrupts_deferred():
-        target = importlib.import_module("numba.core.registry").cpu_target
-        target.typing_context.refresh()  # what the first loop would load besides
-        target.target_context.refresh()
+    try:
+        with _interrupts_deferred():
+            target = importlib.import_module("numba.core.registry").cpu_target
+            target.typing_context.refresh()  # what the first loop would load besides
+            target.target_context.refresh()
+            importlib.import_module("ssp_lp.compiled.half_compiled")
+    except Exception:
+        give_up_compiling()
+        raise
     return True
 
 
@@ -123,6 +142,7 @@ class _Interpreted:
     """Entries that this process has passed over in numpy expressions; decides on speed only."""
 
     entries = 0
+    is_for_good = False  # whether compiled loops must not be used any more
 
 
 _interpreted: Final = _Interpreted()
