@@ -156,15 +156,15 @@ def test_a_table_too_large_to_keep_is_proved_again(monkeypatch, coarse_robot):
 def test_the_switch_knows_its_words(monkeypatch):
     for word, on in (("none", False), ("numba", True), ("", True)):
         monkeypatch.setenv(accelerator.SWITCH, word)
-        accelerator.has_accelerator.cache_clear()
+        accelerator._load.cache_clear()
         assert accelerator.has_accelerator() is on
     monkeypatch.setenv(accelerator.SWITCH, "numba")
     assert accelerator.least_entries() == 0  # nothing is too short
     monkeypatch.setenv(accelerator.SWITCH, "fortran")
-    accelerator.has_accelerator.cache_clear()
+    accelerator._load.cache_clear()
     with pytest.raises(ModelError, match="SSP_LP_ACCELERATOR"):
         accelerator.has_accelerator()
-    accelerator.has_accelerator.cache_clear()
+    accelerator._load.cache_clear()
 
 
 def test_nothing_is_compiled_for_the_first_time_in_a_short_call(monkeypatch):

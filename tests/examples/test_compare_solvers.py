@@ -8,7 +8,8 @@ import pytest
 
 from examples.solver_comparison import compare_solvers
 from examples.solver_comparison.instances.instance import (
-    DEFAULT_INSTANCES,
+    FULL_INSTANCES,
+    QUICK_INSTANCES,
     Instance,
     parse_instance,
 )
@@ -25,7 +26,14 @@ from examples.solver_comparison.reporting.results import (
     run_to_json,
 )
 from examples.solver_comparison.reporting.table import table_text
-from examples.solver_comparison.solvers.catalogue import SOLVERS, Order, Solver
+from examples.solver_comparison.solvers.catalogue import (
+    GAME,
+    QUICK_SOLVERS,
+    SOLVERS,
+    Order,
+    Solver,
+    solver_names,
+)
 from refusing import refused
 
 SMALL = "random-400-M"
@@ -52,7 +60,8 @@ def worked(instance, solver, tmp_path):
 
 
 def test_names_of_instances_are_read_back():
-    assert [parse_instance(name).name for name in DEFAULT_INSTANCES] == list(DEFAULT_INSTANCES)
+    names = [*QUICK_INSTANCES, *FULL_INSTANCES]
+    assert [parse_instance(name).name for name in names] == names
     assert parse_instance("robot-20x12-S80").cost_cap == 80.0
     assert parse_instance("robot-20x12-M@0.999") == Instance("robot", (20, 12), "M", None, 0.999)
     for name in ("robot-20-M", "random-5x5-M", "maze-20-M", "robot-20x12-X"):
@@ -71,6 +80,41 @@ def test_criteria_without_a_budget_are_compared_with_storm(tmp_path):
         ours, theirs = (value(instance, solver) for solver in ("columns", "storm"))
         assert ours == pytest.approx(theirs, rel=1e-5)
     assert value("tandem-6-C", "columns") is value("tandem-6-C", "storm") is None  # nobody is sure
+
+
+def test_an_instance_without_a_policy_is_told_as_such_by_all(tmp_path):
+    """At a discount of 0.9 success after t steps counts 0.9^t only: no policy keeps to 0.05."""
+    for solver in ("columns", "value iteration (game)", "storm", "storm-sound"):
+        told = worked(f"{SMALL}@0.9", solver, tmp_path)
+        assert told["outcome"] == Outcome.SOLVED, told
+        assert told["objective"] is None
+        assert "no policy keeps to the failure budget" in told["note"]
+
+
+def test_the_game_is_compared_where_there_is_a_discount(tmp_path):
+    told = [worked(f"{SMALL}@0.999", name, tmp_path) for name in ("columns", GAME)]
+    assert told[0]["objective"] == pytest.approx(told[1]["objective"], rel=1e-8)
+    options = ["--instances", SMALL, "--solvers", GAME, "--output", str(tmp_path)]
+    (run,) = compare_solvers.main(options)
+    assert (run.outcome, run.note) == (Outcome.SKIPPED, "needs a discount")
+
+
+@pytest.mark.parametrize(
+    ("given", "instances", "solvers", "limit"),
+    [
+        ([], QUICK_INSTANCES, QUICK_SOLVERS, 10.0),
+        (["--full"], FULL_INSTANCES, solver_names(), 60.0),
+        (["--instances", SMALL], (SMALL,), solver_names(), 60.0),
+    ],
+)
+def test_by_default_two_discounted_instances_are_compared(
+    tmp_path, given, instances, solvers, limit
+):
+    options = compare_solvers._parse([*given, "--output", str(tmp_path)])
+    assert tuple(options.instances) == instances
+    assert tuple(options.solvers) == solvers
+    assert options.time_limit == limit
+    assert GAME in solvers
 
 
 def test_solvers_agree_each_in_a_process_of_its_own(tmp_path):

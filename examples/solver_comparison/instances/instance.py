@@ -15,7 +15,10 @@ from examples.solver_comparison.instances.families import WARM_UP_SIZES
 
 FAILURE_BUDGET = 0.05
 
-DEFAULT_INSTANCES = (
+QUICK_INSTANCES = ("robot-20x12-M@0.999", "random-5000-M@0.999")
+"""Discounted, so that the paper's own method can be compared, too."""
+
+FULL_INSTANCES = (
     "robot-20x12-M",
     "robot-40x24-M",
     "robot-80x36-M",

@@ -1,5 +1,6 @@
 """What a solver's module hands to the process that times it."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -27,6 +28,12 @@ class Prepared:
     warm_up: Callable[[], object] | None = None  # where something compiles on first use
     note: str = ""
     details: str = ""
+
+
+def infeasible(case: str) -> Answer:
+    """Return the answer where no policy does what the case of an instance asks."""
+    what = "reaches the goal surely" if case == "C" else "keeps to the failure budget"
+    return Answer(math.inf, note=f"no policy {what}")
 
 
 def joined(*words: str) -> str:

@@ -6,7 +6,7 @@ from contextlib import suppress
 
 from examples.solver_comparison.instances.instance import parse_instance
 from examples.solver_comparison.instances.models import ReadyInstance, build
-from examples.solver_comparison.solvers.answer import Answer, Prepared, joined
+from examples.solver_comparison.solvers.answer import Answer, Prepared, infeasible, joined
 from examples.solver_comparison.solvers.catalogue import Order
 from ssp_lp import InfeasibleError, LinearProgramming, Solution, SolverError, solve
 from ssp_lp.compiled.accelerator import has_accelerator
@@ -29,8 +29,8 @@ def prepare(ready: ReadyInstance, order: Order, *, method: str, backend: str | N
                 tolerance=order.tolerance,
                 time_limit=order.time_limit,
             )
-        except InfeasibleError:  # of case C: the goal cannot be reached surely
-            return Answer(math.inf, note="no policy reaches the goal surely")
+        except InfeasibleError:
+            return infeasible(ready.instance.case)
         except SolverError as error:
             if time.perf_counter() - began < order.time_limit:
                 raise

@@ -21,7 +21,7 @@ import stormpy
 from stormpy import datastructures, environments, models
 
 from examples.solver_comparison.instances.models import ReadyInstance
-from examples.solver_comparison.solvers.answer import Answer, Prepared, joined
+from examples.solver_comparison.solvers.answer import Answer, Prepared, infeasible, joined
 from examples.solver_comparison.solvers.catalogue import Order
 from examples.solver_comparison.solvers.explicit import describe, size_of, written_out
 from ssp_lp.processes.explicit_process import ExplicitProcess
@@ -55,6 +55,8 @@ def prepare(ready: ReadyInstance, order: Order, *, sound: bool, precision: str |
 
     def call() -> Answer:
         result = stormpy.model_checking(model, formula, environment=environment)
+        if not hasattr(result, "get_value"):  # not a number but "no": the limit cannot be kept
+            return infeasible(asked.case)
         value = float(result.get_value(start))
         if asked.case != "S":
             return Answer(value)
