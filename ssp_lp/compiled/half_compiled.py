@@ -15,7 +15,7 @@ from numba.core import event
 from ssp_lp.compiled.accelerator import give_up_compiling
 
 
-class _Compiling(event.Listener):  # type: ignore[misc]
+class _Compiling(event.Listener):
     """Watches numba's compiler lock, which is held whenever anything is compiled or loaded."""
 
     def __init__(self) -> None:
@@ -39,4 +39,4 @@ class _Compiling(event.Listener):  # type: ignore[misc]
             give_up_compiling()
 
 
-event.register("numba:compiler_lock", _Compiling())
+event.register("numba:compiler_lock", _Compiling())  # type: ignore[no-untyped-call]
