@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, fields, is_dataclass, replace
 from enum import Enum
 from fractions import Fraction
@@ -54,6 +54,7 @@ _VERSION = 1
 
 
 _HEADER = "header"
+_LARGEST_HEADER = 1 << 28  # bytes that are unpacked: names of some ten million states
 
 
 def write_archive(
@@ -74,21 +75,59 @@ def write_archive(
         np.savez_compressed(file, **named)
 
 
-def _read_archive(path: FilePath, kind: str) -> tuple[Any, dict[str, Array]]:
-    """Header and arrays of an archive; nothing in it is executed.
+class _Arrays(Mapping[str, Array]):
+    """Arrays of an archive, each unpacked when it is first asked for; others never are."""
+
+    def __init__(self, archive: Any) -> None:
+        """Take an archive that numpy has opened."""
+        self._archive, self._unpacked = archive, dict[str, Array]()
+
+    def __getitem__(self, name: str) -> Array:
+        """An array in the machine's own byte order.
+
+        Raises:
+            ModelError: the array is damaged.
+            KeyError: there is none of this name.
+        """
+        if name not in self:
+            raise KeyError(name)
+        if name not in self._unpacked:
+            try:
+                array = self._archive[name]
+            except (ValueError, MemoryError) as error:
+                other = f"the array {name} has another type or size than it should"
+                raise ModelError(other) from error
+            except Exception as error:  # zipfile, zlib and numpy raise a dozen kinds for damage
+                raise ModelError(f"the array {name} is damaged: {error}") from error
+            self._unpacked[name] = array.astype(array.dtype.newbyteorder("="), copy=False)
+        return self._unpacked[name]
+
+    def __contains__(self, name: object) -> bool:
+        """Whether there is an array of this name; it is not unpacked."""
+        return name in self._archive.files
+
+    def __iter__(self) -> Iterator[str]:
+        """Names of all arrays."""
+        return iter(self._archive.files)
+
+    def __len__(self) -> int:
+        """How many arrays there are."""
+        return len(self._archive.files)
+
+
+def _header_of(archive: Any, path: FilePath, kind: str) -> Any:
+    """Header of an archive that numpy has opened.
 
     Raises:
-        ModelError: naming the file: it is none, broken, or of a later version than this library
-            knows.
-        OSError: the file cannot be opened.
+        ModelError: naming the file: its header is too large, of another kind of file, or of a later
+            version than this library knows.
     """
-    with Path(path).open("rb") as stream:
-        try:
-            with np.load(stream, allow_pickle=False) as archive:
-                arrays = {name: _native_array(archive, name) for name in archive.files}
-            header = json.loads(arrays.pop(_HEADER, np.frombuffer(b"null", np.uint8)).tobytes())
-        except Exception as error:  # zipfile, zlib and numpy raise a dozen kinds for damage
-            raise ModelError(f"{path} is no ssp-lp {kind} file: {error}") from error
+    header = None
+    if _HEADER in archive.files:
+        if (size := archive.zip.getinfo(f"{_HEADER}.npy").file_size) > _LARGEST_HEADER:
+            most = f"more than {_LARGEST_HEADER:,}"
+            raise ModelError(f"{path} is no ssp-lp {kind} file: a header of {size:,} bytes, {most}")
+        header = json.loads(archive[_HEADER].tobytes())
     found = header.get("format", "") if isinstance(header, dict) else None
     if found != f"ssp-lp {kind}":
         what = "it was not written by ssp-lp" if found is None else f"it says {str(found)[:60]!r}"
@@ -100,28 +139,33 @@ def _read_archive(path: FilePath, kind: str) -> tuple[Any, dict[str, Array]]:
         raise ModelError(
             f"{path} has version {version!r}, this ssp-lp reads up to {_VERSION}: {remedy}"
         )
-    return header, arrays
+    return header
 
 
 @contextmanager
-def opened_archive(path: FilePath, kind: str) -> Iterator[tuple[Any, dict[str, Array]]]:
-    """Header and arrays of an archive; :class:`ModelError` names the file where they are wrong."""
-    content = _read_archive(path, kind)
-    try:
-        yield content
-    except ModelError as error:
-        raise ModelError(f"{path}: ", *error.args) from error
-    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
-        raise ModelError(f"{path} is damaged: {error!r}") from error
+def opened_archive(path: FilePath, kind: str) -> Iterator[tuple[Any, Mapping[str, Array]]]:
+    """Header and arrays of an archive, which is open meanwhile; nothing in it is executed.
 
-
-def _native_array(archive: Mapping[str, Array], name: str) -> Array:
-    """An archive's array, in the machine's own byte order."""
-    try:
-        array = archive[name]
-    except (ValueError, MemoryError) as error:
-        raise ModelError(f"the array {name} has another type or size than it should") from error
-    return array.astype(array.dtype.newbyteorder("="), copy=False)
+    Raises:
+        ModelError: naming the file: it is none, of a later version than this library knows, or
+            what is read of it is wrong.
+        OSError: the file cannot be opened.
+    """
+    with ExitStack() as opened:
+        stream = opened.enter_context(Path(path).open("rb"))
+        try:
+            archive = opened.enter_context(np.load(stream, allow_pickle=False))
+            header = _header_of(archive, path, kind)
+        except ModelError:
+            raise
+        except Exception as error:  # zipfile, zlib and numpy raise a dozen kinds for damage
+            raise ModelError(f"{path} is no ssp-lp {kind} file: {error}") from error
+        try:
+            yield header, _Arrays(archive)
+        except ModelError as error:
+            raise ModelError(f"{path}: ", *error.args) from error
+        except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+            raise ModelError(f"{path} is damaged: {error!r}") from error
 
 
 _ARRAYS = {

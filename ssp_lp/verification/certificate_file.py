@@ -14,6 +14,7 @@ import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from decimal import Decimal
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from hashlib import sha256
@@ -49,7 +50,7 @@ from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, GiveUp
 from ssp_lp.solution import Solution, as_solved
 from ssp_lp.solve import solve
 from ssp_lp.verification import checker
-from ssp_lp.verification.checker import Checked, dot
+from ssp_lp.verification.checker import Checked
 from ssp_lp.verification.decision_cases import cases_of_decisions
 from ssp_lp.verification.exact_values import (
     case_values,
@@ -66,6 +67,7 @@ from ssp_lp.verification.lottery import (
     reached,
 )
 
+_ROUNDED_ROW = Fraction(1, 10**12)  # of a bound, or of 1, to which solutions keep rows
 _MOVED = Fraction(1, 10**6)  # of a price, by which it may be corrected
 _RAISES = 60  # of a price that is not known
 _LESS = Fraction(1, 10**12)  # of a ratio, than which nothing less is told apart where totals count
@@ -97,7 +99,8 @@ def write_certificate(solution: Solution, path: str | Path, *, tolerance: float 
     A deterministic policy (``method="deterministic"``) is proved among its like by a tree of at
     most some hundred cases, except at least failure, where lotteries do no better. At least failure
     the policy may be shown to fail more than the least by the last digits of the proof, unless
-    these are exact or the goal is sure: that is told as a row exceeded.
+    these are exact or the goal is sure: that is told as a row exceeded. Where a policy exceeds a
+    bound by the rounding of floats, the file asks with a bound that is so much looser, and says so.
 
     Args:
         solution: of ``solve``; its policy and its prices are what is proved to be best.
@@ -120,20 +123,14 @@ def write_certificate(solution: Solution, path: str | Path, *, tolerance: float 
         _before_labelling(solved.problem), f"{asked}, not mixed" if is_single else asked,
         is_single, solved.problem.model.failure_label is not None,
     )  # fmt: skip
-    lines = list(statement.lines())
     try:
-        model = _Draft(json.loads(lines[0]), lines[1:])
-        charge = solved.problem.semantics.charge(solved.problem.ratio)
-        if isinstance(charge, _TABLES) and model.counts:
-            statement.totals = _told_apart(model, charge)
-            lines = list(statement.lines())
-            model = _Draft(json.loads(lines[0]), lines[1:])
-    except checker.RefusedError as error:
-        raise ModelError(f"no certificate of {type(solved.problem).__name__}: {error}") from error
-    digest = sha256(b"\n".join(lines)).hexdigest()
-    try:
-        head = {"sha256": digest, "claim": _claim(solved, tolerance)}
-        checked, proved = _best_proof(lines, _proofs(model, solved, head), is_single)
+        try:
+            checked, proved = _proved(statement, solved, tolerance)
+        except checker.RefusedError:
+            if not statement.excess:
+                raise
+            statement.asked += f", but for rounding of {', '.join(statement.excess)}"
+            checked, proved = _proved(statement, solved, tolerance)
     except checker.RefusedError as error:
         raise SolverError(f"the answer is not proved: {error}") from error
     with open(path, "wb") as raw, gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as file:
@@ -141,13 +138,52 @@ def write_certificate(solution: Solution, path: str | Path, *, tolerance: float 
     return checked
 
 
+def _proved(
+    statement: Statement, solution: Solution, tolerance: float
+) -> tuple[Checked, list[bytes]]:
+    """What the best certificate file of a question proves, and its lines.
+
+    Raises:
+        RefusedError: none is accepted; the statement then says which bounds it exceeds by rounding.
+    """
+    lines = list(statement.lines())
+    try:
+        model = _Draft(lines)
+        charge = solution.problem.semantics.charge(solution.problem.ratio)
+        if isinstance(charge, _TABLES) and model.counts:
+            statement.totals = _told_apart(model, charge)
+            lines = list(statement.lines())
+            model = _Draft(lines)
+    except checker.RefusedError as error:
+        raise ModelError(f"no certificate of {type(solution.problem).__name__}: {error}") from error
+    head = {"sha256": sha256(b"\n".join(lines)).hexdigest(), "claim": _claim(solution, tolerance)}
+    try:
+        return _best_proof(lines, _proofs(model, solution, head), statement.is_single)
+    finally:
+        statement.excess = model.rounded
+
+
 class _Draft(checker.Model):
     """A certificate's question and model, whose proof may be made before its inequalities hold."""
 
-    def __init__(self, question: dict[str, Any], lines: Sequence[bytes]) -> None:
-        super().__init__(question, lines)
+    def __init__(self, lines: Sequence[bytes]) -> None:
+        super().__init__(json.loads(lines[0]), list(map(checker.read_state, lines[1:])))
         self.is_checked = True
         self.charged: dict[tuple[float, float], Solution] = {}  # of thresholds between two
+        self.rounded: dict[str, Fraction] = {}  # of rows that are kept but for rounding, by so much
+
+    def attain(self, weights: Sequence[Fraction], members: Sequence[Sequence[Fraction]]) -> Any:
+        """Objective and rows of a lottery in a certificate; notes the rows that are rounded."""
+        attained = super().attain(weights, members)
+        beyond = zip(self.rows, attained[1:], strict=True)
+        excess = {row.name: value - row.bound for row, value in beyond}
+        most = {row.name: min(abs(row.bound), Fraction(1)) for row in self.rows}
+        self.rounded = {
+            name: more for name, more in excess.items()
+            if most[name] * checker.EXCESS < more <= most[name] * _ROUNDED_ROW
+            and (name != "failure" or self.share is None)
+        }  # fmt: skip
+        return attained
 
     def at_most(self, left: int, right: int, *words: object) -> None:
         """Refuse the certificate unless an inequality holds, or the proof is a draft."""
@@ -236,6 +272,7 @@ class Statement:
     costs: list[tuple[FloatArray, Mapping[float, Fraction]]] = field(default_factory=list)
     sets: dict[str, BoolArray] = field(default_factory=dict)
     totals: Sequence[Fraction] = ()  # that a charge is told of one by one
+    excess: Mapping[str, Fraction] = field(default_factory=dict)  # of a bound that was rounded
 
     def lines(self) -> Iterator[bytes]:
         """Lines of a certificate file for the question and each state."""
@@ -286,7 +323,9 @@ class Statement:
             for upper in condition.rows:
                 side = "at_most" if upper.sign > 0.0 else "at_least"
                 bound = condition.upper if upper.sign > 0.0 else condition.lower
-                rows.append({"name": upper.name, **row, side: _decimal_of(float(bound or 0.0))})
+                rows.append(
+                    {"name": upper.name, **row, side: self._bound(upper.name, bound, upper.sign)}
+                )
         start = problem.start if isinstance(problem.start, Mapping) else {problem.start: 1.0}
         begins = [[_text_of(p), problem.model.index_of(x)] for x, p in start.items()]
         return {
@@ -330,7 +369,17 @@ class Statement:
         budget = problem.failure_budget
         if budget is None:
             return "least"
-        return None if budget >= 1.0 else _decimal_of(max(float(budget), 0.0))
+        return None if budget >= 1.0 else self._bound("failure", max(float(budget), 0.0), 1.0)
+
+    def _bound(self, name: str, bound: float | None, sign: float) -> str:
+        """A row's bound in a certificate file, beyond which that of the solution is not rounded."""
+        text = _decimal_of(float(bound or 0.0))
+        if not (excess := self.excess.get(name)):
+            return text
+        place = len(str(excess.denominator // excess.numerator))  # of the excess's first digit
+        side = 1 if sign > 0.0 else -1
+        least = math.floor((side * Fraction(text) + excess) * 10**place) + 1
+        return f"{Decimal(side * least).scaleb(-place):f}"
 
     def _quantity(self, condition: Condition, stated: Any) -> dict[str, Any]:
         """A quantity of the model, looked up, in a certificate file."""
@@ -507,7 +556,9 @@ def _common_unit(model: checker.Model, proof: Sequence[bytes], digits: int) -> i
         if one.bit_length() > _LONGEST:
             return None
     priced = math.lcm(*(price.limit_denominator(near).denominator for price in prices))
-    return priced * math.lcm(one, *(a.denominator for q in model.each for a in q.arrival))
+    return priced * math.lcm(
+        one, *(q.arrival(x).denominator for q in model.each for x in range(len(model.names)))
+    )
 
 
 def _numbers_in(content: Any) -> Iterator[Fraction]:
@@ -544,9 +595,9 @@ def _proof_at(
         rising, _ = values_below(model, ssp, model.slopes, members, below=False)
         slope = [max(one, 0) for one in rising]
     chosen = lottery_weights(model, weights[weights > 0.0], totals)
-    upper = dot(chosen, [total[0] for total in totals])
+    upper, *taken = model.attain(chosen, totals)
     if model.ratio:
-        upper /= max(1 - dot(chosen, [total[1] for total in totals]), Fraction(1, model.one))
+        upper /= max(1 - taken[0], Fraction(1, model.one))
     weighed = [] if "quantile" in model.question else totals[: int((weights > 0.0).sum())]
     is_cut = False
     if "tail_mean" in model.question:
@@ -762,7 +813,7 @@ def _priced_values(
     for _ in range(_RAISES):
         case = checker.Case(list(prices), low, {})
         v, bound = case_values(model, ssp, case, members, past)
-        if model.ratio and bound < 0 and model.rows[0].loose == 1:
+        if model.ratio and bound < 0 and model.rows[0].paid == 1:
             # no policy goes below a somewhat smaller ratio; of few digits, which are exact
             prices[0] = Fraction(math.floor(prices[0] * (1 - less) * 10**20), 10**20)
             prices = prices if less < _SMALLER else [Fraction(0)] * len(prices)

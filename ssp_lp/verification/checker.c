@@ -54,6 +54,10 @@
 #include <zlib.h>
 
 enum { DIGITS = 60, LONGEST = 4000, DEEPEST = 900, NONE = -1, STOP = -2 };
+enum { LINE = 1 << 24, ALL = 1 << 29, TIMES = 100 };  /* most bytes of a line; of all lines; of them
+                                                      * per byte of the file, behind a line's */
+enum { SHORTEST = 24 };  /* bytes of a line of a state, or of a node, at least */
+enum { EXCESS = 24 };  /* digits of a bound, or of 1, behind which a lottery may exceed it, told */
 
 static size_t n_lines;  /* that were read; 0 when all is read */
 
@@ -158,6 +162,7 @@ static EVP_MD_CTX *hash;         /* of so many lines, of which the last one has 
 static size_t n_hashed = 2;
 static char *at;                 /* the part of the line that is not read yet */
 static struct json *values;      /* of the line */
+static size_t n_bytes, most_bytes;  /* that were unpacked since the file began */
 static size_t n_values;
 
 static bool take(char letter) {
@@ -217,7 +222,10 @@ static struct json *next_line(bool needed) {
     size_t length = 0, count = 1;
     int byte, error;
     n_lines++;
-    while ((byte = gzgetc(file)) != -1 && byte != '\n') {
+    while ((byte = gzgetc(file)) != -1) {
+        if (length >= LINE) refuse("a line has more than %d bytes", LINE);
+        if (++n_bytes > most_bytes) refuse("the lines have more than %zu bytes", most_bytes);
+        if (byte == '\n') break;
         if (byte < ' ' || byte > '~') refuse("it is no printable ASCII");
         if (length + 1 >= room && !(line = realloc(line, room = 2 * room + 100)))
             fail("there is not enough memory");
@@ -350,17 +358,19 @@ static rational not_negative(struct json *value) {
 
 /* ---- The question ---- */
 
-/* Weights of a quantity: these; those of the costs, and of steps; three of each set of states. */
-enum { CONSTANT, STOPPING, BOUND, COSTS };
+/* A quantity has these; and weights, those that are not 0: of costs, of steps, three of each set. */
+enum { CONSTANT, STOPPING, BOUND, FIXED };
 enum { VISITS, ENDS, OTHER_ENDS, KINDS };
 
-struct quantity { char *name; rational *weights; };
+struct term { size_t place; rational weight; };
+struct quantity { char *name; rational fixed[FIXED]; struct term *terms; size_t n_terms; };
 struct step { rational after, value[2], slope; };  /* of the charge: its least, and greatest */
 
 static size_t n, n_costs, *start_state;
 static size_t n_sets, n_start, n_rows, n_steps;  /* rows: the objective among them */
-static char **sets, *asked;
-static bool **in_set, *ends, *goal;      /* set by set: states in it; whether its ends count */
+static char **sets, *asked;              /* names of sets, in their order */
+static bool *ends, *goal;                /* set by set: whether its ends count; states */
+static struct set_list { size_t size, *sets; } *lies_in;  /* of each state, rising */
 static bool anywhere, attention, charging, greatest, least, sharing, limited, ratio;
 static bool totals, quantile, tail_mean; /* whether totals count; and what is asked of them */
 static bool single;                      /* whether policies must not be mixed */
@@ -368,67 +378,88 @@ static rational discount, share, level, *start_part;
 static struct quantity *quantities;      /* the objective, and the rows */
 static struct step *steps;
 
-static size_t weight_of(size_t set, int kind) {
-    return COSTS + n_costs + 1 + KINDS * set + (size_t)kind;
+static size_t weight_of(size_t set, int kind) { return n_costs + 1 + KINDS * set + (size_t)kind; }
+
+static int by_name(const void *one_name, const void *other_name) {
+    return strcmp(*(char *const *)one_name, *(char *const *)other_name);
 }
 
 static size_t set_of(const char *name) {
-    for (size_t s = 0; s < n_sets; s++)
-        if (!strcmp(name, sets[s])) return s;
-    refuse("there is no set \"%s\"", name);
+    char **place = bsearch(&name, sets, n_sets, sizeof *sets, by_name);
+    if (!place) refuse("there is no set \"%s\"", name);
+    return (size_t)(place - sets);
 }
 
 static void new_set(char *name) {
     sets = grown(sets, n_sets, sizeof *sets);
-    in_set = grown(in_set, n_sets, sizeof *in_set);
-    sets[n_sets] = name;
-    in_set[n_sets++] = zeros(n + 1, 1);
+    sets[n_sets++] = name;
 }
 
-static rational *new_quantity(char *name) {
+static int by_number(const void *one_set, const void *other_set) {
+    size_t a = *(const size_t *)one_set, b = *(const size_t *)other_set;
+    return a < b ? -1 : a > b;
+}
+
+static bool in_set(size_t set, size_t x) {
+    const struct set_list *all = &lies_in[x];
+    return all->size && bsearch(&set, all->sets, all->size, sizeof set, by_number);
+}
+
+static struct quantity *new_quantity(char *name) {
     for (size_t j = 1; j < n_rows; j++)
         if (!strcmp(quantities[j].name, name)) refuse("two rows are called %s", name);
     quantities = grown(quantities, n_rows, sizeof *quantities);
-    quantities[n_rows] = (struct quantity){name, many_zeros(weight_of(n_sets, 0))};
-    return quantities[n_rows++].weights;
+    quantities[n_rows] = (struct quantity){.name = name, .fixed = {zero, zero, zero}};
+    return &quantities[n_rows++];
+}
+
+static void add_term(struct quantity *q, size_t place, rational weight) {
+    for (struct term *term = q->terms; term < q->terms + q->n_terms; term++)
+        if (term->place == place) {
+            term->weight = plus(term->weight, weight);
+            return;
+        }
+    q->terms = grown(q->terms, q->n_terms, sizeof *q->terms);
+    q->terms[q->n_terms++] = (struct term){place, weight};
 }
 
 /* Weights of a quantity, or of minus it. */
-static void read_quantity(rational *weights, struct json *value, bool turn) {
-    weights[CONSTANT] = turned(get(value, "constant"), turn);
+static void read_quantity(struct quantity *q, struct json *value, bool turn) {
+    q->fixed[CONSTANT] = turned(get(value, "constant"), turn);
     for (struct json *term = list(get(value, "terms")); term; term = term->next) {
         struct json *kind = after(list(term)), *what = after(kind);
         rational weight = turned(list(term), turn);
         size_t place;
         if (says(kind, "cost")) {
-            place = COSTS + whole(what, n_costs);
+            place = whole(what, n_costs);
         } else if (says(kind, "visits")) {
             place = weight_of(set_of(string(what)), VISITS);
         } else if (says(kind, "end")) {
             place = weight_of(set_of(string(what)), mpq_sgn(weight) < 0 ? OTHER_ENDS : ENDS);
             ends[set_of(what->text)] = true;
             if (mpq_sgn(weight) < 0) {  /* P(end) = 1 - P(no such end) */
-                weights[CONSTANT] = plus(weights[CONSTANT], weight);
+                q->fixed[CONSTANT] = plus(q->fixed[CONSTANT], weight);
                 weight = minus(zero, weight);
-                weights[STOPPING] = plus(weights[STOPPING], weight);
+                q->fixed[STOPPING] = plus(q->fixed[STOPPING], weight);
             }
         } else refuse("no quantity is called \"%s\"", string(kind));
-        weights[place] = plus(weights[place], weight);
+        add_term(q, place, weight);
     }
-    for (size_t cost = 0; cost < n_costs; cost++)
-        if (mpq_sgn(weights[COSTS + cost]) < 0) refuse("costs count negatively");
+    for (struct term *term = q->terms; term < q->terms + q->n_terms; term++)
+        if (term->place < n_costs && mpq_sgn(term->weight) < 0) refuse("costs count negatively");
 }
 
 static void read_failure(struct json *stated) {
     bool none = is(stated, 'n');
     limited = ratio || !none;
     if (!limited) return;
-    rational *weights = new_quantity("failure");
-    weights[STOPPING] = weights[weight_of(0, OTHER_ENDS)] = one;  /* other ends than the goal */
+    struct quantity *failure = new_quantity("failure");
+    failure->fixed[STOPPING] = one;
+    add_term(failure, weight_of(set_of("goal"), OTHER_ENDS), one);
     least = says(stated, "least");
     sharing = is(stated, '{');
     if (sharing) share = not_negative(get(stated, "share"));
-    else if (!least) weights[BOUND] = none ? one : number(stated);
+    else if (!least) failure->fixed[BOUND] = none ? one : number(stated);
     if (less(one, share)) refuse("a share is no probability");
     if ((sharing || least) && less(discount, one))
         refuse("a share, or least failure, is of the real probability: without discount");
@@ -436,10 +467,10 @@ static void read_failure(struct json *stated) {
 
 static void read_row(struct json *row) {
     struct json *most = found(row, "at_most");
-    rational *weights = new_quantity(kept(string(get(row, "name"))));
-    read_quantity(weights, get(row, "quantity"), !most);
-    weights[BOUND] = minus(turned(most ? most : get(row, "at_least"), !most), weights[CONSTANT]);
-    weights[CONSTANT] = zero;
+    struct quantity *q = new_quantity(kept(string(get(row, "name"))));
+    read_quantity(q, get(row, "quantity"), !most);
+    q->fixed[BOUND] = minus(turned(most ? most : get(row, "at_least"), !most), q->fixed[CONSTANT]);
+    q->fixed[CONSTANT] = zero;
 }
 
 static void read_charge(struct json *step) {
@@ -477,13 +508,13 @@ static void read_question(struct json *line) {
     struct json *objective = get(line, "objective");
     if (!says(get(line, "format"), "ssp-lp certificate 1")) refuse("the format is not known");
     asked = kept(string(get(line, "asked")));
-    n = whole(get(line, "states"), INT32_MAX);
+    n = whole(get(line, "states"), ALL / SHORTEST);
     n_hashed = 1 + n;
     n_costs = whole(get(line, "costs"), 1000);
     new_set("goal");
-    goal = in_set[0];
     for (struct json *set = list(get(line, "sets")); set; set = set->next)
         new_set(kept(string(set)));
+    qsort(sets, n_sets, sizeof *sets, by_name);
     ends = zeros(n_sets, 1);
     read_start(list(get(line, "start")));
     anywhere = says(where, "anywhere");
@@ -534,6 +565,7 @@ static char *state_name, *action;        /* and its action: with part / sum it c
 static struct move *moves;               /* and so much further in units of totals; */
 static size_t n_moves;
 static mpz_t sum;
+static bool *counted;                    /* costs that some quantity counts */
 static rational *paid, *least_paid;      /* means of its costs, and 1, times the sum; least means */
 static char digest[2 * EVP_MAX_MD_SIZE + 1];
 
@@ -583,11 +615,29 @@ static void read_pair(struct json *stated) {
     paid[n_costs] = of(sum);
 }
 
+/* The sets that the state lies in, of which none counts twice. */
+static void read_sets(struct json *stated) {
+    struct set_list *all = &lies_in[state];
+    bool is_known = all->sets;
+    for (; stated && !is_known; stated = stated->next) {
+        all->sets = grown(all->sets, all->size, sizeof *all->sets);
+        all->sets[all->size++] = set_of(string(stated));
+    }
+    if (is_known || !all->size) return;
+    qsort(all->sets, all->size, sizeof *all->sets, by_number);
+    size_t size = 0;
+    for (size_t i = 0; i < all->size; i++)
+        if (!size || all->sets[i] != all->sets[size - 1]) all->sets[size++] = all->sets[i];
+    all->size = size;
+    goal[state] = in_set(set_of("goal"), state);
+}
+
 /* Read the question and the model, and do this with the actions of each state. */
 static void read_model(void (*use)(struct json *)) {
     unsigned char bytes[EVP_MAX_MD_SIZE];
     char digits[sizeof digest] = "";
     unsigned size;
+    n_bytes = 0;
     if (gzrewind(file)) fail("the file cannot be read twice, as a pipe cannot");
     EVP_DigestInit_ex(hash, EVP_sha256(), NULL);
     n_lines = 0;
@@ -596,14 +646,20 @@ static void read_model(void (*use)(struct json *)) {
         read_question(line);
         paid = many_zeros(n_costs + 1);
         least_paid = many_zeros(n_costs + 1);
+        counted = zeros(n_costs, sizeof *counted);
+        for (size_t j = 0; j < n_rows; j++)
+            for (size_t i = 0; i < quantities[j].n_terms; i++)
+                if (quantities[j].terms[i].place < n_costs && mpq_sgn(quantities[j].terms[i].weight))
+                    counted[quantities[j].terms[i].place] = true;
         first_pair = zeros(n + 1, sizeof *first_pair);
         coming = zeros(n, sizeof *coming);
+        goal = zeros(n, sizeof *goal);
+        lies_in = zeros(n, sizeof *lies_in);
     }
     for (state = 0; state < n; state++) {
         line = next_line(true);
         state_name = string(get(line, "name"));
-        for (struct json *set = list(get(line, "sets")); set; set = set->next)
-            in_set[set_of(string(set))][state] = true;
+        read_sets(list(get(line, "sets")));
         use(list(get(line, "actions")));
     }
     if (!EVP_DigestFinal_ex(hash, bytes, &size)) fail("there is no SHA-256");
@@ -627,10 +683,8 @@ static void keep_graph(struct json *actions) {
         waits = grown(waits, n_pairs, sizeof *waits);
         home[n_pairs] = (uint32_t)state;
         costless[n_pairs] = waits[n_pairs] = true;
-        for (size_t j = 0; j < n_rows; j++)
-            for (size_t cost = 0; cost < n_costs; cost++)
-                if (mpq_sgn(paid[cost]) && mpq_sgn(quantities[j].weights[COSTS + cost]))
-                    costless[n_pairs] = false;
+        for (size_t cost = 0; cost < n_costs; cost++)
+            if (mpq_sgn(paid[cost]) && counted[cost]) costless[n_pairs] = false;
         for (struct move *move = moves; move < moves + n_moves; move++) {
             if (!mpz_sgn(move->part)) continue;
             keep_outcome(move->state);
@@ -683,12 +737,13 @@ static bool *shrunk(const bool *states, bool *allowed, bool all) {
 }
 
 /* What a quantity counts on arriving in a state: of visits alone, or of ends too; but for costs. */
-static rational arrivals(rational *weights, size_t x, bool of_ends) {
+static rational arrivals(const struct quantity *q, size_t x, bool of_ends) {
     rational count = zero;
-    for (size_t s = 0; s < n_sets; s++) {
-        if (in_set[s][x]) count = plus(count, weights[weight_of(s, VISITS)]);
-        if (of_ends && !live[x])
-            count = plus(count, weights[weight_of(s, in_set[s][x] ? ENDS : OTHER_ENDS)]);
+    for (const struct term *term = q->terms; term < q->terms + q->n_terms; term++) {
+        if (term->place <= n_costs) continue;
+        size_t set = (term->place - n_costs - 1) / KINDS, kind = (term->place - n_costs - 1) % KINDS;
+        if (kind != VISITS && (!of_ends || live[x])) continue;
+        if (in_set(set, x) == (kind != OTHER_ENDS)) count = plus(count, term->weight);
     }
     return count;
 }
@@ -698,10 +753,10 @@ static void check_quantities(void) {
     bool *seen = zeros(n + 1, 1);
     for (size_t x = 0; x <= n; x++) {
         n_made = n_lasting;
-        for (size_t s = 0; s < n_sets; s++)
-            if (ends[s] && in_set[s][x] && live[x]) refuse("not all states end: %s", sets[s]);
+        for (size_t i = 0; i < lies_in[x].size && live[x]; i++)
+            if (ends[lies_in[x].sets[i]]) refuse("not all states end: %s", sets[lies_in[x].sets[i]]);
         for (size_t j = 0; j < n_rows; j++) {
-            int sign = mpq_sgn(arrivals(quantities[j].weights, x, false));
+            int sign = mpq_sgn(arrivals(&quantities[j], x, false));
             if (sign < 0) refuse("visits count negatively in %s", quantities[j].name);
             seen[x] = seen[x] || (live[x] && sign);
         }
@@ -714,13 +769,16 @@ static void check_quantities(void) {
 /* Where the goal can surely be reached, by pairs that keep it sure. */
 static void find_sure(const bool *not_goal) {
     for (bool shrinks = true; shrinks;) {
+        bool *either = copied(sure, n + 1);
+        for (size_t x = 0; x <= n; x++) either[x] = sure[x] || goal[x];
+        memset(keeps, true, n_pairs);
+        bool *inside = shrunk(either, keeps, false), *allowed = copied(keeps, n_pairs);
+        bool *lost = shrunk(not_goal, allowed, true);
         shrinks = false;
-        for (size_t pair = 0; pair < n_pairs; pair++) keeps[pair] = sure[home[pair]];
-        for (struct outcome *o = outcomes; o < outcomes + n_outcomes; o++)
-            if (!sure[o->state] && not_goal[o->state]) keeps[o->pair] = false;
-        bool *allowed = copied(keeps, n_pairs), *lost = shrunk(not_goal, allowed, true);
         for (size_t x = 0; x <= n; x++)
-            if (sure[x] && lost[x]) shrinks = true, sure[x] = false;
+            if (sure[x] && (lost[x] || !inside[x])) shrinks = true, sure[x] = false;
+        free(either);
+        free(inside);
         free(allowed);
         free(lost);
     }
@@ -753,7 +811,7 @@ static void follow_graph(void) {
         if (mpq_sgn(start_part[i]) && !sure[start_state[i]])
             surely = surely && goal[start_state[i]];
     if (least && !surely) sharing = true, share = one;
-    may_fail = !limited || sharing || mpq_sgn(quantities[1].weights[BOUND]);
+    may_fail = !limited || sharing || mpq_sgn(quantities[1].fixed[BOUND]);
     if (!may_fail && !surely) refuse("failure 0: the goal can be reached surely, fails");
     if (may_fail) memset(keeps, true, n_pairs);
     free(not_goal);
@@ -771,13 +829,13 @@ struct stair { mpz_t start; rational after, value, slope; };  /* value + slope *
 struct charge { struct stair *stairs; size_t size; };  /* of a total: by the last one before it */
 struct column {
     const char *name;
-    rational *weights;           /* of the quantity that it bounds from below */
+    struct quantity *counts;     /* what it bounds from below */
     long member;                 /* of whose decisions it is asked; NONE: of all that is possible */
     const bool *stops;           /* then: where it is asked of stopping, besides giving up */
     struct charge *charge;       /* at the goal; of a member it counts negatively */
     struct column *slope;        /* of its numbers from the cap on */
     bool is_of_states;           /* it tells of nodes from the cap on alone */
-    mpz_t arrival;               /* in the state that is read */
+    size_t place;                /* among the shared ones, or those of a member */
 };
 /* Decisions that are left at a node in a case: to stop, and each action; and whether one who does
  * not stop there may wander by those that are left. */
@@ -795,13 +853,18 @@ struct range {
 struct node {
     size_t state;
     mpz_t total;                 /* in units of totals; from the cap on: the cap */
-    mpz_t *after;                /* of each column: arrival + y, in units */
+    mpz_t *after;                /* of each shared column: arrival + y, in units */
+    mpz_t **of_member;           /* of each member: the same of its columns, where it decides */
     int32_t *decision;           /* of each member */
     size_t line;
 };
 
-static size_t n_columns, n_members, each_member, n_nodes;  /* each_member: columns */
+static size_t n_columns, n_shared, n_members, each_member, n_nodes;  /* each_member: columns */
 static struct column *columns, *members, *least_failure;  /* first: v, of each case */
+static struct quantity *turned_rows, nothing_counts;  /* minus the objective and each row */
+static mpz_t *arrived, *arrived_member;  /* of shared columns, of a member's: in the state read */
+static struct arrival { size_t place; mpz_t count; } **ended;  /* of members' columns, not 0, */
+static size_t *n_ended;                  /* and how many, in each state that has ended */
 static struct node *nodes;               /* by state and total, the last of each state its cap */
 static size_t *first_node;               /* of each state */
 static struct range *cases;              /* and at their end what is beyond all of them */
@@ -828,23 +891,60 @@ static mpz_srcptr in_units(rational total) {
 
 static struct column *make_column(struct column *y, const char *name, struct charge *charge) {
     y->name = name;
-    y->weights = many_zeros(weight_of(n_sets, 0));
+    y->counts = &nothing_counts;
     y->member = NONE;
+    y->place = (size_t)(y - columns);
     y->charge = totals ? charge : NULL;
     y->is_of_states = charge == &rise;
     y->stops = avoiding;
-    mpz_init(y->arrival);
     return y;
 }
 
-/* Add a quantity to that of a column, times a factor. */
-static void add_quantity(struct column *y, rational factor, size_t quantity) {
-    for (size_t i = 0; i < weight_of(n_sets, 0); i++)
-        y->weights[i] = plus(y->weights[i], times(factor, quantities[quantity].weights[i]));
+static struct quantity *empty(size_t count) {
+    struct quantity *all = zeros(count, sizeof *all);
+    for (size_t j = 0; j < count; j++)
+        for (int i = 0; i < FIXED; i++) all[j].fixed[i] = zero;
+    return all;
+}
+
+/* The objective and, at prices of a case, the rows. */
+static struct quantity *priced(const struct range *range) {
+    struct quantity *all = empty(1);
+    rational *weights_of = many_zeros(weight_of(n_sets, 0));
+    for (size_t j = 0; j < n_rows; j++) {
+        rational price = j ? range->prices[j - 1] : one;
+        for (int i = 0; i < FIXED; i++)
+            all->fixed[i] = plus(all->fixed[i], times(price, quantities[j].fixed[i]));
+        for (size_t i = 0; i < quantities[j].n_terms; i++) {
+            const struct term *term = &quantities[j].terms[i];
+            weights_of[term->place] = plus(weights_of[term->place], times(price, term->weight));
+        }
+    }
+    for (size_t place = 0; place < weight_of(n_sets, 0); place++)
+        if (mpq_sgn(weights_of[place])) add_term(all, place, weights_of[place]);
+    free(weights_of);
+    return all;
+}
+
+static mpz_t *many_whole(size_t count) {
+    mpz_t *array = zeros(count, sizeof *array);
+    for (size_t i = 0; i < count; i++) mpz_init(array[i]);
+    return array;
 }
 
 static void make_columns(void) {
     rational minus_one = minus(zero, one);
+    struct quantity *steps_taken = empty(1);
+    nothing_counts = *empty(1);
+    add_term(steps_taken, n_costs, minus_one);
+    turned_rows = empty(n_rows);
+    for (size_t j = 0; j < n_rows; j++) {
+        for (int i = 0; i < FIXED; i++)
+            turned_rows[j].fixed[i] = times(minus_one, quantities[j].fixed[i]);
+        for (size_t i = 0; i < quantities[j].n_terms; i++)
+            add_term(&turned_rows[j], quantities[j].terms[i].place,
+                     times(minus_one, quantities[j].terms[i].weight));
+    }
     each_member = 1 + n_rows + totals;
     n_columns = n_cases + totals + sharing + n_members * each_member;
     members = columns = zeros(n_columns, sizeof *columns);
@@ -852,24 +952,32 @@ static void make_columns(void) {
         struct column *v = make_column(members++, "v", &cases[c].charge);
         v->stops = wandering;
         v->slope = totals ? columns + n_cases : NULL;
-        for (size_t j = 0; j < n_rows; j++) add_quantity(v, j ? cases[c].prices[j - 1] : one, j);
+        v->counts = priced(&cases[c]);
     }
     if (totals) make_column(members++, "slope", &rise);
     if (sharing) {
         least_failure = make_column(members++, "w", NULL);
         least_failure->is_of_states = true;
-        add_quantity(least_failure, one, 1);
+        least_failure->counts = &quantities[1];
     }
+    n_shared = (size_t)(members - columns);
     struct column *y = members;
     for (long m = 0; m < (long)n_members; m++) {  /* steps, objective, rows, and its slope */
-        make_column(y, "- steps", NULL)->weights[COSTS + n_costs] = minus_one;
+        make_column(y, "- steps", NULL)->counts = steps_taken;
         for (size_t j = 0; j < n_rows; j++) {
             make_column(y + 1 + j, quantities[j].name, j ? NULL : &charge_above);
-            add_quantity(y + 1 + j, minus_one, j);
+            y[1 + j].counts = &turned_rows[j];
         }
         if (totals) y[1].slope = make_column(y + 1 + n_rows, "- slope", &rise);
-        for (size_t j = 0; j < each_member; j++) y++->member = m;
+        for (size_t j = 0; j < each_member; j++, y++) {
+            y->member = m;
+            y->place = j;
+        }
     }
+    arrived = many_whole(n_shared);
+    arrived_member = many_whole(each_member);
+    ended = zeros(n + 1, sizeof *ended);
+    n_ended = zeros(n + 1, sizeof *n_ended);
     n_lasting = n_made;
 }
 
@@ -960,10 +1068,10 @@ static struct node *new_node(void) {
     nodes = grown(nodes, n_nodes, sizeof *nodes);
     struct node *node = &nodes[n_nodes++];
     *node = (struct node){.state = state, .line = n_lines};
-    node->after = zeros(n_columns, sizeof *node->after);
+    node->after = many_whole(n_shared);
+    node->of_member = zeros(n_members, sizeof *node->of_member);
     node->decision = zeros(n_members, sizeof *node->decision);
     mpz_init_set(node->total, cap);
-    for (size_t i = 0; i < n_columns; i++) mpz_init(node->after[i]);
     for (size_t m = 0; m < n_members; m++) node->decision[m] = NONE;
     return node;
 }
@@ -973,7 +1081,8 @@ static void read_number(struct node *node, const struct column *y, struct json *
     mpz_t z;
     mpz_init(z);
     floor_of(z, turned(stated, y->member != NONE), units);
-    if (live[state]) mpz_set(node->after[y - columns], z);
+    mpz_t *after_it = y->member == NONE ? node->after : node->of_member[y->member];
+    if (live[state]) mpz_set(after_it[y->place], z);
     mpz_clear(z);
 }
 
@@ -984,6 +1093,7 @@ static void read_member(struct node *node, size_t m, struct json *entry, bool at
     else *decision = (int32_t)whole(entry, first_pair[state + 1] - first_pair[state]);
     if (*decision == STOP && !wandering[state] && !giving_up[state])
         refuse("member %zu stops where it may, fails", m);
+    node->of_member[m] = many_whole(each_member);
     struct column *y = members + m * each_member;
     for (size_t j = 0; j < each_member; j++, y++)
         if (at_cap || !y->is_of_states) read_number(node, y, entry = after(entry));
@@ -1012,7 +1122,7 @@ static int by_state_and_total(const void *one_node, const void *other_node) {
 
 static void read_proof(void) {
     struct json *line = next_line(true);
-    size_t n_below = totals ? whole(get(line, "nodes"), INT32_MAX) : 0;
+    size_t n_below = totals ? whole(get(line, "nodes"), ALL / SHORTEST) : 0;
     read_head(line);
     end_line();
     make_columns();
@@ -1051,6 +1161,15 @@ static struct node *node_of(size_t x, mpz_srcptr total) {
     if (low == first_node[x] || mpz_cmp(nodes[low - 1].total, total))
         refuse("no line tells of state %zu with %Qd", x, over(of(total), of(unit)));
     return &nodes[low - 1];
+}
+
+/* What a column takes from coming to a node on: arrival + y, in units. */
+static mpz_srcptr after_of(const struct node *node, const struct column *y) {
+    if (y->member == NONE) return node->after[y->place];
+    if (node->of_member[y->member]) return node->of_member[y->member][y->place];
+    for (size_t i = 0; i < n_ended[node->state]; i++)
+        if (ended[node->state][i].place == y->place) return ended[node->state][i].count;
+    return mpq_numref(zero);
 }
 
 /* What is left in each case is so at nodes that have a line; and who may wander by it. */
@@ -1141,10 +1260,10 @@ static void charged(mpz_t count, const struct column *y, mpz_srcptr total) {
 }
 
 /* Weighted sum of costs. */
-static rational dot(rational *weights_of, rational *costs) {
+static rational dot(const struct quantity *q, rational *costs) {
     rational count = zero;
-    for (size_t cost = 0; cost <= n_costs; cost++)
-        count = plus(count, times(weights_of[COSTS + cost], costs[cost]));
+    for (const struct term *term = q->terms; term < q->terms + q->n_terms; term++)
+        if (term->place <= n_costs) count = plus(count, times(term->weight, costs[term->place]));
     return count;
 }
 
@@ -1164,18 +1283,38 @@ static void find_least(struct json *actions) {
     }
 }
 
-/* What each column counts on arriving in the state, in units. */
+static void arrive_with(mpz_t count, const struct column *y) {
+    size_t mark = n_made;
+    rational counts = arrivals(y->counts, state, true);
+    if (!live[state]) counts = plus(counts, dot(y->counts, least_paid));
+    floor_of(count, counts, units);
+    n_made = mark;
+}
+
+/* What each column counts on arriving in the state, in units; of members where one decides. */
 static void arrive(void) {
-    for (struct column *y = columns; y < columns + n_columns; y++) {
-        rational count = arrivals(y->weights, state, true);
-        if (!live[state]) count = plus(count, dot(y->weights, least_paid));
-        floor_of(y->arrival, count, units);
+    bool decides = !live[state];
+    for (size_t i = first_node[state]; i < first_node[state + 1]; i++)
+        for (size_t m = 0; m < n_members; m++) decides = decides || nodes[i].of_member[m];
+    for (size_t c = 0; c < n_shared; c++) arrive_with(arrived[c], &columns[c]);
+    for (size_t j = 0; j < each_member && decides; j++) arrive_with(arrived_member[j], &members[j]);
+}
+
+/* Keep what members' columns count on arriving where a run has ended. */
+static void keep_ended(void) {
+    for (size_t j = 0; j < each_member; j++) {
+        if (!mpz_sgn(arrived_member[j])) continue;
+        ended[state] = grown(ended[state], n_ended[state], sizeof **ended);
+        struct arrival *each = &ended[state][n_ended[state]++];
+        each->place = j;
+        mpz_init_set(each->count, arrived_member[j]);
     }
 }
 
 static void add_arrivals(struct json *actions) {
     if (!live[state]) find_least(actions);
     arrive();
+    if (!live[state]) keep_ended();
     for (; tail_mean && live[state] && actions; actions = actions->next) {
         read_pair(actions);
         for (struct move *move = moves; move < moves + n_moves; move++)
@@ -1184,15 +1323,19 @@ static void add_arrivals(struct json *actions) {
                 if (goal[move->state] && mpz_sgn(move->part)) meet(move->total);
             }
     }
-    for (size_t i = first_node[state]; i < first_node[state + 1]; i++)
-        for (size_t c = 0; c < n_columns; c++)
-            mpz_add(nodes[i].after[c], nodes[i].after[c], columns[c].arrival);
+    for (size_t i = first_node[state]; i < first_node[state + 1]; i++) {
+        for (size_t c = 0; c < n_shared; c++)
+            mpz_add(nodes[i].after[c], nodes[i].after[c], arrived[c]);
+        for (size_t m = 0; m < n_members; m++)
+            for (size_t j = 0; j < each_member && nodes[i].of_member[m]; j++)
+                mpz_add(nodes[i].of_member[m][j], nodes[i].of_member[m][j], arrived_member[j]);
+    }
 }
 
 /* Whether an inequality of a column is asked of an action, of this number; or of a stop. */
 static bool asked_of(const struct column *y, const struct node *node, int32_t choice, size_t pair) {
     if (y->is_of_states && mpz_cmp(node->total, cap)) return false;
-    if (y->member != NONE) return node->decision[y->member] == choice;
+    if (y->member != NONE) return true;
     const struct choice *here = y < columns + n_cases
         ? choice_at(&cases[y - columns], state, node->total) : NULL;
     if (choice == STOP)
@@ -1203,7 +1346,7 @@ static bool asked_of(const struct column *y, const struct node *node, int32_t ch
 
 /* A column's inequality at a node and the action that was read; a stop leads nowhere. */
 static void check(const struct column *y, const struct node *node, bool stopping) {
-    size_t mark = n_made, c = (size_t)(y - columns);
+    size_t mark = n_made;
     mpz_t left, right, goes, won, grows, all, z;
     mpz_inits(left, right, goes, won, grows, all, z, NULL);
     for (struct move *move = moves; move < moves + n_moves; move++) {
@@ -1213,21 +1356,21 @@ static void check(const struct column *y, const struct node *node, bool stopping
             refuse("%s of member %ld decides after %s %s, fails", y->name, y->member, state_name,
                    action);
         mpz_add(all, all, move->part);
-        mpz_addmul(goes, move->part, move->node->after[c]);
+        mpz_addmul(goes, move->part, after_of(move->node, y));
         if (y->charge && goal[move->state]) {
             charged(z, y, move->total);
             mpz_addmul(won, move->part, z);
         } else if (y->slope && !has_ended && mpz_cmp(move->total, cap) > 0) {
             mpz_sub(z, move->total, cap);
             mpz_mul(z, z, move->part);
-            mpz_addmul(grows, z, move->node->after[y->slope - columns]);
+            mpz_addmul(grows, z, after_of(move->node, y->slope));
         }
     }
     /* y <= own + charge + discount * (arrival + y, and its growth) after the step
      *   + (1 - discount) * arrival where a discount ends it,
      * times the sum of the parts, and the denominator of the discount */
     mpz_mul(z, units, mpq_denref(discount));
-    floor_of(right, plus(dot(y->weights, paid), stopping ? y->weights[STOPPING] : zero), z);
+    floor_of(right, plus(dot(y->counts, paid), stopping ? y->counts->fixed[STOPPING] : zero), z);
     mpz_addmul(right, won, mpq_denref(discount));
     mpz_addmul(right, goes, mpq_numref(discount));
     mpz_mul(grows, grows, mpq_numref(discount));
@@ -1235,8 +1378,8 @@ static void check(const struct column *y, const struct node *node, bool stopping
     mpz_add(right, right, grows);
     mpz_sub(z, mpq_denref(discount), mpq_numref(discount));
     mpz_mul(z, z, all);
-    mpz_addmul(right, z, nodes[n_nodes - 1].after[c]);
-    mpz_sub(left, node->after[c], y->arrival);
+    mpz_addmul(right, z, after_of(&nodes[n_nodes - 1], y));
+    mpz_sub(left, after_of(node, y), (y->member == NONE ? arrived : arrived_member)[y->place]);
     mpz_mul(z, sum, mpq_denref(discount));
     mpz_mul(left, left, z);
     if (mpz_cmp(left, right) > 0) {
@@ -1254,6 +1397,10 @@ static void check_nodes(int32_t choice, size_t pair) {
     for (size_t i = first_node[state]; i < first_node[state + 1]; i++) {
         bool leads = false;
         for (struct column *y = columns; y < columns + n_columns; y++) {
+            if (y->member != NONE && nodes[i].decision[y->member] != choice) {
+                y += each_member - 1;  /* to the next member */
+                continue;
+            }
             if (!asked_of(y, &nodes[i], choice, pair)) continue;
             for (struct move *move = moves; !leads && move < moves + n_moves; move++) {
                 mpz_add(move->total, nodes[i].total, move->further);
@@ -1299,11 +1446,11 @@ static rational proved(const struct column *y) {
             refuse("%s of member %ld decides at the start, fails", y->name, y->member);
         mpz_set_ui(begun, 0);
         if (y->charge && goal[x]) charged(begun, y, nothing);
-        mpz_add(begun, begun, node->after[y - columns]);
+        mpz_add(begun, begun, after_of(node, y));
         bound = plus(bound, times(start_part[i], of(begun)));
     }
     mpz_clear(begun);
-    return plus(over(bound, of(units)), y->weights[CONSTANT]);
+    return plus(over(bound, of(units)), y->counts->fixed[CONSTANT]);
 }
 
 /* A bound in 25 decimals, rounded so that it holds, and as the fraction that it is. */
@@ -1336,6 +1483,7 @@ static rational budget(rational failure) { return minus(one, times(share, minus(
 
 static void conclude(void) {
     rational *taken = many_zeros(n_rows), *bound = many_zeros(n_rows), lower, upper;
+    rational *most = many_zeros(n_rows);  /* what prices pay for: bounds, or what is taken */
     rational failed = NULL;
     for (size_t m = 0; m < n_members; m++)
         for (size_t j = 0; j < n_rows; j++) {
@@ -1343,26 +1491,28 @@ static void conclude(void) {
             taken[j] = plus(taken[j], times(weights[m], each));
             if (j == 1 && (!failed || less(each, failed))) failed = each;
         }
-    for (size_t j = 1; j < n_rows; j++) bound[j] = quantities[j].weights[BOUND];
-    rational most = limited ? bound[1] : zero;  /* failure of all within the budget is at most */
+    for (size_t j = 1; j < n_rows; j++) bound[j] = most[j] = quantities[j].fixed[BOUND];
     if (sharing) {  /* the least failure lies between what w proves and what a member does */
         bound[1] = budget(proved(least_failure));
-        most = budget(failed);
+        most[1] = budget(failed);
     }
+    for (size_t j = 1; j < n_rows; j++)
+        if (less(most[j], taken[j])) most[j] = taken[j];
     upper = taken[0];
     lower = tail_mean ? over(of(cases[n_cases].first), of(unit)) : NULL;
     for (size_t c = 0; c < n_cases; c++) {
         rational each = proved(&columns[c]), *prices = cases[c].prices;
         for (size_t j = 1; j < n_rows; j++)
-            each = minus(each, times(prices[j - 1], j == 1 && limited ? most : bound[j]));
-        if (ratio) each = given_success(each, prices[0], most);
+            each = minus(each, times(prices[j - 1], most[j]));
+        if (ratio) each = given_success(each, prices[0], most[1]);
         if (!lower || less(each, lower)) lower = each;
     }
     bool exceeds = false;
     for (size_t j = 1; j < n_rows; j++) {
         rational excess = minus(taken[j], bound[j]);
         mpq_ptr allowed = made();
-        mpq_set_ui(allowed, 1, 1000000000000);
+        mpq_set_ui(allowed, 1, 1);
+        mpz_ui_pow_ui(mpq_denref(allowed), 10, EXCESS);
         if (less(minus(zero, one), bound[j]) && less(bound[j], one))
             mpq_mul(allowed, allowed, bound[j]);
         mpq_abs(allowed, allowed);
@@ -1389,6 +1539,7 @@ static void conclude(void) {
         lower = minus(zero, upper);
         upper = most_of;
     }
+    if (less(upper, lower)) refuse("at least %Qd and at most %Qd contradict", lower, upper);
     if (less(lower, claim[0])) refuse("claimed is at least %Qd, fails: %Qd", claim[0], lower);
     if (less(claim[1], upper)) refuse("claimed is at most %Qd, fails: %Qd", claim[1], upper);
     printf("accepted: \"%s\"\n  SHA-256   %s\n", asked, digest);
@@ -1405,6 +1556,10 @@ int main(int count, char **arguments) {
     if (count != 2) fail("usage: check FILE");
     if (!(file = gzopen(arguments[1], "rb"))) fail("the file cannot be opened");
     gzbuffer(file, 1 << 18);
+    FILE *packed = fopen(arguments[1], "rb");
+    long size = packed && !fseek(packed, 0, SEEK_END) ? ftell(packed) : 0;
+    most_bytes = size > (ALL - LINE) / TIMES ? ALL : LINE + TIMES * (size_t)(size > 0 ? size : 0);
+    if (packed) fclose(packed);
     if (gzdirect(file)) refuse("the file is not gzip");
     if (!(hash = EVP_MD_CTX_new())) fail("there is not enough memory");
     mpz_inits(units, unit, cap, sum, NULL);

@@ -78,17 +78,21 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache, lru_cache
+from itertools import islice
 from math import floor, lcm
 from typing import Any, NamedTuple
 
 FORMAT, ZERO = "ssp-lp certificate 1", Fraction(0)
 ONE = 10**60  # units in 1 that a proof's numbers are compared in, rounded against the proof
-EXCESS = Fraction(1, 10**12)  # of a bound, or of 1: so much a lottery may exceed it, told
+EXCESS = Fraction(1, 10**24)  # of a bound, or of 1: so much a lottery may exceed it, told
+LINE, FILE, TIMES = 1 << 24, 1 << 29, 100  # most bytes of a line; of all; per byte, behind a line's
+SHORTEST = 24  # bytes of a line of a state, or of a node, at least
+SHOWN = 200  # letters of a name, and ten times as many of a reason
 KINDS = {"asked": str, "charge_failing_step": bool, "greatest": bool, "rows": list, "sets": list}
 KEYS = "asked charge_failing_step costs discount failure format give_up greatest objective rows"
 NUMBER = re.compile(r"-?[0-9]+(/[0-9]+|(\.[0-9]+)?([eE][-+]?[0-9]+)?)")
 COUNTING = {"charge", "quantile", "tail_mean"}  # keys of questions, one at most, of totals
-WHILE, THROUGH = {"cost", "visits", "end"}, {"cost through", "visits through"}  # failing
+WHILE, THROUGH = ("cost", "visits", "end"), ("cost through", "visits through")  # failing
 YES = ("ratio", "deterministic", "after_failing")  # keys of questions that may be left out
 FAILURE = {"constant": "1", "terms": [["-1", "end", "goal"]]}
 NOTHING: dict[str, Any] = {"constant": "0", "terms": []}
@@ -109,10 +113,15 @@ class RefusedError(Exception):
     """A claim that does not follow: which inequality fails, and where."""
 
 
+def printable(text: str) -> str:
+    """Text of the checked file, none of whose characters acts on what shows it; not all if long."""
+    return "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in text[:SHOWN])
+
+
 def need(holds: bool, *words: object) -> None:
     """Refuse the certificate being checked, in these words, unless something holds."""
     if not holds:
-        raise RefusedError(" ".join(map(str, words)))
+        raise RefusedError(" ".join(printable(str(word)) for word in words)[: 10 * SHOWN])
 
 
 @lru_cache(1 << 14)
@@ -150,6 +159,22 @@ def whole(value: Any, below: int) -> int:
     return int(value)
 
 
+class Lazily(dict[int, int]):
+    """Numbers of the checked certificate, each worked out when it is asked for."""
+
+    def __init__(self, work_out: Callable[[int], int]) -> None:
+        self.work_out = work_out
+
+    def __missing__(self, key: int) -> int:
+        self[key] = result = self.work_out(key)
+        return result
+
+
+def read_state(line: bytes) -> list[Any]:
+    """Name, sets and actions of a state of the checked model."""
+    return fields(read(line), name=str, sets=list, actions=list)
+
+
 def dot(weights: Iterable[Fraction], values: Iterable[Fraction]) -> Fraction:
     """Weighted sum of the checker's numbers."""
     return sum((w * c for w, c in zip(weights, values, strict=True) if w), ZERO)
@@ -159,41 +184,63 @@ class Quantity:
     """A quantity counted with weights >= 0, and a constant; as a row it has a bound."""
 
     def __init__(self, model: "Model", stated: Mapping[str, Any], sign: int, name: str) -> None:
-        n, self.name, self.stop = len(model.names), name, ZERO
-        self.bound = self.loose = ZERO  # what a lottery keeps to; what none within the row exceeds
+        self.model, self.name = model, name
+        self.stop = self.ending = ZERO  # of giving up or wandering; of ends, whichever they are
+        # what a lottery keeps to; what none within the row exceeds; and what prices pay for
+        self.bound = self.loose = self.paid = ZERO
         self.charge: Charge | None = None  # of the total at the goal
         self.free: set[int] | None = None  # where wandering is; None: as in all that is asked
         self.step = 0  # what a step takes
+        self.weights: dict[str, dict[Any, Fraction]] = {kind: {} for kind in (*WHILE, THROUGH[1])}
         constant, terms = fields(stated, constant=str, terms=list)
         self.constant = sign * number(constant)
-        self.costs, self.visits, self.arrival = [ZERO] * model.n_costs, [ZERO] * n, [ZERO] * n
         for text, kind, what in terms:
             weight = sign * number(text)
-            known = WHILE | (THROUGH if model.shift else set())
-            need(kind in known, "no quantity is called", kind)
-            after, count = kind in THROUGH or kind == "end", model.question["costs"]
+            need(kind in WHILE + THROUGH[: 2 * bool(model.shift)], "no quantity is called", kind)
             if kind in ("cost", "cost through"):
-                self.costs[whole(what, count) + count * after] += weight
-                continue
-            states = model.sets[what]
-            if after:
-                states = states | {x + model.shift for x in states - model.sets["goal"]}
-            need(kind != "end" or states <= model.ended, "not all states end:", what)
-            if kind == "end" and weight < 0:  # P(end) = 1 - P(no such end)
-                self.constant, self.stop = self.constant + weight, self.stop - weight
-                states, weight = model.ended - states, -weight
-            for x in states:
-                self.arrival[x] += weight  # on coming to x
-                self.visits[x] += weight if kind != "end" else 0
-        need(min([*self.costs, *self.visits]) >= 0, "costs or visits count negatively")
-        for x in model.failing.keys() - model.giving_up:
-            self.arrival[x] += dot(self.costs, model.failing[x])
+                count = model.question["costs"]
+                kind, what = "cost", whole(what, count) + count * (kind in THROUGH)
+            else:
+                need(what in model.sets, "there is no set", what)
+            if kind == "end":
+                model.need_ends(what)
+                if weight < 0:  # P(end) = 1 - P(no such end)
+                    self.constant += weight
+                    self.stop = self.ending = self.stop - weight
+            self.add(kind, what, weight)
+        of_sets = [self.weights[kind] for kind in ("visits", "visits through")]
+        less = {s for some in of_sets for s, weight in some.items() if weight < 0}
+        self.is_mixed = bool(less)  # of sets that count negatively, and lie in others
+        counts = [*self.weights["cost"].values(), *map(self.visits, model.states_of(less))]
+        need(min(counts, default=0) >= 0, "costs or visits count negatively")
 
-    def at_stop(self, model: "Model", x: int) -> Fraction | None:
+    def add(self, kind: str, what: Any, weight: Fraction) -> None:
+        """Count more of a cost, or of a set of states of the checked model."""
+        self.weights[kind][what] = self.weights[kind].get(what, ZERO) + weight
+
+    def visits(self, x: int, *more: str) -> Fraction:
+        """Checker's count of coming to a state, be it an end or not; of ends if that is named."""
+        kinds, sets = self.model.kinds_of(x) + more, self.model.sets_of(x)
+        some = [self.weights[kind] for kind in kinds if self.weights[kind]]
+        return sum([weights[s] for weights in some for s in sets if s in weights], ZERO)
+
+    def arrival(self, x: int) -> Fraction:
+        """Checker's count of coming to a state, with what failing there charges."""
+        model = self.model
+        count = self.ending + self.visits(x, "end") if x in model.ended else self.visits(x)
+        charges = x in model.failing and x not in model.giving_up
+        return count + self.costs(model.failing[x]) if charges else count
+
+    def costs(self, paid: Sequence[Fraction]) -> Fraction:
+        """Checker's count of some costs."""
+        return sum([weight * paid[at] for at, weight in self.weights["cost"].items()], ZERO)
+
+    def at_stop(self, x: int) -> Fraction | None:
         """Checker's count of giving up in x, or of wandering in free states; None: not possible."""
+        model = self.model
         if x in (model.free if self.free is None else self.free):
             return self.stop
-        return self.stop + dot(self.costs, model.failing[x]) if x in model.giving_up else None
+        return self.stop + self.costs(model.failing[x]) if x in model.giving_up else None
 
 
 class Model:
@@ -201,33 +248,35 @@ class Model:
 
     one = ONE
 
-    def __init__(self, question: dict[str, Any], lines: Sequence[bytes]) -> None:
+    def __init__(self, question: dict[str, Any], states: Sequence[list[Any]]) -> None:
         need(question.get("format") == FORMAT, "this is no certificate of this format")
         known = {*KEYS.split(), "sets", "start", "states"}
         need(known <= set(question) <= known | COUNTING | {*YES}, "an unknown question")
         for key, kind in KINDS.items():
             need(type(question[key]) is kind, key, "is", repr(question[key])[:99])
         need(len(COUNTING & set(question)) <= 1, "one question of totals")
-        self.question, self.n_costs, n = question, whole(question["costs"], 1000), len(lines)
+        self.question, self.n_costs, n = question, whole(question["costs"], 1000), len(states)
         self.sets: dict[str, set[int]] = {name: set() for name in ["goal", *question["sets"]]}
         self.gamma = number("1" if question["discount"] is None else question["discount"])
         need(0 < self.gamma <= 1, "a discount lies in (0, 1)")
         self.names, self.of, self.home = list[str](), list[range](), list[int]()
         self.pairs = list[Pair]()
-        states = [fields(read(line), name=str, sets=list, actions=list) for line in lines]
         self.counts, self.unit = not COUNTING.isdisjoint(question), 1
         if self.counts:  # totals are multiples of 1 / unit
             first = [action[2][0] for state in states for action in state[2]]
             told = {t for cost in first for t in (cost if isinstance(cost, list) else [cost])}
             self.unit = lcm(*(number(text).denominator for text in told))
+        self.within, self.known_ends = [tuple(dict.fromkeys(sets)) for _, sets, _ in states], set()
         for x, (name, sets, actions) in enumerate(states):
             self.names.append(name)
             for one in sets:
+                need(one in self.sets, "there is no set", one)
                 self.sets[one].add(x)
             self.pairs += [self._pair(action, n) for action in actions]
             self.of.append(range(len(self.home), len(self.pairs)))  # the pairs of a state
             self.home += [x] * len(self.of[x])
         self.names.append("what a discount takes")  # state n: a dead-end without actions
+        self.within.append(())
         self.of.append(range(0))
         goal, every, self.shift = self.sets["goal"], set(range(n + 1)), 0
         need(not goal & set(self.home), "a goal has actions")
@@ -248,6 +297,25 @@ class Model:
             self._go_on(stays)
         self._ask()
         self._keep_sure()
+
+    def sets_of(self, x: int) -> Sequence[str]:
+        """Sets that a state of the checked model lies in, after failing as before."""
+        return self.within[x - self.shift if x >= self.shift > 0 else x]
+
+    def kinds_of(self, x: int) -> tuple[str, ...]:
+        """Visits that are counted on coming to a state of the checked model."""
+        return THROUGH[1:] if x >= self.shift > 0 else ("visits", THROUGH[1])
+
+    def states_of(self, sets: Iterable[str]) -> set[int]:
+        """States of the checked model that lie in one of some sets, after failing as before."""
+        inside = set[int]().union(*(self.sets[s] for s in sets))
+        return inside | {x + self.shift for x in inside - self.sets["goal"] if self.shift}
+
+    def need_ends(self, s: str) -> None:
+        """Refuse the certificate being checked unless a run ends in each state of a set."""
+        if s not in self.known_ends:
+            need(self.states_of([s]) <= self.ended, "not all states end:", s)
+            self.known_ends.add(s)
 
     def _charge(self, attention: set[int], stays: Sequence[bool]) -> None:
         """States where the checked model may give up, and what failing charges of each cost."""
@@ -321,20 +389,26 @@ class Model:
         is_limited = self.ratio or budget is not None
         self.rows = [Quantity(self, FAILURE, 1, "failure")] if is_limited else []
         if is_limited and is_told:
-            self.rows[0].bound = self.rows[0].loose = number("1" if budget is None else budget)
+            self.rows[0].bound = self.rows[0].loose = self.rows[0].paid = number(
+                "1" if budget is None else budget
+            )
         for row in question["rows"]:
             sign, side = (1, "at_most") if "at_most" in row else (-1, "at_least")
             need(row.keys() == {"name", "quantity", side}, "a row has a name and one bound")
             self.rows.append(q := Quantity(self, row["quantity"], sign, str(row["name"])))
-            q.bound = q.loose = sign * number(row[side]) - q.constant
+            q.bound = q.loose = q.paid = sign * number(row[side]) - q.constant
             q.constant = ZERO
         need(len({q.name for q in self.rows}) == len(self.rows), "two rows are called alike")
         self.objective = Quantity(self, question["objective"], self.sign, "objective")
         self.each = [self.objective, *self.rows]
         self.steps, self.slopes = (Quantity(self, NOTHING, 1, name) for name in ("1", "slope"))
         self.steps.step, self.steps.stop, self.slopes.free = 1, Fraction(1), self.attention
-        paying = [k for k in range(self.n_costs) if any(q.costs[k] for q in self.each)]
-        seen = {x for x in self.live if any(q.visits[x] for q in self.each)}
+        paying = {k for q in self.each for k, weight in q.weights["cost"].items() if weight}
+        counting = {(kind, s) for q in self.each if not q.is_mixed for kind in q.weights
+                    for s, weight in q.weights[kind].items() if weight}  # fmt: skip
+        mixed = [q for q in self.each if q.is_mixed]
+        seen = {x for x in self.live if any(q.visits(x) for q in mixed) or not counting.isdisjoint(
+            (kind, s) for kind in self.kinds_of(x) for s in self.sets_of(x))}  # fmt: skip
         costless = [not any(p[3][k] for k in paying) and all(y not in seen for _, y, _ in p[2])
                     for p in self.pairs]  # fmt: skip
         self.free = self.staying(self.live, costless)[0]
@@ -347,9 +421,8 @@ class Model:
         sure, last, keeps = self.live, {-1}, self.every
         while sure != last:
             last = sure
-            keeps = [x in last and all(y in last or y in goal for _, y, _ in p[2])
-                     for x, p in zip(self.home, self.pairs, strict=True)]  # fmt: skip
-            sure = self.reaching(keeps) & last
+            inside, keeps = self.staying(sure | goal, self.every)
+            sure = (self.reaching(keeps) & inside) - goal
         is_sure = {x for _, x in self.start} <= sure | goal
         if budget == "least" and not is_sure:
             self.share = Fraction(1)  # all of the greatest goal probability
@@ -520,11 +593,12 @@ class Model:
         c = Quantity(self, self.question["objective"], self.sign, "priced")
         c.charge = case.low
         for price, row in zip(case.prices, self.rows, strict=True):
-            c.constant += price * (row.constant - row.loose)
+            c.constant += price * (row.constant - row.paid)
             c.stop += price * row.stop
-            c.costs = [a + price * b for a, b in zip(c.costs, row.costs, strict=True)]
-            c.arrival = [a + price * b if b else a
-                         for a, b in zip(c.arrival, row.arrival, strict=True)]  # fmt: skip
+            c.ending += price * row.ending
+            for kind, weights in row.weights.items() if price else ():
+                for what, weight in weights.items():
+                    c.add(kind, what, price * weight)
         return c
 
     def prove(
@@ -533,17 +607,18 @@ class Model:
     ) -> Fraction:  # fmt: skip
         """Bound of a quantity that v proves at each choice; with words an upper one, by - v."""
         side, goal, gamma = -1 if words else 1, self.sets["goal"], self.gamma
-        arrival = [self.down(side * a) for a in q.arrival]
-        after = [arrival[x] + v.get(i, 0) for i, (x, _) in enumerate(self.nodes)]
-        own = [self.down(side * (dot(q.costs, p[3]) + q.step * p[1])) for p in self.pairs]
+        arrival = Lazily(lambda x: self.down(side * q.arrival(x)))
+        after = Lazily(lambda i: arrival[self.nodes[i][0]] + v.get(i, 0))
+        paid = Lazily(lambda k: self.down(side * (q.costs(self.pairs[k][3])
+                                                  + q.step * self.pairs[k][1])))  # fmt: skip
         for i, value in v.items():
             x, r = self.nodes[i]
             for k in choice[i]:
                 if k < 0:
-                    name, total, most = "stop", 1, self.down(side * (q.at_stop(self, x) or ZERO))
+                    name, total, most = "stop", 1, self.down(side * (q.at_stop(x) or ZERO))
                 else:
                     name, total, moves, _ = self.pairs[k]
-                    most = own[k] + sum(a * after[self.at(y, r + t)] for a, y, t in moves)
+                    most = paid[k] + sum(a * after[self.at(y, r + t)] for a, y, t in moves)
                     if q.charge:
                         won = sum(a * q.charge(r + t) for a, y, t in moves if y in goal)
                         most += won // gamma.numerator * gamma.denominator  # in full
@@ -567,7 +642,7 @@ class Model:
         self, q: Quantity, size: int, only: Mapping[int, Set[int]]
     ) -> dict[int, list[int]]:
         """Decisions in a case of some first nodes, -1 to stop, that a checked v has to know."""
-        stops = {x for x in self.moving if self.may_fail and q.at_stop(self, x) is not None}
+        stops = {x for x in self.moving if self.may_fail and q.at_stop(x) is not None}
         at = {x: [*filter(self.keeps.__getitem__, self.of[x]), *[-1][: x in stops]]
               for x in self.moving}  # fmt: skip
         found = {i: at[x] for i, (x, _) in enumerate(self.nodes[:size]) if x in self.moving}
@@ -602,7 +677,7 @@ class Model:
             need(x in self.live, words, "decides where nothing has ended, fails in", *place)
             need(len(values) == size, words, "a number a row, fails in", *place)
             k = -1 if decision == "stop" else self.of[x].start + whole(decision, len(self.of[x]))
-            may_stop = k >= 0 or self.objective.at_stop(self, x) is not None
+            may_stop = k >= 0 or self.objective.at_stop(x) is not None
             need(may_stop, words, "stops where it may, fails in", *place)
             ahead = {self.at(y, r + t) for _, y, t in self.pairs[k][2]} if k >= 0 else set()
             need(decided >= ahead, words, "decides after", *place)
@@ -618,9 +693,19 @@ class Model:
 
     def given_success(self, bound: Fraction, price: Fraction) -> Fraction:
         """Checked bound of cost / goal from that of cost + price * (failure - most failure)."""
-        most = self.rows[0].loose  # a ratio of two lines, least at failure 0 or at the most
+        most = self.rows[0].paid  # a ratio of two lines, least at failure 0 or at the most
         need(most < 1 or bound >= 0, "0 <= cost + price * (failure - 1) of all policies, fails")
         return min([bound + price * most, *([bound / (1 - most)] if most < 1 else [])])
+
+    def attain(self, weights: Sequence[Fraction], members: Sequence[Sequence[Fraction]]) -> Any:
+        """Objective and rows of a checked lottery; prices pay for what it takes beyond a bound.
+
+        So no lottery within bounds that are so much looser does less than is proved.
+        """
+        attained = [dot(weights, each) for each in zip(*members, strict=True)]
+        for row, value in zip(self.rows, attained[1:], strict=True):
+            row.paid = max(row.loose, value)
+        return attained
 
     def set_share(self, w: Sequence[int], members: Iterable[Sequence[Fraction]]) -> None:
         """Set the checked budget 1 - share * greatest goal probability, from both sides."""
@@ -654,7 +739,8 @@ class Checked:
             lines.append(f"  {name:<9} {sign}{digits[:-25]}.{digits[-25:]} = {exact}")
         lines.append(f"  width     {float(self.upper - self.lower):.1e}")
         for name, excess in self.exceeded.items():
-            lines.append(f"  the lottery exceeds row {name} by {float(excess):.1e}")
+            lines.append(f"  the lottery exceeds row {printable(name)} by {float(excess):.1e}: "
+                         "it is one for a bound that is so much looser")  # fmt: skip
         return "\n".join(lines) if self.accepted else f"refused: {self.reason}"
 
 
@@ -663,28 +749,56 @@ def check_certificate(path: Any) -> Checked:
 
     Where the answer is not ``accepted``, it says which inequality fails where.
     """
-    with open(path, "rb") as file:
-        packed = file.read()
     try:
-        return check_lines(gzip.decompress(packed).splitlines())
+        with open(path, "rb") as packed, gzip.open(packed) as file:
+            most = min(FILE, LINE + TIMES * packed.seek(0, 2))
+            packed.seek(0)
+            return check_lines(lines_of(file, most))
     except RefusedError as error:
         return Checked(False, str(error))
+    except OSError as error:
+        if error.errno:  # there is no such file
+            raise
+        return Checked(False, f"the file is damaged: {error}")
     except Exception as error:  # whatever a damaged file may lead to
-        return Checked(False, f"the file is damaged: {type(error).__name__}: {error}")
+        words = printable(f"{type(error).__name__}: {error}")
+        return Checked(False, f"the file is damaged: {words}")
+
+
+def lines_of(file: Any, most: int) -> Iterator[bytes]:
+    """Lines of the checked file while it is unpacked, no more and no longer than is allowed."""
+    left = most
+    while line := file.readline(LINE + 1):
+        left -= len(line)
+        need(len(line) <= LINE, f"a line has more than {LINE:,} bytes")
+        need(left >= 0, f"the lines have more than {most:,} bytes")
+        yield line.removesuffix(b"\n")
 
 
 def read_lines(
-    lines: Sequence[bytes],
+    lines: Iterable[bytes],
 ) -> tuple[Model, dict[str, Any], list[Fraction], list[Case], list[dict[str, Any]]]:
     """Model, head of the proof, weights, cases, and what is told of each node, in this order."""
-    question = read(lines[0])
-    n = whole(question["states"], len(lines))
-    digest, head = hashlib.sha256(b"\n".join(lines[: n + 1])).hexdigest(), read(lines[n + 1])
+    digest, some = hashlib.sha256(), iter(lines)
+    need((first := next(some, None)) is not None, "the file is empty")
+    question = read(first or b"")
+    digest.update(first or b"")
+    n, states = whole(question["states"], FILE // SHORTEST), list[list[Any]]()
+    for line in islice(some, n):
+        digest.update(b"\n" + line)
+        is_head = b'"sha256"' in line and "sha256" in read(line)
+        need(not is_head, len(states), "lines where there should be", n, "of states")
+        states.append(read_state(line))
+    need((line := next(some, b"")) != b"", len(states) + 1, "lines where there should be more")
+    head = read(line)
     n_told = 2 * n if question.get("after_failing") else n  # states of which the proof has a line
-    size = n + 2 + n_told + whole(head.get("nodes", 0), len(lines))
-    need(len(lines) == size, len(lines), "lines where there should be", size)
-    need(digest == head.get("sha256"), "the SHA-256 is not that of the question and the model")
-    model, proof = Model(question, lines[1 : n + 1]), [read(line) for line in lines[n + 2 :]]
+    size = n_told + whole(head.get("nodes", 0), FILE // SHORTEST)
+    proof = [read(line) for line in islice(some, size)]
+    count = n + 2 + len(proof) + sum(1 for _ in islice(some, 1000))
+    need(count == n + 2 + size, count, "lines where there should be", n + 2 + size)
+    is_signed = digest.hexdigest() == head.get("sha256")
+    need(is_signed, "the SHA-256 is not that of the question and the model")
+    model = Model(question, states)
     told: dict[str, type] = {"cap": str, "nodes": int} if model.counts else {}
     is_mean, in_cases = "tail_mean" in question, "tail_mean" in question or model.is_single
     told |= {"threshold": str} if is_mean else {}
@@ -716,7 +830,7 @@ def read_lines(
     return model, head, weights, cases, proof
 
 
-def check_lines(lines: Sequence[bytes]) -> Checked:
+def check_lines(lines: Iterable[bytes]) -> Checked:
     """Check the lines of a certificate's file; raises where it is refused."""
     model, head, weights, cases, proof = read_lines(lines)
     question, members = model.question, list[list[Fraction]]()
@@ -727,6 +841,7 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
     if model.share is not None:
         w = [model.down(number(line["w"])) for line in proof[: len(model.names)]]
         model.set_share(w, members)
+    upper, *taken = model.attain(weights, members)
     slope = list[int]()
     if model.counts:  # from the cap on v is a line, whose slope is at most that of the charge
         slope = [model.down(number(line["slope"])) if x in model.moving else 0
@@ -741,7 +856,6 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
         bounds.append(model.given_success(bound, case.prices[0]) if model.ratio else bound)
     lower = min(bounds)
     exceeded = dict[str, Fraction]()
-    upper, *taken = [dot(weights, each) for each in zip(*members, strict=True)]
     for row, value in zip(model.rows, taken, strict=True):
         if value > row.bound:
             exceeded[row.name] = value - row.bound
@@ -759,6 +873,7 @@ def check_lines(lines: Sequence[bytes]) -> Checked:
         need(lower > late, "no lottery stays below the quantile as often, fails")
         lower = upper = number(head["claim"][0])
     lower, upper = ends = (-upper, -lower) if question["greatest"] else (lower, upper)
+    need(lower <= upper, "at least", float(lower), "and at most", float(upper), "contradict")
     least, most = map(number, head["claim"])
     proved = f"proved from {float(lower)} to {float(upper)}"
     need(least <= lower, "claimed is at least", head["claim"][0], "fails,", proved)

@@ -27,7 +27,7 @@ from scipy.optimize import linprog
 
 from ssp_lp.model.graph import Graph
 from ssp_lp.policies.policy import GIVE_UP_CODE
-from ssp_lp.verification.checker import Case, Model, Quantity, dot
+from ssp_lp.verification.checker import Case, Model, Quantity
 from ssp_lp.verification.exact_values import case_values, charged, leads, proved_bound
 
 _PROOF = logging.getLogger("ssp_lp.proof")
@@ -102,7 +102,7 @@ def cases_of_decisions(
         prices, flows = _prices_and_flows(model, slope, upper, only)
         case = Case(prices, model.low, only)
         values, bound = case_values(model, ssp, case, members, slope)
-        if model.ratio and bound < 0 and model.rows[0].loose == 1:
+        if model.ratio and bound < 0 and model.rows[0].paid == 1:
             # nothing is known of a ratio where success may be as rare as one likes
             case = Case([Fraction(0)] * len(prices), model.low, only)
             values, bound = case_values(model, ssp, case, members, slope)
@@ -180,9 +180,9 @@ def _prices_and_flows(
     for p, x in model.start:
         if (i := model.at(x, 0)) in place:
             begun[place[i]] += float(p)
-    excess = [float(row.constant - row.loose + _arriving(model, row)) for row in model.rows]
+    excess = [float(row.constant - row.paid + _arriving(model, row)) for row in model.rows]
     constant = float(each[0].constant + _arriving(model, each[0]))
-    most = float(model.rows[0].loose) if model.ratio else 0.0
+    most = float(model.rows[0].paid) if model.ratio else 0.0
     ends = [(1.0, excess)]
     if model.ratio:
         ends = [(1.0, [excess[0] + most, *excess[1:]]), (1.0 - most, excess)]
@@ -212,9 +212,9 @@ def _taken(model: Model, q: Quantity, i: int, k: int, slope: Sequence[int]) -> f
     """What a decision at a node takes of a quantity, its arrival included."""
     x, r = model.nodes[i]
     if k < 0:
-        return float(q.at_stop(model, x) or 0)
+        return float(q.at_stop(x) or 0)
     _, total, moves, paid = model.pairs[k]
-    own = dot(q.costs, paid) + sum(a * q.arrival[y] for a, y, _ in moves)
+    own = q.costs(paid) + sum(a * q.arrival(y) for a, y, _ in moves)
     return float((own + Fraction(charged(model, k, r, q, slope), model.one)) / total)
 
 

@@ -20,7 +20,7 @@ from scipy.sparse.linalg import splu
 from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.model.graph import Graph, end_components, nearer_pairs
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
-from ssp_lp.verification.checker import ONE, Case, Model, Quantity, dot
+from ssp_lp.verification.checker import ONE, Case, Model, Quantity
 
 _LOST = 10**28
 """Values are lowered by at most one part in so many of the largest."""
@@ -110,7 +110,7 @@ def _member_values(
     model: Model, decided: Mapping[int, int], q: Quantity, slope: Sequence[int]
 ) -> list[int]:
     """Exact values of one quantity of a member, negative, [nodes]; of steps with some more."""
-    arrival = [model.down(-a) for a in q.arrival]
+    arrival = [model.down(-q.arrival(x)) for x in range(len(model.names))]
     values = [0] * len(model.nodes)
     after = [arrival[x] for x, _ in model.nodes]
     for layer in layers_of(model, below=True):
@@ -119,7 +119,7 @@ def _member_values(
         for i in here:
             (x, r), k = model.nodes[i], decided[i]
             if k < 0:
-                if (takes := q.at_stop(model, x)) is None:
+                if (takes := q.at_stop(x)) is None:
                     raise ModelError(
                         f"the policy gives up in state {model.names[x]!r}: not so here"
                     )
@@ -128,7 +128,7 @@ def _member_values(
             _, total, _, paid = model.pairs[k]
             ahead = leads(model, k, r)
             inside = [(a, place[j]) for a, j in ahead if j in place]
-            own = model.down(-dot(q.costs, paid) - q.step * total) + charged(model, k, r, q, slope)
+            own = model.down(-q.costs(paid) - q.step * total) + charged(model, k, r, q, slope)
             own += sum(a * after[j] for a, j in ahead)  # nothing but the arrival yet, if inside
             rows.append(Row(place[i], total, inside, own))
         for i, value in zip(
@@ -159,7 +159,7 @@ def proved_bound(model: Model, c: Quantity, values: Sequence[int] | None) -> Fra
     for p, x in model.start:
         own = 0 if values is None else values[model.at(x, 0)]
         won = c.charge(0) if c.charge and x in goal else 0
-        bound += p * (c.arrival[x] + Fraction(own + won, model.one))
+        bound += p * (c.arrival(x) + Fraction(own + won, model.one))
     return bound
 
 
@@ -209,9 +209,10 @@ def values_below(
         below: whether the nodes below the cap are asked for.
         only: decisions of nodes that are left in a case, pairs or GIVE_UP_CODE; of others all are.
     """
-    paid = [model.down(dot(c.costs, pair[3])) for pair in model.pairs]
+    paid = [model.down(c.costs(pair[3])) for pair in model.pairs]
     chosen = {k for member in members for k in member.values() if k >= 0}
-    arrival, n = [model.down(a) for a in c.arrival], len(model.names)
+    n = len(model.names)
+    arrival = [model.down(c.arrival(x)) for x in range(n)]
     values = [0] * (len(model.nodes) if below else n)
     after, best = [arrival[x] for x, _ in model.nodes[: len(values)]], dict[int, int]()
     choice = model.decisions(c, len(values), only or {})
@@ -224,7 +225,7 @@ def values_below(
             ahead[k] = leads(model, k, r)
             own[k] = paid[k] + sum(a * after[j] for a, j in ahead[k])
             own[k] += charged(model, k, r, c, slope)
-        stops = {i: c.at_stop(model, model.nodes[i][0]) if choice[i][-1:] == [-1] else None
+        stops = {i: c.at_stop(model.nodes[i][0]) if choice[i][-1:] == [-1] else None
                  for i in here}  # fmt: skip
         if layer[0] >= n and not any(model.nodes[i][0] in still for i in here):
             for i in here:

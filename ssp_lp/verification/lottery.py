@@ -14,7 +14,6 @@ from functools import cache
 from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import linprog
 
 from ssp_lp.arrays import FloatArray, read_only
 from ssp_lp.errors import ModelError
@@ -22,11 +21,11 @@ from ssp_lp.model.failure_product import FailureSSP
 from ssp_lp.model.graph import Graph
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
-from ssp_lp.verification.checker import Model, dot
+from ssp_lp.verification.checker import EXCESS, Model, dot
 from ssp_lp.verification.exact_values import leads
 
 NEARLY_MET = Fraction(1, 10**9)  # of a bound: rows as near to it are met exactly, where they can
-_SHIFT = Fraction(1, 10**9)  # of a lottery, which may be moved to another one
+_SHIFT = Fraction(1, 10**9)  # of the largest cost, which another lottery may take more or less
 
 
 def graph_of(model: Model) -> Graph:
@@ -202,44 +201,77 @@ def exact_solution(
 def lottery_weights(
     model: Model, drawn: FloatArray, totals: Sequence[Sequence[Fraction]]
 ) -> list[Fraction]:
-    """Weights of a certificate file's lottery that keep every row exactly, where they can."""
+    """Weights of a certificate file's lottery that keep every row exactly, where they can.
+
+    They are those of the best lottery over the members, found in fractions, if it is as good as the
+    one that was handed over, but for rounding. Where rows that are to be met exactly are rounded,
+    they may be exceeded by as much as the checker allows.
+    """
     weights = [Fraction(repr(w)) for w in drawn.tolist()]
     weights += [Fraction(0)] * (len(totals) - len(weights))
     largest = max(range(len(weights)), key=weights.__getitem__)
     weights[largest] += 1 - sum(weights)
-    beyond = [[total[j] - row.bound for total in totals] for j, row in enumerate(model.rows, 1)]
-    excess = [dot(weights, each) for each in beyond]
-    # the weights at which rows that are nearly met are met exactly
-    met = [e for e, x, row in zip(beyond, excess, model.rows, strict=True)
-           if abs(x) <= NEARLY_MET * abs(row.bound)]  # fmt: skip
-    size = len(drawn)
-    exact = exact_solution(
-        [*(each[:size] for each in met), [Fraction(1)] * size],
-        [Fraction(0)] * len(met) + [Fraction(1)],
-    ) + [Fraction(0)] * (len(totals) - size)
-    if len(exact) == len(totals) and min(exact) >= 0:
-        kept = max((dot(exact, each) for each in beyond), default=Fraction(0)) <= 0
-        moved = max(abs(a - b) for a, b in zip(exact, weights, strict=True))
-        if kept and moved <= _SHIFT:
-            return exact
-    if max(excess, default=Fraction(0)) <= 0:
+    if model.is_single or not model.rows:
         return weights
-    # the lottery that leaves most room in every row, of which as much is mixed in as is needed
-    table = np.array(beyond, dtype=np.float64)
-    table /= np.maximum(np.abs(table).max(axis=1, keepdims=True), 1e-300)
-    roomy = linprog(
-        np.append(np.zeros(len(totals)), -1.0),
-        np.column_stack([table, np.ones(len(table))]), np.zeros(len(table)),
-        np.append(np.ones(len(totals)), 0.0)[None, :], [1.0],
-        bounds=[(0.0, 1.0)] * len(totals) + [(None, 1.0)],
-    )  # fmt: skip
-    other = [Fraction(max(w, 0.0)) for w in np.asarray(roomy.x)[:-1].tolist()]
-    other = [w / sum(other) for w in other]
-    room = [-dot(other, each) for each in beyond]
-    if min(room) <= 0:
-        return weights
-    part = max(e / (e + r) for e, r in zip(excess, room, strict=True) if e > 0)
-    if part > _SHIFT:
-        return weights
-    part = Fraction(-model.down(-part), model.one)
-    return [w + part * (o - w) for w, o in zip(weights, other, strict=True)]
+    ratio = Fraction(0)
+    if model.ratio:  # least cost + ratio * failure is least where the ratio is
+        ratio = dot(weights, [t[0] for t in totals]) / max(
+            1 - dot(weights, [t[1] for t in totals]), Fraction(1, model.one)
+        )
+    costs = [t[0] + ratio * t[1] if ratio else t[0] for t in totals]
+    given, scale = dot(weights, costs), max(map(abs, costs))
+    for room in (Fraction(0), EXCESS):
+        beyond = [
+            [total[j] - row.bound - room * min(abs(row.bound), Fraction(1)) for total in totals]
+            for j, row in enumerate(model.rows, 1)
+        ]
+        best = best_mixture(costs, beyond)
+        if best and abs(dot(best, costs) - given) <= _SHIFT * scale:
+            return best
+    return weights
+
+
+def best_mixture(costs: Sequence[Fraction], beyond: Sequence[Sequence[Fraction]]) -> list[Fraction]:
+    """Weights >= 0 of sum 1, of least cost, taking at most 0 of each row; empty: none do.
+
+    The simplex method in fractions, in Bland's order, which ends in every case.
+
+    Args:
+        costs: of each member, [members].
+        beyond: what each member takes of each row, [rows][members].
+    """
+    n, size = len(costs), len(beyond)
+    # members, a slack for each row, and what is missing to the sum 1; and the right side
+    table = [
+        [*row, *(Fraction(i == j) for j in range(size)), Fraction(0), Fraction(0)]
+        for i, row in enumerate(beyond)
+    ]
+    table.append([Fraction(1)] * n + [Fraction(0)] * size + [Fraction(1)] * 2)
+    basis = [*range(n, n + size + 1)]
+    missing = [Fraction(0)] * (n + size) + [Fraction(1)]
+    for objective in (missing, [*costs, *[Fraction(0)] * (size + 1)]):
+        while True:
+            columns = range(n + size)
+            reduced = (objective[j] - dot((objective[b] for b in basis), (row[j] for row in table))
+                       for j in columns)  # fmt: skip
+            entering = next((j for j, saved in zip(columns, reduced, strict=True) if saved < 0), -1)
+            if entering < 0:
+                break
+            leaving = min(
+                (i for i, row in enumerate(table) if row[entering] > 0),
+                key=lambda i: (table[i][-1] / table[i][entering], basis[i]),
+            )
+            pivot = [a / table[leaving][entering] for a in table[leaving]]
+            table = [
+                pivot if i == leaving else
+                [a - row[entering] * b for a, b in zip(row, pivot, strict=True)]
+                if row[entering] else row
+                for i, row in enumerate(table)
+            ]  # fmt: skip
+            basis[leaving] = entering
+        if objective is missing and any(
+            row[-1] for row, b in zip(table, basis, strict=True) if b == n + size
+        ):
+            return []
+    values = {b: row[-1] for row, b in zip(table, basis, strict=True)}
+    return [values.get(j, Fraction(0)) for j in range(n)]

@@ -52,7 +52,7 @@ def told_apart(model, rng, only, depth):
 @pytest.mark.parametrize("problem", PROBLEMS, ids=range(len(PROBLEMS)))
 def test_no_tree_proves_more_than_the_optimum(problem):
     lines = list(Statement(problem, "", is_single=True).lines())
-    model = checker.Model(json.loads(lines[0]), lines[1:])
+    model = checker.Model(json.loads(lines[0]), list(map(checker.read_state, lines[1:])))
     model.spread({}, [])
     best, rng = optimum(lines), np.random.default_rng(28)
     for depth in (0, 1, 2, 3, 3, 3):
@@ -68,7 +68,7 @@ def test_no_tree_proves_more_than_the_optimum(problem):
 @pytest.mark.parametrize("problem", PROBLEMS, ids=range(len(PROBLEMS)))
 def test_branch_and_bound_closes(problem):
     lines = list(Statement(problem, "", is_single=True).lines())
-    model = checker.Model(json.loads(lines[0]), lines[1:])
+    model = checker.Model(json.loads(lines[0]), list(map(checker.read_state, lines[1:])))
     model.spread({}, [])
     solution = solve(problem, "deterministic")
     upper = Fraction(solution.objective)

@@ -595,3 +595,20 @@ def test_matrices_make_the_model(sparse):
 )
 def test_matrices_that_do_not_fit_are_named(options, message):
     refused(message, from_matrices, **({"transitions": MATRICES} | options))
+
+
+def test_members_of_an_archive_that_are_not_known_are_not_unpacked(tmp_path, monkeypatch):
+    """An archive of a megabyte may hold a gigabyte: only what a model has is unpacked."""
+    save_model(FIRST, tmp_path / "m.npz")
+    with zipfile.ZipFile(tmp_path / "m.npz", "a", zipfile.ZIP_DEFLATED) as archive:
+        with archive.open("more.npy", "w") as member:
+            claim = {"descr": "|u1", "fortran_order": False, "shape": (64 << 20,)}
+            np.lib.format.write_array_header_1_0(member, claim)
+            for _ in range(64):
+                member.write(bytes(1 << 20))
+    tracemalloc.start()
+    assert fingerprint(load_model(tmp_path / "m.npz")) == fingerprint(FIRST)
+    assert tracemalloc.get_traced_memory()[1] < 16 << 20
+    tracemalloc.stop()
+    monkeypatch.setattr(archives, "_LARGEST_HEADER", 100)
+    refused("a header of .* bytes, more than 100", load_model, tmp_path / "m.npz")
