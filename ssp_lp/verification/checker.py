@@ -22,8 +22,10 @@ less than v at the start less prices * b. Where no failure is allowed, only acti
 the goal sure. A share of the greatest goal probability, or all of it ("least"), is bounded from two
 sides: failure by w as the objective is by v, and by what a member fails. Above: on the states that
 a member of the lottery comes to, t >= 1 + sum p t, so that it ends, and u >= own + sum p u for the
-objective and each row, so that it takes at most u. By 1e-12 of its bound, or of 1, it may exceed
-a row, which is told: what it attains is then attained within bounds that are so much looser.
+objective and each row, so that it takes at most u. By 1e-24 of its bound, or of 1, it may exceed
+a row, which is told: what it attains is then attained within bounds that are so much looser, for
+which the bound from below is proved, too: each price is paid for the bound, or for what the lottery
+takes if that is more. So no interval ends below where it begins.
 
 A ratio is objective / goal probability, "failure" its first row, with the bound 1 if none is asked:
 N + price * F >= b of all lotteries within the rows bounds N / (1 - F) for each failure F that is

@@ -68,7 +68,7 @@ def strange(path, *, objective="1", budget="1", states=None, taken="0", **asked)
         {"objective": "2"},  # the inequality at the state
         {"taken": "0.5"},  # that of the row
         {"taken": "1", "budget": "0.5"},  # the row's bound
-        {"states": [{"name": STRANGE, "sets": ["goal"], "actions": []}, DEAD], "start": [[STRANGE, 0]]},
+        {"start": [[STRANGE, 0]]},
         {"states": [state(**{STRANGE: ([["0", 1]], ["1"])}), GOAL], "sets": [STRANGE]},
         {"states": [state(**{STRANGE: ([["1", 1]], STRANGE)}), GOAL]},
         {"states": [{**STEP, "sets": [f"{STRANGE} not"]}, GOAL]},
@@ -109,7 +109,7 @@ def test_a_reason_is_no_longer_than_can_be_read(tmp_path):
         ([], "0"),
         ([["0", "visits", "goal"]], "0"),
         ([["1", "visits", "all"]], "2"),
-        ([["2", "visits", "all"], ["-1", "visits", "some"]], "4"),
+        ([["2", "visits", "all"], ["-1", "visits", "some"]], "2"),
         ([["1", "end", "dead"]], "0"),
         ([["-1", "end", "goal"]], "0"),
         ([["1", "cost", 0]], "1"),
@@ -134,10 +134,8 @@ def test_many_rows_of_many_states_take_the_time_of_their_sum(terms, taken, tmp_p
 
 def test_a_long_way_of_risks_takes_the_time_of_its_length(tmp_path):
     """From state k one comes to the goal or to k - 1, from state 0 to a dead-end: none is sure."""
-    chain = [
-        {"name": f"s{k}", "sets": [], "actions": [["go", [["1", k - 1 if k else MANY], ["1", MANY + 1]], ["1"]]]}
-        for k in range(MANY)
-    ]  # fmt: skip
+    leads = [[["1", k - 1 if k else MANY], ["1", MANY + 1]] for k in range(MANY)]
+    chain = [state(go=(outcomes, ["1"])) for outcomes in leads]
     states, began = [*chain, DEAD, GOAL], process_time()
     asked = {"objective": COST, "start": [["1", MANY + 1]]}
     said = verdict(tmp_path / "x", states, {"prices": []}, [AWAY] * (MANY + 2), **asked)

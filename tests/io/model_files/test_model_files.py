@@ -4,6 +4,7 @@ import gzip
 import io
 import json
 import tarfile
+import tracemalloc
 import zipfile
 from fractions import Fraction
 
@@ -18,6 +19,8 @@ from refusing import refused
 from small_models import AWKWARD, FIRST, model_of
 from ssp_lp import SSP, SSPError, solve
 from ssp_lp.io import (
+    archives,
+    fingerprint,
     from_matrices,
     load_model,
     read_any,
@@ -600,12 +603,14 @@ def test_matrices_that_do_not_fit_are_named(options, message):
 def test_members_of_an_archive_that_are_not_known_are_not_unpacked(tmp_path, monkeypatch):
     """An archive of a megabyte may hold a gigabyte: only what a model has is unpacked."""
     save_model(FIRST, tmp_path / "m.npz")
-    with zipfile.ZipFile(tmp_path / "m.npz", "a", zipfile.ZIP_DEFLATED) as archive:
-        with archive.open("more.npy", "w") as member:
-            claim = {"descr": "|u1", "fortran_order": False, "shape": (64 << 20,)}
-            np.lib.format.write_array_header_1_0(member, claim)
-            for _ in range(64):
-                member.write(bytes(1 << 20))
+    claim = {"descr": "|u1", "fortran_order": False, "shape": (64 << 20,)}
+    with (
+        zipfile.ZipFile(tmp_path / "m.npz", "a", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("more.npy", "w") as member,
+    ):
+        np.lib.format.write_array_header_1_0(member, claim)
+        for _ in range(64):
+            member.write(bytes(1 << 20))
     tracemalloc.start()
     assert fingerprint(load_model(tmp_path / "m.npz")) == fingerprint(FIRST)
     assert tracemalloc.get_traced_memory()[1] < 16 << 20
