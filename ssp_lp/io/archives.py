@@ -122,7 +122,7 @@ def _header_of(archive: Any, path: FilePath, kind: str) -> Any:
         ModelError: naming the file: its header is too large, of another kind of file, or of a later
             version than this library knows.
     """
-    header = None
+    header: Any = None
     if _HEADER in archive.files:
         if (size := archive.zip.getinfo(f"{_HEADER}.npy").file_size) > _LARGEST_HEADER:
             most = f"more than {_LARGEST_HEADER:,}"

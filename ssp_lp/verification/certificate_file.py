@@ -172,7 +172,9 @@ class _Draft(checker.Model):
         self.charged: dict[tuple[float, float], Solution] = {}  # of thresholds between two
         self.rounded: dict[str, Fraction] = {}  # of rows that are kept but for rounding, by so much
 
-    def attain(self, weights: Sequence[Fraction], members: Sequence[Sequence[Fraction]]) -> Any:
+    def attain(
+        self, weights: Sequence[Fraction], members: Sequence[Sequence[Fraction]]
+    ) -> list[Fraction]:
         """Objective and rows of a lottery in a certificate; notes the rows that are rounded."""
         attained = super().attain(weights, members)
         beyond = zip(self.rows, attained[1:], strict=True)

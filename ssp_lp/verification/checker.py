@@ -268,7 +268,8 @@ class Model:
             first = [action[2][0] for state in states for action in state[2]]
             told = {t for cost in first for t in (cost if isinstance(cost, list) else [cost])}
             self.unit = lcm(*(number(text).denominator for text in told))
-        self.within, self.known_ends = [tuple(dict.fromkeys(sets)) for _, sets, _ in states], set()
+        self.within = [tuple(dict.fromkeys(sets)) for _, sets, _ in states]
+        self.known_ends = set[str]()
         for x, (name, sets, actions) in enumerate(states):
             self.names.append(name)
             for one in sets:
@@ -699,7 +700,9 @@ class Model:
         need(most < 1 or bound >= 0, "0 <= cost + price * (failure - 1) of all policies, fails")
         return min([bound + price * most, *([bound / (1 - most)] if most < 1 else [])])
 
-    def attain(self, weights: Sequence[Fraction], members: Sequence[Sequence[Fraction]]) -> Any:
+    def attain(
+        self, weights: Sequence[Fraction], members: Sequence[Sequence[Fraction]]
+    ) -> list[Fraction]:
         """Objective and rows of a checked lottery; prices pay for what it takes beyond a bound.
 
         So no lottery within bounds that are so much looser does less than is proved.

@@ -448,7 +448,7 @@ def second_reading(problem: Problem) -> SecondReading | None:
     if model.n_outcomes > MOST_OUTCOMES:
         return None
     lines = list(Statement(problem, "").lines())
-    apart = checker.Model(json.loads(lines[0]), lines[1:])
+    apart = checker.Model(json.loads(lines[0]), list(map(checker.read_state, lines[1:])))
     dead, nobody = hopeless_states(model), np.zeros(model.n_states, dtype=np.bool_)
     entering = dead_end_charges(model, dead, semantics)
     stopping = give_up_charges(model, attention_states(model), nobody, semantics)
