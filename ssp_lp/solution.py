@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import cast
@@ -14,8 +14,9 @@ from ssp_lp.analysis.evaluation import (
     equivalent_randomised_policy,
     evaluate,
     failing_in_words,
-    giving_up_at_start,
+    giving_up_in_words,
 )
+from ssp_lp.analysis.explanation import Explanation, explanation
 from ssp_lp.arrays import FloatArray, IntArray, ReadOnlyCopies, read_only
 from ssp_lp.column_generation.column import least_of, relative_gap
 from ssp_lp.column_generation.compiled_problem import CompiledExplicit
@@ -26,8 +27,10 @@ from ssp_lp.model.graph import dead_ends
 from ssp_lp.model.text_tables import ByName, html_table
 from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
+from ssp_lp.policies.chain import reached_table
 from ssp_lp.policies.policy import UNDECIDED, Policy, as_lottery
 from ssp_lp.policies.remembering import Default, acting_everywhere
+from ssp_lp.policies.table import PolicyTable
 from ssp_lp.problem import Problem, has_rows, on_one_model, pulled_back
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_semantics import (
@@ -36,6 +39,7 @@ from ssp_lp.processes.failure_semantics import (
     FailureSemantics,
     GiveUp,
     ObjectiveSense,
+    start_distribution,
 )
 from ssp_lp.processes.past_failing import labelled_past_failing
 from ssp_lp.processes.quantities import Quantity, objective_of
@@ -119,6 +123,44 @@ class Solution(ReadOnlyCopies):
             raise ModelError(f"a {type(self.problem).__name__} makes no program: its states' "
                              "values are those of one")  # fmt: skip
         return cast("StateValues", make().values_at(self.prices, self.objective))
+
+    def policy_table(self) -> PolicyTable:
+        """The decisions that the solution's policy comes to from the start, the nearest first.
+
+        ``solution.policy.table()`` has those of all states.
+
+        Raises:
+            ModelError: the policy is of a class whose memory is not known.
+        """
+        start = start_distribution(self.problem.model, self.problem.start)
+        return reached_table(self.policy, start)
+
+    def explain(self, state: Hashable, cost_paid: float | None = None) -> Explanation:
+        """Compare the actions of a state: cost, failure, value at the optimal prices, and excess.
+
+        Args:
+            state: of the model; of the product on (state, steps taken) with a horizon.
+            cost_paid: in case S the cost paid before; None: the least that the program has.
+
+        Raises:
+            ModelError: the criterion is no linear program, or nothing is decided there.
+
+        Example:
+            >>> from ssp_lp import SSP, solve
+            >>> from formulations import MCMP
+            >>> routes = {"alley": [(0.9, "home", 4.0), (0.1, "wreck", 2.0)],
+            ...           "road": [(0.99, "home", 9.0), (0.01, "wreck", 5.0)]}
+            >>> model = SSP.from_transitions({"depot": routes, "wreck": {}}, goal={"home"},
+            ...                              treat_actionless_as_dead_ends=True)
+            >>> print(solve(MCMP(model, "depot", failure_budget=0.05)).explain("depot"))
+            depot: value = cost + 57.3333 x failure
+            action   taken  cost  failure    value  excess
+            alley   0.4444   3.8      0.1  9.53333       0
+            road    0.5556  8.96     0.01  9.53333       0
+        """
+        ratio = self.objective if self.problem.ratio else 0.0
+        randomised = self.randomised_policy
+        return explanation(self.values, self.prices, ratio, randomised, state, cost_paid)
 
     def policy_everywhere(
         self, default: Default | None = None, *, least_after: Quantity | None = None
@@ -293,12 +335,7 @@ class Solution(ReadOnlyCopies):
 
     def _rows(self) -> list[tuple[str, str]]:
         """Rows of a solution's summary, by name; how the policy fails, if it does."""
-        at_start = giving_up_at_start(self.policy, self.problem)
-        failing = failing_in_words(self.evaluation.ends, at_start)
-        budget, gave_up = self.problem.failure_budget, self.evaluation.ends.get("gave_up", 0.0)
-        chosen = getattr(self.problem, "give_up", GiveUp.DEAD_ENDS) is not GiveUp.DEAD_ENDS
-        # giving up by choice, which the problem might not allow, is most of the budget
-        mostly_gives_up = chosen and budget is not None and gave_up > 0.5 * budget > 0.0
+        failing = failing_in_words(self.evaluation.ends)
         bound = self.upper_bound
         side, bound = ("lower", self.lower_bound) if bound is None else ("upper", bound)
         rows = [
@@ -306,7 +343,7 @@ class Solution(ReadOnlyCopies):
             (f"{side} bound", f"{bound:.9g}   (relative gap {self.gap:.1e})"),
             ("failure probability", f"{self.failure_probability:.6g}"),
             *([("failing", failing)] if failing else []),
-            *([("giving up", _GIVING_UP)] if mostly_gives_up else []),
+            *self._giving_up(),
             ("cost given success", f"{self.conditional_cost:.6g}"),
             ("cost until failure", f"{self.expected_cost:.6g}"),
             *([] if self.problem.model.costs.any() else [("costs", _ALL_FREE)]),
@@ -327,6 +364,15 @@ class Solution(ReadOnlyCopies):
         if self.note:
             rows.append(("note", self.note))
         return rows
+
+    def _giving_up(self) -> list[tuple[str, str]]:
+        """Row of the summary on giving up by choice: how often, where first, what forbids it."""
+        share = self.evaluation.ends.get("gave_up", 0.0)
+        if share <= 0.0 or getattr(self.problem, "give_up", GiveUp.DEAD_ENDS) is GiveUp.DEAD_ENDS:
+            return []
+        place = giving_up_in_words(self.policy, self.problem, share)
+        words = f"{share:.6g} by choice, {place}" if place else f"{share:.6g} by choice"
+        return [("giving up", f"{words}; give_up='dead_ends' forbids it")]
 
     @property
     def _asked(self) -> str:
@@ -372,7 +418,6 @@ def _least_after(model: SSP, quantity: Quantity) -> IntArray:
 
 
 _ALL_FREE = "none: every step costs 0, so that only failing tells policies apart"
-_GIVING_UP = "most of the budget: give_up='dead_ends' fails where the goal is lost alone"
 
 
 @dataclass(frozen=True, eq=False)

@@ -326,6 +326,8 @@ def _add_solve(one: ArgumentParser) -> None:
         help="write the policy: .npz to load again, .storm.json for Storm, .json for a "
         "controller, .h for C, .dot, .csv",
     )  # fmt: skip
+    shown = "print what the policy does, where it comes to from the start"
+    answer.add_argument("--show-policy", action="store_true", help=shown)
     answer.add_argument(
         "--everywhere", action="store_true",
         help="the policy that is written acts in every state, planned or not, failed or not",

@@ -42,6 +42,7 @@ from ssp_lp.model.text_tables import text_table
 from ssp_lp.options import Status
 from ssp_lp.plotting import explore, plot_cost_law, plot_frontier, row_major
 from ssp_lp.policies.policy import Policy
+from ssp_lp.policies.table import PolicyRow
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -416,8 +417,7 @@ def policy_writer(path: str | None) -> PolicyWriter | None:
 
 def _write_answer_table(solution: Solution, of: _CommandModel, path: str) -> None:
     """Write the policy of a command's answer as a table."""
-    head = ("state", "memory", "action", "probability", "member")
-    _csv_answer(path, head, io.policy_table(solution.policy))
+    _csv_answer(path, PolicyRow._fields, solution.policy.table())
 
 
 _WRITERS: dict[str, PolicyWriter] = {
@@ -451,7 +451,9 @@ def _solve_command(asked: Namespace) -> Iterable[str]:
         level = {"level": asked.level} if "level" in asked else {}
         plot_cost_law(ssp_lp.success_costs(solution.policy, problem), ax=figure.subplots(), **level)
         figure.savefig(asked.plot)
-    return json_answer(_solution_table_of_command(solution)) if asked.json else [solution.summary()]
+    if asked.json:
+        return json_answer(_solution_table_of_command(solution))
+    return [solution.summary(), *(["", str(solution.policy_table())] if asked.show_policy else [])]
 
 
 _WORTH_PROCESSES = 100_000  # outcomes of a model from which answers take longer than a start
@@ -530,8 +532,7 @@ def _decisions(policy: Policy) -> dict[str, Any]:
     inner = getattr(policy, "inner", policy)
     if not isinstance(inner, ssp_lp.DeterministicPolicy):
         return {"kind": repr(policy)}
-    actions = inner.actions().items()
-    return {"actions": {str(s): "give up" if a is ssp_lp.GIVE_UP else str(a) for s, a in actions}}
+    return {"actions": {str(state): str(action) for state, action in inner.actions().items()}}
 
 
 _LISTED = 8  # actions that ``info`` names

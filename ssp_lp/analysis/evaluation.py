@@ -29,14 +29,14 @@ from ssp_lp.analysis.quantity_values import (
 from ssp_lp.analysis.success_costs import measured_law
 from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray
 from ssp_lp.compiled.deadline import limited
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends, end_marks, stop_marks
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.model.text_tables import ByName, Reported
 from ssp_lp.policies import StochasticPolicy
-from ssp_lp.policies.chain import Chain, policy_chain
-from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, MixedPolicy, Policy
+from ssp_lp.policies.chain import Chain, policy_chain, reached_table
+from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED, MixedPolicy, Policy
 from ssp_lp.policies.remembering import common_memory
 from ssp_lp.problem import NEEDED, Problem, conditions_of, objective_of, on_one_model
 from ssp_lp.processes.conditions import OBJECTIVE
@@ -279,6 +279,8 @@ def _measures_of(
 _ROUNDING = 64 * MACHINE_EPSILON
 """As little wandering as this is rounding: it is what the other ends leave of 1."""
 
+_FOLLOWED = 100_000  # nodes of a policy's chain among which the place of giving up is looked for
+
 _WORDS = {"dead_end": "dead-end", "gave_up": "gave up", "wandering": "wandering"}
 
 
@@ -291,21 +293,32 @@ def ways_to_fail(ends: Mapping[str, float]) -> dict[str, float]:
     }
 
 
-def failing_in_words(ends: Mapping[str, float], at_start: float = 0.0) -> str:
-    """Evaluated ways to fail in a line: "crash 0.03, gave up 0.02 (before the first step)".
+def failing_in_words(ends: Mapping[str, float]) -> str:
+    """Evaluated ways to fail in a line: "crash 0.03, gave up 0.02"."""
+    ways = ways_to_fail(ends).items()
+    return ", ".join(f"{_WORDS.get(name, name)} {share:.6g}" for name, share in ways)
+
+
+def giving_up_in_words(policy: MixedPolicy, problem: Problem, share: float) -> str:
+    """Where the evaluated policy gives up first, and how often before the first step.
 
     Args:
-        ends: probability of each end, as in ``Evaluation.ends``.
-        at_start: probability of giving up before the first step.
+        policy: of the problem.
+        problem: says the start.
+        share: probability of giving up.
     """
-    parts = []
-    for name, share in ways_to_fail(ends).items():
-        words = f"{_WORDS.get(name, name)} {share:.6g}"
-        if name == "gave_up" and at_start > 0.0:
-            of_it = "" if at_start > share - _ROUNDING else f"{at_start:.6g} of it "
-            words += f" ({of_it}before the first step)"
-        parts.append(words)
-    return ", ".join(parts)
+    at_start = giving_up_at_start(policy, problem)
+    if at_start > share - _ROUNDING:
+        return "before the first step"
+    if at_start > 0.0:
+        return f"{at_start:.6g} of it before the first step"
+    try:
+        start = start_distribution(problem.model, problem.start)
+        rows = reached_table(policy, start, _FOLLOWED)
+    except ModelError:  # too many nodes to look for the place
+        return ""
+    first = next((row.state for row in rows if row.action is GIVE_UP), None)
+    return "" if first is None else f"first in {in_short(first)}"
 
 
 def giving_up_at_start(policy: MixedPolicy, problem: Problem) -> float:

@@ -34,8 +34,6 @@ from ssp_lp.io.model_files.programs import (
 from ssp_lp.io.model_files.raw_model import ModelFile as ModelFile
 from ssp_lp.io.policy_exports import (
     induced_chain as induced_chain,
-    policy_table as policy_table,
-    to_frame as to_frame,
     write_controller as write_controller,
     write_dot as write_dot,
     write_scheduler as write_scheduler,

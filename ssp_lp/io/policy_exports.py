@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Hashable, Iterator, Mapping, Sequence
-from itertools import product as every_choice
+from collections.abc import Hashable, Iterator, Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from ssp_lp import policies
-from ssp_lp.arrays import IntArray, segment_ids
-from ssp_lp.errors import ModelError, optional_module
+from ssp_lp.arrays import segment_ids
+from ssp_lp.errors import ModelError
 from ssp_lp.io.archives import are_numbers_in_turn, fingerprint, label_value
 from ssp_lp.io.controller import GIVE_UP as GIVE_UP_WORD, controller_checksum
 from ssp_lp.io.model_files.raw_model import (
@@ -34,7 +33,6 @@ from ssp_lp.policies import MixedPolicy, Policy, StochasticPolicy
 from ssp_lp.policies.chain import Chain, policy_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, as_lottery
 from ssp_lp.policies.remembering import (
-    FAILING_WORDS,
     CompletePolicy,
     JointMemory,
     LabelledPolicy,
@@ -42,139 +40,6 @@ from ssp_lp.policies.remembering import (
     memory_size,
 )
 from ssp_lp.processes.failure_semantics import start_distribution
-
-
-class PolicyRow(NamedTuple):
-    """One decision of a policy."""
-
-    state: Hashable
-    memory: Hashable  # None: nothing is remembered; else see policy_table
-    action: Hashable  # or GIVE_UP
-    probability: float
-    member: int = 0  # of a lottery
-
-
-@explained
-def policy_table(policy: Policy | MixedPolicy) -> list[PolicyRow]:
-    """The decisions of a policy, in the order of members, memories and states.
-
-    States in which the policy never acts have no row. Memory is told by
-
-    - the cost paid so far (cost-aware policies, cost levels), "tail k" from the cap on;
-    - the time step, or (time step, memory of the stage) (timed policies);
-    - the product's memory, or (it, memory of the inner policy);
-    - "before failing", "giving up" and "after failing", likewise, where that counts;
-    - "over" and "elsewhere" of a policy that acts everywhere, where the other one is over, or has
-      begun in no state of its own;
-    - a tuple, where several of these are kept side by side.
-
-    Args:
-        policy: any policy of the library.
-
-    Raises:
-        ModelError: the policy is of a class whose memory is not known.
-
-    Example:
-        >>> from ssp_lp import SSP, DeterministicPolicy
-        >>> model = SSP.from_transitions({"door": {"open": [(1.0, "out", 2.0)]}}, goal={"out"})
-        >>> policy_table(DeterministicPolicy.from_actions(model, {"door": "open"}))
-        [PolicyRow(state='door', memory=None, action='open', probability=1.0, member=0)]
-    """
-    members = enumerate(as_lottery(policy).policies)
-    return [row for k, member in members for row in _table_rows(member, k)]
-
-
-@explained
-def to_frame(policy: Policy | MixedPolicy) -> Any:
-    """:func:`policy_table` as a pandas ``DataFrame``, with a column for each field of a row.
-
-    Raises:
-        MissingDependencyError: pandas is not installed.
-        ModelError: the policy is of a class whose memory is not known.
-    """
-    pandas = optional_module("pandas", "frames")
-    return pandas.DataFrame(policy_table(policy), columns=list(PolicyRow._fields))
-
-
-def _table_rows(policy: Policy, member: int) -> Iterator[PolicyRow]:
-    """Rows of a policy's exported table, a member's decisions."""
-    model, names = policy.model, policy.model.states
-    for code, memory in memories_of(policy):
-        states = _table_states(policy, code)
-        branches = policy.branches(states, np.full(len(states), code, dtype=np.int64))
-        decided = np.flatnonzero((branches.pair != UNDECIDED) & (branches.probability > 0.0))
-        here = states[branches.situation[decided]].tolist()
-        pairs, shares = branches.pair[decided].tolist(), branches.probability[decided].tolist()
-        for state, pair, share in zip(here, pairs, shares, strict=True):
-            action = policies.GIVE_UP if pair == GIVE_UP_CODE else model.action_of(pair)
-            yield PolicyRow(names[state], memory, action, share, member)
-
-
-def _table_states(policy: Policy, memory: int) -> IntArray:
-    """States that a policy's exported table lists for a memory, [states]."""
-    if isinstance(policy, CompletePolicy):
-        inner, alone = divmod(memory, 3)
-        of_product = isinstance(policy.inner, RememberingPolicy) and not alone
-        acting = np.diff(policy.model.pair_offsets) > 0
-        listed = _table_states(policy.inner, inner) if of_product else np.arange(acting.size)
-        return listed[acting[listed]]
-    if isinstance(policy, LabelledPolicy):
-        failed = memory % len(FAILING_WORDS) > 0
-        return np.flatnonzero(policy.product.is_open if failed else ~policy.ended)
-    if isinstance(policy, RememberingPolicy):
-        number = memory % len(policy.product.memories)
-        return np.flatnonzero(policy.product.table[:, number] >= 0)
-    if isinstance(policy, StochasticPolicy):
-        key, states = np.divmod(policy.situation_key, policy.model.n_states)
-        return np.asarray(states[key == memory])
-    return np.arange(policy.model.n_states)
-
-
-def memories_of(policy: Policy) -> list[tuple[int, Hashable]]:
-    """Memories of a policy, and the words for them in its exported table.
-
-    Raises:
-        ModelError: the policy is of a class whose memory is not known.
-    """
-    match policy:
-        case policies.DeterministicPolicy() | StochasticPolicy(carrier=None):
-            return [(0, None)]
-        case StochasticPolicy(carrier=Policy() as carrier):
-            return memories_of(carrier)
-        case policies.CostAwarePolicy():
-            told = [layer * policy.unit for layer in range(policy.cap)]
-            told = told if policy.levels is None else policy.levels[:-1].tolist()
-            return list(enumerate([*told, *(f"tail {k}" for k in range(len(policy.tails)))]))
-        case policies.TimedPolicy():
-            return _joined_memories(range(len(policy.stages)), memories_of(policy.stages[0]))
-        case RememberingPolicy():
-            return _joined_memories(policy.product.memories, memories_of(policy.inner))
-        case LabelledPolicy():
-            return _joined_memories(FAILING_WORDS, memories_of(policy.inner))
-        case CompletePolicy(inner=inner):
-            known = [(3 * code, told) for code, told in memories_of(inner)]
-            own = inner.begins(np.arange(inner.model.n_states)).all()
-            return [*known, (1, "over"), *([] if own else [(2, "elsewhere")])]
-        case JointMemory(keepers=(keeper,)):
-            return memories_of(keeper)
-        case JointMemory():
-            sizes = [memory_size(keeper) for keeper in policy.keepers]
-            parts = every_choice(*(memories_of(keeper) for keeper in policy.keepers))
-            joint = [tuple(zip(*some, strict=True)) for some in parts]
-            return [(int(np.ravel_multi_index(codes, sizes)), told) for codes, told in joint]
-    raise ModelError(f"what a {type(policy).__name__} remembers is not known")
-
-
-def _joined_memories(
-    last: Sequence[Hashable], inner: list[tuple[int, Hashable]]
-) -> list[tuple[int, Hashable]]:
-    """Two memories of an exported policy in one number, the inner one its leading digit."""
-    return [
-        (code * len(last) + k, outer if told is None else (outer, told))
-        for k, outer in enumerate(last)
-        for code, told in inner
-    ]
-
 
 START, GAVE_UP = "start", "gave up"
 """States of the chain besides those of the policy: where its lottery is drawn, and its end."""
@@ -294,7 +159,7 @@ def write_dot(
 
 def _dot_nodes(policy: Policy, chain: Chain, member: int) -> Iterator[str]:
     """Nodes of an exported policy's graph, as lines of dot."""
-    model, memories = chain.model, dict(memories_of(policy))
+    model, memories = chain.model, dict(policy.memories())
     actions = defaultdict(list)
     branches = zip(chain.branch_node, chain.branch_pair, chain.branch_probability, strict=True)
     for node, pair, probability in branches:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.sparse.csgraph import breadth_first_order
 
 from ssp_lp.arrays import (
     BoolArray,
@@ -23,7 +24,8 @@ from ssp_lp.dynamic_programming.evaluation import evaluate_chain
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends, reached_along
-from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
+from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED, MixedPolicy, Policy
+from ssp_lp.policies.table import Decisions, Member, PolicyTable
 
 _Step = tuple[IntArray, IntArray, FloatArray, FloatArray, IntArray, IntArray, IntArray, FloatArray]
 
@@ -137,10 +139,50 @@ class Chain:
         moving += rows @ np.where(inside, 0.0, survival)
         return own, np.where(ending, 1.0, moving)
 
+    def decisions(self) -> Decisions:
+        """The decisions of the policy's chain, in the order in which a run can come to them."""
+        begins = sp.csr_array((self.start[None, :] > 0.0).astype(np.float64))
+        edges = sp.vstack([sp.hstack([self.matrix, sp.csr_array((self.n_nodes, 1))]),
+                           sp.hstack([begins, sp.csr_array((1, 1))])], format="csr")  # fmt: skip
+        reached = breadth_first_order(edges, self.n_nodes, return_predecessors=False)
+        place = np.full(self.n_nodes + 1, self.n_nodes)
+        place[reached] = np.arange(len(reached))
+        order = np.argsort(place[self.branch_node], kind="stable")
+        node = self.branch_node[order]
+        return Decisions(
+            self.state[node],
+            self.memory[node],
+            self.branch_pair[order],
+            self.branch_probability[order],
+        )
+
     @cached_property
     def _systems(self) -> dict[tuple[float, bytes], tuple[IntArray, System]]:
         """The equations of the chain that are kept."""
         return {}
+
+
+def reached_table(
+    policy: MixedPolicy, start: FloatArray, most_nodes: float = np.inf
+) -> PolicyTable:
+    """Tabulate the decisions that a lottery comes to, the nearest to the start first.
+
+    Args:
+        policy: the lottery.
+        start: distribution over states, [states].
+        most_nodes: of a member's chain.
+
+    Raises:
+        ModelError: a member is of a class whose memory is not known, or has no decision in a state
+            that it reaches; or its nodes are more than there may be.
+    """
+    model = policy.model
+    members = []
+    for weight, member in policy.weighted:
+        reached = policy_chain(model, member, start, most_nodes).decisions()
+        words = dict(member.memories())
+        members.append(Member(weight, member.remembers, words, partial(iter, (reached,))))
+    return PolicyTable(model, tuple(members), GIVE_UP)
 
 
 def policy_chain(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,6 +89,17 @@ class CostAwarePolicy(Policy):
     def memory_size(self) -> int:
         """A value for each layer, and for each tail beyond."""
         return self.cap + len(self.tails)
+
+    @property
+    def remembers(self) -> str:
+        """The cost-aware policy's memory, in words."""
+        return "cost paid"
+
+    def memories(self) -> list[tuple[int, Hashable]]:
+        """The cost paid so far of each layer, then the tails by number."""
+        layers = [layer * self.unit for layer in range(self.cap)]
+        paid = layers if self.levels is None else self.levels[:-1].tolist()
+        return list(enumerate([*paid, *(f"tail {k}" for k in range(len(self.tails)))]))
 
     def start_memory(self, states: IntArray) -> IntArray:
         """The cost-aware policy's memory at the start: layer 0, [episodes]."""

@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Final, Literal, NamedTuple, get_args
+from typing import Any, ClassVar, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -31,6 +31,8 @@ from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained, explained_class
 from ssp_lp.model.graph import attention_pairs, attention_states, dead_ends
 from ssp_lp.model.ssp import check_model
+from ssp_lp.model.text_tables import html_text
+from ssp_lp.policies.table import Decisions, Member, PolicyTable
 
 Randomness = np.random.Generator | int
 """A generator, or the seed of a new one."""
@@ -49,10 +51,14 @@ def generator_of(seed: Randomness) -> np.random.Generator:
     raise ModelError(f"seed must be a number such as 0 or a numpy.random.Generator, not {seed!r}")
 
 
-class Decision(enum.Enum):
+class Decision(enum.StrEnum):
     """Decisions of a policy besides the actions of the model."""
 
     GIVE_UP = "give up"
+
+    def __repr__(self) -> str:
+        """The name of the constant."""
+        return self.name
 
 
 GIVE_UP: Final = Decision.GIVE_UP
@@ -63,6 +69,8 @@ GIVE_UP_CODE: Final = -1
 UNDECIDED: Final = -2
 """Stands in arrays of pairs for states in which a policy never has to act."""
 
+
+_BY_EPISODE = ": play an episode, episode = policy.start(seed=0), and ask episode.action(state)"
 
 MOST_EPISODES: Final = 100_000_000
 """Played side by side: some ten gigabytes."""
@@ -152,6 +160,77 @@ class Playable(ReadOnlyCopies, ABC):
     ) -> tuple[tuple[Policy, ...], IntArray]:
         """Members of the policy's lottery, and the position of the one that plays each episode."""
 
+    @property
+    @abstractmethod
+    def weighted(self) -> tuple[tuple[float, Policy], ...]:
+        """Members of the policy's lottery with their weights."""
+
+    def table(self) -> PolicyTable:
+        """The policy's decisions as a table that prints.
+
+        Raises:
+            ModelError: the policy is of a class whose memory is not known.
+        """
+        members = tuple(
+            Member(weight, member.remembers, dict(member.memories()), member.decisions)
+            for weight, member in self.weighted
+        )
+        return PolicyTable(self.weighted[0][1].model, members, GIVE_UP)
+
+    def to_frame(self) -> Any:
+        """The policy's table as a pandas ``DataFrame``.
+
+        Raises:
+            MissingDependencyError: pandas is not installed.
+            ModelError: the policy is of a class whose memory is not known.
+        """
+        return self.table().to_frame()
+
+    def __str__(self) -> str:
+        """The policy's table; one line where the policy's memory is not known."""
+        table = self._known_table()
+        return repr(self) if table is None else str(table)
+
+    def _repr_html_(self) -> str:
+        """The policy's table for notebooks."""
+        table = self._known_table()
+        return html_text(repr(self)) if table is None else table._repr_html_()
+
+    def _known_table(self) -> PolicyTable | None:
+        """The policy's table; None where the policy's memory is not known."""
+        try:
+            return self.table()
+        except ModelError:
+            return None
+
+    def action(self, state: Hashable) -> Hashable:
+        """The policy's action in a state: :data:`GIVE_UP` where it gives up, None where it is over.
+
+        Raises:
+            ModelError: unknown state; a state in which the policy has no decision; or the action
+                depends on a lottery, a random draw or a memory, which an episode keeps.
+        """
+        taken: dict[Hashable, None] = {}
+        for _, member in self.weighted:
+            here = np.array([member.model.index_of(state)])
+            if member.ended[here[0]]:
+                taken[None] = None
+                continue
+            if member.memory_size != 1:
+                depends = f"the action in {state!r} depends on the {member.remembers}"
+                raise ModelError(depends + _BY_EPISODE)
+            for pair in member.branches(here, np.zeros(1, dtype=np.int64)).pair.tolist():
+                if pair == UNDECIDED:
+                    raise ModelError(
+                        f"the policy has no decision in state {state!r}, which it does not reach; "
+                        "solution.policy_everywhere() acts in every state"
+                    )
+                taken[GIVE_UP if pair == GIVE_UP_CODE else member.model.action_of(pair)] = None
+        if len(taken) > 1:
+            words = " or ".join(map(str, taken))
+            raise ModelError(f"the action in {state!r} is drawn ({words}){_BY_EPISODE}")
+        return next(iter(taken))
+
 
 class Policy(Playable):
     """A policy without or with a finite memory, which starts, decides and remembers.
@@ -188,6 +267,40 @@ class Policy(Playable):
     def step_limit(self) -> int | None:
         """Steps within which the policy was made to reach the goal; None: no limit is known."""
         return None
+
+    @property
+    def remembers(self) -> str:
+        """What the policy remembers, in a word."""
+        return "memory"
+
+    @property
+    def weighted(self) -> tuple[tuple[float, Policy], ...]:
+        """The policy itself."""
+        return ((1.0, self),)
+
+    def memories(self) -> list[tuple[int, Hashable]]:
+        """Values of the policy's memory, and the words for each in its table.
+
+        Raises:
+            ModelError: nothing bounds the memory.
+        """
+        if self.memory_size is None:
+            raise ModelError(f"what a {type(self).__name__} remembers is not known")
+        return [(0, None)] if self.memory_size == 1 else [(k, k) for k in range(self.memory_size)]
+
+    def listed_states(self, memory: int) -> IntArray:
+        """States in which the policy may have a decision with this memory, [states]."""
+        return np.arange(self.model.n_states)
+
+    def decisions(self) -> Iterator[Decisions]:
+        """The policy's decisions, a block for each value of its memory."""
+        for code, _ in self.memories():
+            states = self.listed_states(code)
+            branches = self.branches(states, np.full(len(states), code, dtype=np.int64))
+            kept = np.flatnonzero((branches.pair != UNDECIDED) & (branches.probability > 0.0))
+            here = states[branches.situation[kept]]
+            memory = np.full(len(kept), code)
+            yield Decisions(here, memory, branches.pair[kept], branches.probability[kept])
 
     def start_memory(self, states: IntArray) -> IntArray:
         """The policy's memory at the start of episodes in these states, [episodes]."""
@@ -552,7 +665,7 @@ class DeterministicPolicy(Policy):
         decision = np.full(model.n_states, UNDECIDED, dtype=np.int64)
         for state, action in actions.items():
             s = model.index_of(state)
-            decision[s] = GIVE_UP_CODE if action is GIVE_UP else find_pair(model, s, action)
+            decision[s] = _decided_pair(model, s, action)
         return cls(model, decision)
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
@@ -573,6 +686,14 @@ class DeterministicPolicy(Policy):
         gives_up = int((self.decision == GIVE_UP_CODE).sum())
         decides = int((self.decision >= 0).sum())
         return f"DeterministicPolicy(acts in {decides:,} states, gives up in {gives_up:,})"
+
+
+def _decided_pair(model: SSP, state: int, action: Hashable) -> int:
+    """Pair of a decision, GIVE_UP_CODE for ``GIVE_UP`` or, without such an action, "give up"."""
+    own = (model.action_of(p) for p in range(*model.pair_offsets[state : state + 2].tolist()))
+    if action is GIVE_UP or (action == GIVE_UP and action not in own):
+        return GIVE_UP_CODE
+    return find_pair(model, state, action)
 
 
 def find_pair(model: SSP, state: int, action: Hashable) -> int:
@@ -644,9 +765,7 @@ class StochasticPolicy(Policy):
         """
         check_model(model, "from_actions")
         rows = sorted((model.index_of(state), table) for state, table in actions.items())
-        pairs = [
-            GIVE_UP_CODE if a is GIVE_UP else find_pair(model, s, a) for s, t in rows for a in t
-        ]
+        pairs = [_decided_pair(model, s, action) for s, table in rows for action in table]
         return cls(
             model,
             np.array([s for s, _ in rows], dtype=np.int64),
@@ -682,6 +801,26 @@ class StochasticPolicy(Policy):
         even = 1.0 / np.repeat(np.diff(offsets), np.diff(offsets))  # where all visits underflow
         share = np.where(total > 0, flow / np.where(total > 0, total, 1.0), even)
         return cls(model, situation, offsets, pair - 1, share, carrier)
+
+    @property
+    def memory_size(self) -> int | None:
+        """Number of values of the carrier's memory."""
+        return 1 if self.carrier is None else self.carrier.memory_size
+
+    @property
+    def remembers(self) -> str:
+        """The word of the carrier."""
+        return super().remembers if self.carrier is None else self.carrier.remembers
+
+    def memories(self) -> list[tuple[int, Hashable]]:
+        """The memories of the carrier, in words."""
+        return [(0, None)] if self.carrier is None else self.carrier.memories()
+
+    def listed_states(self, memory: int) -> IntArray:
+        """States whose decisions are listed with this memory, [states]."""
+        n = self.model.n_states
+        first, last = np.searchsorted(self.situation_key, [memory * n, (memory + 1) * n])
+        return np.asarray(self.situation_key[first:last] - memory * n)
 
     def start_memory(self, states: IntArray) -> IntArray:
         """Start memory of the stochastic policy's carrier, [episodes]."""
@@ -766,6 +905,11 @@ class MixedPolicy(Playable):
         if len(self.policies) > 1:
             raise ModelError("a lottery over policies needs a seed or a generator: start(0)")
         return self.policies[0].draw(episodes, rng)
+
+    @property
+    def weighted(self) -> tuple[tuple[float, Policy], ...]:
+        """The mixed policy's members with their weights."""
+        return tuple(zip(self.weights.tolist(), self.policies, strict=True))
 
     def __repr__(self) -> str:
         """One line: how many members there are, and the first of them with their weights."""

@@ -6,8 +6,9 @@ Such a policy acts on a product of model and memory, and is carried back to the 
 from __future__ import annotations
 
 import enum
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product as every_choice
 from math import prod
 
 import numpy as np
@@ -62,6 +63,10 @@ class TimedPolicy(Policy):
         """The model that the timed policy's stages act on."""
         return self.stages[0].model
 
+    def memories(self) -> list[tuple[int, Hashable]]:
+        """The time step, with the memory that the stages share."""
+        return _with_last(range(len(self.stages)), self.stages[0].memories())
+
     def start_memory(self, states: IntArray) -> IntArray:
         """The timed policy's first stage and its start memory, [episodes]."""
         return self.stages[0].start_memory(states) * len(self.stages)
@@ -110,6 +115,19 @@ class JointMemory(Policy):
         """The joint memory with another policy to decide."""
         return JointMemory(self.keepers, decider)
 
+    @property
+    def remembers(self) -> str:
+        """The word of a single keeper."""
+        return self.keepers[0].remembers if len(self.keepers) == 1 else super().remembers
+
+    def memories(self) -> list[tuple[int, Hashable]]:
+        """The keepers' memories, a tuple if there are several keepers."""
+        if len(self.keepers) == 1:
+            return self.keepers[0].memories()
+        parts = every_choice(*(keeper.memories() for keeper in self.keepers))
+        joint = [tuple(zip(*some, strict=True)) for some in parts]
+        return [(int(np.ravel_multi_index(codes, self._sizes)), words) for codes, words in joint]
+
     def start_memory(self, states: IntArray) -> IntArray:
         """Start of a joint memory: each keeper's, [episodes]."""
         return self._joined([k.start_memory(states) for k in self.keepers])
@@ -143,6 +161,17 @@ class JointMemory(Policy):
     def _sizes(self) -> tuple[int, ...]:
         """Number of values of each keeper's part of a joint memory."""
         return tuple(memory_size(keeper) for keeper in self.keepers)
+
+
+def _with_last(
+    last: Sequence[Hashable], inner: list[tuple[int, Hashable]]
+) -> list[tuple[int, Hashable]]:
+    """Memories of two kinds in one number, of which ``last`` is the last digit, in words."""
+    return [
+        (code * len(last) + k, word if words is None else (word, words))
+        for k, word in enumerate(last)
+        for code, words in inner
+    ]
 
 
 def common_memory(policy: MixedPolicy) -> JointMemory | None:
@@ -222,6 +251,15 @@ class RememberingPolicy(Policy):
         """Step limit of a policy that remembers: the fewest of its products."""
         own = self.product.steps if isinstance(self.product, HorizonSSP) else None
         return min((n for n in (own, self.inner.step_limit) if n is not None), default=None)
+
+    def memories(self) -> list[tuple[int, Hashable]]:
+        """The product's memory, with the inner policy's."""
+        return _with_last(self.product.memories, self.inner.memories())
+
+    def listed_states(self, memory: int) -> IntArray:
+        """States that the product has with this memory, [states]."""
+        number = memory % len(self.product.memories)
+        return np.flatnonzero(self.product.table[:, number] >= 0)
 
     def begins(self, states: IntArray) -> BoolArray:
         """Whether the product has these states with the memory's start, [episodes]."""
@@ -365,6 +403,15 @@ class LabelledPolicy(_GoingOn):
         decision[self.model.pair_state[pairs]] = pairs
         return decision
 
+    def memories(self) -> list[tuple[int, Hashable]]:
+        """The label of failing in words, with the inner policy's memory."""
+        return _with_last(FAILING_WORDS, self.inner.memories())
+
+    def listed_states(self, memory: int) -> IntArray:
+        """States with decisions before failing, or after it, [states]."""
+        failed = memory % len(FAILING_WORDS) > 0
+        return np.flatnonzero(self.product.is_open if failed else ~self.ended)
+
     def start_memory(self, states: IntArray) -> IntArray:
         """Start memory of a policy that remembers failing, before it, [episodes]."""
         return np.asarray(self.inner.start_memory(states) * len(_Label) + _Label.BEFORE)
@@ -462,6 +509,20 @@ class CompletePolicy(_GoingOn):
     def ended(self) -> BoolArray:
         """Goals, and states without an action, [states]."""
         return np.asarray(self.model.goal_mask | (np.diff(self.model.pair_offsets) == 0))
+
+    def memories(self) -> list[tuple[int, Hashable]]:
+        """The inner policy's memories, "over" and, where it does not begin, "elsewhere"."""
+        known = [(3 * code, words) for code, words in self.inner.memories()]
+        begins = self.inner.begins(np.arange(self.model.n_states)).all()
+        return [*known, (1, "over"), *([] if begins else [(2, "elsewhere")])]
+
+    def listed_states(self, memory: int) -> IntArray:
+        """States with actions, those of the product where the inner policy lives on one."""
+        inner, alone = divmod(memory, 3)
+        acting = np.diff(self.model.pair_offsets) > 0
+        of_product = isinstance(self.inner, RememberingPolicy) and not alone
+        listed = self.inner.listed_states(inner) if of_product else np.arange(acting.size)
+        return listed[acting[listed]]
 
     def start_memory(self, states: IntArray) -> IntArray:
         """The inner policy's, where its episodes begin, [episodes]."""

@@ -29,8 +29,7 @@ from ssp_lp import (
     solve,
     visits,
 )
-from ssp_lp.io import Controller, fingerprint, policy_table, write_controller
-from ssp_lp.io.policy_exports import memories_of
+from ssp_lp.io import Controller, fingerprint, write_controller
 from ssp_lp.policies.policy import as_lottery
 
 SOURCE = Path(ssp_lp.io.controller.__file__)
@@ -135,13 +134,13 @@ def test_the_file_holds_every_probability(name, tmp_path):
     for k, (member, own) in enumerate(
         zip(told["members"], as_lottery(policy).policies, strict=True)
     ):
-        words = [word for _, word in memories_of(own)]
+        words = [word for _, word in own.memories()]
         for word, decisions in zip(words, member["decision"], strict=True):
             for state, choice in zip(policy.model.states, decisions, strict=True):
                 for code, share in choice if isinstance(choice, list) else [(choice, 1.0)]:
                     if code >= -1:
                         found[k, state, word, actions[code]] = share
-    rows = policy_table(policy)
+    rows = policy.table()
     assert found == {(r.member, r.state, r.memory, r.action): r.probability for r in rows}
 
 

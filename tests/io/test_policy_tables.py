@@ -11,7 +11,7 @@ from named_policies import EVERY, HALL, made, start_of
 from played import START, everywhere, hall
 from refusing import refused
 from ssp_lp import GIVE_UP, MissingDependencyError
-from ssp_lp.io import policy_table, to_frame, write_dot
+from ssp_lp.io import write_dot
 from ssp_lp.policies.chain import policy_chain
 from ssp_lp.policies.policy import as_lottery
 from ssp_lp.policies.remembering import common_memory
@@ -19,7 +19,7 @@ from ssp_lp.processes.failure_semantics import start_distribution
 
 
 def table_of(policy):
-    return {(r.member, r.state, r.memory, r.action): r.probability for r in policy_table(policy)}
+    return {(r.member, r.state, r.memory, r.action): r.probability for r in policy.table()}
 
 
 def test_a_stationary_policy():
@@ -37,7 +37,7 @@ def test_what_is_reached_stands_in_the_table(name):
     """Every decision on the policy's chain, played by a person who keeps the memory in words."""
     policy, model = made()[name], made()[name].model
     rows, sums = set(), {}
-    for row in policy_table(policy):
+    for row in policy.table():
         rows.add((row.member, row.state, row.action))
         key = row.member, row.state, row.memory
         sums[key] = sums.get(key, 0.0) + row.probability
@@ -50,7 +50,7 @@ def test_what_is_reached_stands_in_the_table(name):
 
 
 def test_memories_in_words():
-    told = {name: {row.memory for row in policy_table(made()[name])} for name in EVERY}
+    told = {name: {row.memory for row in made()[name].table()} for name in EVERY}
     aware, cap = told["cost aware"], made()["cost aware"].cap
     assert {k for k in aware if not isinstance(k, str)} <= {float(k) for k in range(cap)}
     assert {k for k in aware if isinstance(k, str)} <= {"tail 0", "tail 1"}
@@ -64,11 +64,11 @@ def test_a_frame_needs_pandas(monkeypatch):
     policy = everywhere(hall(), "fast")
     if importlib.util.find_spec("pandas") is None:
         words = r"pip install 'ssp-lp\[frames\]'"
-        refused(words, to_frame, policy, error=MissingDependencyError)
+        refused(words, policy.to_frame, error=MissingDependencyError)
     made = SimpleNamespace(DataFrame=lambda rows, columns: (rows, columns))
     monkeypatch.setitem(sys.modules, "pandas", made)
-    rows, columns = to_frame(policy)
-    assert rows == policy_table(policy)
+    rows, columns = policy.to_frame()
+    assert rows == list(policy.table())
     assert columns == ["state", "memory", "action", "probability", "member"]
 
 

@@ -32,7 +32,7 @@ from ssp_lp import (
     visits,
     within_steps,
 )
-from ssp_lp.io import load_policy, policy_table, save_model, save_policy, save_solution
+from ssp_lp.io import load_policy, save_model, save_policy, save_solution
 from ssp_lp.policies.policy import generator_of
 
 ROAD: dict[Any, Any] = {
@@ -219,7 +219,6 @@ def test_a_seed_is_a_generator() -> None:
         (lambda: save_policy(SOLUTION, "nowhere"), "cannot be saved"),
         (lambda: load_policy("nowhere", PROBLEM), r"it has one: \.model"),
         (lambda: save_model(PROBLEM, "nowhere"), r"it has one: \.model"),
-        (lambda: policy_table(SOLUTION), r"a policy is needed.*pass solution\.policy"),
         (lambda: on_original(SOLUTION), r"pass solution\.policy"),
         (lambda: MixedPolicy((SOLUTION,), [1.0]), r"pass solution\.policy"),
         (lambda: TimedPolicy((SOLUTION,)), r"pass solution\.policy"),

@@ -38,7 +38,7 @@ from ssp_lp import (
     trace_frontier,
     visits,
 )
-from ssp_lp.analysis.evaluation import failing_in_words, giving_up_at_start
+from ssp_lp.analysis.evaluation import giving_up_in_words
 
 MODEL = model_of(
     {
@@ -73,8 +73,9 @@ def test_the_summary_says_how_the_policy_fails(solution: Solution) -> None:
     for word in ("crash <b>", "dead-end", "gave up"):
         name = {"dead-end": "dead_end", "gave up": "gave_up"}.get(word, word)
         assert f"{word} {ends[name]:.6g}" in told
-    assert told.endswith("(before the first step)")
     assert "wandering" not in told
+    gave_up = f"{ends['gave_up']:.6g} by choice, before the first step; give_up='dead_ends' forbids"
+    assert gave_up in solution.summary()
     assert failing_line(solve(MaxProb(MODEL, "s"))) == "crash <b> 0.01"
 
 
@@ -98,12 +99,14 @@ def test_giving_up_later_is_no_giving_up_at_the_start() -> None:
             "t": {"far": [(1.0, "g", 50.0)], "stay": [(1.0, "t", 1.0)]},
         }
     )
-    assert failing_line(solve(MCMP(model, "s", 0.2))) == "gave up 0.2"
+    later = solve(MCMP(model, "s", 0.2))
+    assert failing_line(later) == "gave up 0.2"
+    assert "0.2 by choice, first in 't'; give_up='dead_ends' forbids it" in later.summary()
+    assert "giving up" not in solve(MCMP(model, "s", 0.2, give_up="dead_ends")).summary()
     policy = DeterministicPolicy.from_actions(model, {"s": "on", "t": GIVE_UP})
     problem = MCMP(model, {"s": 0.5, "t": 0.5}, 0.9)
-    at_start = giving_up_at_start(MixedPolicy((policy,), np.ones(1)), problem)
-    told = failing_in_words(evaluate(policy, problem).ends, at_start)
-    assert told == "gave up 0.75 (0.5 of it before the first step)"
+    told = giving_up_in_words(MixedPolicy((policy,), np.ones(1)), problem, 0.75)
+    assert told == "0.5 of it before the first step"
 
 
 def test_wandering_is_told() -> None:

@@ -20,7 +20,7 @@ from ssp_lp import (
     solve,
     visits,
 )
-from ssp_lp.io import load_policy, policy_table, save_policy
+from ssp_lp.io import load_policy, save_policy
 from ssp_lp.model.graph import attention_states, dead_ends
 
 LARGE = 1_000
@@ -216,7 +216,7 @@ def test_the_least_harm_after_failing() -> None:
 
 def test_tables_tell_what_is_done_afterwards() -> None:
     quits = DeterministicPolicy.from_actions(FORK, {"a": "over", "edge": GIVE_UP})
-    rows = {(r.state, r.memory): r.action for r in policy_table(acting_everywhere(quits))}
+    rows = {(r.state, r.memory): r.action for r in acting_everywhere(quits).table()}
     assert rows["edge", None] is GIVE_UP
     assert rows["edge", "over"] == "slide"
     assert rows["a", None] == "over"
@@ -225,6 +225,6 @@ def test_tables_tell_what_is_done_afterwards() -> None:
         FORK.states[k] for k in np.flatnonzero(np.diff(FORK.pair_offsets) > 0)
     }
     limited = MCMP(FORK, "a", 0.1, constraints={"seen": visits("grave", through_failure=True) <= 0})
-    told = {(r.state, r.memory): r.action for r in policy_table(solve(limited).policy)}
+    told = {(r.state, r.memory): r.action for r in solve(limited).policy.table()}
     assert told["edge", "giving up"] == "slide"
     assert dead_ends(FORK).sum() == 2

@@ -1,0 +1,175 @@
+"""Why a solution takes an action: the actions of one state side by side, at the optimal prices."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray
+from ssp_lp.dynamic_programming.dynamics import leaving_choice
+from ssp_lp.errors import ModelError, optional_module
+from ssp_lp.model.graph import nearer_pairs
+from ssp_lp.model.text_tables import Summarised, text_table
+from ssp_lp.policies.policy import MixedPolicy, Policy
+from ssp_lp.programs.occupation_measure import StateValues
+
+if TYPE_CHECKING:
+    from ssp_lp.programs.occupation_program import OccupationProgram
+
+_TIGHT = 1e-9  # reduced cost, relative to the greatest value, of an action that is as good as any
+_NAMED = 3  # places that an error names
+
+
+class ActionValue(NamedTuple):
+    """An action of the explained state: what follows when it is taken first."""
+
+    action: Hashable  # of the model, ``GIVE_UP`` or "stay for ever"
+    share: float  # probability with which the solution takes it there; nan where it never comes
+    amounts: tuple[float, ...]  # of each quantity in ``Explanation.quantities``
+    value: float  # the amounts weighted by ``Explanation.weights``
+    excess: float  # value less the least value of the state's actions
+
+
+@dataclass(frozen=True, repr=False)
+class Explanation(Summarised):
+    """The actions of one state, the best first.
+
+    Each action is taken once, and an optimal policy at the optimal prices is followed afterwards.
+    The value of an action is the weighted sum of the amounts that follow: the cost, plus for each
+    row the price times the amount, minus in case S c* times the goal probability. An action with
+    excess 0 is optimal; a lottery mixes policies that take several of them.
+    """
+
+    state: Hashable
+    cost_paid: float | None  # before, in case S; None where the total cost does not matter
+    quantities: tuple[str, ...]  # "cost", "goal" in case S, "failure", then each other row
+    weights: tuple[float, ...]  # 1, -c* for the goal, the price of each row; 0 without a price
+    actions: tuple[ActionValue, ...]
+
+    def to_frame(self) -> Any:
+        """The actions as a pandas ``DataFrame``, with a column for each quantity.
+
+        Raises:
+            MissingDependencyError: pandas is not installed.
+        """
+        pandas = optional_module("pandas", "frames")
+        rows = [(a.action, a.share, *a.amounts, a.value, a.excess) for a in self.actions]
+        return pandas.DataFrame(rows, columns=self._head)
+
+    @property
+    def _head(self) -> list[str]:
+        """Names of the columns."""
+        return ["action", "taken", *self.quantities, "value", "excess"]
+
+    def summary(self) -> str:
+        """A table with a line for each action."""
+        paid = "" if self.cost_paid is None else f" after a cost of {self.cost_paid:g}"
+        terms = [
+            f"{'-' if weight < 0.0 else '+'} {abs(weight):.6g} x {name}"
+            for name, weight in zip(self.quantities[1:], self.weights[1:], strict=True)
+            if weight
+        ]
+        rows = [
+            [str(a.action), "-" if np.isnan(a.share) else f"{a.share:.4g}"]
+            + [f"{number:.6g}" for number in (*a.amounts, a.value, a.excess)]
+            for a in self.actions
+        ]
+        title = " ".join([f"{self.state}{paid}: value =", self.quantities[0], *terms])
+        return "\n".join([title, *text_table([self._head, *rows])])
+
+
+class _Counted(NamedTuple):
+    """A quantity of the explained values."""
+
+    name: str
+    weight: float
+    coefficients: FloatArray  # [pairs] of the process
+
+
+def explanation(
+    values: StateValues,
+    prices: Mapping[str, float],
+    ratio: float,
+    policy: Policy | MixedPolicy,
+    state: Hashable,
+    cost_paid: float | None = None,
+) -> Explanation:
+    """Explain the actions of a state by the state values of the problem's program.
+
+    Args:
+        values: at the optimal prices.
+        prices: of the rows, by name.
+        ratio: c* in case S.
+        policy: what the solution does: its equivalent randomised policy.
+        state: of the model, or of a product that the problem is solved on.
+        cost_paid: in case S, one of the totals that the program has; None: the least of them.
+
+    Raises:
+        ModelError: the program has no such state, or not at this cost.
+    """
+    program, process = values.program, values.program.process
+    labels = {column: program.label(column) for column in program.columns(state)}
+    costs = sorted({label.cost for label in labels.values() if label.cost is not None})
+    total = next(iter(costs), None) if cost_paid is None else cost_paid
+    columns = np.array([k for k, label in labels.items() if label.cost == total], dtype=np.int64)
+    if len(np.unique(process.pair_state[columns])) != 1:
+        some = [f"{label.state!r}{label.paid}" for label in labels.values()]
+        there = f"; there is {' and '.join(dict.fromkeys(some[:_NAMED]))}" if some else ""
+        raise ModelError(f"nothing is decided in {state!r} alone, at the cost {total}{there}")
+    counted = _counted_quantities(program, prices, ratio)
+    amounts = _following(values, counted)[:, columns]
+    worth = np.array([quantity.weight for quantity in counted]) @ amounts
+    excess = worth - worth.min()
+    excess[excess <= _TIGHT * np.abs(worth).max()] = 0.0  # rounding
+    shares = {
+        row.action: row.probability
+        for row in policy.table()
+        if row.state == state and (total is None or row.memory == total)
+    }
+    actions = [
+        ActionValue(
+            labels[column].action,
+            shares.get(labels[column].action, 0.0) if shares else float("nan"),
+            tuple(amounts[:, k].tolist()),
+            float(worth[k]),
+            float(excess[k]),
+        )
+        for k, column in enumerate(columns.tolist())
+    ]
+    return Explanation(
+        state,
+        total,
+        tuple(quantity.name for quantity in counted),
+        tuple(quantity.weight for quantity in counted),
+        tuple(sorted(actions, key=lambda action: action.excess)),
+    )
+
+
+def _counted_quantities(
+    program: OccupationProgram, prices: Mapping[str, float], ratio: float
+) -> list[_Counted]:
+    """The objective, the goal in case S, failing, and each row, with their weights."""
+    process = program.process
+    counted = [_Counted(program.objective, 1.0, process.cost)]
+    if program.ratio:
+        counted.append(_Counted("goal", -ratio, process.goal))
+    rows = {row.name: row.coefficients for row in program.rows}
+    for name, coefficients in {"failure": process.failure, **rows}.items():
+        if name != program.objective:
+            counted.append(_Counted(name, prices.get(name, 0.0), coefficients))
+    return counted
+
+
+def _following(values: StateValues, counted: Sequence[_Counted]) -> FloatArray:
+    """Amount of each explained quantity that follows each pair, [quantities, pairs]."""
+    process, dynamics = values.program.process, values.program.process.dynamics
+    rewards = np.stack([quantity.coefficients for quantity in counted])
+    scale = max(float(np.abs(values.states).max(initial=0.0)), 1.0)
+    tight = values.reduced_costs <= _TIGHT * scale
+    nearer = nearer_pairs(dynamics.graph, tight & (dynamics.exits > 0.0), tight)
+    choice = np.where(nearer >= 0, nearer, leaving_choice(dynamics, process.goal)).astype(np.int32)
+    after = dynamics.chain(choice).solve(np.ascontiguousarray(rewards[:, choice].T))
+    return np.asarray(rewards + (process.transitions @ after).T)
