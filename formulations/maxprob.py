@@ -11,6 +11,7 @@ from ssp_lp.formulation import (
     Aim,
     FailureSemantics,
     Formulation,
+    GiveUp,
     Start,
     dead_end_labels,
 )
@@ -34,7 +35,10 @@ class MaxProb(Formulation):
 
     Semantics:
         exact, wandering for ever is failure. Any policy of greatest probability may be returned:
-        ``MCMP`` and ``S3P`` at least failure choose the cheapest.
+        ``MCMP`` and ``S3P`` at least failure choose the cheapest. Limited quantities are counted
+        until failure is declared: ``give_up`` says where a policy may declare it. With
+        "dead_ends" they are counted until the goal is out of reach, as in the multi-objective
+        queries of Storm and PRISM, ``multi(Pmax=? [F "goal"], R<=b [C])``.
 
     Reference:
         Kolobov, Mausam, Weld and Geffner, 2011; paper, section 2.3.
@@ -42,6 +46,7 @@ class MaxProb(Formulation):
     Args:
         model: the model.
         start: a state, or ``{state: probability}``.
+        give_up: "anywhere", "attention" (the paper) or "dead_ends"; it matters under limits only.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
         horizon: count the goal within so many steps only (``Formulation``); None: at any time.
 
@@ -50,14 +55,14 @@ class MaxProb(Formulation):
         and one deterministic stationary policy.
 
     Raises:
-        ModelError: an unknown start.
+        ModelError: an unknown start or ``give_up``.
 
     Example:
         >>> from ssp_lp import SSP, solve
         >>> model = SSP.from_transitions(
         ...     {"road": {"fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)],
         ...               "wait": [(1.0, "road", 0.0)]}, "ditch": {}},
-        ...     goal={"home"}, treat_actionless_as_dead_ends=True)
+        ...     goal={"home"}, dead_ends={"ditch"})
         >>> problem = MaxProb(model, start="road")
         >>> solve(problem).objective, sorted(problem.dead_ends)
         (0.9, ['ditch'])
@@ -65,6 +70,7 @@ class MaxProb(Formulation):
 
     model: SSP
     start: Start
+    give_up: str | GiveUp = GiveUp.ATTENTION
 
     failure_budget = 1.0  # failing is not limited: it is what is minimised
 
@@ -76,4 +82,4 @@ class MaxProb(Formulation):
     @cached_property
     def semantics(self) -> FailureSemantics:
         """Semantics of MAXPROB: only reaching the goal counts, as surely as can be."""
-        return FailureSemantics(aim=Aim.GREATEST_GOAL)
+        return FailureSemantics(GiveUp(self.give_up), aim=Aim.GREATEST_GOAL)

@@ -10,6 +10,7 @@ from ssp_lp.errors import (
     InfeasibleError as InfeasibleError,
     MissingDependencyError as MissingDependencyError,
     ModelError as ModelError,
+    ModelWarning as ModelWarning,
     OutOfTimeError as OutOfTimeError,
     SolverError as SolverError,
     SSPError as SSPError,

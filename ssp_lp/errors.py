@@ -55,6 +55,10 @@ class ModelError(SSPError, ValueError):
     """The model or the problem is stated wrongly; the message names the place and the remedy."""
 
 
+class ModelWarning(UserWarning):
+    """The model can be solved as it stands, but may not be what was meant."""
+
+
 class InfeasibleError(SSPError):
     """No policy respects the failure budget and the limits.
 

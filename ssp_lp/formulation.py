@@ -39,6 +39,7 @@ from ssp_lp.errors import (
     wrong_argument as wrong_argument,
 )
 from ssp_lp.model import SSP as SSP
+from ssp_lp.model.arguments import check_keywords
 from ssp_lp.model.graph import (
     attention_labels as attention_labels,
     dead_end_labels as dead_end_labels,
@@ -135,8 +136,10 @@ class Formulation(_Inherited):
         """Check what comes first before anything else is missed.
 
         Raises:
-            ModelError: it is no model.
+            ModelError: it is no model, or an argument by a name that there is not.
         """
+        ordered = sorted(fields(cls), key=lambda part: part.kw_only is True)
+        check_keywords(cls.__name__, [part.name for part in ordered if part.init], named)
         if arguments and not isinstance(arguments[0], SSP):
             first = next(part.name for part in fields(cls) if not part.kw_only)
             given = in_short(arguments[0])

@@ -14,6 +14,7 @@ from ssp_lp.compiled.deadline import Deadline, Stop, WithIncumbent, closing, unt
 from ssp_lp.errors import ModelError, OutOfTimeError, SolverError
 from ssp_lp.methods.approaches import Case, approach_to, refusal
 from ssp_lp.methods.incumbent import Incumbent
+from ssp_lp.model.arguments import explained
 from ssp_lp.options import (
     ColumnGeneration,
     Game,
@@ -34,6 +35,7 @@ _ROUNDING = 1e-12  # of sums of probabilities
 _SEARCH, _PROOF = logging.getLogger("ssp_lp.search"), logging.getLogger("ssp_lp.proof")
 
 
+@explained
 def solve(
     problem: Problem,
     method: Method | str | None = None,

@@ -167,12 +167,15 @@ def state_named(model: SSP, word: str) -> Hashable:
 
 _LIMIT = re.compile(r"(?P<words>.*?)\s*(?P<sign><=|>=|==)\s*(?P<bound>\S+)")
 _TERM = re.compile(r"(?:(?P<factor>[^\s*]+)\s*\*\s*)?(?P<word>[^\s(]+)(?:\((?P<of>.*)\))?")
-_PLAIN = {
+_PLAIN: dict[str, Callable[[], ssp_lp.Quantity]] = {
     "cost": ssp_lp.expected_cost,
     "goal": ssp_lp.goal_probability,
     "failure": ssp_lp.failure_probability,
 }
-_OF_STATES = {"visits": ssp_lp.visits, "end": ssp_lp.end_probability}
+_OF_STATES: dict[str, Callable[..., ssp_lp.Quantity]] = {
+    "visits": ssp_lp.visits,
+    "end": ssp_lp.end_probability,
+}
 _SIGNS: dict[str, Callable[..., ssp_lp.Constraint]] = {"<=": le, ">=": ge, "==": eq}
 
 

@@ -31,6 +31,7 @@ from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray
 from ssp_lp.compiled.deadline import limited
 from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import dead_ends, end_marks, stop_marks
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.model.text_tables import ByName, Reported
@@ -92,6 +93,7 @@ class Evaluation(Reported):
         return [*told[:2], *([("failing", failing)] if failing else []), *told[2:]]
 
 
+@explained
 def evaluate(
     policy: Policy | MixedPolicy, problem: Problem = NEEDED, *, time_limit: float | None = None
 ) -> Evaluation:

@@ -275,7 +275,7 @@ def simulate(
     problem: Problem,
     *,
     episodes: int = 10_000,
-    seed: Randomness,
+    seed: Randomness = 0,
     max_steps: int = 10_000,
     simulator: Simulator | None = None,
     record: int = 0,
@@ -297,7 +297,8 @@ def simulate(
         policy: the policy, on the problem's model.
         problem: says the start and what failing costs.
         episodes: how many to play.
-        seed: the source of all randomness: a number or a generator.
+        seed: the source of all randomness: a number, with which every call plays the same
+            episodes, or a generator.
         max_steps: steps after which an episode counts as unfinished.
         simulator: another world than the model, such as a continuous one.
         record: keep the paths of this many first episodes.

@@ -8,12 +8,14 @@ from ssp_lp.accumulated_cost.arrivals import ChainProspect
 from ssp_lp.accumulated_cost.cost_law import CostLaw
 from ssp_lp.accumulated_cost.policy_layers import chains_of_law
 from ssp_lp.arrays import FloatArray
+from ssp_lp.model.arguments import explained
 from ssp_lp.policies.chain import Chain
 from ssp_lp.policies.policy import MixedPolicy, Policy
 from ssp_lp.problem import NEEDED, Problem, on_one_model
 from ssp_lp.processes.failure_semantics import FailureSemantics, start_distribution
 
 
+@explained
 def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> CostLaw:
     """The law of a policy's total cost on the runs that reach the goal.
 

@@ -51,6 +51,7 @@ from ssp_lp.errors import (
 )
 from ssp_lp.methods.frontier import Frontier, TraceLimits, traced_over_failure
 from ssp_lp.methods.rows import rows_optimum, true_figures
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.text_tables import Reported
 from ssp_lp.options import SolveOptions, Status, deadline_of, progress_shown
 from ssp_lp.policies import MixedPolicy
@@ -78,6 +79,7 @@ _RAREST = 1e-12  # goal probability below which nothing is proved of a cost give
 _SPLITS = 0.25, 0.5, 0.75  # of a segment, given success, where lines meet nowhere in particular
 
 
+@explained
 def trace_frontier(
     problem: Problem,
     over: str = FAILURE_ROW,

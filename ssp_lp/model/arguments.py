@@ -17,7 +17,7 @@ from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.errors import ModelError, SSPError, check_flag, in_short, is_number
+from ssp_lp.errors import ModelError, SSPError, check_flag, did_you_mean, in_short, is_number
 
 _Given = ParamSpec("_Given")
 _Answer = TypeVar("_Answer")
@@ -94,15 +94,65 @@ def explained(public: Callable[_Given, _Answer]) -> Callable[_Given, _Answer]:
         except SSPError:
             raise
         except (TypeError, AttributeError, LookupError, ValueError, OverflowError) as error:
-            fault = None
+            fault, name = None, _name_of(public)
+            check_keywords(name, form.parameters, named)
             with suppress(TypeError):  # an argument is missing, or one too many
                 fault = _misfit_among(public, form.bind(*given, **named).arguments)
             if fault is None:
                 raise
-            name = public.__qualname__.removesuffix(".__init__").replace(".<locals>", "")
             raise ModelError(f"{name}: {fault}") from error
 
     return call
+
+
+def _name_of(public: Callable[..., Any]) -> str:
+    """Name of a function as a person who gives it arguments knows it."""
+    return public.__qualname__.removesuffix(".__init__").replace(".<locals>", "")
+
+
+_MEANT = {
+    "failure_budget": "budget epsilon eps risk risk_budget delta max_failure failure_probability",
+    "discount": "gamma discount_factor",
+    "start": "initial_state initial init s0 x0 start_state",
+    "constraints": "limits constraint limit rows",
+    "method": "solver algorithm backend",
+    "time_limit": "timeout max_time seconds",
+    "tolerance": "tol eps gap rtol",
+    "cost": "reward rewards costs",
+    "costs": "reward rewards cost",
+    "goal": "goals goal_states target targets terminal",
+    "dead_ends": "dead_end deadends traps failures",
+    "state_labels": "labels label",
+    "seed": "rng random_state",
+    "episodes": "n runs n_episodes num_episodes samples",
+    "max_steps": "horizon steps n_steps",
+    "horizon": "steps max_steps n_steps",
+    "verbose": "verbosity log",
+}
+"""Names of arguments, and the words that other libraries and people have for them."""
+
+
+def check_keywords(name: str, known: Collection[str], given: Iterable[str]) -> None:
+    """Check that a function has the arguments that are given by name.
+
+    Args:
+        name: of the function.
+        known: names of its arguments.
+        given: names that a call uses.
+
+    Raises:
+        ModelError: there is no argument of one of the names; the message says which was meant.
+    """
+    for word in given:
+        if word in known:
+            continue
+        own = [one for one in known if one not in ("self", "cls")]
+        meant = next((one for one in own if word in _MEANT.get(one, "").split()), None)
+        listed = f"; its arguments: {', '.join(own)}"
+        nearest = (
+            did_you_mean(word, own) or listed if meant is None else f"; did you mean {meant!r}?"
+        )
+        raise ModelError(f"{name} has no argument {word!r}{nearest}")
 
 
 def explained_class(made: type[_Made]) -> type[_Made]:

@@ -6,6 +6,7 @@ What users state of it is checked here; errors name the state and the action.
 from __future__ import annotations
 
 import logging
+import warnings
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -28,9 +29,16 @@ from ssp_lp.arrays import (
     pieces_of_chunks,
     read_only,
 )
-from ssp_lp.errors import Argument, ModelError, check_whole, did_you_mean, in_short
+from ssp_lp.errors import (
+    Argument,
+    ModelError,
+    ModelWarning,
+    check_whole,
+    did_you_mean,
+    in_short,
+)
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.graph import Graph, end_components
+from ssp_lp.model.graph import Graph, dead_ends as lost_states, end_components
 from ssp_lp.model.text_tables import html_table
 
 if TYPE_CHECKING:
@@ -87,6 +95,7 @@ class SSP(Graph, ReadOnlyCopies):
         *,
         cost: str | None = None,
         state_labels: Mapping[str, StateSet] | None = None,
+        dead_ends: StateSet | None = None,
         treat_actionless_as_dead_ends: bool = False,
         normalise: bool = False,
     ) -> SSP:
@@ -102,7 +111,10 @@ class SSP(Graph, ReadOnlyCopies):
                 ``secondary_cost("fuel")``.
             state_labels: names for sets of states ("wall"), used in reports and limits; each is
                 given by its states, or by what holds of just them.
-            treat_actionless_as_dead_ends: accept states without actions that are not goals.
+            dead_ends: states from which no action reaches the goal, given by their labels or by a
+                predicate. Any other state without actions that is not a goal is then an error.
+            treat_actionless_as_dead_ends: without ``dead_ends``, accept all states without actions
+                that are not goals.
             normalise: divide out sums of probabilities that miss 1 by up to 1e-5.
 
         Returns:
@@ -114,7 +126,7 @@ class SSP(Graph, ReadOnlyCopies):
         Example:
             >>> model = SSP.from_transitions(
             ...     {"start": {"go": [(0.9, "goal", 1.0), (0.1, "pit", 1.0)]}, "pit": {}},
-            ...     goal={"goal"}, treat_actionless_as_dead_ends=True)
+            ...     goal={"goal"}, dead_ends={"pit"})
             >>> model.n_states, model.n_pairs, model.n_outcomes
             (3, 1, 2)
         """
@@ -125,7 +137,8 @@ class SSP(Graph, ReadOnlyCopies):
             )
         goals = dict.fromkeys(no_lone_string(goal, "goal"))
         listed = [*transitions, *(g for g in goals if g not in transitions)]
-        flat = _FlatModel(listed, cost, closed=not treat_actionless_as_dead_ends)
+        is_closed = dead_ends is None and not treat_actionless_as_dead_ends
+        flat, n_listed = _FlatModel(listed, cost, closed=is_closed), len(listed)
         for state in flat.states:  # it grows where states without actions are not listed
             reached = state in goals
             flat.add(state, {} if reached else transitions.get(state, {}), goal=reached)
@@ -133,9 +146,12 @@ class SSP(Graph, ReadOnlyCopies):
         for state in goals.keys() - led_to - transitions.keys():
             if nearest := did_you_mean(state, (s for s in flat.states if s not in goals)):
                 raise ModelError(f"no action leads to the goal {state!r}{nearest}")
+        if dead_ends is None:
+            _warn_of_misspelled(flat.states[n_listed:], flat.states[:n_listed])
         return cls.from_arrays(
             **flat.arrays,
             state_labels=state_labels,
+            dead_ends=dead_ends,
             treat_actionless_as_dead_ends=treat_actionless_as_dead_ends,
             normalise=normalise,
         )
@@ -152,6 +168,7 @@ class SSP(Graph, ReadOnlyCopies):
         state_limit: int = 1_000_000,
         progress: Callable[[int], None] | None = None,
         state_labels: Mapping[str, StateSet] | None = None,
+        dead_ends: StateSet | None = None,
         treat_actionless_as_dead_ends: bool = False,
         normalise: bool = False,
     ) -> SSP:
@@ -166,7 +183,10 @@ class SSP(Graph, ReadOnlyCopies):
             state_limit: raise when more states than this are found.
             progress: called now and then with the number of states found so far.
             state_labels: names for sets of states, as in ``from_transitions``.
-            treat_actionless_as_dead_ends: accept states without actions that are not goals.
+            dead_ends: states from which no action reaches the goal, given by their labels or by a
+                predicate. Any other state without actions that is not a goal is then an error.
+            treat_actionless_as_dead_ends: without ``dead_ends``, accept all states without actions
+                that are not goals.
             normalise: divide out sums of probabilities that miss 1 by up to 1e-5.
 
         Raises:
@@ -191,9 +211,13 @@ class SSP(Graph, ReadOnlyCopies):
             if progress is not None and (done % _PROGRESS_EVERY == 0 or done == count):
                 progress(count)
         _EXPLORING.info("%d states found", len(flat.states))
+        if dead_ends is None:
+            idle = flat.idle()
+            _warn_of_misspelled(idle, (s for s in flat.states if s not in idle))
         return cls.from_arrays(
             **flat.arrays,
             state_labels=state_labels,
+            dead_ends=dead_ends,
             treat_actionless_as_dead_ends=treat_actionless_as_dead_ends,
             normalise=normalise,
         )
@@ -211,11 +235,12 @@ class SSP(Graph, ReadOnlyCopies):
         probability: str = "probability",
         cost: str | Sequence[str] = "cost",
         state_labels: Mapping[str, StateSet] | None = None,
+        dead_ends: StateSet | None = None,
         normalise: bool = False,
     ) -> SSP:
         """Build a model from a table of outcomes, a row for each, in any order.
 
-        A state that has no rows and is no goal is a dead-end.
+        A state without rows that is not a goal is a dead-end.
 
         Args:
             table: a ``DataFrame`` of pandas or polars, or anything else that has columns by name,
@@ -229,6 +254,7 @@ class SSP(Graph, ReadOnlyCopies):
             cost: the column of the cost, or of several, the first of which is the model's own; each
                 of several can be limited, ``secondary_cost("fuel") <= 3``.
             state_labels: names for sets of states, as in ``from_transitions``.
+            dead_ends: the states without rows that are not goals; any other one is then an error.
             normalise: divide out sums of probabilities that miss 1 by up to 1e-5.
 
         Raises:
@@ -260,6 +286,7 @@ class SSP(Graph, ReadOnlyCopies):
             goal,
             cost=None if isinstance(cost, str) else costs[0],
             state_labels=state_labels,
+            dead_ends=dead_ends,
             treat_actionless_as_dead_ends=True,
             normalise=normalise,
         )
@@ -280,6 +307,7 @@ class SSP(Graph, ReadOnlyCopies):
         state_labels: Mapping[str, StateSet] | None = None,
         exact_costs: Mapping[float, Fraction] | None = None,
         named_costs: Mapping[str, npt.ArrayLike] | None = None,
+        dead_ends: StateSet | None = None,
         treat_actionless_as_dead_ends: bool = False,
         normalise: bool = False,
     ) -> SSP:
@@ -299,7 +327,10 @@ class SSP(Graph, ReadOnlyCopies):
             exact_costs: the fraction meant by a float cost such as 1/3; others mean their
                 shortest decimal. It decides the lattice of accumulated costs.
             named_costs: costs by name, each as ``costs`` is given, for ``secondary_cost("fuel")``.
-            treat_actionless_as_dead_ends: accept states without pairs that are not goals.
+            dead_ends: labels of states from which no action reaches the goal, or a predicate on
+                labels. Any other state without pairs that is not a goal is then an error.
+            treat_actionless_as_dead_ends: without ``dead_ends``, accept all states without pairs
+                that are not goals.
             normalise: divide out sums of probabilities that miss 1 by up to 1e-5, such as those
                 of single precision; else 1e-9 is the limit.
 
@@ -339,7 +370,7 @@ class SSP(Graph, ReadOnlyCopies):
         for name, costs_of_name in named.items():
             _check_costs(draft, costs_of_name, name)
         chance = _with_unit_sums(draft, normalise)
-        _check_idle_states(draft, treat_actionless_as_dead_ends)
+        _check_idle_states(draft, dead_ends, accept=treat_actionless_as_dead_ends)
         return replace(
             draft,
             successors=read_only(target, np.int32),
@@ -591,6 +622,15 @@ class _FlatModel:
             flat["goal_states"].append(len(flat["pair_offsets"]) - 1)
         flat["pair_offsets"].append(len(flat["actions"]))
 
+    def idle(self) -> set[Hashable]:
+        """States without actions that are not goals."""
+        offsets, goals = self.arrays["pair_offsets"], set(self.arrays["goal_states"])
+        return {
+            state
+            for place, state in enumerate(self.states)
+            if offsets[place] == offsets[place + 1] and place not in goals
+        }
+
     def _paid(self, cost: Any, state: Hashable, action: Hashable) -> float:
         """A cost as a float; a fraction is remembered."""
         paid = _number(cost, "cost", state, action)
@@ -774,8 +814,13 @@ def _costs_of_outcomes(costs: npt.ArrayLike, outcome_offsets: IntArray) -> Float
     raise ModelError(f"costs must be a number, {n_pairs} or {n_outcomes} numbers")
 
 
-def _check_idle_states(model: SSP, accept: bool) -> None:
-    """Check that a model's goals have no pairs and, unless accepted, that all others have.
+def _check_idle_states(model: SSP, dead_ends: StateSet | None, *, accept: bool) -> None:
+    """Check that a model's goals have no pairs, and which other states have none.
+
+    Args:
+        model: the model.
+        dead_ends: the states that may lack pairs, and from which no action may reach the goal.
+        accept: without ``dead_ends``, all states may lack pairs.
 
     Raises:
         ModelError: naming the state and the remedy.
@@ -785,11 +830,71 @@ def _check_idle_states(model: SSP, accept: bool) -> None:
     if wrong.any():
         state = model.states[int(np.argmax(wrong))]
         raise ModelError(f"goal state {state!r} has actions: an episode ends there; drop them")
-    if idle.any() and not accept:
-        raise ModelError(
-            f"state {model.states[int(np.argmax(idle))]!r} has no actions and is no goal; "
-            "pass treat_actionless_as_dead_ends=True to accept such states as dead-ends"
+    if dead_ends is not None:
+        declared = np.zeros(model.n_states, dtype=np.bool_)
+        declared[_members(model, "dead_ends", dead_ends)] = True
+        hopeful = declared & (acting | model.goal_mask)
+        if hopeful.any() and (hopeful := hopeful & ~lost_states(model)).any():
+            state = model.states[int(np.argmax(hopeful))]
+            raise ModelError(
+                f"state {state!r} is listed in dead_ends, but the goal is reached from it"
+            )
+        idle &= ~declared
+    elif accept:
+        return
+    if idle.any():
+        place = int(np.argmax(idle))
+        state, others = (
+            model.states[place],
+            (s for s, i in zip(model.states, idle, strict=True) if not i),
         )
+        entering = model.successors == place
+        led = (
+            f", where {model._describe_outcome(int(np.argmax(entering)))} leads,"
+            if entering.any()
+            else ""
+        )
+        nearest = did_you_mean(state, others) or "; list all dead-ends, dead_ends={...}"
+        raise ModelError(
+            f"state {state!r}{led} has no actions and is neither a goal nor a dead-end{nearest}"
+        )
+
+
+def _warn_of_misspelled(idle: Iterable[Hashable], names: Iterable[Hashable]) -> None:
+    """Warn if the name of a state without actions resembles the name of another state.
+
+    Two names resemble each other if they become equal when one letter is left out of each, as a
+    transposed, a missing or a wrong letter makes them; names that differ in digits do not.
+
+    Args:
+        idle: names of states without actions that nobody has listed.
+        names: names of the other states.
+    """
+    known: dict[str, str] = {}
+    for name in idle:
+        if isinstance(name, str) and len(name) >= _LEAST_LETTERS:
+            known |= dict.fromkeys(_with_a_letter_less(name), name)
+    for other in names if known else ():
+        if not isinstance(other, str) or len(other) < _LEAST_LETTERS:
+            continue
+        near = next((known[part] for part in _with_a_letter_less(other) if part in known), None)
+        if near is not None and near.translate(_NO_DIGITS) != other.translate(_NO_DIGITS):
+            warnings.warn(
+                f"state {near!r} has no actions and counts as a dead-end; did you mean {other!r}? "
+                "List the dead-ends, dead_ends={...}, so that any other such state is an error",
+                ModelWarning,
+                stacklevel=4,
+            )
+            return
+
+
+_LEAST_LETTERS = 4  # of a name that may be misspelled: shorter ones resemble each other anyway
+_NO_DIGITS = str.maketrans("", "", "0123456789")
+
+
+def _with_a_letter_less(name: str) -> set[str]:
+    """A state's name without one of its letters, each in turn, and as it stands."""
+    return {name, *(name[:k] + name[k + 1 :] for k in range(len(name)))}
 
 
 def _goal_mask(goal_states: npt.ArrayLike, n_states: int) -> BoolArray:
@@ -849,9 +954,18 @@ def _indexed_labels(model: SSP, labels: Mapping[str, StateSet]) -> Mapping[str, 
     for name, members in labels.items():
         if name in ENDS:
             raise ModelError(f"state label {name!r} is taken: reports use {', '.join(ENDS)}")
-        if callable(members):
-            places = [place for place, state in enumerate(model.states) if members(state)]
-        else:
-            places = sorted({model.index_of(state) for state in no_lone_string(members, name)})
-        indexed[name] = read_only(np.array(places, dtype=np.int64))
+        indexed[name] = read_only(_members(model, name, members))
     return indexed
+
+
+def _members(model: SSP, name: str, members: StateSet) -> IntArray:
+    """Sorted indices of a set of a model's states, given by their labels or by a predicate.
+
+    Raises:
+        ModelError: an unknown member, or a lone string.
+    """
+    if callable(members):
+        places = [place for place, state in enumerate(model.states) if members(state)]
+    else:
+        places = sorted({model.index_of(state) for state in no_lone_string(members, name)})
+    return np.array(places, dtype=np.int64)

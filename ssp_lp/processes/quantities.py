@@ -13,8 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import update_wrapper
+from inspect import signature
 from itertools import chain
 from math import isfinite
+from typing import Generic, ParamSpec
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +30,8 @@ from ssp_lp.model.graph import end_marks
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.processes.conditions import OBJECTIVE, RESERVED, ArrivalTerm, Condition, StepTerm, Term
 from ssp_lp.processes.past_failing import past_failing_term
+
+_Given = ParamSpec("_Given")
 
 NestedCosts = Mapping[Hashable, Mapping[Hashable, float]]
 
@@ -143,6 +148,22 @@ class Quantity:
             return Constraint(self - bound, lower=0.0)
         return Constraint(self, lower=_quantity_number(bound))
 
+    def __lt__(self, bound: object) -> Constraint:
+        """Refused: a limit includes its bound.
+
+        Raises:
+            ModelError: always.
+        """
+        raise ModelError(f"a limit includes its bound: write {self!r} <= {bound!r}")
+
+    def __gt__(self, bound: object) -> Constraint:
+        """Refused: a limit includes its bound.
+
+        Raises:
+            ModelError: always.
+        """
+        raise ModelError(f"a limit includes its bound: write {self!r} >= {bound!r}")
+
     def __eq__(self, value: float) -> Constraint:  # type: ignore[override]
         """Exactly a number."""
         return Constraint(self, lower=_quantity_number(value), upper=_quantity_number(value))
@@ -177,11 +198,45 @@ class Constraint:
         raise ModelError("a constraint has no truth value: state two, each under its own name")
 
 
+class QuantityFunction(Generic[_Given]):
+    """A function that makes a quantity; comparing or adding the function itself is an error."""
+
+    def __init__(self, make: Callable[_Given, Quantity]) -> None:
+        update_wrapper(self, make)
+        self._make = make
+
+    def __call__(self, *arguments: _Given.args, **named: _Given.kwargs) -> Quantity:
+        """Make the quantity."""
+        return self._make(*arguments, **named)
+
+    def __reduce__(self) -> str:
+        """Pickled by its name, as functions are."""
+        return self._make.__qualname__
+
+    def __repr__(self) -> str:
+        """The function's name and arguments."""
+        return f"{self._make.__name__}{signature(self._make)}"
+
+    def _uncalled(self, other: object) -> Quantity:
+        """Refused: the function has not been called.
+
+        Raises:
+            ModelError: always.
+        """
+        name = self._make.__name__
+        inside = "..." if signature(self._make).parameters else ""
+        raise ModelError(f"{name} is a function: call it, such as {name}({inside}) <= 5")
+
+    __le__ = __ge__ = __lt__ = __gt__ = __add__ = __radd__ = __mul__ = __rmul__ = _uncalled
+
+
+@QuantityFunction
 def expected_cost() -> Quantity:
     """The quantity "expected total cost" of the model, counted as the criterion counts costs."""
     return Quantity(((1.0, _StageCosts()),))
 
 
+@QuantityFunction
 def secondary_cost(
     cost: NestedCosts | npt.ArrayLike | str, *, through_failure: bool = False
 ) -> Quantity:
@@ -197,6 +252,7 @@ def secondary_cost(
     return Quantity(((1.0, _StageCosts(cost, through_failure)),))
 
 
+@QuantityFunction
 def visits(*states: Hashable, through_failure: bool = False) -> Quantity:
     """The quantity "expected visits" of some states, entered or begun in; staying counts too.
 
@@ -215,6 +271,7 @@ def visits(*states: Hashable, through_failure: bool = False) -> Quantity:
     return Quantity(((1.0, _Visits(states, through_failure)),))
 
 
+@QuantityFunction
 def end_probability(*ways: Hashable) -> Quantity:
     """The quantity "probability that an episode ends in one of some ways".
 
@@ -230,16 +287,19 @@ def end_probability(*ways: Hashable) -> Quantity:
     return Quantity(((1.0, _Ends(ways)),))
 
 
+@QuantityFunction
 def goal_probability() -> Quantity:
     """The quantity "probability of reaching the goal"."""
     return end_probability("goal")
 
 
+@QuantityFunction
 def failure_probability() -> Quantity:
     """The quantity "probability of never reaching the goal"."""
     return Quantity(((1.0, _Ends(("goal",), others=True)),))
 
 
+@QuantityFunction
 def arrival_cost(
     function: Callable[[FloatArray], FloatArray] | None = None, *, affine_from: float = 0.0
 ) -> Quantity:

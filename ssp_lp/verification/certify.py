@@ -16,6 +16,7 @@ from ssp_lp.errors import ModelError, OutOfTimeError
 from ssp_lp.methods.approaches import Case, approach_to
 from ssp_lp.methods.incumbent import broken_limit, by_moments, prove_by_cheapest_way
 from ssp_lp.methods.refinement import Proved
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.text_tables import Reported
 from ssp_lp.options import Status, progress_shown
 from ssp_lp.policies.policy import as_lottery
@@ -25,6 +26,7 @@ from ssp_lp.solution import Solution, as_solved
 _LOG = logging.getLogger("ssp_lp.certificate")
 
 
+@explained
 def certify(
     solution: Solution, *, verbose: bool = False, time_limit: float | None = None
 ) -> Certificate:

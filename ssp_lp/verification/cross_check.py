@@ -22,6 +22,7 @@ from ssp_lp.analysis.evaluation import evaluate_each
 from ssp_lp.arrays import LEAST_BUDGET, BoolArray
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, check_between_0_and_1
 from ssp_lp.methods.approaches import refusal
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import attention_states, end_components, hopeless_states
 from ssp_lp.model.text_tables import Summarised, text_table
 from ssp_lp.options import LinearProgramming, parse_method, progress_shown
@@ -263,6 +264,7 @@ class CrossCheck(Summarised):
         return f"{count} methods agree: {distances}"
 
 
+@explained
 def cross_check(
     problem: Problem,
     *,

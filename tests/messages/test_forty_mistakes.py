@@ -53,7 +53,7 @@ IN_PYTHON: list[tuple[Callable[[], Any], str]] = [
     (lambda: model(goal="home"), "goal must be a set of states, such as {'home'}"),
     (lambda: model(goal=("hom",)), "did you mean 'home'?"),
     (lambda: model(goal=("home", "depott")), "did you mean 'depot'?"),
-    (lambda: SSP.from_transitions(FINE, ("home",)), "treat_actionless_as_dead_ends=True"),
+    (lambda: SSP.from_transitions(FINE, ("home",)), "list all dead-ends, dead_ends={...}"),
     (
         lambda: SSP.from_transitions({"a": {"go": [(1.0, "hoem", 1.0)]}, "home": {}}, ("home",)),
         "leads to 'hoem', which is neither a state of the model nor a goal; did you mean 'home'?",

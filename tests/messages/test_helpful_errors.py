@@ -312,7 +312,7 @@ def test_a_label_of_goals_is_a_way_to_end_and_one_of_places_on_the_way_is_none()
 def test_a_budget_that_is_spent_by_giving_up_is_told_of() -> None:
     table = {"depot": {"road": [(1.0, "home", 3.0)], "wait": [(1.0, "depot", 1.0)]}}
     model = SSP.from_transitions(table, goal={"home"})
-    assert "give_up='dead_ends' fails where" in solve(MCMP(model, "depot", 0.2)).summary()
+    assert "give_up='dead_ends' forbids it" in solve(MCMP(model, "depot", 0.2)).summary()
     assert "giving up" not in solve(MCMP(model, "depot", 0.2, give_up="dead_ends")).summary()
 
 

@@ -74,7 +74,7 @@ GO = {"s": {"go": [(1.0, "g", 1.0)]}}
 @pytest.mark.parametrize(
     ("choices", "options", "complaint"),
     [
-        (GO | {"d": {}}, {}, "treat_actionless_as_dead_ends"),
+        (GO | {"d": {}}, {}, "list all dead-ends, dead_ends="),
         ({"s": {"go": [(1.0, "s", 1.0)]}}, {"goal": ()}, "no goal"),
         (GO, {"state_labels": {"wall": ["w"]}}, "not a state"),
         (GO, {"goal": "g"}, "set of states"),
