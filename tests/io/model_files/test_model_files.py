@@ -529,6 +529,7 @@ def test_a_state_that_merely_bears_the_name_is_kept(tmp_path):
     assert found.state_labels["paying"].tolist() == [1, 2]
 
 
+@pytest.mark.filterwarnings("ignore::ssp_lp.ModelWarning")
 @pytest.mark.parametrize(
     "ending",
     ["json", "json.gz", "nested.json", "explicit.json", "prism", "drn", "drn.gz", "tra", "npz"],
