@@ -17,6 +17,7 @@ from weakref import proxy
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.linalg import solve_triangular
 from scipy.sparse import csgraph, linalg
 
 from ssp_lp.arrays import (
@@ -58,6 +59,7 @@ _FACTOR_STATE, _FACTOR_BLOCK = 2_000.0, 0.1
 """Work of sparse factors, as measured: for each state, and for each multiplication of dense
 separators, of which several run at once."""
 
+_BLOCK = 32  # states that are taken out together
 _DEAR = 200  # passes for a reward from which the others are left out until they are needed
 _ENTRY = 2.0  # multiplications of a direct solution that take as long as an entry of a sweep
 
@@ -565,34 +567,42 @@ def factorised(system: sp.csc_array, *, in_order: bool = False) -> linalg.SuperL
         raise SolverError(HOLDS_MASS) from error
 
 
-def reduce_states(inner: FloatArray, leaving: FloatArray, rewards: FloatArray) -> FloatArray:
+def reduction_solver(inner: FloatArray, leaving: FloatArray) -> Solver:
     """Direct solver by state reduction: totals with relative accuracy in every entry.
 
     Grassmann, Taksar and Heyman (1985): a state is taken out by sending what would enter it to
-    where it goes next; the probability of departing is summed, never formed as 1 - p.
+    where it goes next; the probability of departing is summed, never formed as 1 - p. States are
+    taken out in blocks, whose effect on all others is one product of matrices.
 
     Args:
         inner: probabilities among the states, [states, states]; overwritten.
         leaving: probabilities of leaving for good, [states]; overwritten.
-        rewards: [states, rewards]; overwritten.
-
-    Returns:
-        Totals, [states, rewards].
 
     Raises:
         SolverError: some states are never left.
     """
-    for i in range(len(leaving) - 1, -1, -1):
-        departs = leaving[i] + inner[i, :i].sum()
-        if departs <= 0.0:
-            raise SolverError(HOLDS_MASS)
-        inner[i, :i] /= departs
-        leaving[i] /= departs
-        rewards[i] /= departs
-        weight = inner[:i, i]
-        inner[:i, :i] += np.outer(weight, inner[i, :i])
-        leaving[:i] += weight * leaving[i]
-        rewards[:i] += np.outer(weight, rewards[i])
-    for i in range(1, len(leaving)):
-        rewards[i] += inner[i, :i] @ rewards[:i]
-    return rewards
+    departs = np.empty_like(leaving)
+    for end in range(len(leaving), 0, -_BLOCK):
+        begin = max(end - _BLOCK, 0)
+        for i in range(end - 1, begin - 1, -1):
+            departs[i] = leaving[i] + inner[i, :i].sum()
+            if departs[i] <= 0.0:
+                raise SolverError(HOLDS_MASS)
+            inner[i, :i] /= departs[i]
+            leaving[i] /= departs[i]
+            weight = inner[begin:i, i]
+            inner[begin:i, :i] += np.outer(weight, inner[i, :i])
+            leaving[begin:i] += weight * leaving[i]
+            inner[:begin, begin:i] += np.outer(inner[:begin, i], inner[i, begin:i])
+        into = inner[:begin, begin:end]
+        inner[:begin, :begin] += into @ inner[begin:end, :begin]
+        leaving[:begin] += into @ leaving[begin:end]
+    factors = np.negative(inner, out=inner)
+    np.fill_diagonal(factors, departs)
+
+    def solve(rewards: FloatArray) -> FloatArray:
+        """Totals of these rewards: entries below 0 off the diagonal add, and nothing cancels."""
+        entered = solve_triangular(factors, rewards)
+        return np.asarray(solve_triangular(factors, entered, lower=True, unit_diagonal=True))
+
+    return solve

@@ -237,6 +237,8 @@ class Dynamics:
 
     def restricted(self, kept: IntArray) -> Dynamics:
         """The dynamics with some of the pairs only, ascending, at least one for each state."""
+        if len(kept) == len(self.exits):
+            return self  # with what has been solved of it
         counts = np.bincount(self.pair_state[kept], minlength=self.n_states)
         return Dynamics(
             pair_offsets=offsets_of(counts).astype(self.pair_offsets.dtype),

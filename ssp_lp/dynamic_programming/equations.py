@@ -36,7 +36,7 @@ from ssp_lp.dynamic_programming.chain_solvers import (
     equations,
     factor_solver,
     factorised,
-    reduce_states,
+    reduction_solver,
 )
 from ssp_lp.errors import SolverError
 
@@ -49,6 +49,7 @@ DIRECT_STATES = 1_000
 EXACTLY_SOLVED = 256
 """States of a component up to which a compiled dense reduction costs no more than other ways."""
 
+_KEPT_ENTRIES = 10_000_000  # of components that are reduced and kept so, 80 MB
 EXACT = 4e-15  # relative residual: a few units in the last place of the totals
 _NOBODY = np.zeros(0, dtype=np.int64)
 
@@ -67,6 +68,7 @@ class System:
         self.products = 0  # passes over the matrix
         self.kept_runs: FloatArray | None = None  # checked run lengths, see ``evaluate_chain``
         self._large: dict[int, LargeComponent] = {}
+        self._reductions: dict[int, tuple[sp.csr_array, Solver]] = {}
 
     def __reduce__(self) -> tuple[type[System], tuple[sp.csr_array, FloatArray]]:
         """Copies and pickles carry the equations alone: factors cannot be, and are found again."""
@@ -164,21 +166,32 @@ class System:
         Raises:
             SolverError: the chain holds mass for ever, or a component is too large for that.
         """
-        columns, components = rewards.reshape(self.size, -1), self.components
-        x, runs = np.zeros(columns.shape), [(c, c + 1) for c in range(components.n_components)]
-        is_compiled = accelerated(max(len(self.matrix.indices), components.largest**2))
-        for first, last in self._runs if is_compiled else runs:
-            states = components.members(first)
-            if last - first == 1 and states.size > DIRECT_STATES:
-                LargeComponent(self.matrix, self.exits, states).reduce(columns, x)
-            elif is_compiled:
+        columns, x = rewards.reshape(self.size, -1), np.zeros((self.size, rewards[0].size))
+        is_compiled = accelerated(len(self.matrix.indices))
+        for first, last in self._runs_above(_DENSE_STATES if is_compiled else 0):
+            check_time()
+            states = self.components.members(first)
+            if is_compiled and states.size <= _DENSE_STATES:
                 self._solve_compiled(first, last, columns, x)
+            elif states.size > DIRECT_STATES:
+                LargeComponent(self.matrix, self.exits, states).reduce(columns, x)
             else:
-                rows, beyond = self.matrix[states], np.ones(self.size)
-                beyond[states] = x[states] = 0.0
-                leaving, right = self.exits[states] + rows @ beyond, columns[states] + rows @ x
-                x[states] = reduce_states(rows[:, states].toarray(), leaving, right)
+                rows, solver = self._reduced(first)
+                x[states] = solver(columns[states] + rows @ x)
         return x.reshape(rewards.shape)
+
+    def _reduced(self, c: int) -> tuple[sp.csr_array, Solver]:
+        """Rows of a component's equations, and their solver by state reduction; kept if small."""
+        if c not in self._reductions:
+            states = self.components.members(c)
+            rows, beyond = sp.csr_array(self.matrix[states]), np.ones(self.size)
+            beyond[states] = 0.0
+            leaving = self.exits[states] + rows @ beyond
+            reduced = rows, reduction_solver(rows[:, states].toarray(), leaving)
+            if self.size * min(self.components.largest, DIRECT_STATES) > _KEPT_ENTRIES:
+                return reduced
+            self._reductions[c] = reduced
+        return self._reductions[c]
 
     def solve_transposed(self, inflow: FloatArray) -> FloatArray:
         """Solve the transposed equations: expected visits of each state, given what enters.
@@ -232,8 +245,12 @@ class System:
     @cached_property
     def _runs(self) -> list[tuple[int, int]]:
         """Ranges of components whose equations are solved at once: small ones, or one large."""
+        return self._runs_above(EXACTLY_SOLVED)
+
+    def _runs_above(self, few: int) -> list[tuple[int, int]]:
+        """Ranges of the equations' components of so few states at most, or of one that has more."""
         sizes = self.components.sizes
-        large = (sizes > EXACTLY_SOLVED).nonzero()[0].tolist()
+        large = (sizes > few).nonzero()[0].tolist()
         runs, begin = [], 0
         for c in large:
             if c > begin:

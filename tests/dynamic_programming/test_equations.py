@@ -240,6 +240,35 @@ def test_totals_are_had_however_seldom_a_chain_is_left(compiled, leak):
         assert np.allclose(totals * leak, 1.0, rtol=1e-15 / leak)
 
 
+@pytest.mark.parametrize("side", [60, 150, 499])
+def test_a_chain_that_nearly_always_starts_over_is_reduced_once(compiled, side, monkeypatch):
+    """State 0 leads to one of two rows of states, each of which goes on or back to state 0.
+
+    The odds of leaving at the two ends are products of probabilities, here in fractions.
+    """
+    rng, n = np.random.default_rng(side), 2 * side + 1
+    to_right, on = float(rng.uniform(0.1, 0.9)), rng.uniform(0.3, 0.7, n)
+    row, column = np.arange(1, n), np.arange(2, n + 1)
+    steps, exits = sp.lil_array((n, n)), np.zeros(n)
+    steps[0, 1], steps[0, side + 1] = to_right, 1.0 - to_right
+    ends = np.array([side, n - 1])
+    steps[row[row != side][:-1], column[row != side][:-1]] = on[row[row != side][:-1]]
+    steps[row, 0], exits[ends] = 1.0 - on[row], on[ends]
+    system, reductions = System(sp.csr_array(steps), exits), []
+    monkeypatch.setattr(
+        equations,
+        "reduction_solver",
+        lambda *chain: reductions.append(1) or solvers.reduction_solver(*chain),
+    )
+    leaving = np.zeros((n, 2))
+    leaving[ends, [0, 1]] = on[ends]
+    totals = evaluate_chain(system, leaving).values[0]
+    odds = fractions([to_right, 1.0 - to_right]) * fractions(on)[1:].reshape(2, side).prod(axis=1)
+    assert totals.tolist() == pytest.approx((odds / odds.sum()).astype(float).tolist(), rel=1e-13)
+    evaluate_chain(system, leaving[:, :1])
+    assert len(reductions) == 1
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_one_pass_without_cycles_chooses_and_knows_its_errors(seed, monkeypatch):
     """Layers with self-loops: the values of numpy, and totals as wrong as they say, at most."""

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from formulations import MCMP, S3P
+from formulations import MCMP, S3P, MaxProb
 from small_models import model_of
 from ssp_lp import certify, evaluate, solve
 from ssp_lp.accumulated_cost.totals import Window
+from ssp_lp.dynamic_programming import chain_solvers, equations
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.methods.rows import lagrange_bound
@@ -156,3 +157,25 @@ def test_what_prices_take_off_a_bound_is_rounded_up(rows: int) -> None:
         size = Fraction(float(prices @ np.abs(bounds))) + abs(Fraction(least))
         assert told <= Fraction(least) - paid
         assert Fraction(least) - paid - told <= (rows + 4) * Fraction(1, 2**50) * size
+
+
+def test_a_model_that_nearly_always_starts_over_is_reduced_once(monkeypatch) -> None:
+    """The goal or the pit 300 even steps away, each of which may lead back to the start.
+
+    Both ends are as many steps away, so that the first step decides: the goal is reached with its
+    probability, though the chain of 599 states is left with 1e-90 a step.
+    """
+    moves: dict[Any, Any] = {0: {"go": [(0.7, 1, 1.0), (0.3, -1, 1.0)]}, "pit": {}}
+    for row, end in ((1, "goal"), (-1, "pit")):
+        for k in range(1, 300):
+            ahead = end if k == 299 else row * (k + 1)
+            moves[row * k] = {"go": [(0.5, ahead, 1.0), (0.5, 0, 1.0)]}
+    model = model_of(moves, goal="goal")
+    reductions: list[int] = []
+    monkeypatch.setattr(
+        equations,
+        "reduction_solver",
+        lambda *chain: reductions.append(1) or chain_solvers.reduction_solver(*chain),
+    )
+    assert solve(MaxProb(model, 0)).objective == pytest.approx(0.7, rel=1e-12)
+    assert len(reductions) == 1
