@@ -281,9 +281,11 @@ class _LayerPowers:
 
 _FIRST_LAYERS = 64
 _LAST_LAYER = 2**62  # as good as infinitely many
+_NARROW = 100_000  # masses kept at once, up to which sums are not looked for
 _MOST_WAITING = 50_000_000  # masses kept at once, 400 MB
 _MOST_WORK = 3_000_000_000  # moves followed in all, some tens of seconds
 _WORK_OF_A_LAYER = 3_000  # moves that could be followed while one layer is begun
+_WORK_OF_PASSING = 10  # the same while a compiled loop passes a layer in which nothing waits
 _TOGETHER = 1_000_000  # moves that may be followed between two looks at the time
 _MOSTLY = 0.5  # share of a chain's nodes from which all of its moves are followed
 _TINY = 5e-324  # the least mass there is
@@ -420,6 +422,11 @@ class Arrivals:
                 self._settle_one()
 
     @property
+    def is_narrow(self) -> bool:
+        """Whether a step passes so few layers that most of them are reached by arrivals."""
+        return self._waiting.size <= _NARROW
+
+    @property
     def leaps(self) -> bool:
         """Whether arrivals in layers that are not settled can be asked for: the places are few.
 
@@ -526,7 +533,8 @@ class Arrivals:
         self._layers += (self.settled + reached).tolist()
         self._masses += arrived[reached].tolist()
         self.settled += layers
-        self._count(int(followed) + layers * _WORK_OF_A_LAYER)
+        passed = layers * _WORK_OF_PASSING + len(reached) * _WORK_OF_A_LAYER
+        self._count(int(followed) + passed)
 
     def _count(self, work: int) -> None:
         """Count the moves followed for arrivals; ModelError where they are too many."""
@@ -566,6 +574,7 @@ _FIRST_STEPS = 8  # of the dearest kind
 _MOST_STEPS = 64  # of steps by cost
 _EARLY = 2_000  # sums after which some of the runs must have arrived
 _SOME = 0.05  # share of those that succeed
+_UNLIKELY = 1e-17  # share of those that succeed, less than rounding, by a sum that is unlikely
 
 
 class TooManySumsError(ModelError):
@@ -573,19 +582,41 @@ class TooManySumsError(ModelError):
 
 
 class FollowedSums(Arrivals):
-    """Arrivals in layers of a tiny unit, of which only those at which mass waits are looked at."""
+    """Arrivals in layers of a tiny unit, of which only those at which mass waits are looked at.
+
+    Likely sums are followed as they are. Mass that waits at an unlikely one goes on from the next
+    multiple of a coarse unit, where it meets that of others: the more sums have been followed, the
+    likelier one must be.
+    """
 
     _number = object
     leaps = False
 
-    def __init__(self, live: LiveChain, exact_costs: Mapping[float, Fraction], most: int) -> None:
-        """Begin at total cost 0, nothing settled, to follow at most so many sums."""
+    def __init__(
+        self,
+        live: LiveChain,
+        exact_costs: Mapping[float, Fraction],
+        coarse: Fraction,
+        most: int,
+        rarest: float = _UNLIKELY,
+    ) -> None:
+        """Begin at total cost 0, nothing settled.
+
+        Args:
+            live: the chain.
+            exact_costs: float cost -> the fraction meant.
+            coarse: cost of which unlikely sums are rounded up to a multiple.
+            most: sums that are followed.
+            rarest: share of those that succeed up to which the last of them is unlikely.
+        """
         distinct, step = np.unique(live.paid, return_inverse=True)
         unit = common_unit(distinct, exact_costs)
-        self._followed, self._most = 0, most
+        self._followed, self._most, self._rarest = 0, most, rarest
+        self._coarse = max(int(coarse / unit), 1)
         self._units = [int(exact_cost(c, exact_costs) / unit) for c in distinct.tolist()]
         self._first = max(_FIRST_STEPS * max(self._units, default=1), 1)
         self._begin(live, unit, np.array(self._units, dtype=object)[step], step)
+        self._goal = float(live.start @ live.goal)
         nodes = np.flatnonzero(live.start)
         self._pending: dict[int, list[tuple[IntArray, FloatArray]]] = {}
         self._next: list[int] = []
@@ -615,11 +646,23 @@ class FollowedSums(Arrivals):
         """
         while self._next and self._next[0] < layers:
             check_time()
+            layer = self._next[0]
+            if layer % self._coarse and self._is_unlikely(self._pending[layer]):
+                ahead = layer + self._coarse - layer % self._coarse
+                for nodes, masses in self._pending.pop(heappop(self._next)):
+                    self._queue_mass(ahead, nodes, masses)
+                continue
             self._followed += 1
             if not self._may_be_exhausted:
                 raise TooManySumsError(f"more than {self._followed:,} sums of costs can occur")
             self._settle_sum(heappop(self._next))
         self.settled = max(self.settled, layers)
+
+    def _is_unlikely(self, parts: list[tuple[IntArray, FloatArray]]) -> bool:
+        """Whether so little of what arrives comes by a sum that it is not followed by itself."""
+        arriving = sum(float(masses @ self._live.goal[nodes]) for nodes, masses in parts)
+        share = _UNLIKELY * (self._rarest / _UNLIKELY) ** (self._followed / self._most)
+        return arriving <= share * self._goal
 
     @property
     def _may_be_exhausted(self) -> bool:
@@ -627,8 +670,7 @@ class FollowedSums(Arrivals):
         if self._followed <= _EARLY:
             return self._followed <= self._most and len(self._units) <= _MOST_STEPS
         arrived = float(np.sum(self._masses)) + float(self._live.start[-1])
-        goal = float(self._live.start @ self._live.goal)
-        return self._followed <= self._most and arrived >= _SOME * goal
+        return self._followed <= self._most and arrived >= _SOME * self._goal
 
     def remaining(self, layer: int | None = None) -> tuple[float, float]:
         """Arrivals at sums not settled: Pr(goal), and E[C - frontier; goal]."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -28,7 +28,8 @@ from ssp_lp.processes.failure_semantics import as_percentage
 _NOTHING = 1e-17  # of a sum: less than its rounding
 _UTILITY_LEFT = 1e-13  # of the expected utility: what the runs not followed could add
 _MOST_SUMS = 50_000  # followed one by one, some seconds
-_MOST_SUMS_BESIDE = 5_000  # where a policy has a unit of its own: its chain is the larger
+_MOST_SUMS_BESIDE = 5_000  # where layers, or a policy's own unit, come next
+_RAREST = 1e-9  # share of the successes by a sum that is unlikely, when the last sums are followed
 _FINE = 2_000  # units in the mean of costs that are rounded
 _MOST_UNITS = 20_000  # in the dearest step
 _MOST_ROUNDED = 10_000_000  # masses kept at once, of rounded costs
@@ -50,10 +51,10 @@ class CostLaw:
     What is missing from mass 1 is the failure probability. :attr:`goal`, :attr:`cost` and
     :meth:`exponential` are linear solves on the policy's chain. The rest follows the chain through
     layers of the costs' common unit, or through the sums that occur, as far as a question needs;
-    how far it has come is kept within the law for the next question, and changes no answer. Where
-    a question needs too many sums every cost is rounded up, by less than a two-thousandth of the
-    mean or to finer layers of a policy that does so itself, so that no total, quantile, excess or
-    late arrival is understated and no utility overstated.
+    how far it has come is kept within the law for the next question, and changes no answer. Sums
+    that are too unlikely to matter are rounded up. Where likely ones are too many every cost is, by
+    less than a two-thousandth of the mean or to finer layers of a policy that does so itself, so
+    that no total, quantile, excess or late arrival is understated and no utility overstated.
     """
 
     _prospects: tuple[ChainProspect, ...]  # of the members of the lottery
@@ -263,16 +264,34 @@ class CostLaw:
         return sum((float(w) * of(p) for p, w in numbers), start=0.0)
 
     def _answer(self, question: Callable[[Arrivals], _Answer]) -> _Answer:
-        """A question to the cost law answered exactly, or by rounded costs where sums are too many.
+        """A question to the cost law answered by the first sweep that can.
 
-        The sweeps over the chain's total cost are begun when a question needs them.
+        Raises:
+            ModelError: none can.
         """
-        try:
-            return question(self._sweep)
-        except ModelError as error:
-            if not self._rounded and not isinstance(error, TooManySumsError):
-                raise
-            return question(self._rounded_sweep)
+        refused = list[ModelError]()
+        for sweep in self._sweeps():
+            try:
+                return question(sweep)
+            except ModelError as error:
+                refused.append(error)
+        raise next(e for e in reversed(refused) if not isinstance(e, TooManySumsError))
+
+    def _sweeps(self) -> Iterator[Arrivals]:
+        """Sweeps over the law's total cost in the order in which they are asked, begun when needed.
+
+        Where a step passes many layers of the costs' unit, sums are followed one by one before all
+        layers are; costs are rounded where neither comes to an end.
+        """
+        layers = self._layers
+        is_narrow = layers is not None and layers.is_narrow
+        if layers is not None and is_narrow:
+            yield layers
+        yield self._sums
+        if layers is not None and not is_narrow:
+            yield layers
+        if self._rounded or not is_narrow:
+            yield self._rounded_sweep
 
     @cached_property
     def _live(self) -> LiveChain:
@@ -280,27 +299,43 @@ class CostLaw:
         return LiveChain.of(self._prospects, self._weights)
 
     @cached_property
-    def _sweep(self) -> Arrivals:
-        """Arrivals of the cost law: at the sums that costs make, or in layers of a common unit."""
-        exact = self._prospects[0].chain.model.exact_costs
+    def _layers(self) -> Arrivals | None:
+        """Arrivals of the cost law in layers of a common unit; None: none is worth counting in."""
         try:
-            return Arrivals(self._live, exact)
-        except ModelError:  # no common unit that is worth counting in
-            most = _MOST_SUMS_BESIDE if self._rounded else _MOST_SUMS
-            return FollowedSums(self._live, exact, most)
+            return Arrivals(self._live, self._exact_costs)
+        except ModelError:
+            return None
+
+    @cached_property
+    def _sums(self) -> FollowedSums:
+        """Arrivals of the cost law at the sums that costs make, unlikely ones rounded up."""
+        how = self._live, self._exact_costs, self._coarse_unit
+        if (
+            self._layers is not None and not self._layers.is_narrow
+        ):  # which are exact, and come next
+            return FollowedSums(*how, _MOST_SUMS_BESIDE)
+        return FollowedSums(*how, _MOST_SUMS_BESIDE if self._rounded else _MOST_SUMS, _RAREST)
 
     @cached_property
     def _rounded_sweep(self) -> Arrivals:
         """Arrivals of the cost law, costs rounded up to multiples of the smaller of two units."""
+        if self._rounded:
+            counted = Arrivals(LiveChain.of(self._rounded, self._weights), self._exact_costs)
+            if counted.unit <= self._coarse_unit:
+                return counted
+        return Arrivals(self._live, {}, self._coarse_unit)
+
+    @cached_property
+    def _coarse_unit(self) -> Fraction:
+        """Unit of rounded costs, in which the cost law needs few layers."""
         most = max(min(_MOST_UNITS, _MOST_ROUNDED // len(self._live.start)), 1)
         least_unit = float(self._live.paid.max(initial=0.0)) / most
-        unit = Fraction(max(self.conditional_mean / _FINE, least_unit))
-        if self._rounded:
-            exact = self._prospects[0].chain.model.exact_costs
-            counted = Arrivals(LiveChain.of(self._rounded, self._weights), exact)
-            if counted.unit <= unit:
-                return counted
-        return Arrivals(self._live, {}, unit)
+        return Fraction(max(self.conditional_mean / _FINE, least_unit))
+
+    @property
+    def _exact_costs(self) -> Mapping[float, Fraction]:
+        """Fractions that costs of the law's model mean, by float."""
+        return self._prospects[0].chain.model.exact_costs
 
     def __repr__(self) -> str:
         """One line: the goal probability and the mean."""
