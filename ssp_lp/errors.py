@@ -64,8 +64,10 @@ class InfeasibleError(SSPError):
 
     Attributes:
         failure_budget: the budget that was asked for (``None``: none was).
-        least_failure: the least failure probability that any policy attains; where the graph alone
-            tells that the problem has no answer, it is worked out when it is read.
+        least_failure: the least failure probability that a known policy attains; where the graph
+            alone tells that the problem has no answer, it is worked out when it is read.
+        least_failure_interval: what the least failure probability of all policies is proved to lie
+            between, the second number being ``least_failure``; 0 first where nothing is proved.
         least_discounted_failure: the least discounted failure, ``None`` in the exact setting. The
             surrogate can be infeasible where the real problem is not (paper, Theorem t2-2).
         conflicting_rows: names of the fewest rows found that contradict each other: limits, and
@@ -79,8 +81,10 @@ class InfeasibleError(SSPError):
         least_failure: float | Callable[[], float],
         least_discounted_failure: float | None = None,
         conflicting_rows: tuple[str, ...] = (),
+        least_failure_bound: float = 0.0,
     ) -> None:
         super().__init__(*told)
+        self._least_failure_bound = least_failure_bound
         self.failure_budget = failure_budget
         self._least_failure = least_failure
         self.least_discounted_failure = least_discounted_failure
@@ -92,6 +96,11 @@ class InfeasibleError(SSPError):
         least = self._least_failure
         self._least_failure = least() if callable(least) else least
         return self._least_failure
+
+    @property
+    def least_failure_interval(self) -> tuple[float, float]:
+        """Certified lower bound of the failure of every policy, and the least that is attained."""
+        return min(self._least_failure_bound, self.least_failure), self.least_failure
 
     def __reduce__(self) -> tuple[Callable[..., SSPError], tuple[object, ...], dict[str, object]]:
         """Pickled with its numbers."""

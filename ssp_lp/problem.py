@@ -30,8 +30,13 @@ from ssp_lp.policies.remembering import (
     on_original,
 )
 from ssp_lp.processes.conditions import Condition
-from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, start_distribution
-from ssp_lp.processes.goal_reach import greatest_goal_from
+from ssp_lp.processes.failure_semantics import (
+    Aim,
+    FailureSemantics,
+    start_distribution,
+    survival_of,
+)
+from ssp_lp.processes.goal_reach import greatest_goal_from, greatest_goal_reach
 
 
 class Problem(Protocol):
@@ -164,6 +169,18 @@ def requirements(problem: Problem) -> Requirements:
             totals = TotalScale.SUMS if by_sums else TotalScale.GRID
     least = problem.failure_budget is None
     return Requirements(law, is_risk, semantics.aim, problem.ratio, rows, totals, least)
+
+
+def least_failure_bound(problem: Problem) -> float | None:
+    """Certified lower bound of the failure of every policy; None: the problem limits failure."""
+    if not requirements(problem).least_failure:
+        return None
+    start, survival = (
+        start_distribution(problem.model, problem.start),
+        survival_of(problem.discount),
+    )
+    reach = greatest_goal_reach(problem.model, survival, start, last_digits=False)
+    return reach.least_failure(start)
 
 
 def compiled_constrained(problem: Problem, *, by_units: bool = False) -> CompiledExplicit:

@@ -21,6 +21,7 @@ from ssp_lp.arrays import FloatArray, IntArray, ReadOnlyCopies, read_only
 from ssp_lp.column_generation.column import least_of, relative_gap
 from ssp_lp.column_generation.compiled_problem import CompiledExplicit
 from ssp_lp.dynamic_programming.bellman import Work
+from ssp_lp.dynamic_programming.evaluation import PROVED_OF_MANY
 from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends
@@ -94,6 +95,7 @@ class Solution(ReadOnlyCopies):
     status: Status = Status.OPTIMAL
     upper_bound: float | None = None  # of a greatest probability, certified; None for least costs
     prices: Mapping[str, float] = field(default_factory=dict)  # multiplier of each row, by name
+    least_failure_bound: float | None = None  # at least failure: certified, of every policy
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "prices", ByName(self.prices))
@@ -206,10 +208,19 @@ class Solution(ReadOnlyCopies):
 
     @property
     def gap(self) -> float:
-        """The solution's relative gap between objective and bound."""
+        """The solution's relative gap between objective and bound; of least failure, if wider."""
         if self.upper_bound is not None:
-            return relative_gap(self.upper_bound, self.objective)
-        return relative_gap(self.objective, self.lower_bound)
+            return max(relative_gap(self.upper_bound, self.objective), self.failure_gap)
+        return max(relative_gap(self.objective, self.lower_bound), self.failure_gap)
+
+    @property
+    def failure_gap(self) -> float:
+        """At least failure, the solution's goal probability below the greatest, relative; else 0.
+
+        The bound of the objective is one of the policies that fail least: where this gap is not 0
+        others may fail less.
+        """
+        return gap_of_least_failure(self.budget_used, self.least_failure_bound)
 
     @property
     def failure_probability(self) -> float:
@@ -342,6 +353,7 @@ class Solution(ReadOnlyCopies):
             ("objective c*", f"{self.objective:.9g}"),
             (f"{side} bound", f"{bound:.9g}   (relative gap {self.gap:.1e})"),
             ("failure probability", f"{self.failure_probability:.6g}"),
+            *least_failure_rows(self.budget_used, self.least_failure_bound),
             *([("failing", failing)] if failing else []),
             *self._giving_up(),
             ("cost given success", f"{self.conditional_cost:.6g}"),
@@ -432,6 +444,7 @@ class Answer:
     values: FloatArray | None = None  # the checked sub-solution
     prices: Mapping[str, float] = field(default_factory=dict)  # multipliers of all rows, by name
     note: str = ""
+    least_failure_bound: float | None = None  # at least failure: of every policy's failure
 
 
 def assembled(
@@ -468,6 +481,7 @@ def assembled(
         note=found.note,
         upper_bound=max(limit, objective) if maximised else None,
         prices=prices,
+        least_failure_bound=found.least_failure_bound,
     )
 
 
@@ -482,6 +496,26 @@ def as_solved(solution: Solution, verb: str) -> Solution:
     policy, problem = on_one_model(solution.policy, solution.problem, verb)
     return replace(solution, policy=policy, problem=problem)
 
+
+def gap_of_least_failure(failure: float, bound: float | None) -> float:
+    """Relative gap of a solution's goal probability at least failure; 0 but for rounding is 0.
+
+    Args:
+        failure: of the policy.
+        bound: of every policy's failure; None: least failure is not asked for.
+    """
+    proved = failure if bound is None else bound
+    return relative_gap(1.0 - proved, 1.0 - failure) if failure - proved > _ROUNDED else 0.0
+
+
+def least_failure_rows(failure: float, bound: float | None) -> list[tuple[str, str]]:
+    """Row of a solution's summary where the least failure is not proved; none where it is."""
+    if bound is None or gap_of_least_failure(failure, bound) <= PROVED_OF_MANY:
+        return []
+    return [("least failure", f"between {bound:.9g} and {failure:.9g}, not proved further")]
+
+
+_ROUNDED = 1e-14  # of probabilities: what their sums and differences lose
 
 CUT_SHORT = "stopped before the tolerance was met; the gap is honest"
 """Said of every search that ran out of time, or was interrupted."""

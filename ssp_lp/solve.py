@@ -11,6 +11,7 @@ from math import isfinite
 from ssp_lp.accumulated_cost.policy_layers import giving_up_where_lost
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP
 from ssp_lp.compiled.deadline import Deadline, Stop, WithIncumbent, closing, until
+from ssp_lp.dynamic_programming.evaluation import PROVED_OF_MANY
 from ssp_lp.errors import ModelError, OutOfTimeError, SolverError
 from ssp_lp.methods.approaches import Case, approach_to, refusal
 from ssp_lp.methods.incumbent import Incumbent
@@ -27,7 +28,14 @@ from ssp_lp.options import (
     parse_method,
     progress_shown,
 )
-from ssp_lp.problem import Problem, check_problem, has_rows, pulled_back, unrolled
+from ssp_lp.problem import (
+    Problem,
+    check_problem,
+    has_rows,
+    least_failure_bound,
+    pulled_back,
+    unrolled,
+)
 from ssp_lp.processes.failure_semantics import GiveUp
 from ssp_lp.solution import Solution
 
@@ -107,7 +115,10 @@ def _solution_to(
         shared = options if partition is None else replace(options, partition=partition)
         solution, status = _solved_with_proof(problem, parse_method(method), shared)
     note, reason = solution.note, solution.run.reason
-    if not note and solution.gap > options.tolerance:
+    if solution.failure_gap > PROVED_OF_MANY:
+        shown = f"{solution.failure_gap:.1e}: some policy may fail less than this one"
+        note = "; ".join(filter(None, [note, f"the least failure is proved only up to {shown}"]))
+    elif not note and solution.gap > options.tolerance:
         note = f"the gap of {solution.gap:.1e} misses the tolerance of {options.tolerance:g}"
     if method is None:
         reason = reason.replace("as asked", "which scales best for one failure row")
@@ -150,6 +161,10 @@ def _solved_with_proof(
             raise too_large
         if solution is None:
             raise _error_without_answer(problem, deadline, search.stop) from None
+        if solution.least_failure_bound is None:
+            with WithIncumbent():
+                bound = least_failure_bound(inner)
+                solution = replace(solution, least_failure_bound=bound)
         if not has_rows(problem) and problem.semantics.give_up is not GiveUp.DEAD_ENDS:
             with WithIncumbent():
                 solution = replace(solution, policy=giving_up_where_lost(solution.policy))

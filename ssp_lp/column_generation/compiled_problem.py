@@ -40,7 +40,8 @@ from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
 from ssp_lp.column_generation.layered_pricing import LayeredPricing, OpenEndedPricing
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import READING, check_time, limited
-from ssp_lp.errors import Argument, InfeasibleError, ModelError
+from ssp_lp.dynamic_programming.evaluation import PROVED_OF_MANY
+from ssp_lp.errors import Argument, InfeasibleError, ModelError, SolverError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends, goal_approach, surely_reaching
 from ssp_lp.options import Partition
@@ -60,6 +61,12 @@ class LeastFailure:
     policy: Policy
     column: Column  # its cost and failure, both discounted under a discount
     objective_bound: float  # certified lower bound of the objective of every such policy
+    proved: float  # certified lower bound of the failure of every policy
+
+    @property
+    def is_proved(self) -> bool:
+        """Whether no policy fails less than the safest one by as much as budgets may lie below."""
+        return self.column.failure - self.proved <= LEAST_BUDGET
 
 
 class CompiledProblem(ABC):
@@ -116,6 +123,21 @@ class CompiledProblem(ABC):
     @abstractmethod
     def least_failure(self) -> LeastFailure:
         """The first column: it, not a status of an LP, decides whether the problem is feasible."""
+
+    def proved_failure(self, reach: goal_reach.GoalReach, failure: float) -> float:
+        """Lower bound of the failure of every policy of the compiled problem.
+
+        Args:
+            reach: the greatest goal probability.
+            failure: that of the safest policy.
+        """
+        proved = reach.least_failure(self.start)
+        if failure - proved > PROVED_OF_MANY:  # sweeps may prove what an evaluation leaves open
+            again = goal_reach.greatest_goal_reach(
+                self.model, self.survival, self.start, last_digits=False
+            )
+            proved = max(proved, again.least_failure(self.start))
+        return min(proved, failure)
 
     def failure_at_least(self, discount: float | None) -> float:
         """The least failure of all policies of the compiled problem, whatever they cost."""
@@ -191,6 +213,7 @@ def unreachable(budget: float | None, discounted: float | None = None) -> Infeas
         failure_budget=budget,
         least_failure=1.0,
         least_discounted_failure=discounted,
+        least_failure_bound=1.0,
     )
 
 
@@ -203,6 +226,7 @@ def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> Le
 
     Raises:
         InfeasibleError: it does not, or no cost given success exists.
+        SolverError: it does not, and it is not proved that no policy does.
     """
     least_failure = compiled.least_failure()
     failure, discounted = least_failure.column.failure, compiled.discount is not None
@@ -210,22 +234,33 @@ def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> Le
         raise unreachable(budget, 1.0 if discounted else None)
     if budget is None or failure <= budget + LEAST_BUDGET:
         return least_failure
+    proved = least_failure.proved
+    if proved <= budget:
+        kind = "discounted failure" if discounted else "failure probability"
+        raise SolverError(
+            f"whether a policy keeps to the budget {budget:g} is not decided: the least {kind} is "
+            f"proved to lie between {proved:.12g} and {failure:.12g} only, as runs are too long "
+            f"for double precision; a budget of {failure:.12g} can be kept"
+        )
+    told = f"at least {proved:.12g}, above the budget {budget:g}"
+    if f"{proved:.12g}" != f"{failure:.12g}":
+        told += f", and the safest known policy with {failure:.12g}"
     if not discounted:
         raise InfeasibleError(
-            f"every policy fails with probability at least {failure:.12g}, above the budget "
-            f"{budget:g}",
+            f"every policy fails with probability {told}",
             "; ",
             Argument("failure_budget", None),
             " asks for the least",
             failure_budget=budget,
             least_failure=failure,
             conflicting_rows=("failure",),
+            least_failure_bound=proved,
         )
     real = compiled.failure_at_least(None)
     nearer = ("; ", Argument("discount", None), " or a discount nearer to 1 is feasible")
     raise InfeasibleError(
-        f"the discounted failure of every policy is at least {failure:.12g}, above the budget "
-        f"{budget:g}; the least real failure probability is {real:.12g}",
+        f"the discounted failure of every policy is {told}; the least real failure probability is "
+        f"{real:.12g}",
         *(nearer if real <= budget else ()),
         failure_budget=budget,
         least_failure=real,
@@ -445,7 +480,10 @@ class CompiledAccumulatedCost(_CompiledLayered):
         column = Column(cost, float(self.start @ values.failure), goal, None, policy=policy)
         greatest = float(self.start @ self.greatest.bound)
         ratio = float(self.start @ safest.bound) / greatest if greatest > 0 else 0.0
-        return LeastFailure(policy, column, min(ratio, cost / goal if goal > 0.0 else np.inf))
+        bound = min(ratio, cost / goal if goal > 0.0 else np.inf)
+        return LeastFailure(
+            policy, column, bound, self.proved_failure(self.greatest, column.failure)
+        )
 
     @cached_property
     def process(self) -> LayeredProcess:
@@ -685,7 +723,8 @@ class CompiledArrivalCost(_CompiledLayered):
         greatest = min(float(self.start @ self.greatest.bound), 1.0)
         if self.ratio:
             bound = bound / greatest if greatest > 0.0 else 0.0
-        return LeastFailure(policy, replace(best, choice=None, policy=policy), bound)
+        proved = self.proved_failure(self.greatest, best.failure)
+        return LeastFailure(policy, replace(best, choice=None, policy=policy), bound, proved)
 
     def lossless_units(self, price: float) -> float:
         """Total from which a compiled problem's policy best fails at this price, with room.
@@ -865,7 +904,9 @@ class CompiledExplicit(CompiledProblem):
             bound = second.prove(0.0, column).bound
         policy = second.policy(column)
         foreign = replace(column, choice=None, found_at=None, policy=policy)
-        return LeastFailure(policy, foreign, bound)
+        return LeastFailure(
+            policy, foreign, bound, self.proved_failure(self.greatest, column.failure)
+        )
 
     def check_sure(self) -> None:
         """Check that the compiled problem's goal can be reached surely, if failing is forbidden.

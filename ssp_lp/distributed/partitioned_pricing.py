@@ -332,6 +332,7 @@ class CompiledPartitioned(CompiledExplicit):
         safest = pricing.minimise(failure)
         rarer = min(safest.failure, 1.0 - safest.failure)
         column, least = safest, safest.failure + _SAME * max(rarer, 0.0)
+        proved = min(max(pricing.prove(failure, safest).bound, 0.0), safest.failure)
         for steep in _STEEPER if np.isfinite(safest.cost) else ():
             price = steep * max(safest.cost, 1.0)
             cheaper = pricing.minimise(cost + price * failure, column)
@@ -339,7 +340,7 @@ class CompiledPartitioned(CompiledExplicit):
                 column = cheaper
                 break
         column = replace(column, found_at=None)
-        return LeastFailure(pricing.policy(column), column, 0.0)
+        return LeastFailure(pricing.policy(column), column, 0.0, proved)
 
     def failure_at_least(self, discount: float | None) -> float:
         """The least failure of all policies on the partitioned model, for an error."""

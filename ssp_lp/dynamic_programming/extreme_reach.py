@@ -18,6 +18,7 @@ import numpy as np
 
 from ssp_lp.arrays import (
     FAILURE_FLOOR,
+    LEAST_BUDGET,
     LEAST_RISE,
     MACHINE_EPSILON,
     MAXIMISER,
@@ -314,7 +315,8 @@ def attaining_pairs(found: ExtremeReach) -> BoolArray:
         lost = np.where(tied, np.maximum(-ahead, 0.0), np.inf)
         if _loss_accumulates(dynamics, lost, slack[choice]):
             tied &= chosen | (lost <= np.maximum(slack / _STEPS, found.floor * high[home]))
-        return tied
+        # what is lost at each of many steps may add up to more than the floor says
+        return np.asarray(tied & (chosen | (lost * 2.0 * totals.runs.max() <= LEAST_BUDGET)))
     while (tied & ~chosen & (ahead < 0.0)).any():
         kept = tied.nonzero()[0]
         place = np.full(len(tied), -1, dtype=np.int32)

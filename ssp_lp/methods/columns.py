@@ -87,7 +87,8 @@ def cheapest_at_least_failure(problem: Problem, options: SolveOptions) -> Soluti
     objective = row.objective(safest.column.cost, safest.column.goal)
     then = "greatest worth" if problem.semantics.maximises else "least cost"
     reason = f"two stages: greatest goal probability, then {then}"
-    answer = Answer(safest.policy, objective, safest.objective_bound, safest.column.failure)
+    found = safest.policy, objective, safest.objective_bound, safest.column.failure
+    answer = Answer(*found, least_failure_bound=safest.proved)
     run = Run(replace(options, program=None).method, reason, 2, 0.0)
     return assembled(problem, answer, run, problem.semantics.sense)
 
@@ -185,7 +186,8 @@ def prove_least_failure(solution: Solution, evaluation: Evaluation, _: float) ->
             if relative_gap(evaluation.objective, priced) <= RELATIVE_GAP:
                 bound = priced
                 break
-    return _proof_of_stated_optimum(sense, evaluation, bound, allowed)
+    proved = _proof_of_stated_optimum(sense, evaluation, bound, allowed)
+    return replace(proved, least_failure_bound=safest.proved)
 
 
 def _proof_of_stated_optimum(
@@ -236,7 +238,8 @@ def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: fl
     if tail > _LITTLE and (exact := compiled.for_program()) is not compiled:
         # it may be less beyond the cap with better policies there
         bound, tail = _bound_by_values(exact, row, kappa, price == 0.0, solution)
-    if least is not None and row.leaves_only(least.column) and least.column.failure < 1.0:
+    is_least = least is not None and least.is_proved and row.leaves_only(least.column)
+    if least is not None and is_least and least.column.failure < 1.0:
         # to the last digit, which tells it from others
         is_kept = evaluation.limited_failure <= budget
         value = sense.worth(evaluation.objective)
@@ -465,7 +468,8 @@ def _attempt(
     generated = generate(rule, replace(options, tolerance=finer))
     if optimum is not None and generated.finished:
         check_agreement(optimum, generated.objective)
-    if least is not None and rule.row.budget <= least.column.failure < 1.0:
+    is_least = least is not None and least.is_proved
+    if least is not None and is_least and rule.row.budget <= least.column.failure < 1.0:
         generated = replace(
             generated, lower_bound=max(generated.lower_bound, least.objective_bound)
         )

@@ -24,6 +24,7 @@ class Proved:
     allowed: float  # the failure with which a policy counts
     reason: str = ""  # why nothing is proved
     tail: float = 0.0  # case S: the part of the relative gap that a cap leaves
+    least_failure_bound: float | None = None  # at least failure: of the failure of every policy
 
     @property
     def gap(self) -> float:

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from ssp_lp.accumulated_cost.charges import TailValues
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
+from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray, read_only
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
 from ssp_lp.dynamic_programming.dynamics import approach_leaving
@@ -43,6 +43,13 @@ class GoalReach:
     decision: IntArray  # [states] one policy that attains it
     surely: BoolArray  # [model pairs] pairs that attain the extreme as the graph says
     solved: tuple[Quotient, ExtremeReach] | None = None  # where the graph does not decide
+
+    def least_failure(self, start: FloatArray) -> float:
+        """Lower bound of every policy's failure from a start, [states]; of the greatest reach.
+
+        Rounded down: a sum, a difference and the rounding of each state's bound.
+        """
+        return max(1.0 - float(start @ self.bound) - 4.0 * MACHINE_EPSILON, 0.0)
 
     @cached_property
     def usable(self) -> BoolArray:

@@ -20,8 +20,8 @@ from ssp_lp.model.arguments import explained
 from ssp_lp.model.text_tables import Reported
 from ssp_lp.options import Status, progress_shown
 from ssp_lp.policies.policy import as_lottery
-from ssp_lp.problem import objective_of, on_one_model
-from ssp_lp.solution import Solution, as_solved
+from ssp_lp.problem import least_failure_bound, objective_of, on_one_model
+from ssp_lp.solution import Solution, as_solved, gap_of_least_failure, least_failure_rows
 
 _LOG = logging.getLogger("ssp_lp.certificate")
 
@@ -62,16 +62,19 @@ def certify(
             left = None if time_limit is None else max(began + time_limit - perf_counter(), 0.0)
             with limited(left, "a bound was proved"):
                 proved = _proved(solution, evaluation, members)
+                least = proved.least_failure_bound
+                least = least_failure_bound(solution.problem) if least is None else least
         except OutOfTimeError:
             if not Case.of_solution(solution).has_cheapest_way:
                 raise
-            proved = prove_by_cheapest_way(solution.problem, evaluation)
+            proved, least = prove_by_cheapest_way(solution.problem, evaluation), None
         reason = proved.reason or broken_limit(solution.problem, evaluation)
         is_maximised = solution.problem.semantics.sense.constant is not None
         above = is_maximised and objective_of(solution.problem) is None
         certificate = certificate_of(
             evaluation, proved.bound, proved.allowed, reason, tail=proved.tail, above=above
         )
+        certificate = replace(certificate, least_failure_bound=least)
         _LOG.info("%r", certificate)
     return certificate
 
@@ -128,15 +131,20 @@ class Certificate(Reported):
     accepted: bool
     reason: str  # why it was refused; empty if accepted
     upper_bound: float | None = None  # of a greatest probability; None where little is better
+    least_failure_bound: float | None = None  # at least failure: no policy fails less
 
     @property
     def gap(self) -> float:
-        """Certified relative gap between objective and bound; infinite if refused."""
+        """Certified relative gap between objective and bound; infinite if refused.
+
+        At least failure that of the goal probability, if it is wider.
+        """
         if not self.accepted:
             return float("inf")
+        failing = gap_of_least_failure(self.failure, self.least_failure_bound)
         if self.upper_bound is not None:
-            return relative_gap(self.upper_bound, self.objective)
-        return relative_gap(self.objective, self.lower_bound)
+            return max(relative_gap(self.upper_bound, self.objective), failing)
+        return max(relative_gap(self.objective, self.lower_bound), failing)
 
     def facts(self) -> list[tuple[str, str]]:
         """Accepted or why not, both sides, and what is left of the budget."""
@@ -148,6 +156,7 @@ class Certificate(Reported):
             (f"{side} bound", f"{bound:.9g}"),
             ("gap", f"{self.gap:.1e}"),
             ("failure", f"{self.failure:.6g} of {self.budget:.6g}"),
+            *least_failure_rows(self.failure, self.least_failure_bound),
         ]
 
 
