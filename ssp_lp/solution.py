@@ -220,7 +220,8 @@ class Solution(ReadOnlyCopies):
         The bound of the objective is one of the policies that fail least: where this gap is not 0
         others may fail less.
         """
-        return gap_of_least_failure(self.budget_used, self.least_failure_bound)
+        bound = self.least_failure_bound
+        return 0.0 if bound is None else gap_of_least_failure(self.budget_used, bound)
 
     @property
     def failure_probability(self) -> float:

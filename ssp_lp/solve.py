@@ -161,7 +161,7 @@ def _solved_with_proof(
             raise too_large
         if solution is None:
             raise _error_without_answer(problem, deadline, search.stop) from None
-        if solution.least_failure_bound is None:
+        if inner.failure_budget is None and solution.least_failure_bound is None:
             with WithIncumbent():
                 bound = least_failure_bound(inner)
                 solution = replace(solution, least_failure_bound=bound)

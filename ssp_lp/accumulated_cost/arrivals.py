@@ -572,8 +572,9 @@ class Arrivals:
 
 _FIRST_STEPS = 8  # of the dearest kind
 _MOST_STEPS = 64  # of steps by cost
-_EARLY = 2_000  # sums after which some of the runs must have arrived
+_EARLY = 0.5  # of the sums, after which some of the runs must have arrived
 _SOME = 0.05  # share of those that succeed
+_COARSE_TOO = 3  # times the sums that are followed, with those of a coarse unit
 _UNLIKELY = 1e-17  # share of those that succeed, less than rounding, by a sum that is unlikely
 
 
@@ -607,16 +608,20 @@ class FollowedSums(Arrivals):
             exact_costs: float cost -> the fraction meant.
             coarse: cost of which unlikely sums are rounded up to a multiple.
             most: sums that are followed.
-            rarest: share of those that succeed up to which the last of them is unlikely.
+            rarest: share of those that succeed up to which the last of them is unlikely; beyond it
+                all are, unless none but the rarest may be rounded.
         """
         distinct, step = np.unique(live.paid, return_inverse=True)
         unit = common_unit(distinct, exact_costs)
         self._followed, self._most, self._rarest = 0, most, rarest
+        self._end = most if rarest == _UNLIKELY else _COARSE_TOO * most
         self._coarse = max(int(coarse / unit), 1)
         self._units = [int(exact_cost(c, exact_costs) / unit) for c in distinct.tolist()]
         self._first = max(_FIRST_STEPS * max(self._units, default=1), 1)
         self._begin(live, unit, np.array(self._units, dtype=object)[step], step)
-        self._goal = float(live.start @ live.goal)
+        self._arrived, self._goal = float(live.start[-1]), float(live.start @ live.goal)
+        columns = self._onward.indices.astype(np.int64)
+        self._leads = *np.divmod(columns, self._size), self._onward.data  # step, node, probability
         nodes = np.flatnonzero(live.start)
         self._pending: dict[int, list[tuple[IntArray, FloatArray]]] = {}
         self._next: list[int] = []
@@ -660,6 +665,8 @@ class FollowedSums(Arrivals):
 
     def _is_unlikely(self, parts: list[tuple[IntArray, FloatArray]]) -> bool:
         """Whether so little of what arrives comes by a sum that it is not followed by itself."""
+        if self._followed >= self._most:
+            return self._end > self._most
         arriving = sum(float(masses @ self._live.goal[nodes]) for nodes, masses in parts)
         share = _UNLIKELY * (self._rarest / _UNLIKELY) ** (self._followed / self._most)
         return arriving <= share * self._goal
@@ -667,10 +674,9 @@ class FollowedSums(Arrivals):
     @property
     def _may_be_exhausted(self) -> bool:
         """Whether there is hope that the followed sums of costs come to an end."""
-        if self._followed <= _EARLY:
-            return self._followed <= self._most and len(self._units) <= _MOST_STEPS
-        arrived = float(np.sum(self._masses)) + float(self._live.start[-1])
-        return self._followed <= self._most and arrived >= _SOME * self._goal
+        if self._followed <= _EARLY * self._most:
+            return self._followed <= self._end and len(self._units) <= _MOST_STEPS
+        return self._followed <= self._end and self._arrived >= _SOME * self._goal
 
     def remaining(self, layer: int | None = None) -> tuple[float, float]:
         """Arrivals at sums not settled: Pr(goal), and E[C - frontier; goal]."""
@@ -692,13 +698,16 @@ class FollowedSums(Arrivals):
         if arrived > 0.0:
             self._layers.append(layer)
             self._masses.append(arrived)
+            self._arrived += arrived
         visits = np.bincount(nodes, weights=masses, minlength=self._size)[:-1].astype(np.float64)
         if self._free is not None:
             visits = self._free.spread(visits)
         active = np.flatnonzero(visits)
-        moves = self._onward[active]
-        share = moves.data * np.repeat(visits[active], np.diff(moves.indptr))
-        step, target = np.divmod(moves.indices.astype(np.int64), self._size)
+        first = self._onward.indptr[active].astype(np.int64)
+        counts = self._onward.indptr[active + 1] - first
+        taken = concatenated_ranges(first, counts)
+        step, target, share = (part[taken] for part in self._leads)
+        share = share * np.repeat(visits[active], counts)
         for one in np.unique(step).tolist():
             chosen, ahead = step == one, layer + self._units[one]
             self._queue_mass(ahead, target[chosen], share[chosen])

@@ -27,7 +27,7 @@ from ssp_lp.processes.failure_semantics import as_percentage
 
 _NOTHING = 1e-17  # of a sum: less than its rounding
 _UTILITY_LEFT = 1e-13  # of the expected utility: what the runs not followed could add
-_MOST_SUMS = 50_000  # followed one by one, some seconds
+_MOST_SUMS = 10_000  # followed one by one, some seconds
 _MOST_SUMS_BESIDE = 5_000  # where layers, or a policy's own unit, come next
 _RAREST = 1e-9  # share of the successes by a sum that is unlikely, when the last sums are followed
 _FINE = 2_000  # units in the mean of costs that are rounded

@@ -339,6 +339,84 @@ def test_two_ways_to_one_irrational_sum_are_one_atom():
     assert law.tail_mean(0.5) == pytest.approx((0.25 * (1 + root) + 0.25 * 3 * root) / 0.5)
 
 
+@pytest.mark.parametrize("cost", [0.847542, 0.8475421, 0.84754215, 0.8475421579])
+def test_few_sums_of_a_fine_unit_are_followed_one_by_one(cost):
+    """Tries that cost a number of many digits: the law is geometric, whatever the unit is."""
+    law = one_way([(0.3, "a", cost), (0.69, "G", 0.5), (0.01, "pit", 0.1)], pit={})
+    goal = 0.69 / 0.7
+    assert law.within(5) == pytest.approx(0.69 * sum(0.3**k for k in range(6)), rel=1e-14)
+    assert law.within(5) == pytest.approx(law.upto(5).probabilities.sum(), rel=1e-14)
+    for tries in (0, 1, 5, 12, 20):
+        level = 1.0 - 0.3 ** (tries + 1) - 0.1 * 0.3**tries
+        assert law.quantile(level) == pytest.approx(0.5 + tries * cost, rel=1e-15)
+    assert law.quantile(0.95) == pytest.approx(0.5 + 2 * cost)
+    excess = goal * sum(0.7 * 0.3**k * (k - 2) * cost for k in range(3, 200))
+    assert law.excess(0.5 + 2 * cost) == pytest.approx(excess, rel=1e-12)
+    assert law.tail_mean(0.95) == pytest.approx(0.5 + 2 * cost + excess / 0.05 / goal, rel=1e-12)
+    assert law.all_but(1e-6).costs == pytest.approx(0.5 + cost * np.arange(12))
+    hyperbola = law.expectation(lambda c: 1.0 / (1.0 + c), 0.0)
+    expected = goal * sum(0.7 * 0.3**k / (1.5 + k * cost) for k in range(60))
+    assert hyperbola == pytest.approx(expected, rel=1e-12)
+
+
+def test_unlikely_sums_are_rounded_and_likely_ones_are_not():
+    """Twelve rare detours at costs of their own beside one try: the likely totals stay exact."""
+    rng = np.random.default_rng(0)
+    rare = [(1e-7, "a", float(c)) for c in rng.integers(10**8, 10**9, 12) / 10**9]
+    law = one_way([(0.5 - 1.2e-6, "a", 0.123456789), (0.5, "G", 1.0), *rare])
+    for tries in range(1, 12):
+        likely = 0.5 * sum((0.5 - 1.2e-6) ** k for k in range(tries + 1))
+        assert law.within(1.0 + tries * 0.123456789) == pytest.approx(likely, rel=2e-5)
+        level = likely - 0.1 * 0.5**tries  # reached with this try, not before
+        assert law.quantile(level) == pytest.approx(1.0 + tries * 0.123456789, rel=1e-12)
+    assert law.tail_mean(0.0) == pytest.approx(law.conditional_mean, rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_lotteries_of_policies_with_fine_costs_have_the_enumerated_law(seed):
+    """Two states, costs of six to twelve digits, up to three policies: sums in fractions."""
+    rng, digits = np.random.default_rng(seed), 10 ** int(np.random.default_rng(seed).choice([6, 9]))
+    moves = {
+        (state, action): [
+            (Fraction(int(p), 100), to, Fraction(int(rng.integers(1, digits)), digits))
+            for p, to in zip((70, 20, 10), ("G", str(rng.integers(2)), "pit"), strict=True)
+        ]
+        for state in "01"
+        for action in "xy"
+    }
+    model = model_of(
+        {s: {u: [(float(p), t, float(c)) for p, t, c in moves[s, u]] for u in "xy"} for s in "01"}
+        | {"pit": {}},
+        "G",
+    )
+    plays = [dict(zip("01", rng.choice(list("xy"), 2).tolist(), strict=True)) for _ in range(3)]
+    weights, atoms = np.array([0.5, 0.25, 0.25]), dict[Fraction, float]()
+    for weight, play in zip(weights.tolist(), plays, strict=True):
+        ahead = {("0", Fraction(0)): weight}
+        for _ in range(16):
+            there = dict[tuple[str, Fraction], float]()
+            for (state, paid), mass in ahead.items():
+                for p, to, cost in moves[state, play[state]]:
+                    if to == "G":
+                        atoms[paid + cost] = atoms.get(paid + cost, 0.0) + mass * float(p)
+                    elif to != "pit":
+                        there[to, paid + cost] = there.get((to, paid + cost), 0.0) + mass * float(p)
+            ahead = there
+    members = [DeterministicPolicy.from_actions(model, play) for play in plays]
+    law = success_costs(MixedPolicy(members, weights), S3P(model, "0"))
+    costs, masses = sorted(atoms), np.array([atoms[c] for c in sorted(atoms)])
+    arrived = np.cumsum(masses)
+    for k in range(0, len(costs), max(len(costs) // 20, 1)):
+        assert law.within(costs[k]) == pytest.approx(arrived[k], rel=1e-10)
+    for level in (0.1, 0.5, 0.9, 0.99, 0.99999):
+        place = int(np.searchsorted(arrived, level * law.goal * (1.0 - 1e-10)))
+        assert law.quantile(level) == pytest.approx(float(costs[place]), rel=1e-12)
+        late = masses @ np.maximum(np.array([float(c) for c in costs]) - float(costs[place]), 0.0)
+        share = (1.0 - level) * law.goal
+        wanted = float(costs[place]) + late / share
+        assert law.tail_mean(level) == pytest.approx(wanted, rel=1e-6)
+
+
 def test_too_many_sums_are_rounded_up(monkeypatch):
     """No total is understated, and none overstated by more than the steps' rounding."""
 

@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from formulations import MCMP, S3P, MaxProb
+from formulations import ISSPUDE, MCMP, S3P, MaxProb
 from small_models import model_of
-from ssp_lp import certify, evaluate, solve
+from ssp_lp import SSP, InfeasibleError, SolverError, certify, evaluate, solve
 from ssp_lp.accumulated_cost.totals import Window
+from ssp_lp.column_generation.compiled_problem import CompiledExplicit
 from ssp_lp.dynamic_programming import chain_solvers, equations
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.methods.rows import lagrange_bound
+from ssp_lp.options import Status
 from ssp_lp.processes.goal_reach import max_goal_probability, min_goal_probability
 
 
@@ -159,23 +161,97 @@ def test_what_prices_take_off_a_bound_is_rounded_up(rows: int) -> None:
         assert Fraction(least) - paid - told <= (rows + 4) * Fraction(1, 2**50) * size
 
 
-def test_a_model_that_nearly_always_starts_over_is_reduced_once(monkeypatch) -> None:
-    """The goal or the pit 300 even steps away, each of which may lead back to the start.
+def starting_over(steps: int) -> SSP:
+    """From 0 towards the goal (0.7) or the pit, as many even steps each that may lead back to 0.
 
-    Both ends are as many steps away, so that the first step decides: the goal is reached with its
-    probability, though the chain of 599 states is left with 1e-90 a step.
+    Both ends are as far away, so that the first step decides; the start is left with 0.5^steps.
     """
     moves: dict[Any, Any] = {0: {"go": [(0.7, 1, 1.0), (0.3, -1, 1.0)]}, "pit": {}}
     for row, end in ((1, "goal"), (-1, "pit")):
-        for k in range(1, 300):
-            ahead = end if k == 299 else row * (k + 1)
+        for k in range(1, steps + 1):
+            ahead = end if k == steps else row * (k + 1)
             moves[row * k] = {"go": [(0.5, ahead, 1.0), (0.5, 0, 1.0)]}
-    model = model_of(moves, goal="goal")
+    return model_of(moves, goal="goal")
+
+
+def test_a_model_that_nearly_always_starts_over_is_reduced_once(monkeypatch) -> None:
+    """The chain of 599 states is left with 1e-90 a step; the goal's probability is 0.7."""
     reductions: list[int] = []
     monkeypatch.setattr(
         equations,
         "reduction_solver",
         lambda *chain: reductions.append(1) or chain_solvers.reduction_solver(*chain),
     )
+    model = starting_over(299)
     assert solve(MaxProb(model, 0)).objective == pytest.approx(0.7, rel=1e-12)
     assert len(reductions) == 1
+
+
+@pytest.mark.parametrize("criterion", [MCMP, S3P, ISSPUDE])
+def test_a_least_failure_that_is_not_proved_is_reported_as_an_interval(criterion: Any) -> None:
+    """Runs of 2^60 steps: the policy fails with 0.3, and all that is proved is MaxProb's bound."""
+    model = starting_over(60)
+    unproved = solve(MaxProb(model, 0)).gap
+    solution = solve(criterion(model, 0))
+    assert unproved > 0.1
+    assert solution.budget_used == pytest.approx(0.3, rel=1e-12)
+    assert solution.least_failure_bound is not None
+    assert solution.least_failure_bound <= 0.3
+    assert solution.failure_gap == pytest.approx(unproved, rel=1e-9)
+    assert solution.gap >= solution.failure_gap
+    assert solution.status is Status.TOLERANCE_MISSED
+    assert "least failure is proved only up to" in solution.note
+    assert "between 0 and 0.3" in solution.summary()
+    certificate = certify(solution)
+    assert certificate.least_failure_bound == solution.least_failure_bound
+    assert certificate.gap >= unproved * (1.0 - 1e-9)
+    assert "between 0 and 0.3" in str(certificate)
+
+
+@pytest.mark.parametrize("criterion", [MCMP, S3P])
+def test_a_budget_below_an_unproved_least_failure_is_not_called_infeasible(criterion: Any) -> None:
+    with pytest.raises(SolverError, match=r"not decided.*between 0 and 0\.3"):
+        solve(criterion(starting_over(60), 0, failure_budget=0.1))
+
+
+def test_an_infeasible_budget_is_told_by_what_is_proved(monkeypatch) -> None:
+    """Proved up to 4e-9: the error says at least how often every policy fails, no more."""
+    proved = 0.02 - 4e-9
+    monkeypatch.setattr(CompiledExplicit, "proved_failure", lambda *_: proved)
+    model = model_of({"x": {"go": [(0.98, "g", 1), (0.02, "pit", 1)]}, "pit": {}})
+    with pytest.raises(
+        InfeasibleError, match=r"at least 0\.019999996, .* policy with 0\.02"
+    ) as told:
+        solve(MCMP(model, "x", failure_budget=0.01))
+    assert told.value.least_failure_interval == (proved, pytest.approx(0.02, rel=1e-15))
+    assert told.value.least_failure == told.value.least_failure_interval[1]
+
+
+@pytest.mark.parametrize("leak", [1e-9, 1e-11, 1e-13])
+def test_what_is_lost_in_a_loop_that_hardly_leaks_is_no_least_failure(leak: float) -> None:
+    """Each step of 300 states leaks by one of two actions: what one loses at a step adds up."""
+    rng, moves = np.random.default_rng(1), dict[Any, Any](pit={})
+    for state in range(300):
+        moves[state] = {}
+        for action in "ab":
+            ahead, shares = rng.choice(300, 3, replace=False), rng.dirichlet(np.ones(3))
+            leaks = leak * rng.uniform(0.1, 2.0) * (rng.random() < 0.5)
+            share = float(rng.uniform(0.9, 1.0))
+            outcomes = [
+                (float(p) * (1.0 - leaks), int(j), 1.0) for p, j in zip(shares, ahead, strict=True)
+            ]
+            leaving = [(leaks * share, "g", 1.0), (leaks * (1.0 - share), "pit", 1.0)]
+            moves[state][action] = outcomes + leaving * (leaks > 0.0)
+    model = model_of(moves)
+    likeliest = solve(MaxProb(model, 0))
+    assert likeliest.gap <= 1e-9
+    for problem in (MCMP(model, 0), S3P(model, 0), ISSPUDE(model, 0)):
+        solution = solve(problem)
+        assert solution.budget_used == pytest.approx(1.0 - likeliest.objective, abs=1e-10)
+        assert solution.goal_probability == pytest.approx(likeliest.objective, rel=1e-9)
+        assert solution.failure_gap <= 1e-9
+    with pytest.raises(InfeasibleError) as told:
+        solve(MCMP(model, 0, failure_budget=0.001))
+    low, high = told.value.least_failure_interval
+    assert low <= 1.0 - likeliest.objective <= high + 1e-12
+    assert high - low <= 1e-9
