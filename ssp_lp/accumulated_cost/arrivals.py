@@ -14,6 +14,7 @@ not raised to the power of the layers.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -668,7 +669,7 @@ class FollowedSums(Arrivals):
         if self._followed >= self._most:
             return self._end > self._most
         arriving = sum(float(masses @ self._live.goal[nodes]) for nodes, masses in parts)
-        share = _UNLIKELY * (self._rarest / _UNLIKELY) ** (self._followed / self._most)
+        share = _UNLIKELY * math.pow(self._rarest / _UNLIKELY, self._followed / self._most)
         return arriving <= share * self._goal
 
     @property
