@@ -84,13 +84,28 @@ class Arena:
         return place
 
     def first_contact(
-        self, x: FloatArray, y: FloatArray, across: FloatArray, up: FloatArray
+        self,
+        x: FloatArray,
+        y: FloatArray,
+        across: FloatArray,
+        up: FloatArray,
+        points: int | None = None,
     ) -> tuple[PlaceArray, FloatArray]:
         """Return what the straight motion from (x, y) by (across, up) meets first, and when.
 
         The time is the fraction of the motion in [0, 1]; it is 1 where nothing is met
         (`Place.FREE`). At times equal to rounding an obstacle goes before the wall before the goal.
+
+        points: look at so many equally spaced points, of which the last is the end of the motion;
+            None: at the whole motion.
         """
+        if points is not None:
+            place, time = self.classify(x + across, y + up), np.asarray(1.0)
+            for k in range(points - 1, 0, -1):  # an earlier contact replaces a later one
+                here = self.classify(x + k / points * across, y + k / points * up)
+                met = here != Place.FREE
+                place, time = np.where(met, here, place), np.where(met, k / points, time)
+            return place, time
         obstacle = np.asarray(np.inf)
         for box in self.obstacles:
             obstacle = np.minimum(obstacle, box.entry_time(x, y, across, up))

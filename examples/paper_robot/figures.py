@@ -59,11 +59,9 @@ def save_frontier(curves: dict[str, Frontier], budget: float, title: str, path: 
     axes = figure.subplots()
     for look, (name, frontier) in enumerate(curves.items()):
         plot_frontier(frontier, budget, label=CRITERIA[name], look=look, ax=axes)
-    axes.set_xscale("log")
-    axes.set_xlim(curves["S"].failure[0] / 1.2, 0.2)
-    axes.set(ylim=(12.0, 26.0), ylabel="least expected cost (steps)")
+    axes.set(xlim=(0.0, 3 * budget), ylim=(11.0, 20.0), ylabel="least expected cost (steps)")
     axes.set_title(title, loc="left", fontsize=11)
-    axes.legend(loc="lower left", frameon=False)
+    axes.legend(loc="upper right", frameon=False)
     _save(figure, path)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from examples.paper_robot.arena import Arena, Place
-from ssp_lp import Axis, Grid
+from ssp_lp import Axis, Grid, ModelError
 
 STEP_LENGTH = 0.1  # speed 1.0 for 0.1 s
 TURN_STEP = np.pi / 6  # radians between neighbouring actions
@@ -24,20 +24,29 @@ class RobotGrid:
 
     segments: cells along x, and along y.
     headings: cells of theta, centred on the multiples of 2 pi / headings.
-    quadrature: midpoints in each of x, y, theta (within the cell) and the steering error.
+    quadrature: midpoints in x, y, theta (within the cell) and the steering error: one number for
+        each, or one for all of them.
     wall_cost: stage cost after a collision with the wall (after any other collision it is 1).
-    along_segment: test the whole straight motion of a step, not its end point only.
+    points_on_the_way: equally spaced points of a step at which the robot may collide or arrive,
+        the last of them its end point; None: anywhere on the way.
     turning_cost: of a radian; with it, a step costs the length of its way and what its turn costs
         (None: every step costs 1, as in the paper).
     """
 
     segments: int = 20
     headings: int = 12
-    quadrature: int = 4
+    quadrature: int | tuple[int, int, int, int] = 4
     wall_cost: float = 1.0
-    along_segment: bool = False
+    points_on_the_way: int | None = 1
     turning_cost: float | None = None
     arena: Arena = field(default_factory=Arena)
+
+    def __post_init__(self) -> None:
+        """Raise ModelError for a step without a point at which the robot may collide."""
+        if self.points_on_the_way is not None and self.points_on_the_way < 1:
+            raise ModelError(
+                f"points_on_the_way={self.points_on_the_way}: give at least 1, or None"
+            )
 
     @property
     def cells(self) -> Grid:

@@ -54,20 +54,17 @@ class _Dynamics:
         """Turn by the action and an error, then move straight on by one step length.
 
         The numbers of `Place` are those that the library gives to ends: goal, then dead-ends.
-        With `along_segment` a robot that meets something stops there.
+        A robot that meets something stops there.
         """
         (x, y, theta), (error,) = point, noise
         turn = (action - N_ACTIONS // 2) * TURN_STEP
         heading = theta + turn + error
         across, up = STEP_LENGTH * np.cos(heading), STEP_LENGTH * np.sin(heading)
-        if not self.grid.along_segment:
-            moved_x, moved_y = x + across, y + up
-            place, cost = self.grid.arena.classify(moved_x, moved_y), self._cost(turn, 1.0)
-            return (moved_x, moved_y, heading), cost, place
-        place, time = self.grid.arena.first_contact(x, y, across, up)
+        points = self.grid.points_on_the_way
+        place, time = self.grid.arena.first_contact(x, y, across, up, points)
         return (x + time * across, y + time * up, heading), self._cost(turn, time), place
 
-    def _cost(self, turn: float, share: float | FloatArray) -> float | FloatArray:
+    def _cost(self, turn: float, share: FloatArray) -> float | FloatArray:
         """Of a turn, in radians, and a share of a step: 1, or its length and the turning."""
         turning = self.grid.turning_cost
         return 1.0 if turning is None else share * STEP_LENGTH + turning * abs(turn)

@@ -1,14 +1,17 @@
 """The policies of the paper's section 4: how each is designed, and how each is tried out."""
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
 
 from examples.paper_robot.arena import FloatArray
-from examples.paper_robot.robot import RobotGrid, robot_simulator
+from examples.paper_robot.grid import RobotGrid
+from examples.paper_robot.robot import robot_simulator, start_state
 from formulations import MCMP, S3P
-from ssp_lp import SSP, Evaluation, Solution, simulate, solve
+from ssp_lp import SSP, Evaluation, MixedPolicy, evaluate, simulate, solve
 from ssp_lp.analysis.simulation import SimulationReport
+from ssp_lp.game import Game, play, stationary_player
 
 BUDGET = 0.05
 DISCOUNT = 0.999
@@ -17,10 +20,66 @@ RECORDED = 50  # episodes drawn in a trajectory figure
 
 @dataclass(frozen=True)
 class Design:
-    """One column of the tables: a criterion with its budget."""
+    """One column of the tables: a criterion with its budget, and which policy of it is taken."""
 
-    name: str  # the paper's pi_max^(S) is "S max", and so on; "exact" is not in the paper
-    problem: MCMP | S3P
+    name: str
+    group: str
+    criterion: type[MCMP | S3P]
+    failure_budget: float | None
+    discount: float | None = None
+    given_c: float | None = None  # the policy of the game at this c; None: of the optimum, c*
+    published: str = ""  # the policy of the paper's tables that it is compared with
+
+
+PAPERS = (
+    Design("S max", "least failure", S3P, None, published="S max"),
+    Design("M max", "least failure", MCMP, None, published="M max"),
+    Design("S mod", "failure <= 5 %", S3P, BUDGET, DISCOUNT, published="S mod"),
+    Design("M mod", "failure <= 5 %", MCMP, BUDGET, DISCOUNT, published="M mod"),
+)
+"""The paper's: "S max" is pi_max^(S), and so on."""
+
+DESIGNS = (
+    *PAPERS,
+    Design("S, c = 18", "reconstruction", S3P, BUDGET, DISCOUNT, 18.0, published="S mod"),
+    Design("M, c = 17", "reconstruction", MCMP, BUDGET, DISCOUNT, 17.0, published="M mod"),
+    Design("S exact", "no discount", S3P, BUDGET),
+    Design("M exact", "no discount", MCMP, BUDGET),
+)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How transition probabilities and collisions are computed, which the paper leaves open."""
+
+    name: str
+    says: str
+    grid: RobotGrid
+    designs: tuple[Design, ...]
+
+
+READINGS = (
+    Reading(
+        "as in the paper",
+        "heading: the centre of its cell; collisions: 4 points along a step",
+        RobotGrid(quadrature=(4, 4, 1, 4), points_on_the_way=4),
+        DESIGNS,
+    ),
+    Reading(
+        "as the robot moves",
+        "heading: spread over its cell; collisions: the end of a step",
+        RobotGrid(),
+        PAPERS,
+    ),
+)
+COMPARED = "M mod"
+IN_BETWEEN = Reading(
+    "in between",
+    "heading: spread over its cell; collisions: 4 points along a step",
+    RobotGrid(points_on_the_way=4),
+    tuple(design for design in PAPERS if design.name == COMPARED),
+)
+"""The reading of the paper but for the heading: `COMPARED` shows what the heading alone does."""
 
 
 @dataclass(frozen=True)
@@ -28,14 +87,15 @@ class Trial:
     """A designed policy and how it fared."""
 
     design: Design
-    solution: Solution
+    problem: MCMP | S3P
+    evaluation: Evaluation  # exact, on the grid model
+    gap: float  # relative, of the certified bound
+    failure_price: float | None
+    seconds: float  # to find the policy
+    members: int  # deterministic policies that are mixed
+    ready: MixedPolicy  # with an action also in cells that the grid model never reaches
     chain: SimulationReport  # episodes in the grid model
-    world: SimulationReport  # episodes in the continuous world
-
-    @property
-    def evaluation(self) -> Evaluation:
-        """The policy's exact numbers on the grid model."""
-        return self.solution.evaluation
+    world: SimulationReport  # in the continuous world, collisions looked for as in the model
 
     @property
     def trajectories(self) -> list[FloatArray]:
@@ -43,33 +103,50 @@ class Trial:
         return [np.asarray(path, dtype=np.float64) for path in self.world.paths]
 
 
-def designs(model: SSP, start: int) -> list[Design]:
-    """Return the paper's four designs, in its order, and the two with an exact budget."""
-    return [
-        Design("S max", S3P(model, start=start, failure_budget=None)),
-        Design("M max", MCMP(model, start=start, failure_budget=None)),
-        Design("S mod", S3P(model, start=start, failure_budget=BUDGET, discount=DISCOUNT)),
-        Design("M mod", MCMP(model, start=start, failure_budget=BUDGET, discount=DISCOUNT)),
-        Design("S exact", S3P(model, start=start, failure_budget=BUDGET)),
-        Design("M exact", MCMP(model, start=start, failure_budget=BUDGET)),
-    ]
-
-
-def try_out(design: Design, grid: RobotGrid, episodes: int, seed: list[int]) -> Trial:
-    """Solve a design and run its policy in the grid model and in the continuous world."""
-    solution = solve(design.problem)
-    policy, problem = solution.policy, design.problem
+def try_out(design: Design, model: SSP, grid: RobotGrid, episodes: int, seed: list[int]) -> Trial:
+    """Design a policy and run it in the grid model and in the continuous world."""
+    budget, discount, start = design.failure_budget, design.discount, start_state(grid)
+    problem = design.criterion(model, start=start, failure_budget=budget, discount=discount)
+    began = time.perf_counter()
+    if design.given_c is None or budget is None:
+        solution = solve(problem)
+        policy, gap, price = solution.policy, solution.gap, solution.failure_price
+        seconds, ready = time.perf_counter() - began, solution.policy_everywhere()
+    else:
+        player = stationary_player(problem)
+        share = 1.0 - budget if problem.ratio else 1.0
+        game = play(player, Game(share * design.given_c, budget))
+        seconds = time.perf_counter() - began
+        policy = ready = game.policy(player)  # a best response decides in every cell
+        gap, price = 1.0 - game.lower / game.upper, game.failure_price
     chain_rng, world_rng = (np.random.default_rng([*seed, stream]) for stream in (0, 1))
     return Trial(
-        design=design,
-        solution=solution,
+        design,
+        problem,
+        evaluate(policy, problem),
+        gap,
+        price,
+        seconds,
+        len(policy.policies),
+        ready,
         chain=simulate(policy, problem, episodes=episodes, seed=chain_rng),
-        world=simulate(
-            policy,
-            problem,
-            episodes=episodes,
-            seed=world_rng,
-            simulator=robot_simulator(grid),
-            record=RECORDED,
-        ),
+        world=run_in_world(ready, problem, grid, episodes, world_rng),
+    )
+
+
+def run_in_world(
+    policy: MixedPolicy,
+    problem: MCMP | S3P,
+    grid: RobotGrid,
+    episodes: int,
+    seed: np.random.Generator,
+) -> SimulationReport:
+    """Run a policy in the continuous world, where collisions are looked for as the grid says."""
+    return simulate(
+        policy,
+        problem,
+        episodes=episodes,
+        seed=seed,
+        simulator=robot_simulator(grid),
+        record=RECORDED,
     )

@@ -1,10 +1,12 @@
 """The paper's Tables 1 and 2 beside what this library finds, as text."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from itertools import groupby
 from textwrap import fill
+from typing import TypeVar
 
-from examples.paper_robot.study import Trial
+from examples.paper_robot.study import COMPARED, DESIGNS, IN_BETWEEN, READINGS, Trial
 from ssp_lp.analysis.simulation import SimulationReport
 
 PAPER = {
@@ -23,95 +25,156 @@ PAPER = {
 }
 """wall cost -> policy -> conditional cost, collisions with A and B, collisions with the wall."""
 
-_LABEL_WIDTH, _COLUMN_WIDTH = 34, 11
+Trials = Mapping[str, Mapping[str, Trial]]
+"""Reading -> design -> trial."""
+
+_Column = TypeVar("_Column", Trial, SimulationReport)
+
+EPISODES = 100_000  # of the paper; exact probabilities are printed as so many of these
+_LABEL_WIDTH, _COLUMN_WIDTH, _READING_WIDTH = 36, 11, 20
+
+_EXACT: dict[str, Callable[[Trial], str]] = {
+    "objective": lambda t: _fixed(t.evaluation.objective, 4),
+    "relative gap of the bound": lambda t: f"{t.gap:.1e}",
+    "price of failure": lambda t: _fixed(t.failure_price, 2),
+    "deterministic policies mixed": lambda t: str(t.members),
+    "discounted failure": lambda t: _fixed(t.evaluation.discounted_failure, 6),
+    "failure probability": lambda t: _fixed(t.evaluation.failure_probability, 6),
+    "cost given success": lambda t: _fixed(t.evaluation.conditional_cost, 4),
+    "collisions with A, B of 100,000": lambda t: _exact_count(t, "obstacle"),
+    "collisions with the wall of 100,000": lambda t: _exact_count(t, "wall"),
+}
+"""Numbers of a design on the grid model."""
+
+_PLAYED: dict[str, Callable[[SimulationReport], str]] = {
+    "cost given success": lambda r: _fixed(r.conditional_cost.value, 2),
+    "collisions with A, B": lambda r: _count(r.ends.get("obstacle", 0)),
+    "collisions with the wall": lambda r: _count(r.ends.get("wall", 0)),
+    "any other failure": lambda r: _count(
+        sum(n for end, n in r.ends.items() if end not in ("goal", "obstacle", "wall"))
+    ),
+}
+"""Numbers of simulated episodes."""
 
 
-def table_text(wall_cost: float, trials: list[Trial], episodes: int) -> str:
-    """Return one table: a column per policy, the paper's rows first."""
-    head = f"Stage cost after a collision with the wall: {wall_cost:g}"
-    paper = PAPER.get(wall_cost, {})
-    published = [paper.get(t.design.name) for t in trials]
+def table_text(wall_cost: float, trials: Trials, episodes: int) -> str:
+    """Return one table: a column per design; the paper's rows first, then each reading's."""
+    published = [PAPER[wall_cost].get(design.published) for design in DESIGNS]
+    groups = [(name, len(list(some))) for name, some in groupby(d.group for d in DESIGNS)]
     lines = [
-        head,
-        "=" * len(head),
-        _row("", [t.design.name for t in trials]),
-        "Paper, 100,000 episodes",
-        _row("  conditional cost", [_fixed(p and p[0], 2) for p in published]),
+        *_heading(f"Stage cost after a collision with the wall: {wall_cost:g}"),
+        " " * _LABEL_WIDTH + "".join(name.rjust(_COLUMN_WIDTH * n) for name, n in groups),
+        _row("", [design.name for design in DESIGNS]),
+        f"The paper, {EPISODES:,} episodes",
+        _row("  cost given success", [_fixed(p and p[0], 2) for p in published]),
         _row("  collisions with A, B", [_count(p and p[1]) for p in published]),
         _row("  collisions with the wall", [_count(p and p[2]) for p in published]),
-        "Design, exact on the grid model",
-        *_design_rows(trials),
-        f"Grid model, {episodes:,} episodes",
-        *_episode_rows([t.chain for t in trials]),
-        f"Continuous world, {episodes:,} episodes",
-        *_episode_rows([t.world for t in trials]),
     ]
+    for reading in READINGS:
+        columns = [trials[reading.name].get(design.name) for design in DESIGNS]
+        chains, worlds = ([t and (t.chain, t.world)[k] for t in columns] for k in (0, 1))
+        lines += [
+            f"Ours, {reading.name}",
+            " Exact, on the grid model",
+            *(_row(f"  {words}", _cells(columns, of)) for words, of in _EXACT.items()),
+            f" Grid model, {episodes:,} episodes",
+            *(_row(f"  {words}", _cells(chains, of)) for words, of in _PLAYED.items()),
+            f" Continuous world, {episodes:,} episodes",
+            *(_row(f"  {words}", _cells(worlds, of)) for words, of in _PLAYED.items()),
+        ]
     return "\n".join(lines)
 
 
-def remarks(trials: dict[float, list[Trial]]) -> str:
-    """Return why our numbers differ from the paper's, with the numbers that show it.
+def comparison_text(cheap: Trials, dear: Trials, touching: Mapping[str, SimulationReport]) -> str:
+    """Return what each reading's model says of `COMPARED`, and what becomes of the robot.
 
-    trials: wall cost -> trials, for the wall costs 1 and 100.
+    cheap, dear: trials at the wall costs 1 and 100.
+    touching: reading -> episodes of the cheap trial's policy in a continuous world where touching
+        anything on the way is a collision.
     """
-    cheap, dear = ({t.design.name: t for t in trials[cost]} for cost in (1.0, 100.0))
-    safest, paper_safest = cheap["S max"].evaluation, PAPER[1.0]["S max"][0]
-    lottery, charged = cheap["M mod"], dear["M mod"]
-    walls = [t.evaluation.ends["wall"] for t in (lottery, charged)]
-    price = charged.solution.failure_price or 0.0
+    readings = [*READINGS, IN_BETWEEN]
+    first, last = ([trials[r.name][COMPARED] for r in readings] for trials in (cheap, dear))
+    promised = [t.evaluation.failure_probability for t in first]
+    played = [t.world.failure_probability.value for t in first]
+    touched = [touching[r.name].failure_probability.value for r in readings]
+    rows = {
+        "Failures, wall cost 1": [""] * len(readings),
+        "  grid model, exact": [f"{share:.2%}" for share in promised],
+        "  world, collisions as in the model": [f"{share:.2%}" for share in played],
+        "  world, any touch is a collision": [f"{share:.2%}" for share in touched],
+        "Collisions with the wall, exact": [""] * len(readings),
+        "  of 100,000, wall cost 1": [_exact_count(t, "wall") for t in first],
+        "  of 100,000, wall cost 100": [_exact_count(t, "wall") for t in last],
+    }
+    return "\n".join(
+        [
+            *_heading(f"{COMPARED}: what the models say, and what becomes of the robot"),
+            *(f"{reading.name}: {reading.says}" for reading in readings),
+            _row("", [reading.name for reading in readings], _READING_WIDTH),
+            *(_row(words, cells, _READING_WIDTH).rstrip() for words, cells in rows.items()),
+        ]
+    )
+
+
+def remarks(cheap: Trials, dear: Trials, touching: Mapping[str, SimulationReport]) -> str:
+    """Return how our numbers relate to the paper's, with the numbers that show it.
+
+    The arguments are those of `comparison_text`.
+    """
+    names = [reading.name for reading in (*READINGS, IN_BETWEEN)]
+    lotteries = [cheap[name][COMPARED] for name in names]
+    says = [f"{t.evaluation.failure_probability:.1%}" for t in lotteries]
+    does = [f"{t.world.failure_probability.value:.1%}" for t in lotteries]
+    touches = [f"{touching[name].failure_probability.value:.1%}" for name in names]
+    walls = [[_exact_count(t[name][COMPARED], "wall") for t in (cheap, dear)] for name in names]
+    paper_fails = [sum(PAPER[cost][COMPARED][1:]) / EPISODES for cost in (1.0, 100.0)]
+    safest = [cheap[name]["S max"].evaluation.conditional_cost for name in names[:2]]
     points = [
-        """The paper does not say how it computed the transition probabilities of cells or how it
-        detected collisions; nothing here is tuned to its tables. (Its third column, headed
+        """The paper does not say how it computed transition probabilities or looked for collisions.
+        "As in the paper" is a plain reading that reproduces its tables: the heading of a cell is
+        its centre, positions are spread 4 x 4 over the cell, the steering error has 4 points, and
+        collisions are looked for at 4 points along a step. (The paper's third column, headed
         pi_max^(S) once more, is pi_mod^(S).)""",
-        f"""Least failure is decided by the rarest collisions that a model still counts, so its cost
-        hangs on those details. Ours counts collisions down to a failure probability of
-        {safest.failure_probability:.1e} and pays {safest.conditional_cost:.1f} steps for it; the
-        paper's policy takes {paper_safest:.1f}.""",
-        f"""The grid model forgets where in its cell the robot stands, so its robot diffuses, also
-        into the wall: of the same policy M mod it counts {lottery.chain.ends["wall"]:,} collisions
-        with the wall, the continuous world {lottery.world.ends["wall"]:,}.""",
-        f"""At a wall cost of 100 the paper's M mod has no wall collisions, ours has. The cost is
-        charged once: in the design a collision with the wall costs {price + 100:.0f} (price of
-        failure plus charge) where one with an obstacle costs {price + 1:.0f}. That is dear, not
-        forbidden: the probability of hitting the wall falls from {walls[0]:.4f} to
-        {walls[1]:.4f}.""",
+        f"""The columns "reconstruction" fit the tables; the paper does not state them. Its M mod
+        fails in {paper_fails[0]:.2%} and {paper_fails[1]:.2%} of the episodes, where the discounted
+        budget leaves room for {lotteries[0].evaluation.failure_probability:.2%}: it is not the
+        optimum at c*. At a c above c* the optimal policy of the game (section 3.2) spends less than
+        the budget: its cost is c / 0.05 (in S 0.95 c / 0.05) times its discounted failure. With
+        c = 18 in S and c = 17 in M it has the costs and collisions of the tables.""",
+        f"""The heading is what diffuses. From a wall cost of 1 to one of 100 the collisions of M
+        mod with the wall fall from {walls[0][0]} to {walls[0][1]} of 100,000 with the heading at
+        the centre of its cell, and with the heading spread over its cell, all else equal ("in
+        between"), from {walls[2][0]} to {walls[2][1]}: a robot whose heading is drawn
+        anew within 15 degrees at each step cannot keep off the wall. That a failing run pays the
+        wall's cost only once is not the reason: it does so in every model here.""",
+        f"""Least failure is decided by the rarest collisions that a model counts. "As in the paper"
+        has a policy that never fails, at {safest[0]:.1f} steps; "as the robot moves" has none, and
+        pays {safest[1]:.1f} steps for the safest one.""",
+        f"""Which model is right about the robot? The real heading lies anywhere in its cell. Of M
+        mod "as in the paper" says that {says[0]} fail, and {does[0]} do; "as the robot moves" says
+        {says[1]}, and {does[1]} do. So the spread heading is the more honest model of steering: it
+        errs on the safe side. Both look for collisions at too few points: where any touch counts,
+        {touches[0]} and {touches[1]} fail. The spread heading with 4 points along a step ("in
+        between") says {says[2]}, and {touches[2]} fail at any touch.""",
         f"""The discounted budget counts a success at step t as a failure of 1 - 0.999^t. So S mod
-        and M mod really fail in {lottery.evaluation.failure_probability:.1%} of the episodes where
-        5 % are allowed; the columns "exact" use the whole budget and are cheaper.""",
+        and M mod really fail in {says[0]} of the episodes where 5 % are allowed; the columns "no
+        discount" use the whole budget and are cheaper.""",
     ]
     texts = [" ".join(point.split()) for point in points]
     wrapped = [fill(t, 98, initial_indent="- ", subsequent_indent="  ") for t in texts]
-    return "\n".join(["Why these numbers differ from the paper's", *wrapped])
+    return "\n".join([*_heading("How these numbers relate to the paper's"), *wrapped])
 
 
-def _design_rows(trials: list[Trial]) -> list[str]:
-    solutions, evaluations = [t.solution for t in trials], [t.evaluation for t in trials]
-    return [
-        _row("  objective c*", [_fixed(s.objective, 4) for s in solutions]),
-        _row("  relative gap of the bound", [_power(s.gap) for s in solutions]),
-        _row("  price of failure", [_fixed(s.failure_price, 2) for s in solutions]),
-        _row("  deterministic policies mixed", [str(len(s.policy.policies)) for s in solutions]),
-        _row("  failure probability", [_fixed(e.failure_probability, 6) for e in evaluations]),
-        _row("  ... in collisions with A, B", [_end(e.ends, "obstacle") for e in evaluations]),
-        _row("  ... in collisions with the wall", [_end(e.ends, "wall") for e in evaluations]),
-        _row("  conditional cost", [_fixed(e.conditional_cost, 4) for e in evaluations]),
-        _row("  seconds to solve", [_fixed(s.seconds, 2) for s in solutions]),
-    ]
+def _heading(words: str) -> list[str]:
+    return [words, "=" * len(words)]
 
 
-def _episode_rows(reports: list[SimulationReport]) -> list[str]:
-    named = ("goal", "obstacle", "wall")
-    others = [sum(n for end, n in r.ends.items() if end not in named) for r in reports]
-    return [
-        _row("  conditional cost", [_fixed(r.conditional_cost.value, 2) for r in reports]),
-        _row("  collisions with A, B", [_count(r.ends.get("obstacle", 0)) for r in reports]),
-        _row("  collisions with the wall", [_count(r.ends.get("wall", 0)) for r in reports]),
-        _row("  any other failure", [_count(n) for n in others]),
-    ]
+def _row(label: str, cells: list[str], width: int = _COLUMN_WIDTH) -> str:
+    return label.ljust(_LABEL_WIDTH) + "".join(cell.rjust(width) for cell in cells)
 
 
-def _row(label: str, cells: list[str]) -> str:
-    return label.ljust(_LABEL_WIDTH) + "".join(cell.rjust(_COLUMN_WIDTH) for cell in cells)
+def _cells(columns: Sequence[_Column | None], of: Callable[[_Column], str]) -> list[str]:
+    return ["-" if column is None else of(column) for column in columns]
 
 
 def _fixed(value: float | None, digits: int) -> str:
@@ -122,9 +185,6 @@ def _count(value: float | None) -> str:
     return "-" if value is None else f"{int(value):,}"
 
 
-def _power(value: float) -> str:
-    return f"{value:.1e}"
-
-
-def _end(ends: Mapping[str, float], name: str) -> str:
-    return _fixed(ends.get(name, 0.0), 6)
+def _exact_count(trial: Trial, end: str) -> str:
+    """A probability as the expected number of the paper's episodes."""
+    return f"{trial.evaluation.ends.get(end, 0.0) * EPISODES:,.0f}"

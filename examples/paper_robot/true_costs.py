@@ -92,7 +92,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         grid = RobotGrid(
             segments=options.segments,
             headings=options.headings,
-            along_segment=True,
+            points_on_the_way=None,
             turning_cost=turning_cost,
         )
         found = designed(grid, options.episodes, options.seed)

@@ -108,6 +108,27 @@ class Equilibrium:
         """Weight of ``plus`` in the equilibrium's mixture."""
         return matrix_game(self.game, self.minus, self.plus)
 
+    @property
+    def failure_price(self) -> float:
+        """Price of failure at the equilibrium, in J_obj: (eta / epsilon) (1 - alpha) / alpha.
+
+        At c* lambda in case M, kappa in case S.
+        """
+        return self.game.scale * (1.0 - self.alpha) / self.alpha if self.alpha > 0.0 else np.inf
+
+    def policy(self, player: Player) -> MixedPolicy:
+        """The equilibrium's mixture on the original states."""
+        return _mixture_of_two(player, self.minus, self.plus, self.weight)
+
+
+def _mixture_of_two(
+    player: Player, minus: BestResponse, plus: BestResponse, weight: float
+) -> MixedPolicy:
+    """Mixture that plays ``plus`` in an equilibrium with this weight, on the original states."""
+    weights = np.array([1.0 - weight, weight])
+    used = np.flatnonzero(weights > 0.0)
+    return MixedPolicy(tuple(player.policy((minus, plus)[k]) for k in used), weights[used])
+
 
 def matrix_game(game: Game, minus: BestResponse, plus: BestResponse) -> float:
     """Equilibrium of the 2 x 2 game of section 3.4, in closed form: the weight of ``plus``.
@@ -257,10 +278,7 @@ class DeltaMixture:
 
     def policy(self, player: Player) -> MixedPolicy:
         """The lottery near the equilibrium on the original states."""
-        weights = np.array([1.0 - self.weight, self.weight])
-        used = np.flatnonzero(weights > 0.0)
-        members = tuple(player.policy((self.minus, self.plus)[k]) for k in used)
-        return MixedPolicy(members, weights[used])
+        return _mixture_of_two(player, self.minus, self.plus, self.weight)
 
 
 def delta_mixture(player: Player, game: Game, alpha: float, delta: float) -> DeltaMixture:

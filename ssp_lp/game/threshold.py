@@ -55,12 +55,8 @@ class Threshold:
 
     @property
     def failure_price(self) -> float:
-        """Price of failure at the threshold c, in J_obj: (eta / epsilon) (1 - alpha) / alpha.
-
-        lambda in case M, kappa in case S.
-        """
-        alpha = self.game.alpha
-        return self.game.game.scale * (1.0 - alpha) / alpha if alpha > 0.0 else float("inf")
+        """Price of failure at the threshold c: lambda in case M, kappa in case S."""
+        return self.game.failure_price
 
     @property
     def condition(self) -> float:

@@ -13,6 +13,7 @@ import pytest
 
 from examples.paper_robot.arena import TOLERANCE
 from examples.paper_robot.grid import N_ACTIONS, NOISE, START_POINT, STEP_LENGTH, TURN_STEP
+from examples.paper_robot.obstacle_avoidance import main as obstacle_avoidance
 from examples.paper_robot.progress_bar import progress_bar
 from examples.paper_robot.robot import (
     Arena,
@@ -23,13 +24,16 @@ from examples.paper_robot.robot import (
     robot_simulator,
     start_state,
 )
+from examples.paper_robot.study import BUDGET, DESIGNS, DISCOUNT, IN_BETWEEN, READINGS, try_out
+from examples.paper_robot.tables import PAPER
 from examples.paper_robot.true_costs import TOLERANCE as TRUE_GAP, designed, main as true_costs
 from formulations import MCMP, S3P
-from ssp_lp import certify, evaluate, solve
+from ssp_lp import ModelError, certify, evaluate, solve
 from terminal import Terminal
 
-BUDGET = 0.05
 SMALL = RobotGrid(segments=10, headings=8, quadrature=3)
+PAPERS = READINGS[0].grid
+GRIDS = [RobotGrid(), SMALL, RobotGrid(quadrature=2, points_on_the_way=None), PAPERS]
 each_case = pytest.mark.parametrize("criterion", [MCMP, S3P])
 each_discount = pytest.mark.parametrize("discount", [None, 0.999])
 
@@ -40,15 +44,20 @@ def outcomes(model, pair):
     return dict(zip(model.successors[some], model.probabilities[some], strict=True))
 
 
+def points_of(grid):
+    """How many points there are in x, y, theta and the steering error."""
+    return grid.quadrature if isinstance(grid.quadrature, tuple) else (grid.quadrature,) * 4
+
+
 def brute_force(grid, pair):
     """One pair's outcomes by loops over its sampled points, in exact fractions where it matters."""
     cell, action = divmod(pair, N_ACTIONS)
     position, heading = divmod(cell, grid.headings)
     column, row = divmod(position, grid.segments)
-    parts = [Fraction(2 * k + 1, 2 * grid.quadrature) for k in range(grid.quadrature)]
-    share = Fraction(1, 2 * grid.quadrature**4)
+    parts = [[Fraction(2 * k + 1, 2 * n) for k in range(n)] for n in points_of(grid)]
+    share = Fraction(1, 2 * math.prod(points_of(grid)))
     found = Counter()
-    for x, y, turn, error in itertools.product(parts, repeat=4):
+    for x, y, turn, error in itertools.product(*parts):
         circles = (heading + turn - Fraction(1, 2)) / grid.headings
         circles += Fraction(action - 2, 12) + (2 * error - 1) / 24
         angle = 2 * math.pi * float(circles)
@@ -68,8 +77,9 @@ def brute_force(grid, pair):
 
 
 def slow_place(grid, begin, motion, end):
-    """What a step meets: at its end, or at the first of 2,000 points along it."""
-    times = [k / 2000 for k in range(2001)] if grid.along_segment else [1.0]
+    """What a step meets: at the first of so many points along it, 2,000 for anywhere."""
+    points = grid.points_on_the_way or 2000
+    times = [k / points for k in range(1 if grid.points_on_the_way else 0, points + 1)]
     for time in times:
         x, y = end if time == 1.0 else [b + time * m for b, m in zip(begin, motion, strict=True)]
         for box in grid.arena.obstacles:
@@ -89,10 +99,10 @@ def test_size_of_the_papers_model(robot):
     assert (model.n_pairs, model.n_outcomes) == (24_000 + 2, 219_480 + 2)
 
 
-@pytest.mark.parametrize("grid", [RobotGrid(), SMALL, RobotGrid(quadrature=2, along_segment=True)])
+@pytest.mark.parametrize("grid", GRIDS)
 def test_probabilities_are_counts_and_those_of_plain_loops(grid):
     model, rng = grid_model(grid), np.random.default_rng(5)
-    doubled = model.probabilities * (2 * grid.quadrature**4)
+    doubled = model.probabilities * (2 * math.prod(points_of(grid)))
     assert np.abs(doubled - np.rint(doubled)).max() < 1e-9
     sums = np.add.reduceat(model.probabilities, model.outcome_offsets[:-1])
     assert np.abs(sums - 1.0).max() < 1e-12
@@ -161,7 +171,7 @@ def test_testing_along_the_segment_only_moves_mass_to_ends_on_a_thin_obstacle():
     """A wall thinner than a step can be jumped over; tested along the step it cannot."""
     arena = Arena(obstacles=(Box(0.5, 0.51, 0.0, 1.0),), goal=Box(2.0, 3.0, 2.0, 3.0))
     jumping = RobotGrid(segments=10, headings=12, arena=arena)
-    sliding = replace(jumping, along_segment=True)
+    sliding = replace(jumping, points_on_the_way=None)
     ends_only, whole = grid_model(jumping), grid_model(sliding)
     pair = ((4 * 10 + 5) * 12) * N_ACTIONS + 2  # x in [0.4, 0.5], heading 0, straight on
     obstacle = jumping.end_state(Place.OBSTACLE)
@@ -232,10 +242,113 @@ def test_a_dearer_wall_changes_only_case_m(robot):
     assert dearer > cost + 0.1
 
 
+@cache
+def priced(wall_cost):
+    """The paper's grid at a wall cost, and its model."""
+    grid = replace(PAPERS, wall_cost=wall_cost)
+    return grid, grid_model(grid)
+
+
+def of_episodes(evaluation):
+    """Cost given success, and the collisions with obstacles and the wall in 100,000 episodes."""
+    counts = [evaluation.ends[name] * 100_000 for name in ("obstacle", "wall")]
+    return evaluation.conditional_cost, *counts
+
+
+EXACT = {
+    ("S max", 1.0): (19.341, 0, 0),
+    ("M max", 100.0): (19.341, 0, 0),
+    ("S mod", 1.0): (15.854, 3253, 228),
+    ("M mod", 1.0): (15.854, 3253, 228),
+    ("M mod", 100.0): (16.053, 3461, 2),
+    ("S, c = 18", 1.0): (16.146, 2725, 230),
+    ("M, c = 17", 1.0): (16.101, 2806, 230),
+    ("M, c = 17", 100.0): (16.272, 3064, 2),
+}
+"""Of the paper's model, found by programs that share no code with this library."""
+
+
+@pytest.mark.parametrize(("name", "wall_cost"), EXACT)
+def test_the_papers_model_has_the_numbers_that_others_find(name, wall_cost):
+    """And the policies play accordingly; those at a given c have the numbers of the tables."""
+    grid, model = priced(wall_cost)
+    (design,) = (one for one in DESIGNS if one.name == name)
+    trial = try_out(design, model, grid, episodes=4000, seed=[7])
+    found = of_episodes(trial.evaluation)
+    assert found == pytest.approx(EXACT[name, wall_cost], abs=0.5)
+    assert found[0] == pytest.approx(EXACT[name, wall_cost][0], abs=5e-4)
+    assert trial.gap <= 1e-9
+    failure = trial.chain.failure_probability
+    assert failure.low <= trial.evaluation.failure_probability <= failure.high
+    if design.given_c is not None:
+        cost, *collisions = PAPER[wall_cost][design.published]
+        assert found[0] == pytest.approx(cost, rel=0.004)
+        for count, printed, errors in zip(found[1:], collisions, (1.0, 3.5), strict=True):
+            assert abs(count - printed) <= errors * math.sqrt(count)
+
+
+def test_at_a_given_c_the_cost_is_the_worth_of_the_failure_and_the_least_at_it():
+    """J_obj = (eta / epsilon) L, and no policy with this L has less, by column generation."""
+    (design,) = (one for one in DESIGNS if one.name == "M, c = 17")
+    grid, model = priced(100.0)
+    found = try_out(design, model, grid, episodes=10, seed=[7]).evaluation
+    spent = found.discounted_failure
+    assert found.objective == pytest.approx(design.given_c / BUDGET * spent, rel=1e-9)
+    least = solve(MCMP(model, start_state(grid), failure_budget=spent, discount=DISCOUNT))
+    assert found.objective == pytest.approx(least.objective, rel=1e-9)
+
+
+def test_the_heading_is_what_drives_robots_into_a_dear_wall():
+    """Spread over its cell, with everything else as in the paper's model, and a wall of 100."""
+    (design,) = IN_BETWEEN.designs
+    assert replace(IN_BETWEEN.grid, quadrature=PAPERS.quadrature) == PAPERS
+    walls = []
+    for grid in (PAPERS, IN_BETWEEN.grid):
+        dear = replace(grid, wall_cost=100.0)
+        problem = design.criterion(grid_model(dear), start_state(dear), BUDGET, discount=DISCOUNT)
+        walls.append(solve(problem).evaluation.ends["wall"])
+    assert walls[1] > 100 * walls[0]
+
+
+@pytest.mark.parametrize("points", [0, -1])
+def test_a_step_without_a_point_to_collide_at_is_refused(points):
+    with pytest.raises(ModelError, match="points_on_the_way"):
+        RobotGrid(points_on_the_way=points)
+
+
+def test_more_points_on_the_way_see_all_that_fewer_see_and_the_whole_way_sees_all():
+    rng, arena = np.random.default_rng(4), Arena()
+    x, y, angle = rng.random(2000), rng.random(2000), 2 * np.pi * rng.random(2000)
+    free = arena.classify(x, y) == Place.FREE
+    x, y, angle = x[free], y[free], angle[free]
+    motion = STEP_LENGTH * np.cos(angle), STEP_LENGTH * np.sin(angle)
+    places, times = zip(
+        *(arena.first_contact(x, y, *motion, points) for points in (1, 4, 16, None)), strict=True
+    )
+    assert (places[0] == arena.classify(x + motion[0], y + motion[1])).all()
+    for fewer, more in itertools.pairwise(range(4)):
+        assert (places[more][places[fewer] != Place.FREE] != Place.FREE).all()
+        assert (times[more] <= times[fewer] + 1e-8).all()
+        assert (times[more] < 1).any()
+
+
+def test_the_script_prints_the_paper_then_both_readings_and_draws_six_pictures(tmp_path, capsys):
+    obstacle_avoidance(["--episodes", "200", "--segments", "14", "--output", str(tmp_path)])
+    printed = capsys.readouterr().out
+    assert (tmp_path / "tables.txt").read_text(encoding="utf-8").strip() in printed
+    for table in printed.split("Stage cost after")[1:]:
+        heads = ["The paper,", "Ours, as in the paper", "Ours, as the robot moves"]
+        assert sorted(heads, key=table.index) == heads
+        assert "reconstruction" in table.split("The paper,")[0]
+    drawn = {path.name for path in tmp_path.glob("*.png")}
+    paths = {f"trajectories_{c}_{kind}.png" for c in "sm" for kind in ("max", "mod")}
+    assert drawn == paths | {"arena.png", "frontier.png"}
+
+
 @pytest.mark.parametrize("turning_cost", [0.0, 0.05])
 def test_true_costs_are_proved_and_played_inside_their_intervals(turning_cost):
     grid = RobotGrid(
-        segments=8, headings=12, quadrature=2, along_segment=True, turning_cost=turning_cost
+        segments=8, headings=12, quadrature=2, points_on_the_way=None, turning_cost=turning_cost
     )
     found = designed(grid, episodes=20_000, seed=1)
     assert found.certificate.accepted
@@ -248,7 +361,7 @@ def test_true_costs_are_proved_and_played_inside_their_intervals(turning_cost):
 
 def test_sums_are_told_apart_on_the_whole_grid_of_the_paper():
     """Some 1,200 sums on 4,800 cells; a table cut short of them proves nothing."""
-    grid = RobotGrid(along_segment=True, turning_cost=0.2)
+    grid = RobotGrid(points_on_the_way=None, turning_cost=0.2)
     solution = solve(
         S3P(grid_model(grid), start=start_state(grid), failure_budget=BUDGET), tolerance=TRUE_GAP
     )
