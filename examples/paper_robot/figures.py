@@ -28,8 +28,8 @@ ENDS = {
 """How an episode ended, in words."""
 
 CRITERIA = {
-    "S": "S: cost of the episodes that reach the goal",
-    "M": "M: cost until the goal or failure",
+    "S": "S: expected cost given success",
+    "M": "M: expected cost until the goal or failure",
 }
 
 _NUDGE = 1e-6  # look this far (in steps) beyond a path's last point to see what it touches

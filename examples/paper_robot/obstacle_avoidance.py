@@ -38,10 +38,10 @@ from ssp_lp import trace_frontier
 WALL_COSTS = (1.0, 100.0)
 POINTS = 16  # of a frontier
 DRAWN = {
-    "S max": "of the policy that fails least:\nleast cost of the runs that reach the goal",
-    "M max": "of the policy that fails least:\nleast cost until the goal or failure",
-    "S mod": "of a policy that fails in at most 5 %:\nleast cost of the runs that reach the goal",
-    "M mod": "of a policy that fails in at most 5 %:\nleast cost until the goal or failure",
+    "S max": "at the least failure probability:\nleast expected cost given success",
+    "M max": "at the least failure probability:\nleast expected cost until the goal or failure",
+    "S mod": "at a failure budget of 5 %:\nleast expected cost given success",
+    "M mod": "at a failure budget of 5 %:\nleast expected cost until the goal or failure",
 }
 """The designs of the paper's figures 2 to 5, in its order -> what is drawn."""
 
@@ -129,13 +129,15 @@ def _save_figures(trials: Mapping[str, Trial], grid: RobotGrid, output: Path) ->
     for name, words in DRAWN.items():
         paths = trials[name].trajectories
         file_name = f"trajectories_{name.replace(' ', '_').lower()}.png"
-        save_trajectories(grid.arena, paths, f"{len(paths)} runs {words}", output / file_name)
+        save_trajectories(grid.arena, paths, f"{len(paths)} episodes {words}", output / file_name)
     model, start = trials["S max"].problem.model, start_state(grid)
     curves = {
         name: trace_frontier(criterion(model, start), point_limit=POINTS)
         for name, criterion in (("S", S3P), ("M", MCMP))
     }
-    save_frontier(curves, BUDGET, "What a higher risk of failure buys", output / "frontier.png")
+    save_frontier(
+        curves, BUDGET, "Least expected cost against the failure budget", output / "frontier.png"
+    )
 
 
 if __name__ == "__main__":

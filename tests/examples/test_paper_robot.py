@@ -11,9 +11,9 @@ from functools import cache
 import numpy as np
 import pytest
 
+from examples.paper_robot import obstacle_avoidance
 from examples.paper_robot.arena import TOLERANCE
 from examples.paper_robot.grid import N_ACTIONS, NOISE, START_POINT, STEP_LENGTH, TURN_STEP
-from examples.paper_robot.obstacle_avoidance import main as obstacle_avoidance
 from examples.paper_robot.progress_bar import progress_bar
 from examples.paper_robot.robot import (
     Arena,
@@ -265,12 +265,14 @@ EXACT = {
     ("M, c = 17", 1.0): (16.101, 2806, 230),
     ("M, c = 17", 100.0): (16.272, 3064, 2),
 }
-"""Of the paper's model, found by programs that share no code with this library."""
+"""Cost given success and collisions with A, B and the wall of 100,000, on the paper's model."""
 
 
 @pytest.mark.parametrize(("name", "wall_cost"), EXACT)
-def test_the_papers_model_has_the_numbers_that_others_find(name, wall_cost):
-    """And the policies play accordingly; those at a given c have the numbers of the tables."""
+def test_the_papers_model_has_its_numbers_and_at_a_given_c_those_of_the_papers_tables(
+    name, wall_cost
+):
+    """Costs within 0.4 %, collisions within one standard error, at the wall three and a half."""
     grid, model = priced(wall_cost)
     (design,) = (one for one in DESIGNS if one.name == name)
     trial = try_out(design, model, grid, episodes=4000, seed=[7])
@@ -332,8 +334,19 @@ def test_more_points_on_the_way_see_all_that_fewer_see_and_the_whole_way_sees_al
         assert (times[more] < 1).any()
 
 
-def test_the_script_prints_the_paper_then_both_readings_and_draws_six_pictures(tmp_path, capsys):
-    obstacle_avoidance(["--episodes", "200", "--segments", "14", "--output", str(tmp_path)])
+def test_the_script_prints_the_paper_then_both_readings_and_draws_six_pictures(
+    tmp_path, capsys, monkeypatch
+):
+    """On a coarse grid, where few policies fail in less than half of the episodes."""
+
+    def tried_out(design, *rest):
+        budget = None if design.failure_budget is None else 0.9
+        return try_out(replace(design, failure_budget=budget), *rest)
+
+    for name, coarse in (("try_out", tried_out), ("BUDGET", 0.9), ("POINTS", 3)):
+        monkeypatch.setattr(obstacle_avoidance, name, coarse)
+    asked = ["--episodes", "100", "--segments", "6", "--headings", "6", "--output", str(tmp_path)]
+    obstacle_avoidance.main(asked)
     printed = capsys.readouterr().out
     assert (tmp_path / "tables.txt").read_text(encoding="utf-8").strip() in printed
     for table in printed.split("Stage cost after")[1:]:

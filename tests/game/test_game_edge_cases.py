@@ -5,9 +5,16 @@ import pytest
 from formulations import MCMP, S3P
 from games import WASTE, hand_problem
 from small_models import EXACT, model_of
-from ssp_lp import Game, InfeasibleError, MixedPolicy, ModelError, Status, certify, solve
+from ssp_lp import Game, InfeasibleError, MixedPolicy, ModelError, Status, certify, evaluate, solve
 from ssp_lp.analysis.evaluation import equivalent_randomised_policy
-from ssp_lp.game import bayes_adaptive, stationary_game, thresholds
+from ssp_lp.game import (
+    Game as GameAtC,
+    bayes_adaptive,
+    play,
+    stationary_game,
+    stationary_player,
+    thresholds,
+)
 from ssp_lp.policies import DeterministicPolicy
 from ssp_lp.policies.policy import Policy
 from written_models import written
@@ -186,3 +193,25 @@ def test_the_unapproximated_game_without_a_unit_tends_to_that_with_one():
     )
     assert near.objective == pytest.approx(exact.objective, rel=1e-6)
     assert near.lower_bound <= near.objective * (1.0 + 1e-12)
+
+
+def test_above_c_star_the_mixture_pays_both_mdps_alike_and_leaves_some_of_the_budget():
+    """Two actions: at c = 2 the line of their mixtures meets J = (c / epsilon) L by hand.
+
+    L is 0.1 of the safe and 0.2 + 0.8 * 0.1 of the rash action, their J is 3 and 1. J = 8 L at the
+    weight w of the rash one with 3 - 2 w = 8 (0.1 + 0.18 w); c* = 4 / 3 has L = 0.25.
+    """
+    model = written("x safe: 1 g 3\nx rash: 0.8 g 1, 0.2 d 1")
+    problem = MCMP(
+        model, start="x", failure_budget=0.25, discount=0.9, give_up="dead_ends",
+        charge_failing_step=False,
+    )  # fmt: skip
+    player = stationary_player(problem)
+    found = play(player, GameAtC(2.0, 0.25))
+    weight = 2.2 / 3.44
+    assert found.weight == pytest.approx(weight, **EXACT)
+    assert found.failure_price == pytest.approx(2 / 0.18, **EXACT)
+    played = evaluate(found.policy(player), problem)
+    assert played.objective == pytest.approx(3 - 2 * weight, **EXACT)
+    assert played.discounted_failure == pytest.approx(0.1 + 0.18 * weight, **EXACT)
+    assert play(player, GameAtC(4 / 3, 0.25)).upper == pytest.approx(4 / 3, **EXACT)
