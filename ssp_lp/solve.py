@@ -36,7 +36,7 @@ from ssp_lp.problem import (
     pulled_back,
     unrolled,
 )
-from ssp_lp.processes.failure_semantics import GiveUp
+from ssp_lp.processes.failure_semantics import GiveUp, goal_out_of_reach, start_distribution
 from ssp_lp.solution import Solution
 
 _ROUNDING = 1e-12  # of sums of probabilities
@@ -115,6 +115,10 @@ def _solution_to(
         shared = options if partition is None else replace(options, partition=partition)
         solution, status = _solved_with_proof(problem, parse_method(method), shared)
     note, reason = solution.note, solution.run.reason
+    if solution.budget_used >= 1.0:
+        inner = unrolled(problem)
+        far = goal_out_of_reach(inner.model, start_distribution(inner.model, inner.start))
+        note = "; ".join(part for part in (far, note) if part)
     if solution.failure_gap > PROVED_OF_MANY:
         shown = f"{solution.failure_gap:.1e}: some policy may fail less than this one"
         note = "; ".join(filter(None, [note, f"the least failure is proved only up to {shown}"]))

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.accumulated_cost.charges import TailValues
-from ssp_lp.arrays import BoolArray, FloatArray, segment_sums
+from ssp_lp.arrays import FAILURE_FLOOR, BoolArray, FloatArray, segment_sums
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics, approach_leaving, leaving_chain
 from ssp_lp.dynamic_programming.policy_iteration import first_of_equals, iterate_policy
@@ -59,6 +59,22 @@ def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> ReachP
     return ReachPolicy(quotient.pull_back(choice), values, bound)
 
 
+def pairs_keeping_goal(model: SSP, greatest: GoalReach) -> BoolArray:
+    """Pairs that keep the greatest goal probability, or lose no more than its floor, [pairs].
+
+    A tail may use all of them: what it loses is in the gap between its value and the bound. A pair
+    of smaller loss would be tempting up to a cost that no table reaches.
+    """
+    floor = FAILURE_FLOOR * greatest.goal[model.pair_state]
+    return greatest.usable | (_lost_goal(model, greatest) <= floor)
+
+
+def _lost_goal(model: SSP, greatest: GoalReach) -> FloatArray:
+    """Loss of goal probability by each pair, the greatest being attained after it, [pairs]."""
+    here = greatest.goal[model.pair_state]
+    return np.asarray(here - successor_means(model, greatest.goal))
+
+
 def cost_horizon(
     model: SSP, greatest: GoalReach, tail: ReachPolicy, rate: float, bonus: float
 ) -> float:
@@ -66,7 +82,8 @@ def cost_horizon(
 
     At (s, r) the tail is optimal if no pair is better: bonus * (P(s) - Q_P(s, a)) >= exp(rate * r)
     * (Q_V(s, a) - V(s)) for all pairs, with P the greatest goal probability and V the tail's
-    moment. Pairs that keep P satisfy it by V's optimality; each other one from some r on.
+    moment. Pairs that keep P, or nearly, satisfy it by V's optimality; each other one from some r
+    on.
 
     Args:
         model: the model.
@@ -78,9 +95,8 @@ def cost_horizon(
     Returns:
         The cost; 0 if the tail is optimal from the start.
     """
-    losing = ~greatest.usable & (greatest.goal > 0.0)[model.pair_state]
-    losing &= ~model.goal_mask[model.pair_state]
-    lost = greatest.goal[model.pair_state] - successor_means(model, greatest.goal)
+    losing = ~pairs_keeping_goal(model, greatest) & ~model.goal_mask[model.pair_state]
+    lost = _lost_goal(model, greatest)
     ahead = _tilted_arrivals(model, rate, np.where(model.goal_mask, 1.0, tail.values.moment))
     gained = ahead - tail.values.moment[model.pair_state]
     tempting = losing & (gained > 0.0)

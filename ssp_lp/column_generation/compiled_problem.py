@@ -18,7 +18,11 @@ import numpy as np
 
 from ssp_lp.accumulated_cost import written_out
 from ssp_lp.accumulated_cost.charges import TOTAL_COST, Charge, ExponentialUtility, TailValues
-from ssp_lp.accumulated_cost.exponential_utility import cost_horizon, greatest_moment
+from ssp_lp.accumulated_cost.exponential_utility import (
+    cost_horizon,
+    greatest_moment,
+    pairs_keeping_goal,
+)
 from ssp_lp.accumulated_cost.process import (
     AccumulatedCost,
     LayeredProcess,
@@ -50,7 +54,13 @@ from ssp_lp.processes import goal_reach
 from ssp_lp.processes.conditions import FAILURE_ROW, UpperRow
 from ssp_lp.processes.explicit_process import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of, label_failure
-from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, ObjectiveSense, survival_of
+from ssp_lp.processes.failure_semantics import (
+    Aim,
+    FailureSemantics,
+    ObjectiveSense,
+    goal_out_of_reach,
+    survival_of,
+)
 from ssp_lp.processes.live_rows import uniform_cost
 
 
@@ -206,14 +216,30 @@ class CompiledProblem(ABC):
         return other
 
 
-def unreachable(budget: float | None, discounted: float | None = None) -> InfeasibleError:
-    """The error of case S where the goal is out of reach."""
+def unreachable(
+    model: SSP,
+    start: FloatArray,
+    budget: float | None,
+    discount: float | None,
+    why: str = "no cost given success exists",
+) -> InfeasibleError:
+    """The error of a problem whose goal is out of reach, where that leaves no answer.
+
+    Args:
+        model: the model.
+        start: [states].
+        budget: failure budget.
+        discount: of the problem.
+        why: what the answer lacks.
+    """
+    words = goal_out_of_reach(model, start) or "the goal cannot be reached from the start"
     return InfeasibleError(
-        "the goal cannot be reached from the start: no cost given success exists",
+        f"{words}: {why}",
         failure_budget=budget,
         least_failure=1.0,
-        least_discounted_failure=discounted,
+        least_discounted_failure=None if discount is None else 1.0,
         least_failure_bound=1.0,
+        conflicting_rows=() if budget is None else (FAILURE_ROW,),
     )
 
 
@@ -230,10 +256,13 @@ def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> Le
     """
     least_failure = compiled.least_failure()
     failure, discounted = least_failure.column.failure, compiled.discount is not None
+    setting = compiled.model, compiled.start, budget, compiled.discount
     if compiled.ratio and least_failure.column.goal <= 0.0:
-        raise unreachable(budget, 1.0 if discounted else None)
+        raise unreachable(*setting)
     if budget is None or failure <= budget + LEAST_BUDGET:
         return least_failure
+    if goal_out_of_reach(compiled.model, compiled.start):
+        raise unreachable(*setting, f"every policy fails surely, above the budget {budget:g}")
     proved = least_failure.proved
     if proved <= budget:
         kind = "discounted failure" if discounted else "failure probability"
@@ -611,8 +640,8 @@ class CompiledArrivalCost(_CompiledLayered):
         """The compiled problem's tail of an exponential utility."""
         if not isinstance(self.charge, ExponentialUtility):
             return None
-        usable = self.greatest.usable if self.charge.bonus > 0.0 else None
-        return greatest_moment(self.model, self.charge.rate, usable)
+        keeping = pairs_keeping_goal(self.model, self.greatest) if self.charge.bonus > 0.0 else None
+        return greatest_moment(self.model, self.charge.rate, keeping)
 
     @cached_property
     def cost_horizon(self) -> float:
@@ -919,9 +948,14 @@ class CompiledExplicit(CompiledProblem):
         unsure = np.flatnonzero(~surely_reaching(self.model)[0] & (self.start > 0.0))
         if not unsure.size:
             return
-        raise InfeasibleError(
+        words = (
             f"no policy reaches the goal surely from state {self.model.states[unsure[0]]!r}: the "
-            "cost is infinite; MCMP asks for the cheapest of the policies that fail least",
+            "cost is infinite"
+        )
+        if goal_out_of_reach(self.model, self.start):
+            raise unreachable(self.model, self.start, 0.0, self.discount, words)
+        raise InfeasibleError(
+            f"{words}; MCMP asks for the cheapest of the policies that fail least",
             failure_budget=0.0,
             least_failure=self._least_failure_alone,
         )
@@ -940,7 +974,7 @@ class CompiledExplicit(CompiledProblem):
         """
         self.check_sure()
         if self.ratio and self.greatest_goal <= 0.0:
-            raise unreachable(self.budget)
+            raise unreachable(self.model, self.start, self.budget, self.discount)
         if self.budget is None or self.budget >= 1.0:
             return self
         at_least = self.budget <= self.least.column.failure

@@ -464,7 +464,8 @@ class CompiledLayers(CompiledPartitioned):
         """
         own, compiled = share.layers, share.layers.compiled
         if compiled.ratio and not (own.base.start_goal or own.base.start.any()):
-            raise unreachable(compiled.budget, None if compiled.discount is None else 1.0)
+            setting = compiled.budget, compiled.discount
+            raise unreachable(compiled.model, compiled.start, *setting)
         pricing = PartitionedLayers.begun(ranks, share, compiled.fixed_cap)
         stated = {part.name: getattr(compiled, part.name) for part in fields(CompiledExplicit)}
         return cls(**stated, shared=pricing, own=own)

@@ -15,6 +15,7 @@ import numpy as np
 from ssp_lp.accumulated_cost.process import AccumulatedCost, accumulate_cost
 from ssp_lp.accumulated_cost.totals import resolution_of_costs
 from ssp_lp.arrays import LEAST_BUDGET, FloatArray, IntArray
+from ssp_lp.column_generation.compiled_problem import unreachable
 from ssp_lp.compiled.deadline import WithIncumbent, closing, is_late
 from ssp_lp.errors import (
     Argument,
@@ -32,7 +33,7 @@ from ssp_lp.model.graph import dead_ends
 from ssp_lp.options import Progress, check_tail
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem, unrolled
-from ssp_lp.processes.failure_semantics import start_distribution
+from ssp_lp.processes.failure_semantics import goal_out_of_reach, start_distribution
 from ssp_lp.processes.goal_reach import max_goal_probability
 
 _MOST_STEPS = 100
@@ -78,6 +79,9 @@ def check_budget(
     problem = unrolled(problem)
     start = start_distribution(problem.model, problem.start)
     real = max(1.0 - float(start @ max_goal_probability(problem.model)), 0.0)
+    if goal_out_of_reach(problem.model, start):
+        setting = problem.model, start, budget, problem.discount
+        raise unreachable(*setting, f"every policy fails surely, above the budget {budget:g}")
     could = real < budget and tail is None
     nearer = "; a discount nearer to 1 is feasible" if could else ""
     among = "" if tail is None else f" that follows pi'_or from a total cost of {tail:g} on"
@@ -102,12 +106,7 @@ def construct(problem: Problem) -> LabelModels | AccumulatedCost:
     if not problem.ratio:
         return label_models(problem.model, start, problem.semantics, discount)
     if not (start[~dead_ends(problem.model)] > 0.0).any():
-        raise InfeasibleError(
-            "the goal cannot be reached from the start: no cost given success exists",
-            failure_budget=problem.failure_budget,
-            least_failure=1.0,
-            least_discounted_failure=1.0,
-        )
+        raise unreachable(problem.model, start, problem.failure_budget, discount)
     by_steps = resolution_of_costs(problem.model) is not None
     return accumulate_cost(problem.model, start, discount, by_steps=by_steps)
 

@@ -50,7 +50,7 @@ from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem, Restated, compiled_constrained, unrolled
 from ssp_lp.processes.conditions import FAILURE_ROW
-from ssp_lp.processes.failure_semantics import Aim, FailureSemantics
+from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, goal_out_of_reach
 from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 
 _PATIENCE = 6  # refinements that need not even halve the gap
@@ -497,6 +497,8 @@ def _infeasible(
         words = f"no policy keeps to {FAILURE_ROW!r} <= {budget:.12g} and the limits: {words}"
         named = [FAILURE_ROW, *named]
 
+    if far := goal_out_of_reach(compiled.model, compiled.start):
+        words = f"{far}: {words}"
     least_failure, discount = compiled.failure_at_least, compiled.discount
     return InfeasibleError(
         words,

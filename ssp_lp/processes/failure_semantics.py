@@ -31,7 +31,8 @@ from ssp_lp.errors import (
     wrong_argument,
 )
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import attention_pairs, attention_states, goal_pairs
+from ssp_lp.model.graph import attention_pairs, attention_states, goal_pairs, hopeless_states
+from ssp_lp.model.product import ProductSSP
 from ssp_lp.processes.live_rows import cost_means, costless_pairs, successor_means
 from ssp_lp.processes.quotient import Quotient
 
@@ -129,6 +130,7 @@ class FailureSemantics:
         return self.penalty == 0.0 and self.aim is Aim.LEAST_COST and not self.counts_law
 
 
+_MOST_NAMED = 3  # states of a start that an error names
 _ROUNDED = 2e-14  # of what a difference is taken from, sums along a process included
 
 
@@ -270,6 +272,23 @@ def start_distribution(model: SSP, start: Hashable | Mapping[Hashable, float]) -
     if abs(total - 1.0) > 1e-9:
         raise ModelError(f"start probabilities sum to {total:.12g}, not to 1")
     return distribution / total
+
+
+def goal_out_of_reach(model: SSP, start: FloatArray) -> str:
+    """Words for a goal that no policy reaches from any state of a start; "": some policy does.
+
+    Args:
+        model: the model.
+        start: distribution over its states, [states].
+    """
+    begins = start.nonzero()[0]
+    if not hopeless_states(model)[begins].all():
+        return ""
+    named = [model.states[k] for k in begins[:_MOST_NAMED].tolist()]
+    while isinstance(model, ProductSSP) and model.is_hidden:  # as the user calls them
+        named, model = [label for label, _ in named], model.original
+    names = " or ".join(repr(label) for label in named)
+    return f"the goal cannot be reached from {names}{' or ...' * (begins.size > len(named))}"
 
 
 def check_penalty(penalty: float) -> None:
