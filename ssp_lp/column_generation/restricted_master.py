@@ -15,11 +15,17 @@ negative values: primal steps follow. Whatever rounding spoils, steps of the oth
 basis has one variable more than there are rows, so that each step inverts it afresh, and tells a 0
 from its rounding. Where steps lead in a circle others enter first; should rounding alone lead on,
 the basis that lacks least is taken.
+
+Both sides of what that ends with are checked: every row holds to a share of its own bound, and no
+policy is worth less at the prices. Where one is not so, a limit being tiny beside what policies
+take, steps go on from that basis in fractions, until both are so.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 
@@ -36,6 +42,15 @@ _TIED = 1e-14  # of the numbers that a reduced cost is made of: then it is 0
 _PIVOT = 1e-13  # of the numbers that an entry is made of: then it is 0
 _CIRCLES = 10  # of bases, in each of which others enter first, after which rounding alone leads on
 _GOLDEN = 0.618  # whose multiples are spread evenly: what enters first in a circle
+
+_KEPT = 1e-13
+"""Share of a row's bound by which an answer in floating point may exceed it; of a value, by which
+its two sides may differ: a tenth of what is promised."""
+
+_ROOM = 4.0 * MACHINE_EPSILON
+"""Share of a bound that counts as none in fractions: policies' totals are rounded sums."""
+
+_MOST_STEPS = 10_000  # in fractions, which no rounding leads in a circle
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,21 +97,187 @@ def solve_master(
     basis = np.append(np.arange(n_rows) + (priced.size - n_rows), best)
     if elastic:
         basis[:-1] -= n_rows * (beyond[:, best] > 0.0)  # the excess in place of the slack
-    x, dual = _by_simplex(priced, matrix, basis, rounding, np.append(broken, 0.0))
+    x, dual, basis = _by_simplex(priced, matrix, basis, rounding, np.append(broken, 0.0))
     weights = np.where(x[:n_columns] > _NEGATIVE, x[:n_columns], 0.0)
-    weights /= weights.sum()
+    prices = unit * np.maximum(-dual[:n_rows], 0.0) / units
     excess = x[n_columns : n_columns + n_rows] if elastic else np.zeros(n_rows)
-    return MasterOptimum(
-        value=float(excess.sum()) if elastic else float(cost @ weights),
-        weights=weights,
-        prices=unit * np.maximum(-dual[:n_rows], 0.0) / units,
-        excess=excess,
-    )
+    program = _Program(cost, activity, bounds, scales, elastic)
+    optimum = program.optimum(weights / weights.sum(), prices, excess)
+    if not program.is_settled(optimum):
+        optimum = program.solved_in_fractions(basis.tolist()) or optimum
+    return optimum
+
+
+@dataclass(frozen=True, eq=False)
+class _Program:
+    """The restricted master as it is stated. Variables: policies, excesses if elastic, slacks."""
+
+    cost: FloatArray  # [columns]
+    activity: FloatArray  # [rows, columns]
+    bounds: FloatArray  # [rows]
+    scales: FloatArray  # [rows] > 0
+    elastic: bool
+
+    def optimum(self, weights: FloatArray, prices: FloatArray, excess: FloatArray) -> MasterOptimum:
+        """The restricted master's optimum with its value."""
+        value = float(excess.sum()) if self.elastic else float(self.cost @ weights)
+        return MasterOptimum(value, weights, prices, excess)
+
+    def is_settled(self, optimum: MasterOptimum) -> bool:
+        """Whether both sides of the restricted master's optimum hold, each in its own size."""
+        weights, prices = optimum.weights, optimum.prices
+        over = self.activity @ weights - self.bounds - optimum.excess * self.scales
+        if not (over <= _KEPT * np.abs(self.bounds)).all():
+            return False
+        beyond = self.activity - self.bounds[:, None]
+        worth, size = self.cost + prices @ beyond, np.abs(self.cost) + prices @ np.abs(beyond)
+        least = float((worth + 2.0 * MACHINE_EPSILON * size).min())
+        return bool(optimum.value - least <= _KEPT * abs(optimum.value))
+
+    def solved_in_fractions(self, basis: list[int]) -> MasterOptimum | None:
+        """The restricted master's optimum by steps in fractions; None: no lottery is within.
+
+        Args:
+            basis: variables to begin with, [rows + 1].
+        """
+        n_rows, n_columns = self.activity.shape
+        granted = self.bounds + _ROOM * np.abs(self.bounds)
+        exact = _ExactSimplex(self._entries(granted), self._costs())
+        final = exact.solved(basis)
+        if final is None:
+            final = exact.solved(self._first_basis(granted))
+        if final is None:
+            return None
+        x, dual = exact.values(final), exact.duals(final)
+        stated = _ExactSimplex(self._entries(self.bounds), exact.cost).values(final)
+        values = np.zeros(len(exact.cost))
+        values[final] = [float(max(each, Fraction(0))) for each in stated]
+        if min(stated) < 0:  # by the room alone, if what is left keeps to that
+            left = values[:n_columns] / values[:n_columns].sum()
+            excess = values[n_columns : n_columns + n_rows] * self.elastic
+            if (self.activity @ left - excess * self.scales > granted).any():
+                values[final] = [float(each) for each in x]
+        weights = values[:n_columns]
+        prices = np.array([max(-float(each), 0.0) for each in dual[:n_rows]])
+        excess = values[n_columns : n_columns + n_rows] if self.elastic else np.zeros(n_rows)
+        return self.optimum(weights / weights.sum(), prices, excess)
+
+    def _entries(self, bounds: FloatArray) -> list[list[Fraction]]:
+        """Entries of the restricted master's variables in its rows, [variables][rows + 1]."""
+        n_rows, zero, one = len(bounds), Fraction(0), Fraction(1)
+        limits = [Fraction(bound) for bound in bounds.tolist()]
+
+        def unit(row: int, entry: Fraction) -> list[Fraction]:
+            """A column with one entry."""
+            return [entry if k == row else zero for k in range(n_rows + 1)]
+
+        entries = [
+            [*(Fraction(a) - b for a, b in zip(taken, limits, strict=True)), one]
+            for taken in self.activity.T.tolist()
+        ]
+        if self.elastic:
+            entries += [unit(k, -Fraction(s)) for k, s in enumerate(self.scales.tolist())]
+        return entries + [unit(k, one) for k in range(n_rows)]
+
+    def _costs(self) -> list[Fraction]:
+        """Costs of the restricted master's variables, [variables]."""
+        n_rows = len(self.bounds)
+        costs = [Fraction(c) for c in self.cost.tolist()] + [Fraction(1)] * (n_rows * self.elastic)
+        return costs + [Fraction(0)] * n_rows
+
+    def _first_basis(self, granted: FloatArray) -> list[int]:
+        """The basis of one policy that steps in fractions begin with, [rows + 1]."""
+        n_rows, n_columns = self.activity.shape
+        beyond = self.activity - granted[:, None]
+        over = (np.maximum(beyond, 0.0) / self.scales[:, None]).sum(axis=0)
+        best = int(np.argmin(over if self.elastic else self.cost))
+        slacks = n_columns + n_rows * self.elastic + np.arange(n_rows)
+        return [*(slacks - n_rows * self.elastic * (beyond[:, best] > 0.0)).tolist(), best]
+
+
+class _ExactSimplex:
+    """Simplex steps in fractions: min ``cost @ x``, the entries' sum being (0, ..., 0, 1), x >= 0.
+
+    Of the variables that may enter or leave the first one is taken (Bland), so that steps end.
+    """
+
+    def __init__(self, entries: Sequence[Sequence[Fraction]], cost: Sequence[Fraction]) -> None:
+        """Keep the entries, [variables][rows], and the costs, [variables]."""
+        self.entries, self.cost = entries, cost
+
+    def values(self, basis: Sequence[int]) -> list[Fraction]:
+        """Values of the basic variables, [rows]."""
+        rows = list(zip(*(self.entries[j] for j in basis), strict=True))
+        return _solved(rows, [Fraction(int(k == len(rows) - 1)) for k in range(len(rows))])
+
+    def duals(self, basis: Sequence[int]) -> list[Fraction]:
+        """Duals of the rows, [rows]."""
+        return _solved([self.entries[j] for j in basis], [self.cost[j] for j in basis])
+
+    def solved(self, basis: Sequence[int]) -> list[int] | None:
+        """An optimal basis; None: there is none, or the first one is of neither kind."""
+        basis = list(basis)
+        for _ in range(_MOST_STEPS):
+            try:
+                values, dual = self.values(basis), self.duals(basis)
+            except ZeroDivisionError:
+                return None
+            inside, reduced = set(basis), [c - _dot(dual, e) for c, e in self._variables()]
+            short = (
+                min((j, k) for k, j in enumerate(basis) if values[k] < 0)
+                if min(values) < 0
+                else None
+            )
+            cheaper = next((j for j, r in enumerate(reduced) if r < 0 and j not in inside), None)
+            if short is None and cheaper is None:
+                return basis
+            if short is not None and cheaper is not None:
+                return None
+            rows = list(zip(*(self.entries[j] for j in basis), strict=True))
+            if cheaper is not None:  # a primal step
+                along = _solved(rows, list(self.entries[cheaper]))
+                able = [(values[k] / a, basis[k], k) for k, a in enumerate(along) if a > 0]
+                if not able:
+                    return None
+                basis[min(able)[2]] = cheaper
+                continue
+            place = short[1] if short is not None else 0
+            unit = [Fraction(int(k == place)) for k in range(len(basis))]
+            among = _solved([self.entries[j] for j in basis], unit)
+            turns = [(j, _dot(among, e)) for j, (_, e) in enumerate(self._variables())]
+            falling = [(reduced[j] / -t, j) for j, t in turns if t < 0 and j not in inside]
+            if not falling:
+                return None
+            basis[place] = min(falling)[1]
+        return None
+
+    def _variables(self) -> zip[tuple[Fraction, Sequence[Fraction]]]:
+        """Cost and entries of each variable in turn."""
+        return zip(self.cost, self.entries, strict=True)
+
+
+def _dot(one: Sequence[Fraction], other: Sequence[Fraction]) -> Fraction:
+    """Product of two exact vectors, zeros being left out."""
+    return sum((a * b for a, b in zip(one, other, strict=True) if a and b), Fraction(0))
+
+
+def _solved(rows: Sequence[Sequence[Fraction]], right: Sequence[Fraction]) -> list[Fraction]:
+    """Solution of equations in fractions; ZeroDivisionError: they are singular."""
+    table = [[*row, b] for row, b in zip(rows, right, strict=True)]
+    for k in range(len(table)):
+        pivot = next((i for i in range(k, len(table)) if table[i][k]), k)
+        table[k], table[pivot] = table[pivot], table[k]
+        head = table[k][k]
+        table[k] = [each / head for each in table[k]]
+        for i, row in enumerate(table):
+            if i != k and (factor := row[k]):
+                table[i] = [a - factor * b if b else a for a, b in zip(row, table[k], strict=True)]
+    return [row[-1] for row in table]
 
 
 def _by_simplex(
     cost: FloatArray, matrix: FloatArray, basis: IntArray, rounding: FloatArray, noise: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, IntArray]:
     """Simplex on the restricted master: min ``cost @ x``, ``matrix @ x == (0, ..., 0, 1)``, x >= 0.
 
     Args:
@@ -107,7 +288,7 @@ def _by_simplex(
         noise: of an entry, from what it is the difference of, [rows].
 
     Returns:
-        The optimal values, [variables], and the rows' duals, [rows].
+        The optimal values, [variables], the rows' duals, [rows], and the basis, [rows].
     """
     n_rows = len(matrix)
     right = np.eye(n_rows)[-1]
@@ -130,7 +311,7 @@ def _by_simplex(
         reduced = np.where(tied, 0.0, reduced)
         short = values + rounding[basis]
         if not (lack := -min(short.min(), reduced.min())) >= least:
-            least, optimum = lack, (x, dual)
+            least, optimum = lack, (x, dual, basis.copy())
         if short.min() < 0.0:  # a dual step
             leaving = int(np.argmin(short))
             among = _refined(inverse.T, square.T, np.eye(n_rows)[leaving])
