@@ -33,6 +33,7 @@ from ssp_lp.processes.conditions import Condition
 from ssp_lp.processes.failure_semantics import (
     Aim,
     FailureSemantics,
+    GoalShare,
     start_distribution,
     survival_of,
 )
@@ -250,21 +251,18 @@ class Restated:
 _FOLLOWS = "failure_budget followed from reach_fraction (solve takes as long as it is given)"
 
 
-class _Shared(float):
-    """A budget computed from reach_fraction; ``replace`` must not take it for the user's."""
-
-
 class FailureBudget:
     """The field ``failure_budget`` of a problem that may be given ``reach_fraction`` instead.
 
-    The budget is then ``1 - reach_fraction * greatest goal probability``, worked out when it is
+    The budget is then that of a share of the greatest goal probability, worked out when it is
     first asked for: stating a problem solves nothing. ``solve`` does so within its own time limit;
     whoever only reads it waits for some seconds at most, and gets an OutOfTimeError after that.
     """
 
     def __set__(self, problem: object, value: float | None) -> None:
         """Keep what was stated."""
-        vars(problem)["_stated_budget"] = None if isinstance(value, _Shared) else as_float(value)
+        is_followed = isinstance(value, GoalShare)  # ``replace`` must not take it for the user's
+        vars(problem)["_stated_budget"] = None if is_followed else as_float(value)
 
     def __get__(self, problem: Any, owner: type[object]) -> float | None:
         """The budget; asked of the class, the default: least failure."""
@@ -276,7 +274,7 @@ class FailureBudget:
                 return asked.failure_budget  # kept in one place, whoever asks
             if (key := "_budget") not in fields:
                 with limited(None if is_within_call() else READING, _FOLLOWS):
-                    fields[key] = _Shared(budget_of_share(asked.model, asked.start, share))
+                    fields[key] = budget_of_share(asked.model, asked.start, share)
         return cast("float | None", fields[key])
 
 
@@ -292,7 +290,7 @@ def as_stated(problem: object) -> dict[str, Any]:
 
 def budget_of_share(
     model: SSP, start: Hashable | Mapping[Hashable, float], reach_fraction: float
-) -> float:
+) -> GoalShare:
     """A problem's failure budget by a share of the greatest goal probability.
 
     Args:
@@ -301,7 +299,7 @@ def budget_of_share(
         reach_fraction: the share, in [0, 1].
     """
     begun = start_distribution(model, start)
-    return min(max(1.0 - reach_fraction * greatest_goal_from(model, begun), 0.0), 1.0)
+    return GoalShare(min(max(reach_fraction * greatest_goal_from(model, begun), 0.0), 1.0))
 
 
 def check_problem(problem: object, verb: str) -> None:

@@ -96,6 +96,10 @@ class Solution(ReadOnlyCopies):
     upper_bound: float | None = None  # of a greatest probability, certified; None for least costs
     prices: Mapping[str, float] = field(default_factory=dict)  # multiplier of each row, by name
     least_failure_bound: float | None = None  # at least failure: certified, of every policy
+    granted: Mapping[str, float] = field(default_factory=dict)
+    """Bounds by name that lay below what is attainable by rounding, and count as equal to it."""
+    taken: Mapping[str, float] = field(default_factory=dict)
+    """Left side of each limited row as measured, where the method measures rows; by name."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "prices", ByName(self.prices))
@@ -446,6 +450,8 @@ class Answer:
     prices: Mapping[str, float] = field(default_factory=dict)  # multipliers of all rows, by name
     note: str = ""
     least_failure_bound: float | None = None  # at least failure: of every policy's failure
+    granted: Mapping[str, float] = field(default_factory=dict)  # bounds that count, if others do
+    taken: Mapping[str, float] = field(default_factory=dict)  # of the limited rows, if measured
 
 
 def assembled(
@@ -466,7 +472,7 @@ def assembled(
     if not isinstance(policy, MixedPolicy):
         policy = MixedPolicy((policy,), np.ones(1))
     bound = sense.settled_bound(found.value, least_of(found.bound, found.value))
-    objective, limit = sense.worth(found.value), sense.worth(bound)
+    objective, limit = sense.worth(found.value), sense.worth_of_bound(bound)
     maximised, prices = sense.constant is not None, found.prices
     if not prices and found.price is not None and not problem.semantics.forbids_failing:
         prices = {FAILURE_ROW: found.price}
@@ -483,6 +489,8 @@ def assembled(
         upper_bound=max(limit, objective) if maximised else None,
         prices=prices,
         least_failure_bound=found.least_failure_bound,
+        granted=found.granted,
+        taken=found.taken,
     )
 
 

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import logging
 import time
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from math import isfinite
 
+import numpy as np
+
 from ssp_lp.accumulated_cost.policy_layers import giving_up_where_lost
+from ssp_lp.analysis.evaluation import evaluate
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP
 from ssp_lp.compiled.deadline import Deadline, Stop, WithIncumbent, closing, until
 from ssp_lp.dynamic_programming.evaluation import PROVED_OF_MANY
 from ssp_lp.errors import ModelError, OutOfTimeError, SolverError
 from ssp_lp.methods.approaches import Case, approach_to, refusal
-from ssp_lp.methods.incumbent import Incumbent
+from ssp_lp.methods.incumbent import Incumbent, broken_limit
 from ssp_lp.model.arguments import explained
 from ssp_lp.options import (
     ColumnGeneration,
@@ -31,6 +35,7 @@ from ssp_lp.options import (
 from ssp_lp.problem import (
     Problem,
     check_problem,
+    conditions_of,
     has_rows,
     least_failure_bound,
     pulled_back,
@@ -39,7 +44,7 @@ from ssp_lp.problem import (
 from ssp_lp.processes.failure_semantics import GiveUp, goal_out_of_reach, start_distribution
 from ssp_lp.solution import Solution
 
-_ROUNDING = 1e-12  # of sums of probabilities
+_ROUNDING = 1e-12  # of sums of probabilities, and of a row's own size
 _SEARCH, _PROOF = logging.getLogger("ssp_lp.search"), logging.getLogger("ssp_lp.proof")
 
 
@@ -175,7 +180,7 @@ def _solved_with_proof(
         if deadline.was_met:
             with WithIncumbent(), closing():
                 solution = incumbent.improving(solution)
-    _check_solution(solution)
+    _check_solution(solution, None if deadline.was_met else options.deadline)
     figures = solution.run.method, solution.run.pricing_calls, solution.objective
     _SEARCH.info("%s: %d pricing calls, objective %.9g", *figures)
     bound = solution.lower_bound if solution.upper_bound is None else solution.upper_bound
@@ -198,12 +203,16 @@ def _error_without_answer(
     )
 
 
-def _check_solution(solution: Solution) -> None:
+def _check_solution(solution: Solution, deadline: float | None) -> None:
     """Check what every answer of ``solve`` must satisfy, whoever found it.
 
+    Args:
+        solution: the answer.
+        deadline: until when its policy may be evaluated for its limits; None: there is no time.
+
     Raises:
-        SolverError: a probability outside [0, 1], a budget that is not kept, weights that are no
-            lottery, or a value that is no number.
+        SolverError: a probability outside [0, 1], a budget or a limit that is not kept, weights
+            that are no lottery, or a value that is no number.
     """
     budget, used = solution.problem.failure_budget, solution.budget_used
     weights = solution.policy.weights.tolist()
@@ -216,6 +225,21 @@ def _check_solution(solution: Solution) -> None:
         faults.append(f"it fails with {used!r}, {budget!r} allowed")
     if not (min(weights) >= 0.0 and abs(sum(weights) - 1.0) <= _ROUNDING):
         faults.append("its weights are no lottery")
+    taken, granted = solution.taken, solution.granted
+    for condition in conditions_of(solution.problem) if taken else ():
+        for row in (each.by_digits for each in condition.rows):
+            most = granted.get(row.name, row.bound)
+            if taken.get(row.name, np.inf) > most + _ROUNDING * abs(most):
+                faults.append(
+                    f"it takes {taken[row.name]!r} of {row.told!r}, {row.bound!r} allowed"
+                )
+    if not taken and conditions_of(solution.problem) and deadline is not None and not faults:
+        left = deadline - time.perf_counter()
+        with suppress(OutOfTimeError, ModelError):  # a law that is too long to be told
+            limit = left if isfinite(left) else None
+            evaluation = evaluate(solution.policy, solution.problem, time_limit=limit)
+            broken = broken_limit(solution.problem, evaluation, granted=granted)
+            faults += [broken] if broken else []
     if faults:
         raise SolverError(
             f"the answer fails its check: {', '.join(faults)}; please report the model"

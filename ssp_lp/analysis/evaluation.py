@@ -67,6 +67,12 @@ class Evaluation(Reported):
         default_factory=dict
     )  # each constrained quantity, by name; as ``objective``
     cost_after_failing: float | None = None  # until the true end; None: runs are over by failing
+    discounted_goal: float | None = None  # E[gamma^T; goal]; None: exact
+
+    @property
+    def limited_goal(self) -> float:
+        """Goal probability of the evaluated policy, without what a budget limits."""
+        return self.goal_probability if self.discounted_goal is None else self.discounted_goal
 
     @property
     def limited_failure(self) -> float:
@@ -178,6 +184,7 @@ def evaluation_of(sums: _Measures, problem: Problem) -> Evaluation:
         expected_cost=sums.expected_cost,
         objective=objective,
         discounted_failure=surrogate if discounted else None,
+        discounted_goal=sums.discounted_goal if discounted else None,
         ends=sums.ends,
         secondary_costs=secondary,
         cost_after_failing=sums.after_failing,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -14,6 +14,7 @@ from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.policies.policy import Policy
+from ssp_lp.processes.failure_semantics import RARE_GOAL, GoalShare
 
 _Array = TypeVar("_Array", bound=npt.NDArray[Any])
 
@@ -36,23 +37,27 @@ class Column:
     found_at: float | None = None  # a price at which no policy of its process is worth less
     work: Work = field(default_factory=Work)  # what finding it took
     rows: tuple[float, ...] = ()  # what it takes of each row beside the failure row
+    by_goal: bool = False  # the pricing counts success, as minus the goal, in place of failing
 
     @classmethod
-    def of_figures(cls, figures: FloatArray, choice: IntArray, **more: Any) -> Column:
+    def of_figures(
+        cls, figures: FloatArray, choice: IntArray, *, by_goal: bool = False, **more: Any
+    ) -> Column:
         """A column from its rewards, verified: beyond 0 and 1 lies rounding."""
-        cost, failure, *rows = figures.tolist()
-        failure = min(max(failure, 0.0), 1.0)
-        return cls(cost, failure, 1.0 - failure, choice, rows=tuple(rows), **more)
+        cost, counted, *rows = figures.tolist()
+        counted = min(max(-counted if by_goal else counted, 0.0), 1.0)
+        failure, goal = (1.0 - counted, counted) if by_goal else (counted, 1.0 - counted)
+        return cls(cost, failure, goal, choice, rows=tuple(rows), by_goal=by_goal, **more)
 
     @cached_property
     def figures(self) -> FloatArray:
         """Rewards of a column, [rewards]: cost, failure, and its coefficients in the rows."""
-        return np.array([self.cost, self.failure, *self.rows])
+        return np.array([self.cost, -self.goal if self.by_goal else self.failure, *self.rows])
 
 
 def excess_failure(risky: Column, safe: Column) -> float:
     """Failure of a column in excess of another's, without cancellation."""
-    if max(risky.goal, safe.goal) < 0.5 and safe.goal > risky.goal:
+    if max(risky.goal, safe.goal) < 0.5:
         return safe.goal - risky.goal
     return risky.failure - safe.failure
 
@@ -172,10 +177,28 @@ class FailureRow:
     budget: float
     ratio: bool
     lowest: float = 0.0  # no objective is less
+    demanded: float = field(init=False)  # goal probability that the budget leaves
+    is_rare: bool = field(init=False)  # so little that it is counted in place of failing
+    rounding: float = field(init=False)  # by which a column may seem to miss a budget it meets
+
+    def __post_init__(self) -> None:
+        budget = self.budget
+        demanded = budget.demanded if isinstance(budget, GoalShare) else 1.0 - budget
+        follows = vars(self)
+        follows["demanded"], follows["is_rare"] = demanded, 0.0 < demanded < RARE_GOAL
+        follows["rounding"] = _SAME * max(min(budget, demanded), 0.0)
+
+    def raised_to(self, least: Column) -> FailureRow:
+        """The failure row with a budget that the column of least failure keeps to."""
+        return self if self.spare(least) >= 0.0 else self.equal_to(least)
+
+    def equal_to(self, least: Column) -> FailureRow:
+        """The failure row whose budget is what the column of least failure takes."""
+        return replace(self, budget=GoalShare(least.goal) if self.is_rare else least.failure)
 
     def spare(self, column: Column) -> float:
         """Failure that a column leaves of the budget, without cancellation; below 0: it breaks."""
-        demanded = 1.0 - self.budget
+        demanded = self.demanded
         return column.goal - demanded if demanded < 0.5 else self.budget - column.failure
 
     def leaves_only(self, least: Column) -> bool:
@@ -185,11 +208,6 @@ class FailureRow:
     def breaks(self, column: Column) -> bool:
         """Whether a column breaks the failure row's budget by more than rounding."""
         return self.spare(column) < -self.rounding
-
-    @property
-    def rounding(self) -> float:
-        """Rounding by which a column may seem to miss a budget that it meets."""
-        return _SAME * max(min(self.budget, 1.0 - self.budget), 0.0)
 
     def objective(self, cost: float, goal: float) -> float:
         """Objective of a mixture of columns by its cost and failure."""
@@ -203,15 +221,17 @@ class FailureRow:
         Case M: cost + price * failure >= bound gives cost >= bound - price * budget. Case S:
         cost >= c * goal follows for c = bound if bound >= price, else, as failure <= budget, for
         c = (bound - price * budget) / (1 - budget). With failing counted 0 the value is shifted
-        by the price, which is exact where the budget is slack.
+        by the price, which is exact where the budget is slack, or success rare.
         """
-        bound, price, share = proof.bound, proof.price, 1.0 - self.budget
-        worth = price * self.budget
+        bound, price, share = proof.bound, proof.price, self.demanded
+        worth = price * (share if proof.failing == 0.0 else self.budget)
         rounding = _ROUNDED * (abs(bound) + worth) if worth > 0.0 else 0.0
         if not self.ratio:
-            lower_bound = bound - worth - rounding
+            lower_bound = bound - rounding + (worth if proof.failing == 0.0 else -worth)
         elif proof.failing == 0.0:
-            lower_bound = price + (bound if bound >= 0.0 else _per_success(bound, share))
+            beyond = bound if bound >= 0.0 else _per_success(bound, share)
+            lost = _ROUNDED * (price - beyond) if beyond < 0.0 and share > 0.0 else 0.0
+            lower_bound = price + beyond - lost
         else:
             lower_bound = bound if bound >= price else _per_success(bound - worth - rounding, share)
         return max(lower_bound, self.lowest)

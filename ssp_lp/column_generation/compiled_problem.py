@@ -39,7 +39,14 @@ from ssp_lp.accumulated_cost.totals import (
     sums_in,
 )
 from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON, FloatArray, IntArray, read_only
-from ssp_lp.column_generation.column import Column, PricingProblem, Proof, relative_gap, required
+from ssp_lp.column_generation.column import (
+    Column,
+    FailureRow,
+    PricingProblem,
+    Proof,
+    relative_gap,
+    required,
+)
 from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
 from ssp_lp.column_generation.layered_pricing import LayeredPricing, OpenEndedPricing
 from ssp_lp.compiled.accelerator import accelerated
@@ -55,9 +62,11 @@ from ssp_lp.processes.conditions import FAILURE_ROW, UpperRow
 from ssp_lp.processes.explicit_process import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of, label_failure
 from ssp_lp.processes.failure_semantics import (
+    RARE_GOAL,
     Aim,
     FailureSemantics,
     ObjectiveSense,
+    demanded_goal,
     goal_out_of_reach,
     survival_of,
 )
@@ -158,6 +167,14 @@ class CompiledProblem(ABC):
     @abstractmethod
     def pricing(self) -> PricingProblem:
         """The pricing problem of the compiled problem as it stands."""
+
+    def counting_rare_success(self, budget: float | None) -> Self:
+        """The compiled problem with success counted in place of failing where it is rare.
+
+        Args:
+            budget: failure budget; None: as low as possible.
+        """
+        return self
 
     def for_program(self) -> Self:
         """The compiled problem whose written-out process has the problem's optimum."""
@@ -872,12 +889,32 @@ class CompiledExplicit(CompiledProblem):
     objective: UpperRow | None = None  # minimised in place of the cost; no charge then
     resolution: Resolution | None = None  # totals that are no multiples of a unit
     partition: Partition | None = None  # who shares the pricing
+    by_goal: bool = False  # success, as minus the goal, is counted in place of failing
 
     is_whole: ClassVar[bool] = True  # other questions can be asked of the model as well
 
     def shared_by(self, partition: Partition) -> CompiledExplicit:
         """The compiled problem whose explicit pricing several ranks share."""
         return replace(self, partition=partition)
+
+    def counting_rare_success(self, budget: float | None) -> Self:
+        """The compiled problem with success counted in place of failing where it is rare.
+
+        Nothing is then one minus a small number: not the goal, nor what a limit asks of an end.
+        """
+        demanded = 0.0 if budget is None else demanded_goal(budget)
+        side = tuple(row.by_digits for row in self.side)
+        is_rare = 0.0 < demanded < RARE_GOAL
+        if demanded == 0.0 and self.ratio:
+            is_rare = self.greatest_goal < RARE_GOAL
+        return replace(self, side=side, by_goal=self.by_goal or is_rare)
+
+    @property
+    def may_be_rare(self) -> bool:
+        """Whether rows alone may make success rare, which is not counted by itself yet."""
+        is_greatest = self.semantics.aim is Aim.GREATEST_GOAL and self.objective is None
+        is_free = self.ratio and self.budget is not None and self._demanded == 0.0
+        return (is_greatest or is_free) and not self.by_goal and self.partition is None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -891,7 +928,7 @@ class CompiledExplicit(CompiledProblem):
         if self.objective is not None:
             return ObjectiveSense(None, shift, self.objective.offset)
         if self.semantics.aim is Aim.GREATEST_GOAL:
-            return ObjectiveSense(1.0, shift)
+            return ObjectiveSense(0.0 if self.by_goal else 1.0, shift)
         failing = self.semantics.failing_worth + shift
         return ObjectiveSense(failing if self.semantics.maximises else None, shift)
 
@@ -904,14 +941,21 @@ class CompiledExplicit(CompiledProblem):
     @property
     def told(self) -> tuple[str, ...]:
         """Words for the quantities that the compiled problem's rows bound."""
-        return (FAILURE_ROW, *(row.told for row in self.side))
+        ending = "- goal probability" if self.by_goal else FAILURE_ROW
+        return (ending, *(row.told for row in self.side))
 
     @property
     def bounds(self) -> FloatArray:
         """Bound of each of the compiled problem's rows; infinite: no limit, [rows]."""
-        limited = self.budget is not None and self.budget < 1.0
-        budget = max(self.budget or 0.0, 0.0) if limited else np.inf
-        return np.array([budget, *(row.bound for row in self.side)])
+        granted, demanded = np.inf, self._demanded
+        if self.budget is not None and demanded > 0.0:
+            granted = -demanded if self.by_goal else max(self.budget, 0.0)
+        return np.array([granted, *(row.bound for row in self.side)])
+
+    @property
+    def _demanded(self) -> float:
+        """Goal probability that the compiled problem's budget demands; 0: none."""
+        return 0.0 if self.budget is None else max(demanded_goal(self.budget), 0.0)
 
     @cached_property
     def least(self) -> LeastFailure:
@@ -924,7 +968,7 @@ class CompiledExplicit(CompiledProblem):
         self.check_sure()
         stage = label_failure(*how, self.greatest.usable)
         begun_from = stage.placed(self.greatest.decision)
-        second = ExplicitPricing(stage, self.precise, begun_from=begun_from)
+        second = ExplicitPricing(stage, self.precise, begun_from=begun_from, by_goal=self.by_goal)
         column = second.minimise(0.0)
         bound = second.prove(0.0, column).bound
         if relative_gap(column.cost, bound) > _UNPROVED and not self.precise:
@@ -975,9 +1019,9 @@ class CompiledExplicit(CompiledProblem):
         self.check_sure()
         if self.ratio and self.greatest_goal <= 0.0:
             raise unreachable(self.model, self.start, self.budget, self.discount)
-        if self.budget is None or self.budget >= 1.0:
+        if self.budget is None or self._demanded == 0.0:
             return self
-        at_least = self.budget <= self.least.column.failure
+        at_least = FailureRow(self.budget, self.ratio).spare(self.least.column) <= 0.0
         return replace(self, budget=None) if at_least else self
 
     @cached_property
@@ -995,7 +1039,7 @@ class CompiledExplicit(CompiledProblem):
     def least_goal(self) -> float:
         """Goal probability that every policy within the compiled problem's budget has at least."""
         least = float(self.start @ self._least_goals)
-        return max(least, 0.0) if self.budget is None else max(1.0 - self.budget, least, 0.0)
+        return max(self._demanded, least, 0.0)
 
     @cached_property
     def _least_goals(self) -> FloatArray:
@@ -1049,7 +1093,8 @@ class CompiledExplicit(CompiledProblem):
         if not isinstance(layered, written_out.OpenEnded) or not self._is_swept:
             return self.explicit_pricing
         counting = layered.counting(self.semantics)
-        return OpenEndedPricing(layered, self.precise, tuple(row.at(counting) for row in self.side))
+        rows = tuple(row.at(counting) for row in self.side)
+        return OpenEndedPricing(layered, self.precise, rows, self.by_goal)
 
     @property
     def _is_swept(self) -> bool:
@@ -1064,8 +1109,10 @@ class CompiledExplicit(CompiledProblem):
         own = () if self.objective is None else (self.objective,)
         rows = self.row_coefficients((*own, *self.side))
         counted = rows.pop(0) if own else None
+        if self.by_goal and self.semantics.aim is Aim.GREATEST_GOAL:
+            counted = -self.augmented.process.goal
         how = self.precise, tuple(rows), counted
-        return ExplicitPricing(self.augmented, *how, partition=self.partition)
+        return ExplicitPricing(self.augmented, *how, partition=self.partition, by_goal=self.by_goal)
 
     def row_coefficients(self, rows: Sequence[UpperRow]) -> list[FloatArray]:
         """Coefficients of the compiled problem's rows at each pair, [process pairs] each."""

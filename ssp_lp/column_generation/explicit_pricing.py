@@ -35,7 +35,13 @@ from ssp_lp.dynamic_programming.evaluation import evaluate_policy
 from ssp_lp.dynamic_programming.policy_iteration import first_of_equals, iterate_policy, switched
 from ssp_lp.options import Partition
 from ssp_lp.policies.policy import Policy
-from ssp_lp.processes.explicit_process import Contraction, ExplicitProcess, bound_of, contract
+from ssp_lp.processes.explicit_process import (
+    Contraction,
+    ExplicitProcess,
+    bound_of,
+    contract,
+    least_constant,
+)
 from ssp_lp.processes.failure_label import FailureLabelled
 
 LOST = 4.0 * MACHINE_EPSILON
@@ -63,6 +69,7 @@ class ExplicitPricing(PricingProblem):
     counted: FloatArray | None = None  # [pairs] in place of the process's cost
     begun_from: IntArray | None = None  # [states] a policy that leaves, where one is known
     partition: Partition | None = None  # who shares the equations and backups of policy iteration
+    by_goal: bool = False  # success, as minus the goal, is counted in place of failing
     _known: dict[bytes, Contraction | None] = field(default_factory=dict)  # by what is priced
 
     @property
@@ -91,8 +98,10 @@ class ExplicitPricing(PricingProblem):
     @cached_property
     def rewards(self) -> FloatArray:
         """Rewards of each pair in explicit pricing, [pairs, rewards]: cost, failure and rows."""
-        cost = self.process.cost if self.counted is None else self.counted
-        return np.stack([cost, self.process.failure, *self.rows], axis=1)
+        process = self.process
+        cost = process.cost if self.counted is None else self.counted
+        ending = -process.goal if self.by_goal else process.failure
+        return np.stack([cost, ending, *self.rows], axis=1)
 
     @cached_property
     def _leaving(self) -> IntArray:
@@ -131,7 +140,8 @@ class ExplicitPricing(PricingProblem):
         weights = pricing_weights(price)
         choice, guess = self._begun(weights, warm)
         smaller, at = self.contracted(weights), None if isinstance(price, np.ndarray) else price
-        run = partial(iterate_policy, precise=self.precise or None)
+        noise = _noise(weights, warm) if self.by_goal or self.rows else 0.0
+        run = partial(iterate_policy, precise=self.precise or None, floor=noise)
         if smaller is None:
             rewards = self.rewards if self.partition is None else self._held
             settled = run(self.dynamics, rewards, weights, choice, guess)
@@ -173,7 +183,7 @@ class ExplicitPricing(PricingProblem):
 
     def contracted(self, weights: FloatArray) -> Contraction | None:
         """The explicit process without what is free at the weights, kept; None: nothing is."""
-        priced = weights > 0.0
+        priced = weights != 0.0
         key = priced.tobytes()
         if key not in self._known:
             free = (self.rewards[:, priced] == 0.0).all(axis=1)
@@ -198,7 +208,7 @@ class ExplicitPricing(PricingProblem):
     def _column(self, choice: IntArray, totals: FloatArray, **more: Any) -> Column:
         """A column of explicit pricing from its choice and its totals."""
         figures = expected(self.process.start, totals)
-        return Column.of_figures(figures, choice, totals=totals, **more)
+        return Column.of_figures(figures, choice, by_goal=self.by_goal, totals=totals, **more)
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
         """Lower bound of explicit pricing by the values of a policy of least priced cost."""
@@ -226,8 +236,9 @@ class ExplicitPricing(PricingProblem):
         """
         self.check_shape(values)
         weights = pricing_weights(price)
-        bound, failing = self.lowered(weights, values, choice), float(weights[1])
-        return Proof(failing, failing, bound.at(self.process.start), bound.values)
+        bound, price = self.lowered(weights, values, choice), float(weights[1])
+        failing = 0.0 if self.by_goal else price
+        return Proof(price, failing, bound.at(self.process.start), bound.values)
 
     def lowered(
         self, weights: FloatArray, values: FloatArray, choice: IntArray | None = None
@@ -240,9 +251,11 @@ class ExplicitPricing(PricingProblem):
             choice: a policy of about these values, which leaves, [states].
         """
         priced = weighted(self.rewards, weights)
-        priced -= pricing_rounding(self.rewards, weights) * np.abs(priced)  # a bound rounds down
+        size = weighted(np.abs(self.rewards), np.abs(weights))
+        priced -= pricing_rounding(self.rewards, weights) * size  # a bound rounds down
         values = np.where(np.abs(values) <= LARGEST, values, 0.0)  # 0: a bound, if a poor one
-        return bound_of(self.process, self.contracted(weights), priced, values, choice=choice)
+        floor = least_constant(self.process, priced) if self.by_goal or self.rows else 0.0
+        return bound_of(self.process, self.contracted(weights), priced, values, floor, choice)
 
     def check_less(
         self, weights: FloatArray, ratio: float, paid: float, values: FloatArray
@@ -270,7 +283,8 @@ class ExplicitPricing(PricingProblem):
             cost, cost + self.rewards[:, 1:] @ weights[1:], ratio * process.goal
         )
         values = values_less_paid(np.where(np.abs(values) <= LARGEST, values, 0.0), paid)
-        return bound_of(process, self.contracted(counted), left, values, -paid)
+        floor = min(-paid, least_constant(process, left))
+        return bound_of(process, self.contracted(counted), left, values, floor)
 
     def pulled_back(self, column: Column) -> Policy:
         """The policy of a choice of explicit pricing, by the first of equal pairs."""
@@ -300,6 +314,19 @@ def values_less_paid(values: FloatArray, paid: float) -> FloatArray:
     return np.where(np.abs(left) <= _ROUNDED * paid, 0.0, left)
 
 
+def _noise(weights: FloatArray, columns: Sequence[Column | None]) -> float:
+    """Gain in explicit pricing that is none: the rounding of costs that earnings cancel.
+
+    Args:
+        weights: of the rewards, [rewards].
+        columns: known ones, whose first tells the size of what is added; none: nothing is known.
+    """
+    known = next((column for column in columns if column is not None), None)
+    if known is None or not (known.figures * weights < 0.0).any():
+        return 0.0
+    return LOST * float(np.abs(known.figures) @ np.abs(weights))
+
+
 def pricing_weights(price: float | FloatArray) -> FloatArray:
     """The weight of each reward in explicit pricing, [rewards]."""
     return price if isinstance(price, np.ndarray) else np.array([1.0, price])
@@ -309,7 +336,7 @@ def pricing_rounding(rewards: FloatArray, weights: FloatArray) -> FloatArray:
     """Relative rounding of explicit pricing's weighted sums of terms >= 0; 0: exact, [pairs]."""
     terms, products = np.zeros(len(rewards), dtype=np.int64), np.zeros(len(rewards), dtype=np.bool_)
     for reward, weight in zip(rewards.T, weights.tolist(), strict=True):
-        if weight > 0.0:
+        if weight != 0.0:
             counted = reward != 0.0
             terms += counted
             if weight != 1.0:

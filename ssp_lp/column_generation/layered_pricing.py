@@ -213,6 +213,7 @@ class OpenSweeps:
     own: slice  # the nodes that are swept
     neighbours: Neighbours | None = None  # who know the others; None: all nodes are swept
     follows: bool = False  # mass is followed forwards, in compiled loops
+    by_goal: bool = False  # success, as minus the goal, is counted in place of failing
 
     @property
     def pair_offsets(self) -> IntArray:
@@ -239,7 +240,9 @@ class OpenSweeps:
     @cached_property
     def counted(self) -> FloatArray:
         """Failure and rows of each pair of a swept layer, [pairs, rewards - 1]."""
-        return np.stack([self.layered.base.failure, *self.rows], axis=1)
+        base = self.layered.base
+        ending = -base.survival * base.gain if self.by_goal else base.failure
+        return np.stack([ending, *self.rows], axis=1)
 
     def charged(self, layer: int) -> PairCost:
         """Charges of arriving from a swept layer with the shift, [pairs]."""
@@ -304,8 +307,8 @@ class OpenSweeps:
             here = self._gathered(mass.here)
             chosen = offsets[:-1] + choice[layer] if self.rows else offsets[:0]
             limited = [float(here @ row[chosen]) for row in self.rows]
-            paid, failed, _ = mass.follow(choice[layer], self.charged(layer)).tolist()
-            sums.append([paid, failed, *limited])
+            paid, failed, reached = mass.follow(choice[layer], self.charged(layer)).tolist()
+            sums.append([paid, -reached if self.by_goal else failed, *limited])
         for left, each in zip(mass.left, totals, strict=False):
             sums.append((self._gathered(left) @ each).tolist())
         return np.array([fsum(each) for each in zip(*sums, strict=True)])
@@ -334,15 +337,15 @@ class OpenSweeps:
 
     def priced(self, weights: FloatArray) -> Callable[[int], PairCost]:
         """Priced costs of the pairs of each swept layer, rounded down, [pairs]."""
-        owed = self.counted @ weights[1:]
-        lost = explicit_pricing.pricing_rounding(self.counted, weights[1:]) * owed
+        owed, size = self.counted @ weights[1:], np.abs(self.counted) @ np.abs(weights[1:])
+        lost = explicit_pricing.pricing_rounding(self.counted, weights[1:]) * size
 
         def summed(charged: FloatArray) -> FloatArray:
             """A charge with the priced rows."""
             cost = weights[0] * charged
             both = (cost != 0.0) & (owed != 0.0)
             return np.asarray(
-                cost + owed - (lost + both * explicit_pricing.LOST * (np.abs(cost) + owed))
+                cost + owed - (lost + both * explicit_pricing.LOST * (np.abs(cost) + size))
             )
 
         return self._by_layer(weights[0] * (1.0 - explicit_pricing.LOST), summed)
@@ -396,6 +399,7 @@ class OpenEndedPricing(PricingProblem):
     augmented: OpenEnded
     precise: bool  # compare pairs beyond the cap in twice the working precision
     rows: tuple[tuple[FloatArray, float], ...]  # what is counted besides: [pairs], and at the start
+    by_goal: bool = False  # success, as minus the goal, is counted in place of failing
 
     @property
     def n_rewards(self) -> int:
@@ -411,21 +415,24 @@ class OpenEndedPricing(PricingProblem):
     def _beyond(self) -> explicit_pricing.ExplicitPricing:
         """The pricing problem of the open end beyond the layers."""
         rows = tuple(row for row, _ in self.rows)
-        return explicit_pricing.ExplicitPricing(self.augmented.beyond, self.precise, rows)
+        how = self.augmented.beyond, self.precise, rows
+        return explicit_pricing.ExplicitPricing(*how, by_goal=self.by_goal)
 
     @cached_property
     def sweeps(self) -> OpenSweeps:
         """The sweeps of layered pricing with rows."""
         base, rows = self.augmented.base, tuple(row for row, _ in self.rows)
         follows, every = accelerated(base.later.nnz), slice(0, base.n_nodes)
-        return OpenSweeps(self.augmented, rows, base.later, every, follows=follows)
+        every_node = self.augmented, rows, base.later, every
+        return OpenSweeps(*every_node, follows=follows, by_goal=self.by_goal)
 
     @cached_property
     def _at_source(self) -> FloatArray:
         """Rewards of an episode before its first step in layered pricing, [rewards]."""
         layered = self.augmented
         cost = layered.start_charge + layered.shift_of_ends[1]
-        return np.array([cost, layered.base.start_failure, *(at for _, at in self.rows)])
+        ending = -layered.base.start_goal if self.by_goal else layered.base.start_failure
+        return np.array([cost, ending, *(at for _, at in self.rows)])
 
     def first(self) -> Column:
         """The policy that leaves the open end, whatever has been paid: nearer to the goal."""
@@ -462,7 +469,8 @@ class OpenEndedPricing(PricingProblem):
         else:
             choice = self.sweeps.best(position, weighted(own, weights), weights)
         figures = self.sweeps.measured(choice, totals) + self._at_source
-        return Column.of_figures(figures, choice, work=last.work + bellman.Work(1, 1))
+        work = last.work + bellman.Work(1, 1)
+        return Column.of_figures(figures, choice, by_goal=self.by_goal, work=work)
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
         """Best lower bound that layered pricing's sweep with rows gives."""
@@ -486,8 +494,10 @@ class OpenEndedPricing(PricingProblem):
         asked = self._asked_beyond(values, weights, best)
         last = self._beyond.lowered(weights, asked)
         at_source = float(self._at_source @ weights)
-        bound, kept = self._lowered(last, self.sweeps.priced(weights), values, at_source)
-        return Proof(float(weights[1]), float(weights[1]), bound, kept)
+        priced, price = self.sweeps.priced(weights), float(weights[1])
+        floor = -price if self.by_goal else 0.0
+        bound, kept = self._lowered(last, priced, values, at_source, floor)
+        return Proof(price, 0.0 if self.by_goal else price, bound, kept)
 
     def check_less(
         self, weights: FloatArray, ratio: float, paid: float, values: FloatArray

@@ -91,7 +91,7 @@ class Generated:
     @property
     def failure(self) -> float:
         """Failure of column generation's lottery."""
-        return float(self.figures[1])
+        return float(self.weights @ [column.failure for column in self.columns])
 
     @property
     def goal(self) -> float:
@@ -104,8 +104,8 @@ class Generated:
     @property
     def ratio(self) -> float:
         """Cost given success of column generation's lottery; infinite where there is no success."""
-        goal = self.goal
-        return float(self.figures[0]) / goal if goal > _NEVER else float("inf")
+        goal, never = self.goal, 0.0 if self.columns[0].by_goal else _NEVER
+        return float(self.figures[0]) / goal if goal > never else float("inf")
 
     def lottery(self, pricing: PricingProblem) -> MixedPolicy:
         """Column generation's lottery over policies of the model."""
@@ -125,7 +125,8 @@ def generate(rule: Secant | StabilisedMaster, options: SolveOptions) -> Generate
             if rule.calls > begun and deadline.is_late():
                 break
             column = rule.seek(options.tolerance)
-            report = None if column is None else rule.report()
+            told = column is not None and options.progress is not None
+            report = rule.report() if told else None
             finished = column is None or rule.learn(column, options.tolerance)
             if options.progress is not None and report is not None:
                 options.progress(rule.calls, *report)
@@ -246,7 +247,7 @@ class Secant:
         price = max(price, best) if row.ratio else price
         slack = row.ratio and price <= best  # then prove it just below it: Row.lower_bound
         at = price * (1.0 - 0.25 * tolerance) if slack else price
-        proof = self._proved(at, last, slack=slack)
+        proof = self._proved(at, last, slack=slack or row.is_rare)
         price = price if proof.price == at else max(proof.price, best if row.ratio else 0.0)
         self.work = self.work + proof.work
         bound = least_of(row.lower_bound(proof), best)
@@ -268,7 +269,8 @@ class Secant:
         ):
             return
         with deadline.WithIncumbent():
-            proof, bound = self.pricing.prove(price, best), self.row.lower_bound
+            proof = self.pricing.prove(price, best, slack=self.row.is_rare)
+            bound = self.row.lower_bound
             if self.proof is None or bound(proof) > bound(self.proof):
                 self.proof = proof
         self._spent += time.perf_counter() - now
@@ -302,8 +304,7 @@ class DualGuess:
 
 def columns_at(pricing: PricingProblem, least: LeastFailure, row: FailureRow) -> Secant:
     """Begin the secant at the policy of least failure; rounding raises the budget to it."""
-    row = replace(row, budget=max(row.budget, least.column.failure))
-    return Secant(pricing, row, least.column)
+    return Secant(pricing, row.raised_to(least.column), least.column)
 
 
 def columns_by_pricing(
@@ -330,6 +331,8 @@ def columns_by_pricing(
         if guess is None:
             last = pricing.first()
             typical = last.cost if last.goal <= 0.0 else row.objective(last.cost, last.goal)
+            if row.is_rare and last.goal > 0.0:
+                typical = last.cost / last.goal
             price = _STEEP * typical if typical > 0.0 else 1.0
         else:
             price = guess.price
@@ -356,13 +359,15 @@ def columns_by_pricing(
             enough = one_sided or outside is not None or deadline.is_late()
             if step is None or (inside is not None and enough):
                 break
-            size, failure = 1.0 + step, last.failure
-            if guess is None and min(row.budget, failure) > 0.0:
+            size, ends = 1.0 + step, (last.failure, row.budget)
+            if row.is_rare:
+                ends = last.goal, row.demanded
+            if guess is None and min(ends) > 0.0:
                 # failure falls about as fast as the price rises; the square of their ratio
                 # overshoots, so that the columns lie on both sides and not far apart
-                ratio = max(failure / row.budget, row.budget / failure)
+                ratio = max(ends) / min(ends)
                 size = min(max(ratio * ratio, _LEAST_FACTOR), size)
-            price = price * size if failure > row.budget else price / size
+            price = price * size if row.spare(last) < 0.0 else price / size
     if search.stop:
         took = max(took, time.perf_counter() - began)
         inside = last = _initial_column_within(pricing, row, search.stop, inside, last)
@@ -463,7 +468,8 @@ class StabilisedMaster:
         best, near = self.master.value, self._near(tolerance)
         value = self._value(column, self.tried)
         beyond = np.abs(column.figures[self.rows.index] - self.rows.bounds)
-        rounding = _ROUNDING * (self._objective(column) + float(self.master.prices @ beyond))
+        objective = abs(self._objective(column))
+        rounding = _ROUNDING * (objective + float(self.master.prices @ beyond))
         below = best - self._value(column, self.master.prices)
         new = below > max(near, rounding) and self.pool.add(column)
         finished = self.share == 0.0 and (not new or best - value <= near)
@@ -482,7 +488,7 @@ class StabilisedMaster:
 
     def _near(self, tolerance: float) -> float:
         """Gap at which column generation goes on without stabilisation, or ends."""
-        return max(0.1 * tolerance * self.master.value, 0.0)
+        return 0.1 * tolerance * abs(self.master.value)
 
     def _between(self) -> FloatArray:
         """Stabilised prices, between the best and the master's; at a share of 0 these, [rows]."""
@@ -522,9 +528,6 @@ def without_negligible_prices(
         trifle: share of it that does not matter.
     """
     return np.where(prices * sizes <= trifle * abs(objective), 0.0, prices)
-
-
-_TRIFLE = 1e-9  # of what policies take of a row: no bound is taken to be smaller
 
 
 @dataclass(frozen=True, eq=False)
@@ -575,7 +578,7 @@ class Pool:
 
     def sizes(self, rows: Rows) -> FloatArray:
         """Size of each row: its bound, or the most that a column of the pool takes, [rows]."""
-        taken = self.figures[rows.index].max(axis=1, initial=0.0)
+        taken = np.abs(self.figures[rows.index]).max(axis=1, initial=0.0)
         return np.asarray(np.maximum(np.abs(rows.bounds), taken))
 
     def best(self, weights: FloatArray) -> Column:
@@ -600,14 +603,13 @@ class Pool:
         return True
 
     def rows(self, index: IntArray, bounds: FloatArray) -> Rows:
-        """The pool's rows with scales: the bound, but at least a trifle of what columns take.
+        """The pool's rows with scales: the bound, or, of a bound of 0, what columns take.
 
         Args:
             index: of the limited rows among the rewards, [rows].
             bounds: [rows].
         """
-        taken = self.figures[index].max(axis=1, initial=0.0)
-        shares = np.where(bounds > 0.0, _TRIFLE, 1.0)  # nothing can be kept to less than nothing
-        scales = np.maximum(np.abs(bounds), shares * taken)
+        taken = np.abs(self.figures[index]).max(axis=1, initial=0.0)
+        scales = np.where(bounds == 0.0, taken, np.abs(bounds))
         scales = np.where(scales > 0.0, scales, 1.0)
         return Rows(index, bounds, scales, self.pricing.n_rewards)

@@ -406,8 +406,7 @@ class PartitionedLayers(OpenEndedPricing):
         parts = dynamics.order("sweep", (number, weights), list(zip(*vectors, strict=True)))
         figures = np.sum(parts, axis=0) + self._at_source
         work = last.work + Work(1, 1)
-        kept = {"number": number, "beyond": tail, "work": work}
-        return PartitionedColumn.of_figures(figures, choice, **kept)
+        return PartitionedColumn.of_figures(figures, choice, number=number, beyond=tail, work=work)
 
     def _proved(self, weights: FloatArray, values: FloatArray, best: Column | None) -> Proof:
         """Best lower bound of layered pricing that the ranks' sweep gives."""

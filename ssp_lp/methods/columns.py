@@ -124,7 +124,7 @@ def best_within_budget(problem: Problem, options: SolveOptions) -> Solution:
         generated = outcome.generated
     beyond = generated.objective if outcome.row.ratio else 0.0
     price = max(generated.price - beyond, 0.0)
-    compiled, unlimited = outcome.compiled, not problem.ratio and outcome.row.budget >= 1.0
+    compiled, unlimited = outcome.compiled, not problem.ratio and outcome.row.demanded <= 0.0
     relaxed = replace(options, deterministic=False).method
     reason = _REASONS["unlimited" if unlimited and options.program is None else relaxed]
     if sense.constant is not None:
@@ -229,17 +229,18 @@ def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: fl
         kappa += evaluation.objective if is_priced else solution.objective
     levels = levels_of(solution.policy.policies, len(values))
     compiled, least = problem.compile().matching(np.asarray(values), levels), None
+    compiled = compiled.counting_rare_success(budget)
     row = FailureRow(budget, problem.ratio, compiled.lowest)
     if attained >= budget * _SURELY:
         least = compiled.least_failure()
-        failure = min(least.column.failure, budget + LEAST_BUDGET)
-        row = replace(row, budget=max(budget, failure))  # above it by rounding only
+        if least.column.failure <= budget + LEAST_BUDGET:
+            row = row.raised_to(least.column)  # above it by rounding only
     bound, tail = _bound_by_values(compiled, row, kappa, price == 0.0, solution)
     if tail > _LITTLE and (exact := compiled.for_program()) is not compiled:
         # it may be less beyond the cap with better policies there
         bound, tail = _bound_by_values(exact, row, kappa, price == 0.0, solution)
     is_least = least is not None and least.is_proved and row.leaves_only(least.column)
-    if least is not None and is_least and least.column.failure < 1.0:
+    if least is not None and is_least and least.column.goal > 0.0:
         # to the last digit, which tells it from others
         is_kept = evaluation.limited_failure <= budget
         value = sense.worth(evaluation.objective)
@@ -254,9 +255,11 @@ def _bound_by_values(
     """Lower bound within a failure budget by values, and the gap that truncation leaves in it."""
     slack = slack and row.ratio
     price = price * BELOW_RATIO if slack else price
-    proof = compiled.pricing().check(price, np.asarray(solution.value_function), slack=slack)
+    by_success = slack or row.is_rare
+    values = np.asarray(solution.value_function)
+    proof = compiled.pricing().check(price, values, slack=by_success)
     bound = row.lower_bound(proof)
-    lost = compiled.tail_loss(price, slack=slack, proof=proof)
+    lost = compiled.tail_loss(price, slack=by_success, proof=proof)
     if lost == 0.0:
         return bound, 0.0
     return bound, relative_gap(row.lower_bound(replace(proof, bound=proof.bound + lost)), bound)
@@ -351,6 +354,8 @@ def refined_optimum(
     """
     compiled = compiled if options.program is None else compiled.for_program()
     row, least = FailureRow(budget, compiled.ratio), None
+    if row.is_rare:
+        compiled = compiled.counting_rare_success(budget)
     with WithIncumbent() as search:
         row = replace(row, lowest=compiled.lowest)
         if options.program is not None:
@@ -378,7 +383,7 @@ def _finer_outcomes(outcome: RefinedOutcome, options: SolveOptions) -> Iterator[
             safest = checked_least_failure(compiled, row.budget)
             outcome = replace(outcome, least=safest)
             if row.leaves_only(safest.column):  # then its policy is the answer
-                row = replace(row, budget=safest.column.failure)
+                row = row.equal_to(safest.column)
                 outcome = outcome.followed_by(_attempt(compiled, row, safest, later, None))
                 continue
         is_stagnant = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]  # rounding?
@@ -449,17 +454,19 @@ def _attempt(
     """
     optimum = None
     if options.program is not None and least is not None:
-        row = replace(row, budget=max(row.budget, least.column.failure))
-        if row.budget > least.column.failure + LEAST_BUDGET:
+        row = row.raised_to(least.column)
+        if row.spare(least.column) > (0.0 if row.is_rare else LEAST_BUDGET):
             process = compiled.explicit()
             limits = {FAILURE_ROW: (process.failure, row.budget)}
+            if row.is_rare:  # in units of what is demanded, as no solver tells it from nothing
+                limits = {FAILURE_ROW: (-process.goal / row.demanded, -1.0)}
             optimum = solve_program(process, limits, options, ratio=row.ratio)
             kappa = optimum.prices.get(FAILURE_ROW, 0.0) + row.ratio * optimum.objective
             guess = DualGuess(kappa, _SPREAD)
-    if guess is None and row.budget >= 1.0 and not row.ratio:
+    if guess is None and row.demanded <= 0.0 and not row.ratio:
         guess = DualGuess(0.0, _SPREAD, slack=True)  # nothing is limited: no price has to be found
     rule = None
-    if least is None or row.budget > least.column.failure:
+    if least is None or row.spare(least.column) > 0.0:
         rule = columns_by_pricing(compiled, row, guess, options)
     if rule is None:
         least = checked_least_failure(compiled, row.budget) if least is None else least
@@ -469,7 +476,8 @@ def _attempt(
     if optimum is not None and generated.finished:
         check_agreement(optimum, generated.objective)
     is_least = least is not None and least.is_proved
-    if least is not None and is_least and rule.row.budget <= least.column.failure < 1.0:
+    is_met = least is not None and rule.row.spare(least.column) <= 0.0 < least.column.goal
+    if least is not None and is_least and is_met:
         generated = replace(
             generated, lower_bound=max(generated.lower_bound, least.objective_bound)
         )

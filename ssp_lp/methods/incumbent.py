@@ -7,7 +7,7 @@ on accumulated costs may not come to its first policy in minutes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from math import hypot, sqrt
@@ -35,7 +35,13 @@ from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.chain import policy_chain
 from ssp_lp.policies.policy import as_lottery
 from ssp_lp.problem import Problem, Restated, conditions_of, requirements, unrolled
-from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense, start_distribution
+from ssp_lp.processes.failure_semantics import (
+    AS_ASKED,
+    RARE_GOAL,
+    GoalShare,
+    ObjectiveSense,
+    start_distribution,
+)
 from ssp_lp.processes.goal_reach import greatest_goal_reach
 from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 
@@ -206,20 +212,32 @@ def prove_by_cheapest_way(problem: Problem, evaluation: Evaluation) -> Proved:
     return Proved(evaluation.objective, worth_bound(problem), problem.failure_budget or 0.0)
 
 
-def broken_limit(problem: Problem, evaluation: Evaluation, room: float = 2.0 * ATTAINABLE) -> str:
+def broken_limit(
+    problem: Problem,
+    evaluation: Evaluation,
+    room: float = 2.0 * ATTAINABLE,
+    granted: Mapping[str, float] | None = None,
+) -> str:
     """The limit that an incumbent policy breaks, in words; empty: none.
 
     Args:
         problem: the problem.
         evaluation: what its policy attains.
         room: beyond the bound, relative to it.
+        granted: bounds by name that count in place of those that are stated; None: none does.
     """
+    granted = granted or {}
     for condition in conditions_of(problem):
         spent = evaluation.secondary_costs[condition.name]
-        for row in condition.rows:
-            taken = row.activity(spent)
-            if taken > row.bound + room * max(abs(row.bound), _NOTHING):
+        for each in condition.rows:
+            row = each.by_digits
+            taken, most = row.activity(spent), granted.get(row.name, row.bound)
+            if taken > most + room * max(abs(most), _NOTHING):
                 return f"the policy spends {taken:.12g} of {row.told!r}, {row.bound:.12g} allowed"
+    goal, budget = evaluation.limited_goal, problem.failure_budget
+    demanded = budget.demanded if isinstance(budget, GoalShare) else 0.0
+    if demanded < RARE_GOAL and goal < demanded * (1.0 - room):
+        return f"the policy reaches the goal with {goal:.12g}, {demanded:.12g} demanded"
     return ""
 
 

@@ -49,6 +49,7 @@ from ssp_lp.accumulated_cost.cost_law import CostLaw
 from ssp_lp.accumulated_cost.sweep import KEPT_VALUES
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, last_steps, room_of, step_costs, sums_in
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
+from ssp_lp.analysis.quantity_values import complement
 from ssp_lp.analysis.success_costs import success_costs
 from ssp_lp.arrays import QUANTILE, FloatArray
 from ssp_lp.column_generation.column import FailureRow, Proof, required
@@ -483,7 +484,7 @@ def least_quantile(
         policy=incumbent.policy,
         value=objective,
         bound=min(_beyond_refuted(question, refuted), objective),
-        failure=1.0 - law.goal,
+        failure=complement(law.goal),
         note="; ".join(filter(None, (question.note, CUT_SHORT if high - low > 1 else ""))),
     )
     reason = f"{tried} cost bounds, {calls} pricing calls"
@@ -613,7 +614,7 @@ class _TailMeanSearch:
         if best is None or value <= best.value * (1.0 + tied):
             beyond = trial.kappa - value  # what failing costs beyond the value
             price = beyond if beyond > _TIED * value else 0.0
-            failure = 1.0 - law.goal
+            failure = complement(law.goal)
             best = Answer(trial.policy, value, 0.0, failure, price, None, trial.prices)
             self.best, self.quantile = best, quantile
         return best

@@ -50,7 +50,12 @@ from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem, Restated, compiled_constrained, unrolled
 from ssp_lp.processes.conditions import FAILURE_ROW
-from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, goal_out_of_reach
+from ssp_lp.processes.failure_semantics import (
+    RARE_GOAL,
+    Aim,
+    FailureSemantics,
+    goal_out_of_reach,
+)
 from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 
 _PATIENCE = 6  # refinements that need not even halve the gap
@@ -100,11 +105,18 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
         SolverError: the time ran out before any such policy was found, or the linear program's
             answer fails its check.
     """
-    stated = compiled_constrained(problem)
+    stated = compiled_constrained(problem).counting_rare_success(problem.failure_budget)
     if options.partition is not None:
         stated = stated.shared_by(options.partition)
     try:
         optimum = rows_optimum(stated, options, true_figures(problem, stated))
+        is_rare = is_rarely_reached(stated, 1.0 - optimum.failure)
+        if is_rare or _may_be_rarer(stated, optimum, options):
+            stated = replace(stated, by_goal=True)
+            truth, work = true_figures(problem, stated), optimum.work
+            again = rows_optimum(stated, options.after(optimum.calls), truth)
+            again = replace(again, calls=optimum.calls + again.calls, work=work + again.work)
+            optimum = again if again.gap <= optimum.gap else optimum
     except Stop as stop:
         if not isinstance(stop.choice, _RowsOptimum):
             raise
@@ -118,6 +130,33 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
         reason = f"{reason}, {compiled.layers:,} layers of accumulated cost"
     run = Run(options.method, reason, optimum.calls, 0.0, optimum.work, optimum.program)
     return assembled(problem, optimum, run, compiled.sense)
+
+
+def _may_be_rarer(stated: CompiledExplicit, optimum: _RowsOptimum, options: SolveOptions) -> bool:
+    """Whether success that rows make rare is worth more than what was found.
+
+    It is looked for within rows that are a little tighter, where their room for rounding buys none.
+    """
+    if not stated.may_be_rare or optimum.gap <= options.tolerance or is_late():
+        return False
+    tighter = tuple(
+        replace(row, bound=row.bound - _TIGHTER * abs(row.bound)) for row in stated.side
+    )
+    try:
+        rarer = rows_optimum(replace(stated, by_goal=True, side=tighter), options)
+    except (InfeasibleError, SolverError):
+        return False
+    return not rarer.granted and rarer.value < optimum.value * (1.0 - options.tolerance)
+
+
+def is_rarely_reached(stated: CompiledExplicit, goal: float) -> bool:
+    """Whether the goal is reached so seldom within the rows that success is to be counted.
+
+    Args:
+        stated: the problem.
+        goal: probability that its policy reaches the goal with.
+    """
+    return stated.may_be_rare and 0.0 < goal < RARE_GOAL
 
 
 def rows_optimum(
@@ -201,7 +240,7 @@ def _rows_attempt(
 
     With a certified bound at the prices that the search ended with.
     """
-    finer = 1.0 if stated.sense.constant is None else _FINER
+    finer = _FINER if stated.sense.constant else 1.0
     options = replace(options, tolerance=finer * options.tolerance)
     compiled, program = stated.settled(), None
     rule = phase_one(compiled, stated, options)
@@ -213,24 +252,32 @@ def _rows_attempt(
         program, rule = search_begun_at_duals(compiled, rule, options)
     generated, ratio = best_lottery(compiled, rule, options)
     pool, rows = rule.pool, rule.rows
-    cost, failure = generated.figures[:2].tolist()
+    cost, failure = float(generated.figures[0]), generated.failure
+    size = abs(cost) + ratio * abs(float(generated.figures[1]))
     value = generated.ratio if compiled.ratio else cost
     if program is not None and generated.finished:
         check_agreement(program, value)
-    prices = without_negligible_prices(generated.prices, pool.sizes(rows), cost + ratio * failure)
+    prices = without_negligible_prices(generated.prices, pool.sizes(rows), size)
     bound, values = 0.0, compiled.pricing().anything
     with WithIncumbent(), closing():  # where no time is left the values ask for the best
         bound, proof = rows_bound(compiled, replace(rows, ratio=ratio), prices, pool.proved)
         values = read_only(proof.values)
-    policy = generated.lottery(compiled.pricing())
+    policy, taken = generated.lottery(compiled.pricing()), generated.figures[rows.index].tolist()
+    taken = dict(zip(names_of(compiled, rows), taken, strict=True))
     if truth is not None and compiled.is_rounded:
         value = np.inf
         with WithIncumbent(), closing():  # where no time is left the bound counts by itself
+            taken = {}  # by the true lottery
             repaired = true_lottery(compiled, rows, pool, rows.weights(prices), truth[1])
             if repaired is not None:
                 value, (policy, failure) = truth[0](repaired[0]), repaired
     elif truth is not None:
         value = truth[0](policy)
+    granted = {
+        compiled.names[place]: float(bound)
+        for place, bound in zip((rows.index - 1).tolist(), rows.bounds, strict=True)
+        if bound > compiled.bounds[place]
+    }
     named = dict.fromkeys(compiled.names, 0.0)
     named |= zip(names_of(compiled, rows), prices.tolist(), strict=True)
     if compiled.budget is None:
@@ -247,24 +294,29 @@ def _rows_attempt(
         values=values,
         calls=pool.calls,
         work=pool.work,
-        note=_remarks(compiled, stated, rows, generated.finished),
+        note=_remarks(compiled, stated, granted, generated.finished),
+        granted=granted,
+        taken=taken,
         program="" if program is None else program.report,
     )
 
 
 def _remarks(
-    compiled: CompiledExplicit, stated: CompiledExplicit, rows: Rows, finished: bool
+    compiled: CompiledExplicit,
+    stated: CompiledExplicit,
+    granted: Mapping[str, float],
+    finished: bool,
 ) -> str:
     """Remarks on an optimum within rows: raised bounds, a search cut short."""
     remarks = []
     if compiled.budget is None and stated.budget is not None:
         remarks.append("the failure budget counts as equal to the least failure")
-    for place, granted in zip((rows.index - 1).tolist(), rows.bounds, strict=True):
-        if granted > (bound := compiled.bounds[place]):
-            remarks.append(
-                f"the bound of {compiled.names[place]!r} lies {granted - bound:.1e} below "
-                "what is attainable and counts as equal to it"
-            )
+    bounds = dict(zip(compiled.names, compiled.bounds.tolist(), strict=True))
+    for name, most in granted.items():
+        remarks.append(
+            f"the bound of {name!r} lies {most - bounds[name]:.1e} below "
+            "what is attainable and counts as equal to it"
+        )
     if not finished:
         remarks.append(CUT_SHORT)
     return "; ".join(remarks)
@@ -274,6 +326,8 @@ _MOST = 8  # policies of the search that are evaluated
 _STEEPER = (0.01, 0.1, 1.0, 100.0)  # shares of the prices that are added for further ones
 _RATIOS = 40  # steps of Dinkelbach's iteration
 _LUCK = 1e-12  # of the greatest goal probability: what the room for rounding of a limit may buy
+_TIGHTER = 1e-12  # share of a bound, far beyond its room for rounding
+_KEPT = 1e-12  # share of its own bound to which every row is kept
 _SETTLED = 1e-14  # relative change of a ratio that is rounding
 _STEEP = 1e3  # factor of a ratio at which nothing reached the goal
 _STEEPEST = 1e15
@@ -291,11 +345,11 @@ def best_lottery(
     if not compiled.ratio:
         return generate(replace(opened), options), 0.0
     rule, best, ratio = opened, None, opened.rows.ratio
-    rounding = _LUCK * compiled.greatest_goal
+    luck = 0.0 if compiled.by_goal else _LUCK * compiled.greatest_goal
     for _ in range(_RATIOS):
         rule = replace(rule, rows=replace(opened.rows, ratio=ratio))
         generated = generate(rule, options)
-        attained = generated.ratio if generated.goal > rounding else np.inf
+        attained = generated.ratio if generated.goal > luck else np.inf
         if best is None and not np.isfinite(attained):
             ratio *= _STEEP
             if ratio > _STEEPEST:
@@ -349,23 +403,26 @@ def true_lottery(
             points.append(pricing.minimise(steeper, best))
     policies = [pricing.policy(point) for point in points]
     true = np.stack([figures(policy) for policy in policies], axis=1)
-    taken, limits, (cost, failure) = true[rows.index], (rows.bounds, rows.scales), true[:2]
+    taken, limits, (cost, counted) = true[rows.index], (rows.bounds, rows.scales), true[:2]
+    failure, reached, rounding = counted, 1.0 - counted, _LUCK * compiled.greatest_goal
+    if compiled.by_goal:
+        failure, reached, rounding = 1.0 + counted, -counted, 0.0
 
     def given_success(weights: FloatArray) -> float:
         """The cost given success of a lottery."""
-        goal = float((1.0 - failure) @ weights)
-        return float(cost @ weights) / goal if goal > _LUCK * compiled.greatest_goal else np.inf
+        goal = float(reached @ weights)
+        return float(cost @ weights) / goal if goal > rounding else np.inf
 
     chosen = solve_master(cost, taken, *limits, elastic=True).weights
-    if (taken @ chosen > rows.bounds * (1.0 + 1e-12) + 1e-15).any():
+    if (taken @ chosen > rows.bounds + _KEPT * np.abs(rows.bounds)).any():
         return None
     if not compiled.ratio:
         chosen = solve_master(cost, taken, *limits, elastic=False).weights
     ratio = given_success(chosen)
     if not np.isfinite(ratio):
-        ratio = float((cost / np.maximum(1.0 - failure, 1e-300)).max()) + 1.0
+        ratio = float((cost / np.maximum(reached, 1e-300)).max()) + 1.0
     for _ in range(_RATIOS if compiled.ratio else 0):
-        optimal = solve_master(cost + ratio * failure, taken, *limits, elastic=False).weights
+        optimal = solve_master(cost + ratio * counted, taken, *limits, elastic=False).weights
         attained = given_success(optimal)
         if not attained < ratio * (1.0 - _SETTLED):
             break
@@ -392,12 +449,13 @@ def true_figures(problem: Problem, stated: CompiledExplicit) -> Truth | None:
     def figures(policy: Policy) -> FloatArray:
         """Cost, failure and rows of one policy."""
         evaluation = evaluate(policy, problem)
-        failure = evaluation.limited_failure
+        goal = evaluation.limited_goal
         if stated.ratio:
-            cost = evaluation.objective * (1.0 - failure) if failure < 1.0 else 0.0
+            cost = evaluation.objective * goal if goal > 0.0 else 0.0
         else:
             cost = value(MixedPolicy((policy,), np.ones(1)))
-        return np.array([cost, failure, *row_activities(stated, evaluation)])
+        ending = -goal if stated.by_goal else evaluation.limited_failure
+        return np.array([cost, ending, *row_activities(stated, evaluation)])
 
     return value, figures
 
@@ -456,7 +514,7 @@ def _positive_ratio(pool: Pool, ended: Generated) -> float:
     if np.isfinite(attained) and attained > 0.0:
         return attained
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratios = pool.figures[0] / (1.0 - pool.figures[1])
+        ratios = pool.figures[0] / [column.goal for column in pool.columns]
     ratios = ratios[np.isfinite(ratios) & (ratios > 0.0)]
     return float(ratios.max()) if ratios.size else 1.0
 
@@ -485,7 +543,10 @@ def _infeasible(
         words = f"{names[0]!r} is at least {least} under {every}, {allowed} allowed"
     else:
         bounds = rows.bounds[list(conflict.rows)]
-        limits = [f"{name!r} <= {bound:.12g}" for name, bound in zip(names, bounds, strict=True)]
+        limits = [
+            f"{name!r} <= {bound:.12g}" if bound >= 0.0 else f"{name[2:]!r} >= {-bound:.12g}"
+            for name, bound in zip(names, bounds, strict=True)
+        ]
         together = f"{', '.join(limits[:-1])} and {limits[-1]}"
         terms = zip(conflict.shares, names, strict=True)
         total = " + ".join(f"{share:.{digits}g} {name}" for share, name in terms)
@@ -526,7 +587,8 @@ def _proved_conflict(pool: Pool, rows: Rows, generated: Generated) -> _Conflict 
     shares = prices / total
     least = pool.proved(rows.weights(shares, 0.0)).bound
     allowed = float(shares @ rows.bounds)
-    room = (ATTAINABLE + 4.0 * len(shares) * MACHINE_EPSILON) * max(allowed, 0.0)
+    size = float(shares @ np.abs(rows.bounds))
+    room = (ATTAINABLE + 4.0 * len(shares) * MACHINE_EPSILON) * size
     if least <= allowed + room:
         return None
     members = tuple(np.flatnonzero(shares).tolist())
@@ -560,7 +622,7 @@ def _irreducible_conflict(
 
 def _kept_to(ended: Generated, rows: Rows) -> bool:
     """Whether phase 1 ended with every row kept, but for an excess that counts as none."""
-    return bool((ended.excess * rows.scales <= ATTAINABLE * rows.bounds).all())
+    return bool((ended.excess * rows.scales <= ATTAINABLE * np.abs(rows.bounds)).all())
 
 
 def names_of(compiled: CompiledExplicit, rows: Rows) -> list[str]:
@@ -636,7 +698,8 @@ def rows_bound(
     if not compiled.ratio:
         proof = prove(rows.weights(prices))
         proved = _excess_over_paid(compiled, rows, prices, proof) + compiled.sense.shift
-        return max(proved, 0.0), proof  # what is minimised is a sum of terms of at least 0
+        lowest = -1.0 if compiled.sense.constant == 0.0 and compiled.by_goal else 0.0
+        return max(proved, lowest), proof  # else it is a sum of terms of at least 0
     proofs = []
     for at in (rows, replace(rows, ratio=rows.ratio * BELOW_RATIO)):
         proof = prove(at.weights(prices))
@@ -659,6 +722,8 @@ def _excess_over_paid(
 ) -> float:
     """Least excess of lotteries within the rows over what every episode pays."""
     paid, less = rows.ratio if compiled.ratio else compiled.sense.shift, -np.inf
+    if compiled.by_goal and compiled.ratio:
+        paid = 0.0  # success is counted, failing is not
     if paid > 0.0:
         weights = replace(rows, ratio=0.0).weights(prices)
         less = compiled.pricing().check_less(weights, rows.ratio, paid, proof.values)
@@ -713,6 +778,9 @@ def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved
         ModelError: the value function does not fit.
     """
     stated, values = compiled_constrained(solution.problem), solution.value_function
+    stated = stated.counting_rare_success(solution.problem.failure_budget)
+    if is_rarely_reached(stated, evaluation.limited_goal):
+        stated = replace(stated, by_goal=True)
     compiled = stated.settled()
     if values is None:
         raise ModelError("a certificate needs the prices and their value function")
@@ -762,13 +830,16 @@ def proved_at_prices(
     if not ((prices >= 0.0) & (prices <= LARGEST)).all():
         return Proved(evaluation.objective, 0.0, budget, "a price is not a number >= 0")
     rows, spent = limited_rows(compiled), [evaluation.limited_failure]
+    if compiled.by_goal:
+        spent = [-evaluation.limited_goal]
     spent += row_activities(compiled, evaluation)
     places, bounds = rows.index - 1, rows.bounds
     prices, most = prices[places], bounds + ATTAINABLE * np.abs(bounds)
     rows = replace(rows, bounds=np.clip(np.array(spent)[places], bounds, most))
     bounded = [rows_bound(compiled, replace(rows, ratio=r), prices, prove)[0] for r in ratios]
-    lower = max([0.0, *bounded])
-    budget = float(rows.bounds[0]) if 0 in places else budget
+    lower = max(bounded, default=0.0)
+    if 0 in places and not compiled.by_goal:
+        budget = float(rows.bounds[0])
     attained = evaluation.objective - compiled.sense.worth(0.0)
     lower = compiled.sense.settled_bound(
         attained if compiled.sense.constant is None else -attained,

@@ -16,7 +16,7 @@ from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import pairs_into
-from ssp_lp.processes.failure_semantics import Counting
+from ssp_lp.processes.failure_semantics import RARE_GOAL, Counting
 from ssp_lp.processes.live_rows import costless_pairs
 
 FAILURE_ROW = "failure"
@@ -93,6 +93,17 @@ class UpperRow:
     condition: Condition
     sign: float  # the row is ``offset + sign * quantity``
     offset: float
+    direct: UpperRow | None = None  # the same by its own terms; None: no complement is in the row
+
+    @property
+    def by_digits(self) -> UpperRow:
+        """The condition's row whose bound is not lost in what a complement is made from.
+
+        Its own terms may be negative, where an episode ends.
+        """
+        direct = self.direct
+        is_small = direct is not None and abs(direct.bound) < RARE_GOAL * abs(self.bound)
+        return direct if direct is not None and is_small else self
 
     @cached_property
     def free(self) -> BoolArray:
@@ -158,7 +169,10 @@ class Condition:
             row = self._row(name, -1.0, -self.lower)
             if self.lower == self.upper:  # rounded complements must not contradict each other
                 room = _ROOM * max(abs(row.offset), abs(row.bound))
-                row = replace(row, bound=row.bound + room)
+                own = row.direct
+                if own is not None:
+                    own = replace(own, bound=own.bound + _ROOM * abs(own.bound))
+                row = replace(row, bound=row.bound + room, direct=own)
             rows.append(row)
         return tuple(rows)
 
@@ -172,9 +186,10 @@ class Condition:
 
     def _row(self, name: str, sign: float, bound: float) -> UpperRow:
         """A condition's row ``sign * quantity <= bound`` with weights >= 0."""
-        terms, offset = [], 0.0
+        terms, own, offset = [], [], 0.0
         for stated, term in self.terms:
             weight = sign * stated
+            own.append((weight, term))
             if weight < 0.0:
                 if not (isinstance(term, ArrivalTerm) and term.final):
                     raise ModelError(
@@ -187,6 +202,11 @@ class Condition:
             if weight > 0.0:
                 terms.append((weight, term))
         constant = sign * self.constant
+        direct = None
+        if offset or constant:
+            told = self.name if sign > 0.0 else f"- {self.name}"
+            less, plain = bound - constant, tuple(own)
+            direct = UpperRow(name, told, plain, 0.0, less, self, sign, offset=-constant)
         shift = max(-constant, 0.0)  # no coefficient may be negative
         size, bound = max(offset, shift, abs(bound)), bound + offset + shift
         bound = 0.0 if -_ROOM * size <= bound < 0.0 else bound  # the rounding of a complement
@@ -201,4 +221,5 @@ class Condition:
             condition=self,
             sign=sign,
             offset=offset,
+            direct=direct,
         )

@@ -131,18 +131,31 @@ def bound_of(
         floor: a constant that is known to be a sub-solution.
         choice: a policy of about these values, which leaves, [states].
     """
-    # the greatest constant v with ``exit_u v <= c_u`` for every pair u: optimal where the cheapest
-    # way to end costs the same everywhere; lowering other values there takes as many steps
-    exits = process.dynamics.exits
-    leaves = exits > 0.0
-    if leaves.any() and not (pair_cost[~leaves] < 0.0).any():
-        constant = float((pair_cost[leaves] / exits[leaves]).min())
-        floor = max(floor, constant - 4.0 * MACHINE_EPSILON * abs(constant))
+    # optimal where the cheapest way to end costs the same everywhere; lowering other values there
+    # takes as many steps
+    floor = max(floor, least_constant(process, pair_cost))
     if smaller is None:
         return dual_bound(process.dynamics, pair_cost, values, floor, choice)
     kept, least = pair_cost[smaller.pairs], smaller.least(values)
     bound = dual_bound(smaller.dynamics, kept, least, floor)
     return DualBound(bound.values[smaller.node_of], bound.low[smaller.node_of])
+
+
+def least_constant(process: ExplicitProcess, pair_cost: FloatArray) -> float:
+    """The greatest constant v with ``exit_u v <= c_u`` for every pair u of an explicit process.
+
+    It is a sub-solution; -inf: none is, as a pair that does not end gains something.
+
+    Args:
+        process: the process.
+        pair_cost: [pairs].
+    """
+    exits = process.dynamics.exits
+    leaves = exits > 0.0
+    if not leaves.any() or (pair_cost[~leaves] < 0.0).any():
+        return -np.inf
+    constant = float((pair_cost[leaves] / exits[leaves]).min())
+    return constant - 4.0 * MACHINE_EPSILON * abs(constant)
 
 
 def contract(process: ExplicitProcess, free: BoolArray) -> Contraction | None:

@@ -146,6 +146,13 @@ class ObjectiveSense:
         """Worth asked for, from the minimised objective's value."""
         return value - self.offset if self.constant is None else self.constant - value
 
+    def worth_of_bound(self, bound: float) -> float:
+        """Worth of a bound of the objective, rounded outwards where it is a difference."""
+        worth = self.worth(bound)
+        if self.constant is None:
+            return worth if worth + self.offset == bound else float(np.nextafter(worth, -np.inf))
+        return worth if self.constant - worth == bound else float(np.nextafter(worth, np.inf))
+
     def settled_bound(self, value: float, bound: float, paid: float = 0.0) -> float:
         """The objective's bound, or its value where only rounding parts them.
 
@@ -272,6 +279,38 @@ def start_distribution(model: SSP, start: Hashable | Mapping[Hashable, float]) -
     if abs(total - 1.0) > 1e-9:
         raise ModelError(f"start probabilities sum to {total:.12g}, not to 1")
     return distribution / total
+
+
+class GoalShare(float):
+    """A failure budget that follows from a demanded goal probability.
+
+    Where that is rare the budget is 1 but for rounding: whoever limits failing asks
+    :func:`demanded_goal` for what it is made of.
+    """
+
+    demanded: float
+
+    def __new__(cls, demanded: float) -> GoalShare:
+        """The budget that leaves a demanded goal probability, in [0, 1]."""
+        budget = super().__new__(cls, 1.0 - demanded)
+        budget.demanded = demanded
+        return budget
+
+    def __getnewargs__(self) -> tuple[float]:
+        """Copied by what is demanded."""
+        return (self.demanded,)
+
+
+def demanded_goal(budget: float) -> float:
+    """Goal probability that a failure budget demands; of a share, without its rounding."""
+    return budget.demanded if isinstance(budget, GoalShare) else 1.0 - budget
+
+
+RARE_GOAL = 1e-3
+"""Demanded goal probability below which success is counted in place of failing.
+
+More often than that, 1 - failure has 13 digits of it; and failing may be rare itself.
+"""
 
 
 def goal_out_of_reach(model: SSP, start: FloatArray) -> str:
