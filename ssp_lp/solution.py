@@ -39,6 +39,7 @@ from ssp_lp.processes.failure_semantics import (
     Aim,
     FailureSemantics,
     GiveUp,
+    GoalShare,
     ObjectiveSense,
     start_distribution,
 )
@@ -534,7 +535,7 @@ def remarks(problem: Problem, granted: float, finished: bool) -> str:
     """Remarks on a solution: a budget raised to the least failure, a search cut short."""
     notes = []
     budget = problem.failure_budget
-    if budget is not None and granted > budget:
+    if budget is not None and granted > budget and not isinstance(budget, GoalShare):
         notes.append(
             f"the budget lies {granted - budget:.1e} below the least failure and counts as equal "
             "to it"
