@@ -40,7 +40,6 @@ def accelerate(monkeypatch: pytest.MonkeyPatch) -> Switch:
     """Run every loop compiled, or none."""
 
     def switch(on: bool) -> None:
-        monkeypatch.setattr(accelerator, "has_accelerator", lambda: on)
-        monkeypatch.setattr(accelerator, "least_entries", lambda: 0)
+        monkeypatch.setenv(accelerator.SWITCH, "numba" if on else "none")
 
     return switch

@@ -37,7 +37,7 @@ from ssp_lp.arrays import (
     concatenated_ranges,
     read_only,
 )
-from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.errors import ModelError
@@ -402,6 +402,7 @@ class Arrivals:
             return 0 if bound == 0.0 else -1 if bound < 0.0 else _LAST_LAYER
         return min(max(last_layer(bound, self.unit), -1), _LAST_LAYER)
 
+    @with_twin
     def settle(self, layers: int) -> None:
         """Settle the arrivals of all layers below the given number.
 
@@ -411,7 +412,9 @@ class Arrivals:
         """
         while self.settled < layers:
             check_time()
-            if self._lists or (self._free is None and accelerated(_TOGETHER)):
+            if self._lists or (
+                self._free is None and accelerated(_TOGETHER, "layers.stream_layers")
+            ):
                 few = max(_TOGETHER // max(self._onward.nnz, 1), 1)
                 self._settle_together(min(layers - self.settled, few))
                 continue
@@ -517,7 +520,8 @@ class Arrivals:
         """Settle arrivals of several layers without moves at no cost, in compiled loops."""
         from ssp_lp.compiled.layers import stream_layers
 
-        if not self._lists:  # where mass waits, layer by layer of the ring
+        lists = self._lists
+        if not lists:  # where mass waits, layer by layer of the ring
             places = np.flatnonzero(self._waiting)
             heads, links = np.full(self._width, -1), np.full(self._waiting.size, -1, dtype=np.int32)
             row = places // self._size
@@ -525,11 +529,11 @@ class Arrivals:
             heads[row] = places
             moves = self._onward
             rows = moves.indptr.astype(np.int64), moves.indices.astype(np.int64), moves.data
-            self._lists = heads, links, *rows
+            lists = heads, links, *rows
         run: Callable[..., int] = stream_layers
         arrived = np.zeros(layers)
-        followed = run(self._waiting, *self._lists, self.settled % self._width, arrived)
-        self._occupied = self._lists[0] >= 0
+        followed = run(self._waiting, *lists, self.settled % self._width, arrived)
+        self._lists, self._occupied = lists, lists[0] >= 0
         reached = np.flatnonzero(arrived)
         self._layers += (self.settled + reached).tolist()
         self._masses += arrived[reached].tolist()

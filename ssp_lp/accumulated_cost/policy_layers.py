@@ -30,7 +30,7 @@ from ssp_lp.arrays import (
     offsets_of,
     read_only,
 )
-from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import backward, check_time
 from ssp_lp.dynamic_programming.equations import System, strong_components
 from ssp_lp.errors import ModelError
@@ -147,6 +147,7 @@ class LayerMoves:
         begins = model.outcome_offsets[model.pair_offsets]
         return strong_components(begins, model.successors, model.probabilities * staying).order
 
+    @with_twin
     def meet(self, begin: int, end: int, hopeful: BoolArray) -> None:
         """Mark where a policy's layers may lead to what is marked in them or later, in place.
 
@@ -159,7 +160,7 @@ class LayerMoves:
         model, leads, decision = self.model, self.layers.leads(begin), self.layers.decision
         if not model.n_outcomes:
             return
-        if accelerated(model.n_outcomes * (end - begin)):
+        if accelerated(model.n_outcomes * (end - begin), "layers.stream_marks"):
             from ssp_lp.compiled.layers import stream_marks
 
             own = decision[begin:end], self.acting, model.pair_offsets
@@ -228,6 +229,7 @@ class LayerMoves:
             self.send(sent, pairs, ring, waiting)
             yield layer, here, pairs, visits
 
+    @with_twin
     def send(self, mass: FloatArray, pairs: IntArray, ring: IntArray, waiting: FloatArray) -> None:
         """Send the mass of k states by their pairs on to later layers, in place.
 
@@ -239,7 +241,7 @@ class LayerMoves:
         """
         check_time()
         costs = self.layers.costs
-        if accelerated(self.model.n_outcomes):
+        if accelerated(self.model.n_outcomes, "layers.stream_mass"):
             from ssp_lp.compiled.layers import stream_mass
 
             stream_mass(mass, pairs, *self._outcomes, ring, costs, waiting)

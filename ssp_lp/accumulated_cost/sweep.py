@@ -24,7 +24,7 @@ import numpy as np
 from ssp_lp.accumulated_cost.process import AccumulatedCost, LayeredProcess
 from ssp_lp.accumulated_cost.totals import Totals, Window
 from ssp_lp.arrays import MACHINE_EPSILON, TIED, FloatArray, IntArray, least_integer_type, unsigned
-from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import STOPS, Stop, backward, check_time, end_with_incumbent, pieces
 from ssp_lp.dynamic_programming.bellman import (
     PairCost,
@@ -37,6 +37,7 @@ from ssp_lp.dynamic_programming.bellman import (
 )
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import approach_leaving
+from ssp_lp.dynamic_programming.equations import COMPONENTS
 from ssp_lp.dynamic_programming.evaluation import evaluate_chain
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 
@@ -103,6 +104,7 @@ class Sweep:
         most = int(np.diff(base.pair_offsets).max(initial=1))
         return np.empty((self.process.cap, base.n_nodes), dtype=least_integer_type(most))
 
+    @with_twin
     def minimise(self, price: float, failing: float, choice: IntArray) -> FloatArray:
         """Best choice of a backward sweep at a price, written; its charge, failure and goal, [3].
 
@@ -111,9 +113,9 @@ class Sweep:
         """
         process, base = self.process, self.process.base
         values, measures = process.beyond_value(price, failing), process.measures_beyond(price)
-        if self.one_pass is not None:
+        if (one_pass := self.one_pass) is not None:
             owed, saved = self._owed(price, failing)
-            blocks = self._blocks(self.one_pass, owed, saved, values, measures, choice)
+            blocks = self._blocks(one_pass, owed, saved, values, measures, choice)
             return np.asarray(base.start @ deque(blocks, maxlen=1)[0][2][0])
         cost, inner = self._pair_costs(price, failing), self._first_choice
 
@@ -145,6 +147,7 @@ class Sweep:
             end_with_incumbent(stop)
             raise Stop(part) from stop
 
+    @with_twin
     def measure(self, choice: IntArray, tail_price: float) -> FloatArray:
         """Charge, failure and goal of a choice by a sweep over the layers, from the start on, [3].
 
@@ -153,9 +156,9 @@ class Sweep:
             tail_price: the price of failure by which tails are chosen beyond the cap.
         """
         base, beyond = self.process.base, self.process.measures_beyond(tail_price)
-        if self.one_pass is not None:
+        if (one_pass := self.one_pass) is not None:
             given = _NONE, _NONE, beyond[:, :, 0], beyond, choice
-            blocks = self._blocks(self.one_pass, *given, keeps=True)
+            blocks = self._blocks(one_pass, *given, keeps=True)
             return np.asarray(base.start @ deque(blocks, maxlen=1)[0][2][0])
         if self.can_follow:
             return self.follow(choice, tail_price)
@@ -213,13 +216,13 @@ class Sweep:
             return (sub_solution(base.instant_dynamics, onward, most, floor),)
 
         blocks: Iterable[tuple[slice, FloatArray]]
-        if self.one_pass is None:
+        if (one_pass := self.one_pass) is None:
             cost = self._pair_costs(price, failing, sizes=True)
             layers = self._backward(lower, beyond)
             blocks = ((slice(layer, layer + 1), lowest[None]) for layer, (lowest,) in layers)
         else:
             owed = self._owed(price, failing)
-            swept = self._blocks(self.one_pass, *owed, beyond, limits=(given, floor))
+            swept = self._blocks(one_pass, *owed, beyond, limits=(given, floor))
             blocks = ((some, lowest) for some, lowest, _ in swept)
         is_kept = given.size <= KEPT_VALUES
         kept = np.empty(given.shape) if is_kept else np.broadcast_to(np.inf, given.shape)
@@ -398,20 +401,27 @@ class Sweep:
     @property
     def can_follow(self) -> bool:
         """Whether a choice can be swept forwards, in compiled loops."""
-        return self.is_acyclic and accelerated(self.process.base.later.nnz)
+        return self.is_acyclic and accelerated(self.process.base.later.nnz, "layers.follow_layer")
+
+    @property
+    def one_pass(self) -> CompiledPass | None:
+        """The layers as the compiled backward sweep reads them; None: it does not run compiled."""
+        process, base = self.process, self.process.base
+        cells = base.n_nodes * process.totals.span
+        if cells > _MOST_CELLS or (base.instant.nnz == 0 and base.later.nnz > _MOST_ENTRIES):
+            return None
+        loops = ("layers.sweep_layers", *(COMPONENTS if base.instant.nnz else ()))
+        if base.n_nodes == 0 or not accelerated(base.later.nnz * process.cap, *loops):
+            return None
+        return self._compiled_pass
 
     @cached_property
-    def one_pass(self) -> CompiledPass | None:
+    def _compiled_pass(self) -> CompiledPass | None:
         """The layers as the compiled backward sweep reads them, whatever is asked for.
 
         None where layers are long, or free steps go round for long.
         """
         process, base, cap = self.process, self.process.base, self.process.cap
-        cells = base.n_nodes * process.totals.span
-        if cells > _MOST_CELLS or (base.instant.nnz == 0 and base.later.nnz > _MOST_ENTRIES):
-            return None
-        if base.n_nodes == 0 or not accelerated(base.later.nnz * cap):
-            return None
         arriving = process.arriving
         if not process.grows_evenly and (len(arriving) + 1) * cap > _MOST_CHARGES:
             return None
@@ -457,7 +467,7 @@ class Sweep:
     def _first_choice(self) -> IntArray:
         """The sweep's first choice, by which each layer with free steps is left, [nodes]."""
         base = self.process.base
-        if self.is_acyclic or self.one_pass is not None:
+        if self.is_acyclic:
             return base.pair_offsets[:-1]
         leaving = (base.gain > 0) | (base.failure > 0) | (np.diff(base.later.indptr) > 0)
         return approach_leaving(base.instant_dynamics, leaving)

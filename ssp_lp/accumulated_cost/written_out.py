@@ -23,6 +23,7 @@ from ssp_lp.accumulated_cost.charges import Charge, TailValues
 from ssp_lp.accumulated_cost.process import AccumulatedCost, ChargedLayers, LayeredProcess
 from ssp_lp.accumulated_cost.totals import Totals, layers_within
 from ssp_lp.arrays import FloatArray, IntArray, offsets_of
+from ssp_lp.compiled.deadline import backward, check_time
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.processes.explicit_process import ExplicitProcess
@@ -52,13 +53,13 @@ def materialise(process: LayeredProcess) -> ExplicitProcess:
         np.tile(per_pair, cap)
         for per_pair in (np.diff(base.pair_offsets), base.failure, base.survival * base.gain)
     )
-    charged = [process.charged(layer).total for layer in range(cap)]
+    charged = [process.charged(layer).total for layer in backward(cap)][::-1]
     rewards = (
         np.concatenate([*charged, tails_cost.ravel(), [process.start_charge]]),
         np.concatenate([failure, tails_failure.ravel(), [base.start_failure]]),
         np.concatenate([goal, tails_goal.ravel(), [base.start_goal]]),
     )
-    every_step = sp.vstack([steps, sp.csr_array((tails_cost.size, n_states))])
+    every_step = [steps, sp.csr_array((tails_cost.size, n_states))]
     return _entered_process(
         base, every_step, np.append(own_pairs, np.full(n_beyond, n_tails)), rewards
     )
@@ -66,7 +67,7 @@ def materialise(process: LayeredProcess) -> ExplicitProcess:
 
 def _entered_process(
     base: AccumulatedCost,
-    steps: sp.csr_array,
+    steps: list[sp.csr_array],
     n_pairs: IntArray,
     rewards: tuple[FloatArray, FloatArray, FloatArray],
 ) -> ExplicitProcess:
@@ -74,14 +75,16 @@ def _entered_process(
 
     Args:
         base: one layer.
-        steps: of all pairs but the source's, [pairs, states].
+        steps: of all pairs but the source's, in order, [some pairs, states] each.
         n_pairs: of each state but the source, [states - 1].
         rewards: cost, failure and goal, [pairs + 1] each.
     """
     source = np.zeros(len(n_pairs) + 1)
     source[-1] = 1.0
     entry = sp.csr_array(np.append(base.start, np.zeros(len(source) - base.n_nodes))[None, :])
-    transitions = sp.csr_array(sp.vstack([steps, entry]))
+    check_time()
+    transitions = sp.csr_array(sp.vstack([*steps, entry]))
+    check_time()
     return ExplicitProcess(offsets_of(np.append(n_pairs, 1)), transitions, source, *rewards)
 
 
@@ -117,20 +120,25 @@ def steps_of_layers(
     steps, n = base.steps, base.n_nodes
     ahead, node = np.divmod(steps.indices.astype(np.int64), max(n, 1))
     kinds, classes = np.unique(ahead, return_inverse=True)
+    check_time()
     reached, share = leads(kinds)
     layers, columns = len(reached), (reached[:, classes] * n + node).ravel()
+    check_time()
     row_ends = np.tile(steps.indptr[1:].astype(np.int64), layers)
     row_ends += np.repeat(np.arange(layers, dtype=np.int64) * steps.nnz, len(base.gain))
     index = np.int32 if max(n_states, columns.size) <= np.iinfo(np.int32).max else np.int64
     indptr, shape = np.append(0, row_ends).astype(index), (layers * len(base.gain), n_states)
     data: FloatArray = np.tile(steps.data, layers)
+    check_time()
     if share is None or not share.any():
         return sp.csr_array((data, columns.astype(index), indptr), shape=shape)
     upper = share[:, classes].ravel()
     following = np.where(upper > 0.0, columns + n, columns).astype(index)
     below: sp.csr_array
     below = sp.csr_array((data * (1.0 - upper), columns.astype(index), indptr), shape=shape)
+    check_time()
     above: sp.csr_array = sp.csr_array((data * upper, following, indptr), shape=shape)
+    check_time()
     return sp.csr_array(below + above)
 
 
@@ -166,12 +174,14 @@ class OpenEnded(ChargedLayers):
         check_room(self.base, self.cap, MOST_WRITTEN)
         base, copies = self.base, self.cap + 1
         steps = steps_of_layers(base, self.leads, copies * self.n_nodes + 1)
+        check_time()
         steps.sum_duplicates()
+        check_time()
         cost = self.own_cost + self.everywhere(*self.shift_of_ends)
         failure = self.everywhere(base.failure, base.start_failure)
         goal = self.everywhere(base.survival * base.gain, base.start_goal)
         n_pairs = np.tile(np.diff(base.pair_offsets), copies)
-        return _entered_process(base, steps, n_pairs, (cost, failure, goal))
+        return _entered_process(base, [steps], n_pairs, (cost, failure, goal))
 
     def everywhere(self, per_pair: FloatArray, at_source: float) -> FloatArray:
         """A number per pair of a layer, written out for all layers and the source.
@@ -212,7 +222,7 @@ class OpenEnded(ChargedLayers):
     @cached_property
     def own_cost(self) -> FloatArray:
         """Charges of arriving in the open-ended table, [process pairs]."""
-        each = [self.own_cost_from(layer) for layer in range(self.cap + 1)]
+        each = [self.own_cost_from(layer) for layer in backward(self.cap + 1)][::-1]
         return np.append(np.concatenate(each), self.start_charge)
 
     def own_cost_from(self, layer: int) -> FloatArray:

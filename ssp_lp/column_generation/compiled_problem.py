@@ -478,8 +478,10 @@ class CompiledAccumulatedCost(_CompiledLayered):
         followed: where that loses something, the cap is raised or the tails become exact.
         """
         base, later = self.base, self.base.later
-        is_large = base.instant.nnz == 0 and later.nnz >= _LARGE and accelerated(later.nnz)
+        is_large = base.instant.nnz == 0 and later.nnz >= _LARGE
         if self.exact_tails or not is_large or base.quotient.merged.any():
+            return None
+        if not accelerated(later.nnz, "layers.follow_layer"):
             return None
         rule = base.quotient.placed(goal_approach(self.model)[0]) - base.pair_offsets[:-1]
         return follow_rule(base, rule, _MOST_STEPS)

@@ -422,8 +422,8 @@ class OpenEndedPricing(PricingProblem):
     def sweeps(self) -> OpenSweeps:
         """The sweeps of layered pricing with rows."""
         base, rows = self.augmented.base, tuple(row for row, _ in self.rows)
-        follows, every = accelerated(base.later.nnz), slice(0, base.n_nodes)
-        every_node = self.augmented, rows, base.later, every
+        follows = accelerated(base.later.nnz, "layers.follow_layer")
+        every_node = self.augmented, rows, base.later, slice(0, base.n_nodes)
         return OpenSweeps(*every_node, follows=follows, by_goal=self.by_goal)
 
     @cached_property

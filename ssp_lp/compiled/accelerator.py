@@ -6,76 +6,88 @@ Every compiled loop has a numpy twin of the same shape; results agree to roundin
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
+import json
 import logging
 import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
-from functools import cache
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from functools import cache, wraps
 from pathlib import Path
-from typing import Final
+from typing import Final, ParamSpec, TypeVar
 
 from ssp_lp.compiled.deadline import seconds_left
 from ssp_lp.errors import ModelError
 
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
 SWITCH: Final = "SSP_LP_ACCELERATOR"
-"""Environment variable: "none", "numba" (every loop is compiled, however short), or unset: long
-loops are, where numba is installed."""
+"""Environment variable: "none", "numba" (every loop is compiled, however short), or unset: a
+loop is once that is worth it, where numba is installed."""
 
-_CACHED: Final = 60_000
-"""Entries of a loop that are worth loading compiled loops from numba's cache: about a second."""
-
-_COLD: Final = 1_000_000
-"""Entries of a loop that are worth compiling loops for the first time: some ten seconds, once.
-
-A solve passes over them some hundred times, a second for each hundred million in numpy, and what
-is compiled is kept for every later process.
-"""
-
-_COMPILING: Final = 20.0
-"""Seconds that a call has left at least where loops are compiled for the first time in it."""
+_RATE: Final = 50_000_000
+"""Entries that numpy expressions pass over in a second."""
 
 _CALL: Final = 3_000
 """Entries that take as long as the calls around a short loop of numpy expressions."""
 
-_LOOPS: Final = 300
-"""Loops as long as is worth loading, or compiling, for one: many short ones are worth it too."""
+_NUMBA: Final = 0.6 * _RATE
+"""Entries passed over that are worth loading numba."""
 
-_INDEX: Final = "**/backups.back_up*.nbi"  # numba's index of the loop that every solve needs
+_LOADED: Final = 0.03 * _RATE
+"""Entries passed over that are worth loading one compiled loop from numba's cache."""
+
+_COMPILED: Final = 1.0 * _RATE
+"""Entries passed over that are worth compiling a loop; most take a third of a second to two."""
+
+_EARLIER: Final = 0.25
+"""Weight of the entries that earlier processes passed over: short processes seldom end together
+with what they repeat, and compiling adds at most a quarter to the time of all of them."""
+
+_COMPILING: Final = 20.0
+"""Seconds that a call must have left where a loop is compiled in it: three times the slowest."""
+
+_LOADING: Final = 2.0
+"""Seconds that a call must have left where numba is loaded in it."""
+
+_RECORDED: Final = 0.02 * _RATE
+"""Entries passed over between two entries in the record beside the cache, which take 0.2 ms."""
+
+_RECORD: Final = "passed_over.json"
 
 
 def has_accelerator() -> bool:
-    """Whether the accelerator, numba's compiled loops, is installed and not switched off.
+    """Whether the accelerator, numba's compiled loops, is installed and not switched off; load it.
 
     Raises:
         ModelError: the environment variable holds another word.
     """
-    return not _interpreted.is_for_good and _load()
+    wish = os.environ.get(SWITCH, "")
+    if wish not in ("", "numba", "none"):
+        raise ModelError(f"{SWITCH} must be 'numba' or 'none', not {wish!r}")
+    return wish != "none" and not _loops.is_given_up and _is_installed() and _load()
 
 
 def give_up_compiling() -> None:
     """Go on in numpy until the process ends, as numba was left halfway."""
-    _interpreted.is_for_good = True
+    _loops.is_given_up = True
     message = "numba was interrupted while it compiled: this process goes on without it"
     logging.getLogger("ssp_lp.compiling").info(message)
 
 
 @cache
 def _load() -> bool:
-    """Load numba, once, unless it is missing or switched off.
+    """Load numba, once.
 
     Ctrl-C waits for the second that loading takes: what is loaded by half would stay so, and every
     later loop of the process would fail ("module 'numba' has no attribute 'core'"). After any other
     exception from outside, such as an alarm of the caller's, numba is not used any more.
     """
-    wish = os.environ.get(SWITCH, "")
-    if wish not in ("", "numba", "none"):
-        raise ModelError(f"{SWITCH} must be 'numba' or 'none', not {wish!r}")
-    if wish == "none" or importlib.util.find_spec("numba") is None:
-        return False
     try:
         with _interrupts_deferred():
             target = importlib.import_module("numba.core.registry").cpu_target
@@ -88,26 +100,101 @@ def _load() -> bool:
     return True
 
 
-def accelerated(entries: int) -> bool:
-    """Whether a loop over so many entries is to run compiled, by the accelerator.
+def accelerated(entries: int, *loops: str) -> bool:
+    """Whether compiled loops take the place of a numpy expression over so many entries.
 
-    Once compiled loops are loaded every loop is: they cost less than a numpy expression. Before
-    that, what short loops have taken adds up, as it does for a just-in-time compiler: a process
-    that goes on solving small models loads them in the end, one that solves a few never does.
+    Each loop is judged by itself. It is loaded from numba's cache, or compiled, once the entries
+    that its numpy twin has passed over took about as long as that takes: so time spent on it is at
+    most doubled. A loop that is to be compiled counts what earlier processes passed over, too.
+
+    Args:
+        entries: of the expression.
+        loops: the compiled loops that take its place, as "module.function" of ``ssp_lp.compiled``.
     """
-    if entries >= least_entries():
-        return has_accelerator() and _announces_compiling()
-    _interpreted.entries += entries + _CALL
+    wish = os.environ.get(SWITCH, "")
+    if wish or not _is_installed():
+        return wish != "none" and has_accelerator()
+    share = (entries + _CALL) / len(loops)
+    judged = [_loops.is_worth(loop, share) for loop in loops]
+    return all(judged) and has_accelerator()
+
+
+def may_compile(loop: str) -> bool:
+    """Whether numba, which finds no compiled loop for an argument's types, is to compile it."""
+    if os.environ.get(SWITCH, "") == "numba" or _frames.depth == 0 or _loops.is_due(loop):
+        _announce_compiling()
+        return True
+    _loops.refuse(loop)
     return False
 
 
+class NotCompiledError(Exception):
+    """A loop is not compiled for these types, and must not be now.
+
+    Args:
+        loop: its name.
+    """
+
+    def __init__(self, loop: str) -> None:
+        super().__init__(f"{loop} is not compiled")
+        self.loop = loop
+
+
+def with_twin(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Begin a function again with numpy's twin where one of its loops must not be compiled.
+
+    The function asks ``accelerated`` about each of its loops, and changes nothing that it reads
+    before the first of them has run.
+    """
+
+    @wraps(function)
+    def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+        refused = set[str]()
+        while True:
+            _frames.depth += 1
+            try:
+                return function(*args, **kwargs)
+            except NotCompiledError as error:
+                if error.loop in refused:
+                    break  # the function has no twin of it
+                refused.add(error.loop)
+            finally:
+                _frames.depth -= 1
+        return function(*args, **kwargs)
+
+    return run
+
+
+@contextmanager
+def without_twins() -> Iterator[None]:
+    """Context in which no function begins again: a loop that is not compiled is compiled."""
+    before, _frames.depth = _frames.depth, 0
+    try:
+        yield
+    finally:
+        _frames.depth = before
+
+
+class _Frames(threading.local):
+    """Functions with a twin that this thread is in."""
+
+    depth = 0
+
+
+_frames: Final = _Frames()
+
+
 @cache
-def _announces_compiling() -> bool:
-    """Log, once, that the accelerator compiles its loops for the first time."""
-    if not _is_compiled_before():
-        message = "inner loops for the first time, some ten seconds for each kind of problem; kept"
-        logging.getLogger("ssp_lp.compiling").info(message)
-    return True
+def _is_installed() -> bool:
+    """Whether numba can be imported."""
+    return importlib.util.find_spec("numba") is not None
+
+
+@cache
+def _announce_compiling() -> None:
+    """Log, once, that the accelerator compiles loops for the first time."""
+    message = "inner loops for the first time, a second for most of them; kept"
+    logging.getLogger("ssp_lp.compiling").info(message)
 
 
 @contextmanager
@@ -126,34 +213,119 @@ def _interrupts_deferred() -> Iterator[None]:
             signal.raise_signal(signal.SIGINT)
 
 
-def least_entries() -> int:
-    """Entries from which a loop runs on the accelerator, the start of compiled code counted."""
-    if os.environ.get(SWITCH) == "numba":
-        return 0
-    worth, is_loaded = _CACHED, "ssp_lp.compiled.cores" in sys.modules
-    if not _is_compiled_before():
-        if not is_loaded and seconds_left() < _COMPILING:
-            return sys.maxsize
-        worth, is_loaded = _COLD, False
-    return 0 if is_loaded or _interpreted.entries > _LOOPS * worth else worth
+class _Loops:
+    """What is known of each compiled loop; it decides on speed only."""
+
+    def __init__(self) -> None:
+        self.running = set[str]()  # in use in this process
+        self.cached = set[str]()  # on disk, by the names of numba's files
+        self.passed = dict[str, float]()  # entries that its twin has passed over in this process
+        self.earlier = dict[str, float]()  # in earlier processes
+        self.recorded = dict[str, float]()  # of ``passed``, what the record knows
+        self.loadable = 0.0  # entries of loops that are on disk
+        self.unrecorded = 0.0
+        self.is_given_up = False  # numba was left halfway
+        self.places: list[Path] | None = None  # folders of numba's cache; None: not looked for
+
+    def is_worth(self, loop: str, entries: float) -> bool:
+        """Whether a loop is to run compiled, given the entries that it would pass over now."""
+        if loop in self.running:
+            return True
+        if self.places is None:
+            self.places = cache_folders()
+            self.cached = _cached_loops(self.places)
+        self.passed[loop] = passed = self.passed.get(loop, 0.0) + entries
+        self.unrecorded += entries
+        if self.unrecorded > _RECORDED:
+            self._record()
+        if loop in self.cached:
+            self.loadable += entries
+            is_loaded = _load.cache_info().currsize > 0
+            if not is_loaded:
+                is_loaded = self.loadable >= _NUMBA and seconds_left() >= _LOADING
+            worth = is_loaded and passed >= _LOADED
+        else:
+            worth = self.is_due(loop)
+        if worth:
+            self.running.add(loop)
+        return worth
+
+    def is_due(self, loop: str) -> bool:
+        """Whether a loop is to be compiled: its twin took as long, and the call has the time."""
+        passed = self.passed.get(loop, 0.0) + _EARLIER * self.earlier.get(loop, 0.0)
+        return passed >= _COMPILED and seconds_left() >= _COMPILING
+
+    def refuse(self, loop: str) -> None:
+        """Go on without a loop until it is due."""
+        self.running.discard(loop)
+        self.cached.discard(loop)
+
+    def _record(self) -> None:
+        """Add what was passed over to the record beside the cache, and read what others did.
+
+        A record that cannot be read counts as empty; where none can be written the process counts
+        alone. Of two processes that write at once the later one's numbers are kept.
+        """
+        self.unrecorded = 0.0
+        for place in self.places or ():
+            known = _read_record(place / _RECORD)
+            added = {loop: n - self.recorded.get(loop, 0.0) for loop, n in self.passed.items()}
+            total = {loop: known.get(loop, 0.0) + n for loop, n in added.items()}
+            try:
+                _write_record(place / _RECORD, known | total)
+            except OSError:
+                continue
+            self.recorded = dict(self.passed)
+            self.earlier = {k: n - self.passed.get(k, 0.0) for k, n in (known | total).items()}
+            return
 
 
-class _Interpreted:
-    """Entries that this process has passed over in numpy expressions; decides on speed only."""
-
-    entries = 0
-    is_for_good = False  # whether compiled loops must not be used any more
+_loops: Final = _Loops()
 
 
-_interpreted: Final = _Interpreted()
+def cache_folders() -> list[Path]:
+    """The folders in which numba may keep this library's compiled loops, the first it can use."""
+    sources = Path(__file__).resolve().parent
+    own = f"{sources.name}_{hashlib.sha1(str(sources).encode(), usedforsecurity=False).hexdigest()}"
+    if wished := os.environ.get("NUMBA_CACHE_DIR"):
+        return [Path(wished) / own]
+    home = Path.home()
+    user = {"win32": home / "AppData/Local/numba/Cache", "darwin": home / "Library/Caches/numba"}
+    cached = Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache") / "numba"
+    return [sources / "__pycache__", user.get(sys.platform, cached) / own]
 
 
-@cache
-def _is_compiled_before() -> bool:
-    """Whether numba's cache holds the compiled loops of this version of the library."""
-    sources = Path(__file__).parent
-    changed = (sources / "backups.py").stat().st_mtime
-    wished = os.environ.get("NUMBA_CACHE_DIR")
-    places = [Path(wished)] if wished else [sources / "__pycache__", Path.home() / ".cache/numba"]
-    indices = (index for place in places for index in place.glob(_INDEX))
-    return any(index.stat().st_mtime >= changed for index in indices)
+def _cached_loops(places: Iterable[Path]) -> set[str]:
+    """Loops of this version of the library and of Python that numba's cache seems to hold.
+
+    Whether it does for the types at hand, numba says once it is loaded.
+    """
+    ending = f".py{sys.version_info[0]}{sys.version_info[1]}{getattr(sys, 'abiflags', '')}.nbi"
+    found = set[str]()
+    for index in (index for place in places for index in place.glob(f"*-*{ending}")):
+        name = index.name.partition("-")[0]
+        source = Path(__file__).with_name(name.partition(".")[0] + ".py")
+        with suppress(OSError):
+            if source.stat().st_mtime <= index.stat().st_mtime:
+                found.add(name)
+    return found
+
+
+def _read_record(path: Path) -> dict[str, float]:
+    """Entries passed over by processes so far, by loop; a damaged record is empty."""
+    try:
+        known = json.loads(path.read_text(encoding="utf-8"))
+        return {str(loop): max(float(n), 0.0) for loop, n in known.items()}
+    except (OSError, ValueError, TypeError, AttributeError):
+        return {}
+
+
+def _write_record(path: Path, passed: dict[str, float]) -> None:
+    """Write the record in one step, so that no other process reads a part of it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_suffix(f".{os.getpid()}.tmp")
+    try:
+        beside.write_text(json.dumps(passed), encoding="utf-8")
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)

@@ -12,14 +12,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
-from ssp_lp.compiled.cores import one_or_all_cores
+from ssp_lp.compiled.cores import compiled_loop, one_or_all_cores
 
 Array = np.ndarray[Any, Any]
 
 
-@njit(cache=True)
+@compiled_loop
 def solve_by_elimination(
     indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
     order: Array, offsets: Array, first: int, last: int, most: int, rewards: Array, x: Array,
@@ -67,7 +67,7 @@ def solve_by_elimination(
     return -1
 
 
-@njit(cache=True, inline="always")
+@compiled_loop(inline="always")
 def _eliminate_one_state(
     indptr: Array, indices: Array, data: Array, exits: Array, row: int, s: int,
     rewards: Array, x: Array,
@@ -89,7 +89,7 @@ def _eliminate_one_state(
     return True
 
 
-@njit(cache=True)
+@compiled_loop
 def gather_component(
     indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
     order: Array, begin: int, size: int, place: Array, rewards: Array, by_row: bool, x: Array,
@@ -133,7 +133,7 @@ def gather_component(
                     right[i, j] += p * x[successor, j]
 
 
-@njit(cache=True)
+@compiled_loop
 def eliminate_component(inner: Array, low: Array, leaving: Array, right: Array, size: int) -> bool:
     """Compiled: solve a component's dense equations, in place; false if it is never left."""
     flat, width = inner.reshape(-1), inner.shape[1]
@@ -143,7 +143,7 @@ def eliminate_component(inner: Array, low: Array, leaving: Array, right: Array, 
     return True
 
 
-@njit(cache=True)
+@compiled_loop
 def eliminate_states(
     inner: Array, width: int, shift: int, low: Array, leaving: Array, size: int
 ) -> bool:
@@ -182,7 +182,7 @@ def eliminate_states(
     return True
 
 
-@njit(cache=True)
+@compiled_loop
 def solve_eliminated(
     inner: Array, width: int, shift: int, low: Array, right: Array, size: int
 ) -> None:
@@ -261,7 +261,7 @@ def from_beyond(
             right[i, j] /= departs[i]
 
 
-@njit(cache=True)
+@compiled_loop
 def sweep(
     indptr: Array, indices: Array, data: Array, right: Array, x: Array
 ) -> tuple[float, float]:
@@ -296,7 +296,7 @@ def sweep(
     return change, size
 
 
-@njit(cache=True)
+@compiled_loop
 def _miss_of_sweep(indptr: Array, indices: Array, data: Array, x: Array, miss: Array) -> None:
     """Compiled: residual ``x - G x`` of equations, G a Gauss-Seidel sweep without rewards."""
     miss[:] = x
@@ -316,14 +316,14 @@ def start_bicgstab(residual: Array) -> tuple[Array, Array, Array, Array]:
     return residual.copy(), residual.copy(), np.zeros_like(residual), rho
 
 
-@njit(cache=True)
+@compiled_loop
 def _square_in_sweep(residual: Array, rho: Array) -> None:
     """Compiled: the squared norm of a residual of equations, summed in order."""
     for s in range(residual.size):
         rho[0] += residual[s] * residual[s]
 
 
-@njit(cache=True)
+@compiled_loop
 def bicgstab(
     indptr: Array, indices: Array, data: Array,
     residual: Array, target: float, most_steps: int, x: Array,
@@ -371,7 +371,7 @@ def bicgstab(
     return 2 * most_steps, False
 
 
-@njit(cache=True)
+@compiled_loop
 def work_of_levels(indptr: Array, indices: Array) -> tuple[int, float]:
     """Compiled: how wide a component's equations are, by distances from its first state.
 
@@ -403,7 +403,7 @@ _LOWERINGS = 8  # of a value by what it still lacks: after two of them nothing d
 _SPLIT = 134217729.0  # 2**27 + 1 (Veltkamp)
 
 
-@njit(cache=True, inline="always")
+@compiled_loop(inline="always")
 def exact_sum(a: float, b: float) -> tuple[float, float]:
     """Compiled: a + b in twice the precision, rounded, and what the rounding lost (Knuth)."""
     total = a + b
@@ -411,7 +411,7 @@ def exact_sum(a: float, b: float) -> tuple[float, float]:
     return total, (a - (total - back)) + (b - back)
 
 
-@njit(cache=True, inline="always")
+@compiled_loop(inline="always")
 def _precise_product(a: float, b: float) -> tuple[float, float]:
     """Compiled: a * b in twice the precision, rounded, and what the rounding lost (Dekker)."""
     total = a * b
@@ -421,7 +421,7 @@ def _precise_product(a: float, b: float) -> tuple[float, float]:
     return total, a_low * b_low - (((total - a_high * b_high) - a_low * b_high) - a_high * b_low)
 
 
-@njit(cache=True, inline="always")
+@compiled_loop(inline="always")
 def precise_advantage(
     row: int, s: int, indptr: Array, indices: Array, data: Array, exits: Array, cost: float,
     high: Array, low: Array, epsilon: float,
@@ -450,7 +450,7 @@ def precise_advantage(
     return total, epsilon * (abs(total) + terms * (small + epsilon * whole))
 
 
-@njit(cache=True, inline="always")
+@compiled_loop(inline="always")
 def safe_advantage(
     row: int, s: int, indptr: Array, indices: Array, data: Array, exits: Array, cost: float,
     values: Array, epsilon: float,
@@ -510,7 +510,7 @@ def shortfalls_safely(
         result[s] = worst
 
 
-@njit(cache=True)
+@compiled_loop
 def lower_in_order(
     offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array, order: Array,
     cost: Array, epsilon: float, values: Array,
@@ -542,7 +542,7 @@ def lower_in_order(
                 values[s] -= max(lack / departs, epsilon * abs(values[s]))
 
 
-@njit(cache=True)
+@compiled_loop
 def evaluate_precisely(
     indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
     order: Array, offsets: Array, most: int, rewards: Array, accuracy: float, corrections: int,
@@ -608,7 +608,7 @@ def evaluate_precisely(
     return True
 
 
-@njit(cache=True)
+@compiled_loop
 def _precise_miss(
     indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
     rewards: Array, x: Array, low: Array, epsilon: float, off: Array, missed: Array,

@@ -10,10 +10,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, unsigned
-from ssp_lp.compiled.cores import one_or_all_cores
+from ssp_lp.compiled.cores import compiled_loop, one_or_all_cores
 from ssp_lp.compiled.deadline import check_time, pieces
 
 _TURNS = 30_000  # states taken from a queue between two looks at the time
@@ -38,7 +38,7 @@ def reaching(
     return mask
 
 
-@njit(cache=True)
+@compiled_loop
 def _search_backwards(
     offsets: IntArray, pairs: IntArray, pair_state: IntArray, mask: BoolArray, queue: IntArray,
     head: int, filled: int,
@@ -76,7 +76,7 @@ def drain(
     _empty_queue(_drain_search, arrays, filled)
 
 
-@njit(cache=True)
+@compiled_loop
 def _drain_search(
     offsets: IntArray, pairs: IntArray, pair_state: IntArray, open_pairs: BoolArray,
     open_counts: IntArray, queue: IntArray, head: int, filled: int,
@@ -119,7 +119,7 @@ def approach(
     _empty_queue(_approach_search, arrays, _begin_search(home, useful, choice, queue))
 
 
-@njit(cache=True)
+@compiled_loop
 def _begin_search(pair_state: IntArray, useful: IntArray, choice: IntArray, queue: IntArray) -> int:
     """Compiled graph search begun at the useful pairs; how many states the queue holds."""
     filled = 0
@@ -132,7 +132,7 @@ def _begin_search(pair_state: IntArray, useful: IntArray, choice: IntArray, queu
     return filled
 
 
-@njit(cache=True)
+@compiled_loop
 def _approach_search(
     offsets: IntArray, pairs: IntArray, pair_state: IntArray, usable: BoolArray, choice: IntArray,
     distance: IntArray, queue: IntArray, head: int, filled: int,
@@ -166,7 +166,7 @@ def leading_into(
     return leads
 
 
-@njit(cache=True)
+@compiled_loop
 def _search_leading_into(
     outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray, states: BoolArray,
     leads: BoolArray,
@@ -213,7 +213,7 @@ def transpose_graph(
     return offsets, pairs
 
 
-@njit(cache=True)
+@compiled_loop
 def _count_edges(successors: IntArray, probabilities: FloatArray, counts: IntArray) -> None:
     """Compiled: count the graph's edges into each state."""
     for outcome in range(len(successors)):
@@ -221,7 +221,7 @@ def _count_edges(successors: IntArray, probabilities: FloatArray, counts: IntArr
             counts[successors[outcome]] += 1
 
 
-@njit(cache=True)
+@compiled_loop
 def _write_edges(
     first: int, outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray,
     places: IntArray, pairs: IntArray,
@@ -315,7 +315,7 @@ def _found_components(
     return finished, int(counts[5])
 
 
-@njit(cache=True)
+@compiled_loop
 def _search_components(
     begin: Array, end: Array, indices: Array, data: Array, roots: Array, label: Array,
     number: Array, low: Array, place: Array, opened: Array, calls: Array, finished: Array,
@@ -374,7 +374,7 @@ def _search_components(
     return goes_on
 
 
-@njit(cache=True)
+@compiled_loop
 def _not_entered(
     state: int, place: Array, end: Array, indices: Array, data: Array,
     number: Array, low: Array,
@@ -393,7 +393,7 @@ def _not_entered(
     return np.int64(-1)
 
 
-@njit(cache=True)
+@compiled_loop
 def _close_component(
     state: int, opened: Array, n_open: int, found: int, label: Array, number: Array
 ) -> int:
@@ -405,7 +405,7 @@ def _close_component(
             return n_open
 
 
-@njit(cache=True)
+@compiled_loop
 def mark_leading(
     indptr: Array, indices: Array, data: Array, states: Array, marked: BoolArray
 ) -> None:
@@ -417,7 +417,7 @@ def mark_leading(
                 break
 
 
-@njit(cache=True)
+@compiled_loop
 def mark_left(
     indptr: Array, indices: Array, data: Array, exits: Array, label: Array, left: Array
 ) -> None:
@@ -434,7 +434,7 @@ def mark_left(
                 break
 
 
-@njit(cache=True)
+@compiled_loop
 def _number_by_height(
     begin: Array, end: Array, indices: Array, data: Array, finished: Array, found: int, label: Array
 ) -> None:
@@ -460,7 +460,7 @@ def _number_by_height(
         label[s] = number[label[s]]
 
 
-@njit(cache=True)
+@compiled_loop
 def _sort_by_component(label: Array, finished: Array, found: int, order: Array) -> None:
     """Compiled counting sort of a graph's states by component, in order of finishing."""
     begin = np.zeros(found + 1, dtype=np.int64)

@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from ssp_lp.arrays import MACHINE_EPSILON, TIED
-from ssp_lp.compiled.cores import one_or_all_cores
+from ssp_lp.compiled.cores import compiled_loop, one_or_all_cores
 
 Array = np.ndarray[Any, Any]
 
@@ -42,7 +42,7 @@ class Layers(NamedTuple):
     goal: Array  # [pairs]
 
 
-@njit(cache=True, inline="always")
+@compiled_loop(inline="always")
 def _best_pair(
     pick: Any, past: Any, layers: Layers, begin: Array, charged: Array, factor: float, due: Array,
     values: Array, tied: float,
@@ -64,7 +64,7 @@ def _best_pair(
     return least, pick
 
 
-@njit(cache=True, inline="always")
+@compiled_loop(inline="always")
 def _measure_of(
     pick: Any, layers: Layers, begin: Array, charged: Array, factor: float, measured: Array
 ) -> tuple[float, float, float]:
@@ -81,7 +81,7 @@ def _measure_of(
     return paying, failed + layers.failure[pick], reached + layers.goal[pick]
 
 
-@njit(cache=True)
+@compiled_loop
 def _settle(
     layers: Layers, begin: Array, charged: Array, factor: float, due: Array,
     row: Any, values: Array, picks: Array, measured: Array,
@@ -118,7 +118,7 @@ def _settle(
         is_greedy = is_same
 
 
-@njit(cache=True)
+@compiled_loop
 def _measure(
     layers: Layers, begin: Array, charged: Array, factor: float, picks: Array,
     row: Any, measured: Array,
@@ -142,7 +142,7 @@ def _measure(
             break
 
 
-@njit(cache=True)
+@compiled_loop
 def _lower(
     layers: Layers, begin: Array, charged: Array, factor: float, owed: Array, saved: Array,
     row: Any, values: Array, within: Array,
@@ -186,7 +186,7 @@ def _lower(
         values[row + s] -= excess * within[s] * (1.0 + 4.0 * MACHINE_EPSILON)
 
 
-@njit(cache=True)
+@compiled_loop
 def sweep_layers(
     layers: Layers, owed: Array, saved: Array, values: Array, measured: Array,
     position: Array, keeps: bool, within: Array, given: Array,
@@ -232,7 +232,7 @@ def sweep_layers(
             _measure(layers, begin, charged, factor, picks, row, measured)
 
 
-@njit(cache=True)
+@compiled_loop
 def stream_mass(
     mass: Array, pairs: Array, offsets: Array, successors: Array, probabilities: Array,
     classes: Array, ring: Array, costs: Array, waiting: Array,
@@ -264,7 +264,7 @@ def stream_mass(
                             to[k + 2] += mass[s, k + 2] * share
 
 
-@njit(cache=True)
+@compiled_loop
 def stream_layers(
     waiting: Array, heads: Array, links: Array,
     indptr: Array, indices: Array, data: Array, first: int, arrived: Array,
@@ -307,7 +307,7 @@ def stream_layers(
     return followed
 
 
-@njit(cache=True)
+@compiled_loop
 def follow_layer(
     mass: Array, position: Array,
     offsets: Array, indptr: Array, begins: Array, indices: Array, data: Array,

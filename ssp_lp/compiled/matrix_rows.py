@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
-from ssp_lp.compiled.cores import one_or_all_cores
+from ssp_lp.compiled.cores import compiled_loop, one_or_all_cores
 
 Array = np.ndarray[Any, Any]
 
 
-@njit(cache=True)
+@compiled_loop
 def count_rows(
     outcome_offsets: Array, successors: Array, probabilities: Array, node_of: Array, pair_at: Array,
     home: Array, counts: Array, departs: Array, leaks: Array,
@@ -43,7 +43,7 @@ def count_rows(
         leaks[row] = leak
 
 
-@njit(cache=True)
+@compiled_loop
 def fill_rows(
     outcome_offsets: Array, successors: Array, probabilities: Array, ahead: Array, node_of: Array,
     n_nodes: int, pair_at: Array, home: Array, departs: Array, survival: float, indptr: Array,
@@ -76,7 +76,7 @@ def fill_rows(
                 place += 1
 
 
-@njit(cache=True)
+@compiled_loop
 def share_rows(
     indptr: Array, numbers: Array, begins: Array, data: Array, slots: Array, used: int
 ) -> int:
@@ -162,7 +162,7 @@ def copy_rows(
             own_data[place + k] = data[begin + k]
 
 
-@njit(cache=True)
+@compiled_loop
 def place_layers(
     choice: Array, first: Array, pair_at: Array, offsets: Array, node_of: Array, found: Array
 ) -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from ssp_lp.arrays import LEAST_RISE
+from ssp_lp.compiled.cores import compiled_loop
 from ssp_lp.compiled.equations import eliminate_component, gather_component
 
 Array = np.ndarray[Any, Any]
@@ -22,7 +22,7 @@ _ROUNDS = 50
 """Howard's rounds in one component: more would be spent on what lies around it."""
 
 
-@njit(cache=True)
+@compiled_loop
 def improve_components(
     rows: Rows, order: Array, components: Array, most: int, cost: Array, noise: float, tied: float,
     choice: Array, values: Array,
@@ -69,7 +69,7 @@ def improve_components(
     return -1
 
 
-@njit(cache=True)
+@compiled_loop
 def improve_acyclic(
     rows: Rows, order: Array, rewards: Array, weights: Array, keeps: bool, epsilon: float,
     choice: Array, x: Array, runs: Array, missed: Array,
@@ -139,7 +139,7 @@ def improve_acyclic(
     return True
 
 
-@njit(cache=True)
+@compiled_loop
 def improve_component(
     rows: Rows, states: Array, place: Array, cost: Array, noise: float, floor: float, rounds: int,
     choice: Array, values: Array, inner: Array, low: Array, leaving: Array, right: Array,
@@ -184,7 +184,7 @@ def improve_component(
     return changed, leaves
 
 
-@njit(cache=True)
+@compiled_loop
 def _best_pair(
     rows: Rows, cost: Array, values: Array, s: int, held: int, tied: float
 ) -> tuple[int, float, float, float]:
@@ -209,7 +209,7 @@ def _best_pair(
     return pick, least, kept, size
 
 
-@njit(cache=True)
+@compiled_loop
 def improve_blocks(
     rows: Rows, order: Array, blocks: Array, is_forward: bool, most: int,
     cost: Array, noise: float, floor: float, entering: Array, entering_offsets: Array, owner: Array,
@@ -277,7 +277,7 @@ def improve_blocks(
     return changed
 
 
-@njit(cache=True)
+@compiled_loop
 def _mark_entering(
     entering: Array, entering_offsets: Array, owner: Array, s: int, stale: Array
 ) -> None:
@@ -286,7 +286,7 @@ def _mark_entering(
         stale[owner[entering[k]]] = True
 
 
-@njit(cache=True)
+@compiled_loop
 def improve_states(
     rows: Rows, order: Array, cost: Array, noise: float, floor: float, choice: Array, values: Array
 ) -> int:
@@ -325,7 +325,7 @@ def improve_states(
     return changed
 
 
-@njit(cache=True)
+@compiled_loop
 def sweep_reach(
     rows: Rows, order: Array, wanted: Array, epsilon: float, up: bool, choice: Array, values: Array
 ) -> float:
@@ -366,7 +366,7 @@ def sweep_reach(
     return most
 
 
-@njit(cache=True)
+@compiled_loop
 def follow_reach(
     rows: Rows, order: Array, wanted: Array, epsilon: float, choice: Array, values: Array
 ) -> None:
@@ -382,7 +382,7 @@ def follow_reach(
             values[s] = total
 
 
-@njit(cache=True)
+@compiled_loop
 def take_first_of_equals(
     rows: Rows, rewards: Array, totals: Array, slack: Array, runs: Array, nearer: float,
     choice: Array,
@@ -418,7 +418,7 @@ def take_first_of_equals(
                 break
 
 
-@njit(cache=True)
+@compiled_loop
 def _ahead(rows: Rows, values: Array, pair: Any) -> float:
     """Compiled: expected value after a pair, in policy improvement."""
     _, indptr, indices, data, _ = rows

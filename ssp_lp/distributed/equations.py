@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, unsigned
-from ssp_lp.compiled.accelerator import accelerated, has_accelerator
+from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.distributed.graph_sweeps import reaching
 from ssp_lp.distributed.halo import Halo
 from ssp_lp.dynamic_programming.bellman import Moves
@@ -56,7 +56,7 @@ class SharedSweeps(Iteration):
             order: the own states in that order.
             comm: of mpi4py.
         """
-        super().__init__(own, lambda: np.inf, is_compiled=accelerated(own.nnz))
+        super().__init__(own, lambda: np.inf)
         self._halo, self._order, self._comm = halo, order, comm
 
     def greatest(self, *numbers: float) -> tuple[float, ...]:
@@ -139,7 +139,8 @@ class OwnEquations:
         """Own states from which the policy never leaves, [some states]."""
         _, chain, exits = self.moves
         leaves = self._halo.filled(exits > 0.0)
-        if has_accelerator():  # on all ranks alike, however few rows one has
+        marks = accelerated(len(chain.indices), "graphs.mark_leading")
+        if all(self._comm.allgather(marks)):  # on all ranks alike, however few rows one has
             leaves = self._marked_leaving(leaves)
         if self._any(~leaves):
             n_ghosts = self._halo.size - len(exits)

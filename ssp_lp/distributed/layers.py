@@ -182,7 +182,8 @@ class LayeredShare(Share):
         super().__init__(ranks.comm, ranks.petsc, layers.onward, nothing, own.start, own.stop)
         self.layers = layers.known_by(self.halo.size, self.dynamics.transitions.indices)
         # all ranks sweep in the same way
-        self._follows = all(ranks.comm.allgather(accelerated(layers.base.later.nnz)))
+        follows = accelerated(layers.base.later.nnz, "layers.follow_layer")
+        self._follows = all(ranks.comm.allgather(follows))
         self._take(1)
 
     def _take(self, cap: int) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 from ssp_lp.cargo import Cargo
+from ssp_lp.compiled.accelerator import without_twins
 from ssp_lp.compiled.deadline import check_time, until
 from ssp_lp.distributed.share import Share
 from ssp_lp.errors import ModelError, SolverError, SSPError, in_short, optional_module
@@ -196,7 +197,8 @@ class Ranks:
     def _done(self, name: str, given: tuple[Any, ...]) -> Any:
         """What this rank of PETSc makes of an order, or its error, if that is ours."""
         try:
-            with until(float("inf")):  # the first rank looked at the time, for all
+            # the first rank looked at the time, for all; none begins again by itself
+            with until(float("inf")), without_twins():
                 if name == "take":
                     return self.hold(Share(self.comm, self.petsc, *given))
                 if name == "label":

@@ -24,7 +24,7 @@ from ssp_lp.arrays import (
     segment_minima,
     unsigned,
 )
-from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time, pieces
 
 _FEW_ENTRIES = 20_000
@@ -75,6 +75,7 @@ class PairCost:
         return self.fixed, _NONE if self.slope is None else self.slope, float(self.factor)
 
 
+@with_twin
 def best_pairs(
     pair_offsets: IntArray,
     transitions: SparseRows,
@@ -96,7 +97,7 @@ def best_pairs(
     check_time()
     cost = pair_cost if isinstance(pair_cost, PairCost) else PairCost(pair_cost)
     n = len(pair_offsets) - 1
-    if not accelerated(len(transitions.indices)):
+    if not accelerated(len(transitions.indices), "backups.back_up"):
         ahead = cost.total + transitions @ values
         minima = segment_minima(ahead, pair_offsets)
         choice = np.array(pair_offsets[:-1], dtype=np.int32)
@@ -114,6 +115,7 @@ def best_pairs(
     return Backup(minima, choice, here)
 
 
+@with_twin
 def safe_minima(
     pair_offsets: IntArray,
     transitions: SparseRows,
@@ -139,7 +141,7 @@ def safe_minima(
         [states], infinite where a state has no pairs.
     """
     check_time()
-    if not accelerated(len(transitions.indices)):
+    if not accelerated(len(transitions.indices), "backups.back_up_safely"):
         growth = 0.0 if pair_cost.slope is None else pair_cost.factor * pair_cost.slope
         size = (magnitude + growth) + transitions @ np.abs(values)
         ahead = (pair_cost.fixed + growth) + transitions @ values
@@ -161,6 +163,7 @@ def backup_rounding(transitions: SparseRows) -> FloatArray:
     return np.asarray((np.diff(transitions.indptr) + 4.0) * MACHINE_EPSILON)
 
 
+@with_twin
 def chosen_product(transitions: SparseRows, choice: IntArray, x: FloatArray) -> FloatArray:
     """A policy's backup without costs, ``transitions[choice] @ x``, one vector or several.
 
@@ -169,7 +172,8 @@ def chosen_product(transitions: SparseRows, choice: IntArray, x: FloatArray) -> 
     check_time()
     if len(transitions.indices) <= _FEW_ENTRIES:
         return np.asarray((transitions @ x)[choice])
-    if not accelerated(len(transitions.indices)):
+    loop = "matrix_rows.row_product" if x.ndim == 1 else "matrix_rows.row_products"
+    if not accelerated(len(transitions.indices), loop):
         return np.asarray(chosen_rows(transitions, choice) @ x)
     from ssp_lp.compiled import matrix_rows as compiled
 
@@ -181,6 +185,7 @@ def chosen_product(transitions: SparseRows, choice: IntArray, x: FloatArray) -> 
     return result
 
 
+@with_twin
 def chosen_rows(transitions: SparseRows, choice: IntArray) -> sp.csr_array:
     """A policy's rows of a Bellman backup's transitions, ``transitions[choice]``, in order.
 
@@ -191,7 +196,7 @@ def chosen_rows(transitions: SparseRows, choice: IntArray) -> sp.csr_array:
     Returns:
         [states, columns].
     """
-    if not accelerated(len(transitions.indices)):
+    if not accelerated(len(transitions.indices), "matrix_rows.copy_rows"):
         return sp.csr_array(written_out(transitions)[choice])
     from ssp_lp.compiled import matrix_rows as compiled
 
@@ -259,6 +264,7 @@ class Moves(NamedTuple):
     transitions: sp.csr_array  # [pairs, states]
     exits: FloatArray  # [pairs] probability of leaving for good
 
+    @with_twin
     def precise_advantages(
         self, cost: FloatArray, high: FloatArray, low: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
@@ -273,7 +279,7 @@ class Moves(NamedTuple):
             Advantages and bounds of what each may be wrong by, [pairs] each.
         """
         home, transitions, exits = self
-        if accelerated(len(transitions.indices)):
+        if accelerated(len(transitions.indices), "equations.advantages_precisely"):
             from ssp_lp.compiled.equations import advantages_precisely
 
             result, rounding = np.empty(len(cost)), np.empty(len(cost))
@@ -308,6 +314,7 @@ class Moves(NamedTuple):
         rounding = np.abs(result) + terms * (small + MACHINE_EPSILON * whole)
         return result, MACHINE_EPSILON * rounding
 
+    @with_twin
     def safe_advantages(self, cost: FloatArray, values: FloatArray) -> FloatArray:
         """Advantages at evaluated totals less bounds of their rounding: never too high, [pairs].
 
@@ -316,7 +323,7 @@ class Moves(NamedTuple):
             values: [states].
         """
         home, transitions, exits = self
-        if accelerated(len(transitions.indices)):
+        if accelerated(len(transitions.indices), "equations.advantages_safely"):
             from ssp_lp.compiled.equations import advantages_safely
 
             result = np.empty(len(cost))
@@ -349,7 +356,7 @@ class Moves(NamedTuple):
             values: [states].
         """
         home, transitions, exits = self
-        if accelerated(len(transitions.indices)):
+        if accelerated(len(transitions.indices), "equations.advantages_safely"):
             return self.safe_advantages(cost, values), -self.safe_advantages(-cost, -values)
         here, lengths = values[home], np.diff(transitions.indptr)
         terms = transitions.data * (values[transitions.indices] - np.repeat(here, lengths))

@@ -26,7 +26,7 @@ from ssp_lp.arrays import (
     offsets_of,
     unsigned,
 )
-from ssp_lp.compiled.accelerator import accelerated, has_accelerator
+from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time, pieces
 from ssp_lp.errors import SolverError
 
@@ -64,6 +64,10 @@ _DEAR = 200  # passes for a reward from which the others are left out until they
 _ENTRY = 2.0  # multiplications of a direct solution that take as long as an entry of a sweep
 
 
+_ELIMINATION = "equations.eliminate_states", "equations.solve_eliminated"
+_KRYLOV = "equations.bicgstab", "equations._square_in_sweep"
+
+
 class LargeComponent:
     """Equations ``y = right + own @ y`` of one component, seen on departing only."""
 
@@ -76,15 +80,12 @@ class LargeComponent:
             states: the members, in the order in which they are swept.
         """
         self._chain, self._states = matrix, states
-        self._is_compiled = accelerated(matrix.nnz)
         self._place = np.full(matrix.shape[0], -1, dtype=np.int32)
         self._place[states] = np.arange(len(states), dtype=np.int32)
         self._own, self._departs, self._leaving = on_departing(matrix, exits, states, self._place)
         self._direct: Solver | None = None
         weak = proxy(self)  # in a ring of references large arrays would wait for its collection
-        self._iteration = Iteration(
-            self._own, lambda: weak.direct_work, is_compiled=self._is_compiled
-        )
+        self._iteration = Iteration(self._own, lambda: weak.direct_work)
 
     @property
     def is_solved_reward_by_reward(self) -> bool:
@@ -92,10 +93,11 @@ class LargeComponent:
         return self._iteration.dearest > _DEAR
 
     @cached_property
+    @with_twin
     def direct_work(self) -> float:
         """Multiplications of a direct solver of the component, as a band or by sparse factors."""
         size = len(self._states)
-        if not self._is_compiled:
+        if not accelerated(self._own.nnz, "equations.work_of_levels"):
             return float(size) * self._band[1] ** 2
         from ssp_lp.compiled.equations import work_of_levels
 
@@ -139,9 +141,10 @@ class LargeComponent:
         Raises:
             SolverError: the component is not narrow enough, or numba is missing.
         """
-        self._is_compiled, (order, width) = has_accelerator(), self._band
-        if not self._is_compiled or len(order) * width**2 > _MOST_BAND_WORK:
-            hint = "" if self._is_compiled else "; numba reduces it: pip install 'ssp-lp[fast]'"
+        order, width = self._band
+        is_compiled = accelerated(_MOST_BAND_WORK, *_ELIMINATION)  # numpy has no twin of it
+        if not is_compiled or len(order) * width**2 > _MOST_BAND_WORK:
+            hint = "" if is_compiled else "; numba reduces it: pip install 'ssp-lp[fast]'"
             raise SolverError(
                 "a policy's totals could not be verified: its chain is left too seldom for double "
                 f"precision{hint}"
@@ -154,9 +157,10 @@ class LargeComponent:
         """The chain's arrays as the compiled solvers of a large component read them."""
         return unsigned(self._chain.indptr), unsigned(self._chain.indices), self._chain.data
 
+    @with_twin
     def _right(self, rewards: FloatArray, x: FloatArray) -> FloatArray:
         """Right side for a component's solver, on departing, [members, rewards]."""
-        if not self._is_compiled:
+        if not accelerated(self._own.nnz, "equations.from_beyond"):
             outside = np.where((self._place < 0)[:, None], x, 0.0)
             beyond = rewards[self._states] + self._chain[self._states] @ outside
             return np.asarray(beyond / self._departs[:, None])
@@ -167,13 +171,14 @@ class LargeComponent:
         run(*self._arrays, states, self._place, self._departs, rewards, x, right)
         return right
 
+    @with_twin
     def _direct_solver(self) -> Solver:
         """Direct solver of the component: reduced as a band if narrow, else sparse factors."""
         exits = self._leaving / self._departs
         if self.direct_work <= _BAND_WORK:
             order, width = self._band
             if len(order) * width**2 <= min(_BAND_WORK, _BANDED * self.direct_work):
-                if self._is_compiled:
+                if accelerated(len(order) * width**2, *_ELIMINATION):
                     return band_solver(self._own, exits, order, width)
                 return factor_solver(self._own, exits, order)
         return factor_solver(self._own, exits)
@@ -184,17 +189,14 @@ class Iteration:
 
     most_sweeps: ClassVar[int] = 300  # of one run of them
 
-    def __init__(
-        self, own: sp.csr_array, direct_work: Callable[[], float], *, is_compiled: bool
-    ) -> None:
+    def __init__(self, own: sp.csr_array, direct_work: Callable[[], float]) -> None:
         """Iterate the equations of a chain seen on departing only, or those of its visits.
 
         Args:
             own: in the order in which it is swept, without a diagonal, [members, members].
             direct_work: about the multiplications of a direct solution.
-            is_compiled: run compiled loops.
         """
-        self.own, self._is_compiled, self._direct_work = own, is_compiled, direct_work
+        self.own, self._direct_work = own, direct_work
         self.products = 0  # passes over the matrix
         self.dearest = 1  # passes that one reward has taken: the next ones will take as many
 
@@ -232,6 +234,7 @@ class Iteration:
         """The arrays of the matrix, as the iterative solver's compiled sweeps read them."""
         return unsigned(self.own.indptr), unsigned(self.own.indices), self.own.data
 
+    @with_twin
     def sweep(self, right: FloatArray, y: FloatArray) -> tuple[float, float]:
         """One sweep of the iterative solver, in place: greatest change and greatest size.
 
@@ -241,7 +244,7 @@ class Iteration:
         """
         check_time()
         self.products += 1
-        if self._is_compiled:
+        if accelerated(self.own.nnz, "equations.sweep"):
             from ssp_lp.compiled.equations import sweep
 
             return sweep(*self._own_arrays, right, y)
@@ -322,10 +325,11 @@ class Iteration:
             y += change * self._step(residual / change, 0.3 * target * scale / change)
         return np.inf
 
+    @with_twin
     def _step(self, residual: FloatArray, target: float) -> FloatArray:
         """Correction of the iterative solver BiCGStab to a residual of at most the target."""
         most = min(_KRYLOV_STEPS, self._passes_left // 2 + 1)
-        if self._is_compiled:
+        if accelerated(most * self.own.nnz, *_KRYLOV):
             from ssp_lp.compiled.equations import bicgstab, start_bicgstab
 
             step, state = np.zeros_like(residual), start_bicgstab(residual)
@@ -452,6 +456,7 @@ def _solved_in_place(ordered: FloatArray, order: IntArray | None) -> FloatArray:
     return result
 
 
+@with_twin
 def on_departing(
     chain: sp.csr_array, exits: FloatArray, states: IntArray, place: IntArray
 ) -> tuple[sp.csr_array, FloatArray, FloatArray]:
@@ -472,7 +477,7 @@ def on_departing(
         SolverError: some state is never departed from.
     """
     size, width = len(states), int(place.max(initial=-1)) + 1
-    if not accelerated(chain.nnz):
+    if not accelerated(chain.nnz, "equations.gather_inside"):
         rows = chain[states]
         leaving = exits[states] + rows @ (place < 0).astype(np.float64)
         entry = rows.tocoo()

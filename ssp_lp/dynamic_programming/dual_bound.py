@@ -24,7 +24,7 @@ from ssp_lp.arrays import (
     segment_minima,
     unsigned,
 )
-from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.bellman import PairCost, best_pairs, exact_sum, safe_minima
 from ssp_lp.dynamic_programming.dynamics import Dynamics, approach_leaving, leaving_chain
@@ -196,10 +196,11 @@ def _bound_advantages(
     return ahead - rounding
 
 
+@with_twin
 def shortfall(dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray) -> FloatArray:
     """Excess of a dual bound's values over their backups, rounding counted, [states]."""
     check_time()
-    if accelerated(len(dynamics.transitions.indices)):
+    if accelerated(len(dynamics.transitions.indices), "equations.shortfalls_safely"):
         from ssp_lp.compiled.equations import shortfalls_safely
 
         lack = np.empty(dynamics.n_states)
@@ -210,6 +211,7 @@ def shortfall(dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray) -> 
     return np.maximum(-segment_minima(ahead, dynamics.pair_offsets), 0.0)
 
 
+@with_twin
 def lowered_along_longest_run(
     dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray, floor: float, choice: IntArray
 ) -> FloatArray | None:
@@ -221,7 +223,8 @@ def lowered_along_longest_run(
     """
     if not dynamics.is_solved_backwards:
         return None
-    if dynamics.is_compiled_backwards and dynamics.components.largest <= 1:
+    n_entries = len(dynamics.transitions.indices)
+    if dynamics.components.largest <= 1 and accelerated(n_entries, "equations.lower_in_order"):
         from ssp_lp.compiled.equations import lower_in_order
 
         order, lowered = unsigned(dynamics.components.order), values.copy()

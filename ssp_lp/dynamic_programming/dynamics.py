@@ -31,6 +31,8 @@ from ssp_lp.compiled.deadline import pieces
 from ssp_lp.dynamic_programming.bellman import Backup, Moves, best_pairs, chosen_rows
 from ssp_lp.dynamic_programming.chain_solvers import HOLDS_MASS
 from ssp_lp.dynamic_programming.equations import (
+    BY_HEIGHT,
+    COMPONENTS,
     DIRECT_STATES,
     EXACTLY_SOLVED,
     StrongComponents,
@@ -45,6 +47,13 @@ _KEPT_CHAINS = 4
 
 _KEPT_STATES = 100_000  # states up to which they are kept
 SETTLED = 0.1  # share of the first sweep's changes below which sweeping stops
+_BACKWARDS = (
+    "policy_improvement.improve_components",
+    "policy_improvement.improve_acyclic",
+    "equations.evaluate_precisely",
+    *COMPONENTS,
+    *BY_HEIGHT,
+)
 _LAYERS = 500  # passes that a process is good for where it is one layer of many
 _SMALL = 48
 """States of a component up to which it is solved by itself, by dense state reduction."""
@@ -124,7 +133,7 @@ class Dynamics:
     def is_compiled_backwards(self) -> bool:
         """Whether a backward pass over the dynamics runs compiled: sooner if passed often."""
         passes = _LAYERS if self.is_reused else 1
-        return accelerated(passes * len(self.transitions.indices))
+        return accelerated(passes * len(self.transitions.indices), *_BACKWARDS)
 
     @property
     def is_solved_backwards(self) -> bool:

@@ -23,7 +23,7 @@ from ssp_lp.arrays import (
     offsets_of,
     unsigned,
 )
-from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.bellman import Moves
 from ssp_lp.dynamic_programming.chain_solvers import (
@@ -39,6 +39,14 @@ from ssp_lp.dynamic_programming.chain_solvers import (
     reduction_solver,
 )
 from ssp_lp.errors import SolverError
+
+_ELIMINATION = ("equations.solve_by_elimination",)
+
+COMPONENTS = "graphs._search_components", "graphs._sort_by_component"
+"""The compiled loops that find strong components."""
+
+BY_HEIGHT = ("graphs._number_by_height",)
+"""The loop that sorts them."""
 
 _DENSE_STATES = 40
 """Up to here a dense solve costs less than setting up a sparse one."""
@@ -111,11 +119,12 @@ class System:
         return Moves(self.home, self.matrix, self.exits)
 
     @cached_property
+    @with_twin
     def closed(self) -> IntArray:
         """States from which the chain of the equations never leaves, [some states]."""
         strong, rows = self.components, self.matrix
         left = np.zeros(strong.n_components, dtype=np.bool_)
-        if accelerated(len(rows.indices)):
+        if accelerated(len(rows.indices), "graphs.mark_left"):
             from ssp_lp.compiled.graphs import mark_left
 
             arrays = unsigned(rows.indptr), unsigned(rows.indices), rows.data
@@ -127,6 +136,7 @@ class System:
             left[strong.label[entry.row[onward]]] = True
         return (~left[strong.label]).nonzero()[0] if not left.all() else _NOBODY
 
+    @with_twin
     def solve(
         self, rewards: FloatArray, guess: FloatArray | None = None, accuracy: float = EXACT
     ) -> FloatArray:
@@ -149,7 +159,7 @@ class System:
             return rewards / (self.exits if rewards.ndim == 1 else self.exits[:, None])
         columns = rewards.reshape(self.size, -1)
         self.products += 1
-        if self.size <= DIRECT_STATES and not accelerated(len(self.matrix.indices)):
+        if self.size <= DIRECT_STATES and not accelerated(len(self.matrix.indices), *_ELIMINATION):
             return self._factors(columns).reshape(rewards.shape)
         x = np.zeros(columns.shape) if guess is None else guess.reshape(columns.shape).copy()
         for first, last in self._runs:
@@ -160,6 +170,7 @@ class System:
                 self._solve_small(first, last, columns, x)
         return x.reshape(rewards.shape)
 
+    @with_twin
     def solve_by_reduction(self, rewards: FloatArray) -> FloatArray:
         """Solve the equations without any subtraction: for chains that are hardly left.
 
@@ -167,7 +178,7 @@ class System:
             SolverError: the chain holds mass for ever, or a component is too large for that.
         """
         columns, x = rewards.reshape(self.size, -1), np.zeros((self.size, rewards[0].size))
-        is_compiled = accelerated(len(self.matrix.indices))
+        is_compiled = accelerated(len(self.matrix.indices), *_ELIMINATION)
         for first, last in self._runs_above(_DENSE_STATES if is_compiled else 0):
             check_time()
             states = self.components.members(first)
@@ -239,8 +250,7 @@ class System:
             """That of all large components."""
             return float(sum(weak._block(c).direct_work for c in large))
 
-        iteration = Iteration(own, direct_work, is_compiled=accelerated(len(own.indices)))
-        return departs, order, iteration
+        return departs, order, Iteration(own, direct_work)
 
     @cached_property
     def _runs(self) -> list[tuple[int, int]]:
@@ -270,7 +280,7 @@ class System:
 
     def _solve_small(self, first: int, last: int, rewards: FloatArray, x: FloatArray) -> None:
         """Solve the equations of a run of small components, in place."""
-        if accelerated(len(self.matrix.indices)):
+        if accelerated(len(self.matrix.indices), *_ELIMINATION):
             self._solve_compiled(first, last, rewards, x)
             return
         strong = self.components
@@ -340,6 +350,7 @@ class StrongComponents:
         return self.order[self.offsets[component] : self.offsets[component + 1]]
 
 
+@with_twin
 def strong_components(
     indptr: IntArray, indices: IntArray, data: FloatArray, *, by_height: bool = False
 ) -> StrongComponents:
@@ -352,7 +363,7 @@ def strong_components(
         by_height: sorted, where compiled, by the most steps to an end: for passes along the order.
     """
     n = len(indptr) - 1
-    if accelerated(len(indices)):
+    if accelerated(len(indices), *COMPONENTS, *(BY_HEIGHT if by_height else ())):
         return _compiled_components(indptr[:-1], indptr[1:], indices, data, by_height=by_height)
     graph = sp.csr_array((data, indices, indptr), shape=(n, n))
     edges: sp.csr_array = graph.copy()  # each once and none of weight 0, as scipy needs them

@@ -25,6 +25,7 @@ from ssp_lp.arrays import (
     IntArray,
     unsigned,
 )
+from ssp_lp.compiled.accelerator import with_twin
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.bellman import exact_sum
 from ssp_lp.dynamic_programming.chain_solvers import HOLDS_MASS
@@ -75,6 +76,7 @@ class Totals:
         return bool((2.0 * longest * self.missed <= accuracy * scale).all())
 
 
+@with_twin
 def evaluate_policy(
     dynamics: Dynamics, choice: IntArray, rewards: FloatArray, accuracy: float | None = None
 ) -> Totals:
@@ -121,6 +123,7 @@ def _evaluated_policy(
     return totals if totals.are_within(max(accuracy, EVALUATED)) else None
 
 
+@with_twin
 def acyclic_totals(
     dynamics: Dynamics, choice: IntArray, rewards: FloatArray, weights: FloatArray | None = None
 ) -> tuple[IntArray, Totals] | None:

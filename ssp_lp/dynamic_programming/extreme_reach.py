@@ -26,7 +26,7 @@ from ssp_lp.arrays import (
     FloatArray,
     IntArray,
 )
-from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import STOPS, closing, end_with_incumbent, pieces
 from ssp_lp.dynamic_programming.bellman import best_pairs
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
@@ -181,6 +181,7 @@ def _loss_accumulates(dynamics: Dynamics, lost: FloatArray, slack: FloatArray) -
     return False
 
 
+@with_twin
 def _swept_towards(
     dynamics: Dynamics, wanted: FloatArray, asked: IntArray, last_digits: bool
 ) -> tuple[IntArray, FloatArray, FloatArray | None]:
@@ -207,7 +208,8 @@ def _swept_towards(
     if stuck.any():
         choice = np.where(stuck, approach_leaving(dynamics, dynamics.exits > 0.0), choice)
     choice = choice.astype(np.int32)
-    is_compiled = accelerated(_SWEEPS * dynamics.transitions.nnz)
+    loops = "policy_improvement.sweep_reach", "policy_improvement.follow_reach"
+    is_compiled = accelerated(_SWEEPS * dynamics.transitions.nnz, *loops)
     if (last_digits and not is_compiled) or dynamics.is_solved_backwards:
         return choice, low, None
     order = np.argsort(distance, kind="stable").astype(np.uint32)

@@ -33,12 +33,13 @@ from ssp_lp.arrays import (
     unsigned,
     weighted,
 )
-from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import STOPS, Stop, check_time, end_with_incumbent, pieces
 from ssp_lp.dynamic_programming.bellman import Backup, Work, best_pairs
 from ssp_lp.dynamic_programming.chain_solvers import HOLDS_MASS
 from ssp_lp.dynamic_programming.dynamics import Dynamics, leaving_chain
 from ssp_lp.dynamic_programming.equations import (
+    COMPONENTS,
     DIRECT_STATES,
     EXACT,
     EXACTLY_SOLVED,
@@ -74,6 +75,7 @@ _SWEEPS = 20  # of Bellman backups between two evaluations
 _LEAST_SWEEPS = 6
 _DIRECT = 2  # passes over a chain that an evaluation takes which does not iterate
 _FEW_CHANGES = 0.05  # share of the states from whose changes on sweeps do better than passes
+_IN_PLACE = "policy_improvement.improve_blocks", "policy_improvement.improve_states", *COMPONENTS
 _MOST_PASSES = 40  # along a chain, there and back
 _RISEN = 10.0  # times the last size of the values, which no improvement makes of them
 
@@ -90,6 +92,7 @@ class Settled:
     work: Work
 
 
+@with_twin
 def iterate_policy(
     dynamics: Dynamics,
     rewards: FloatArray,
@@ -213,7 +216,7 @@ def howard_rounds(
             raise SolverError("policy iteration goes round in circles")
         before, changed_before, changed = choice, changed, int(np.count_nonzero(better))
         choice = np.where(better, backup.choice, choice).astype(np.int32, copy=False)
-        if changed > _STEADY * changed_before and accelerated(dynamics.n_entries):
+        if changed > _STEADY * changed_before and accelerated(dynamics.n_entries, *_IN_PLACE):
             in_place, backups = (evaluation.pair_cost, choice, values, floor), 0
             if system.is_solved_exactly and changed <= _FEW_CHANGES * dynamics.n_states:
                 backups = improve_along_chain(dynamics, *in_place)
@@ -462,6 +465,7 @@ def switched(
     return choice, follows
 
 
+@with_twin
 def first_of_equals(
     dynamics: Dynamics,
     rewards: FloatArray,
@@ -497,7 +501,7 @@ def first_of_equals(
             slack, min(TIED, EVALUATED * _NEARER / longest) * np.abs(expected(start, totals))
         )
     transitions, first = dynamics.transitions, choice.astype(np.int32)
-    if accelerated(len(transitions.indices)):
+    if accelerated(len(transitions.indices), "policy_improvement.take_first_of_equals"):
         from ssp_lp.compiled.policy_improvement import take_first_of_equals
 
         take_first_of_equals(

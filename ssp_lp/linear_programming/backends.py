@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from tempfile import TemporaryFile
+from types import SimpleNamespace
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -145,8 +146,14 @@ def run_backend(
         return _backend_answer(program, backend, time_limit, basis)
     reply: bytes | None = None
     with TemporaryFile() as question:
+
+        def write(part: bytes) -> int:
+            """Write an array of the program, with a look at the time before it."""
+            check_time()
+            return question.write(part)
+
         for part in (sys.path, (program, backend, time_limit, basis)):
-            pickle.dump(part, question)
+            pickle.dump(part, SimpleNamespace(write=write))
         question.seek(0)
         with subprocess.Popen(  # noqa: S603 (this very interpreter)
             [sys.executable, "-c", _SERVED],

@@ -27,7 +27,7 @@ from ssp_lp.arrays import (
     segment_ids,
     sorted_unique,
 )
-from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time
 
 if TYPE_CHECKING:
@@ -77,10 +77,11 @@ class Graph:
         return read_only(segment_ids(self.pair_offsets))
 
     @cached_property
+    @with_twin
     def predecessors(self) -> _Predecessors:
         """Graph turned round: the pairs that may lead to each state; found at first use, kept."""
         arrays = self.outcome_offsets, self.successors, self.probabilities
-        if accelerated(self.n_outcomes):
+        if accelerated(self.n_outcomes, "graphs._count_edges", "graphs._write_edges"):
             from ssp_lp.compiled.graphs import transpose_graph
 
             offsets, pairs = transpose_graph(self.n_states, *arrays)
@@ -115,6 +116,7 @@ def possible_steps(
     counts = np.zeros(len(outcome_offsets), dtype=np.int64)
     targets = [successors[:0]]
     for piece in pieces_of_chunks(outcome_offsets):
+        check_time()
         kept = probabilities[piece.entries] > 0
         if chosen is not None:
             kept &= np.repeat(chosen[piece.segments], piece.lengths)
@@ -161,6 +163,7 @@ def dead_ends(model: SSP) -> BoolArray:
     return hopeless_states(model) if label is None else label.ended
 
 
+@with_twin
 def reaching_states(model: Graph, ends: BoolArray) -> BoolArray:
     """States from which some policy may come to one of the given states, these included, [states].
 
@@ -168,7 +171,7 @@ def reaching_states(model: Graph, ends: BoolArray) -> BoolArray:
         ends: [states].
     """
     before, frontier = model.predecessors, ends.nonzero()[0]
-    if accelerated(model.n_outcomes):
+    if accelerated(model.n_outcomes, "graphs._search_backwards"):
         from ssp_lp.compiled.graphs import reaching
 
         return reaching(before.offsets, before.pairs, model.pair_state, frontier)
@@ -234,18 +237,20 @@ def goal_pairs(model: SSP) -> BoolArray:
     return pairs_into(model, model.goal_mask)
 
 
+@with_twin
 def pairs_into(model: Graph, states: BoolArray) -> BoolArray:
     """Pairs of the graph that may lead to one of the states, [pairs].
 
     Args:
         states: [states].
     """
-    if accelerated(model.n_outcomes):
+    if accelerated(model.n_outcomes, "graphs._search_leading_into"):
         from ssp_lp.compiled.graphs import leading_into
 
         return leading_into(model.outcome_offsets, model.successors, model.probabilities, states)
     leads = np.zeros(model.n_pairs, dtype=np.bool_)
     for piece in pieces_of_chunks(model.outcome_offsets):
+        check_time()
         successors, chances = model.successors[piece.entries], model.probabilities[piece.entries]
         entering = states[successors] & (chances > 0)
         filled = np.flatnonzero(piece.lengths)  # a pair of a process may have no outcome but an end
@@ -275,6 +280,7 @@ def reached_along(columns: IntArray, offsets: IntArray, start: IntArray) -> Bool
     n_states = len(offsets) - 1
     linked = np.concatenate([columns, np.asarray(start, dtype=columns.dtype)])
     graph = edges(linked, np.append(offsets, linked.size))
+    check_time()
     order = csgraph.breadth_first_order(graph, n_states, return_predecessors=False)
     mask = np.zeros(n_states + 1, dtype=np.bool_)
     mask[order] = True
@@ -304,6 +310,7 @@ def goal_approach(model: SSP) -> tuple[IntArray, IntArray]:
     return choice, np.where(choice >= 0, distance + 1, 0)
 
 
+@with_twin
 def nearer_pairs(
     graph: Graph,
     leaving: BoolArray,
@@ -329,7 +336,7 @@ def nearer_pairs(
     distance = np.zeros(n, dtype=np.int32) if distance is None else distance
     choice = np.full(n, -1, dtype=np.int64)
     useful: IntArray = (leaving & free).nonzero()[0]
-    if accelerated(len(before.pairs)):
+    if accelerated(len(before.pairs), "graphs._begin_search", "graphs._approach_search"):
         from ssp_lp.compiled.graphs import approach
 
         approach(before.offsets, before.pairs, pair_state, useful, free, choice, distance)
@@ -337,14 +344,17 @@ def nearer_pairs(
     # by the distance of each state, found by scipy from a node added behind all ends; its search
     # of shortest paths took only numbers of 32 bits before version 1.15
     reached = np.repeat(np.arange(n, dtype=np.int32), np.diff(before.offsets))
+    check_time()
     kept = free[before.pairs]
     pairs, reached = before.pairs[kept], reached[kept]
     source = np.concatenate([reached, np.full(useful.size, n, dtype=np.int32)])
     target = pair_state[np.concatenate([pairs, useful])].astype(np.int32, copy=False)
     links = sp.csr_array((np.ones(source.size), (source, target)), shape=(n + 1, n + 1))
+    check_time()
     steps: FloatArray = csgraph.dijkstra(  # type: ignore[call-overload]
         links, indices=n, unweighted=True
     )[:n]
+    check_time()
     distance[:] = np.where(np.isfinite(steps), steps - 1.0, 0.0)
     near = np.full(len(pair_state), np.inf)
     np.minimum.at(near, pairs, steps[reached] + 1.0)
@@ -355,6 +365,7 @@ def nearer_pairs(
     return choice
 
 
+@with_twin
 def drain(
     model: Graph, open_pairs: BoolArray, open_counts: IntArray, closed_states: IntArray
 ) -> None:
@@ -368,7 +379,7 @@ def drain(
     if not closed_states.size:
         return
     before = model.predecessors
-    if accelerated(model.n_outcomes):
+    if accelerated(model.n_outcomes, "graphs._drain_search"):
         from ssp_lp.compiled import graphs as searches
 
         searches.drain(
@@ -376,6 +387,7 @@ def drain(
         )
         return
     while closed_states.size:
+        check_time()
         entering = [before.pairs[:0]]
         lengths = before.offsets[closed_states + 1] - before.offsets[closed_states]
         for some in segment_chunks(offsets_of(lengths)):
@@ -433,6 +445,7 @@ def attention_labels(model: SSP) -> frozenset[Hashable]:
     return frozenset(model.states[i] for i in attention_states(model).nonzero()[0].tolist())
 
 
+@with_twin
 def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArray]:
     """Maximal end components of the model's graph, restricted to the allowed pairs.
 
@@ -462,7 +475,7 @@ def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArra
         pending &= counts > 0
         if not pending.any():
             break
-        if accelerated(model.n_outcomes):
+        if accelerated(model.n_outcomes, "graphs._search_components"):
             from ssp_lp.compiled.graphs import label_components
 
             arrays = model.pair_offsets, model.outcome_offsets, model.successors
@@ -476,6 +489,7 @@ def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArra
             offsets = narrow(ends[model.pair_offsets])
             once = sp.csr_array((present, columns.copy(), offsets), shape=shape)
             once.sum_duplicates()
+            check_time()
             strong = csgraph.connected_components(
                 edges(once.indices, once.indptr), connection="strong"
             )[1]
@@ -491,17 +505,19 @@ def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArra
     return component, inside
 
 
+@with_twin
 def _crossing_end_components(
     model: Graph, inside: BoolArray, pending: BoolArray, label: IntArray
 ) -> BoolArray:
     """Pairs that may cross between candidate end components of the graph, [pairs]."""
     candidates = inside & pending[model.pair_state]
-    if accelerated(model.n_outcomes):
+    if accelerated(model.n_outcomes, "graphs._crossing_components"):
         from ssp_lp.compiled.graphs import crossing_pairs
 
         arrays = model.outcome_offsets, model.successors, model.probabilities, model.pair_state
         return crossing_pairs(*arrays, candidates, label)
     for piece in pieces_of_chunks(model.outcome_offsets):
+        check_time()
         successors, chances = model.successors[piece.entries], model.probabilities[piece.entries]
         here = np.repeat(label[model.pair_state[piece.segments]], piece.lengths)
         other = (label[successors] != here) & (chances > 0)

@@ -476,12 +476,15 @@ def unroll_steps(
     # what may be done, and what comes of it: copies of the model's pairs and outcomes
     actions = np.where(step < steps, np.diff(model.pair_offsets)[state], 0)
     pairs = concatenated_ranges(model.pair_offsets[state], actions)
+    check_time()
     possible = np.flatnonzero(model.probabilities > 0.0)
     offsets = np.searchsorted(possible, model.outcome_offsets)
     places, ends = entries_of(offsets, pairs)
     outcomes = possible[places]
+    check_time()
     layer = np.repeat(np.repeat(step, actions), ends)
     successors = position[layer + 1, model.successors[outcomes]]
+    check_time()
 
     over = (step == steps) & (np.diff(model.pair_offsets)[state] > 0)
     count = np.where(over, steps + 1, step).astype(least_integer_type(steps + 1))
@@ -495,6 +498,7 @@ def unroll_steps(
         marked[name] = among | marked[name] if name in marked else among
     lost = np.concatenate([[], *(model.state_labels[name] for name in survive or ())])
     survived = over & ~np.isin(state, lost) & (survive is not None)
+    check_time()
     horizon = HorizonSSP(
         states=_StepLabels(model.states, (*range(steps + 1), LATE), read_only(state), count),
         action_names=model.action_names,
@@ -556,6 +560,7 @@ def _steps_needed(model: SSP, steps: int) -> IntArray:
     source, target = _possible_steps(model)
     needed = np.where(dead_ends(model), -1, np.where(model.goal_mask, 0, steps + 1))
     for step in range(1, steps + 1):
+        check_time()
         nearer = source[needed[target] == step - 1]
         nearer = nearer[needed[nearer] > step]
         if nearer.size == 0:

@@ -24,7 +24,7 @@ from ssp_lp.arrays import (
     segment_ids,
     segment_sums,
 )
-from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time, pieces
 from ssp_lp.dynamic_programming.bellman import SharedRows, SparseRows
 from ssp_lp.model import SSP
@@ -36,6 +36,7 @@ def uniform_cost(model: SSP) -> float | None:
     return float(model.costs[0]) if same else None
 
 
+@with_twin
 def successor_means(model: SSP, values: FloatArray | BoolArray) -> FloatArray:
     """Row by row of the model, E[value of the successor] under each pair, [pairs].
 
@@ -44,7 +45,7 @@ def successor_means(model: SSP, values: FloatArray | BoolArray) -> FloatArray:
     """
     check_time()
     values = np.asarray(values, dtype=np.float64)
-    if not accelerated(model.n_outcomes):
+    if not accelerated(model.n_outcomes, "matrix_rows.row_product"):
         shape = (model.n_pairs, model.n_states)
         matrix = sp.csr_array(
             (model.probabilities, model.successors, narrow(model.outcome_offsets)), shape=shape
@@ -124,6 +125,7 @@ class LiveRows(NamedTuple):
     exits: FloatArray  # [rows] probability of going where the process ends, or being discounted
 
 
+@with_twin
 def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
     """Live rows: probabilities of going from each row's pair to each node.
 
@@ -135,7 +137,7 @@ def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
         rows: the rows.
         survival: factor of every probability.
     """
-    if accelerated(rows.model.n_outcomes):
+    if accelerated(rows.model.n_outcomes, "matrix_rows.count_rows", "matrix_rows.fill_rows"):
         counts, departs, leaks = _count_live(rows)
         matrix = _filled_rows(rows, survival, departs, _row_bounds(rows, counts))
     else:
@@ -144,6 +146,7 @@ def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
     return LiveRows(matrix, departs, exits / departs)
 
 
+@with_twin
 def shared_live_rows(rows: RowChoice, survival: float = 1.0) -> SparseRows:
     """The matrix of live rows, each probability once where rows repeat each other.
 
@@ -151,7 +154,8 @@ def shared_live_rows(rows: RowChoice, survival: float = 1.0) -> SparseRows:
         rows: the rows.
         survival: factor of every probability.
     """
-    if not accelerated(rows.model.n_outcomes):
+    loops = "matrix_rows.count_rows", "matrix_rows.fill_rows", "matrix_rows.share_rows"
+    if not accelerated(rows.model.n_outcomes, *loops):
         return _live_rows_in_numpy(rows, survival)[0]
     counts, departs, _ = _count_live(rows)
     bounds, entries = _row_bounds(rows, counts), int(counts.sum())

@@ -30,7 +30,7 @@ from ssp_lp.arrays import (
     segment_sums,
     unsigned,
 )
-from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.equations import System
@@ -163,6 +163,7 @@ class Quotient:
             self.node_of[live], weights=distribution[live], minlength=self.n_nodes
         ).astype(np.float64)
 
+    @with_twin
     def positions(self, first: IntArray, choice: IntArray) -> IntArray:
         """Decisions on states in many layers from a quotient's, as positions among their pairs.
 
@@ -176,7 +177,7 @@ class Quotient:
         model, offsets = self.model, self.model.pair_offsets[:-1]
         most = int(np.diff(model.pair_offsets).max(initial=1))
         places = np.full((len(choice), model.n_states), UNDECIDED, dtype=least_integer_type(most))
-        if not self.merged.any() and accelerated(choice.size):
+        if not self.merged.any() and accelerated(choice.size, "matrix_rows.place_layers"):
             from ssp_lp.compiled.matrix_rows import place_layers
 
             place_layers(choice, unsigned(first), self.pair_at, offsets, self.node_of, places)

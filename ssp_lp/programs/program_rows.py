@@ -21,6 +21,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import FloatArray
+from ssp_lp.compiled.deadline import check_time, pieces
 from ssp_lp.linear_programming.linear_program import LinearProgram
 from ssp_lp.processes.explicit_process import ExplicitProcess
 
@@ -36,24 +37,31 @@ def rows_program(
         ratio: case S, the objective <cost, x> / <goal, x>; the last column is then t.
     """
     n_states, n_pairs, n_limits = process.n_states, process.n_pairs, len(limits)
-    outflow = sp.csr_array(
-        (np.ones(n_pairs), (process.pair_state, np.arange(n_pairs))), shape=(n_states, n_pairs)
-    )
-    body = [sp.csr_array(outflow - process.transitions.T)]
-    body += [sp.csr_array(row[None, :]) for row, _ in limits.values()]
     bounds, free = np.array([bound for _, bound in limits.values()]), np.full(n_limits, -np.inf)
     cost, upper = process.cost, np.concatenate([process.start, bounds])
     lower = np.concatenate([process.start, free])
     places = {name: slice(n_states + k, n_states + k + 1) for k, name in enumerate(limits)}
     rows = {"balance": slice(0, n_states)} | places
+    taken = [row for row, _ in limits.values()]
     if ratio:
-        scale = sp.csr_array(np.append(-upper, 0.0)[:, None])
-        body = [sp.hstack([sp.vstack([*body, sp.csr_array(process.goal[None, :])]), scale])]
-        cost, last = np.append(cost, 0.0), n_states + n_limits
+        taken, last = [*taken, process.goal], n_states + n_limits
         rows["normaliser"] = slice(last, last + 1)
+    # a column of the program for each pair, gathered as rows of the transposed matrix
+    columns = list[sp.csr_array]()
+    for some in pieces(n_pairs, process.transitions.nnz):
+        count = some.stop - some.start
+        place = np.ones(count), process.pair_state[some], np.arange(count + 1)
+        balance = sp.csr_array(place, shape=(count, n_states)) - process.transitions[some]
+        each = [sp.csr_array(row[some, None]) for row in taken]
+        columns.append(sp.csr_array(sp.hstack([balance, *each])) if each else balance)
+    if ratio:
+        columns.append(sp.csr_array(np.append(-upper, 0.0)[None, :]))
+        cost = np.append(cost, 0.0)
         upper = np.append(np.zeros(last), 1.0)
         lower = np.concatenate([np.zeros(n_states), free, [1.0]])
-    return LinearProgram(cost, sp.csc_array(sp.vstack(body)), lower, upper, rows)
+    check_time()
+    matrix = sp.csc_array(sp.csr_array(sp.vstack(columns)).T)
+    return LinearProgram(cost, matrix, lower, upper, rows)
 
 
 _ROUNDING = 1e-9  # of the greatest coefficient: a solver's tolerance

@@ -37,7 +37,7 @@ def proved(problem):
 def compiled(request, monkeypatch):
     """Run every loop compiled, or none."""
     pytest.importorskip("numba")
-    monkeypatch.setattr(accelerator, "least_entries", lambda: 0 if request.param else 1 << 62)
+    monkeypatch.setenv(accelerator.SWITCH, "numba" if request.param else "none")
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -48,8 +48,8 @@ def test_every_structure_is_solved_to_proof(family, monkeypatch):
     least = 1.0 - solve(MaxProb(model, 0)).objective
     for budget in (None, min(2.0 * least + 0.01, 1.0)):
         found = []
-        for least_entries in (0, 1 << 62):
-            monkeypatch.setattr(accelerator, "least_entries", lambda n=least_entries: n)
+        for wish in ("numba", "none"):
+            monkeypatch.setenv(accelerator.SWITCH, wish)
             solution = proved(MCMP(model, 0, budget, give_up="dead_ends"))
             most = 1.0 if budget is None else budget
             assert 0.0 <= solution.failure_probability <= most + 1e-12

@@ -1,8 +1,5 @@
 """Compiled loops and their numpy twins: the same numbers, bit by bit where sums are ordered."""
 
-import sys
-import time
-from functools import cache
 from itertools import product
 
 import numpy as np
@@ -14,7 +11,6 @@ from formulations import MCMP, S3P, MaxProb
 from ssp_lp import ModelError, certify, solve
 from ssp_lp.accumulated_cost import sweep
 from ssp_lp.compiled import accelerator
-from ssp_lp.compiled.deadline import until
 from ssp_lp.dynamic_programming import bellman
 from ssp_lp.dynamic_programming.bellman import (
     PairCost,
@@ -156,26 +152,13 @@ def test_a_table_too_large_to_keep_is_proved_again(monkeypatch, coarse_robot):
 def test_the_switch_knows_its_words(monkeypatch):
     for word, on in (("none", False), ("numba", True), ("", True)):
         monkeypatch.setenv(accelerator.SWITCH, word)
-        accelerator._load.cache_clear()
         assert accelerator.has_accelerator() is on
-    monkeypatch.setenv(accelerator.SWITCH, "numba")
-    assert accelerator.least_entries() == 0  # nothing is too short
+    for word, runs in (("none", False), ("numba", True), ("", False)):
+        monkeypatch.setenv(accelerator.SWITCH, word)
+        assert accelerator.accelerated(1, "test.short") is runs  # "numba": nothing is too short
     monkeypatch.setenv(accelerator.SWITCH, "fortran")
-    accelerator._load.cache_clear()
     with pytest.raises(ModelError, match="SSP_LP_ACCELERATOR"):
-        accelerator.has_accelerator()
-    accelerator._load.cache_clear()
-
-
-def test_nothing_is_compiled_for_the_first_time_in_a_short_call(monkeypatch):
-    """Numba cannot be interrupted: a call of a second that compiled would end ten seconds late."""
-    monkeypatch.setattr(accelerator, "_is_compiled_before", lambda: False)
-    monkeypatch.setitem(sys.modules, "ssp_lp.compiled.cores", None)
-    monkeypatch.delitem(sys.modules, "ssp_lp.compiled.cores")
-    assert accelerator.least_entries() <= accelerator._COLD
-    for seconds, compiles in ((1.0, False), (100.0, True)):
-        with until(time.perf_counter() + seconds):
-            assert (accelerator.least_entries() <= accelerator._COLD) is compiles
+        accelerator.accelerated(1, "test.short")
 
 
 def test_rows_are_filled_within_their_arrays():
@@ -229,16 +212,3 @@ def test_all_layers_in_one_pass_are_as_layer_by_layer(
         assert passed.lower_bound == pytest.approx(other.lower_bound, rel=1e-9)
         assert passed.failure_probability == pytest.approx(other.failure_probability, rel=1e-12)
     assert passed.gap <= 1e-9
-
-
-def test_compiling_for_the_first_time_is_announced_once(monkeypatch, caplog):
-    monkeypatch.setattr(accelerator, "has_accelerator", lambda: True)
-    monkeypatch.setattr(accelerator, "_is_compiled_before", lambda: False)
-    monkeypatch.setattr(
-        accelerator, "_announces_compiling", cache(accelerator._announces_compiling.__wrapped__)
-    )
-    with caplog.at_level("INFO", "ssp_lp.compiling"):
-        assert all(accelerator.accelerated(10**9) for _ in range(3))
-    assert [message.split(",")[0] for message in caplog.messages] == [
-        "inner loops for the first time"
-    ]

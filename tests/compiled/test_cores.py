@@ -7,6 +7,7 @@ import pytest
 numba = pytest.importorskip("numba")
 
 from ssp_lp.compiled import cores  # noqa: E402 (it needs numba)
+from ssp_lp.compiled.accelerator import SWITCH  # noqa: E402
 
 
 @pytest.mark.parametrize(
@@ -19,6 +20,7 @@ def test_all_cores_are_woken_where_some_are_idle(load, others, monkeypatch):
         for _ in numba.prange(count):
             pass
 
+    monkeypatch.setenv(SWITCH, "numba")
     loop = cores.one_or_all_cores(nothing)
     monkeypatch.setattr(os, "getloadavg", lambda: (os.cpu_count() + load, 0.0, 0.0), raising=False)
     many = cores.many_entries.get()

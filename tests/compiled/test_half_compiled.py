@@ -20,7 +20,7 @@ class AlarmError(Exception):
 def fresh(monkeypatch):
     """Every loop is worth compiling, and nothing has been given up."""
     monkeypatch.delenv(accelerator.SWITCH, raising=False)
-    monkeypatch.setattr(accelerator._interpreted, "is_for_good", False)
+    monkeypatch.setattr(accelerator._loops, "is_given_up", False)
     monkeypatch.setattr(accelerator, "least_entries", lambda: 0)
     assert accelerator.accelerated(1)
 

@@ -25,7 +25,7 @@ class AtModule:
             os.kill(os.getpid(), signal.SIGINT)
 
 sys.meta_path.insert(0, AtModule())
-accelerator.least_entries = lambda: 0  # every loop runs compiled
+os.environ[accelerator.SWITCH] = "numba"  # every loop runs compiled
 model = SSP.from_transitions(
     {"x": {"go": [(0.5, "g", 1.0), (0.25, "d", 1.0), (0.25, "x", 2.0)],
            "safe": [(0.9, "g", 5.0), (0.1, "d", 1.0)]}, "d": {}},

@@ -30,7 +30,7 @@ def compiled(request, monkeypatch):
     """Run every loop compiled, or none."""
     if request.param and not accelerator.has_accelerator():
         pytest.skip("no compiled loops here")
-    monkeypatch.setattr(accelerator, "least_entries", lambda: 0 if request.param else 1 << 62)
+    monkeypatch.setenv(accelerator.SWITCH, "numba" if request.param else "none")
     return bool(request.param)
 
 
@@ -289,7 +289,7 @@ def test_one_pass_without_cycles_chooses_and_knows_its_errors(seed, monkeypatch)
     dynamics = Dynamics(np.arange(0, 2 * n + 1, 2), transitions, exits)
     rewards, priced = rng.random((2 * n, 2)), np.array([1.0, 0.5])
     held = np.arange(0, 2 * n, 2, dtype=np.int32)
-    monkeypatch.setattr(accelerator, "least_entries", lambda: 0)
+    monkeypatch.setenv(accelerator.SWITCH, "numba")
     settled = acyclic_totals(dynamics, held, rewards, priced)
     kept = acyclic_totals(dynamics, held, rewards)
     assert np.array_equal(kept[0], held)
@@ -299,7 +299,7 @@ def test_one_pass_without_cycles_chooses_and_knows_its_errors(seed, monkeypatch)
         assert (wrong <= totals.error).all()
         assert totals.are_within(1e-12)
         assert (2.0 * totals.runs >= exact.runs).all()
-    monkeypatch.setattr(accelerator, "least_entries", lambda: 1 << 62)
+    monkeypatch.setenv(accelerator.SWITCH, "none")
     _, least = improve_backwards(dynamics, rewards @ priced, held)
     assert np.allclose(settled[1].values @ priced, least, rtol=1e-14)
 

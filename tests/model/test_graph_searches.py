@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ssp_lp import SSP
-from ssp_lp.compiled.accelerator import has_accelerator
+from ssp_lp.compiled.accelerator import SWITCH, has_accelerator
 from ssp_lp.model import graph
 
 PATHS = {"whole": (1 << 22, False), "pieces": (3, False), "compiled": (1 << 22, True)}
@@ -17,9 +17,7 @@ def path(request, monkeypatch):
     if compiled and not has_accelerator():
         pytest.skip("no accelerator")
     monkeypatch.setattr("ssp_lp.arrays.CHUNK", chunk)
-    monkeypatch.setattr(
-        "ssp_lp.compiled.accelerator.least_entries", lambda: 0 if compiled else 1 << 62
-    )
+    monkeypatch.setenv(SWITCH, "numba" if compiled else "none")
 
 
 def drawn_model(seed, n_states):
