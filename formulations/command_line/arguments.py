@@ -175,6 +175,8 @@ EXAMPLES = {
     "check": """\
   ssp-lp solve roads.json --goal home --start depot --certificate-out roads.cert
   ssp-lp check roads.cert""",
+    "compile": """\
+  ssp-lp compile""",
 }
 """Commands that run as they stand, given the file roads.json of the page on the command line."""
 
@@ -246,7 +248,19 @@ def argument_parser() -> ArgumentParser:
         if name in ("solve", "info", "simulate"):
             one.add_argument("--json", action="store_true", help=_JSON)
     _add_check(commands)
+    _add_compile(commands)
     return whole
+
+
+def _add_compile(commands: Any) -> None:
+    """Add the command-line arguments of ``compile``, which takes no model."""
+    aim = "compile all inner loops at once, for later processes"
+    one = commands.add_parser(
+        "compile", help=aim, formatter_class=RawDescriptionHelpFormatter,
+        description=f"{aim[0].upper()}{aim[1:]}: a minute or two, with the extra fast (numba).",
+        epilog=f"examples:\n{EXAMPLES['compile']}",
+    )  # fmt: skip
+    one.set_defaults(verbose=False, quiet=True)
 
 
 def _add_check(commands: Any) -> None:

@@ -14,7 +14,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache, wraps
 from pathlib import Path
@@ -233,7 +233,7 @@ class _Loops:
             return True
         if self.places is None:
             self.places = cache_folders()
-            self.cached = _cached_loops(self.places)
+            self.cached = cached_loops()
         self.passed[loop] = passed = self.passed.get(loop, 0.0) + entries
         self.unrecorded += entries
         if self.unrecorded > _RECORDED:
@@ -295,14 +295,14 @@ def cache_folders() -> list[Path]:
     return [sources / "__pycache__", user.get(sys.platform, cached) / own]
 
 
-def _cached_loops(places: Iterable[Path]) -> set[str]:
+def cached_loops() -> set[str]:
     """Loops of this version of the library and of Python that numba's cache seems to hold.
 
     Whether it does for the types at hand, numba says once it is loaded.
     """
     ending = f".py{sys.version_info[0]}{sys.version_info[1]}{getattr(sys, 'abiflags', '')}.nbi"
     found = set[str]()
-    for index in (index for place in places for index in place.glob(f"*-*{ending}")):
+    for index in (index for place in cache_folders() for index in place.glob(f"*-*{ending}")):
         name = index.name.partition("-")[0]
         source = Path(__file__).with_name(name.partition(".")[0] + ".py")
         with suppress(OSError):

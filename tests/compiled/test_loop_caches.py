@@ -193,5 +193,5 @@ def test_the_index_of_an_older_source_does_not_count(loops):
     put_in_cache("backups.back_up", "graphs.mark_left", "no_module.loop")
     (index,) = accelerator.cache_folders()[0].glob("graphs.mark_left*")
     os.utime(index, (0, 0))
-    assert accelerator._cached_loops(accelerator.cache_folders()) == {"backups.back_up"}
+    assert accelerator.cached_loops() == {"backups.back_up"}
     assert not loops.cached
