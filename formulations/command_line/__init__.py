@@ -15,7 +15,6 @@ import sys
 import warnings
 from argparse import Namespace
 from collections.abc import Sequence
-from importlib import import_module
 
 from formulations.command_line.arguments import argument_parser
 
@@ -40,7 +39,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run_command(asked: Namespace) -> int:
     """Run the command that the command line asks for; its exit code."""
-    from formulations.command_line.commands import with_options
+    from formulations.command_line.commands import COMMANDS, with_options
+    from formulations.command_line.compiling import compile_loops
     from ssp_lp import progress_shown
     from ssp_lp.errors import InfeasibleError, MissingDependencyError, SolverError, SSPError
 
@@ -48,7 +48,7 @@ def _run_command(asked: Namespace) -> int:
         shown = asked.verbose or (sys.stderr.isatty() and not asked.quiet)
         with warnings.catch_warnings(), progress_shown(shown, lasting=asked.verbose):
             warnings.showwarning = _warn_on_command_line
-            for line in import_module(f"{__name__}.commands").COMMANDS[asked.command](asked):
+            for line in COMMANDS.get(asked.command, compile_loops)(asked):
                 print(line)
         sys.stdout.flush()
     except BrokenPipeError:

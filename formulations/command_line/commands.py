@@ -29,7 +29,6 @@ from formulations.command_line.arguments import (
     option,
 )
 from formulations.comparison import compare_criteria
-from formulations.compiling import compile_loops
 from formulations.maxprob import MaxProb
 from formulations.mcmp import MCMP
 from ssp_lp import SSP, ModelError, Solution, io
@@ -699,6 +698,5 @@ COMMANDS: dict[str, Callable[[Namespace], Iterable[str]]] = {
     "compare": _compare_command,
     "program": _program_command,
     "check": _check_command,
-    "compile": lambda asked: compile_loops(),
 }
 """What a command prints, by its name."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from formulations import MCMP, S3P, CostBoundedReach, MaxProb, MinCost
-from ssp_lp import SSP, SSPError, simulate, solve, success_costs, visits
+from ssp_lp import SSP, SSPError, evaluate, simulate, solve, success_costs, visits
 from ssp_lp.arrays import IntArray
 from ssp_lp.compiled.accelerator import SWITCH, cache_folders, cached_loops
 from ssp_lp.errors import optional_module
@@ -19,9 +19,12 @@ from ssp_lp.errors import optional_module
 _SIDE = 34
 """Of a square: its states exceed those of a chain that is solved directly."""
 
+_LARGE = 360
+"""Of a square whose rows are so many that equal ones are shared."""
 
-def compile_loops() -> Iterator[str]:
-    """Compile the loops that numba's cache lacks, for one core and for all; say what was done.
+
+def compile_loops(_: object = None) -> Iterator[str]:
+    """The command ``compile``: the loops that numba's cache lacks, for one core and for all.
 
     Raises:
         MissingDependencyError: numba is not installed.
@@ -65,12 +68,15 @@ def _problems() -> Iterator[Callable[[], Any]]:
         yield lambda model=model: solve(S3P(model, 0, failure_budget=0.5, constraints=limit))
         yield lambda model=model: solve(CostBoundedReach(model, 0, cost_bound=30.0))
     yield lambda: solve(S3P(windy, 0, failure_budget=0.5, cost_cap=60.0))
+    yield lambda: solve(MCMP(_windy(60), 0, failure_budget=0.9, discount=0.99), "game")
+    yield lambda: solve(S3P(_windy(_LARGE), 0, failure_budget=0.5, cost_cap=2.0))
 
 
 def _play(problem: Any) -> None:
     """Solve a problem, and ask for the law of what its policy costs."""
     policy = solve(problem).policy
     success_costs(policy, problem).within(20.0)
+    evaluate(policy, problem)
     simulate(policy, problem, episodes=10, seed=1)
 
 
@@ -99,10 +105,11 @@ def _layered(depth: int = 60, width: int = 20) -> SSP:
 
 
 def _mixing(states: int = 2_500) -> SSP:
-    """States that lead anywhere: one large component."""
+    """States that lead anywhere, and with each action to an end: one large component."""
     rng = np.random.default_rng(1)
-    moves, ends = rng.integers(0, states, (states, 3, 4)), rng.random((states, 3, 4))
-    return _model(np.where(ends < 0.01, states, np.where(ends > 0.999, states + 1, moves)))
+    moves = rng.integers(0, states, (states, 3, 20))
+    moves[:, :, 0], moves[:, :, 1] = states, states + (rng.random((states, 3)) < 0.5)
+    return _model(moves)
 
 
 def _model(moves: IntArray) -> SSP:
