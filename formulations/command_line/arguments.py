@@ -247,32 +247,25 @@ def argument_parser() -> ArgumentParser:
             add(one)
         if name in ("solve", "info", "simulate"):
             one.add_argument("--json", action="store_true", help=_JSON)
-    _add_check(commands)
-    _add_compile(commands)
+    aim = "check a certificate by exact inequalities"
+    one = _add_without_model(
+        commands, "check", aim, ": what the optimum lies between, as fractions"
+    )
+    _add_file(one, "certificate", metavar="FILE", help="of solve --certificate-out")
+    aim = "compile all inner loops at once, for later processes"
+    _add_without_model(commands, "compile", aim, ": a minute or two, with the extra fast (numba)")
     return whole
 
 
-def _add_compile(commands: Any) -> None:
-    """Add the command-line arguments of ``compile``, which takes no model."""
-    aim = "compile all inner loops at once, for later processes"
-    one = commands.add_parser(
-        "compile", help=aim, formatter_class=RawDescriptionHelpFormatter,
-        description=f"{aim[0].upper()}{aim[1:]}: a minute or two, with the extra fast (numba).",
-        epilog=f"examples:\n{EXAMPLES['compile']}",
+def _add_without_model(commands: Any, name: str, aim: str, more: str) -> ArgumentParser:
+    """Add a command of the command line that takes no model, with what its help says of it."""
+    one: ArgumentParser = commands.add_parser(
+        name, help=aim, formatter_class=RawDescriptionHelpFormatter,
+        description=f"{aim[0].upper()}{aim[1:]}{more}.",
+        epilog=f"examples:\n{EXAMPLES[name]}",
     )  # fmt: skip
     one.set_defaults(verbose=False, quiet=True)
-
-
-def _add_check(commands: Any) -> None:
-    """Add the command-line arguments of ``check``, which takes no model."""
-    aim = "check a certificate by exact inequalities"
-    one = commands.add_parser(
-        "check", help=aim, formatter_class=RawDescriptionHelpFormatter,
-        description=f"{aim[0].upper()}{aim[1:]}: what the optimum lies between, as fractions.",
-        epilog=f"examples:\n{EXAMPLES['check']}",
-    )  # fmt: skip
-    _add_file(one, "certificate", metavar="FILE", help="of solve --certificate-out")
-    one.set_defaults(verbose=False, quiet=True)
+    return one
 
 
 def _add_file(one: Any, *names: str, **told: Any) -> None:

@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext, suppress
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -60,13 +61,13 @@ def _problems() -> Iterator[Callable[[], Any]]:
             MCMP(model, 0, failure_budget=0.5),
             MCMP(model, 0, failure_budget=0.5, discount=0.99),
         ):
-            yield lambda problem=problem: solve(problem)
+            yield partial(solve, problem)
     yield lambda: solve(MCMP(small, 0, failure_budget=0.5, horizon=60))
     limit = {"limit": visits(1) <= 0.5}
     for model in (small, _layered(12, 8)):
-        yield lambda model=model: _play(S3P(model, 0, failure_budget=0.5))
-        yield lambda model=model: solve(S3P(model, 0, failure_budget=0.5, constraints=limit))
-        yield lambda model=model: solve(CostBoundedReach(model, 0, cost_bound=30.0))
+        yield partial(_play, S3P(model, 0, failure_budget=0.5))
+        yield partial(solve, S3P(model, 0, failure_budget=0.5, constraints=limit))
+        yield partial(solve, CostBoundedReach(model, 0, cost_bound=30.0))
     yield lambda: solve(S3P(windy, 0, failure_budget=0.5, cost_cap=60.0))
     yield lambda: solve(MCMP(_windy(60), 0, failure_budget=0.9, discount=0.99), "game")
     yield lambda: solve(S3P(_windy(_LARGE), 0, failure_budget=0.5, cost_cap=2.0))

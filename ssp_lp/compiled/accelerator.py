@@ -100,7 +100,7 @@ def _load() -> bool:
     return True
 
 
-def accelerated(entries: int, *loops: str) -> bool:
+def accelerated(entries: float, *loops: str) -> bool:
     """Whether compiled loops take the place of a numpy expression over so many entries.
 
     Each loop is judged by itself. It is loaded from numba's cache, or compiled, once the entries

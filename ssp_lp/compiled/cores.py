@@ -28,7 +28,7 @@ _HALVED: Final = 20
 Loop = Callable[..., Any]
 
 
-class _Cache(FunctionCache):  # type: ignore[misc]
+class _Cache(FunctionCache):
     """Numba's cache of a loop, in which files that cannot be read count as missing."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
@@ -47,7 +47,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
                 super().save_overload(sig, data)
 
 
-class _Permission(event.Listener):  # type: ignore[misc]
+class _Permission(event.Listener):
     """Asks before numba compiles a loop of this package; loops within it come with it."""
 
     depth = 0
@@ -96,7 +96,8 @@ def one_or_all_cores(function: Any) -> Callable[[int], Loop]:
     """
     copy = FunctionType(function.__code__, function.__globals__, f"{function.__name__}_everywhere")
     copy.__qualname__ = copy.__name__  # numba caches by this name
-    single, everywhere = compiled_loop(function), compiled_loop(copy, parallel=True)
+    single: Loop = compiled_loop(function)
+    everywhere: Loop = compiled_loop(copy, parallel=True)
     name = f"{function.__module__.rpartition('.')[2]}.{copy.__qualname__}"
 
     def loop(entries: int) -> Loop:

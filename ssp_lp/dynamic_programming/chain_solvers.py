@@ -102,6 +102,8 @@ class LargeComponent:
         from ssp_lp.compiled.equations import work_of_levels
 
         own = self._own
+        width: int
+        dissection: float
         width, dissection = work_of_levels(unsigned(own.indptr), unsigned(own.indices))
         factors = _FACTOR_STATE * size + _FACTOR_BLOCK * dissection
         return min(float(size) * width**2, factors if size <= _MOST_STATES else np.inf)
@@ -247,7 +249,8 @@ class Iteration:
         if accelerated(self.own.nnz, "equations.sweep"):
             from ssp_lp.compiled.equations import sweep
 
-            return sweep(*self._own_arrays, right, y)
+            swept: tuple[float, float] = sweep(*self._own_arrays, right, y)
+            return swept
         own = y[: len(right)]
         ahead = right + self.own @ y
         change = float(np.abs(ahead - own).max(initial=0.0))
