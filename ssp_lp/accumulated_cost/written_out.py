@@ -23,7 +23,7 @@ from ssp_lp.accumulated_cost.charges import Charge, TailValues
 from ssp_lp.accumulated_cost.process import AccumulatedCost, ChargedLayers, LayeredProcess
 from ssp_lp.accumulated_cost.totals import Totals, layers_within
 from ssp_lp.arrays import FloatArray, IntArray, offsets_of
-from ssp_lp.compiled.deadline import backward, check_time
+from ssp_lp.compiled.deadline import backward, check_time, pieces
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.processes.explicit_process import ExplicitProcess
@@ -122,20 +122,24 @@ def steps_of_layers(
     kinds, classes = np.unique(ahead, return_inverse=True)
     check_time()
     reached, share = leads(kinds)
-    layers, columns = len(reached), (reached[:, classes] * n + node).ravel()
+    layers, n_entries = len(reached), len(reached) * steps.nnz
+    index = np.int32 if max(n_states, n_entries) <= np.iinfo(np.int32).max else np.int64
+    table = np.empty((layers, steps.nnz), dtype=index)
+    for some in pieces(layers, n_entries):
+        table[some] = reached[some][:, classes] * n + node
+    columns = table.ravel()
     check_time()
     row_ends = np.tile(steps.indptr[1:].astype(np.int64), layers)
     row_ends += np.repeat(np.arange(layers, dtype=np.int64) * steps.nnz, len(base.gain))
-    index = np.int32 if max(n_states, columns.size) <= np.iinfo(np.int32).max else np.int64
     indptr, shape = np.append(0, row_ends).astype(index), (layers * len(base.gain), n_states)
     data: FloatArray = np.tile(steps.data, layers)
     check_time()
     if share is None or not share.any():
-        return sp.csr_array((data, columns.astype(index), indptr), shape=shape)
+        return sp.csr_array((data, columns, indptr), shape=shape)
     upper = share[:, classes].ravel()
     following = np.where(upper > 0.0, columns + n, columns).astype(index)
     below: sp.csr_array
-    below = sp.csr_array((data * (1.0 - upper), columns.astype(index), indptr), shape=shape)
+    below = sp.csr_array((data * (1.0 - upper), columns, indptr), shape=shape)
     check_time()
     above: sp.csr_array = sp.csr_array((data * upper, following, indptr), shape=shape)
     check_time()
