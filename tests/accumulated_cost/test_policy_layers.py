@@ -47,7 +47,7 @@ def chain_measures(policy, problem, start):
 @costs
 @pytest.mark.parametrize("discount", [None, 0.9])
 def test_layers_attain_what_the_written_out_chain_does(is_compiled, zero, discount, monkeypatch):
-    monkeypatch.setattr(policy_layers, "accelerated", lambda entries: is_compiled)
+    monkeypatch.setattr(policy_layers, "accelerated", lambda entries, *loops: is_compiled)
     draw, compared = np.random.default_rng(7), 0
     for turn in range(18):
         model = drawn_model(draw, [0.5, 1.0, 1.5, 3.0, *zero])
@@ -78,7 +78,7 @@ def test_layers_attain_what_the_written_out_chain_does(is_compiled, zero, discou
 @either_way
 @costs
 def test_the_law_of_layers_is_that_of_the_written_out_chain(is_compiled, zero, monkeypatch):
-    monkeypatch.setattr(policy_layers, "accelerated", lambda entries: is_compiled)
+    monkeypatch.setattr(policy_layers, "accelerated", lambda entries, *loops: is_compiled)
     draw, compared = np.random.default_rng(11), 0
     for _ in range(40):
         model = drawn_model(draw, [0.5, 1.0, 1.5, 3.0, *zero])
