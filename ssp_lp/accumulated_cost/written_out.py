@@ -22,7 +22,7 @@ import scipy.sparse as sp
 from ssp_lp.accumulated_cost.charges import Charge, TailValues
 from ssp_lp.accumulated_cost.process import AccumulatedCost, ChargedLayers, LayeredProcess
 from ssp_lp.accumulated_cost.totals import Totals, layers_within
-from ssp_lp.arrays import FloatArray, IntArray, offsets_of
+from ssp_lp.arrays import FloatArray, IntArray, csr_of, offsets_of
 from ssp_lp.compiled.deadline import backward, check_time, pieces
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.cost_aware import CostAwarePolicy
@@ -82,9 +82,16 @@ def _entered_process(
     source = np.zeros(len(n_pairs) + 1)
     source[-1] = 1.0
     entry = sp.csr_array(np.append(base.start, np.zeros(len(source) - base.n_nodes))[None, :])
+    blocks = [*steps, entry]
+    counts = np.concatenate([np.diff(block.indptr) for block in blocks])
     check_time()
-    transitions = sp.csr_array(sp.vstack([*steps, entry]))
+    offsets, columns = offsets_of(counts), [block.indices for block in blocks]
+    index = np.int32 if offsets[-1] <= np.iinfo(np.int32).max else np.int64
+    indices = np.concatenate(columns, dtype=index, casting="same_kind")
     check_time()
+    data = np.concatenate([block.data for block in blocks])
+    check_time()
+    transitions = csr_of(data, indices, offsets.astype(index), (len(counts), len(source)))
     return ExplicitProcess(offsets_of(np.append(n_pairs, 1)), transitions, source, *rewards)
 
 
