@@ -19,10 +19,9 @@ class AlarmError(Exception):
 @pytest.fixture(autouse=True)
 def fresh(monkeypatch):
     """Every loop is worth compiling, and nothing has been given up."""
-    monkeypatch.delenv(accelerator.SWITCH, raising=False)
+    monkeypatch.setenv(accelerator.SWITCH, "numba")
     monkeypatch.setattr(accelerator._loops, "is_given_up", False)
-    monkeypatch.setattr(accelerator, "least_entries", lambda: 0)
-    assert accelerator.accelerated(1)
+    assert accelerator.accelerated(1, "backups.back_up")
 
 
 def loops():
@@ -42,7 +41,7 @@ def test_after_an_alarm_in_the_compiler_loops_run_in_numpy(monkeypatch, stage, e
     with pytest.raises(error):
         loops()(np.zeros(1))
     assert not accelerator.has_accelerator()
-    assert not accelerator.accelerated(10**9)
+    assert not accelerator.accelerated(10**9, "backups.back_up")
     assert solve(MCMP(FIRST, "depot", failure_budget=0.05)).objective == pytest.approx(20 / 3)
 
 
@@ -51,7 +50,7 @@ def test_a_loop_compiled_while_an_error_is_handled_is_no_half_compiled_one():
         raise AlarmError
     except AlarmError:
         assert loops()(np.zeros(1)) == 1.0
-    assert accelerator.accelerated(1)
+    assert accelerator.accelerated(1, "backups.back_up")
 
 
 def test_an_alarm_while_numba_is_loaded_leaves_numpy(monkeypatch):
