@@ -319,9 +319,10 @@ def _noise(weights: FloatArray, columns: Sequence[Column | None]) -> float:
 
     Args:
         weights: of the rewards, [rewards].
-        columns: known ones, whose first tells the size of what is added; none: nothing is known.
+        columns: known ones, of which the first that is measured tells the size of what is added.
     """
-    known = next((column for column in columns if column is not None), None)
+    measured = (column for column in columns if column is not None)
+    known = next((column for column in measured if len(column.figures) == len(weights)), None)
     if known is None or not (known.figures * weights < 0.0).any():
         return 0.0
     return LOST * float(np.abs(known.figures) @ np.abs(weights))
