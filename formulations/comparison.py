@@ -8,25 +8,26 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
-from formulations.alpha_mcmp import AlphaMCMP
-from formulations.constrained_cost import ConstrainedCost
-from formulations.cost_bounded_reach import CostBoundedReach
-from formulations.cost_quantile import CostQuantile
-from formulations.cvar import CVaR
-from formulations.egubs import EGUBS
-from formulations.finite_penalty import FinitePenalty
-from formulations.isspude import ISSPUDE
-from formulations.maxprob import MaxProb
-from formulations.mcmp import MCMP
-from formulations.min_cost import MinCost
-from formulations.minprob import MinProb
-from formulations.s3p import S3P
 from ssp_lp import SSP, InfeasibleError, Solution, progress_shown, solve
 from ssp_lp.errors import did_you_mean
 from ssp_lp.formulation import CostLimit, Problem
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.text_tables import Summarised, html_table, text_table
 from ssp_lp.problem import as_stated
+
+from .alpha_mcmp import AlphaMCMP
+from .constrained_cost import ConstrainedCost
+from .cost_bounded_reach import CostBoundedReach
+from .cost_quantile import CostQuantile
+from .cvar import CVaR
+from .egubs import EGUBS
+from .finite_penalty import FinitePenalty
+from .isspude import ISSPUDE
+from .maxprob import MaxProb
+from .mcmp import MCMP
+from .min_cost import MinCost
+from .minprob import MinProb
+from .s3p import S3P
 
 _HEAD = ["criterion", "objective", "cost", "given success", "failure", "price"]
 _LOG = logging.getLogger("ssp_lp.comparison")

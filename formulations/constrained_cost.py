@@ -67,8 +67,7 @@ class ConstrainedCost(Formulation):
             that is stated wrongly.
 
     Example:
-        >>> from formulations import CostLimit
-        >>> from ssp_lp import SSP, solve
+        >>> from ssp_lp import SSP, CostLimit, solve
         >>> model = SSP.from_transitions(
         ...     {"depot": {"motorway": [(1.0, "shop", 2.0)], "lane": [(1.0, "shop", 5.0)]}},
         ...     goal={"shop"})

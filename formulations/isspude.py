@@ -53,8 +53,7 @@ class ISSPUDE(Formulation):
     ``solve`` raises ``InfeasibleError`` if the goal cannot be reached from the start.
 
     Example:
-        >>> from ssp_lp import SSP, solve
-        >>> from formulations import MCMP
+        >>> from ssp_lp import MCMP, SSP, solve
         >>> model = SSP.from_transitions(
         ...     {"road": {"fast": [(0.5, "home", 1.0), (0.5, "ditch", 7.0)]}, "ditch": {}},
         ...     goal={"home"}, treat_actionless_as_dead_ends=True)

@@ -45,7 +45,7 @@ from ssp_lp.model.text_tables import Summarised, text_table
 from ssp_lp.options import Method, deadline_of, options_of, parse_method, progress_shown
 from ssp_lp.problem import Problem, as_stated, check_problem
 from ssp_lp.solution import Solution
-from ssp_lp.solve import solve
+from ssp_lp.solving import solve
 
 Answer = Solution | SSPError
 """What a problem comes to: its solution, or why it has none."""
@@ -76,8 +76,7 @@ def sweep(criterion: Callable[..., Problem], *given: Any, **named: Any) -> list[
         ModelError: as of the criterion, or a list is empty.
 
     Example:
-        >>> from formulations import MCMP
-        >>> from ssp_lp import SSP
+        >>> from ssp_lp import MCMP, SSP
         >>> model = SSP.from_transitions({"depot": {"road": [(1.0, "home", 9.0)]}}, goal={"home"})
         >>> sweep(MCMP, model, "depot", failure_budget=[0.01, 0.05], horizon=[1, None])[1]
         MCMP(SSP(2 states, 1 pairs, 1 outcomes, 1 goals), start='depot', failure_budget=0.01)
@@ -263,8 +262,7 @@ def solve_many(
 
     Example:
         >>> from concurrent.futures import ThreadPoolExecutor
-        >>> from formulations import MCMP
-        >>> from ssp_lp import SSP
+        >>> from ssp_lp import MCMP, SSP
         >>> model = SSP.from_transitions(
         ...     {"road": {"fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)],
         ...               "safe": [(1.0, "home", 3.0)]}, "ditch": {}},

@@ -125,7 +125,9 @@ class MissingDependencyError(SSPError, ImportError):
     """
 
     def __init__(self, package: str, extra: str) -> None:
-        super().__init__(f"{package} is not installed: pip install 'ssp-lp[{extra}]'")
+        super().__init__(
+            f"{package} is not installed: pip install '.[{extra}]' in a checkout of ssp-lp"
+        )
         self.package = package
         self.extra = extra
 
@@ -214,8 +216,9 @@ def did_you_mean(unknown: Hashable, names: Iterable[Hashable]) -> str:
     plain = _as_read_for_error(unknown)
     meant = next((name for name in some if _as_read_for_error(name) == plain), None)
     if meant is None and isinstance(unknown, str):
-        words = [name for name in some if isinstance(name, str)]
-        meant = next(iter(get_close_matches(unknown, words, n=1)), None)
+        words = {name.casefold(): name for name in some if isinstance(name, str)}
+        near = get_close_matches(unknown.casefold(), words, n=1)
+        meant = words[near[0]] if near else None
     return "" if meant is None else f"; did you mean {meant!r}?"
 
 

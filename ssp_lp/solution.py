@@ -153,8 +153,7 @@ class Solution(ReadOnlyCopies):
             ModelError: the criterion is no linear program, or nothing is decided there.
 
         Example:
-            >>> from ssp_lp import SSP, solve
-            >>> from formulations import MCMP
+            >>> from ssp_lp import MCMP, SSP, solve
             >>> routes = {"alley": [(0.9, "home", 4.0), (0.1, "wreck", 2.0)],
             ...           "road": [(0.99, "home", 9.0), (0.01, "wreck", 5.0)]}
             >>> model = SSP.from_transitions({"depot": routes, "wreck": {}}, goal={"home"},

@@ -11,8 +11,7 @@ from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from typing import Any
 
 from examples.paper_robot.robot import RobotGrid, continuous_robot, start_state
-from formulations import MCMP
-from ssp_lp import Quadrature
+from ssp_lp import MCMP, Quadrature
 from ssp_lp.distributed import PartitionedModel
 
 

@@ -31,8 +31,7 @@ import numpy.typing as npt
 
 from examples.distributed.robot_on_ranks import shared_robot
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
-from formulations import MCMP, S3P
-from ssp_lp import SSPError, solve
+from ssp_lp import MCMP, S3P, SSPError, solve
 from ssp_lp.distributed import PartitionedModel, StateRows
 
 SETTINGS = {

@@ -9,8 +9,8 @@ from argparse import ArgumentParser, RawDescriptionHelpFormatter
 import numpy as np
 from scipy.stats import gamma
 
-from formulations import MCMP
 from ssp_lp import (
+    MCMP,
     Axis,
     ContinuousModel,
     Distribution,

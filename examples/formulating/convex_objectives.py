@@ -16,8 +16,7 @@ import cvxpy as cp
 import numpy as np
 
 from examples.domains.navigation import navigation
-from formulations import MCMP
-from ssp_lp import SSP
+from ssp_lp import MCMP, SSP
 from ssp_lp.programs.occupation_measure import OccupationMeasure
 
 ROADS = {"alley": (4.0, 0.10), "street": (6.0, 0.04), "bypass": (9.0, 0.01)}

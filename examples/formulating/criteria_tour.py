@@ -16,15 +16,17 @@ from examples.domains.domain import Domain
 from examples.domains.navigation import navigation
 from examples.domains.river import river
 from examples.domains.triangle_tireworld import triangle_tireworld
-from formulations import (
+from ssp_lp import (
     MCMP,
     S3P,
     AlphaMCMP,
     CriteriaComparison,
     FinitePenalty,
+    Frontier,
     compare_criteria,
+    solve,
+    trace_frontier,
 )
-from ssp_lp import Frontier, solve, trace_frontier
 
 FRACTIONS = (0.1, 0.3, 0.5, 0.7, 0.9, 0.999)
 PENALTIES = (1.0, 5.0, 20.0, 100.0, 1000.0)

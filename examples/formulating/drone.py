@@ -17,8 +17,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from formulations import S3P
-from ssp_lp import SSP, Solution, end_probability, simulate, solve
+from ssp_lp import S3P, SSP, Solution, end_probability, simulate, solve
 from ssp_lp.plotting import plot_episodes
 
 PLAN = (

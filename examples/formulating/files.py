@@ -21,16 +21,18 @@ import highspy
 import numpy as np
 import scipy.sparse as sp
 
-from formulations import (
+from ssp_lp import (
     MCMP,
     S3P,
+    SSP,
     AlphaMCMP,
     CostBoundedReach,
     FinitePenalty,
     MaxProb,
     MinProb,
+    solve,
+    visits,
 )
-from ssp_lp import SSP, solve, visits
 from ssp_lp.problem import Problem
 from ssp_lp.programs.occupation_measure import OccupationMeasure
 

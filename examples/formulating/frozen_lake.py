@@ -11,8 +11,7 @@ import warnings
 
 import gymnasium as gym
 
-from formulations import MCMP
-from ssp_lp import solve
+from ssp_lp import MCMP, solve
 from ssp_lp.io import StepLimitWarning, from_gymnasium, rollout
 
 if {"-h", "--help"} & set(sys.argv):

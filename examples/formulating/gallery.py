@@ -21,8 +21,9 @@ from matplotlib.axes import Axes
 from PIL import Image
 
 from examples.formulating.key_and_door import DIRECTIONS, WALLS, found, place, warehouse
-from formulations import MCMP, S3P
 from ssp_lp import (
+    MCMP,
+    S3P,
     Axis,
     ContinuousModel,
     Distribution,

@@ -16,8 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from formulations import MCMP
-from ssp_lp import SSP, Memory, ProductSSP, Solution, on_original, product, solve
+from ssp_lp import MCMP, SSP, Memory, ProductSSP, Solution, on_original, product, solve
 from ssp_lp.plotting import plot_grid_policy
 
 PLAN = (

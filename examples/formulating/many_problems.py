@@ -14,8 +14,7 @@ from time import perf_counter
 import numpy as np
 
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
-from formulations import S3P, MaxProb
-from ssp_lp import Solution, SSPError, solve, solve_many, sweep
+from ssp_lp import S3P, MaxProb, Solution, SSPError, solve, solve_many, sweep
 from ssp_lp.formulation import Problem
 
 SEGMENTS = (5, 6, 7, 8, 9)

@@ -14,8 +14,7 @@ from dataclasses import replace
 import cvxpy as cp
 
 from examples.domains.river import river
-from formulations import MCMP
-from ssp_lp import evaluate, solve
+from ssp_lp import MCMP, evaluate, solve
 from ssp_lp.programs.occupation_measure import OccupationMeasure
 
 BUDGETS = (0.0, 0.3, 0.4, 0.6, 0.7)

@@ -17,8 +17,7 @@ from time import perf_counter
 
 from examples.domains.domain import Domain
 from examples.domains.windy_field import windy_field
-from formulations import S3P
-from ssp_lp import CostAwarePolicy, Solution, SSPError, solve
+from ssp_lp import S3P, CostAwarePolicy, Solution, SSPError, solve
 
 BUDGET = 0.3
 LEVELS = (100, 200, 400, 800, 1600, 3200)

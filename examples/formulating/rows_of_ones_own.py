@@ -16,8 +16,7 @@ from typing import Any
 import cvxpy as cp
 
 from examples.domains.river import Cell, river
-from formulations import MCMP
-from ssp_lp import evaluate, failure_probability
+from ssp_lp import MCMP, evaluate, failure_probability
 from ssp_lp.programs.occupation_measure import OccupationMeasure
 
 WIDTH, HEIGHT, BUDGET = 5, 5, 0.3

@@ -16,8 +16,7 @@ from itertools import combinations
 import cvxpy as cp
 import numpy as np
 
-from formulations import MCMP
-from ssp_lp import SSP, InfeasibleError, evaluate, solve
+from ssp_lp import MCMP, SSP, InfeasibleError, evaluate, solve
 from ssp_lp.programs.occupation_measure import OccupationMeasure
 
 FLIGHTS = {

@@ -15,8 +15,7 @@ import cvxpy as cp
 
 from examples.domains.domain import Domain
 from examples.domains.river import river
-from formulations import MCMP, S3P
-from ssp_lp import trace_frontier
+from ssp_lp import MCMP, S3P, trace_frontier
 from ssp_lp.programs.occupation_measure import OccupationMeasure
 
 BUDGETS = (0.2, 0.05, 0.3, 0.5, 0.15)

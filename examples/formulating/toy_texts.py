@@ -11,8 +11,7 @@ from collections.abc import Callable
 
 import gymnasium as gym
 
-from formulations import MCMP
-from ssp_lp import Solution, certify, solve
+from ssp_lp import MCMP, Solution, certify, solve
 from ssp_lp.io import RolloutReport, from_gymnasium, rollout
 
 EPISODES = 2000

@@ -14,8 +14,7 @@ import cvxpy as cp
 import numpy as np
 
 from examples.domains.river import river
-from formulations import MCMP
-from ssp_lp import Frontier, evaluate, failure_probability, solve, trace_frontier
+from ssp_lp import MCMP, Frontier, evaluate, failure_probability, solve, trace_frontier
 from ssp_lp.programs.occupation_measure import OccupationMeasure
 
 BUDGETS = (0.05, 0.1, 0.2, 0.4)

@@ -7,7 +7,7 @@ world; prints the paper's Tables 1 and 2 with ours below them; and draws the fir
 
     python examples/paper_robot/obstacle_avoidance.py --output figures
 
-Needs matplotlib (`pip install ssp-lp[plot]`). Takes about a minute.
+Needs matplotlib (`pip install '.[plot]'`). Takes about a minute.
 """
 
 import argparse
@@ -32,8 +32,7 @@ from examples.paper_robot.study import (
     try_out,
 )
 from examples.paper_robot.tables import comparison_text, remarks, table_text
-from formulations import MCMP, S3P
-from ssp_lp import trace_frontier
+from ssp_lp import MCMP, S3P, trace_frontier
 
 WALL_COSTS = (1.0, 100.0)
 POINTS = 16  # of a frontier

@@ -8,8 +8,7 @@ import numpy as np
 from examples.paper_robot.arena import FloatArray
 from examples.paper_robot.grid import RobotGrid
 from examples.paper_robot.robot import robot_simulator, start_state
-from formulations import MCMP, S3P
-from ssp_lp import SSP, Evaluation, MixedPolicy, evaluate, simulate, solve
+from ssp_lp import MCMP, S3P, SSP, Evaluation, MixedPolicy, evaluate, simulate, solve
 from ssp_lp.analysis.simulation import SimulationReport
 from ssp_lp.game import Game, play, stationary_player
 

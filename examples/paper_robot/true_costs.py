@@ -6,7 +6,7 @@ prices of turning, proves each answer from the model, plays the policies, and dr
 
     python examples/paper_robot/true_costs.py --output figures
 
-Needs matplotlib (`pip install ssp-lp[plot]`). Takes about a minute.
+Needs matplotlib (`pip install '.[plot]'`). Takes about a minute.
 """
 
 import argparse
@@ -19,8 +19,7 @@ import numpy as np
 from examples.paper_robot.figures import save_trajectories
 from examples.paper_robot.robot import RobotGrid, grid_model, robot_simulator, start_state
 from examples.paper_robot.study import BUDGET, RECORDED
-from formulations import S3P
-from ssp_lp import Certificate, Solution, certify, simulate, solve
+from ssp_lp import S3P, Certificate, Solution, certify, simulate, solve
 from ssp_lp.analysis.simulation import SimulationReport
 
 TURNING_COSTS = [0.0, 0.05, 0.2]  # of a radian, where a step's length of 0.1 costs 0.1

@@ -14,8 +14,7 @@ import time
 from collections.abc import Sequence
 
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
-from formulations import MCMP, S3P
-from ssp_lp import cross_check
+from ssp_lp import MCMP, S3P, cross_check
 from ssp_lp.game import GameSolution, delta_mixture, stationary_game
 
 DELTAS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)

@@ -28,8 +28,7 @@ from examples.paper_walkthrough.model import (
     success_cost,
     timed_policy,
 )
-from formulations import MCMP, S3P
-from ssp_lp import GIVE_UP, DeterministicPolicy, evaluate
+from ssp_lp import GIVE_UP, MCMP, S3P, DeterministicPolicy, evaluate
 from ssp_lp.game import (
     Game,
     GameSolution,

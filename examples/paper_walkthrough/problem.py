@@ -14,8 +14,7 @@ from examples.paper_walkthrough.model import (
     journey,
     stationary_policy,
 )
-from formulations import MCMP, S3P
-from ssp_lp import GIVE_UP, MixedPolicy, StochasticPolicy, evaluate, solve
+from ssp_lp import GIVE_UP, MCMP, S3P, MixedPolicy, StochasticPolicy, evaluate, solve
 from ssp_lp.model.graph import attention_states, dead_ends
 from ssp_lp.processes.goal_reach import max_goal_probability, min_goal_probability
 from ssp_lp.processes.live_rows import cost_means, successor_means

@@ -1,8 +1,7 @@
 """How the constructions of section 3 approach each other on the paper's robot as gamma -> 1."""
 
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
-from formulations import MCMP
-from ssp_lp import InfeasibleError, evaluate, solve
+from ssp_lp import MCMP, InfeasibleError, evaluate, solve
 from ssp_lp.game import bayes_adaptive, stationary_game
 
 GAMMAS = (0.99, 0.999, 0.9999, 0.99999)

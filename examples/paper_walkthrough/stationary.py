@@ -19,8 +19,7 @@ from examples.paper_walkthrough.model import (
     journey,
     success_cost,
 )
-from formulations import MCMP, S3P
-from ssp_lp import Solution, evaluate, solve
+from ssp_lp import MCMP, S3P, Solution, evaluate, solve
 from ssp_lp.game import bayes_adaptive, stationary_game, thresholds
 from ssp_lp.game.label_player import label_models
 from ssp_lp.processes.failure_semantics import start_distribution

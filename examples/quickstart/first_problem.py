@@ -5,8 +5,7 @@ python examples/quickstart/first_problem.py
 
 import sys
 
-from formulations import MCMP
-from ssp_lp import SSP, solve
+from ssp_lp import MCMP, SSP, solve
 
 if {"-h", "--help"} & set(sys.argv):
     print(__doc__)

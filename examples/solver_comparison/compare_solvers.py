@@ -15,7 +15,7 @@ Instances: robot-SEGMENTSxHEADINGS-CASE and random-STATES-CASE; CASE is M or S, 
 accumulated cost, M@0.999 with a discount, which "value iteration (game)" needs. The largest robot
 is robot-160x72: 192 million transitions, several GB.
 
-`pip install 'ssp-lp[compare]'` brings the peers. What is not installed is a row that says so.
+`pip install '.[compare]'` brings the peers. What is not installed is a row that says so.
 The default, two discounted instances and a solver of each kind, takes about a minute. `--full`
 takes about an hour, most of it solvers that reach the time limit; a solver that does is not tried
 on larger instances of the same kind.

@@ -16,7 +16,7 @@ from typing import Any
 import cvxpy as cp
 
 from examples.solver_comparison.instances.families import FAMILIES
-from formulations import MCMP, S3P
+from ssp_lp import MCMP, S3P
 from ssp_lp.problem import Problem
 
 TOTALS = 100

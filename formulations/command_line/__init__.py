@@ -16,7 +16,7 @@ import warnings
 from argparse import Namespace
 from collections.abc import Sequence
 
-from formulations.command_line.arguments import argument_parser
+from .arguments import argument_parser
 
 FAILED, WRONG_INPUT, INFEASIBLE, INTERRUPTED, UNREAD = 1, 2, 3, 130, 141
 """Exit codes besides 0; the last two are a shell's for SIGINT and SIGPIPE."""
@@ -39,10 +39,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run_command(asked: Namespace) -> int:
     """Run the command that the command line asks for; its exit code."""
-    from formulations.command_line.commands import COMMANDS, with_options
-    from formulations.command_line.compiling import compile_loops
     from ssp_lp import progress_shown
     from ssp_lp.errors import InfeasibleError, MissingDependencyError, SolverError, SSPError
+
+    from .commands import COMMANDS, with_options
+    from .compiling import compile_loops
 
     try:
         shown = asked.verbose or (sys.stderr.isatty() and not asked.quiet)

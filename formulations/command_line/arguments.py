@@ -15,7 +15,7 @@ from collections.abc import Callable
 from fractions import Fraction
 from typing import Any, NamedTuple, NoReturn
 
-from formulations import PAGES
+from .. import PAGES
 
 CRITERIA = {
     page.replace("_", "-"): name

@@ -19,18 +19,7 @@ from operator import eq, ge, le
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
-import formulations
 import ssp_lp
-from formulations.command_line.arguments import (
-    CRITERIA,
-    PARAMETERS,
-    SEVERAL,
-    number_argument,
-    option,
-)
-from formulations.comparison import compare_criteria
-from formulations.maxprob import MaxProb
-from formulations.mcmp import MCMP
 from ssp_lp import SSP, ModelError, Solution, io
 from ssp_lp.analysis.simulation import Estimate
 from ssp_lp.errors import Argument, SolverError, check_whole, optional_module
@@ -43,6 +32,17 @@ from ssp_lp.options import Status
 from ssp_lp.plotting import explore, plot_cost_law, plot_frontier, row_major
 from ssp_lp.policies.policy import Policy
 from ssp_lp.policies.table import PolicyRow
+
+from ..comparison import compare_criteria
+from ..maxprob import MaxProb
+from ..mcmp import MCMP
+from .arguments import (
+    CRITERIA,
+    PARAMETERS,
+    SEVERAL,
+    number_argument,
+    option,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -185,7 +185,7 @@ def problem_of(asked: Namespace, of: _CommandModel) -> Problem:
     Raises:
         ModelError: the criterion does not take, or lacks, an argument; or it refuses one.
     """
-    criterion = getattr(formulations, CRITERIA[asked.criterion])
+    criterion = getattr(ssp_lp, CRITERIA[asked.criterion])
     takes = {field.name: field for field in fields(criterion) if field.name in PARAMETERS}
     given = {name: getattr(asked, name) for name in PARAMETERS if name in vars(asked)}
     for name in given:

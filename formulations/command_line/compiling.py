@@ -11,11 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from formulations import MCMP, S3P, CostBoundedReach, MaxProb, MinCost
 from ssp_lp import SSP, SSPError, evaluate, simulate, solve, success_costs, visits
 from ssp_lp.arrays import IntArray
 from ssp_lp.compiled.accelerator import SWITCH, cache_folders, cached_loops
 from ssp_lp.errors import optional_module
+
+from ..cost_bounded_reach import CostBoundedReach
+from ..maxprob import MaxProb
+from ..mcmp import MCMP
+from ..min_cost import MinCost
+from ..s3p import S3P
 
 _SIDE = 34
 """Of a square: its states exceed those of a chain that is solved directly."""

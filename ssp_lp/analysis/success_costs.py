@@ -31,8 +31,7 @@ def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Co
         ModelError: the policy is for another model, or undecided in a state that it reaches.
 
     Example:
-        >>> from ssp_lp import SSP, DeterministicPolicy
-        >>> from formulations import S3P
+        >>> from ssp_lp import S3P, SSP, DeterministicPolicy
         >>> model = SSP.from_transitions(
         ...     {"door": {"try": [(0.5, "out", 0.1), (0.5, "door", 0.1)]}}, goal={"out"})
         >>> problem = S3P(model, start="door")

@@ -146,7 +146,7 @@ class LargeComponent:
         order, width = self._band
         is_compiled = accelerated(_MOST_BAND_WORK, *_ELIMINATION)  # numpy has no twin of it
         if not is_compiled or len(order) * width**2 > _MOST_BAND_WORK:
-            hint = "" if is_compiled else "; numba reduces it: pip install 'ssp-lp[fast]'"
+            hint = "" if is_compiled else "; numba reduces it: pip install '.[fast]'"
             raise SolverError(
                 "a policy's totals could not be verified: its chain is left too seldom for double "
                 f"precision{hint}"

@@ -122,8 +122,7 @@ def trace_frontier(
         KeyboardInterrupt: Ctrl-C came before there was one.
 
     Example:
-        >>> from ssp_lp import SSP, trace_frontier, visits
-        >>> from formulations import MCMP
+        >>> from ssp_lp import MCMP, SSP, trace_frontier, visits
         >>> model = SSP.from_transitions(
         ...     {"a": {"fast": [(0.9, "g", 1.0), (0.1, "yard", 1.0)], "slow": [(1.0, "g", 10.0)]},
         ...      "yard": {"on": [(1.0, "g", 2.0)]}}, goal={"g"})
@@ -179,8 +178,7 @@ def trace_surface(
         KeyboardInterrupt: Ctrl-C came before there was one.
 
     Example:
-        >>> from ssp_lp import SSP, trace_surface, visits
-        >>> from formulations import MCMP
+        >>> from ssp_lp import MCMP, SSP, trace_surface, visits
         >>> model = SSP.from_transitions(
         ...     {"a": {"fast": [(0.9, "g", 1.0), (0.1, "yard", 1.0)], "slow": [(1.0, "g", 10.0)]},
         ...      "yard": {"on": [(0.5, "g", 2.0), (0.5, "pit", 2.0)]}, "pit": {}}, goal={"g"},

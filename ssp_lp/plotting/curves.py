@@ -113,8 +113,7 @@ def plot_frontier(
         ModelError: the frontier was not traced down to the budget.
 
     Example:
-        >>> from ssp_lp import SSP, trace_frontier
-        >>> from formulations import MCMP
+        >>> from ssp_lp import MCMP, SSP, trace_frontier
         >>> model = SSP.from_transitions(
         ...     {"s": {"road": [(0.99, "g", 9.0), (0.01, "d", 5.0)],
         ...            "alley": [(0.9, "g", 4.0), (0.1, "d", 2.0)]}, "d": {}},
@@ -253,8 +252,7 @@ def plot_bounds(record: BoundsRecord, solution: Any, *, ax: Axes | None = None) 
             problems: what they report bounds none of it.
 
     Example:
-        >>> from ssp_lp import SSP, solve
-        >>> from formulations import MCMP
+        >>> from ssp_lp import MCMP, SSP, solve
         >>> model = SSP.from_transitions({"s": {"go": [(0.5, "g", 1.0), (0.5, "s", 1.0)]}}, {"g"})
         >>> record = BoundsRecord()
         >>> axes = plot_bounds(record, solve(MCMP(model, "s", 0.1), progress=record))

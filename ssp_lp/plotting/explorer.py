@@ -103,8 +103,7 @@ def explore(
         ModelError: no frontier of a problem, or a page that would be too large.
 
     Example:
-        >>> from ssp_lp import SSP, trace_frontier
-        >>> from formulations import MCMP
+        >>> from ssp_lp import MCMP, SSP, trace_frontier
         >>> model = SSP.from_transitions(
         ...     {"s": {"road": [(0.99, "g", 9.0), (0.01, "d", 5.0)],
         ...            "alley": [(0.9, "g", 4.0), (0.1, "d", 2.0)]}, "d": {}},

@@ -226,8 +226,7 @@ def plot_grid_policy(
         ModelError: no state has a cell; the policy may wander for ever; it is for another model.
 
     Example:
-        >>> from ssp_lp import SSP, DeterministicPolicy
-        >>> from formulations import MCMP
+        >>> from ssp_lp import MCMP, SSP, DeterministicPolicy
         >>> model = SSP.from_transitions({0: {"east": [(0.9, 1, 1.0), (0.1, 0, 1.0)]}}, goal={1})
         >>> policy = DeterministicPolicy.from_actions(model, {0: "east"})
         >>> problem = MCMP(model, 0, failure_budget=0.1)

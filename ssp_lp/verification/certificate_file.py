@@ -48,7 +48,7 @@ from ssp_lp.problem import Problem, as_stated, conditions_of, objective_of, requ
 from ssp_lp.processes.conditions import Condition, StepTerm
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, GiveUp
 from ssp_lp.solution import Solution, as_solved
-from ssp_lp.solve import solve
+from ssp_lp.solving import solve
 from ssp_lp.verification import checker
 from ssp_lp.verification.checker import Checked
 from ssp_lp.verification.decision_cases import cases_of_decisions

@@ -30,7 +30,7 @@ from ssp_lp.problem import Problem, check_problem, requirements, unrolled
 from ssp_lp.processes.failure_semantics import dead_end_charges, give_up_charges
 from ssp_lp.processes.live_rows import costless_pairs
 from ssp_lp.solution import Solution
-from ssp_lp.solve import solve
+from ssp_lp.solving import solve
 from ssp_lp.verification import checker
 from ssp_lp.verification.certificate_file import Statement
 

@@ -104,7 +104,7 @@ def test_a_policy_that_three_ranks_saved_is_read_by_two_and_by_one(tmp_path: Pat
 
 @pytest.mark.skipif(not MISSING, reason="PETSc is installed")
 def test_what_is_missing_is_named() -> None:
-    with pytest.raises(MissingDependencyError, match=r"pip install 'ssp-lp\[distributed\]'"):
+    with pytest.raises(MissingDependencyError, match=r"pip install '\.\[distributed\]'"):
         solve(MCMP(FIRST, "depot", 0.05), ColumnGeneration(pricing=Petsc()))
 
 

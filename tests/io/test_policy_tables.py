@@ -63,7 +63,7 @@ def test_memories_in_words():
 def test_a_frame_needs_pandas(monkeypatch):
     policy = everywhere(hall(), "fast")
     if importlib.util.find_spec("pandas") is None:
-        words = r"pip install 'ssp-lp\[frames\]'"
+        words = r"pip install '\.\[frames\]'"
         refused(words, policy.to_frame, error=MissingDependencyError)
     made = SimpleNamespace(DataFrame=lambda rows, columns: (rows, columns))
     monkeypatch.setitem(sys.modules, "pandas", made)

@@ -186,7 +186,7 @@ def test_what_cannot_be_explored_is_refused(monkeypatch):
     monkeypatch.setattr("ssp_lp.plotting.explorer.LARGEST", 1_000)
     refused("point_limit", explore, frontier)
     monkeypatch.setitem(sys.modules, "bokeh.plotting", None)
-    refused(r"pip install 'ssp-lp\[explore\]'", explore, frontier, error=MissingDependencyError)
+    refused(r"pip install '\.\[explore\]'", explore, frontier, error=MissingDependencyError)
 
 
 def test_a_page_from_the_command_line(tmp_path, capsys):

@@ -92,7 +92,7 @@ def test_matplotlib_is_imported_by_pictures_alone(monkeypatch):
     subprocess.run([sys.executable, "-c", code], check=True)  # noqa: S603
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
     plot = trace_frontier(PROBLEM).plot
-    refused(r"pip install 'ssp-lp\[plot\]'", plot, error=MissingDependencyError)
+    refused(r"pip install '\.\[plot\]'", plot, error=MissingDependencyError)
 
 
 def test_visits_of_pairs_balance():

@@ -7,8 +7,7 @@ import numpy as np
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from examples.solver_comparison.instances.families import FAMILIES
 from examples.solver_comparison.instances.instance import Instance
-from formulations import MCMP, S3P, MaxProb, MinCost
-from ssp_lp import SSP
+from ssp_lp import MCMP, S3P, SSP, MaxProb, MinCost
 
 N_ACTIONS, N_SUCCESSORS = 5, 8
 _STATES_PER_END = 200

@@ -490,7 +490,7 @@ def test_errors_are_one_line(words: str, complaint: str, run: Run, capsys: Any) 
 def test_solvers_print_nothing_beside_the_answer(roads: Path, method: str) -> None:
     """HiGHS would name itself on standard output, which only another process sees."""
     words = ["solve", str(roads), *map(str, WITHIN), "--method", method, "--json"]
-    command = [sys.executable, "-m", "formulations.command_line", *words]
+    command = [sys.executable, "-m", "ssp_lp", *words]
     done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
     assert json.loads(done.stdout)["objective"] >= 6.6
 

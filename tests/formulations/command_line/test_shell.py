@@ -22,7 +22,7 @@ from ssp_lp.io import from_gymnasium
 
 gymnasium = pytest.importorskip("gymnasium")
 
-SSP_LP = f"{shlex.quote(sys.executable)} -m formulations.command_line"
+SSP_LP = f"{shlex.quote(sys.executable)} -m ssp_lp"
 ROOT = Path(__file__).parents[3]
 EVERY = [line.strip() for some in EXAMPLES.values() for line in some.splitlines()]
 
@@ -50,7 +50,7 @@ def test_help_comes_at_once_and_without_the_library(folder: Path) -> None:
     assert done.returncode == 0
     assert "exit codes" in done.stdout
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 0.5
-    look = "import sys, formulations.command_line; sys.exit('numpy' in sys.modules)"
+    look = "import sys, ssp_lp.formulations.command_line; sys.exit('numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", look], cwd=ROOT).returncode == 0  # noqa: S603
 
 
@@ -98,7 +98,7 @@ def test_an_interrupt_is_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("formulations.command_line.import_module", interrupted)
+    monkeypatch.setattr("ssp_lp.formulations.command_line.import_module", interrupted)
     assert main(["info", "roads.json"]) == 130
 
 

@@ -275,7 +275,7 @@ def test_least_failure_where_success_is_rare(accelerator, monkeypatch):
 def test_the_missing_package_is_named(monkeypatch):
     env = gym.make("FrozenLake-v1")
     monkeypatch.setitem(sys.modules, "gymnasium", None)
-    words = r"pip install 'ssp-lp\[gym\]'"
+    words = r"pip install '\.\[gym\]'"
     refused(words, from_gymnasium, env, error=MissingDependencyError)
 
 

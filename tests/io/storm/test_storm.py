@@ -345,5 +345,5 @@ def test_what_is_missing_is_named(monkeypatch, tmp_path):
     )
     monkeypatch.setitem(sys.modules, "stormpy", None)
     missing = {"error": MissingDependencyError}
-    refused(r"pip install 'ssp-lp\[storm\]'", to_stormpy, FIRST, start="depot", **missing)
+    refused(r"pip install '\.\[storm\]'", to_stormpy, FIRST, start="depot", **missing)
     refused("storm", read_with_storm, written(tmp_path, PROGRAM), goal="done", **missing)
