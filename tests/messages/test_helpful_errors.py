@@ -314,10 +314,3 @@ def test_a_budget_that_is_spent_by_giving_up_is_told_of() -> None:
     model = SSP.from_transitions(table, goal={"home"})
     assert "give_up='dead_ends' forbids it" in solve(MCMP(model, "depot", 0.2)).summary()
     assert "giving up" not in solve(MCMP(model, "depot", 0.2, give_up="dead_ends")).summary()
-
-
-def test_criteria_that_are_looked_for_here_are_pointed_to() -> None:
-    with pytest.raises(ImportError, match="from formulations import MCMP"):
-        exec("from ssp_lp import MCMP")
-    with pytest.raises(AttributeError, match="no attribute 'solved'"):
-        _ = __import__("ssp_lp").solved
