@@ -26,7 +26,7 @@ from ssp_lp.arrays import FloatArray, IntArray, csr_of, offsets_of
 from ssp_lp.compiled.deadline import backward, check_time, pieces
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.cost_aware import CostAwarePolicy
-from ssp_lp.processes.explicit_process import ExplicitProcess
+from ssp_lp.processes.explicit_process import ExplicitProcess, ReachablePart, reachable_part
 from ssp_lp.processes.failure_semantics import Counting, FailureSemantics
 from ssp_lp.processes.live_rows import cost_means
 
@@ -193,6 +193,17 @@ class OpenEnded(ChargedLayers):
         goal = self.everywhere(base.survival * base.gain, base.start_goal)
         n_pairs = np.tile(np.diff(base.pair_offsets), copies)
         return _entered_process(base, [steps], n_pairs, (cost, failure, goal))
+
+    def reachable_part(self) -> ReachablePart:
+        """The open-ended table's states, each at the totals that a run can come to.
+
+        The source is left out where no start mass lies on goals and dead-ends.
+        """
+        process, base = self.process, self.base
+        start = process.start
+        if base.start_goal == 0.0 and base.start_failure == 0.0:
+            start = np.append(base.start, np.zeros(process.n_states - self.n_nodes))
+        return reachable_part(process, start)
 
     def everywhere(self, per_pair: FloatArray, at_source: float) -> FloatArray:
         """A number per pair of a layer, written out for all layers and the source.

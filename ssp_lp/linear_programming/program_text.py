@@ -14,6 +14,7 @@ from ssp_lp.model.text_tables import text_table
 _WIDEST = 100  # characters of a table that can be read
 _MOST = 12  # columns, and as many rows
 
+_SIGNS = {False: r"{x \ge 0}", True: r"{x \ge 0,\ t \ge 0}"}  # without and with a scale
 _RELATIONS = {"=": "=", "<=": r"\le"}
 
 
@@ -41,16 +42,20 @@ def as_table(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]
     return [line.rstrip() for line in table] if len(table[0]) <= _WIDEST else []
 
 
-def as_latex(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]) -> str:
+def as_latex(
+    program: LinearProgram, columns: Sequence[str], rows: Sequence[str], *, scaled: bool
+) -> str:
     """A linear program in full in LaTeX: objective and rows as sums over their columns.
 
     Args:
         program: the program.
         columns: names.
         rows: names.
+        scaled: whether the last column is the scale t.
     """
     symbols = [rf"x_{{\text{{{_latex_text(name)}}}}}" for name in columns]
-    lines = [rf"\min_{{x \ge 0}} \quad & {_sum_of(program.cost, symbols)}"]
+    symbols[-1:] = ["t"] if scaled else symbols[-1:]
+    lines = [rf"\min_{_SIGNS[scaled]} \quad & {_sum_of(program.cost, symbols)}"]
     for taken, name, (relation, bound) in zip(
         program.matrix.toarray(), rows, _sides(program), strict=True
     ):
@@ -59,15 +64,16 @@ def as_latex(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]
     return _aligned(lines)
 
 
-def words_as_latex(verb: str, aim: str, rows: Iterable[tuple[str, str]]) -> str:
+def words_as_latex(verb: str, aim: str, rows: Iterable[tuple[str, str]], *, scaled: bool) -> str:
     """A linear program told in words, in LaTeX, ``<cost, x>`` being a product.
 
     Args:
         verb: minimise or maximise.
         aim: what.
         rows: names, and rows in words.
+        scaled: whether the scale t is a variable as well.
     """
-    lines = [rf"\{verb[:3]}_{{x \ge 0}} \quad & {_products(aim)}"]
+    lines = [rf"\{verb[:3]}_{_SIGNS[scaled]} \quad & {_products(aim)}"]
     lines += [rf"& {_products(words)} && \text{{{_latex_text(name)}}}" for name, words in rows]
     return _aligned(lines)
 
@@ -75,7 +81,8 @@ def words_as_latex(verb: str, aim: str, rows: Iterable[tuple[str, str]]) -> str:
 def _products(words: str) -> str:
     """Words of a linear program's row in LaTeX."""
     text = re.sub(r"<(.*?), x>", r"\\langle \\text{\1}, x \\rangle", _latex_text(words))
-    return text.replace(" <= ", r" \le ").replace("= start", r"= \text{start}")
+    text = re.sub(r"= (t )?start$", r"= \1\\text{start}", text)
+    return re.sub(r" t$", r" \\, t", text.replace(" <= ", r" \le "))
 
 
 def _aligned(lines: list[str]) -> str:

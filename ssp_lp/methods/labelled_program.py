@@ -78,7 +78,7 @@ def program_of(
     if augmented is None:
         inside = compiled.augmented
         if isinstance(inside, OpenEnded):
-            augmented = LayeredModel(inside, compiled.start, compiled.semantics)
+            augmented = LayeredModel.of(inside, compiled.start, compiled.semantics)
         else:  # what is minimised as the cost
             cost = np.ascontiguousarray(compiled.explicit_pricing.rewards[:, 0])
             labelled = replace(inside, process=replace(inside.process, cost=cost))
@@ -87,7 +87,8 @@ def program_of(
         limits = compiled.bounds
         if compiled.budget is not None and inner.semantics.aim is Aim.LEAST_COST:
             limits[0] = compiled.budget  # a row even where it limits nothing: sweeps begin there
-        taken = (augmented.process.failure, *compiled.row_coefficients(compiled.side))
+        side = (row[augmented.part.pairs] for row in compiled.row_coefficients(compiled.side))
+        taken = (augmented.process.failure, *side)
         bounded = zip(compiled.names, limits, compiled.told, taken, strict=True)
         for name, bound, words, each in bounded:
             if np.isfinite(bound):

@@ -24,7 +24,7 @@ from ssp_lp.dynamic_programming.dual_bound import DualBound, dual_bound, shortfa
 from ssp_lp.dynamic_programming.dynamics import Dynamics, leaving_choice
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.errors import SolverError
-from ssp_lp.model.graph import end_components, nearer_pairs
+from ssp_lp.model.graph import end_components, nearer_pairs, reached_along
 
 _NOT_BEST = 1e-6  # excess, relative to the optimum, of pairs that no optimal measure uses
 _LITTLE = 1e-5  # visits of such pairs that are noise of a solver
@@ -64,6 +64,44 @@ class ExplicitProcess:
     def pair_state(self) -> IntArray:
         """The state of each pair of the explicit process, [pairs]."""
         return np.repeat(np.arange(self.n_states), np.diff(self.pair_offsets))
+
+
+@dataclass(frozen=True, eq=False)
+class ReachablePart:
+    """The part of an explicit process that some policy comes to from the start."""
+
+    process: ExplicitProcess  # on these states alone
+    states: IntArray  # [its states] their numbers in the whole process, ascending
+    pairs: IntArray  # [its pairs] likewise
+
+
+def reachable_part(process: ExplicitProcess, start: FloatArray) -> ReachablePart:
+    """Leave out the states of an explicit process that no policy comes to.
+
+    Args:
+        process: the whole process.
+        start: the distribution to begin with, [states].
+    """
+    steps = process.transitions
+    if not steps.data.all():
+        steps = steps.copy()
+        steps.eliminate_zeros()
+    ends = steps.indptr[process.pair_offsets]
+    reached = reached_along(steps.indices, ends, np.flatnonzero(start))
+    states, pairs = np.flatnonzero(reached), np.flatnonzero(reached[process.pair_state])
+    number = np.cumsum(reached, dtype=steps.indices.dtype) - 1
+    rows = steps[pairs]
+    part = ExplicitProcess(
+        pair_offsets=offsets_of(np.diff(process.pair_offsets)[states]),
+        transitions=sp.csr_array(
+            (rows.data, number[rows.indices], rows.indptr), shape=(pairs.size, states.size)
+        ),
+        start=start[states],
+        cost=process.cost[pairs],
+        failure=process.failure[pairs],
+        goal=process.goal[pairs],
+    )
+    return ReachablePart(part, states, pairs)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from ssp_lp.model.product import ProductSSP
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import GIVE_UP, DeterministicPolicy, StochasticPolicy, find_pair
 from ssp_lp.processes.conditions import Term
-from ssp_lp.processes.explicit_process import ExplicitProcess
+from ssp_lp.processes.explicit_process import ExplicitProcess, ReachablePart
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of
 from ssp_lp.processes.failure_semantics import FailureSemantics
 from ssp_lp.processes.quotient import (
@@ -62,17 +63,19 @@ STAY = "stay for ever"
 class Augmented(ABC):
     """A process written out, with its way back to the model.
 
-    Its pairs are copies of the live part's, one after another, and then what lies beyond them.
+    Its pairs are numbered as those of all copies of the live part, one copy after another, and then
+    the source's. The process has those of them that some policy comes to.
     """
 
     inner: FailureLabelled | OpenEnded  # what is written out
     start: FloatArray  # [states] distribution
     semantics: FailureSemantics  # who may give up
+    part: ReachablePart  # the process, and the numbers of its states and pairs
 
     @property
     def process(self) -> ExplicitProcess:
         """The augmented process, whose pairs are the program's columns."""
-        return self.inner.process
+        return self.part.process
 
     @property
     @abstractmethod
@@ -110,6 +113,20 @@ class Augmented(ABC):
     def counted(self, term: Term) -> FloatArray:
         """Coefficient of a quantity at each pair of the augmented process, [process pairs]."""
 
+    @property
+    def width(self) -> int:
+        """Number of pairs of a copy of the live part of the augmented model."""
+        return len(self.quotient.pair_at)
+
+    def in_all_copies(self, values: FloatArray) -> FloatArray:
+        """Numbers per pair of the process, [process pairs], with 0 for augmented pairs left out.
+
+        [copies * width + 1].
+        """
+        every = np.zeros(self.copies * self.width + 1)
+        every[self.part.pairs] = values
+        return every
+
     def paid(self, copy: int) -> float | None:
         """The cost paid before, in one of the augmented copies; None: it is not counted."""
         return None
@@ -122,15 +139,17 @@ class Augmented(ABC):
     @property
     def gives_up(self) -> BoolArray:
         """Pairs of the augmented process by which a policy gives up, [process pairs]."""
-        own = np.tile(self.quotient.gives_up, self.copies)
-        return np.append(own, np.zeros(self.process.n_pairs - own.size, dtype=np.bool_))
+        return self._of_copies(self.quotient.gives_up)
 
-    def label(self, pair: int) -> ColumnLabel:
-        """The column label of a pair of the augmented process; beyond the copies, the start."""
-        width = len(self.quotient.pair_at)
-        if pair >= self.copies * width:
+    def _of_copies(self, chosen: BoolArray) -> BoolArray:
+        """Pairs of the augmented process that are copies of some, [process pairs] of [width]."""
+        return np.append(np.tile(chosen, self.copies), False)[self.part.pairs]
+
+    def label(self, number: int) -> ColumnLabel:
+        """The column label of a pair among those of all augmented copies; of the source, last."""
+        if number >= self.copies * self.width:
             return ColumnLabel(None, START, self.paid(0))
-        copy, inner = divmod(pair, width)
+        copy, inner = divmod(number, self.width)
         return ColumnLabel(*self.quotient.named(inner), self.paid(copy))
 
     def pairs_of(self, states: IntArray, action: Hashable | None) -> IntArray:
@@ -151,8 +170,7 @@ class Augmented(ABC):
                 acting = label.having(acting, action)
             taken = [find_pair(self.model, state, action) for state in acting]
             inner &= np.isin(quotient.pair_at, taken)
-        firsts = np.arange(self.copies)[:, None] * len(quotient.pair_at)
-        return np.asarray((firsts + inner.nonzero()[0]).ravel())
+        return np.flatnonzero(self._of_copies(inner))
 
     def policy(self, choice: IntArray) -> DeterministicPolicy | CostAwarePolicy:
         """A deterministic choice in the augmented process as a policy on the model.
@@ -193,15 +211,21 @@ class LabelledModel(Augmented):
         """The labelled states, the augmented model's live part where no cost counts."""
         return self.inner
 
+    @cached_property
+    def part(self) -> ReachablePart:
+        """The whole process of the augmented model with labels."""
+        process = self.inner.process
+        return ReachablePart(process, np.arange(process.n_states), np.arange(process.n_pairs))
+
     def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
         """The augmented model's one flow with labels."""
         quotient = self.quotient
-        flow = model_flow(quotient, visits[: len(quotient.pair_at)] / self.departs)
+        flow = model_flow(quotient, visits[: self.width] / self.departs)
         yield moving_within(quotient, flow, self.start + flow.entering(quotient))
 
     def spread(self, spread: Spread) -> LabelledModel:
         """Rows of the augmented model's live states themselves, nothing collapsed."""
-        process, single, width = self.process, spread.quotient, len(self.quotient.pair_at)
+        process, single, width = self.process, spread.quotient, self.width
         rows = single.transitions(1.0, departing=False).matrix  # a discount collapses nothing
         start, offsets, shape = single.gather(self.start), single.pair_offsets, rows.shape
         beyond = process.n_pairs - width
@@ -238,11 +262,26 @@ class LabelledModel(Augmented):
 
 @dataclass(frozen=True, eq=False)
 class LayeredModel(Augmented):
-    """States and the cost paid so far; from the cap on one policy for all costs."""
+    """States and the cost paid so far; from the cap on one policy for all costs.
+
+    The process has the totals that a run can come to.
+    """
 
     inner: OpenEnded
     start: FloatArray  # [states]
     semantics: FailureSemantics
+    part: ReachablePart
+
+    @classmethod
+    def of(cls, inner: OpenEnded, start: FloatArray, semantics: FailureSemantics) -> LayeredModel:
+        """The augmented model of a table of layers, of which nothing else is kept written out.
+
+        Args:
+            inner: the table.
+            start: distribution over states, [states].
+            semantics: who may give up.
+        """
+        return cls(replace(inner), start, semantics, inner.reachable_part())
 
     @property
     def live(self) -> AccumulatedCost:
@@ -251,12 +290,13 @@ class LayeredModel(Augmented):
 
     def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
         """The augmented model's flow in each layer; what enters a layer left another."""
-        base, quotient = self.inner.base, self.quotient
-        model, merged, n_pairs = quotient.model, bool(quotient.merged.any()), len(base.gain)
+        base, quotient, n_pairs = self.inner.base, self.quotient, self.width
+        model, merged = quotient.model, bool(quotient.merged.any())
         entering = np.zeros((self.copies + base.width if merged else 0, model.n_states))
         entering[:1] = self.inner.start
         kinds, kind = np.unique(base.step_classes.ahead, return_inverse=True)
         below = self.inner.leads(kinds)[0] if merged else kinds
+        visits = self.in_all_copies(visits)
         for layer in range(self.copies):
             taken = visits[layer * n_pairs : (layer + 1) * n_pairs] / base.departs
             flow = model_flow(quotient, taken)
@@ -271,11 +311,31 @@ class LayeredModel(Augmented):
     def spread(self, spread: Spread) -> LayeredModel:
         """The augmented model's layers with nothing collapsed."""
         base = spread_layer(self.inner.base, spread, self.start)
-        return replace(self, inner=replace(self.inner, base=base))
+        return LayeredModel.of(replace(self.inner, base=base), self.start, self.semantics)
 
     def counted(self, term: Term) -> FloatArray:
         """Coefficient of a quantity in all layers of the augmented model, [process pairs]."""
-        return self.inner.everywhere(*term.at(self.inner.counting(self.semantics)))
+        taken = self.inner.everywhere(*term.at(self.inner.counting(self.semantics)))
+        return taken[self.part.pairs]
+
+    def policy(self, choice: IntArray) -> CostAwarePolicy:
+        """The cost-aware policy of a choice in the augmented process.
+
+        At a total that no run comes to it decides as at the one before.
+
+        Args:
+            choice: one pair of each state of the process, [process states].
+        """
+        shape = self.copies, self.inner.n_nodes
+        own = self.part.states < shape[0] * shape[1]
+        states, pairs = self.part.states[own], self.part.pairs[choice[own]]
+        decided, every = (
+            np.tile(per_node, shape[0])
+            for per_node in (np.arange(shape[1]), self.quotient.pair_offsets[:-1])
+        )
+        decided[states], every[states] = states, pairs
+        before = np.maximum.accumulate(decided.reshape(shape), axis=0)
+        return self.inner.policy(every[before.ravel()])
 
     @property
     def copies(self) -> int:

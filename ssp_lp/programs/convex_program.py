@@ -314,7 +314,7 @@ class ConvexProgram:
         if np.array_equal(start, self.program.process.start):
             return None
         states = augmented.quotient.first_states.tolist()
-        if len(states) != len(start):
+        if augmented.copies > 1 or len(states) != len(start):
             raise ModelError("start.value of a program that is made for its start is its own: "
                              "solve(start=...) makes the program anew")  # fmt: skip
         return {augmented.model.states[k]: p for k, p in zip(states, start.tolist(), strict=True)}

@@ -152,8 +152,8 @@ class OccupationMeasure:
         augmented = self.program.augmented
         if augmented.copies == 1:
             return 0.0
-        width = len(augmented.quotient.pair_at)
-        last = slice((augmented.copies - 1) * width, augmented.copies * width)
+        ends = np.array([augmented.copies - 1, augmented.copies]) * augmented.width
+        last = slice(*np.searchsorted(augmented.part.pairs, ends))
         return float(self.program.process.goal[last] @ self.visits[last])
 
     @property
@@ -270,6 +270,9 @@ class OccupationMeasure:
         lines += [f"  {row}" for row in self.rows[:_LISTED]]
         if len(self.rows) > _LISTED:
             lines.append(f"  and {len(self.rows) - _LISTED:,} rows more")
+        if self.program.ratio and self.values is not None and self._goal > 0.0:
+            lines.append(f"  normaliser: <goal, x> = 1   dual c*, at the scale t = 1 / "
+                         f"{self._goal:.6g} = {1.0 / self._goal:.6g}")  # fmt: skip
         if self.beyond > _BEYOND:
             lines.append(
                 f"  {self.beyond:.3g} succeed beyond the last total that is told apart, charged "

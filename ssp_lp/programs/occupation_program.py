@@ -53,38 +53,40 @@ class _Reduction:
     program: OccupationProgram
     spread: Spread
 
-    def _by_copy(
-        self, values: FloatArray, width: int, made: Callable[[FloatArray], FloatArray]
-    ) -> FloatArray:
-        """Something made of what each copy of the live part has; what lies beyond stays."""
+    def _by_copy(self, values: FloatArray, made: Callable[[FloatArray], FloatArray]) -> FloatArray:
+        """Numbers made of those of each copy of the live part, and of the source, which stays."""
         copies = self.program.augmented.copies
-        own = map(made, values[: copies * width].reshape(copies, width))
-        return np.concatenate([*own, values[copies * width :]])
+        own = map(made, values[:-1].reshape(copies, -1))
+        return np.concatenate([*own, values[-1:]])
 
-    def row(self, coefficients: FloatArray) -> FloatArray:
+    def row(self, stated: Augmented, coefficients: FloatArray) -> FloatArray:
         """What a row takes of each stated pair, [stated pairs], of what it takes here, [pairs]."""
-        width = len(self.program.augmented.quotient.pair_at)
-        return self._by_copy(coefficients, width, self.spread.per_taking)
+        taken = self.program.augmented.in_all_copies(coefficients)
+        return self._by_copy(taken, self.spread.per_taking)[stated.part.pairs]
 
-    def departures(self, visits: FloatArray) -> FloatArray:
+    def departures(self, stated: Augmented, visits: FloatArray) -> FloatArray:
         """Visits of the pairs here, [pairs], of those that are stated, [stated pairs]."""
-        return self._by_copy(visits, len(self.spread.place), self.spread.departures)
+        gone = self._by_copy(stated.in_all_copies(visits), self.spread.departures)
+        return gone[self.program.augmented.part.pairs]
 
     def lifted(self, stated: OccupationProgram, measure: OccupationMeasure) -> OccupationMeasure:
         """A measure of the stated program, of one of this; moves within components included."""
         augmented = self.program.augmented
         own = map(self.spread.visits, augmented.flows(measure.visits))
-        beyond = measure.visits[augmented.copies * len(augmented.quotient.pair_at) :]
-        visits = np.concatenate([*own, beyond])
+        source = augmented.in_all_copies(measure.visits)[-1:]
+        visits = np.concatenate([*own, source])[stated.augmented.part.pairs]
         values = None if measure.values is None else self.values(stated, measure.values)
         return replace(measure, program=stated, visits=visits, values=values, reduced=measure)
 
     def values(self, stated: OccupationProgram, found: StateValues) -> StateValues:
         """Values of the states of the stated program, of those of this."""
-        quotient = self.program.augmented.quotient
-        nodes = quotient.node_of[self.spread.quotient.first_states]
-        states = self._by_copy(found.states, quotient.n_nodes, lambda values: values[nodes])
-        return StateValues(stated, states, self.row(found.reduced_costs))
+        augmented = self.program.augmented
+        nodes = augmented.quotient.node_of[self.spread.quotient.first_states]
+        every = np.zeros(augmented.copies * augmented.quotient.n_nodes + 1)
+        every[augmented.part.states] = found.states
+        states = self._by_copy(every, lambda values: values[nodes])
+        states = states[stated.augmented.part.states]
+        return StateValues(stated, states, self.row(stated.augmented, found.reduced_costs))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -178,9 +180,11 @@ class OccupationProgram:
         spread = spread_out(self.augmented.quotient, self.augmented.departs)
         if spread is None:
             return self
-        reduction = _Reduction(self, spread)
-        augmented = self.augmented.spread(spread)
-        rows = (replace(row, coefficients=reduction.row(row.coefficients)) for row in self.rows)
+        reduction, augmented = _Reduction(self, spread), self.augmented.spread(spread)
+        rows = (
+            replace(row, coefficients=reduction.row(augmented, row.coefficients))
+            for row in self.rows
+        )
         return replace(self, augmented=augmented, rows=tuple(rows), reduced=reduction)
 
     @cached_property
@@ -197,7 +201,11 @@ class OccupationProgram:
         """
         if not 0 <= column < self.process.n_pairs:
             raise ModelError(f"column {column} is no pair: there are {self.process.n_pairs:,}")
-        label = self.augmented.label(column)
+        return self._label_of(int(self.augmented.part.pairs[column]))
+
+    def _label_of(self, number: int) -> ColumnLabel:
+        """The occupation program's label of a pair among those of all copies."""
+        label = self.augmented.label(number)
         if label.action is GIVE_UP and self.reduced is not None:
             merged = self.reduced.program.augmented.quotient.merged
             if merged[self.augmented.model.index_of(label.state)]:
@@ -401,7 +409,8 @@ class OccupationProgram:
             ratio: of case S: the normaliser's dual.
         """
         if self.reduced is not None:
-            departures, inner = self.reduced.departures(measure.visits), self.reduced.program
+            departures = self.reduced.departures(self.augmented, measure.visits)
+            inner = self.reduced.program
             reduced = inner.optimal(replace(measure, program=inner, visits=departures), ratio)
             return self.reduced.lifted(self, reduced)
         proved, value = self.proved(measure.prices, ratio)
@@ -560,11 +569,16 @@ class OccupationProgram:
         )
         names = [f"({states[state]}, {actions[action]})" for state, action in places]
         for pair in np.flatnonzero(quotient.gives_up).tolist():
-            names[pair] = str(self.label(pair)._replace(cost=None))
-        copies = (ColumnLabel(None, None, augmented.paid(k)).paid for k in range(augmented.copies))
-        own = [f"{name}{paid}" for paid in copies for name in names]
-        beyond = map(self.label, range(len(own), self.process.n_pairs))
-        return [*own, *map(str, beyond), *["t"] * self.ratio]
+            names[pair] = str(self._label_of(pair)._replace(cost=None))
+        paid = [ColumnLabel(None, None, augmented.paid(k)).paid for k in range(augmented.copies)]
+        copies, inner = np.divmod(augmented.part.pairs, max(augmented.width, 1))
+        own = [
+            f"{names[pair]}{paid[copy]}"
+            for copy, pair in zip(copies.tolist(), inner.tolist(), strict=True)
+            if copy < augmented.copies and names
+        ]
+        source = map(self.label, range(len(own), self.process.n_pairs))
+        return [*own, *map(str, source), *["t"] * self.ratio]
 
     @property
     def _rows(self) -> list[str]:
@@ -576,20 +590,42 @@ class OccupationProgram:
     @property
     def aim(self) -> tuple[str, str]:
         """The occupation program's aim: minimise or maximise, and what."""
-        verb, aim = "minimise", f"<{self.objective}, x>" + " / <goal, x>" * self.ratio
+        verb, aim = "minimise", f"<{self.objective}, x>"
         if self.sense.offset:
             aim = f"{aim} - {self.sense.offset:g}"
         if self.sense.constant is not None:
             verb, aim = "maximise", f"{self.sense.constant:g} - {aim}"
         return verb, aim
 
+    @property
+    def _stated_rows(self) -> list[tuple[str, str]]:
+        """The occupation program's rows but balance: names, and what each says of x, in words."""
+        times = " t" * self.ratio
+        rows = [(row.name, f"<{row.words}, x> <= {row.bound:g}{times}") for row in self.rows]
+        return rows + [("normaliser", "<goal, x> = 1")] * self.ratio
+
+    @property
+    def _dual_of_normaliser(self) -> str:
+        """Remark on the normaliser of case S: its dual, in words."""
+        sense, optimum = self.sense, "c*"
+        if sense.constant is not None:
+            optimum = f"{sense.constant:g} - c*"
+        elif sense.offset:
+            optimum = f"c* + {sense.offset:g}"
+        return f" (its dual is {optimum})"
+
     def to_latex(self) -> str:
         """The occupation program in LaTeX, for a displayed equation; in full if small."""
         if is_small(self.linear):
-            return as_latex(self.linear, self._columns, self._rows)
-        stated = [("", "<outflow, x> - <inflow, x> = start")]
-        stated += [(row.name, f"<{row.words}, x> <= {row.bound:g}") for row in self.rows]
-        return words_as_latex(*self.aim, stated)
+            names = self._rows
+            if self.ratio:
+                names[-1] += self._dual_of_normaliser
+            return as_latex(self.linear, self._columns, names, scaled=self.ratio)
+        stated = [("", f"<outflow, x> - <inflow, x> = {'t ' * self.ratio}start")]
+        stated += self._stated_rows
+        if self.ratio:
+            stated[-1] = stated[-1][0] + self._dual_of_normaliser, stated[-1][1]
+        return words_as_latex(*self.aim, stated, scaled=self.ratio)
 
     def _repr_html_(self) -> str:
         """The occupation program's page as ``str`` has it, for notebooks."""
@@ -602,13 +638,16 @@ class OccupationProgram:
 
     def __repr__(self) -> str:
         """The program as the page of a paper would have it."""
-        process, verb_and_aim = self.process, "    ".join(self.aim)
-        width = max((len(row.name) for row in self.rows), default=0) + 1
-        page = [f"balance: outflow(x) - inflow(x) = start   ({process.n_states:,} rows)"]
-        for row in self.rows:
-            page.append(f"{f'{row.name}:':<{width}} <{row.words}, x> <= {row.bound:g}")
-        page += [f"x >= 0   ({process.n_pairs:,} columns, {self.linear.matrix.nnz:,} entries)"]
+        process, scale = self.process, "t " * self.ratio
+        width = max((len(name) for name, _ in self._stated_rows), default=0) + 1
+        page = [f"balance: outflow(x) - inflow(x) = {scale}start   ({process.n_states:,} rows)"]
+        page += [f"{f'{name}:':<{width}} {words}" for name, words in self._stated_rows]
+        matrix = self.linear.matrix
+        size = f"({matrix.shape[1]:,} columns, {matrix.nnz:,} entries)"
+        page += [f"x >= 0{', t >= 0' * self.ratio}   {size}"]
         if self.ratio:
-            page.append("x, start and bounds times a scale t >= 0; normaliser: <goal, x> = 1")
+            page[-2] += "  " + self._dual_of_normaliser
+            given = f"<{self.objective}, x> is the {self.objective} given success"
+            page.append(f"x: visits times the scale t, so that {given}")
         rows = f"\n{'':14}".join(page)
-        return f"{self.title}\n  {verb_and_aim}\n  subject to  {rows}"
+        return f"{self.title}\n  {'    '.join(self.aim)}\n  subject to  {rows}"

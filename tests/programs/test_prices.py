@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from drawn_programs import DEPOT, REENTERED, drawn, measures_of, with_room
+from drawn_programs import DEPOT, REENTERED, TURNS, drawn, measures_of, with_room
 from formulations import MCMP, S3P, FinitePenalty, MaxProb
 from small_models import model_of
 from ssp_lp import GIVE_UP, ModelError, evaluate, solve, visits
@@ -135,8 +135,9 @@ def test_values_of_case_s_are_the_cost_less_what_success_earns():
     ):
         asked = ("depot",) if action is None else ("depot", action)
         assert solution.values.at(*asked, cost=0.0) == pytest.approx(value, rel=1e-9)
-    with pytest.raises(ModelError, match=r"rows of balance at this cost: .* 'depot' at cost 0"):
-        solution.values["depot"]
+        assert solution.values.at(*asked) == solution.values.at(*asked, cost=0.0)
+    with pytest.raises(ModelError, match=r"rows of balance at this cost: .* 's' at cost 0"):
+        solve(S3P(TURNS, "s", failure_budget=0.2)).values["s"]
 
 
 @pytest.mark.parametrize("price", [10**400, float("nan"), float("inf"), "1", None])
@@ -187,14 +188,27 @@ def test_a_frame_has_a_row_for_each_column():
 
 
 def test_small_programs_are_written_in_full():
-    program = S3P(DEPOT, "depot", 0.05, cost_cap=1.0).program()
-    lines = str(program).splitlines()
-    assert lines[5].strip().startswith("x, start and bounds times a scale t >= 0; normaliser")
-    heads = ["minimise", "depot at cost 0", "depot at cost 1", "start", "failure", "normaliser"]
-    assert re.split("  +", lines[6].strip()) == heads
-    scale = next(line for line in lines if line.startswith("  t "))
-    assert scale.split() == ["t", "-1", "-0.05"]
-    assert str(S3P(DEPOT, "depot", 0.05).program()) == repr(S3P(DEPOT, "depot", 0.05).program())
+    """One decision: two actions, the scale t, and the normaliser of case S."""
+    program = S3P(DEPOT, "depot", 0.05).program()
+    assert str(program).splitlines() == [
+        "S3P, failure budget 0.05",
+        "  minimise    <cost, x>",
+        "  subject to  balance: outflow(x) - inflow(x) = t start   (1 rows)",
+        "              failure:    <failure, x> <= 0.05 t",
+        "              normaliser: <goal, x> = 1   (its dual is c*)",
+        "              x >= 0, t >= 0   (3 columns, 8 entries)",
+        "              x: visits times the scale t, so that <cost, x> is the cost given success",
+        "                            minimise  depot at cost 0  failure  normaliser",
+        "  (depot, road) at cost 0       8.91                1     0.01        0.99",
+        "  (depot, alley) at cost 0       2.7                1      0.1         0.9",
+        "  t                                                -1    -0.05",
+        "                                                  = 0     <= 0         = 1",
+    ]
+    told = repr(program.solve())
+    scale = "  normaliser: <goal, x> = 1   dual c*, at the scale t = 1 / 0.95 = 1.05263"
+    assert told.splitlines()[-1] == scale
+    wide = S3P(TURNS, "s", 0.05).program()
+    assert str(wide) == repr(wide)
 
 
 def test_latex_is_the_program():
@@ -207,10 +221,22 @@ def test_latex_is_the_program():
         r"& 0.01\,x_{\text{r}} + 0.1\,x_{\text{a}} \le 0.05 && \text{failure}",
         r"\end{aligned}",
     ]
-    large = S3P(DEPOT, "depot", 0.05, constraints={"50 % & more": visits("depot") <= 9.0})
+    told = S3P(DEPOT, "depot", 0.05).program().to_latex()
+    told = told.replace("(depot, road)", "r").replace("(depot, alley)", "a")
+    assert told.replace(" at cost 0", "").splitlines() == [
+        r"\begin{aligned}",
+        r"\min_{x \ge 0,\ t \ge 0} \quad & 8.91\,x_{\text{r}} + 2.7\,x_{\text{a}} \\",
+        r"& x_{\text{r}} + x_{\text{a}} - t = 0 && \text{depot} \\",
+        r"& 0.01\,x_{\text{r}} + 0.1\,x_{\text{a}} - 0.05\,t \le 0 && \text{failure} \\",
+        r"& 0.99\,x_{\text{r}} + 0.9\,x_{\text{a}} = 1 && \text{normaliser (its dual is c*)}",
+        r"\end{aligned}",
+    ]
+    large = S3P(TURNS, "s", 0.05, constraints={"50 % & more": visits("s") <= 9.0})
     told = large.program().to_latex()
-    assert r"\langle \text{cost}, x \rangle / \langle \text{goal}, x \rangle" in told
-    assert r"\langle \text{failure}, x \rangle \le 0.05 && \text{failure}" in told
+    assert r"\min_{x \ge 0,\ t \ge 0} \quad & \langle \text{cost}, x \rangle \\" in told
+    assert r"\langle \text{inflow}, x \rangle = t \text{start} &&" in told
+    assert r"\langle \text{failure}, x \rangle \le 0.05 \, t && \text{failure}" in told
+    assert r"\langle \text{goal}, x \rangle = 1 && \text{normaliser (its dual is c*)}" in told
     assert r"50 \% \& more" in told
     odd = MCMP(DEPOT, "depot", 0.05, constraints={"x^2 ~ y": visits("depot") <= 9.0})
     assert r"\text{x\^{}2 \~{} y}" in odd.program().to_latex()
