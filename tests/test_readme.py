@@ -34,7 +34,7 @@ SHOWN = {
     "docs/guides/own_memory.md": 1,
     "docs/guides/own_simulator.md": 0,
     "docs/models.md": 5,
-    "docs/program.md": 15,
+    "docs/program.md": 16,
     "docs/solving.md": 3,
     "docs/tutorial.md": 6,
 }

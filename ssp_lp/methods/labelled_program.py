@@ -87,8 +87,9 @@ def program_of(
         limits = compiled.bounds
         if compiled.budget is not None and inner.semantics.aim is Aim.LEAST_COST:
             limits[0] = compiled.budget  # a row even where it limits nothing: sweeps begin there
-        side = (row[augmented.part.pairs] for row in compiled.row_coefficients(compiled.side))
-        taken = (augmented.process.failure, *side)
+        pairs = augmented.part.pairs
+        of_side = (row[pairs] for row in compiled.row_coefficients(compiled.side))
+        taken = (augmented.process.failure, *of_side)
         bounded = zip(compiled.names, limits, compiled.told, taken, strict=True)
         for name, bound, words, each in bounded:
             if np.isfinite(bound):

@@ -70,7 +70,11 @@ class Augmented(ABC):
     inner: FailureLabelled | OpenEnded  # what is written out
     start: FloatArray  # [states] distribution
     semantics: FailureSemantics  # who may give up
-    part: ReachablePart  # the process, and the numbers of its states and pairs
+
+    @property
+    @abstractmethod
+    def part(self) -> ReachablePart:
+        """The augmented process, with the numbers of its states and pairs."""
 
     @property
     def process(self) -> ExplicitProcess:
@@ -270,7 +274,7 @@ class LayeredModel(Augmented):
     inner: OpenEnded
     start: FloatArray  # [states]
     semantics: FailureSemantics
-    part: ReachablePart
+    reached: ReachablePart  # of the table written out
 
     @classmethod
     def of(cls, inner: OpenEnded, start: FloatArray, semantics: FailureSemantics) -> LayeredModel:
@@ -282,6 +286,11 @@ class LayeredModel(Augmented):
             semantics: who may give up.
         """
         return cls(replace(inner), start, semantics, inner.reachable_part())
+
+    @property
+    def part(self) -> ReachablePart:
+        """The totals of the augmented model that a run can come to."""
+        return self.reached
 
     @property
     def live(self) -> AccumulatedCost:
