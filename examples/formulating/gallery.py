@@ -47,7 +47,9 @@ from ssp_lp.plotting import (
 )
 
 BUDGET = 0.05
-COLOURS = 64
+COLOURS = 256  # shades of a colour bar are then off by 3 levels of 255 at most, by 17 with 64
+PLAIN = Image.Dither.NONE
+SAND = "#e9dcc3"
 
 
 def pictures() -> Iterator[tuple[str, Axes]]:
@@ -93,7 +95,10 @@ def courses() -> Axes:
         solve(channel).policy, channel, episodes=20, seed=11, simulator=boat, record=20
     )
     ends = ["through" if path[-1, 0] > 5.0 else "aground" for path in report.paths]
-    return plot_paths(report.paths, ends, order=["through", "aground"])
+    axes = plot_paths(report.paths, ends, order=["through", "aground"])
+    for bank in ((1.0, 1.3), (-1.3, -1.0)):
+        axes.axhspan(*bank, color=SAND, zorder=0)
+    return axes
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -108,10 +113,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def save(axes: Axes, path: Path) -> None:
-    """Save a picture in few colours: pages are to be light."""
+    """Save a picture with a palette: pages are to be light."""
     drawn = BytesIO()
     axes.get_figure(root=True).savefig(drawn, dpi=150)
-    Image.open(drawn).convert("RGB").quantize(COLOURS).save(path, optimize=True)
+    Image.open(drawn).convert("RGB").quantize(COLOURS, dither=PLAIN).save(path, optimize=True)
 
 
 if __name__ == "__main__":

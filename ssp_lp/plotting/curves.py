@@ -271,7 +271,7 @@ def plot_bounds(record: BoundsRecord, solution: Any, *, ax: Axes | None = None) 
     both = np.isfinite(lower) & np.isfinite(upper)
     ax.fill_between(seconds, lower, upper, where=both.tolist(), step="post", facecolor="none",
                     edgecolor="#bbbbbb", hatch="....", linewidth=0.0)  # fmt: skip
-    ax.set_xlim(left=0.0)
+    ax.set_xlim(left=float(seconds[0]))  # before the first report there is nothing to draw
     dress_axes(ax, "seconds", "bounds on the objective")
     ax.legend(frameon=False)
     return ax

@@ -47,6 +47,8 @@ _NEVER = 1e-12  # a probability that is the rounding of none
 _RARE = 0.02  # of a place's visits: what is taken less often has no arrow
 _FAINT = 0.25  # how visible the faintest arrow is
 _REACH = 0.42  # of a cell's side: length of an arrow
+_BESIDE, _FAN = 0.13, 0.5  # between a graph's arrows from state to state; of all of them at most
+_LONG = 14  # characters of a name that is drawn
 _SPREAD = 0.25  # of a cell's side: how far from its middle a run may be moved
 
 
@@ -167,7 +169,7 @@ def _numbers(frontier: Frontier, evaluations: list[Evaluation]) -> dict[str, Any
         "failure": frontier.failure.tolist(),
         "price": frontier.price.tolist(),
         "region": list(region),
-        "begin": float(f"{np.clip(begin, spent[0], spent[-1]):.6g}"),
+        "begin": float(f"{np.clip(begin, spent[0], spent[-1]):.4g}"),
         "failing": [found.failure_probability for found in evaluations],
         "reached": reached.tolist(),
         "paid": np.where(reached > 0.0, paid * reached, 0.0).tolist(),
@@ -274,18 +276,17 @@ def _plane(
     place = np.full(model.n_states, -1)
     place[known] = inverse.reshape(-1)
     owner, outcome_pair = segment_ids(model.pair_offsets), segment_ids(model.outcome_offsets)
-    if is_graph:  # an arrow for each way from state to state, else one for each action
-        source, key = owner[outcome_pair], place[model.successors]
+    if is_graph:  # an arrow for each action's way from state to state, else one for each action
+        source, to = owner[outcome_pair], place[model.successors]
         aim, share = points[model.successors] - points[source], model.probabilities
     else:
-        aim, source, key = _aims(model, points, moves), owner, model.pair_action
+        aim, source = _aims(model, points, moves), owner
         outcome_pair = np.arange(model.n_pairs, dtype=outcome_pair.dtype)
-        share = np.ones(model.n_pairs)
+        share, to = np.ones(model.n_pairs), place[source]
     length = np.hypot(*aim.T)
     drawn = np.flatnonzero((place[source] >= 0) & (length > 1e-9))
-    arrows, arrow = np.unique(
-        np.stack([place[source], key], axis=1)[drawn], axis=0, return_inverse=True
-    )
+    keys = np.stack([place[source], to, model.pair_action[outcome_pair]], axis=1)
+    arrows, arrow = np.unique(keys[drawn], axis=0, return_inverse=True)
     arrow = arrow.reshape(-1)
     visits, flows = np.zeros((len(policies), len(middles))), np.zeros((len(policies), len(arrows)))
     for k, policy in enumerate(policies):
@@ -301,13 +302,19 @@ def _plane(
     toward = mean / np.hypot(*mean.T)[:, None]
     begin, end = middles[arrows[:, 0]], middles[arrows[:, 0]] + _REACH * toward
     if is_graph:
-        aside = 0.07 * toward[:, ::-1] * [-1.0, 1.0]  # what goes back takes the other side
+        # what goes back takes the other side; actions between two states lie beside each other
+        _, way, count = np.unique(arrows[:, :2], axis=0, return_inverse=True, return_counts=True)
+        way = way.reshape(-1)
+        rank = np.arange(len(arrows)) - np.searchsorted(way, way)
+        gap = 0.07 + np.minimum(_BESIDE, _FAN / count[way]) * rank
+        aside = gap[:, None] * toward[:, ::-1] * [-1.0, 1.0]
         end = middles[arrows[:, 1]] - 0.2 * toward + aside
         begin = begin + 0.2 * toward + aside
     return {
         "middles": middles,
         "begin": begin,
         "end": end,
+        "names": [str(model.action_names[k]) for k in arrows[:, 2].tolist()],
         "is_graph": is_graph,
         "from": arrows[:, 0].tolist(),
         "visits": [_short(row) for row in visits],
@@ -406,7 +413,8 @@ def _law_figure(plotting: Any, law: dict[str, Any]) -> Any:
     models = optional_module("bokeh.models", "explore")
     source = models.ColumnDataSource({"left": [], "right": [], "share": []}, name="law")
     figure = _figure(plotting, "total cost", "probability given success",
-                     x_range=models.Range1d(law["left"][0], law["right"][-1]))  # fmt: skip
+                     x_range=models.Range1d(law["left"][0], law["right"][-1], name="costs"),
+                     )  # fmt: skip
     figure.y_range.start = 0.0
     figure.quad(left="left", right="right", top="share", bottom=0, source=source,
                 fill_color="#b5d6ea", line_color=_BLUE)  # fmt: skip
@@ -451,24 +459,34 @@ def _plane_figure(
     figure = _ground(plotting, problem, points, walls, graph)
     (x, y), begin, end = plane.pop("middles").T, plane.pop("begin"), plane.pop("end")
     none = np.zeros(len(x))
-    visits = models.ColumnDataSource({"x": x, "y": y, "alpha": none, "visits": none}, name="visits")
+    columns = {"x": x, "y": y, "alpha": none, "visits": none, "told": [""] * len(x)}
+    visits = models.ColumnDataSource(columns, name="visits")
     side, angle = 0.34 if graph else 0.98, np.arctan2(*(end - begin).T[::-1]) - 0.5 * np.pi
     shades = figure.rect("x", "y", side, side, source=visits, fill_color="#6baed6", line_color=None,
                          fill_alpha="alpha")  # fmt: skip
     columns = {"x0": begin[:, 0], "y0": begin[:, 1], "x1": end[:, 0], "y1": end[:, 1]}
-    columns |= {"angle": angle, "alpha": 0.0 * angle, "flow": 0.0 * angle}
+    columns |= {"angle": angle, "alpha": 0.0 * angle, "action": plane.pop("names")}
+    columns |= {"told": [""] * len(angle), "seen": 0.0 * angle}
     arrows = models.ColumnDataSource(columns, name="arrows")
-    figure.segment("x0", "y0", "x1", "y1", source=arrows, line_alpha="alpha", line_color=INK,
-                   line_width=2)  # fmt: skip
+    shafts = figure.segment("x0", "y0", "x1", "y1", source=arrows, line_alpha="alpha",
+                            line_color=INK, line_width=2)  # fmt: skip
     figure.scatter("x1", "y1", angle="angle", marker="triangle", size=8, source=arrows, color=INK,
                    alpha="alpha")  # fmt: skip
     if graph:
         known = _placed(points)
-        names = [str(problem.model.states[k])[:14] for k in np.flatnonzero(known).tolist()]
+        names = [str(problem.model.states[k])[:_LONG] for k in np.flatnonzero(known).tolist()]
         figure.text(*(points[known] - [0.0, 0.2]).T, names, text_align="center",
                     text_baseline="top", text_font_size="11px", text_color=INK)  # fmt: skip
-    tip = [("expected visits", "@visits{0.0000}")]
-    figure.add_tools(models.HoverTool(renderers=[shades], tooltips=tip))
+        arrows.data["name"] = [name[:_LONG] for name in arrows.data["action"]]
+        arrows.data["x"], arrows.data["y"] = (0.6 * begin + 0.4 * end).T
+        figure.text("x", "y", "name", source=arrows, text_align="center", text_baseline="middle",
+                    text_font_size="11px", text_color=_BLUE, text_alpha="seen",
+                    background_fill_color="white", background_fill_alpha="seen")  # fmt: skip
+    for drawn, tip in (
+        (shades, [("expected visits", "@told")]),
+        (shafts, [("action", "@action"), ("expected times", "@told")]),
+    ):
+        figure.add_tools(models.HoverTool(renderers=[drawn], tooltips=tip))
     return figure
 
 

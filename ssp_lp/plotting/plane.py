@@ -15,7 +15,7 @@ from ssp_lp.errors import ModelError, check_whole, optional_module
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import dead_ends, end_marks
-from ssp_lp.plotting.curves import INK, LOOKS, axes_or_new
+from ssp_lp.plotting.curves import INK, LOOKS, axes_or_new, dress_axes
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy, Randomness, as_lottery, generator_of
 from ssp_lp.problem import Problem
@@ -379,7 +379,9 @@ def plot_paths(
         raise ModelError(f"{len(drawn)} paths cannot have {len(ends)} ends")
     if not all(path.size == 0 or (path.ndim == 2 and path.shape[1] >= 2) for path in drawn):
         raise ModelError("a path must be an array [points, 2 or more]")
-    ax = axes_or_new(ax, 5.6, 5.6)
+    is_new, ax = ax is None, axes_or_new(ax, 5.6, 5.6)
+    if is_new:
+        dress_axes(ax, "x", "y")
     counts = Counter(ends)
     ways = dict.fromkeys([*order, *(end for end, _ in counts.most_common())])
     for rank, end in enumerate(ways):

@@ -196,3 +196,41 @@ def test_a_page_from_the_command_line(tmp_path, capsys):
     assert main([*asked, "--out", str(out)]) == 0
     assert capsys.readouterr().out.startswith("Frontier(5 points, failure 0")
     assert '"runs"' in out.read_text(encoding="utf-8")
+
+
+DRAWN = "return Bokeh.documents[0].get_model_by_name(arguments[0]).data[arguments[1]]"
+
+
+def test_arrows_of_a_graph_are_named_by_their_actions(opened, tmp_path):
+    explore(traced("crash"), tmp_path / "page.html")
+    page = opened(tmp_path / "page.html")
+    typed(page, 0.05)
+    names = page.execute_script(DRAWN, "arrows", "action")
+    seen = page.execute_script(DRAWN, "arrows", "seen")
+    assert set(names) == {"fast", "mid", "slow", "slide"}
+    policy = traced("crash").policy_at(0.05)
+    taken = {row.action for member in policy.policies for row in member.table()}
+    assert {name for name, is_seen in zip(names, seen, strict=True) if is_seen} <= taken
+
+
+@pytest.mark.parametrize("case", PROBLEMS)
+def test_a_page_shows_four_digits_and_costs_as_far_as_they_go(case, opened, tmp_path):
+    frontier = traced(case)
+    explore(frontier, tmp_path / "page.html")
+    page = opened(tmp_path / "page.html")
+    for bound in (float(frontier.spent[0]), 0.03, float(frontier.spent[-1])):
+        typed(page, bound)
+        shown = page.find_element("id", "numbers").text
+        told = page.execute_script(DRAWN, "ends", "told")
+        for number in re.findall(r"\d+\.\d+(?:e-?\d+)?", " ".join([shown, *told])):
+            digits = number.partition("e")[0].replace(".", "").lstrip("0")
+            assert len(digits) <= 4
+        slider = page.find_element("id", "budget")
+        assert slider.get_attribute("aria-label").startswith(f"Bound on {frontier.over}")
+        assert f"{frontier.over} at most" in slider.get_attribute("aria-valuetext")
+        page.execute_script("window.made = Bokeh.documents[0].get_model_by_name('law').data")
+        right, share = page.execute_script("return [[...made.right], [...made.share]]")
+        end = page.execute_script("return Bokeh.documents[0].get_model_by_name('costs').end")
+        after = [s for r, s in zip(right, share, strict=True) if r > end + 1e-9]
+        assert max(after, default=0.0) <= 0.002 * max(share)
+        assert share[right.index(end)] > 0.0

@@ -174,6 +174,7 @@ def test_episodes_are_those_of_the_seed():
     assert sum(int(word.split()[0]) for word in told if word[0].isdigit()) == 60
     assert any(word.endswith("fail: pit") for word in told)
     ax = plot_paths([np.zeros((3, 2)), np.ones((2, 3)), np.zeros((0, 2))], ["b", "a", "a"])
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("x", "y")
     assert words(ax) == ["2 a", "1 b"]
 
 
@@ -261,7 +262,9 @@ CHEAP = {"cost": expected_cost() <= 9.0}
 def test_bounds_close_in_on_the_optimum(problem):
     record = BoundsRecord()
     solution = solve(problem, progress=record)
-    upper, lower = (line.get_ydata() for line in plot_bounds(record, solution).lines)
+    ax = plot_bounds(record, solution)
+    assert ax.get_xlim()[0] == record.seconds[0]
+    upper, lower = (line.get_ydata() for line in ax.lines)
     assert (np.diff(upper) <= 0.0).all()
     assert (np.diff(lower) >= 0.0).all()
     assert lower[-1] <= upper[-1] == pytest.approx(solution.objective)
