@@ -279,6 +279,10 @@ def _add_model(one: ArgumentParser) -> None:
     model.add_argument(
         "--goal", nargs="+", default=[], metavar="STATE", help="goal states, or their label"
     )
+    model.add_argument(
+        "--dead-ends", nargs="+", metavar="STATE",
+        help="states (or their label) that may lack actions; any other one is then an error",
+    )  # fmt: skip
     model.add_argument("--start", metavar="STATE", help="where an episode begins")
     model.add_argument("--cost", metavar="NAME", help="which of the model's costs counts")
     model.add_argument("--constants", metavar="N=5,...", help="what a program leaves open")

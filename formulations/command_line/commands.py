@@ -112,13 +112,13 @@ def command_model(asked: Namespace) -> _CommandModel:
     """
     if asked.model.startswith(ENVIRONMENT):
         return _model_of_environment(asked)
-    cost = asked.cost
+    cost, ends = asked.cost, asked.dead_ends
     if cost is None and asked.command in ("info", "convert"):  # which minimise none
         cost = FIRST_COST
     if asked.model == "-":
-        stated = parse_json(_model_from_standard_input(), "standard input", asked.goal, cost)
+        stated = parse_json(_model_from_standard_input(), "standard input", asked.goal, cost, ends)
     else:
-        stated = io.read_any(asked.model, asked.goal, cost, asked.constants)
+        stated = io.read_any(asked.model, asked.goal, cost, asked.constants, ends)
     model, start = stated
     if asked.start is not None:
         start = state_named(model, asked.start)
@@ -140,13 +140,13 @@ def _model_of_environment(asked: Namespace) -> _CommandModel:
         environment = gymnasium.make(name, **arguments)
     except (gymnasium.error.Error, TypeError, KeyError, ModuleNotFoundError) as error:
         raise ModelError(f"Gymnasium makes no environment of {asked.model!r}: {error}") from error
-    goals = set(asked.goal)
     world = io.from_gymnasium(
         environment,
-        goal=(lambda state: str(state) in goals) if goals else None,
+        goal=[_value_for_model(word) for word in asked.goal] or None,
         cost=asked.cost or "step",
         horizon=None,
         start=None if asked.start is None else _value_for_model(asked.start),
+        dead_ends=asked.dead_ends and [_value_for_model(word) for word in asked.dead_ends],
     )
     horizon = world.step_limit if asked.horizon == "env" else asked.horizon
     return _CommandModel(asked, world.model, world.start, horizon, environment)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from ssp_lp.errors import Argument, ModelError
 from ssp_lp.io.archives import load_model, save_model
@@ -14,6 +15,7 @@ from ssp_lp.io.model_files.raw_model import FIRST_COST, ModelFile, write_text
 from ssp_lp.io.storm_models import Constants, read_with_storm, write_umb
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
+from ssp_lp.model.ssp import DeadEnds
 
 Start = Hashable | Mapping[Hashable, float]
 
@@ -43,6 +45,7 @@ def read_any(
     goal: str | Sequence[str],
     cost: str | None = None,
     constants: Constants | None = None,
+    dead_ends: DeadEnds | None = None,
 ) -> StatedModel:
     """Read a model from a file, whose name's ending says in which format it is.
 
@@ -55,6 +58,8 @@ def read_any(
         cost: the name of the cost that counts, where the format has several; None: the only one;
             "*": the first. The others are the model's ``named_costs``.
         constants: of a program, "N=5,p=0.1" or by name.
+        dead_ends: states from which no action reaches the goal, labels of theirs, or a predicate.
+            Any other state without actions that is not a goal is then an error.
 
     Raises:
         MissingDependencyError: the format needs stormpy, which is not installed.
@@ -66,18 +71,19 @@ def read_any(
     if constants and ending not in _STORM:
         raise ModelError(f"{file.name} has no constants: leave ", Argument("constants"), " out")
     if ending in _JSON:
-        return read_json(file, goals, cost)
+        return read_json(file, goals, cost, dead_ends)
     if ending == _ARCHIVE:
         if goals:
             told = f"{file.name} says itself which states are goals: leave "
             raise ModelError(told, Argument("goal"), " out")
         model = load_model(file)
-        return StatedModel(model if cost in (None, FIRST_COST) else model.with_cost(cost))
+        model = model if cost in (None, FIRST_COST) else model.with_cost(cost)
+        return StatedModel(model.with_dead_ends(dead_ends))
     if len(goals) != 1:
         told = f"{file}: name the one label whose states are goals ("
         raise ModelError(told, Argument("goal"), ")")
-    more = {"constants": constants} if ending in _STORM else {}
-    found = _READERS[ending](file, goal=goals[0], cost=cost, **more)
+    more: dict[str, Any] = {"constants": constants} if ending in _STORM else {}
+    found = _READERS[ending](file, goal=goals[0], cost=cost, dead_ends=dead_ends, **more)
     return StatedModel(found.model, found.start if len(found.initial_states) == 1 else None)
 
 

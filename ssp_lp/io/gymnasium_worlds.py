@@ -6,10 +6,10 @@ import logging
 import warnings
 from bisect import bisect
 from collections import Counter
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Container, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from itertools import chain
 from math import fsum
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
@@ -37,6 +37,7 @@ from ssp_lp.errors import (
     ModelError,
     check_between_0_and_1,
     check_whole,
+    did_you_mean,
     in_short,
     optional_module,
     wrong_argument,
@@ -46,7 +47,7 @@ from ssp_lp.model.continuous_model import ContinuousModel, Coordinates, Grid
 from ssp_lp.model.discretise import Quadrature, discretise
 from ssp_lp.model.graph import dead_ends
 from ssp_lp.model.product import ProductSSP, within_steps
-from ssp_lp.model.ssp import SSP
+from ssp_lp.model.ssp import SSP, StateSet, no_lone_string
 from ssp_lp.policies.policy import (
     GIVE_UP_CODE,
     MOST_EPISODES,
@@ -92,6 +93,49 @@ class EnvironmentSSP(SSP):
         """State of the model for an observation of the Gymnasium environment after a step."""
         return (END, state) if terminated and state in self.ends else state
 
+    def ends_among(self, listed: Callable[[Any], bool], label: Any) -> bool:
+        """Whether a predicate on the Gymnasium environment's states holds of a state's end."""
+        is_end = isinstance(label, tuple) and label[0] == END
+        return listed(label[1]) if is_end else label not in self.ends and bool(listed(label))
+
+    def seen(self, env: Any, observation: Any) -> Any:
+        """State of the Gymnasium environment that an observation shows."""
+        return _plain(observation)
+
+    def check_step(self, pair: int, state: int) -> None:
+        """Raise ModelError for a step of the Gymnasium environment that its table does not list."""
+        if state not in self.successors[slice(*self.outcome_offsets[pair : pair + 2].tolist())]:
+            raise ModelError(
+                f"{self.describe_pair(pair)} led to {self.states[state]!r}, which the "
+                "environment's table does not list: env.unwrapped.P does not tell all"
+            )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class GridSSP(EnvironmentSSP):
+    """The model of an environment of coordinates, whose states are the cells of a grid."""
+
+    world: ContinuousModel = field(kw_only=True)
+    is_goal: Callable[[Any], bool] = field(kw_only=True)  # of a point in which it terminates
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled as a plain model: an environment's steps belong to one process."""
+        return partial(SSP, **_fields_of(self)), ()
+
+    def seen(self, env: Any, observation: Any) -> tuple[float, ...]:
+        """Coordinates of the Gymnasium environment, unrounded, whatever it shows of them."""
+        return tuple(map(float, env.unwrapped.state))
+
+    def label(self, state: Any, terminated: bool) -> int:
+        """Cell of a point of the Gymnasium environment, or how the episode has ended there."""
+        if terminated:
+            return self.world.end_state("goal" if self.is_goal(state) else FAILED)
+        is_inside = _is_in_box(self.world.grid, state)
+        return self.world.grid.cell_of(state) if is_inside else self.world.end_state(OUTSIDE)
+
+    def check_step(self, pair: int, state: int) -> None:
+        """Accept every step: a point of a cell may lead where no point that was tried led."""
+
 
 @dataclass(frozen=True, eq=False)
 class GymnasiumWorld:
@@ -108,12 +152,13 @@ class GymnasiumWorld:
 def from_gymnasium(
     env: gymnasium.Env[Any, Any],
     *,
-    goal: Callable[[Any], bool] | None = None,
+    goal: StateSet | None = None,
     cost: Literal["step", "reward"] | CostFunction = "step",
     horizon: Literal["env"] | int | None = "env",
     start: Hashable | Mapping[Hashable, float] | None = None,
     grid: Grid | None = None,
     survive: bool = False,
+    dead_ends: StateSet | None = None,
 ) -> GymnasiumWorld:
     """Build the model of a tabular environment from its table, of another one on a grid.
 
@@ -125,8 +170,8 @@ def from_gymnasium(
         env: an environment with ``env.unwrapped.P[state][action]``, a list of (probability, next
             state, reward, terminated). Wrappers that change observations, actions or rewards are
             not seen.
-        goal: says of each state of the environment whether it is a goal, whatever the rewards;
-            other states in which the environment terminates are dead-ends.
+        goal: the goal states, whatever the rewards, or a predicate on states; other states in which
+            the environment terminates are dead-ends.
         cost: "step": 1 for each step; "reward": minus the reward where that is negative, else 0
             (so positive rewards count nothing); or ``(state, action, next_state, reward) -> cost``.
         horizon: "env": the goal must be reached within the environment's own step limit
@@ -136,8 +181,10 @@ def from_gymnasium(
             a grid it is a point, or ``{point: probability}``.
         grid: for an environment whose state is an array of coordinates (MountainCar, CartPole): a
             box of them and its cells. ``goal`` says of the points in which it terminates whether
-            that is success, and the step limit is no horizon unless it is given as a number.
+            that is success (a predicate, or a set of cells of the grid), and the step limit is no horizon unless it is given as a number.
         survive: whether an episode that still goes on at the horizon has reached the goal.
+        dead_ends: the other states in which it terminates, or a predicate on states; one that is
+            not among them is then an error. With a grid: "failed" and "outside".
 
     Returns:
         The model, its start and the step limit. With a horizon the model's states are (state,
@@ -168,13 +215,21 @@ def from_gymnasium(
         steps = limit if grid is None else None
     if grid is None:
         table, begin = _table_of(env), _start_of(env, start)
-        model = _model_of_table(table, begin, goal, paid)
+        is_goal = goal if goal is None or callable(goal) else _checked_set(table, "goal", goal)
+        model = _model_of_table(table, begin, is_goal, paid)
+        if dead_ends is not None and not callable(dead_ends):
+            dead_ends = _checked_set(table, "dead_ends", dead_ends)
+        if dead_ends is not None:
+            model.with_dead_ends(partial(model.ends_among, dead_ends))
     else:
         if goal is None or start is None:
             missing = "goal" if goal is None else "start"
             raise ModelError("with a grid, say ", Argument(missing), " in coordinates")
+        if not callable(goal):
+            goal = partial(_is_in_cells, grid, {*no_lone_string(goal, "goal")})
         continuous = continuous_from_gymnasium(env, grid, goal=goal, cost=paid)
-        model = discretise(continuous, Quadrature(_POINTS))
+        plain = discretise(continuous, Quadrature(_POINTS)).with_dead_ends(dead_ends)
+        model = GridSSP(**_fields_of(plain), world=continuous, is_goal=goal, step_cost=paid)
         points = start if isinstance(start, Mapping) else {start: 1.0}
         begin = {grid.cell_of(cast("tuple[float, ...]", p)): w for p, w in points.items()}
     logging.getLogger("ssp_lp.building").info("%r", model)
@@ -185,6 +240,25 @@ def from_gymnasium(
     ends = () if continuous is None else tuple(continuous.dead_ends)  # where their actions stay
     unrolled = within_steps(model, steps, start=begin, survive=ends if survive else False)
     return GymnasiumWorld(unrolled, unrolled.start(begin), limit, steps, continuous)
+
+
+def _checked_set(table: _Table, name: str, listed: Iterable[Hashable]) -> Callable[[Any], bool]:
+    """Predicate of a set of the Gymnasium environment's states; ModelError for an unknown one."""
+    members = {_plain(state) for state in no_lone_string(listed, name)}
+    for state in members.difference(table.states):
+        nearest = did_you_mean(state, table.states) or f"; they are {in_short(table.states)}"
+        raise ModelError(f"{name}: {state!r} is not a state of the environment{nearest}")
+    return members.__contains__
+
+
+def _is_in_cells(grid: Grid, cells: Container[Hashable], point: tuple[float, ...]) -> bool:
+    """Whether a point of a Gymnasium environment is in the grid and in one of some cells."""
+    return _is_in_box(grid, point) and grid.cell_of(point) in cells
+
+
+def _is_in_box(grid: Grid, point: tuple[float, ...]) -> bool:
+    """Whether a point of a Gymnasium environment lies in the grid's box."""
+    return not grid.misses(grid.heights(tuple(map(np.asarray, point)))).any()
 
 
 FAILED, OUTSIDE = "failed", "outside"
@@ -455,8 +529,12 @@ def _model_of_table(
         treat_actionless_as_dead_ends=True,
         normalise=True,
     )
-    fields = {name: getattr(plain, name) for name in SSP.__dataclass_fields__}
-    return EnvironmentSSP(**fields, step_cost=cost)
+    return EnvironmentSSP(**_fields_of(plain), step_cost=cost)
+
+
+def _fields_of(model: SSP) -> dict[str, Any]:
+    """Fields of a plain model, for the model of a Gymnasium environment."""
+    return {name: getattr(model, name) for name in SSP.__dataclass_fields__}
 
 
 def _costs_of_outcomes(
@@ -638,7 +716,10 @@ class _Player:
         """The decisions of a member, the memories with which they are played, running sums."""
         branches, kept = member.played(np.array([state]), np.array([memory]))
         if UNDECIDED in branches.pair:
-            raise ModelError(f"the policy has no decision in state {self.model.states[state]!r}")
+            raise ModelError(
+                f"the policy has no decision in state {self.model.states[state]!r}: "
+                "solution.policy_everywhere() has one in every state"
+            )
         return branches.pair.tolist(), kept.tolist(), np.cumsum(branches.probability).tolist()
 
     def _remembered(self, member: Policy, *step: float) -> int:
@@ -655,8 +736,8 @@ def _play_episode(env: gymnasium.Env[Any, Any], player: _Player, most: int) -> _
     """
     model, over, lottery = player.model, player.over, player.lottery
     member = lottery.policies[int(player.rng.choice(len(lottery.policies), p=lottery.weights))]
-    shown, cost, steps = _plain(env.reset()[0]), 0.0, 0
-    state, ended = model.index_of(shown), player.ended(member)
+    shown, cost, steps = model.seen(env, env.reset()[0]), 0.0, 0
+    state, ended = model.index_of(model.label(shown, False)), player.ended(member)
     memory, failed = 0 if ended[state] else int(member.start_memory(np.array([state]))[0]), ""
     while not ended[state]:
         pair, kept = player.decide(member, state, memory)
@@ -667,13 +748,9 @@ def _play_episode(env: gymnasium.Env[Any, Any], player: _Player, most: int) -> _
             break
         action, before = model.action_of(pair), shown
         seen, reward, terminated, truncated, _ = env.step(action)
-        shown = _plain(seen)
+        shown = model.seen(env, seen)
         state = model.index_of(model.label(shown, bool(terminated)))
-        if state not in model.successors[slice(*model.outcome_offsets[pair : pair + 2].tolist())]:
-            raise ModelError(
-                f"{model.describe_pair(pair)} led to {model.states[state]!r}, which the "
-                "environment's table does not list: env.unwrapped.P does not tell all"
-            )
+        model.check_step(pair, state)
         if terminated and not over[state]:
             raise ModelError(
                 f"the environment terminated in {model.states[state]!r} against its table"

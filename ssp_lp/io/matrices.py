@@ -14,7 +14,7 @@ from ssp_lp.errors import ModelError, in_short
 from ssp_lp.io.model_files.raw_model import RawModel, absorbed
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.ssp import StateSet
+from ssp_lp.model.ssp import DeadEnds, StateSet
 
 
 @explained
@@ -26,6 +26,7 @@ def from_matrices(
     rewards: Any = None,
     actions: Sequence[str] | None = None,
     state_labels: Mapping[str, StateSet] | None = None,
+    dead_ends: DeadEnds | None = None,
 ) -> SSP:
     """Build a model from a transition matrix for each action.
 
@@ -41,6 +42,8 @@ def from_matrices(
         rewards: likewise, none positive: the costs with the other sign.
         actions: [actions] names; their positions if left out.
         state_labels: names for sets of states, as in ``SSP.from_transitions``.
+        dead_ends: states from which no action reaches the goal, labels of theirs, or a predicate.
+            Any other state without actions that is not a goal is then an error.
 
     Returns:
         The model; its states are the indices.
@@ -90,7 +93,7 @@ def from_matrices(
         labels={},
     )
     model = absorbed(raw, goals, np.zeros(0, dtype=np.int64), "the matrices")
-    return model.with_labels(state_labels or {})
+    return model.with_labels(state_labels or {}).with_dead_ends(dead_ends)
 
 
 def _matrix(matrix: Any) -> Any:

@@ -30,6 +30,7 @@ from ssp_lp.io.model_files.raw_model import (
 )
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
+from ssp_lp.model.ssp import DeadEnds
 
 Constants = str | Mapping[str, Any]
 """What the constants of a program are, such as "N=5,p=0.1"."""
@@ -82,7 +83,12 @@ def _ask_storm(source: object, call: Callable[..., Any], *arguments: Any, **opti
 
 @explained
 def read_with_storm(
-    path: FilePath, *, goal: str, cost: str | None = None, constants: Constants | None = None
+    path: FilePath,
+    *,
+    goal: str,
+    cost: str | None = None,
+    constants: Constants | None = None,
+    dead_ends: DeadEnds | None = None,
 ) -> ModelFile:
     """Read a model through Storm: a program in PRISM's language, in JANI, or a UMB archive.
 
@@ -101,6 +107,8 @@ def read_with_storm(
         cost: the name of a reward model ("" for PRISM's without a name), or of a transient variable
             of JANI; None: the only one, or 1 for each action if there is none.
         constants: values of the constants that the program leaves open, as text or by name.
+        dead_ends: states from which no action reaches the goal, labels of theirs, or a predicate.
+            Any other state without actions that is not a goal is then an error.
 
     Returns:
         The model and its initial states.
@@ -120,7 +128,7 @@ def read_with_storm(
         options = stormpy.io.UmbImportOptions()
         options.build_choice_labeling = options.build_state_valuations = True
         model = _ask_storm(file, stormpy.build_model_from_umb, str(file), options=options)
-        return _model_of_storm(model, goal, _label_formula(goal), cost, str(file))
+        return _model_of_storm(model, goal, _label_formula(goal), cost, str(file), dead_ends)
     if file.suffix == ".jani":
         program, _ = _ask_storm(file, stormpy.parse_jani_model, str(file))
     else:
@@ -132,11 +140,11 @@ def read_with_storm(
     if missing := [constant.name for constant in program.constants if not constant.defined]:
         told = f"{file} has undefined constants: {', '.join(missing)}; give their values ("
         raise ModelError(told, Argument("constants"), ")")
-    return _explored_program(stormpy, file, program, goal, cost)
+    return _explored_program(stormpy, file, program, goal, cost, dead_ends)
 
 
 def _explored_program(
-    stormpy: Any, file: Path, program: Any, goal: str, cost: str | None
+    stormpy: Any, file: Path, program: Any, goal: str, cost: str | None, dead_ends: DeadEnds | None
 ) -> ModelFile:
     """Storm's model of a program without open constants."""
 
@@ -171,7 +179,8 @@ def _explored_program(
         return _ask_storm(file, stormpy.build_model, program, options=options)
 
     sparse = _with_most_rewards(built, known, None if cost == FIRST_COST else place, program)
-    answer = _model_of_storm(sparse, goal, formula, cost, str(file), _bookkeeping(program))
+    added = _bookkeeping(program)
+    answer = _model_of_storm(sparse, goal, formula, cost, str(file), dead_ends, added)
     if _states_beyond(sparse).size:
         model = answer.model
         names = enumerate(model.states)
@@ -254,7 +263,9 @@ def _bookkeeping(program: Any) -> dict[str, list[str] | None]:
 
 
 @explained
-def from_stormpy(model: Any, *, goal: str, cost: str | None = None) -> ModelFile:
+def from_stormpy(
+    model: Any, *, goal: str, cost: str | None = None, dead_ends: DeadEnds | None = None
+) -> ModelFile:
     """Make a model of a sparse model of Storm's, a Markov decision process or Markov chain.
 
     The cost of an outcome is what Storm's reward model says of it: the reward of its state, that
@@ -268,6 +279,8 @@ def from_stormpy(model: Any, *, goal: str, cost: str | None = None) -> ModelFile
         model: such as ``stormpy.build_model(program)``; its numbers are floats.
         goal: the label of the goal states, or a formula of labels, '"a" & !"b"'.
         cost: the name of a reward model; None: the only one, or 1 for each action if there is none.
+        dead_ends: states from which no action reaches the goal, labels of theirs, or a predicate.
+            Any other state without actions that is not a goal is then an error.
 
     Returns:
         The model and its initial states.
@@ -277,7 +290,8 @@ def from_stormpy(model: Any, *, goal: str, cost: str | None = None) -> ModelFile
         ModelError: a model of another kind, no such goal or cost, or naming the state and the
             action at fault, as where a reward is negative.
     """
-    return _model_of_storm(model, goal, _label_formula(goal), cost, "the stormpy model")
+    formula = _label_formula(goal)
+    return _model_of_storm(model, goal, formula, cost, "the stormpy model", dead_ends)
 
 
 def _label_formula(goal: str) -> Any:
@@ -294,6 +308,7 @@ def _model_of_storm(
     formula: Any,
     cost: str | None,
     source: str,
+    dead_ends: DeadEnds | None,
     added: Mapping[str, Sequence[str] | None] = MappingProxyType({}),
 ) -> ModelFile:
     """Make a model of Storm's whose goals are the states with a label, or those of a formula.
@@ -304,6 +319,7 @@ def _model_of_storm(
         formula: stormpy's property that says what the goal is; None: the label of its name.
         cost: as in :func:`from_stormpy`.
         source: where the model comes from, for errors.
+        dead_ends: as in :func:`from_stormpy`.
         added: variables that Storm added, with the names of their values; None: leave them out.
 
     Raises:
@@ -344,7 +360,7 @@ def _model_of_storm(
         labels=labels,
         states=_ask_storm(source, _state_names_of_storm, model, added),
     )
-    return finished(raw, goal, f"{source}, cost {paid!r}" if paid else source)
+    return finished(raw, goal, f"{source}, cost {paid!r}" if paid else source, dead_ends)
 
 
 def _check_kind(kind: str, source: object) -> None:

@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -51,6 +51,9 @@ Outcomes = Iterable[tuple[float, Hashable, Costs]]
 
 StateSet = Iterable[Hashable] | Callable[[Any], bool]
 """States by their labels, or what holds of just them."""
+
+DeadEnds = str | StateSet
+"""States, or a predicate on them, or labels of states of the model, of which one may stand alone."""
 
 ENDS = ("goal", "dead_end", "gave_up", "wandering", "unfinished")
 """Names that reports give to the ways in which an episode ends."""
@@ -95,7 +98,7 @@ class SSP(Graph, ReadOnlyCopies):
         *,
         cost: str | None = None,
         state_labels: Mapping[str, StateSet] | None = None,
-        dead_ends: StateSet | None = None,
+        dead_ends: DeadEnds | None = None,
         treat_actionless_as_dead_ends: bool = False,
         normalise: bool = False,
     ) -> SSP:
@@ -168,7 +171,7 @@ class SSP(Graph, ReadOnlyCopies):
         state_limit: int = 1_000_000,
         progress: Callable[[int], None] | None = None,
         state_labels: Mapping[str, StateSet] | None = None,
-        dead_ends: StateSet | None = None,
+        dead_ends: DeadEnds | None = None,
         treat_actionless_as_dead_ends: bool = False,
         normalise: bool = False,
     ) -> SSP:
@@ -235,7 +238,7 @@ class SSP(Graph, ReadOnlyCopies):
         probability: str = "probability",
         cost: str | Sequence[str] = "cost",
         state_labels: Mapping[str, StateSet] | None = None,
-        dead_ends: StateSet | None = None,
+        dead_ends: DeadEnds | None = None,
         normalise: bool = False,
     ) -> SSP:
         """Build a model from a table of outcomes, a row for each, in any order.
@@ -307,7 +310,7 @@ class SSP(Graph, ReadOnlyCopies):
         state_labels: Mapping[str, StateSet] | None = None,
         exact_costs: Mapping[float, Fraction] | None = None,
         named_costs: Mapping[str, npt.ArrayLike] | None = None,
-        dead_ends: StateSet | None = None,
+        dead_ends: DeadEnds | None = None,
         treat_actionless_as_dead_ends: bool = False,
         normalise: bool = False,
     ) -> SSP:
@@ -370,14 +373,15 @@ class SSP(Graph, ReadOnlyCopies):
         for name, costs_of_name in named.items():
             _check_costs(draft, costs_of_name, name)
         chance = _with_unit_sums(draft, normalise)
-        _check_idle_states(draft, dead_ends, accept=treat_actionless_as_dead_ends)
-        return replace(
+        model = replace(
             draft,
             successors=read_only(target, np.int32),
             probabilities=chance,
             state_labels=_indexed_labels(draft, state_labels or {}),
             named_costs=named,
         )
+        _check_idle_states(model, dead_ends, accept=treat_actionless_as_dead_ends)
+        return model
 
     def with_cost(self, name: str) -> SSP:
         """The same model with another of its named costs as the one that counts.
@@ -401,6 +405,23 @@ class SSP(Graph, ReadOnlyCopies):
         """
         further = _indexed_labels(self, state_labels)
         return replace(self, state_labels={**self.state_labels, **further})
+
+    @explained
+    def with_dead_ends(self, dead_ends: DeadEnds | None) -> Self:
+        """The same model, once it is certain that it has no dead-ends besides these.
+
+        Args:
+            dead_ends: states from which no action reaches the goal, labels of states among them,
+                or a predicate on states; a string may also be the text of a state that is called
+                by numbers. None: nothing is checked.
+
+        Raises:
+            ModelError: another state has no actions and is no goal, or the goal is reached from one
+                of these.
+        """
+        if dead_ends is not None:
+            _check_idle_states(self, dead_ends, accept=False)
+        return self
 
     @property
     def costs_by_name(self) -> Mapping[str, FloatArray]:
@@ -814,7 +835,7 @@ def _costs_of_outcomes(costs: npt.ArrayLike, outcome_offsets: IntArray) -> Float
     raise ModelError(f"costs must be a number, {n_pairs} or {n_outcomes} numbers")
 
 
-def _check_idle_states(model: SSP, dead_ends: StateSet | None, *, accept: bool) -> None:
+def _check_idle_states(model: SSP, dead_ends: DeadEnds | None, *, accept: bool) -> None:
     """Check that a model's goals have no pairs, and which other states have none.
 
     Args:
@@ -832,7 +853,7 @@ def _check_idle_states(model: SSP, dead_ends: StateSet | None, *, accept: bool) 
         raise ModelError(f"goal state {state!r} has actions: an episode ends there; drop them")
     if dead_ends is not None:
         declared = np.zeros(model.n_states, dtype=np.bool_)
-        declared[_members(model, "dead_ends", dead_ends)] = True
+        declared[_dead_end_members(model, dead_ends)] = True
         hopeful = declared & (acting | model.goal_mask)
         if hopeful.any() and (hopeful := hopeful & ~lost_states(model)).any():
             state = model.states[int(np.argmax(hopeful))]
@@ -858,6 +879,30 @@ def _check_idle_states(model: SSP, dead_ends: StateSet | None, *, accept: bool) 
         raise ModelError(
             f"state {state!r}{led} has no actions and is neither a goal nor a dead-end{nearest}"
         )
+
+
+def _dead_end_members(model: SSP, dead_ends: DeadEnds) -> IntArray:
+    """Indices of states that are listed as dead-ends of a model, by themselves or by labels.
+
+    Raises:
+        ModelError: an entry is neither a state nor a label.
+    """
+    labels = model.state_labels
+    if callable(dead_ends):
+        return _members(model, "dead_ends", dead_ends)
+    if isinstance(dead_ends, str) and dead_ends in labels:
+        return labels[dead_ends]
+    places: list[int] = []
+    for entry in no_lone_string(dead_ends, "dead_ends"):
+        if model.find(entry) is None and isinstance(entry, str):
+            if entry in labels:
+                places += labels[entry].tolist()
+                continue
+            entry = next((state for state in model.states if str(state) == entry), entry)
+        if model.find(entry) is None and (nearest := did_you_mean(entry, labels)):
+            raise ModelError(f"dead_ends: {entry!r} is neither a state nor a label{nearest}")
+        places.append(model.index_of(entry))
+    return np.array(places, dtype=np.int64)
 
 
 def _warn_of_misspelled(idle: Iterable[Hashable], names: Iterable[Hashable]) -> None:

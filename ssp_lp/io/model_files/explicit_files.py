@@ -33,6 +33,7 @@ from ssp_lp.io.model_files.raw_model import (
 )
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
+from ssp_lp.model.ssp import DeadEnds
 
 _NUMBER = r"[0-9]{1,18}", "{name} is followed by {value!r}, which is no number"
 _SECTIONS = {
@@ -58,7 +59,9 @@ _NO_NAME = "__NOLABEL__"
 
 
 @explained
-def read_drn(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFile:
+def read_drn(
+    path: FilePath, *, goal: str, cost: str | None = None, dead_ends: DeadEnds | None = None
+) -> ModelFile:
     """Read a model from a DRN file of Storm, plain or packed as Storm packs it (or by gzip alone).
 
     The cost of an action is its reward plus that of its state. Actions of goal states are dropped,
@@ -70,6 +73,8 @@ def read_drn(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFile
         goal: the label of the goal states.
         cost: the name of a reward model, "" for Storm's without a name; None: the only one, or 1
             for each action if there is none.
+        dead_ends: states from which no action reaches the goal, labels of theirs, or a predicate.
+            Any other state without actions that is not a goal is then an error.
 
     Returns:
         The model, whose states are the numbers of the file, and its initial states.
@@ -80,7 +85,8 @@ def read_drn(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFile
     """
     file = TextFile(path, r"//.*")
     lines = file.lines()
-    return finished(_drn_body(file, lines, _drn_header(file, lines), cost), goal, file.path)
+    raw = _drn_body(file, lines, _drn_header(file, lines), cost)
+    return finished(raw, goal, file.path, dead_ends)
 
 
 def _drn_header(file: TextFile, lines: Iterator[str]) -> dict[str, str]:
@@ -360,7 +366,9 @@ _TRUTH = {"true": True, "false": False}
 
 
 @explained
-def read_prism(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFile:
+def read_prism(
+    path: FilePath, *, goal: str, cost: str | None = None, dead_ends: DeadEnds | None = None
+) -> ModelFile:
     """Read a Markov decision process or Markov chain from PRISM's explicit files.
 
     The files are ``path.tra`` and ``path.lab``; where they are there, ``path.sta``, which names
@@ -375,6 +383,8 @@ def read_prism(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFi
         goal: the label of the goal states.
         cost: the name of a reward structure, "" for one without a name; None: the only one, or 1
             for each action if there is none.
+        dead_ends: states from which no action reaches the goal, labels of theirs, or a predicate.
+            Any other state without actions that is not a goal is then an error.
 
     Returns:
         The model and its initial states: those with the label "init", or state 0.
@@ -421,7 +431,7 @@ def read_prism(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFi
         labels={"init": np.zeros(1, dtype=np.int64)} | _read_labels(labels, n_states),
         states=None if states is None else _read_states(states, n_states),
     )
-    return finished(raw, goal, transitions)
+    return finished(raw, goal, transitions, dead_ends)
 
 
 def _without_ending(path: FilePath) -> Path:

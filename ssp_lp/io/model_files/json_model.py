@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from ssp_lp.errors import Argument, ModelError, did_you_mean
 from ssp_lp.io.model_files.raw_model import FIRST_COST, opened_text
 from ssp_lp.model import SSP
+from ssp_lp.model.ssp import DeadEnds
 
 EXPLICIT = "explicit-mdp-v1"
 """Where the "format" of a file begins so, it lists the choices of numbered states."""
@@ -20,7 +21,9 @@ EXPLICIT = "explicit-mdp-v1"
 _LONGEST = 1 << 30  # characters of a file, so that a packed one cannot ask for all memory
 
 
-def read_json(path: Path, goal: Sequence[str], cost: str | None = None) -> StatedModel:
+def read_json(
+    path: Path, goal: Sequence[str], cost: str | None = None, dead_ends: DeadEnds | None = None
+) -> StatedModel:
     """Read a model from a JSON file, plain or gzip; see :func:`parse_json`.
 
     Raises:
@@ -29,10 +32,16 @@ def read_json(path: Path, goal: Sequence[str], cost: str | None = None) -> State
     """
     with opened_text(path, "JSON") as file:
         text = file.read(_LONGEST)
-    return parse_json(text, path.name, goal, cost)
+    return parse_json(text, path.name, goal, cost, dead_ends)
 
 
-def parse_json(text: str, source: str, goal: Sequence[str], cost: str | None = None) -> StatedModel:
+def parse_json(
+    text: str,
+    source: str,
+    goal: Sequence[str],
+    cost: str | None = None,
+    dead_ends: DeadEnds | None = None,
+) -> StatedModel:
     """The model that a JSON text states, a table by name or an explicit case.
 
     In a table names are words, a cost is a number or ``{name: number}``, and a number may be a
@@ -43,6 +52,8 @@ def parse_json(text: str, source: str, goal: Sequence[str], cost: str | None = N
         source: what to call it in errors.
         goal: names of the goal states, or of a label of them; none: as the text says.
         cost: the name of the cost; None: the only one.
+        dead_ends: states from which no action reaches the goal, labels of theirs, or a predicate;
+            None: as the text lists them ("dead_ends"), if it does.
 
     Raises:
         ModelError: no such table, a name twice, no goal, or one that does not occur.
@@ -56,10 +67,10 @@ def parse_json(text: str, source: str, goal: Sequence[str], cost: str | None = N
     if not isinstance(table, dict):
         raise ModelError(f"{source} must hold {_TABLE}")
     if isinstance(table.get("format"), str):
-        return _stated_model(_explicit_json(table, source, goal, cost), source, (), cost)
+        return _stated_model(_explicit_json(table, source, goal, cost), source, (), cost, dead_ends)
     if not isinstance(table.get("goal"), list):
         table = {"goal": [], "transitions": table}
-    return _stated_model(table, source, goal, cost)
+    return _stated_model(table, source, goal, cost, dead_ends)
 
 
 def _explicit_json(
@@ -120,7 +131,11 @@ class StatedModel(NamedTuple):
 
 
 def _stated_model(
-    table: Mapping[str, Any], source: str, goal: Sequence[str], cost: str | None
+    table: Mapping[str, Any],
+    source: str,
+    goal: Sequence[str],
+    cost: str | None,
+    dead_ends: DeadEnds | None,
 ) -> StatedModel:
     """The model of a JSON document: transitions by state and action, goal, start and labels.
 
@@ -131,7 +146,8 @@ def _stated_model(
     for what, found in (("transitions", listed), ("labels", labels)):
         if not isinstance(found, dict):
             raise ModelError(f"{source}: {what!r} must be an object")
-    for name, members in labels.items():
+    listed_ends = table.get("dead_ends")
+    for name, members in {**labels, "dead_ends": listed_ends or []}.items():
         if not isinstance(members, list):
             raise ModelError(f"{source}: the label {name!r} must be a list of states")
     labels = {name: [str(state) for state in members] for name, members in labels.items()}
@@ -169,6 +185,7 @@ def _stated_model(
         goals,
         cost=next(iter(counted), None),
         state_labels=labels,
+        dead_ends=[*map(str, listed_ends)] if dead_ends is None and listed_ends else dead_ends,
         treat_actionless_as_dead_ends=True,
     )
     return StatedModel(model, start if start is None or isinstance(start, dict) else str(start))

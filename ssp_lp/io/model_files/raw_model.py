@@ -29,7 +29,7 @@ import numpy as np
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, offsets_of, segment_ids
 from ssp_lp.errors import Argument, ModelError
 from ssp_lp.model import SSP
-from ssp_lp.model.ssp import ENDS
+from ssp_lp.model.ssp import ENDS, DeadEnds
 
 FilePath = str | PathLike[str]
 
@@ -335,7 +335,9 @@ class ModelFile:
         return self.initial_states[0]
 
 
-def finished(raw: RawModel, goal: str, source: object) -> ModelFile:
+def finished(
+    raw: RawModel, goal: str, source: object, dead_ends: DeadEnds | None = None
+) -> ModelFile:
     """Make a model of a raw model whose goal states bear a label.
 
     Actions of goal states are dropped, and of states with the label "deadlock" that no action
@@ -345,9 +347,11 @@ def finished(raw: RawModel, goal: str, source: object) -> ModelFile:
         raw: what the file says; its arrays are consistent.
         goal: the label of the goal states.
         source: the file, for errors.
+        dead_ends: states from which no action reaches the goal, or labels of theirs ("deadlock"
+            too); None: the model may have others.
 
     Raises:
-        ModelError: no state bears the label, or the numbers make no model.
+        ModelError: no state bears the label, the numbers make no model, or another dead-end.
     """
     goals = raw.labels.get(goal)
     if goals is None or not goals.size:
@@ -359,6 +363,9 @@ def finished(raw: RawModel, goal: str, source: object) -> ModelFile:
     kept = {name: members for name, members in raw.labels.items() if name not in own}
     idle, initial = (raw.labels.get(name, goals[:0]) for name in (DEADLOCK, INITIAL))
     model = absorbed(raw._replace(labels=kept), goals, idle, str(source))
+    if dead_ends is not None:
+        every = {DEADLOCK: [model.states[state] for state in idle.tolist()]}
+        model.with_labels(every).with_dead_ends(dead_ends)
     return ModelFile(model, tuple(model.states[int(state)] for state in initial))
 
 
