@@ -9,7 +9,7 @@ from fractions import Fraction
 from typing import Any
 
 from ssp_lp import SSP, InfeasibleError, Solution, progress_shown, solve
-from ssp_lp.errors import did_you_mean
+from ssp_lp.errors import did_you_mean, optional_module
 from ssp_lp.formulation import CostLimit, Problem
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.text_tables import Summarised, html_table, text_table
@@ -30,6 +30,11 @@ from .minprob import MinProb
 from .s3p import S3P
 
 _HEAD = ["criterion", "objective", "cost", "given success", "failure", "price"]
+COLUMNS = (
+    "criterion", "objective", "expected_cost", "conditional_cost", "failure_probability", "price",
+    "note",
+)  # fmt: skip
+"""Names of a comparison's columns."""
 _LOG = logging.getLogger("ssp_lp.comparison")
 
 
@@ -95,6 +100,15 @@ class CriteriaComparison(Summarised):
             [row.criterion, *("-" if v is None else f"{v:.6g}" for v in row.numbers)]
             for row in self.rows
         ]
+
+    def to_frame(self) -> Any:
+        """The compared criteria as a pandas ``DataFrame``, a row for each.
+
+        Raises:
+            MissingDependencyError: pandas is not installed.
+        """
+        rows = [(row.criterion, *row.numbers, row.note) for row in self.rows]
+        return optional_module("pandas", "frames").DataFrame(rows, columns=[*COLUMNS])
 
     def _notes(self) -> list[str]:
         """Notes on compared criteria without numbers."""

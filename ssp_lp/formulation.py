@@ -144,7 +144,10 @@ class Formulation(_Inherited):
             first = next(part.name for part in fields(cls) if not part.kw_only)
             given = in_short(arguments[0])
             if first == "model":
-                raise ModelError(f"{cls.__name__} takes an SSP first, then the start, not {given}")
+                parts = [f".{n}" for n in ("model", "start") if hasattr(arguments[0], n)]
+                has = f"; it has {' and '.join(parts)}: pass them" if parts else ""
+                takes = f"{cls.__name__} takes an SSP first, then the start"
+                raise ModelError(f"{takes}, not {given}{has}")
         return super().__new__(cls)
 
     def __init_subclass__(cls) -> None:

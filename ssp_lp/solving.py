@@ -14,7 +14,14 @@ import numpy as np
 from ssp_lp.accumulated_cost.policy_layers import giving_up_where_lost
 from ssp_lp.analysis.evaluation import evaluate
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP
-from ssp_lp.compiled.deadline import Deadline, Stop, WithIncumbent, closing, until
+from ssp_lp.compiled.deadline import (
+    Deadline,
+    Stop,
+    WithIncumbent,
+    closing,
+    interrupted,
+    until,
+)
 from ssp_lp.dynamic_programming.evaluation import PROVED_OF_MANY
 from ssp_lp.errors import ModelError, OutOfTimeError, SolverError
 from ssp_lp.methods.approaches import Case, approach_to, refusal
@@ -194,7 +201,7 @@ def _error_without_answer(
     """The error of ``solve`` where the time ended before there was an answer."""
     progress = stop.told if isinstance(stop, Stop) else ""
     if deadline.is_interrupted:
-        return KeyboardInterrupt(progress)
+        return interrupted(progress)
     progress, model = progress or "nothing but the model was known by then", problem.model
     size = f"the model has {model.n_states:,} states and {model.n_outcomes:,} outcomes"
     return OutOfTimeError(

@@ -30,8 +30,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     try:
         return _run_command(argument_parser().parse_args(arguments))
-    except KeyboardInterrupt:
-        return INTERRUPTED
+    except KeyboardInterrupt as stop:
+        return _tell(str(stop) or "interrupted before there was an answer", INTERRUPTED)
     except BrokenPipeError:  # what is left would be flushed at exit, and complained of
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return UNREAD

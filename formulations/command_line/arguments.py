@@ -133,7 +133,7 @@ SEVERAL = {
 _JSON = "for other programs"
 
 _MODEL_HELP = """\
-MODEL is a file (.json, .drn, .tra, .npz, through Storm .prism, .nm, .pm, .jani, .umb; also
+MODEL is a file (.json, .csv, .drn, .tra, .npz, through Storm .prism, .nm, .pm, .jani, .umb; also
 .json.gz, .drn.gz, .drn.xz), "-" for JSON from standard input, or gym:NAME for an environment of
 Gymnasium's, gym:NAME,map_name=8x8 with its arguments. In JSON a model is
 {state: {action: [[probability, successor, cost], ...]}}; a state without actions that is no goal

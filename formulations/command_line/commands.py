@@ -33,7 +33,7 @@ from ssp_lp.plotting import explore, plot_cost_law, plot_frontier, row_major
 from ssp_lp.policies.policy import Policy
 from ssp_lp.policies.table import PolicyRow
 
-from ..comparison import compare_criteria
+from ..comparison import COLUMNS, compare_criteria
 from ..maxprob import MaxProb
 from ..mcmp import MCMP
 from .arguments import (
@@ -560,7 +560,7 @@ def _explore_command(asked: Namespace) -> Iterable[str]:
     is_map = rows * columns == found.model.n_states
     cells = row_major(rows, columns) if is_map else None
     explore(traced, asked.out, cells=cells, seed=asked.seed)
-    return [repr(traced).splitlines()[0]]
+    return [repr(traced).splitlines()[0], f"page written to {Path(asked.out).resolve()}"]
 
 
 def _frontier_command(asked: Namespace) -> Iterable[str]:
@@ -658,9 +658,6 @@ def _convert_command(asked: Namespace) -> Iterable[str]:
     return []
 
 
-_COLUMNS = ("objective", "expected_cost", "conditional_cost", "failure_probability", "price")
-
-
 def _compare_command(asked: Namespace) -> Iterable[str]:
     """The command ``compare``."""
     found = command_model(asked)
@@ -670,12 +667,11 @@ def _compare_command(asked: Namespace) -> Iterable[str]:
         if (given := getattr(asked, name))
     }
     compared = compare_criteria(found.model, found.start, horizon=found.horizon, **several)
-    head = ("criterion", *_COLUMNS, "note")
     rows = [(row.criterion, *row.numbers, row.note) for row in compared.rows]
     if asked.csv:
-        return _csv_answer(asked.csv, head, rows)
+        return _csv_answer(asked.csv, COLUMNS, rows)
     if asked.json:
-        return json_answer([dict(zip(head, row, strict=True)) for row in rows])
+        return json_answer([dict(zip(COLUMNS, row, strict=True)) for row in rows])
     return [compared.summary()]
 
 
@@ -685,7 +681,7 @@ def _program_command(asked: Namespace) -> Iterable[str]:
     program = program_of(problem_of(asked, command_model(asked)))
     if asked.out is not None:
         program.write(asked.out)
-    return [repr(program)]
+    return [str(program)]
 
 
 COMMANDS: dict[str, Callable[[Namespace], Iterable[str]]] = {

@@ -18,6 +18,7 @@ from scipy.sparse import csgraph
 
 from ssp_lp.analysis.quantity_values import entering_charges, lost_situations, state_give_up_charges
 from ssp_lp.arrays import (
+    BoolArray,
     FloatArray,
     IntArray,
     ReadOnlyCopies,
@@ -53,10 +54,12 @@ class Estimate(NamedTuple):
     low: float
     high: float
     confidence: float
+    standard_error: float | None = None  # of a mean cost
 
     def __str__(self) -> str:
-        """The mean and the interval."""
-        return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}]"
+        """The mean, its standard error and the interval."""
+        error = "" if self.standard_error is None else f" ± {self.standard_error:.2g}"
+        return f"{self.value:.4g}{error} [{self.low:.4g}, {self.high:.4g}]"
 
 
 def proportion_estimate(hits: int, trials: int, confidence: float) -> Estimate:
@@ -99,22 +102,34 @@ def mean_estimate(sample: FloatArray, confidence: float, most: float) -> Estimat
     exceed = float(np.sqrt(np.log(2.0 / (1.0 - confidence)) / (2.0 * sample.size)))
     above = np.arange(sample.size, 0, -1) / sample.size  # share of the sample, from each cost on
     low = float(np.diff(np.sort(sample), prepend=0.0) @ np.maximum(above - exceed, 0.0))
-    return Estimate(mean, low, min(mean + spread + unseen * most, most), confidence)
+    error = float(sample.std(ddof=1) / np.sqrt(sample.size))
+    return Estimate(mean, low, min(mean + spread + unseen * most, most), confidence, error)
 
 
-def greatest_total(model: SSP, steps: int) -> float:
+def greatest_total(model: SSP, steps: int, pairs: BoolArray | None = None) -> tuple[float, bool]:
     """Greatest total cost of a simulated episode of at most so many steps.
 
     Steps within a strong component may be repeated, others come once: they add up to the dearest
     way through the components.
+
+    Args:
+        model: the model.
+        steps: of an episode.
+        pairs: those that the policy takes, [pairs]; None: any.
+
+    Returns:
+        The total, and whether more steps would allow for more.
     """
     over = dead_ends(model) | model.goal_mask
     starts = model.outcome_offsets[model.pair_offsets]  # of each state's outcomes, [states + 1]
     source = segment_ids(starts)
-    entries = np.ones(model.n_outcomes), (source, model.successors)
+    occurs = model.probabilities > 0.0
+    if pairs is not None:
+        occurs &= np.repeat(pairs, np.diff(model.outcome_offsets))
+    entries = np.ones(int(occurs.sum())), (source[occurs], model.successors[occurs])
     graph = sp.csr_array(entries, shape=(model.n_states, model.n_states))
     label = csgraph.connected_components(graph, connection="strong")[1]
-    going, again = ~over[source], label[source] == label[model.successors]
+    going, again = occurs & ~over[source], label[source] == label[model.successors]
     dearest = steps * float(model.costs[going].max(initial=0.0))
     repeated = steps * float(model.costs[going & again].max(initial=0.0))
     paid, total = np.where(going & ~again, model.costs, -np.inf), np.zeros(model.n_states)
@@ -124,8 +139,19 @@ def greatest_total(model: SSP, steps: int) -> float:
         if (total == before).all():
             break
         if sweep * model.n_outcomes > _MOST_WORK:
-            return dearest
-    return min(dearest, repeated + float(total.max()))
+            return dearest, True
+    return min(dearest, repeated + float(total.max())), repeated > 0.0
+
+
+def _pairs_taken(policy: MixedPolicy, model: SSP) -> BoolArray | None:
+    """Pairs that a simulated policy takes somewhere, [pairs]; None: that is not known."""
+    if (table := policy._known_table()) is None:
+        return None
+    taken = np.zeros(model.n_pairs, dtype=np.bool_)
+    for member in table.members:
+        for block in member.decisions():
+            taken[block.pair[(block.pair >= 0) & (block.probability > 0.0)]] = True
+    return taken
 
 
 _LOG = logging.getLogger("ssp_lp.simulation")
@@ -239,14 +265,18 @@ class SimulationReport(Reported, ReadOnlyCopies):
     max_steps: int  # after which an episode counted as unfinished
     paths: tuple[World, ...]  # worlds of the first recorded episodes, [steps + 1, ...] each
     cost_after_failing: Estimate | None = None  # until the true end; None: runs are over by failing
+    is_most_cut: bool = False  # whether costs have no greatest total but that of max_steps
 
     @property
     def note(self) -> str:
         """Note of a simulation cut off by ``max_steps``: costs are of what was played; else ""."""
-        cut = self.ends["unfinished"]
-        if not cut:
-            return ""
-        return f"costs are cut: {cut:,} episodes were unfinished after {self.max_steps:,} steps"
+        cut, steps = self.ends["unfinished"], f"{self.max_steps:,} steps"
+        if cut:
+            return f"costs are cut: {cut:,} episodes were unfinished after {steps}"
+        if self.is_most_cut:
+            told = "upper ends of costs allow for an unseen episode of"
+            return f"{told} {steps}; a smaller max_steps lowers them"
+        return ""
 
     @property
     def failure_probability(self) -> Estimate:
@@ -290,8 +320,9 @@ def simulate(
 
     Intervals of probabilities are Clopper and Pearson's, those of mean costs hold for rare dear
     events too (``mean_estimate``): upwards, by empirical Bernstein, as far as the dearest episode
-    of ``max_steps`` steps asks for, in a world of one's own at the model's costs. Where episodes
-    are unfinished costs are those of what was played, as the report's ``note`` says.
+    that the policy can play in ``max_steps`` steps asks for, in a world of one's own at the model's
+    costs. Where episodes are unfinished costs are those of what was played. The report's ``note``
+    says so, and where the policy itself sets no greatest total.
 
     Args:
         policy: the policy, on the problem's model.
@@ -323,7 +354,9 @@ def simulate(
     with progress_shown(verbose):
         played = _simulate_episodes(played_by, solved, simulator, episodes, source, *limits)
         dearest = float(solved.model.costs.max(initial=0.0))
-        most = greatest_total(solved.model, max_steps), dearest
+        is_model = isinstance(simulator, ModelSimulator | _ProductSimulator)
+        taken = _pairs_taken(played_by, solved.model) if is_model else None
+        most = *greatest_total(solved.model, max_steps, taken), dearest
         report = simulation_report(solved, played, float(confidence), max_steps, *most)
         _LOG.info("%r", report)
     return report
@@ -430,6 +463,7 @@ def simulation_report(
     confidence: float,
     max_steps: int,
     most: float,
+    is_cut: bool,
     dearest: float,
 ) -> SimulationReport:
     """Report of the episodes that a simulation played.
@@ -440,6 +474,7 @@ def simulation_report(
         confidence: of the intervals.
         max_steps: after which they counted as unfinished.
         most: the greatest total that an episode can pay in so many steps.
+        is_cut: whether more steps would allow for more.
         dearest: the greatest cost of a step.
     """
     names = ["goal", *problem.model.state_labels, "dead_end", "gave_up"]
@@ -461,4 +496,5 @@ def simulation_report(
         max_steps=max_steps,
         paths=played.paths,
         cost_after_failing=after,
+        is_most_cut=is_cut,
     )

@@ -52,6 +52,11 @@ class Stop(Exception):  # noqa: N818 (it steers, as StopIteration does)
         self.choice, self.told = choice, told
 
 
+def interrupted(told: str = "") -> KeyboardInterrupt:
+    """The error of a call that Ctrl-C ended before it had an answer; ``told``: what was known."""
+    return KeyboardInterrupt("interrupted before there was an answer" + (told and f" ({told})"))
+
+
 STOPS: Final = (Stop, KeyboardInterrupt)
 
 
@@ -87,7 +92,7 @@ class Deadline:
             _running.reset(self._before)
         if isinstance(error, Stop) and _running.get() is None:
             if self.is_interrupted:
-                raise KeyboardInterrupt(error.told) from None
+                raise interrupted(error.told) from None
             raise OutOfTimeError(self.late) from None
 
     def find_incumbent(self) -> None:

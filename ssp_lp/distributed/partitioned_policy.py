@@ -321,7 +321,9 @@ class PartitionedPolicy(ReadOnlyCopies):
             max(comm.allgather(float(costs.max(initial=0.0))))
             for costs in (slab.costs, slab.costs[going])
         )
-        return simulation_report(problem, played, confidence, max_steps, max_steps * most, dearest)
+        return simulation_report(
+            problem, played, confidence, max_steps, max_steps * most, True, dearest
+        )
 
     def _in_first_order(self, places: list[IntArray]) -> IntArray:
         """Places of all ranks' episodes with the states' numbers in the model, [3, places]."""

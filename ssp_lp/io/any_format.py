@@ -11,15 +11,21 @@ from ssp_lp.io.archives import load_model, save_model
 from ssp_lp.io.model_files.explicit_files import read_drn, read_prism, write_drn, write_prism
 from ssp_lp.io.model_files.json_model import StatedModel, model_in_json, read_json
 from ssp_lp.io.model_files.programs import write_jani, write_prism_program
-from ssp_lp.io.model_files.raw_model import FIRST_COST, ModelFile, write_text
+from ssp_lp.io.model_files.raw_model import (
+    FIRST_COST,
+    ModelFile,
+    chosen_reward,
+    write_text,
+)
 from ssp_lp.io.storm_models import Constants, read_with_storm, write_umb
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.ssp import DeadEnds
+from ssp_lp.model.ssp import DeadEnds, csv_columns
 
 Start = Hashable | Mapping[Hashable, float]
 
 _JSON, _ARCHIVE = (".json", ".json.gz"), ".npz"
+_CSV, _OUTCOME = ".csv", ("state", "action", "successor", "probability")
 _STORM = (".prism", ".nm", ".pm", ".jani", ".umb")
 _READERS: dict[str, Callable[..., ModelFile]] = {
     **{".drn": read_drn, ".drn.gz": read_drn, ".drn.xz": read_drn, ".tra": read_prism},
@@ -67,9 +73,11 @@ def read_any(
         OSError: the file cannot be read.
     """
     file, goals = Path(path), [goal] if isinstance(goal, str) else goal
-    ending = _ending_of(file, (*_JSON, _ARCHIVE, *_READERS))
+    ending = _ending_of(file, (*_JSON, _CSV, _ARCHIVE, *_READERS))
     if constants and ending not in _STORM:
         raise ModelError(f"{file.name} has no constants: leave ", Argument("constants"), " out")
+    if ending == _CSV:
+        return StatedModel(_csv_model(file, goals, cost, dead_ends))
     if ending in _JSON:
         return read_json(file, goals, cost, dead_ends)
     if ending == _ARCHIVE:
@@ -85,6 +93,19 @@ def read_any(
     more: dict[str, Any] = {"constants": constants} if ending in _STORM else {}
     found = _READERS[ending](file, goal=goals[0], cost=cost, dead_ends=dead_ends, **more)
     return StatedModel(found.model, found.start if len(found.initial_states) == 1 else None)
+
+
+def _csv_model(
+    file: Path, goals: Sequence[str], cost: str | None, dead_ends: DeadEnds | None
+) -> SSP:
+    """Model of any CSV file with the columns of an outcome, whose other columns are its costs."""
+    if not goals:
+        told = f"{file.name} does not say which states are goals: name them by "
+        raise ModelError(told, Argument("goal"))
+    names = [name for name in csv_columns(file) if name not in _OUTCOME]
+    place = chosen_reward(file, names, cost)
+    ordered = [names[place], *(name for name in names if name != names[place])] if names else "cost"
+    return SSP.from_csv(file, goals, cost=ordered, dead_ends=dead_ends)
 
 
 @explained

@@ -53,7 +53,7 @@ _VERSION = 1
 """Of what each kind of file looks like."""
 
 
-_HEADER = "header"
+_HEADER, _PACKED = "header", b"PK"  # the first bytes of an archive
 _LARGEST_HEADER = 1 << 28  # bytes that are unpacked: names of some ten million states
 
 
@@ -154,6 +154,10 @@ def opened_archive(path: FilePath, kind: str) -> Iterator[tuple[Any, Mapping[str
     with ExitStack() as opened:
         stream = opened.enter_context(Path(path).open("rb"))
         try:
+            if stream.read(2) != _PACKED:
+                remedy = f"save_{kind} of ssp_lp.io writes one"
+                raise ModelError(f"{path} is no ssp-lp {kind} file, but another kind: {remedy}")
+            stream.seek(0)
             archive = opened.enter_context(np.load(stream, allow_pickle=False))
             header = _header_of(archive, path, kind)
         except ModelError:

@@ -181,7 +181,8 @@ def from_gymnasium(
             a grid it is a point, or ``{point: probability}``.
         grid: for an environment whose state is an array of coordinates (MountainCar, CartPole): a
             box of them and its cells. ``goal`` says of the points in which it terminates whether
-            that is success (a predicate, or a set of cells of the grid), and the step limit is no horizon unless it is given as a number.
+            that is success (a predicate, or a set of cells of the grid), and the step limit is no
+            horizon unless it is given as a number.
         survive: whether an episode that still goes on at the horizon has reached the goal.
         dead_ends: the other states in which it terminates, or a predicate on states; one that is
             not among them is then an error. With a grid: "failed" and "outside".
@@ -676,7 +677,7 @@ def rollout(
         **{end: count[end] for end in ("goal", "failed", "gave_up", "truncated")},
         goal_probability=proportion_estimate(count["goal"], episodes, confidence),
         failure_probability=proportion_estimate(episodes - count["goal"], episodes, confidence),
-        conditional_cost=mean_estimate(costs, confidence, greatest_total(model, most)),
+        conditional_cost=mean_estimate(costs, confidence, greatest_total(model, most)[0]),
         success_costs=read_only(costs),
         mean_steps=float(np.mean([one.steps for one in played])),
         step_limit=limit,

@@ -37,7 +37,7 @@ from ssp_lp.analysis.evaluation import evaluate
 from ssp_lp.arrays import MACHINE_EPSILON, RELATIVE_GAP, FloatArray, ReadOnlyCopies
 from ssp_lp.column_generation.column import FailureRow
 from ssp_lp.column_generation.restricted_master import solve_master
-from ssp_lp.compiled.deadline import Deadline, Stop, WithIncumbent, until
+from ssp_lp.compiled.deadline import Deadline, Stop, WithIncumbent, interrupted, until
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import (
     Argument,
@@ -223,7 +223,7 @@ def _within_time(
             return trace(), ended
         except Stop:
             if ended.is_interrupted:
-                raise KeyboardInterrupt from None
+                raise interrupted() from None
             told = f"the time limit ended before the least {over} was known: allow more time"
             raise OutOfTimeError(told) from None
 

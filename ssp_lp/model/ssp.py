@@ -5,6 +5,7 @@ What users state of it is checked here; errors name the state and the action.
 
 from __future__ import annotations
 
+import csv
 import logging
 import warnings
 from collections import Counter
@@ -13,6 +14,8 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
+from itertools import zip_longest
+from os import PathLike
 from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
@@ -53,11 +56,12 @@ StateSet = Iterable[Hashable] | Callable[[Any], bool]
 """States by their labels, or what holds of just them."""
 
 DeadEnds = str | StateSet
-"""States, or a predicate on them, or labels of states of the model, of which one may stand alone."""
+"""States or labels of states of the model, or one label, or a predicate on states."""
 
 ENDS = ("goal", "dead_end", "gave_up", "wandering", "unfinished")
 """Names that reports give to the ways in which an episode ends."""
 
+_UNHASHABLE = "array, list, dict or set (write an array as tuple(array.tolist()))"
 _LISTED = 5  # actions that an error names
 _PROGRESS_EVERY = 10_000
 _EXPLORING = logging.getLogger("ssp_lp.exploring")
@@ -198,8 +202,10 @@ class SSP(Graph, ReadOnlyCopies):
         check_whole("state_limit", state_limit)
         is_goal = goal if callable(goal) else set(no_lone_string(goal, "goal")).__contains__
         several = isinstance(start, (list, set, frozenset))
-        begin = list(dict.fromkeys(cast(Iterable[Any], start))) if several else [start]
-        flat = _FlatModel(begin, cost)
+        begin = [*cast(Iterable[Any], start)] if several else [start]
+        for state in begin:
+            _check_hashable(state, "start")
+        flat = _FlatModel([*dict.fromkeys(begin)], cost)
         for done, state in enumerate(flat.states, start=1):  # it grows while it is walked
             reached = is_goal(state)
             flat.add(state, {} if reached else successors(state), goal=reached)
@@ -271,6 +277,8 @@ class SSP(Graph, ReadOnlyCopies):
             >>> model.n_outcomes, list(model.named_costs)
             (2, ['time', 'fuel'])
         """
+        if isinstance(table, (str, PathLike)):
+            raise ModelError(f"the table is a path: SSP.from_csv({str(table)!r}, ...) reads it")
         costs = [cost] if isinstance(cost, str) else list(cost)
         before, after, acts, chances, *paid = (
             _column(table, names) for names in (state, successor, action, probability, *costs)
@@ -293,6 +301,44 @@ class SSP(Graph, ReadOnlyCopies):
             treat_actionless_as_dead_ends=True,
             normalise=normalise,
         )
+
+    @classmethod
+    @explained
+    def from_csv(
+        cls,
+        path: str | PathLike[str],
+        goal: Iterable[Hashable],
+        *,
+        probability: str = "probability",
+        cost: str | Sequence[str] = "cost",
+        **options: Any,
+    ) -> SSP:
+        """Build a model from a CSV file whose first row names the columns, a row for each outcome.
+
+        Args:
+            path: the file. States and actions are the words that it holds; numbers may be fractions
+                such as 1/3.
+            goal: the goal states.
+            probability: the column of the probability.
+            cost: the column of the cost, or of several, as in :meth:`from_frame`.
+            options: further arguments of :meth:`from_frame`.
+
+        Raises:
+            ModelError: no such column, a cell that is empty or no number, or naming the state and
+                the action at fault.
+            OSError: the file cannot be read.
+        """
+        names = [probability, *([cost] if isinstance(cost, str) else cost)]
+        table = {
+            name: [_number_in_cell(path, name, *at) for at in enumerate(cells, start=2)]
+            if name in names
+            else cells
+            for name, cells in csv_columns(path).items()
+        }
+        try:
+            return cls.from_frame(table, goal, probability=probability, cost=cost, **options)
+        except ModelError as error:
+            raise ModelError(f"{path}: ", *error.args) from error
 
     @classmethod
     @explained
@@ -422,6 +468,10 @@ class SSP(Graph, ReadOnlyCopies):
         if dead_ends is not None:
             _check_idle_states(self, dead_ends, accept=False)
         return self
+
+    def __dir__(self) -> list[str]:
+        """Public names of the model, for completion."""
+        return [name for name in super().__dir__() if not name.startswith("_")]
 
     @property
     def costs_by_name(self) -> Mapping[str, FloatArray]:
@@ -614,7 +664,7 @@ class _FlatModel:
                 except TypeError as error:
                     raise ModelError(
                         f"action {action!r} of state {state!r} leads to {in_short(successor)}: a "
-                        "state holds no list, dict or set"
+                        f"state holds no {_UNHASHABLE}"
                     ) from error
                 if place is None:
                     if self._closed:
@@ -678,6 +728,33 @@ class _FlatModel:
         return named[self._cost or next(iter(named))][-1]
 
 
+def csv_columns(path: str | PathLike[str]) -> dict[str, list[str | None]]:
+    """Columns of a model's CSV file, under the names of its first row; None for an empty cell.
+
+    Raises:
+        ModelError: the file is no text, or has no rows.
+        OSError: it cannot be read.
+    """
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            head, *rows = [row for row in csv.reader(file) if row] or [[]]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ModelError(f"{path} is no CSV file: {error}") from error
+    if not rows:
+        raise ModelError(f"{path} holds no table: a row of names, then a row for each outcome")
+    columns = zip_longest(*([cell.strip() or None for cell in row] for row in rows))
+    return {name.strip(): [*cells] for name, cells in zip(head, columns, strict=False)}
+
+
+def _number_in_cell(path: object, name: str, row: int, cell: str | None) -> float | Fraction | None:
+    """Number in a cell of a model's CSV file, a fraction where one is written."""
+    try:
+        return cell if cell is None else Fraction(cell) if "/" in cell else float(cell)
+    except (ValueError, ZeroDivisionError) as error:
+        complaint = f"{path}, row {row}: {cell!r} in the column {name!r} is no number"
+        raise ModelError(complaint) from error
+
+
 def _column(table: Any, names: str | Sequence[str]) -> list[Any]:
     """A column of a table as Python's own values; of several columns tuples.
 
@@ -693,6 +770,7 @@ def _column(table: Any, names: str | Sequence[str]) -> list[Any]:
     column = table[names]
     cells = column.tolist() if hasattr(column, "tolist") else list(column)
     for row, cell in enumerate(cells):
+        _check_hashable(cell, f"row {row}, column {names!r} of the table")
         if cell is None or (cell == cell) is not True:  # not a number, or pandas's NA
             raise ModelError(f"row {row} of the table has nothing in the column {names!r}")
     return cells
@@ -700,11 +778,24 @@ def _column(table: Any, names: str | Sequence[str]) -> list[Any]:
 
 def no_lone_string(states: Iterable[Hashable], name: str) -> Iterable[Hashable]:
     """States of a model's argument; a lone string, whose letters they would be, is an error."""
+    if isinstance(states, (list, tuple)):
+        for state in states:
+            _check_hashable(state, name)
     if isinstance(states, str):
         raise ModelError(f"{name} must be a set of states, such as {{{states!r}}}, not a string")
     if not isinstance(states, Iterable):
         raise ModelError(f"{name} must be a set of states, not {in_short(states)}")
     return states
+
+
+def _check_hashable(state: Any, where: str) -> None:
+    """Raise :class:`ModelError` for a state of a model's argument that cannot be one."""
+    try:
+        hash(state)
+    except TypeError as error:
+        raise ModelError(
+            f"{where}: {in_short(state)} cannot be a state, which holds no {_UNHASHABLE}"
+        ) from error
 
 
 def _number(value: Any, what: str, state: Hashable, action: Hashable) -> float:

@@ -79,6 +79,14 @@ class ConvexProgram:
         """Copies and pickles carry what is stated; what a solver holds of it cannot be copied."""
         return vars(self) | {"_compiled": None}
 
+    def __repr__(self) -> str:
+        """The program as the page of a paper, and what is stated in cvxpy besides."""
+        own = self.program.rows
+        named = {"balance", "normaliser", *(row.name for row in own)}
+        added = [f"{name}: {row}" for name, row in self.constraints.items() if name not in named]
+        changed = [] if self.objective is self._stated[1] else [f"objective: {self.objective}"]
+        return "\n  ".join(["ConvexProgram in cvxpy: " + repr(self.program), *changed, *added])
+
     def visits(self, state: Hashable, action: Hashable | None = None) -> Any:
         """Expected visits of a state or action as an expression of cvxpy, over all copies.
 

@@ -761,6 +761,8 @@ def check_certificate(path: Any) -> Checked:
             return check_lines(lines_of(file, most))
     except RefusedError as error:
         return Checked(False, str(error))
+    except gzip.BadGzipFile:
+        return Checked(False, "this is no certificate: ssp_lp.write_certificate writes one")
     except OSError as error:
         if error.errno:  # there is no such file
             raise
