@@ -342,7 +342,8 @@ def on_one_model(
     if theirs is not problem.model:
         of_product = getattr(theirs, "original", None) is problem.model
         hint = "; on_original(policy) acts on the original model" if of_product else ""
-        raise ModelError(f"the policy was made for another model object{hint}")
+        remedy = hint or ": pass a problem on policy.model, or solve this problem"
+        raise ModelError(f"the policy was made for another model object{remedy}")
     lottery = on_product(policy, check_product(solved.model))
     return lottery if solved.model.failure_label is not None else until_failing(lottery), solved
 

@@ -104,8 +104,8 @@ def _csv_model(
         raise ModelError(told, Argument("goal"))
     names = [name for name in csv_columns(file) if name not in _OUTCOME]
     place = chosen_reward(file, names, cost)
-    ordered = [names[place], *(name for name in names if name != names[place])] if names else "cost"
-    return SSP.from_csv(file, goals, cost=ordered, dead_ends=dead_ends)
+    ordered = names if place is None else [names[place], *names[:place], *names[place + 1 :]]
+    return SSP.from_csv(file, goals, cost=ordered or "cost", dead_ends=dead_ends)
 
 
 @explained

@@ -454,7 +454,9 @@ class _PolicyRecords:
             return self._known[id(policy)]
         name = next((name for name, kind in _CLASSES.items() if kind is type(policy)), None)
         if name is None:
-            raise ModelError(f"a {type(policy).__name__} cannot be saved: its class is not known")
+            own = "; it has one that can be: .policy" if hasattr(policy, "policy") else ""
+            kind = type(policy).__name__
+            raise ModelError(f"a {kind} cannot be saved: its class is not known{own}")
         record: dict[str, Any] = {"kind": name}
         for part in fields(_CLASSES[name]):
             value = getattr(policy, part.name)

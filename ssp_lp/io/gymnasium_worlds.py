@@ -65,6 +65,7 @@ if TYPE_CHECKING:
 MOST_STEPS = 10_000
 """Steps after which an episode is cut off where nothing else does, as in ``simulate``."""
 
+_SHOWN = 5  # states that an error lists
 _POINTS = 3  # of each coordinate in a cell, from which steps are taken
 
 END = "end"
@@ -247,7 +248,9 @@ def _checked_set(table: _Table, name: str, listed: Iterable[Hashable]) -> Callab
     """Predicate of a set of the Gymnasium environment's states; ModelError for an unknown one."""
     members = {_plain(state) for state in no_lone_string(listed, name)}
     for state in members.difference(table.states):
-        nearest = did_you_mean(state, table.states) or f"; they are {in_short(table.states)}"
+        nearest = did_you_mean(state, table.states) or (
+            f"; they are {', '.join(map(repr, table.states[:_SHOWN]))}, ... ({len(table.states):,})"
+        )
         raise ModelError(f"{name}: {state!r} is not a state of the environment{nearest}")
     return members.__contains__
 

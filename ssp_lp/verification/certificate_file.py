@@ -41,6 +41,7 @@ from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray
 from ssp_lp.errors import Argument, ModelError, SolverError
 from ssp_lp.formulation import Formulation
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import Graph
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import UNDECIDED
@@ -87,6 +88,7 @@ _FARTHEST, _USED_UP = 10**6, 1e-11  # total up to which a utility is told, or wh
 _ENDLESS = 1e300  # claimed where a solution states no bound
 
 
+@explained
 def write_certificate(solution: Solution, path: str | Path, *, tolerance: float = 1e-6) -> Checked:
     """Write a certificate file: a proof of a solution's optimum, to check without this library.
 

@@ -8,10 +8,10 @@ import pytest
 from formulations import MCMP, MinCost, compare_criteria
 from formulations.command_line import main
 from refusing import refused
-from ssp_lp import SSP, Axis, Grid, check_certificate, evaluate, simulate, solve
+from ssp_lp import SSP, Axis, Grid, check_certificate, evaluate, simulate, solve, write_certificate
 from ssp_lp.compiled import accelerator
 from ssp_lp.compiled.deadline import Stop, until
-from ssp_lp.io import fingerprint, from_gymnasium, load_policy, read_any, rollout
+from ssp_lp.io import fingerprint, from_gymnasium, load_policy, read_any, rollout, save_policy
 from ssp_lp.methods.labelled_program import program_of
 
 ROUTES = {
@@ -177,3 +177,11 @@ def test_a_convex_program_and_a_model_show_what_concerns_users():
     assert "few: x <= 5.0" in repr(program)
     assert not [name for name in dir(MODEL) if name.startswith("_")]
     assert {"from_csv", "states", "with_dead_ends"} <= set(dir(MODEL))
+
+
+def test_solutions_and_problems_in_the_place_of_others_are_named(tmp_path):
+    solution = solve(PROBLEM)
+    refused("solution must be a Solution, not MCMP", write_certificate, PROBLEM, tmp_path / "c")
+    refused(r"it has one that can be: \.policy", save_policy, solution, tmp_path / "p")
+    other = SSP.from_transitions({"a": {"go": [(1.0, "b", 1.0)]}}, goal={"b"})
+    refused("pass a problem on policy.model", evaluate, solution.policy, MinCost(other, "a"))
