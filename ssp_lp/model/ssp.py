@@ -61,7 +61,7 @@ DeadEnds = str | StateSet
 ENDS = ("goal", "dead_end", "gave_up", "wandering", "unfinished")
 """Names that reports give to the ways in which an episode ends."""
 
-_UNHASHABLE = "array, list, dict or set (write an array as tuple(array.tolist()))"
+_UNHASHABLE = "list, dict or set, nor an array: write tuple(array.tolist())"
 _LISTED = 5  # actions that an error names
 _PROGRESS_EVERY = 10_000
 _EXPLORING = logging.getLogger("ssp_lp.exploring")
