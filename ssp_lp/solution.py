@@ -214,8 +214,10 @@ class Solution(ReadOnlyCopies):
     def gap(self) -> float:
         """The solution's relative gap between objective and bound; of least failure, if wider."""
         if self.upper_bound is not None:
-            return max(relative_gap(self.upper_bound, self.objective), self.failure_gap)
-        return max(relative_gap(self.objective, self.lower_bound), self.failure_gap)
+            gap = relative_gap(self.upper_bound, self.objective)
+        else:
+            gap = relative_gap(self.objective, self.lower_bound)
+        return gap if self.least_failure_bound is None else max(gap, self.failure_gap)
 
     @property
     def failure_gap(self) -> float:

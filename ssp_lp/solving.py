@@ -131,7 +131,8 @@ def _solution_to(
         inner = unrolled(problem)
         far = goal_out_of_reach(inner.model, start_distribution(inner.model, inner.start))
         note = "; ".join(part for part in (far, note) if part)
-    if solution.failure_gap > PROVED_OF_MANY:
+    at_least = solution.least_failure_bound is not None
+    if at_least and solution.failure_gap > PROVED_OF_MANY:
         shown = f"{solution.failure_gap:.1e}: some policy may fail less than this one"
         note = "; ".join(filter(None, [note, f"the least failure is proved only up to {shown}"]))
     elif not note and solution.gap > options.tolerance:
