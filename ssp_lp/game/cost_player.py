@@ -391,8 +391,15 @@ class BayesCostPlayer:
 
     @cached_property
     def outer_tail(self) -> tuple[IntArray, LayeredTails]:
-        """The pairs of pi'_or, [nodes], and what it attains (see ``undiscounted_tail``)."""
-        return undiscounted_tail(self.stationary)
+        """The pairs of the policy that fails most under the discount, [nodes], and what it attains.
+
+        J_obj is undiscounted, while J_cond stays discounted (section 3.3). Where M and the horizon
+        are not given, undiscounted MINPROB (``undiscounted_tail``) would need much greater ones.
+        """
+        pairs, tails = self.stationary.outer_tails
+        goal, cost = followed_tails(self.base, pairs[1:], 1.0)
+        values = TailValues(*(each[1:] for each in tails.values))._replace(early=goal, cost=cost)
+        return pairs[1], replace(tails, decisions=tails.decisions[1:], values=values)
 
     @property
     def tails(self) -> LayeredTails:
