@@ -48,7 +48,7 @@ def asked(name: str = "c", limit: Any = None, **more: Any) -> Any:
 PROBLEM = S3P(model(), "depot", 0.05)
 
 IN_PYTHON: list[tuple[Callable[[], Any], str]] = [
-    (lambda: importlib.import_module("ssp_lp").MCMP, "from formulations import MCMP"),
+    (lambda: importlib.import_module("ssp_lp").mcpm, "did you mean 'MCMP'"),
     (lambda: model(goal=()), "the model has no goal state; name at least one"),
     (lambda: model(goal="home"), "goal must be a set of states, such as {'home'}"),
     (lambda: model(goal=("hom",)), "did you mean 'home'?"),

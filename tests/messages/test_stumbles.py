@@ -143,7 +143,7 @@ def test_an_interrupt_before_there_is_an_answer_says_so(monkeypatch, capsys):
     def pressed(*_: object, **__: object) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("formulations.command_line.import_module", pressed)
+    monkeypatch.setattr("ssp_lp.formulations.command_line._run_command", pressed)
     assert main(["info", "roads.json"]) == 130
     assert "interrupted before there was an answer" in capsys.readouterr().err
     with pytest.raises(KeyboardInterrupt, match="before there was an answer"):

@@ -239,7 +239,7 @@ def test_a_reward_model_without_a_name_moves_no_other(tmp_path):
     text = (tmp_path / "m.drn").read_text(encoding="utf-8").replace("time fuel", '"" fuel')
     (tmp_path / "m.drn").write_text(text, encoding="utf-8")
     read = read_drn(tmp_path / "m.drn", goal="goal", cost="").model
-    assert list(read.named_costs) == ["fuel"]
+    assert list(read.named_costs) == ["", "fuel"]
     assert set(read.named_costs["fuel"].tolist()) == {1.0, 0.5, 0.25}
     assert set(read.costs.tolist()) == {4.0, 2.0, 9.0, 5.0}
 

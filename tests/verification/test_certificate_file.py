@@ -390,7 +390,7 @@ def test_the_checker_stands_alone(tmp_path):
     (tmp_path / "road.cert").write_bytes(b"none")
     done = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True)  # noqa: S603
     assert done.returncode == 1
-    assert done.stdout.startswith("refused: the file is damaged")
+    assert done.stdout.startswith("refused: this is no certificate")
 
 
 def test_the_command_line(tmp_path, capsys):

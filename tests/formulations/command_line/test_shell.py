@@ -98,7 +98,7 @@ def test_an_interrupt_is_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("ssp_lp.formulations.command_line.import_module", interrupted)
+    monkeypatch.setattr("ssp_lp.formulations.command_line._run_command", interrupted)
     assert main(["info", "roads.json"]) == 130
 
 
