@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -48,7 +47,7 @@ def asked(name: str = "c", limit: Any = None, **more: Any) -> Any:
 PROBLEM = S3P(model(), "depot", 0.05)
 
 IN_PYTHON: list[tuple[Callable[[], Any], str]] = [
-    (lambda: importlib.import_module("ssp_lp").mcpm, "did you mean 'MCMP'"),
+    (lambda: exec("from ssp_lp import mcpm"), "did you mean 'MCMP'"),
     (lambda: model(goal=()), "the model has no goal state; name at least one"),
     (lambda: model(goal="home"), "goal must be a set of states, such as {'home'}"),
     (lambda: model(goal=("hom",)), "did you mean 'home'?"),
