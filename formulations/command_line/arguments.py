@@ -248,10 +248,9 @@ def argument_parser() -> ArgumentParser:
         if name in ("solve", "info", "simulate"):
             one.add_argument("--json", action="store_true", help=_JSON)
     aim = "check a certificate by exact inequalities"
-    one = _add_without_model(
-        commands, "check", aim, ": what the optimum lies between, as fractions"
-    )
-    _add_file(one, "certificate", metavar="FILE", help="of solve --certificate-out")
+    more = ": what the optimum lies between, as fractions"
+    check = _add_without_model(commands, "check", aim, more)
+    _add_file(check, "certificate", metavar="FILE", help="of solve --certificate-out")
     aim = "compile all inner loops at once, for later processes"
     _add_without_model(commands, "compile", aim, ": a minute or two, with the extra fast (numba)")
     return whole

@@ -87,7 +87,7 @@ def _entered_process(
     check_time()
     offsets, columns = offsets_of(counts), [block.indices for block in blocks]
     index = np.int32 if offsets[-1] <= np.iinfo(np.int32).max else np.int64
-    indices = np.concatenate(columns, dtype=index, casting="same_kind")
+    indices: IntArray = np.concatenate(columns, dtype=index, casting="same_kind")
     check_time()
     data = np.concatenate([block.data for block in blocks])
     check_time()

@@ -39,4 +39,4 @@ class _Compiling(event.Listener):
             give_up_compiling()
 
 
-event.register("numba:compiler_lock", _Compiling())  # type: ignore[no-untyped-call]
+event.register("numba:compiler_lock", _Compiling())
