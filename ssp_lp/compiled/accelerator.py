@@ -149,6 +149,7 @@ def with_twin(function: Callable[Arguments, Result]) -> Callable[Arguments, Resu
 
     @wraps(function)
     def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+        """The function, begun again for each loop that must not be compiled now."""
         refused = set[str]()
         while True:
             _frames.depth += 1

@@ -81,11 +81,9 @@ def test_a_dead_end_may_have_actions_but_no_way_to_the_goal():
         refused(words, SSP.from_transitions, model, goal={"g"}, dead_ends={"trap", wrong})
 
 
-@pytest.mark.parametrize("wrong", ["hoem", "hme", "homee", "hume", "ohme"])
+@pytest.mark.parametrize("wrong", ["hoem", "homee", "hume", "ohme"])
 def test_an_unlisted_state_that_resembles_another_is_warned_of(wrong):
     model = {"depot": {"go": [(0.9, wrong, 1.0), (0.1, "home", 1.0)]}}
-    if len(wrong) < 4:
-        return
     with pytest.warns(ModelWarning, match=f"'{wrong}' has no actions.*did you mean 'home'"):
         SSP.from_transitions(model, goal={"home"}, treat_actionless_as_dead_ends=True)
 
