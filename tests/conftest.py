@@ -12,6 +12,15 @@ from tests.support.compiled import Switch
 collect_ignore_glob = ["campaigns/[!t]*", "*/conftest.py"]
 """Campaigns are run by hand, but for the samples in ``campaigns/test_campaigns.py``."""
 
+NAME = 1000
+"""Characters of a test's name at most: it is sent between processes with every result."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Refuse tests whose names hold their data."""
+    if long := [item.nodeid[:100] for item in items if len(item.nodeid) > NAME]:
+        raise pytest.UsageError(f"give these tests an id, their names are too long: {long}")
+
 
 @pytest.fixture(scope="session")
 def robot() -> tuple[SSP, int]:
