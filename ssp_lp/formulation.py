@@ -24,7 +24,7 @@ from ssp_lp.accumulated_cost.charges import (
     Utility as Utility,
     WithinBound as WithinBound,
 )
-from ssp_lp.arrays import FloatArray, ReadOnlyCopies, read_only
+from ssp_lp.arrays import FloatArray, read_only
 from ssp_lp.column_generation.compiled_problem import (
     CompiledAccumulatedCost,
     CompiledExplicit,
@@ -49,12 +49,12 @@ from ssp_lp.problem import (
     BUDGET_OR_SHARE as BUDGET_OR_SHARE,
     FailureBudget as FailureBudget,
     Problem as Problem,
+    Start as Start,
     TotalScale,
     as_float,
     as_stated,
     check_numbers as check_numbers,
     compiled_totals,
-    requirements,
 )
 from ssp_lp.processes.conditions import Condition
 from ssp_lp.processes.failure_semantics import (
@@ -88,9 +88,6 @@ from ssp_lp.processes.quantities import (
 if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram
 
-Start = Hashable | Mapping[Hashable, float]
-"""A state, or a distribution over states."""
-
 _COMPILING = logging.getLogger("ssp_lp.compiling")
 
 _PAPER = {"give_up": GiveUp.ATTENTION, "charge_failing_step": True}
@@ -101,22 +98,8 @@ _NUMBER_OR_NONE = ("float | None", float | None)
 """Annotations of fields that hold numbers, which are floats once a problem is stated."""
 
 
-class _Inherited(ReadOnlyCopies):
-    """Defaults of a formulation: exact, failing free and unlimited."""
-
-    model: SSP
-    start: Start
-    failure_budget: float | FailureBudget | None = 1.0
-    give_up: str | GiveUp | None = GiveUp.ATTENTION
-    charge_failing_step: bool | None = False
-    discount: float | None = None
-    ratio = False
-    cost_cap: float | None = None  # of accumulated cost, where it is told apart
-    quantity: Quantity | None = None  # what is minimised in place of the cost
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Formulation(_Inherited):
+class Formulation(Problem):
     """A criterion on a model with a start (see :class:`ssp_lp.problem.Problem`).
 
     What a class does not say is inherited: exact, not given success, failing free and unlimited.
@@ -251,11 +234,6 @@ class Formulation(_Inherited):
         on_it: dict[str, Any] = {"model": model, "start": start, "horizon": None}
         return replace(self, **on_it, **as_stated(self))
 
-    @property
-    def own_constraints(self) -> Mapping[str, Constraint]:
-        """Constraints that a formulation has by itself; none unless its page says so."""
-        return {}
-
     @cached_property
     def objective_condition(self) -> Condition | None:
         """A formulation's objective in place of the cost, looked up; None: the cost."""
@@ -309,7 +287,7 @@ class Formulation(_Inherited):
             return self.unrolled.compile()
         model, start, semantics = self.model, self._begun, self.semantics
         _COMPILING.info("%r", self)
-        if semantics.counts_law or requirements(self).totals is TotalScale.SUMS:
+        if semantics.counts_law or self.requirements.totals is TotalScale.SUMS:
             return compiled_totals(self)
         if self.ratio:
             cap = self.cost_cap

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any, Protocol, cast
+from types import MappingProxyType
+from typing import Any, cast
 
 import numpy as np
 
 from ssp_lp.accumulated_cost.charges import TOTAL_COST, ExponentialUtility
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, Resolution, resolution_for, sums_in
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import FloatArray, IntArray, ReadOnlyCopies
 from ssp_lp.column_generation.compiled_problem import (
     CompiledArrivalCost,
     CompiledExplicit,
@@ -33,88 +34,99 @@ from ssp_lp.processes.conditions import Condition
 from ssp_lp.processes.failure_semantics import (
     Aim,
     FailureSemantics,
+    GiveUp,
     GoalShare,
     start_distribution,
     survival_of,
 )
 from ssp_lp.processes.goal_reach import greatest_goal_from, greatest_goal_reach
+from ssp_lp.processes.quantities import Constraint, Quantity
+
+Start = Hashable | Mapping[Hashable, float]
+"""A state, or a distribution over states."""
 
 
-class Problem(Protocol):
+EXACT = FailureSemantics()
+"""What an episode is worth where nothing is said: its cost until the goal, failing free."""
+
+
+class Problem(ReadOnlyCopies):
     """A criterion on a model with a start and a failure budget.
 
-    ``formulations`` holds the criteria of the literature; a class of your own with these members
-    is a first-class problem too. Where failing is not limited but has its price, ``failure_budget``
-    is 1 and ``semantics`` names the penalty; where only the goal counts, ``semantics`` says so.
+    What a class does not say is as it stands here: exact, not given success, no limits but the
+    failure budget. Where failing is not limited but has its price, ``failure_budget`` is 1 and
+    ``semantics`` names the penalty; where only the goal counts, ``semantics`` says so.
     """
 
-    @property
-    def model(self) -> SSP:
-        """The problem's model."""
-
-    @property
-    def start(self) -> Hashable | Mapping[Hashable, float]:
-        """The problem's start: a state, or a distribution over states."""
-
-    @property
-    def failure_budget(self) -> float | None:
-        """The problem's allowed failure probability; None: as low as possible."""
-
-    @property
-    def discount(self) -> float | None:
-        """The problem's discount; None: exact; a number: the surrogate of section 3.5."""
-
-    @property
-    def ratio(self) -> bool:
-        """Whether the problem counts its cost given success (case S)."""
+    model: SSP
+    start: Start
+    failure_budget: float | FailureBudget | None = 1.0  # None: as low as possible
+    give_up: str | GiveUp | None = GiveUp.ATTENTION
+    charge_failing_step: bool | None = False
+    discount: float | None = None  # None: exact; a number: the surrogate of section 3.5
+    ratio = False  # whether the cost counts given success (case S)
+    horizon: int | None = None
+    cost_cap: float | None = None  # of accumulated cost, where it is told apart
+    cost_levels: int | None = None  # of the grid where costs have no unit
+    reach_fraction: float | None = None  # of the greatest goal probability, for a budget
+    quantity: Quantity | None = None  # what is minimised in place of the cost
+    constraints: Mapping[str, Constraint] = MappingProxyType({})
 
     @property
     def semantics(self) -> FailureSemantics:
         """The problem's worth of an episode: which cost counts and what failing costs."""
+        return EXACT
+
+    @property
+    def own_constraints(self) -> Mapping[str, Constraint]:
+        """Constraints that a criterion has by itself; none unless its class says so."""
+        return {}
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """The problem's constraints beside its failure budget, checked."""
+        return ()
+
+    @property
+    def objective_condition(self) -> Condition | None:
+        """The quantity that the problem minimises in place of its cost; None: the cost."""
+        return None
+
+    @property
+    def unrolled(self) -> Problem:
+        """The problem that is solved: itself, or on (state, steps taken) or (state, label)."""
+        return self
+
+    @property
+    def has_rows(self) -> bool:
+        """Whether a problem has constraints or an objective that only the methods for rows know."""
+        return bool(self.conditions) or self.objective_condition is not None
+
+    @property
+    def requirements(self) -> Requirements:
+        """Requirements of a problem to a method."""
+        return _requirements(self)
 
     def compile(self) -> CompiledProblem:
         """The problem compiled: its augmented process, ready for a method."""
+        raise NotImplementedError
 
 
 NEEDED = cast("Problem", None)
 """Stands where a problem was left out, so that what is said of it is the library's word."""
 
 
-def unrolled(problem: Problem) -> Problem:
-    """The problem that is solved: itself, or that on (state, steps taken) and (state, label).
-
-    The first with a horizon, the second where something is counted after failing.
-    """
-    return cast("Problem", getattr(problem, "unrolled", problem))
-
-
-def conditions_of(problem: Problem) -> tuple[Condition, ...]:
-    """A problem's constraints beside its failure budget; a class of one's own may have none."""
-    return cast("tuple[Condition, ...]", getattr(problem, "conditions", ()))
-
-
-def objective_of(problem: Problem) -> Condition | None:
-    """The quantity that a problem minimises in place of its cost; None: there is none."""
-    return cast("Condition | None", getattr(problem, "objective_condition", None))
-
-
-def has_rows(problem: Problem) -> bool:
-    """Whether a problem has constraints or an objective that only the methods for rows know."""
-    return bool(conditions_of(problem)) or objective_of(problem) is not None
-
-
 def resolution_of(problem: Problem) -> Resolution | None:
     """Resolution of totals that a problem asks for; None where multiples of a unit serve."""
-    levels: int | None = getattr(problem, "cost_levels", None)
-    cap: float | None = getattr(problem, "cost_cap", None)
+    levels, cap = problem.cost_levels, problem.cost_cap
     of_law = problem.semantics.counts_law
     if not of_law and not problem.ratio:
         return None
-    if not of_law and levels is None and problem.failure_budget is None and not has_rows(problem):
+    if not of_law and levels is None and problem.failure_budget is None and not problem.has_rows:
         return None  # at least failure no cost has to be remembered
     resolution = resolution_for(problem.model, levels, cap, of_law=of_law)
     charge = problem.semantics.charge(problem.ratio)
-    if resolution is None or not isinstance(charge, ExponentialUtility) or has_rows(problem):
+    if resolution is None or not isinstance(charge, ExponentialUtility) or problem.has_rows:
         return resolution
     # do few totals lie below the cost from which a stationary policy is optimal?
     most, facts = min(levels or MOST_SUMS, MOST_SUMS), problem.model.kept_facts
@@ -157,12 +169,12 @@ class Requirements:
         return self.totals is not TotalScale.NONE
 
 
-def requirements(problem: Problem) -> Requirements:
+def _requirements(problem: Problem) -> Requirements:
     """Requirements of a problem to a method."""
-    semantics, rows, totals = problem.semantics, has_rows(problem), TotalScale.NONE
+    semantics, rows, totals = problem.semantics, problem.has_rows, TotalScale.NONE
     law, is_risk = semantics.counts_law, semantics.risk is not None
     if law or problem.ratio:
-        is_cut = problem.discount is not None or getattr(problem, "cost_cap", None) is not None
+        is_cut = problem.discount is not None or problem.cost_cap is not None
         resolution, totals = resolution_of(problem), TotalScale.UNITS
         if resolution is not None:
             whole = not rows and not (is_cut and not law)
@@ -174,7 +186,7 @@ def requirements(problem: Problem) -> Requirements:
 
 def least_failure_bound(problem: Problem) -> float | None:
     """Certified lower bound of the failure of every policy; None: the problem limits failure."""
-    if not requirements(problem).least_failure:
+    if not problem.requirements.least_failure:
         return None
     start, survival = (
         start_distribution(problem.model, problem.start),
@@ -192,7 +204,7 @@ def compiled_constrained(problem: Problem, *, by_units: bool = False) -> Compile
         by_units: tell totals apart as multiples of a unit whatever the costs are.
     """
     logging.getLogger("ssp_lp.compiling").info("%r, with its rows", problem)
-    objective, model = objective_of(problem), problem.model
+    objective, model = problem.objective_condition, problem.model
     start = start_distribution(model, problem.start)
     if (label := model.failure_label) is not None and start[~label.finite[0]].any():
         raise InfeasibleError(
@@ -207,11 +219,11 @@ def compiled_constrained(problem: Problem, *, by_units: bool = False) -> Compile
         start=start,
         semantics=problem.semantics,
         discount=problem.discount,
-        side=tuple(row for condition in conditions_of(problem) for row in condition.rows),
+        side=tuple(row for condition in problem.conditions for row in condition.rows),
         budget=problem.failure_budget,
         charge=problem.semantics.charge(problem.ratio),
         ratio=problem.ratio,
-        fixed_cap=getattr(problem, "cost_cap", None),
+        fixed_cap=problem.cost_cap,
         objective=None if objective is None else objective.minimised(),
         resolution=None if by_units else resolution_of(problem),
     )
@@ -226,19 +238,19 @@ def compiled_totals(problem: Problem, *, may_sum: bool = True) -> CompiledArriva
     """
     start = start_distribution(problem.model, problem.start)
     charge = problem.semantics.charge(problem.ratio) or TOTAL_COST
-    by_sums = may_sum and requirements(problem).totals is TotalScale.SUMS
+    by_sums = may_sum and problem.requirements.totals is TotalScale.SUMS
     return CompiledArrivalCost(problem.model, start, charge, problem.ratio, by_sums=by_sums)
 
 
 @dataclass(frozen=True, eq=False)
-class Restated:
+class Restated(Problem):
     """A problem on its model with other costs, or of another worth, the rest as asked."""
 
     model: SSP
     start: Hashable | Mapping[Hashable, float]
-    ratio: bool
-    failure_budget: float | None
-    semantics: FailureSemantics
+    ratio: bool = field()
+    failure_budget: float | None = field()
+    semantics: FailureSemantics = EXACT
     conditions: tuple[Condition, ...] = ()
     discount: float | None = None
     objective_condition: Condition | None = None  # minimised in place of the cost
@@ -270,8 +282,8 @@ class FailureBudget:
             return None
         fields, key, share = vars(problem), "_stated_budget", problem.reach_fraction
         if share is not None:
-            if (asked := unrolled(problem)) is not problem:
-                return asked.failure_budget  # kept in one place, whoever asks
+            if (asked := problem.unrolled) is not problem:
+                return cast("float | None", asked.failure_budget)  # kept in one place
             if (key := "_budget") not in fields:
                 with limited(None if is_within_call() else READING, _FOLLOWS):
                     fields[key] = budget_of_share(asked.model, asked.start, share)
@@ -308,7 +320,7 @@ def check_problem(problem: object, verb: str) -> None:
     Raises:
         ModelError: a model alone, or something else; ``verb`` is what was to be done with it.
     """
-    if not (hasattr(problem, "model") and hasattr(problem, "semantics")):
+    if not isinstance(problem, Problem):
         raise ModelError(
             f"{verb} takes a problem, such as MCMP(model, start=..., failure_budget=...), not "
             f"{in_short(problem)}"
@@ -336,7 +348,7 @@ def on_one_model(
             f"model, {{state: action}}), not {in_short(policy)}"
         )
     theirs = policy.model
-    solved = unrolled(problem)
+    solved = problem.unrolled
     if theirs is solved.model:
         return until_failing(as_lottery(policy)), solved
     if theirs is not problem.model:

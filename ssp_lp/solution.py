@@ -32,7 +32,7 @@ from ssp_lp.policies.chain import reached_table
 from ssp_lp.policies.policy import UNDECIDED, Policy, as_lottery
 from ssp_lp.policies.remembering import Default, acting_everywhere
 from ssp_lp.policies.table import PolicyTable
-from ssp_lp.problem import Problem, has_rows, on_one_model, pulled_back
+from ssp_lp.problem import Problem, on_one_model, pulled_back
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_semantics import (
     AS_ASKED,
@@ -290,7 +290,7 @@ class Solution(ReadOnlyCopies):
         limits or a measure of the law of costs counts, which the game does not know.
         """
         price, budget = self._multiplier, self.problem.failure_budget
-        unknown = has_rows(self.problem) or self.problem.semantics.counts_law
+        unknown = self.problem.has_rows or self.problem.semantics.counts_law
         if price is None or budget is None or unknown:
             return None
         mine, other = self.objective, price * budget
@@ -347,7 +347,7 @@ class Solution(ReadOnlyCopies):
         """Title of a solution's summary: criterion, failure asked about, discount."""
         discount = self.problem.discount
         setting = "exact" if discount is None else f"discount {discount:g}"
-        horizon = getattr(self.problem, "horizon", None)
+        horizon = self.problem.horizon
         within = "" if horizon is None else f", within {horizon:,} steps"
         return f"{type(self.problem).__name__}, {self._asked}{within}, {setting}"
 
@@ -387,7 +387,7 @@ class Solution(ReadOnlyCopies):
     def _giving_up(self) -> list[tuple[str, str]]:
         """Row of the summary on giving up by choice: how often, where first, what forbids it."""
         share = self.evaluation.ends.get("gave_up", 0.0)
-        if share <= 0.0 or getattr(self.problem, "give_up", GiveUp.DEAD_ENDS) is GiveUp.DEAD_ENDS:
+        if share <= 0.0 or self.problem.semantics.give_up is GiveUp.DEAD_ENDS:
             return []
         place = giving_up_in_words(self.policy, self.problem, share)
         words = f"{share:.6g} by choice, {place}" if place else f"{share:.6g} by choice"

@@ -70,7 +70,7 @@ from ssp_lp.model.continuous_model import ContinuousModel
 from ssp_lp.model.discretise import MIDPOINTS, Quadrature, discretised_rows
 from ssp_lp.options import ColumnGeneration, Progress, SolveOptions, options_of
 from ssp_lp.policies.policy import MOST_EPISODES
-from ssp_lp.problem import compiled_constrained, conditions_of, has_rows, requirements
+from ssp_lp.problem import compiled_constrained
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_semantics import Aim, as_percentage, start_distribution
 from ssp_lp.solution import CUT_SHORT, Run, Solution
@@ -132,7 +132,7 @@ class PartitionedSolution(ReadOnlyCopies):
             raise wrong_argument("problem", "be the question on a model held whole, such as "
                                  "MCMP(model, ...)", problem)  # fmt: skip
         values, layers, order = self.value_function, self.policy.below, self.policy.model.order
-        if layers and not has_rows(problem):  # values of its layers alone, which ask for the best
+        if layers and not problem.has_rows:  # values of its layers alone, which ask for the best
             cap = len(layers[0])
             values = np.broadcast_to(np.inf, (cap, values.size // (cap + 1)))
         elif order is not None and self.live is not None:
@@ -564,14 +564,14 @@ class PartitionedModel:
             raise ModelError(f"{criterion.__name__} makes something of the law of total costs, "
                              "which is not worked out on a partitioned model")  # fmt: skip
         greatest = problem.semantics.aim is Aim.GREATEST_GOAL  # failing is what is minimised
-        if method is not None and not (greatest or is_shared(requirements(problem))):
+        if method is not None and not (greatest or is_shared(problem.requirements)):
             raise ModelError("a partitioned model answers costs within a failure budget, not "
                              f"{criterion.__name__} as it is asked")  # fmt: skip
-        if method is not None and getattr(problem, "cost_levels", None):
+        if method is not None and problem.cost_levels:
             raise ModelError("a partitioned model knows no cost_levels: its totals are multiples "
                              "of a unit")  # fmt: skip
         is_slack = (problem.failure_budget or 0.0) >= 1.0
-        if method is not None and problem.ratio and has_rows(problem) and is_slack:
+        if method is not None and problem.ratio and problem.has_rows and is_slack:
             raise ModelError(f"{criterion.__name__} within limits takes a failure budget below 1 "
                              "on a partitioned model")  # fmt: skip
         if method is not None and problem.semantics.forbids_failing:
@@ -599,7 +599,7 @@ def _words(problem: Formulation) -> dict[str, Any]:
         "discount": problem.discount,
         "cost_cap": problem.cost_cap,
         "what an episode is worth": re.sub(r" at 0x\w+", "", repr(problem.semantics)),
-        "the limits": [(one.name, one.lower, one.upper) for one in conditions_of(problem)],
+        "the limits": [(one.name, one.lower, one.upper) for one in problem.conditions],
     }
 
 

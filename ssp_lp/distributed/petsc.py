@@ -21,7 +21,7 @@ from ssp_lp.distributed.dynamics import PartitionedDynamics
 from ssp_lp.distributed.ranks import Ranks
 from ssp_lp.errors import ModelError
 from ssp_lp.options import Partition, SolveOptions
-from ssp_lp.problem import Problem, requirements
+from ssp_lp.problem import Problem
 from ssp_lp.solution import Solution
 
 
@@ -57,7 +57,7 @@ class Petsc:
         asked = ranks.comm.allgather(repr(problem))
         if len(set(asked)) > 1:
             raise ModelError(f"all ranks of PETSc must ask for the same, not {' and '.join(asked)}")
-        if requirements(problem).counts_totals:
+        if problem.requirements.counts_totals:
             return _solved_in_parts(problem, options)
         known: dict[int, tuple[object, PartitionedDynamics]] = {}
 

@@ -36,7 +36,7 @@ from ssp_lp.methods.rounding import (
 )
 from ssp_lp.methods.rows import prove_limits, solve_constrained
 from ssp_lp.policies.cost_aware import levels_of
-from ssp_lp.problem import Problem, Requirements, TotalScale, conditions_of, requirements
+from ssp_lp.problem import Problem, Requirements, TotalScale
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.solution import Solution
 
@@ -61,7 +61,7 @@ class Case:
     @cached_property
     def asks(self) -> Requirements:
         """Requirements of the case's problem, by which an approach answers it."""
-        return requirements(self.problem)
+        return self.problem.requirements
 
     @property
     def has_cheapest_way(self) -> bool:
@@ -122,8 +122,8 @@ def refusal(problem: Problem, method: options.Method) -> ModelError | None:
     pricing = getattr(relaxation, "pricing", None)
     if pricing is None and isinstance(method, options.ColumnGeneration | options.LinearProgramming):
         return None  # a budget of a share is not worked out for it
-    asks, named = requirements(problem), Argument("method", method.name)
-    name = f"{type(problem).__name__}{' with limits' if conditions_of(problem) else ''}"
+    asks, named = problem.requirements, Argument("method", method.name)
+    name = f"{type(problem).__name__}{' with limits' if problem.conditions else ''}"
     if pricing is not None:
         if is_shared(asks) and relaxation is method:
             return None
@@ -137,7 +137,7 @@ def refusal(problem: Problem, method: options.Method) -> ModelError | None:
         return None
     if asks.rows:
         return ModelError(named, f" knows one row only, not {name}: take 'columns' or 'lp'")
-    if asks.ratio and getattr(problem, "cost_cap", None) is not None:
+    if asks.ratio and problem.cost_cap is not None:
         return ModelError("the game chooses its own cap M: leave ", Argument("cost_cap"), " out")
     if method.tail is not None and not asks.ratio:
         return ModelError(f"a tail is for a cost given success, not {name}: leave it out")

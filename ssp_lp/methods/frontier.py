@@ -31,7 +31,7 @@ from ssp_lp.errors import (
 from ssp_lp.model.text_tables import html_table
 from ssp_lp.options import SolveOptions, Status
 from ssp_lp.policies import MixedPolicy
-from ssp_lp.problem import Problem, budget_of_share, check_numbers, pulled_back, requirements
+from ssp_lp.problem import Problem, budget_of_share, check_numbers, pulled_back
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_semantics import as_percentage
 
@@ -394,7 +394,7 @@ def traced_over_failure(problem: Problem, limits: TraceLimits) -> Frontier:
         InfeasibleError: case S, and the goal cannot be reached from the start.
         Stop: the time ended before there was a point.
     """
-    name, asked = type(problem).__name__, requirements(problem)
+    name, asked = type(problem).__name__, problem.requirements
     if asked.law:
         raise ModelError(f"{name} is no mean of costs to trace: trace S3P's")
     if asked.several_rows:

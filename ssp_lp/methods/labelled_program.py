@@ -15,7 +15,7 @@ from ssp_lp.column_generation.compiled_problem import CompiledExplicit
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.rows import rows_optimum, true_figures
 from ssp_lp.options import CERTIFYING
-from ssp_lp.problem import Problem, compiled_constrained, has_rows, requirements, unrolled
+from ssp_lp.problem import Problem, compiled_constrained
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_label import label_failure
 from ssp_lp.processes.failure_semantics import Aim
@@ -52,20 +52,20 @@ def program_of(
         ModelError: the criterion is no linear program (a quantile or a tail mean of the cost).
         InfeasibleError: the budget is below the least failure.
     """
-    if requirements(problem).is_risk:
+    if problem.requirements.is_risk:
         raise ModelError(
             f"{type(problem).__name__} is no linear program but a search over many: "
             "CostBoundedReach(...).program() is the one at a fixed cost"
         )
     problem = problem if start is None else replace(cast("Any", problem), start=start)
-    inner, horizon = unrolled(problem), getattr(problem, "horizon", None)
+    inner, horizon = problem.unrolled, problem.horizon
     stated, bounds = compiled_constrained(inner), bounds or {}
     side = tuple(replace(row, bound=bounds.get(row.name, row.bound)) for row in stated.side)
     budget = min(bounds[FAILURE_ROW], 1.0) if FAILURE_ROW in bounds else stated.budget
     compiled = replace(stated, budget=budget, side=side).settled()
     augmented: Augmented | None = None
     total = compiled.ratio and isinstance(compiled.charge, TotalCostCharge)
-    if total and compiled.budget is None and not has_rows(inner) and compiled.fixed_cap is None:
+    if total and compiled.budget is None and not inner.has_rows and compiled.fixed_cap is None:
         augmented = _cost_given_success(compiled)  # where no total has to be remembered
     elif compiled.charge is not None and (compiled.fixed_cap is None or compiled.resolution):
         compiled = rows_optimum(compiled, CERTIFYING, true_figures(inner, compiled)).compiled

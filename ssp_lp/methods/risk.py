@@ -76,7 +76,7 @@ from ssp_lp.model import SSP
 from ssp_lp.options import CERTIFYING, SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy
-from ssp_lp.problem import Problem, compiled_constrained, compiled_totals, requirements
+from ssp_lp.problem import Problem, compiled_constrained, compiled_totals
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 
@@ -129,7 +129,7 @@ def prove_risk(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
 
 
 def _risk_of(problem: Problem) -> CostQuantileOf | TailMeanOf:
-    """The measure of a problem of risk (``requirements(problem).is_risk``)."""
+    """The measure of a problem of risk (``problem.requirements.is_risk``)."""
     return cast("CostQuantileOf | TailMeanOf", problem.semantics.risk)
 
 
@@ -375,7 +375,7 @@ def question_of(problem: Problem) -> _Question:
     Raises:
         InfeasibleError: the budget is below the least failure, or the goal is out of reach.
     """
-    if not requirements(problem).several_rows:
+    if not problem.requirements.several_rows:
         return question_of_compiled(compiled_totals(problem), problem.failure_budget)
     compiled = compiled_constrained(problem).settled()
     budget, typical = compiled.budget, compiled.typical_cost

@@ -61,14 +61,7 @@ from ssp_lp.model.graph import dead_ends
 from ssp_lp.options import CERTIFYING, SolveOptions
 from ssp_lp.policies import CostAwarePolicy, DeterministicPolicy, MixedPolicy
 from ssp_lp.policies.policy import Policy
-from ssp_lp.problem import (
-    Problem,
-    Requirements,
-    Restated,
-    TotalScale,
-    compiled_constrained,
-    requirements,
-)
+from ssp_lp.problem import Problem, Requirements, Restated, TotalScale, compiled_constrained
 from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 
@@ -293,7 +286,7 @@ def is_split(problem: Problem, asked: Requirements, seconds: float = np.inf) -> 
     on_grid = asked.totals is TotalScale.GRID
     is_mean = asked.ratio and not (asked.law or asked.rows or asked.least_failure)
     is_timed = np.isfinite(seconds) and asked.totals is TotalScale.SUMS
-    if not (is_mean and (on_grid or is_timed)) or getattr(problem, "cost_cap", None) is not None:
+    if not (is_mean and (on_grid or is_timed)) or problem.cost_cap is not None:
         return False
     steps = step_costs(problem.model)[1]
     if len(steps) <= 1 or steps[-1] > _WIDEST * steps[1]:
@@ -337,7 +330,7 @@ def with_split_costs(model: SSP, unit: Fraction) -> SSP:
 
 def _levels_asked(problem: Problem) -> int | None:
     """Number of totals for rounding to tell apart; None: as many as there is room for."""
-    return cast("int | None", getattr(problem, "cost_levels", None))
+    return problem.cost_levels
 
 
 def _split_units(problem: Problem, *, finest: bool = False) -> Iterator[Fraction]:
@@ -406,7 +399,7 @@ def _solved_on_lattice(
     problem: Restated, options: SolveOptions, near: Near | None = None
 ) -> Solution:
     """Solution of a problem of rounded costs, exact but for the rounding."""
-    if not requirements(problem).is_risk:
+    if not problem.requirements.is_risk:
         solved = cheapest_at_least_failure if problem.failure_budget is None else best_within_budget
         return solved(problem, options)
     question = question_of_compiled(problem.compile(), problem.failure_budget)

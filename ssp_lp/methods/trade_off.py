@@ -55,17 +55,7 @@ from ssp_lp.model.arguments import explained
 from ssp_lp.model.text_tables import Reported
 from ssp_lp.options import SolveOptions, Status, deadline_of, progress_shown
 from ssp_lp.policies import MixedPolicy
-from ssp_lp.problem import (
-    Problem,
-    Restated,
-    check_problem,
-    compiled_constrained,
-    conditions_of,
-    has_rows,
-    pulled_back,
-    requirements,
-    unrolled,
-)
+from ssp_lp.problem import Problem, Restated, check_problem, compiled_constrained, pulled_back
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_semantics import AS_ASKED, Aim, ObjectiveSense
 
@@ -133,11 +123,11 @@ def trace_frontier(
     check_problem(problem, "trace_frontier")
     deadline = deadline_of(time_limit, time.perf_counter())
     limits = TraceLimits(gap, steepest_price, point_limit, deadline < np.inf, progress)
-    asked = _traceable(unrolled(problem), over, limits)
+    asked = _traceable(problem.unrolled, over, limits)
 
     def traced() -> Frontier:
         """The frontier, traced over failure alone or over any limit."""
-        if over == FAILURE_ROW and not has_rows(asked):
+        if over == FAILURE_ROW and not asked.has_rows:
             return traced_over_failure(asked, limits)
         return _Tracing(asked, [over], limits).traced()
 
@@ -194,7 +184,7 @@ def trace_surface(
         raise wrong_argument("over", "be several different limits", over)
     deadline = deadline_of(time_limit, time.perf_counter())
     limits = TraceLimits(gap, None, point_limit, deadline < np.inf, progress)
-    inner = unrolled(problem)
+    inner = problem.unrolled
     for name in over:
         inner = _traceable(inner, name, limits)
     surface, ended = _within_time(
@@ -234,21 +224,21 @@ def _traceable(problem: Problem, over: str, limits: TraceLimits) -> Problem:
     Raises:
         ModelError: it cannot: nothing of this name is limited from above, or no program says so.
     """
-    name, asked = type(problem).__name__, requirements(problem)
+    name, asked = type(problem).__name__, problem.requirements
     if over == FAILURE_ROW:
         if asked.aim is not Aim.LEAST_COST or problem.semantics.forbids_failing:
             raise ModelError(f"{name} has no failure budget to trace: trace MCMP's")
         if not asked.rows:
             return problem
     else:
-        names = [condition.name for condition in conditions_of(problem)]
+        names = [condition.name for condition in problem.conditions]
         if over not in names:
             known = ", ".join(map(repr, names)) or "none"
             raise ModelError(
                 Argument("over"), f" must be 'failure' or the name of a limit ({known}), not "
                 f"{over!r}{did_you_mean(over, names)}",
             )  # fmt: skip
-        if conditions_of(problem)[names.index(over)].lower is not None:
+        if problem.conditions[names.index(over)].lower is not None:
             raise ModelError(f"limit {over!r} bounds from below: state what is to be little, such "
                              "as 1 - end_probability(...) <= 0.1, to trace it")  # fmt: skip
     if asked.is_risk:
@@ -479,7 +469,7 @@ class _Tracing:
         """The least that can be spent of one of what is traced, the limits that are not, held."""
         problem, name = self.problem, self.over[number]
         semantics = replace(problem.semantics, aim=Aim.LEAST_COST, measure=None)
-        conditions, objective = conditions_of(problem), None
+        conditions, objective = problem.conditions, None
         held = tuple(each for each in conditions if each.name not in self.over)
         budget = 1.0 if FAILURE_ROW in self.over else problem.failure_budget
         if name == FAILURE_ROW:

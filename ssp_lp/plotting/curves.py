@@ -18,7 +18,7 @@ from ssp_lp.column_generation.column import FailureRow
 from ssp_lp.errors import ModelError, SolverError, in_short, optional_module
 from ssp_lp.methods.frontier import Frontier
 from ssp_lp.model.arguments import explained
-from ssp_lp.problem import Problem, requirements
+from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import Aim
 
 if TYPE_CHECKING:
@@ -287,7 +287,7 @@ def _draw_bound(ax: Axes, seconds: FloatArray, values: FloatArray, look: _Look, 
 def _proved_bounds(record: BoundsRecord, problem: Problem) -> FloatArray:
     """Lower bounds to be plotted, proved by reports' prices; -inf: unknown, [reports]."""
     budget, semantics = problem.failure_budget, problem.semantics
-    if budget is None or requirements(problem).several_rows or semantics.aim is not Aim.LEAST_COST:
+    if budget is None or problem.requirements.several_rows or semantics.aim is not Aim.LEAST_COST:
         return np.full(len(record.prices), -np.inf)
     pricing, row = problem.compile().for_program().pricing(), FailureRow(budget, problem.ratio)
     best, proved = replace(pricing.first(), totals=None), []  # else its own values are taken

@@ -45,7 +45,7 @@ from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import Graph
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import UNDECIDED
-from ssp_lp.problem import Problem, as_stated, conditions_of, objective_of, requirements
+from ssp_lp.problem import Problem, as_stated
 from ssp_lp.processes.conditions import Condition, StepTerm
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, GiveUp
 from ssp_lp.solution import Solution, as_solved
@@ -255,8 +255,8 @@ def _check_covered(problem: Problem) -> None:
     Raises:
         ModelError: the criterion, and what of it is not covered.
     """
-    asks, name = requirements(problem), type(problem).__name__
-    if problem.discount is not None and getattr(problem, "reach_fraction", None) is not None:
+    asks, name = problem.requirements, type(problem).__name__
+    if problem.discount is not None and problem.reach_fraction is not None:
         shares = Argument("reach_fraction"), " and ", Argument("discount")
         raise ModelError(f"no certificate of {name} with ", *shares)
     charge = problem.semantics.charge(problem.ratio)
@@ -306,22 +306,22 @@ class Statement:
     def _question(self) -> dict[str, Any]:
         """The question of a certificate file, in the checker's terms."""
         problem, semantics = self.problem, self.problem.semantics
-        objective, to_goal = objective_of(problem), [["1", "end", "goal"]]
+        objective, to_goal = problem.objective_condition, [["1", "end", "goal"]]
         charge = semantics.charge(problem.ratio) if objective is None else None
         penalty = 0.0 if semantics.forbids_failing else semantics.penalty
         least: dict[str, Any] = {"constant": _decimal_of(penalty), "terms": [["1", "cost", 0]]}
         if penalty > 0.0:
             least["terms"] += [[f"-{_decimal_of(penalty)}", "end", "goal"]]
         if objective is not None:
-            least = self._quantity(objective, getattr(problem, "quantity", None))
+            least = self._quantity(objective, problem.quantity)
         elif charge is not None:
             worth = semantics.failing_worth if semantics.maximises else 0.0
             least = {"constant": _decimal_of(worth), "terms": []}
         elif semantics.aim is not Aim.LEAST_COST:
             least = {"constant": "0", "terms": to_goal}
         rows = []
-        stated = {**getattr(problem, "own_constraints", {}), **getattr(problem, "constraints", {})}
-        for condition in conditions_of(problem):
+        stated = {**problem.own_constraints, **problem.constraints}
+        for condition in problem.conditions:
             quantity = getattr(stated.get(condition.name), "quantity", None)
             row = {"quantity": self._quantity(condition, quantity)}
             for upper in condition.rows:
@@ -365,7 +365,7 @@ class Statement:
 
     def _failure(self) -> Any:
         """Allowed failure in a certificate file's question."""
-        problem, share = self.problem, getattr(self.problem, "reach_fraction", None)
+        problem, share = self.problem, self.problem.reach_fraction
         if problem.semantics.forbids_failing:
             return "0"
         if share is not None:
@@ -682,7 +682,7 @@ class _Arriving(Formulation):
 def _charging(solution: Solution, charge: ExpectedArrivalCost) -> Solution:
     """Solution of a certificate's problem with another cost of arriving."""
     problem = solution.problem
-    limits = getattr(problem, "constraints", {})
+    limits = problem.constraints
     asked = (problem.model, problem.start, charge, problem.failure_budget)
     return solve(_Arriving(*asked, constraints=limits))
 

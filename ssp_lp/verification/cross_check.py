@@ -26,7 +26,7 @@ from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import attention_states, end_components, hopeless_states
 from ssp_lp.model.text_tables import Summarised, text_table
 from ssp_lp.options import LinearProgramming, parse_method, progress_shown
-from ssp_lp.problem import Problem, check_problem, requirements, unrolled
+from ssp_lp.problem import Problem, check_problem
 from ssp_lp.processes.failure_semantics import dead_end_charges, give_up_charges
 from ssp_lp.processes.live_rows import costless_pairs
 from ssp_lp.solution import Solution
@@ -301,7 +301,7 @@ def cross_check(
     check_problem(problem, "cross_check")
     check_between_0_and_1("tolerance", tolerance)
     check_between_0_and_1("weight_tolerance", weight_tolerance)
-    asks = requirements(problem)
+    asks = problem.requirements
     if asks.law:
         raise ModelError(
             f"the game knows costs only, not {type(problem).__name__}: method='lp' compares the "
@@ -445,7 +445,7 @@ def second_reading(problem: Problem) -> SecondReading | None:
     Raises:
         ModelError: a criterion that certificates in files do not cover.
     """
-    problem = unrolled(problem)
+    problem = problem.unrolled
     model, semantics = problem.model, problem.semantics
     if model.n_outcomes > MOST_OUTCOMES:
         return None
