@@ -81,7 +81,7 @@ class CriteriaComparison(Summarised):
         for row in self.rows:
             if row.criterion == criterion:
                 return row
-        nearest = did_you_mean(criterion, [row.criterion for row in self.rows])
+        nearest = did_you_mean(criterion, [row.criterion for row in self.rows], "there are")
         raise KeyError(f"{criterion!r} is no row{nearest}")
 
     def __repr__(self) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sized
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sized
 from difflib import get_close_matches
 from fractions import Fraction
 from importlib import import_module
@@ -17,6 +17,7 @@ import numpy as np
 
 _LONGEST = 60  # characters of a value in an error
 _LISTED = 4  # entries of a table there
+_NAMED = 8  # names there, where none is near
 _DIGITS = 1_024 // 3  # of a number in an error: of the greatest float, some more
 _MOST_COUNTED = 2**63 - 1
 _LOOKED_AT = 20_000  # names that are compared: more would take longer than a hint is worth
@@ -41,6 +42,8 @@ class SSPError(Exception):
 
     Its message is given in parts where it names an :class:`Argument`.
     """
+
+    is_of_argument = False  # of a wrong type: whoever passed it on names its own argument instead
 
     def __str__(self) -> str:
         """The message, arguments as Python code has them."""
@@ -207,8 +210,8 @@ def in_short(value: Any) -> str:
     return text if len(text) <= _LONGEST or value is None else f"{text[: _LONGEST - 3]}..."
 
 
-def did_you_mean(unknown: Hashable, names: Iterable[Hashable]) -> str:
-    """A clause for the end of an error: "; did you mean 'depot'?", or nothing.
+def nearest_name(unknown: Hashable, names: Iterable[Hashable]) -> Hashable | None:
+    """Return the name that is probably meant by an unknown one, None if there is none.
 
     A name that reads the same counts as nearest, such as 3 for '3' or (1, 2) for [1, 2].
     """
@@ -219,7 +222,23 @@ def did_you_mean(unknown: Hashable, names: Iterable[Hashable]) -> str:
         words = {name.casefold(): name for name in some if isinstance(name, str)}
         near = get_close_matches(unknown.casefold(), words, n=1)
         meant = words[near[0]] if near else None
-    return "" if meant is None else f"; did you mean {meant!r}?"
+    return meant
+
+
+def did_you_mean(unknown: Hashable, names: Iterable[Hashable], listed: str = "") -> str:
+    """Return a clause for the end of an error: "; did you mean 'depot'?", or nothing.
+
+    Args:
+        unknown: the name that was given.
+        names: the names that there are.
+        listed: where no name is near, list the first names after these words, such as "it has".
+    """
+    some = names if isinstance(names, Collection) else list(names)
+    if (meant := nearest_name(unknown, some)) is not None:
+        return f"; did you mean {meant!r}?"
+    more = f", ... ({len(some):,})" if len(some) > _NAMED else ""
+    first = ", ".join(map(repr, islice(some, _NAMED))) or "none"
+    return f"; {listed} {first}{more}" if listed else ""
 
 
 def _as_read_for_error(name: Hashable) -> str:

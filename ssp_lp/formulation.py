@@ -12,6 +12,7 @@ import logging
 from collections.abc import Hashable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cached_property
+from inspect import signature
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -39,7 +40,7 @@ from ssp_lp.errors import (
     wrong_argument as wrong_argument,
 )
 from ssp_lp.model import SSP as SSP
-from ssp_lp.model.arguments import check_keywords
+from ssp_lp.model.arguments import check_call
 from ssp_lp.model.graph import (
     attention_labels as attention_labels,
     dead_end_labels as dead_end_labels,
@@ -138,8 +139,6 @@ class Formulation(_Inherited):
         Raises:
             ModelError: it is no model, or an argument by a name that there is not.
         """
-        ordered = sorted(fields(cls), key=lambda part: part.kw_only is True)
-        check_keywords(cls.__name__, [part.name for part in ordered if part.init], named)
         if arguments and not isinstance(arguments[0], SSP):
             first = next(part.name for part in fields(cls) if not part.kw_only)
             given = in_short(arguments[0])
@@ -148,7 +147,12 @@ class Formulation(_Inherited):
                 has = f"; it has {' and '.join(parts)}: pass them" if parts else ""
                 takes = f"{cls.__name__} takes an SSP first, then the start"
                 raise ModelError(f"{takes}, not {given}{has}")
+        check_call(cls.__name__, signature(cls.__init__), (None, *arguments), named)
         return super().__new__(cls)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled by what it holds: it is stated, and checked, once."""
+        return object.__new__, (type(self),), vars(self)
 
     def __init_subclass__(cls) -> None:
         """Every criterion keeps the repr that it inherits, which ``dataclass`` would replace."""

@@ -57,7 +57,9 @@ class Estimate(NamedTuple):
     standard_error: float | None = None  # of a mean cost
 
     def __str__(self) -> str:
-        """The mean, its standard error and the interval."""
+        """The mean, its standard error and the interval; or that no episode reached the goal."""
+        if self.value != self.value:
+            return "unknown: no episode reached the goal"
         error = "" if self.standard_error is None else f" ± {self.standard_error:.2g}"
         return f"{self.value:.4g}{error} [{self.low:.4g}, {self.high:.4g}]"
 

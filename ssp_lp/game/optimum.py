@@ -29,6 +29,7 @@ from ssp_lp.game.best_response import BestResponse, Player, check_alpha
 from ssp_lp.game.cost_player import BayesCostPlayer, CappedCostPlayer, CostPlayer
 from ssp_lp.game.label_player import BayesLabelPlayer, LabelModels, LabelPlayer, label_models
 from ssp_lp.game.threshold import Threshold, extremes, find_threshold
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import dead_ends
 from ssp_lp.options import Progress, check_tail
 from ssp_lp.policies import MixedPolicy
@@ -239,6 +240,7 @@ _Surplus = CostPlayer | CappedCostPlayer | BayesCostPlayer
 """The players of case S."""
 
 
+@explained
 def stationary_player(
     problem: Problem, tail: float | None = None
 ) -> LabelPlayer | CostPlayer | CappedCostPlayer:
@@ -266,6 +268,7 @@ def tail_of(player: Player) -> float | None:
     return player.cap if isinstance(player, CappedCostPlayer) else None
 
 
+@explained
 def stationary_game(
     problem: Problem,
     *,
@@ -311,6 +314,7 @@ def value_function(solution: GameSolution) -> FloatArray:
     return np.broadcast_to(np.inf, player.value_shape(members))
 
 
+@explained
 def thresholds(
     problem: Problem,
     budgets: Iterable[float],
@@ -346,6 +350,7 @@ def thresholds(
     return curve
 
 
+@explained
 def bayes_player(problem: Problem) -> BayesLabelPlayer | BayesCostPlayer:
     """Player of the Bayes-adaptive game for the optimum: operator T of section 3.3.
 
@@ -357,6 +362,7 @@ def bayes_player(problem: Problem) -> BayesLabelPlayer | BayesCostPlayer:
     return BayesLabelPlayer(built) if isinstance(built, LabelModels) else BayesCostPlayer(built)
 
 
+@explained
 def bayes_adaptive(
     problem: Problem, *, tolerance: float = 1e-7, progress: Progress | None = None
 ) -> GameSolution:

@@ -4,20 +4,29 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from fractions import Fraction
 from functools import wraps
-from inspect import signature
+from inspect import Parameter, Signature, signature
 from itertools import islice, repeat
 from numbers import Integral
 from os import PathLike
 from types import NoneType, SimpleNamespace, UnionType
-from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import (
+    Any,
+    Literal,
+    ParamSpec,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.errors import ModelError, SSPError, check_flag, did_you_mean, in_short, is_number
+from ssp_lp.errors import ModelError, SSPError, check_flag, in_short, is_number, nearest_name
 
 _Given = ParamSpec("_Given")
 _Answer = TypeVar("_Answer")
@@ -82,32 +91,40 @@ def explained(public: Callable[_Given, _Answer]) -> Callable[_Given, _Answer]:
     """
     form = signature(public)
     flags = [name for name, hint in public.__annotations__.items() if hint == "bool"]
+    placed = [part.name for part in form.parameters.values() if part.kind < part.VAR_POSITIONAL]
 
     @wraps(public)
     def call(*given: _Given.args, **named: _Given.kwargs) -> _Answer:
         """The function, once its flags have been checked."""
-        stated = dict(zip(form.parameters, given, strict=False)) | named if flags else {}
+        stated = dict(zip(placed, given, strict=False)) | named if flags else {}
         for flag in flags:
             check_flag(flag, stated.get(flag, False))
         try:
             return public(*given, **named)
-        except SSPError:
-            raise
-        except (TypeError, AttributeError, LookupError, ValueError, OverflowError) as error:
-            fault, name = None, _name_of(public)
-            check_keywords(name, form.parameters, named)
-            with suppress(TypeError):  # an argument is missing, or one too many
-                fault = _misfit_among(public, form.bind(*given, **named).arguments)
+        except (SSPError, *_BARE) as error:
+            if isinstance(error, SSPError) and not error.is_of_argument:
+                raise
+            name = _name_of(public, given[0] if placed[:1] == ["self"] else None)
+            check_call(name, form, given, named)
+            fault = _misfit_among(public, form.bind(*given, **named).arguments)
             if fault is None:
                 raise
-            raise ModelError(f"{name}: {fault}") from error
+            told = ModelError(f"{name}: {fault}")
+            told.is_of_argument = True
+            raise told from error
 
     return call
 
 
-def _name_of(public: Callable[..., Any]) -> str:
-    """Name of a function as a person who gives it arguments knows it."""
-    return public.__qualname__.removesuffix(".__init__").replace(".<locals>", "")
+_BARE = (TypeError, AttributeError, LookupError, ValueError, OverflowError)
+"""Errors that an argument of a wrong type may lead to."""
+
+
+def _name_of(public: Callable[..., Any], of: object) -> str:
+    """Name of a function as a person who gives it arguments knows it, a method's object given."""
+    name = public.__qualname__.replace(".<locals>", "")
+    name = name if of is None else f"{type(of).__name__}.{public.__name__}"
+    return name.removesuffix(".__init__")
 
 
 _MEANT = {
@@ -132,27 +149,52 @@ _MEANT = {
 """Names of arguments, and the words that other libraries and people have for them."""
 
 
-def check_keywords(name: str, known: Collection[str], given: Iterable[str]) -> None:
-    """Check that a function has the arguments that are given by name.
+def meant_argument(word: str, own: Collection[str]) -> str | None:
+    """Return the argument of a function that is probably meant by an unknown one; None: none is."""
+    meant = next((one for one in own if word in _MEANT.get(one, "").split()), None)
+    return cast("str | None", nearest_name(word, own)) if meant is None else meant
+
+
+def check_call(name: str, form: Signature, given: Sequence[object], named: Collection[str]) -> None:
+    """Check that a function is given arguments that it has, each once, and all that it needs.
 
     Args:
         name: of the function.
-        known: names of its arguments.
-        given: names that a call uses.
+        form: its signature.
+        given: arguments by their places, ``self`` among them where the signature has it.
+        named: names of the other arguments.
 
     Raises:
-        ModelError: there is no argument of one of the names; the message says which was meant.
+        ModelError: naming the argument, and the one that was meant or how to write the call.
     """
-    for word in given:
-        if word in known:
-            continue
-        own = [one for one in known if one not in ("self", "cls")]
-        meant = next((one for one in own if word in _MEANT.get(one, "").split()), None)
-        listed = f"; its arguments: {', '.join(own)}"
-        nearest = (
-            did_you_mean(word, own) or listed if meant is None else f"; did you mean {meant!r}?"
-        )
-        raise ModelError(f"{name} has no argument {word!r}{nearest}")
+    parts = form.parameters.values()
+    own = [part.name for part in parts if part.name not in ("self", "cls")]
+    kinds = {part.kind for part in parts}
+    for word in () if Parameter.VAR_KEYWORD in kinds else named:
+        if word not in own:
+            meant = meant_argument(word, own)
+            listed = f"; its arguments: {', '.join(own)}"
+            nearest = listed if meant is None else f"; did you mean {meant!r}?"
+            raise ModelError(f"{name} has no argument {word!r}{nearest}")
+    placed = [part for part in parts if part.kind < Parameter.VAR_POSITIONAL]
+    if len(given) > len(placed) and Parameter.VAR_POSITIONAL not in kinds:
+        others = ", ".join(f"{part.name}=..." for part in parts if part not in placed)
+        hint = f"; give others by name: {others}" if others else ""
+        taken = ", ".join(part.name for part in placed if part.name in own)
+        raise ModelError(f"{name} takes ({taken}) by place{hint}")
+    for part in placed[: len(given)]:
+        if part.name in named:
+            raise ModelError(f"{name} is given {part.name!r} twice, by place and by name")
+    needed = [p for p in parts if p.default is p.empty and p.kind not in _REST and p.name in own]
+    reached = {part.name for part in placed[: len(given)]}
+    if missing := [part.name for part in needed if part.name not in reached.union(named)]:
+        written = ", ".join(f"{p.name}=..." if p.kind is p.KEYWORD_ONLY else p.name for p in needed)
+        listed = ", ".join(map(repr, missing))
+        raise ModelError(f"{name} needs {listed}: write {name}({written})")
+
+
+_REST = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
+"""Parameters that take what is left, and need nothing."""
 
 
 def explained_class(made: type[_Made]) -> type[_Made]:

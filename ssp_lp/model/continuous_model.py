@@ -20,7 +20,7 @@ from ssp_lp.arrays import (
     read_only,
 )
 from ssp_lp.errors import ModelError, in_short
-from ssp_lp.model.arguments import check_fields, explained
+from ssp_lp.model.arguments import check_fields, explained, explained_class
 from ssp_lp.model.ssp import SSP
 
 ON_EDGE: Final = 1e-9
@@ -37,6 +37,7 @@ Coordinates = tuple[FloatArray, ...]
 """One array for each axis; they broadcast against each other."""
 
 
+@explained_class
 @dataclass(frozen=True)
 class Axis:
     """One coordinate: the interval from low to high in equal cells, numbered upwards from 0.
@@ -203,6 +204,7 @@ class Grid:
         )
 
 
+@explained_class
 @dataclass(frozen=True, eq=False, repr=False)
 class Distribution(ReadOnlyCopies):
     """A random number, given by its quantile function; drawn independently of all others.
@@ -282,6 +284,7 @@ Alike = Callable[[tuple[IntArray, ...], IntArray], IntArray]
 Allowed = Callable[[Coordinates, Any], npt.ArrayLike]
 
 
+@explained_class
 @dataclass(frozen=True, eq=False, repr=False)
 class ContinuousModel:
     """Continuous coordinates, a step function, and the grid on which policies see the world.
@@ -499,6 +502,7 @@ def _shaped_answer(answer: npt.ArrayLike, shape: tuple[int, ...], what: str) -> 
     return array
 
 
+@explained_class
 @dataclass(frozen=True, eq=False)
 class WorldSimulator:
     """The world itself, many episodes at a time: ``simulate(..., simulator=WorldSimulator(...))``.

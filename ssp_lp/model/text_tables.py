@@ -17,9 +17,7 @@ class ByName(dict[str, _Value]):
 
     def __missing__(self, name: object) -> _Value:
         """Raise :class:`KeyError`."""
-        names = ", ".join(map(repr, self)) or "none"
-        nearest = did_you_mean(name, self) or f"; there are {names}"
-        raise KeyError(f"{name!r} is no name here{nearest}")
+        raise KeyError(f"{name!r} is no name here{did_you_mean(name, self, 'there are')}")
 
 
 def text_table(rows: Iterable[Sequence[str]], left: int = 1) -> list[str]:

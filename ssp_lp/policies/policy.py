@@ -120,6 +120,7 @@ class Playable(ReadOnlyCopies, ABC):
         True
     """
 
+    @explained
     def start(self, seed: Randomness | None = None, *, world: World = "model") -> Episode:
         """A new episode of the policy, beside any others; ``seed`` draws the lottery and actions.
 
@@ -203,6 +204,7 @@ class Playable(ReadOnlyCopies, ABC):
         except ModelError:
             return None
 
+    @explained
     def action(self, state: Hashable) -> Hashable:
         """The policy's action in a state: :data:`GIVE_UP` where it gives up, None where it is over.
 
@@ -581,6 +583,7 @@ class Episode:
         self._alone = alone
         self._staying: IntArray | None = None  # [states], once it goes on after giving up
 
+    @explained
     def action(self, state: Hashable) -> Hashable:
         """The policy's action in this state; :data:`GIVE_UP` or None once the episode is over.
 

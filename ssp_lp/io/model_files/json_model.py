@@ -179,7 +179,9 @@ def _stated_model(
     for name in goals:
         if name not in transitions and name not in met:
             names = [*transitions, *(to for to in met if to not in transitions)]
-            raise ModelError(f"the goal {name!r} does not occur{did_you_mean(name, names)}")
+            raise ModelError(
+                f"the goal {name!r} does not occur{did_you_mean(name, names, 'the states:')}"
+            )
     model = SSP.from_transitions(
         transitions,
         goals,
@@ -208,7 +210,8 @@ def _json_outcome(
         counted.add(_counted_cost(where, named, cost))
         paid = {name: _json_number(value) for name, value in named.items()}
     elif cost not in (None, FIRST_COST):
-        raise ModelError(f"{where}: the cost has no name, there is none called {cost!r}")
+        told = f"{where}: the costs of this model have no names, none is {cost!r}: leave out "
+        raise ModelError(told, Argument("cost"))
     return _json_number(chance), str(successor), _json_number(paid)
 
 
