@@ -34,13 +34,13 @@ from ssp_lp.column_generation.compiled_problem import (
 from ssp_lp.errors import (
     InfeasibleError as InfeasibleError,
     ModelError as ModelError,
+    check_call,
     check_whole,
     in_short,
     is_number,
     wrong_argument as wrong_argument,
 )
 from ssp_lp.model import SSP as SSP
-from ssp_lp.model.arguments import check_call
 from ssp_lp.model.graph import (
     attention_labels as attention_labels,
     dead_end_labels as dead_end_labels,

@@ -235,7 +235,7 @@ class _OneLineParser(ArgumentParser):
 
 def _flag_meant(word: str, flags: Sequence[str]) -> str:
     """For an error: a clause for the command-line argument that is meant by an unknown one."""
-    from ssp_lp.model.arguments import meant_argument
+    from ssp_lp.errors import meant_argument
 
     names = {flag.lstrip("-").replace("-", "_"): flag for flag in flags}
     meant = meant_argument(word.lstrip("-").replace("-", "_"), names)

@@ -258,9 +258,7 @@ def _cost_of_another_kind(word: str, of: _CommandModel) -> Any:
     except ModelError as error:
         names = [*_PLAIN, *(f"{name}(...)" for name in _OF_STATES), *of.model.named_costs]
         nearest = did_you_mean(word, names, "quantities are")
-        raise ModelError(
-            f"{option('limit')}: {word!r} is no quantity of this model{nearest}"
-        ) from error
+        raise ModelError(f"{word!r} is no quantity of this model{nearest}") from error
 
 
 def _problem_number(word: str, whole: str) -> float:

@@ -733,6 +733,9 @@ class _Player:
         return int(member.remember(memory, pair, state, cost)[0])
 
 
+_SEEN = "observed in the environment, of which the policy's model may not be"
+
+
 def _play_episode(env: gymnasium.Env[Any, Any], player: _Player, most: int) -> _Episode:
     """Play an episode of at most so many steps in the Gymnasium environment.
 
@@ -742,7 +745,7 @@ def _play_episode(env: gymnasium.Env[Any, Any], player: _Player, most: int) -> _
     model, over, lottery = player.model, player.over, player.lottery
     member = lottery.policies[int(player.rng.choice(len(lottery.policies), p=lottery.weights))]
     shown, cost, steps = model.seen(env, env.reset()[0]), 0.0, 0
-    state, ended = model.index_of(model.label(shown, False)), player.ended(member)
+    state, ended = model.index_of(model.label(shown, False), _SEEN), player.ended(member)
     memory, failed = 0 if ended[state] else int(member.start_memory(np.array([state]))[0]), ""
     while not ended[state]:
         pair, kept = player.decide(member, state, memory)
@@ -754,7 +757,7 @@ def _play_episode(env: gymnasium.Env[Any, Any], player: _Player, most: int) -> _
         action, before = model.action_of(pair), shown
         seen, reward, terminated, truncated, _ = env.step(action)
         shown = model.seen(env, seen)
-        state = model.index_of(model.label(shown, bool(terminated)))
+        state = model.index_of(model.label(shown, bool(terminated)), _SEEN)
         model.check_step(pair, state)
         if terminated and not over[state]:
             raise ModelError(

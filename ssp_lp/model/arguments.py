@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from functools import wraps
-from inspect import Parameter, Signature, signature
+from inspect import signature
 from itertools import islice, repeat
 from numbers import Integral
 from os import PathLike
@@ -17,7 +17,6 @@ from typing import (
     ParamSpec,
     TypeVar,
     Union,
-    cast,
     get_args,
     get_origin,
     get_type_hints,
@@ -26,7 +25,7 @@ from typing import (
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.errors import ModelError, SSPError, check_flag, in_short, is_number, nearest_name
+from ssp_lp.errors import ModelError, SSPError, check_call, check_flag, in_short, is_number
 
 _Given = ParamSpec("_Given")
 _Answer = TypeVar("_Answer")
@@ -56,6 +55,15 @@ _WORDS: dict[Any, tuple[str, str]] = {
     _Numbers: ("numbers", "numbers"),
 }
 """What a type is called, and several of it."""
+
+_MADE_BY = {
+    "Frontier": "trace_frontier(problem)",
+    "CostLaw": "success_costs(policy, problem)",
+    "Solution": "solve(problem)",
+    "GymnasiumWorld": "from_gymnasium(env)",
+    "OccupationMeasure": "problem.program().solve()",
+}
+"""What makes an object of a class of answers."""
 
 _FITS: dict[Any, Callable[[Any], bool]] = {
     Any: lambda value: True,
@@ -127,76 +135,6 @@ def _name_of(public: Callable[..., Any], of: object) -> str:
     return name.removesuffix(".__init__")
 
 
-_MEANT = {
-    "failure_budget": "budget epsilon eps risk risk_budget delta max_failure failure_probability",
-    "discount": "gamma discount_factor",
-    "start": "initial_state initial init s0 x0 start_state",
-    "constraints": "limits constraint limit rows",
-    "method": "solver algorithm backend",
-    "time_limit": "timeout max_time seconds",
-    "tolerance": "tol eps gap rtol",
-    "cost": "reward rewards costs",
-    "costs": "reward rewards cost",
-    "goal": "goals goal_states target targets terminal",
-    "dead_ends": "dead_end deadends traps failures",
-    "state_labels": "labels label",
-    "seed": "rng random_state",
-    "episodes": "n runs n_episodes num_episodes samples",
-    "max_steps": "horizon steps n_steps",
-    "horizon": "steps max_steps n_steps",
-    "verbose": "verbosity log",
-}
-"""Names of arguments, and the words that other libraries and people have for them."""
-
-
-def meant_argument(word: str, own: Collection[str]) -> str | None:
-    """Return the argument of a function that is probably meant by an unknown one; None: none is."""
-    meant = next((one for one in own if word in _MEANT.get(one, "").split()), None)
-    return cast("str | None", nearest_name(word, own)) if meant is None else meant
-
-
-def check_call(name: str, form: Signature, given: Sequence[object], named: Collection[str]) -> None:
-    """Check that a function is given arguments that it has, each once, and all that it needs.
-
-    Args:
-        name: of the function.
-        form: its signature.
-        given: arguments by their places, ``self`` among them where the signature has it.
-        named: names of the other arguments.
-
-    Raises:
-        ModelError: naming the argument, and the one that was meant or how to write the call.
-    """
-    parts = form.parameters.values()
-    own = [part.name for part in parts if part.name not in ("self", "cls")]
-    kinds = {part.kind for part in parts}
-    for word in () if Parameter.VAR_KEYWORD in kinds else named:
-        if word not in own:
-            meant = meant_argument(word, own)
-            listed = f"; its arguments: {', '.join(own)}"
-            nearest = listed if meant is None else f"; did you mean {meant!r}?"
-            raise ModelError(f"{name} has no argument {word!r}{nearest}")
-    placed = [part for part in parts if part.kind < Parameter.VAR_POSITIONAL]
-    if len(given) > len(placed) and Parameter.VAR_POSITIONAL not in kinds:
-        others = ", ".join(f"{part.name}=..." for part in parts if part not in placed)
-        hint = f"; give others by name: {others}" if others else ""
-        taken = ", ".join(part.name for part in placed if part.name in own)
-        raise ModelError(f"{name} takes ({taken}) by place{hint}")
-    for part in placed[: len(given)]:
-        if part.name in named:
-            raise ModelError(f"{name} is given {part.name!r} twice, by place and by name")
-    needed = [p for p in parts if p.default is p.empty and p.kind not in _REST and p.name in own]
-    reached = {part.name for part in placed[: len(given)]}
-    if missing := [part.name for part in needed if part.name not in reached.union(named)]:
-        written = ", ".join(f"{p.name}=..." if p.kind is p.KEYWORD_ONLY else p.name for p in needed)
-        listed = ", ".join(map(repr, missing))
-        raise ModelError(f"{name} needs {listed}: write {name}({written})")
-
-
-_REST = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
-"""Parameters that take what is left, and need nothing."""
-
-
 def explained_class(made: type[_Made]) -> type[_Made]:
     """Wrap a class so that its constructor names an argument of a wrong type."""
     made.__init__ = explained(made.__init__)  # type: ignore[method-assign]
@@ -237,7 +175,9 @@ def _misfit(place: str, value: Any, hint: Any) -> str | None:
     if not _fits(value, kind, parts):
         own = (name for name in ("policy", "model", "problem") if hasattr(value, name))
         fit = (name for name in own if kind not in _WORDS and _fits(getattr(value, name), kind))
-        return wrong + next((f"; it has one: .{name}" for name in fit), "")
+        made = _MADE_BY.get(getattr(kind, "__name__", ""))
+        default = f"; {made} makes one" if made else ""
+        return wrong + next((f"; it has one: .{name}" for name in fit), default)
 
     # what a table, a tuple or a list holds
     is_table = isinstance(value, Mapping)

@@ -109,7 +109,8 @@ class ProductSSP(SSP):
             (state, self.memory.start): float(share) for state, share in shares.items()
         }
         for label in distribution:
-            self.index_of(label)
+            self.original.index_of(label[0], "start")
+            self.index_of(label, "start")
         return distribution
 
     @cached_property

@@ -278,6 +278,10 @@ class SSP(Graph, ReadOnlyCopies):
         """
         if isinstance(table, (str, PathLike)):
             raise ModelError(f"the table is a path: SSP.from_csv({str(table)!r}, ...) reads it")
+        if isinstance(table, Sequence):
+            raise ModelError(
+                "the table is a list: give its columns, {'state': [...], ...}, or a frame"
+            )
         costs = [cost] if isinstance(cost, str) else list(cost)
         before, after, acts, chances, *paid = (
             _column(table, names) for names in (state, successor, action, probability, *costs)

@@ -360,7 +360,9 @@ def check_failure_setting(
     budgets = {"failure_budget": failure_budget, "reach_fraction": reach_fraction}
     for name, value in {**budgets, "discount": discount}.items():
         if value is not None and (isinstance(value, bool) or not isinstance(value, Real)):
-            raise wrong_argument(name, "be a number or None", value)
+            is_list = isinstance(value, (list, tuple, np.ndarray))
+            hint = "; sweep(criterion, ...) states a problem for each of several" if is_list else ""
+            raise wrong_argument(name, "be a number or None", value, hint)
     if reach_fraction is not None and failure_budget is not None:
         either = Argument("failure_budget"), " or ", Argument("reach_fraction")
         raise ModelError("give ", *either, ", not both: each says the other")

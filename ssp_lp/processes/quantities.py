@@ -25,7 +25,7 @@ from ssp_lp.accumulated_cost.charges import ExpectedArrivalCost
 from ssp_lp.arrays import BoolArray, FloatArray, read_only
 from ssp_lp.errors import ModelError, did_you_mean, in_short, is_number, nearest_name
 from ssp_lp.model import SSP
-from ssp_lp.model.arguments import explained
+from ssp_lp.model.arguments import explained, explained_class
 from ssp_lp.model.graph import end_marks
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.processes.conditions import OBJECTIVE, RESERVED, ArrivalTerm, Condition, StepTerm, Term
@@ -349,6 +349,7 @@ def cvxpy_hint(value: object) -> str:
     return _WITH_CVXPY if hasattr(value, "is_dcp") else ""
 
 
+@explained_class
 @dataclass(frozen=True, eq=False)
 class CostLimit:
     """An upper bound on the expected total of a secondary cost: ``secondary_cost(cost) <= bound``.

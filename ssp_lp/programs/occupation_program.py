@@ -139,6 +139,7 @@ class OccupationProgram:
             return make(then)
         return self.with_rows(lambda row: replace(row, bound=then[row.name]))
 
+    @explained
     def with_rows(self, changed: Callable[[ProgramRow], ProgramRow | None]) -> OccupationProgram:
         """The occupation program with each row changed, or without it where it becomes None."""
         inner = self.reduced and replace(
