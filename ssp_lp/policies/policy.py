@@ -106,6 +106,11 @@ class CostLayers:
         return len(self.decision)
 
 
+_EVERYWHERE = (
+    "(runs need not come to all of these: solution.policy_table() lists those that they come to)"
+)
+
+
 class Playable(ReadOnlyCopies, ABC):
     """Mix-in of the policies that a person's own loop can drive: they start episodes.
 
@@ -176,7 +181,7 @@ class Playable(ReadOnlyCopies, ABC):
             Member(weight, member.remembers, dict(member.memories()), member.decisions)
             for weight, member in self.weighted
         )
-        return PolicyTable(self.weighted[0][1].model, members, GIVE_UP)
+        return PolicyTable(self.weighted[0][1].model, members, GIVE_UP, _EVERYWHERE)
 
     def to_frame(self) -> Any:
         """The policy's table as a pandas ``DataFrame``.
