@@ -145,7 +145,7 @@ def greatest_total(model: SSP, steps: int, pairs: BoolArray | None = None) -> tu
     return min(dearest, repeated + float(total.max())), repeated > 0.0
 
 
-def _pairs_taken(policy: MixedPolicy, model: SSP) -> BoolArray | None:
+def pairs_taken(policy: MixedPolicy, model: SSP) -> BoolArray | None:
     """Pairs that a simulated policy takes somewhere, [pairs]; None: that is not known."""
     if (table := policy._known_table()) is None:
         return None
@@ -357,7 +357,7 @@ def simulate(
         played = _simulate_episodes(played_by, solved, simulator, episodes, source, *limits)
         dearest = float(solved.model.costs.max(initial=0.0))
         is_model = isinstance(simulator, ModelSimulator | _ProductSimulator)
-        taken = _pairs_taken(played_by, solved.model) if is_model else None
+        taken = pairs_taken(played_by, solved.model) if is_model else None
         most = *greatest_total(solved.model, max_steps, taken), dearest
         report = simulation_report(solved, played, float(confidence), max_steps, *most)
         _LOG.info("%r", report)

@@ -31,6 +31,7 @@ from ssp_lp.game.label_player import BayesLabelPlayer, LabelModels, LabelPlayer,
 from ssp_lp.game.threshold import Threshold, extremes, find_threshold
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import dead_ends
+from ssp_lp.model.text_tables import Reported
 from ssp_lp.options import Progress, check_tail
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem, unrolled
@@ -112,8 +113,8 @@ def construct(problem: Problem) -> LabelModels | AccumulatedCost:
     return accumulate_cost(problem.model, start, discount, by_steps=by_steps)
 
 
-@dataclass(frozen=True, eq=False)
-class GameSolution:
+@dataclass(frozen=True, eq=False, repr=False)
+class GameSolution(Reported):
     """c* of a problem under one construction of the paper, with its proof."""
 
     problem: Problem
@@ -124,6 +125,17 @@ class GameSolution:
     lower_bound: float  # no policy whose J_cond keeps to the budget has less
     alpha: float  # alpha*: the adversary's weight of the objective MDP at epsilon*
     price: float  # weight of J_cond against J_obj at alpha*: lambda in case M, kappa in case S
+
+    def facts(self) -> list[tuple[str, str]]:
+        """The optimum of the game, its bound, the adversary's weight and the price."""
+        return [
+            ("c*", f"{self.objective:.9g}"),
+            ("lower bound", f"{self.lower_bound:.9g}"),
+            ("alpha*", f"{self.alpha:.6g}"),
+            ("price", f"{self.price:.6g}"),
+            ("epsilon*", f"{self.spent:.6g}"),
+            ("weights", ", ".join(f"{weight:.4f}" for weight in self.threshold.weights)),
+        ]
 
     @property
     def policy(self) -> MixedPolicy:

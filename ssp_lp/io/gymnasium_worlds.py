@@ -21,6 +21,7 @@ from ssp_lp.analysis.simulation import (
     Estimate,
     greatest_total,
     mean_estimate,
+    pairs_taken,
     proportion_estimate,
 )
 from ssp_lp.arrays import (
@@ -676,12 +677,15 @@ def rollout(
             stacklevel=3,  # beyond the rollout and what explains its errors
         )
     costs = np.array([one.cost for one in played if one.end == "goal"])
+    # the points of a cell may lead where the model does not
+    taken = None if isinstance(model, GridSSP) else pairs_taken(lottery, model)
+    dearest, _ = greatest_total(model, min(most, limit or most), taken)
     return RolloutReport(
         episodes=episodes,
         **{end: count[end] for end in ("goal", "failed", "gave_up", "truncated")},
         goal_probability=proportion_estimate(count["goal"], episodes, confidence),
         failure_probability=proportion_estimate(episodes - count["goal"], episodes, confidence),
-        conditional_cost=mean_estimate(costs, confidence, greatest_total(model, most)[0]),
+        conditional_cost=mean_estimate(costs, confidence, dearest),
         success_costs=read_only(costs),
         mean_steps=float(np.mean([one.steps for one in played])),
         step_limit=limit,

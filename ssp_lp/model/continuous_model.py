@@ -136,7 +136,7 @@ class Grid:
         """Position of each grid cell along each axis; :class:`ModelError` if there is none."""
         given = np.asarray(cells)
         if given.dtype.kind not in "iu" or (given < 0).any() or (given >= self.n_cells).any():
-            raise ModelError(f"cells are whole numbers, 0 .. {self.n_cells - 1}")
+            raise ModelError(f"cells are whole numbers, 0 .. {self.n_cells - 1}; ends have others")
         return np.unravel_index(given, self.shape)
 
     @explained
@@ -144,6 +144,14 @@ class Grid:
         """Midpoints of grid cells: numbers of any shape -> [..., axes]."""
         index = zip(self.axes, self.index_of(cells), strict=True)
         return np.stack([axis.low + (k + 0.5) * axis.width for axis, k in index], axis=-1)
+
+    @explained
+    def place(self, state: int) -> tuple[int, int] | None:
+        """Position along the first two axes of a state of the model, for pictures; None: an end."""
+        if state >= self.n_cells:
+            return None
+        first, second = self.index_of(state)[:2]
+        return int(first), int(second)
 
     @explained
     def cell_of(self, points: npt.ArrayLike) -> Any:

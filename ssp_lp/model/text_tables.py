@@ -25,7 +25,9 @@ def text_table(rows: Iterable[Sequence[str]], left: int = 1) -> list[str]:
     table = [*rows]
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     return [
-        "  ".join([*map(str.ljust, row[:left], widths), *map(str.rjust, row[left:], widths[left:])])
+        "  ".join(
+            [*map(str.ljust, row[:left], widths), *map(str.rjust, row[left:], widths[left:])]
+        ).rstrip()
         for row in table
     ]
 

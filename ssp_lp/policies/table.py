@@ -150,7 +150,7 @@ class PolicyTable(Sequence[PolicyRow]):
         """Lines of a member's table."""
         head, rows, notes = self._shown(member)
         lines = text_table([head, *rows], left=len(head) - 1) if rows else []
-        return [*(line.rstrip() for line in lines), *notes]
+        return [*lines, *notes]
 
     def _shown(self, member: int) -> tuple[list[str], list[list[str]], list[str]]:
         """Head, first rows and a note on the other rows of a member's table."""
