@@ -60,7 +60,7 @@ class CriterionRow:
         return (
             solution.objective,
             solution.expected_cost,
-            solution.conditional_cost,
+            solution.conditional_cost if solution.goal_probability > 0.0 else None,
             solution.failure_probability,
             solution.failure_price,
         )

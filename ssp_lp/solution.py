@@ -11,6 +11,7 @@ import numpy as np
 
 from ssp_lp.analysis.evaluation import (
     Evaluation,
+    cost_in_words,
     equivalent_randomised_policy,
     evaluate,
     failing_in_words,
@@ -366,7 +367,7 @@ class Solution(ReadOnlyCopies):
             *least_failure_rows(self.budget_used, self.least_failure_bound),
             *([("failing", failing)] if failing else []),
             *self._giving_up(),
-            ("cost given success", f"{self.conditional_cost:.6g}"),
+            ("cost given success", cost_in_words(self.conditional_cost)),
             ("cost until failure", f"{self.expected_cost:.6g}"),
             *([] if self.problem.model.costs.any() else [("costs", _ALL_FREE)]),
         ]

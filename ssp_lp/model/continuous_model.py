@@ -147,7 +147,13 @@ class Grid:
 
     @explained
     def place(self, state: int) -> tuple[int, int] | None:
-        """Position along the first two axes of a state of the model, for pictures; None: an end."""
+        """Position along the first two axes of a state of the model, for pictures; None: an end.
+
+        Raises:
+            ModelError: there is one axis, or no state has this number.
+        """
+        if len(self.axes) < 2:
+            raise ModelError("grid.place needs two axes: a picture has two directions")
         if state >= self.n_cells:
             return None
         first, second = self.index_of(state)[:2]

@@ -757,7 +757,9 @@ def _number_in_cell(path: object, name: str, row: int, cell: str | None) -> floa
     try:
         return cell if cell is None else Fraction(cell) if "/" in cell else float(cell)
     except (ValueError, ZeroDivisionError) as error:
-        complaint = f"{path}, row {row}: {cell!r} in the column {name!r} is no number"
+        complaint = (
+            f"{path}, row {row}: {cell!r} in the column {name!r} is no number, such as 0.1 or 1/3"
+        )
         raise ModelError(complaint) from error
 
 

@@ -119,6 +119,17 @@ def test_reports_without_a_success_say_so():
     assert evaluate(solve(problem).policy, problem).goal_probability == pytest.approx(1e-9)
 
 
+def test_a_policy_that_never_succeeds_has_no_cost_given_success():
+    away = SSP.from_transitions({"a": {"go": [(1.0, "d", 1.0)]}}, goal={"g"}, dead_ends={"d"})
+    solution = solve(MCMP(away, "a"))
+    for told in (solution.summary(), repr(solution.evaluation)):
+        assert "none: the goal is never reached" in told
+        assert "nan" not in told
+    compared = ssp_lp.compare_criteria(away, "a")
+    assert "nan" not in compared.summary()
+    assert compared["MaxProb"].numbers[2] is None
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
