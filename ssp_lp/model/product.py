@@ -108,8 +108,9 @@ class ProductSSP(SSP):
         distribution: dict[Hashable, float] = {
             (state, self.memory.start): float(share) for state, share in shares.items()
         }
+        for state in shares:
+            self.original.index_of(state, "start")
         for label in distribution:
-            self.original.index_of(label[0], "start")
             self.index_of(label, "start")
         return distribution
 
