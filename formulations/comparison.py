@@ -60,7 +60,7 @@ class CriterionRow:
         return (
             solution.objective,
             solution.expected_cost,
-            solution.conditional_cost,
+            solution.conditional_cost if solution.goal_probability > 0.0 else None,
             solution.failure_probability,
             solution.failure_price,
         )
@@ -81,7 +81,7 @@ class CriteriaComparison(Summarised):
         for row in self.rows:
             if row.criterion == criterion:
                 return row
-        nearest = did_you_mean(criterion, [row.criterion for row in self.rows])
+        nearest = did_you_mean(criterion, [row.criterion for row in self.rows], "there are")
         raise KeyError(f"{criterion!r} is no row{nearest}")
 
     def __repr__(self) -> str:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sized
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence, Sized
 from difflib import get_close_matches
 from fractions import Fraction
 from importlib import import_module
+from inspect import Parameter, Signature
 from itertools import islice
 from numbers import Integral, Real
 from types import ModuleType
@@ -17,6 +18,7 @@ import numpy as np
 
 _LONGEST = 60  # characters of a value in an error
 _LISTED = 4  # entries of a table there
+_NAMED = 8  # names there, where none is near
 _DIGITS = 1_024 // 3  # of a number in an error: of the greatest float, some more
 _MOST_COUNTED = 2**63 - 1
 _LOOKED_AT = 20_000  # names that are compared: more would take longer than a hint is worth
@@ -41,6 +43,8 @@ class SSPError(Exception):
 
     Its message is given in parts where it names an :class:`Argument`.
     """
+
+    is_of_argument = False  # of a wrong type: whoever passed it on names its own argument instead
 
     def __str__(self) -> str:
         """The message, arguments as Python code has them."""
@@ -181,6 +185,77 @@ def check_flag(name: str, value: object) -> None:
         raise wrong_argument(name, "be True or False", value)
 
 
+_MEANT = {
+    "failure_budget": "budget epsilon eps risk risk_budget delta max_failure failure_probability",
+    "discount": "gamma discount_factor",
+    "start": "initial_state initial init s0 x0 start_state",
+    "constraints": "limits constraint limit rows",
+    "method": "solver algorithm backend",
+    "backend": "solver",
+    "time_limit": "timeout max_time seconds",
+    "tolerance": "tol eps gap rtol",
+    "cost": "reward rewards costs",
+    "costs": "reward rewards cost",
+    "goal": "goals goal_states target targets terminal",
+    "dead_ends": "dead_end deadends traps failures",
+    "state_labels": "labels label",
+    "seed": "rng random_state",
+    "episodes": "n runs n_episodes num_episodes samples",
+    "max_steps": "horizon steps n_steps",
+    "horizon": "steps max_steps n_steps",
+    "verbose": "verbosity log",
+}
+"""Names of arguments, and the words that other libraries and people have for them."""
+
+
+def meant_argument(word: str, own: Collection[str]) -> str | None:
+    """Return the argument of a function that is probably meant by an unknown one; None: none is."""
+    meant = next((one for one in own if word in _MEANT.get(one, "").split()), None)
+    return cast("str | None", nearest_name(word, own)) if meant is None else meant
+
+
+def check_call(name: str, form: Signature, given: Sequence[object], named: Collection[str]) -> None:
+    """Check that a function is given arguments that it has, each once, and all that it needs.
+
+    Args:
+        name: of the function.
+        form: its signature.
+        given: arguments by their places, ``self`` among them where the signature has it.
+        named: names of the other arguments.
+
+    Raises:
+        ModelError: naming the argument, and the one that was meant or how to write the call.
+    """
+    parts = form.parameters.values()
+    own = [part.name for part in parts if part.name not in ("self", "cls")]
+    kinds = {part.kind for part in parts}
+    for word in () if Parameter.VAR_KEYWORD in kinds else named:
+        if word not in own:
+            meant = meant_argument(word, own)
+            listed = f"; its arguments: {', '.join(own)}"
+            nearest = listed if meant is None else f"; did you mean {meant!r}?"
+            raise ModelError(f"{name} has no argument {word!r}{nearest}")
+    placed = [part for part in parts if part.kind < Parameter.VAR_POSITIONAL]
+    if len(given) > len(placed) and Parameter.VAR_POSITIONAL not in kinds:
+        others = ", ".join(f"{part.name}=..." for part in parts if part not in placed)
+        hint = f"; give others by name: {others}" if others else ""
+        taken = ", ".join(part.name for part in placed if part.name in own)
+        raise ModelError(f"{name} takes ({taken}) by place{hint}")
+    for part in placed[: len(given)]:
+        if part.name in named:
+            raise ModelError(f"{name} is given {part.name!r} twice, by place and by name")
+    needed = [p for p in parts if p.default is p.empty and p.kind not in _REST and p.name in own]
+    reached = {part.name for part in placed[: len(given)]}
+    if missing := [part.name for part in needed if part.name not in reached.union(named)]:
+        written = ", ".join(f"{p.name}=..." if p.kind is p.KEYWORD_ONLY else p.name for p in needed)
+        listed = ", ".join(map(repr, missing))
+        raise ModelError(f"{name} needs {listed}: write {name}({written})")
+
+
+_REST = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
+"""Parameters that take what is left, and need nothing."""
+
+
 def in_short(value: Any) -> str:
     """For an error: the value's repr where it is short; else what it is and how large."""
     if isinstance(value, enum.Enum):
@@ -207,8 +282,8 @@ def in_short(value: Any) -> str:
     return text if len(text) <= _LONGEST or value is None else f"{text[: _LONGEST - 3]}..."
 
 
-def did_you_mean(unknown: Hashable, names: Iterable[Hashable]) -> str:
-    """A clause for the end of an error: "; did you mean 'depot'?", or nothing.
+def nearest_name(unknown: Hashable, names: Iterable[Hashable]) -> Hashable | None:
+    """Return the name that is probably meant by an unknown one, None if there is none.
 
     A name that reads the same counts as nearest, such as 3 for '3' or (1, 2) for [1, 2].
     """
@@ -219,7 +294,23 @@ def did_you_mean(unknown: Hashable, names: Iterable[Hashable]) -> str:
         words = {name.casefold(): name for name in some if isinstance(name, str)}
         near = get_close_matches(unknown.casefold(), words, n=1)
         meant = words[near[0]] if near else None
-    return "" if meant is None else f"; did you mean {meant!r}?"
+    return meant
+
+
+def did_you_mean(unknown: Hashable, names: Iterable[Hashable], listed: str = "") -> str:
+    """Return a clause for the end of an error: "; did you mean 'depot'?", or nothing.
+
+    Args:
+        unknown: the name that was given.
+        names: the names that there are.
+        listed: where no name is near, list the first names after these words, such as "it has".
+    """
+    some = names if isinstance(names, Collection) else list(names)
+    if (meant := nearest_name(unknown, some)) is not None:
+        return f"; did you mean {meant!r}?"
+    more = f", ... ({len(some):,})" if len(some) > _NAMED else ""
+    first = ", ".join(map(repr, islice(some, _NAMED))) or "none"
+    return f"; {listed} {first}{more}" if listed else ""
 
 
 def _as_read_for_error(name: Hashable) -> str:

@@ -12,6 +12,7 @@ import logging
 from collections.abc import Hashable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cached_property
+from inspect import signature
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -33,13 +34,13 @@ from ssp_lp.column_generation.compiled_problem import (
 from ssp_lp.errors import (
     InfeasibleError as InfeasibleError,
     ModelError as ModelError,
+    check_call,
     check_whole,
     in_short,
     is_number,
     wrong_argument as wrong_argument,
 )
 from ssp_lp.model import SSP as SSP
-from ssp_lp.model.arguments import check_keywords
 from ssp_lp.model.graph import (
     attention_labels as attention_labels,
     dead_end_labels as dead_end_labels,
@@ -121,8 +122,6 @@ class Formulation(Problem):
         Raises:
             ModelError: it is no model, or an argument by a name that there is not.
         """
-        ordered = sorted(fields(cls), key=lambda part: part.kw_only is True)
-        check_keywords(cls.__name__, [part.name for part in ordered if part.init], named)
         if arguments and not isinstance(arguments[0], SSP):
             first = next(part.name for part in fields(cls) if not part.kw_only)
             given = in_short(arguments[0])
@@ -131,7 +130,12 @@ class Formulation(Problem):
                 has = f"; it has {' and '.join(parts)}: pass them" if parts else ""
                 takes = f"{cls.__name__} takes an SSP first, then the start"
                 raise ModelError(f"{takes}, not {given}{has}")
+        check_call(cls.__name__, signature(cls.__init__), (None, *arguments), named)
         return super().__new__(cls)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled by what it holds: it is stated, and checked, once."""
+        return object.__new__, (type(self),), vars(self)
 
     def __init_subclass__(cls) -> None:
         """Every criterion keeps the repr that it inherits, which ``dataclass`` would replace."""

@@ -9,10 +9,18 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any, ClassVar, Protocol, TextIO
+from inspect import signature
+from typing import Any, ClassVar, Protocol, Self, TextIO
 
 from ssp_lp.arrays import RELATIVE_GAP
-from ssp_lp.errors import ModelError, check_between_0_and_1, check_flag, is_number, wrong_argument
+from ssp_lp.errors import (
+    ModelError,
+    check_between_0_and_1,
+    check_call,
+    check_flag,
+    is_number,
+    wrong_argument,
+)
 
 BACKENDS = ("highs", "highs-simplex", "highs-ipx", "clarabel", "cvxpy")
 """Solvers of linear programs."""
@@ -61,8 +69,17 @@ class SharedPricing(Protocol):
         """
 
 
+class _Option:
+    """Mix-in of methods: a misspelled option of theirs is named."""
+
+    def __new__(cls, *given: object, **named: object) -> Self:
+        """Raise :class:`ModelError` for an argument that there is not."""
+        check_call(cls.__name__, signature(cls.__init__), (None, *given), named)
+        return super().__new__(cls)
+
+
 @dataclass(frozen=True)
-class ColumnGeneration:
+class ColumnGeneration(_Option):
     """Policies priced one by one into a small master program; what is chosen unless asked.
 
     Args:
@@ -84,7 +101,7 @@ class ColumnGeneration:
 
 
 @dataclass(frozen=True)
-class LinearProgramming:
+class LinearProgramming(_Option):
     """The full linear program, whose duals then price the policies of the answer.
 
     Args:
@@ -106,7 +123,7 @@ class LinearProgramming:
 
 
 @dataclass(frozen=True)
-class Game:
+class Game(_Option):
     """The paper's value iteration and zero-sum game (section 3.5).
 
     It needs a discount and a budget above 0.
@@ -139,26 +156,30 @@ def check_tail(tail: object) -> float:
 
 
 @dataclass(frozen=True)
-class DeterministicPolicies:
+class DeterministicPolicies(_Option):
     """The best single policy that never tosses a coin, by mixed-integer programs.
 
     Stationary in the model's states; in case S in (state, accumulated cost).
 
     Args:
         relaxation: what finds the best lottery, with which the search begins.
+
+    Raises:
+        ModelError: another method.
     """
 
     relaxation: ColumnGeneration | LinearProgramming = field(default_factory=ColumnGeneration)
 
     name: ClassVar[str] = "deterministic"
 
+    def __post_init__(self) -> None:
+        relaxation = parse_method(self.relaxation)
+        if not isinstance(relaxation, (ColumnGeneration, LinearProgramming)):
+            raise wrong_argument("relaxation", "be 'columns' or 'lp'", self.relaxation)
+        object.__setattr__(self, "relaxation", relaxation)
+
 
 Method = ColumnGeneration | LinearProgramming | Game | DeterministicPolicies
-
-_BY_NAME: dict[str, Method] = {
-    method.name: method
-    for method in (ColumnGeneration(), LinearProgramming(), Game(), DeterministicPolicies())
-}
 
 
 def parse_method(method: Method | str | None) -> Method:
@@ -176,6 +197,12 @@ def parse_method(method: Method | str | None) -> Method:
     names = ", ".join(repr(name) for name in _BY_NAME)
     wanted = f"be one of {names}, or a value such as LinearProgramming()"
     raise wrong_argument("method", wanted, method)
+
+
+_BY_NAME: dict[str, Method] = {
+    method.name: method
+    for method in (ColumnGeneration(), LinearProgramming(), Game(), DeterministicPolicies())
+}
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import numpy as np
 
 from ssp_lp.analysis.evaluation import (
     Evaluation,
+    cost_in_words,
     equivalent_randomised_policy,
     evaluate,
     failing_in_words,
@@ -24,6 +25,7 @@ from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.dynamic_programming.evaluation import PROVED_OF_MANY
 from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import dead_ends
 from ssp_lp.model.text_tables import ByName, html_table
 from ssp_lp.options import Status
@@ -142,6 +144,7 @@ class Solution(ReadOnlyCopies):
         start = start_distribution(self.problem.model, self.problem.start)
         return reached_table(self.policy, start)
 
+    @explained
     def explain(self, state: Hashable, cost_paid: float | None = None) -> Explanation:
         """Compare the actions of a state: cost, failure, value at the optimal prices, and excess.
 
@@ -168,6 +171,7 @@ class Solution(ReadOnlyCopies):
         randomised = self.randomised_policy
         return explanation(self.values, self.prices, ratio, randomised, state, cost_paid)
 
+    @explained
     def policy_everywhere(
         self, default: Default | None = None, *, least_after: Quantity | None = None
     ) -> MixedPolicy:
@@ -363,7 +367,7 @@ class Solution(ReadOnlyCopies):
             *least_failure_rows(self.budget_used, self.least_failure_bound),
             *([("failing", failing)] if failing else []),
             *self._giving_up(),
-            ("cost given success", f"{self.conditional_cost:.6g}"),
+            ("cost given success", cost_in_words(self.conditional_cost)),
             ("cost until failure", f"{self.expected_cost:.6g}"),
             *([] if self.problem.model.costs.any() else [("costs", _ALL_FREE)]),
         ]

@@ -6,12 +6,13 @@ import re
 from argparse import (
     SUPPRESS,
     Action,
+    ArgumentError,
     ArgumentParser,
     ArgumentTypeError,
     BooleanOptionalAction,
     RawDescriptionHelpFormatter,
 )
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from typing import Any, NamedTuple, NoReturn
 
@@ -207,9 +208,38 @@ class _Completion(Action):
 class _OneLineParser(ArgumentParser):
     """A parser whose errors are one line, without the usage, which ``--help`` has."""
 
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        """Parse arguments; those that there are not are named, with what was meant."""
+        asked, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            if unknown[0][:1] != "-":
+                self.error(f"{unknown[0]!r} is one word too many: options begin with --")
+            word = unknown[0].partition("=")[0]
+            flags = [flag for flag in self._option_string_actions if flag[:2] == "--"]
+            self.error(f"there is no {word}{_flag_meant(word, flags)}")
+        return asked, unknown
+
+    def _check_value(self, action: Action, value: Any) -> None:
+        """Raise ArgumentError for a word of the command line that is not among those to choose."""
+        if action.choices is not None and value not in action.choices:
+            from ssp_lp.errors import did_you_mean
+
+            listed = f"; choose from {', '.join(map(str, action.choices))}"
+            nearest = did_you_mean(value, action.choices) or listed
+            raise ArgumentError(action, f"there is no {value!r}{nearest}")
+
     def error(self, message: str) -> NoReturn:
         """End with what is wrong and where help is."""
         self.exit(2, f"{self.prog}: {message} ({self.prog} --help)\n")
+
+
+def _flag_meant(word: str, flags: Sequence[str]) -> str:
+    """For an error: a clause for the command-line argument that is meant by an unknown one."""
+    from ssp_lp.errors import meant_argument
+
+    names = {flag.lstrip("-").replace("-", "_"): flag for flag in flags}
+    meant = meant_argument(word.lstrip("-").replace("-", "_"), names)
+    return "" if meant is None else f"; did you mean {names[meant]}?"
 
 
 def argument_parser() -> ArgumentParser:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import ssp_lp
 from ssp_lp import SSP, ModelError, Solution, io
 from ssp_lp.analysis.simulation import Estimate
-from ssp_lp.errors import Argument, SolverError, check_whole, optional_module
+from ssp_lp.errors import Argument, SolverError, check_whole, did_you_mean, optional_module
 from ssp_lp.formulation import Problem, attention_labels, dead_end_labels
 from ssp_lp.io.model_files.json_model import model_in_json, parse_json
 from ssp_lp.io.model_files.raw_model import FIRST_COST
@@ -242,9 +242,23 @@ def _problem_term(words: str, whole: str, of: _CommandModel) -> ssp_lp.Quantity:
     elif word in of.model.named_costs:
         measured = ssp_lp.secondary_cost(word)
     else:
-        measured = ssp_lp.secondary_cost(of.model_with_cost(word).costs)
+        measured = ssp_lp.secondary_cost(_cost_of_another_kind(word, of))
     factor = match["factor"]
     return measured if factor is None else _problem_number(factor, whole) * measured
+
+
+def _cost_of_another_kind(word: str, of: _CommandModel) -> Any:
+    """Costs of a command's model that the file names and the model does not, [outcomes].
+
+    Raises:
+        ModelError: there are none of this name.
+    """
+    try:
+        return of.model_with_cost(word).costs
+    except ModelError as error:
+        names = [*_PLAIN, *(f"{name}(...)" for name in _OF_STATES), *of.model.named_costs]
+        nearest = did_you_mean(word, names, "quantities are")
+        raise ModelError(f"{word!r} is no quantity of this model{nearest}") from error
 
 
 def _problem_number(word: str, whole: str) -> float:

@@ -95,7 +95,7 @@ class Evaluation(Reported):
             **({} if (later := self.cost_after_failing) is None else {"cost after failing": later}),
             **self.secondary_costs,
         }
-        told = [(name, f"{cost:.6g}") for name, cost in costs.items()]
+        told = [(name, cost_in_words(cost)) for name, cost in costs.items()]
         return [*told[:2], *([("failing", failing)] if failing else []), *told[2:]]
 
 
@@ -300,6 +300,11 @@ def ways_to_fail(ends: Mapping[str, float]) -> dict[str, float]:
         for name, share in ends.items()
         if name != "goal" and share > (_ROUNDING if name == "wandering" else 0.0)
     }
+
+
+def cost_in_words(cost: float) -> str:
+    """A number of an evaluation; nan is the cost given success where there is no success."""
+    return "none: the goal is never reached" if cost != cost else f"{cost:.6g}"
 
 
 def failing_in_words(ends: Mapping[str, float]) -> str:

@@ -57,7 +57,9 @@ class Estimate(NamedTuple):
     standard_error: float | None = None  # of a mean cost
 
     def __str__(self) -> str:
-        """The mean, its standard error and the interval."""
+        """The mean, its standard error and the interval; or that no episode reached the goal."""
+        if self.value != self.value:
+            return "unknown: no episode reached the goal"
         error = "" if self.standard_error is None else f" ± {self.standard_error:.2g}"
         return f"{self.value:.4g}{error} [{self.low:.4g}, {self.high:.4g}]"
 
@@ -143,7 +145,7 @@ def greatest_total(model: SSP, steps: int, pairs: BoolArray | None = None) -> tu
     return min(dearest, repeated + float(total.max())), repeated > 0.0
 
 
-def _pairs_taken(policy: MixedPolicy, model: SSP) -> BoolArray | None:
+def pairs_taken(policy: MixedPolicy, model: SSP) -> BoolArray | None:
     """Pairs that a simulated policy takes somewhere, [pairs]; None: that is not known."""
     if (table := policy._known_table()) is None:
         return None
@@ -355,7 +357,7 @@ def simulate(
         played = _simulate_episodes(played_by, solved, simulator, episodes, source, *limits)
         dearest = float(solved.model.costs.max(initial=0.0))
         is_model = isinstance(simulator, ModelSimulator | _ProductSimulator)
-        taken = _pairs_taken(played_by, solved.model) if is_model else None
+        taken = pairs_taken(played_by, solved.model) if is_model else None
         most = *greatest_total(solved.model, max_steps, taken), dearest
         report = simulation_report(solved, played, float(confidence), max_steps, *most)
         _LOG.info("%r", report)

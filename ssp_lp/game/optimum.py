@@ -29,7 +29,9 @@ from ssp_lp.game.best_response import BestResponse, Player, check_alpha
 from ssp_lp.game.cost_player import BayesCostPlayer, CappedCostPlayer, CostPlayer
 from ssp_lp.game.label_player import BayesLabelPlayer, LabelModels, LabelPlayer, label_models
 from ssp_lp.game.threshold import Threshold, extremes, find_threshold
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import dead_ends
+from ssp_lp.model.text_tables import Reported
 from ssp_lp.options import Progress, check_tail
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
@@ -111,8 +113,8 @@ def construct(problem: Problem) -> LabelModels | AccumulatedCost:
     return accumulate_cost(problem.model, start, discount, by_steps=by_steps)
 
 
-@dataclass(frozen=True, eq=False)
-class GameSolution:
+@dataclass(frozen=True, eq=False, repr=False)
+class GameSolution(Reported):
     """c* of a problem under one construction of the paper, with its proof."""
 
     problem: Problem
@@ -123,6 +125,17 @@ class GameSolution:
     lower_bound: float  # no policy whose J_cond keeps to the budget has less
     alpha: float  # alpha*: the adversary's weight of the objective MDP at epsilon*
     price: float  # weight of J_cond against J_obj at alpha*: lambda in case M, kappa in case S
+
+    def facts(self) -> list[tuple[str, str]]:
+        """The optimum of the game, its bound, the adversary's weight and the price."""
+        return [
+            ("c*", f"{self.objective:.9g}"),
+            ("lower bound", f"{self.lower_bound:.9g}"),
+            ("alpha*", f"{self.alpha:.6g}"),
+            ("price", f"{self.price:.6g}"),
+            ("epsilon*", f"{self.spent:.6g}"),
+            ("weights", ", ".join(f"{weight:.4f}" for weight in self.threshold.weights)),
+        ]
 
     @property
     def policy(self) -> MixedPolicy:
@@ -239,6 +252,7 @@ _Surplus = CostPlayer | CappedCostPlayer | BayesCostPlayer
 """The players of case S."""
 
 
+@explained
 def stationary_player(
     problem: Problem, tail: float | None = None
 ) -> LabelPlayer | CostPlayer | CappedCostPlayer:
@@ -266,6 +280,7 @@ def tail_of(player: Player) -> float | None:
     return player.cap if isinstance(player, CappedCostPlayer) else None
 
 
+@explained
 def stationary_game(
     problem: Problem,
     *,
@@ -311,6 +326,7 @@ def value_function(solution: GameSolution) -> FloatArray:
     return np.broadcast_to(np.inf, player.value_shape(members))
 
 
+@explained
 def thresholds(
     problem: Problem,
     budgets: Iterable[float],
@@ -346,6 +362,7 @@ def thresholds(
     return curve
 
 
+@explained
 def bayes_player(problem: Problem) -> BayesLabelPlayer | BayesCostPlayer:
     """Player of the Bayes-adaptive game for the optimum: operator T of section 3.3.
 
@@ -357,6 +374,7 @@ def bayes_player(problem: Problem) -> BayesLabelPlayer | BayesCostPlayer:
     return BayesLabelPlayer(built) if isinstance(built, LabelModels) else BayesCostPlayer(built)
 
 
+@explained
 def bayes_adaptive(
     problem: Problem, *, tolerance: float = 1e-7, progress: Progress | None = None
 ) -> GameSolution:

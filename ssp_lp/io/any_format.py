@@ -6,7 +6,7 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ssp_lp.errors import Argument, ModelError
+from ssp_lp.errors import Argument, ModelError, did_you_mean
 from ssp_lp.io.archives import load_model, save_model
 from ssp_lp.io.model_files.explicit_files import read_drn, read_prism, write_drn, write_prism
 from ssp_lp.io.model_files.json_model import StatedModel, model_in_json, read_json
@@ -102,7 +102,12 @@ def _csv_model(
     if not goals:
         told = f"{file.name} does not say which states are goals: name them by "
         raise ModelError(told, Argument("goal"))
-    names = [name for name in csv_columns(file) if name not in _OUTCOME]
+    columns = csv_columns(file)
+    for name in _OUTCOME:
+        if name not in columns:
+            nearest = did_you_mean(name, columns, "it has")
+            raise ModelError(f"{file.name} has no column {name!r}{nearest}")
+    names = [name for name in columns if name not in _OUTCOME]
     place = chosen_reward(file, names, cost)
     ordered = names if place is None else [names[place], *names[:place], *names[place + 1 :]]
     return SSP.from_csv(file, goals, cost=ordered or "cost", dead_ends=dead_ends)

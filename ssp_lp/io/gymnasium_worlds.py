@@ -21,6 +21,7 @@ from ssp_lp.analysis.simulation import (
     Estimate,
     greatest_total,
     mean_estimate,
+    pairs_taken,
     proportion_estimate,
 )
 from ssp_lp.arrays import (
@@ -48,6 +49,7 @@ from ssp_lp.model.discretise import Quadrature, discretise
 from ssp_lp.model.graph import dead_ends
 from ssp_lp.model.product import ProductSSP, within_steps
 from ssp_lp.model.ssp import SSP, StateSet, no_lone_string
+from ssp_lp.model.text_tables import Reported
 from ssp_lp.policies.policy import (
     GIVE_UP_CODE,
     MOST_EPISODES,
@@ -65,7 +67,6 @@ if TYPE_CHECKING:
 MOST_STEPS = 10_000
 """Steps after which an episode is cut off where nothing else does, as in ``simulate``."""
 
-_SHOWN = 5  # states that an error lists
 _POINTS = 3  # of each coordinate in a cell, from which steps are taken
 
 END = "end"
@@ -217,6 +218,7 @@ def from_gymnasium(
         steps = limit if grid is None else None
     if grid is None:
         table, begin = _table_of(env), _start_of(env, start)
+        _checked_set(table, "start", begin)
         is_goal = goal if goal is None or callable(goal) else _checked_set(table, "goal", goal)
         model = _model_of_table(table, begin, is_goal, paid)
         if dead_ends is not None and not callable(dead_ends):
@@ -248,9 +250,7 @@ def _checked_set(table: _Table, name: str, listed: Iterable[Hashable]) -> Callab
     """Predicate of a set of the Gymnasium environment's states; ModelError for an unknown one."""
     members = {_plain(state) for state in no_lone_string(listed, name)}
     for state in members.difference(table.states):
-        nearest = did_you_mean(state, table.states) or (
-            f"; they are {', '.join(map(repr, table.states[:_SHOWN]))}, ... ({len(table.states):,})"
-        )
+        nearest = did_you_mean(state, table.states, "its states:")
         raise ModelError(f"{name}: {state!r} is not a state of the environment{nearest}")
     return members.__contains__
 
@@ -588,8 +588,8 @@ class StepLimitWarning(UserWarning):
     """The environment cut episodes off by a step limit that the policy's model does not have."""
 
 
-@dataclass(frozen=True, eq=False)
-class RolloutReport(ReadOnlyCopies):
+@dataclass(frozen=True, eq=False, repr=False)
+class RolloutReport(Reported, ReadOnlyCopies):
     """Counts of the episodes that were rolled out in an environment."""
 
     episodes: int
@@ -604,14 +604,16 @@ class RolloutReport(ReadOnlyCopies):
     mean_steps: float
     step_limit: int | None  # the environment's own
 
-    def summary(self) -> str:
-        """Rollouts in a Gymnasium environment in two lines for a person."""
-        cut = ", cut where truncated" if self.truncated else ""
+    def facts(self) -> list[tuple[str, str]]:
+        """How the episodes ended in the environment, and the probabilities with their intervals."""
         ends = f"goal {self.goal:,}, failed {self.failed:,}, gave up {self.gave_up:,}"
-        return (
-            f"{self.episodes:,} episodes: {ends}, truncated {self.truncated:,}\n  failure "
-            f"{self.failure_probability}, cost given success {self.conditional_cost}{cut}"
-        )
+        cut = ", cut where truncated" if self.goal and self.truncated else ""
+        return [
+            ("episodes", f"{self.episodes:,}: {ends}, truncated {self.truncated:,}"),
+            ("goal", str(self.goal_probability)),
+            ("failure", str(self.failure_probability)),
+            ("cost given success", f"{self.conditional_cost}{cut}"),
+        ]
 
 
 @explained
@@ -675,12 +677,15 @@ def rollout(
             stacklevel=3,  # beyond the rollout and what explains its errors
         )
     costs = np.array([one.cost for one in played if one.end == "goal"])
+    # the points of a cell may lead where the model does not
+    taken = None if isinstance(model, GridSSP) else pairs_taken(lottery, model)
+    dearest, _ = greatest_total(model, min(most, limit or most), taken)
     return RolloutReport(
         episodes=episodes,
         **{end: count[end] for end in ("goal", "failed", "gave_up", "truncated")},
         goal_probability=proportion_estimate(count["goal"], episodes, confidence),
         failure_probability=proportion_estimate(episodes - count["goal"], episodes, confidence),
-        conditional_cost=mean_estimate(costs, confidence, greatest_total(model, most)[0]),
+        conditional_cost=mean_estimate(costs, confidence, dearest),
         success_costs=read_only(costs),
         mean_steps=float(np.mean([one.steps for one in played])),
         step_limit=limit,
@@ -732,6 +737,9 @@ class _Player:
         return int(member.remember(memory, pair, state, cost)[0])
 
 
+_SEEN = "observed in the environment, of which the policy's model may not be"
+
+
 def _play_episode(env: gymnasium.Env[Any, Any], player: _Player, most: int) -> _Episode:
     """Play an episode of at most so many steps in the Gymnasium environment.
 
@@ -741,7 +749,7 @@ def _play_episode(env: gymnasium.Env[Any, Any], player: _Player, most: int) -> _
     model, over, lottery = player.model, player.over, player.lottery
     member = lottery.policies[int(player.rng.choice(len(lottery.policies), p=lottery.weights))]
     shown, cost, steps = model.seen(env, env.reset()[0]), 0.0, 0
-    state, ended = model.index_of(model.label(shown, False)), player.ended(member)
+    state, ended = model.index_of(model.label(shown, False), _SEEN), player.ended(member)
     memory, failed = 0 if ended[state] else int(member.start_memory(np.array([state]))[0]), ""
     while not ended[state]:
         pair, kept = player.decide(member, state, memory)
@@ -753,7 +761,7 @@ def _play_episode(env: gymnasium.Env[Any, Any], player: _Player, most: int) -> _
         action, before = model.action_of(pair), shown
         seen, reward, terminated, truncated, _ = env.step(action)
         shown = model.seen(env, seen)
-        state = model.index_of(model.label(shown, bool(terminated)))
+        state = model.index_of(model.label(shown, bool(terminated)), _SEEN)
         model.check_step(pair, state)
         if terminated and not over[state]:
             raise ModelError(

@@ -28,6 +28,7 @@ from ssp_lp.errors import (
     optional_module,
     wrong_argument,
 )
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.text_tables import html_table
 from ssp_lp.options import SolveOptions, Status
 from ssp_lp.policies import MixedPolicy
@@ -151,6 +152,7 @@ class Frontier:
         """Objective at each turning point of the frontier, [points]."""
         return self.cost / self.goal if self.ratio else self.cost
 
+    @explained
     def objective_at(self, budget: float) -> float:
         """The frontier's least objective within a failure budget; no pricing call is made.
 
@@ -179,6 +181,7 @@ class Frontier:
             )
         return self._attained(number, weight, FailureRow(budget, self.ratio))
 
+    @explained
     def bounds_at(self, budget: float) -> tuple[float, float]:
         """Certified bounds of the frontier's least objective within a failure budget.
 
@@ -238,6 +241,7 @@ class Frontier:
         """The frontier's proofs by price, filled as they are asked for."""
         return {}
 
+    @explained
     def policy_at(self, budget: float) -> MixedPolicy:
         """Lottery of the frontier's turning points around a budget; no pricing call is made.
 
@@ -257,6 +261,7 @@ class Frontier:
         some = self._columns[number : number + len(weights)]
         return MixedPolicy(tuple(self._pricing.policy(column) for column in some), weights)
 
+    @explained
     def slopes_at(self, budget: float) -> list[float]:
         """Slopes of the objective in the budget, of each segment that meets it and is settled."""
         slopes = []

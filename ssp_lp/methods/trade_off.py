@@ -136,6 +136,7 @@ def trace_frontier(
     return replace(frontier, _problem=problem, status=status)
 
 
+@explained
 def trace_surface(
     problem: Problem,
     over: Sequence[str],
@@ -233,11 +234,8 @@ def _traceable(problem: Problem, over: str, limits: TraceLimits) -> Problem:
     else:
         names = [condition.name for condition in problem.conditions]
         if over not in names:
-            known = ", ".join(map(repr, names)) or "none"
-            raise ModelError(
-                Argument("over"), f" must be 'failure' or the name of a limit ({known}), not "
-                f"{over!r}{did_you_mean(over, names)}",
-            )  # fmt: skip
+            nearest = did_you_mean(over, [FAILURE_ROW, *names], "they are")
+            raise wrong_argument("over", "be 'failure' or the name of a limit", over, nearest)
         if problem.conditions[names.index(over)].lower is not None:
             raise ModelError(f"limit {over!r} bounds from below: state what is to be little, such "
                              "as 1 - end_probability(...) <= 0.1, to trace it")  # fmt: skip

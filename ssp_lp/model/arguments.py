@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from fractions import Fraction
 from functools import wraps
 from inspect import signature
@@ -12,12 +11,21 @@ from itertools import islice, repeat
 from numbers import Integral
 from os import PathLike
 from types import NoneType, SimpleNamespace, UnionType
-from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import (
+    Any,
+    Literal,
+    ParamSpec,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.errors import ModelError, SSPError, check_flag, did_you_mean, in_short, is_number
+from ssp_lp.errors import ModelError, SSPError, check_call, check_flag, in_short, is_number
 
 _Given = ParamSpec("_Given")
 _Answer = TypeVar("_Answer")
@@ -47,6 +55,15 @@ _WORDS: dict[Any, tuple[str, str]] = {
     _Numbers: ("numbers", "numbers"),
 }
 """What a type is called, and several of it."""
+
+_MADE_BY = {
+    "Frontier": "trace_frontier(problem)",
+    "CostLaw": "success_costs(policy, problem)",
+    "Solution": "solve(problem)",
+    "GymnasiumWorld": "from_gymnasium(env)",
+    "OccupationMeasure": "problem.program().solve()",
+}
+"""What makes an object of a class of answers."""
 
 _FITS: dict[Any, Callable[[Any], bool]] = {
     Any: lambda value: True,
@@ -82,77 +99,40 @@ def explained(public: Callable[_Given, _Answer]) -> Callable[_Given, _Answer]:
     """
     form = signature(public)
     flags = [name for name, hint in public.__annotations__.items() if hint == "bool"]
+    placed = [part.name for part in form.parameters.values() if part.kind < part.VAR_POSITIONAL]
 
     @wraps(public)
     def call(*given: _Given.args, **named: _Given.kwargs) -> _Answer:
         """The function, once its flags have been checked."""
-        stated = dict(zip(form.parameters, given, strict=False)) | named if flags else {}
+        stated = dict(zip(placed, given, strict=False)) | named if flags else {}
         for flag in flags:
             check_flag(flag, stated.get(flag, False))
         try:
             return public(*given, **named)
-        except SSPError:
-            raise
-        except (TypeError, AttributeError, LookupError, ValueError, OverflowError) as error:
-            fault, name = None, _name_of(public)
-            check_keywords(name, form.parameters, named)
-            with suppress(TypeError):  # an argument is missing, or one too many
-                fault = _misfit_among(public, form.bind(*given, **named).arguments)
+        except (SSPError, *_BARE) as error:
+            if isinstance(error, SSPError) and not error.is_of_argument:
+                raise
+            name = _name_of(public, given[0] if placed[:1] == ["self"] else None)
+            check_call(name, form, given, named)
+            fault = _misfit_among(public, form.bind(*given, **named).arguments)
             if fault is None:
                 raise
-            raise ModelError(f"{name}: {fault}") from error
+            told = ModelError(f"{name}: {fault}")
+            told.is_of_argument = True
+            raise told from error
 
     return call
 
 
-def _name_of(public: Callable[..., Any]) -> str:
-    """Name of a function as a person who gives it arguments knows it."""
-    return public.__qualname__.removesuffix(".__init__").replace(".<locals>", "")
+_BARE = (TypeError, AttributeError, LookupError, ValueError, OverflowError)
+"""Errors that an argument of a wrong type may lead to."""
 
 
-_MEANT = {
-    "failure_budget": "budget epsilon eps risk risk_budget delta max_failure failure_probability",
-    "discount": "gamma discount_factor",
-    "start": "initial_state initial init s0 x0 start_state",
-    "constraints": "limits constraint limit rows",
-    "method": "solver algorithm backend",
-    "time_limit": "timeout max_time seconds",
-    "tolerance": "tol eps gap rtol",
-    "cost": "reward rewards costs",
-    "costs": "reward rewards cost",
-    "goal": "goals goal_states target targets terminal",
-    "dead_ends": "dead_end deadends traps failures",
-    "state_labels": "labels label",
-    "seed": "rng random_state",
-    "episodes": "n runs n_episodes num_episodes samples",
-    "max_steps": "horizon steps n_steps",
-    "horizon": "steps max_steps n_steps",
-    "verbose": "verbosity log",
-}
-"""Names of arguments, and the words that other libraries and people have for them."""
-
-
-def check_keywords(name: str, known: Collection[str], given: Iterable[str]) -> None:
-    """Check that a function has the arguments that are given by name.
-
-    Args:
-        name: of the function.
-        known: names of its arguments.
-        given: names that a call uses.
-
-    Raises:
-        ModelError: there is no argument of one of the names; the message says which was meant.
-    """
-    for word in given:
-        if word in known:
-            continue
-        own = [one for one in known if one not in ("self", "cls")]
-        meant = next((one for one in own if word in _MEANT.get(one, "").split()), None)
-        listed = f"; its arguments: {', '.join(own)}"
-        nearest = (
-            did_you_mean(word, own) or listed if meant is None else f"; did you mean {meant!r}?"
-        )
-        raise ModelError(f"{name} has no argument {word!r}{nearest}")
+def _name_of(public: Callable[..., Any], of: object) -> str:
+    """Name of a function as a person who gives it arguments knows it, a method's object given."""
+    name = public.__qualname__.replace(".<locals>", "")
+    name = name if of is None else f"{type(of).__name__}.{public.__name__}"
+    return name.removesuffix(".__init__")
 
 
 def explained_class(made: type[_Made]) -> type[_Made]:
@@ -195,7 +175,9 @@ def _misfit(place: str, value: Any, hint: Any) -> str | None:
     if not _fits(value, kind, parts):
         own = (name for name in ("policy", "model", "problem") if hasattr(value, name))
         fit = (name for name in own if kind not in _WORDS and _fits(getattr(value, name), kind))
-        return wrong + next((f"; it has one: .{name}" for name in fit), "")
+        made = _MADE_BY.get(getattr(kind, "__name__", ""))
+        default = f"; {made} makes one" if made else ""
+        return wrong + next((f"; it has one: .{name}" for name in fit), default)
 
     # what a table, a tuple or a list holds
     is_table = isinstance(value, Mapping)

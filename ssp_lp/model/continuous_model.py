@@ -20,7 +20,7 @@ from ssp_lp.arrays import (
     read_only,
 )
 from ssp_lp.errors import ModelError, in_short
-from ssp_lp.model.arguments import check_fields, explained
+from ssp_lp.model.arguments import check_fields, explained, explained_class
 from ssp_lp.model.ssp import SSP
 
 ON_EDGE: Final = 1e-9
@@ -37,6 +37,7 @@ Coordinates = tuple[FloatArray, ...]
 """One array for each axis; they broadcast against each other."""
 
 
+@explained_class
 @dataclass(frozen=True)
 class Axis:
     """One coordinate: the interval from low to high in equal cells, numbered upwards from 0.
@@ -135,7 +136,7 @@ class Grid:
         """Position of each grid cell along each axis; :class:`ModelError` if there is none."""
         given = np.asarray(cells)
         if given.dtype.kind not in "iu" or (given < 0).any() or (given >= self.n_cells).any():
-            raise ModelError(f"cells are whole numbers, 0 .. {self.n_cells - 1}")
+            raise ModelError(f"cells are whole numbers, 0 .. {self.n_cells - 1}; ends have others")
         return np.unravel_index(given, self.shape)
 
     @explained
@@ -143,6 +144,20 @@ class Grid:
         """Midpoints of grid cells: numbers of any shape -> [..., axes]."""
         index = zip(self.axes, self.index_of(cells), strict=True)
         return np.stack([axis.low + (k + 0.5) * axis.width for axis, k in index], axis=-1)
+
+    @explained
+    def place(self, state: int) -> tuple[int, int] | None:
+        """Position along the first two axes of a state of the model, for pictures; None: an end.
+
+        Raises:
+            ModelError: there is one axis, or no state has this number.
+        """
+        if len(self.axes) < 2:
+            raise ModelError("grid.place needs two axes: a picture has two directions")
+        if state >= self.n_cells:
+            return None
+        first, second = self.index_of(state)[:2]
+        return int(first), int(second)
 
     @explained
     def cell_of(self, points: npt.ArrayLike) -> Any:
@@ -203,6 +218,7 @@ class Grid:
         )
 
 
+@explained_class
 @dataclass(frozen=True, eq=False, repr=False)
 class Distribution(ReadOnlyCopies):
     """A random number, given by its quantile function; drawn independently of all others.
@@ -282,6 +298,7 @@ Alike = Callable[[tuple[IntArray, ...], IntArray], IntArray]
 Allowed = Callable[[Coordinates, Any], npt.ArrayLike]
 
 
+@explained_class
 @dataclass(frozen=True, eq=False, repr=False)
 class ContinuousModel:
     """Continuous coordinates, a step function, and the grid on which policies see the world.
@@ -499,6 +516,7 @@ def _shaped_answer(answer: npt.ArrayLike, shape: tuple[int, ...], what: str) -> 
     return array
 
 
+@explained_class
 @dataclass(frozen=True, eq=False)
 class WorldSimulator:
     """The world itself, many episodes at a time: ``simulate(..., simulator=WorldSimulator(...))``.

@@ -21,7 +21,7 @@ from ssp_lp.arrays import (
     read_only,
 )
 from ssp_lp.errors import ModelError, check_whole, in_short
-from ssp_lp.model.arguments import explained
+from ssp_lp.model.arguments import explained, explained_class
 from ssp_lp.model.continuous_model import ContinuousModel, Coordinates, take_step_in_world
 from ssp_lp.model.ssp import SSP
 
@@ -38,6 +38,7 @@ class Trials(NamedTuple):
     repeatable: bool  # whether a cell gets the same trials every time
 
 
+@explained_class
 @dataclass(frozen=True)
 class Quadrature:
     """Every combination of points in the cell, axis by axis, and of levels of the noise.
@@ -108,6 +109,7 @@ class Quadrature:
         raise ModelError(f"rule must be 'midpoint' or 'gauss-legendre', not {self.rule!r}")
 
 
+@explained_class
 @dataclass(frozen=True)
 class Samples:
     """Independent samples of each pair: a point uniform in the cell, and noise as it is drawn.

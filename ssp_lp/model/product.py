@@ -27,7 +27,7 @@ from ssp_lp.arrays import (
 )
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import Argument, ModelError, check_whole, did_you_mean, wrong_argument
-from ssp_lp.model.arguments import check_fields, explained
+from ssp_lp.model.arguments import check_fields, explained, explained_class
 from ssp_lp.model.graph import dead_ends
 from ssp_lp.model.ssp import SSP, Costs, check_model, no_lone_string
 
@@ -52,6 +52,7 @@ def _never_in_product(memory: Any) -> bool:
     return False
 
 
+@explained_class
 @dataclass(frozen=True)
 class Memory:
     """A memory of an episode, as its product with the model has it, and its decisions on ends.
@@ -107,8 +108,10 @@ class ProductSSP(SSP):
         distribution: dict[Hashable, float] = {
             (state, self.memory.start): float(share) for state, share in shares.items()
         }
+        for state in shares:
+            self.original.index_of(state, "start")
         for label in distribution:
-            self.index_of(label)
+            self.index_of(label, "start")
         return distribution
 
     @cached_property
@@ -391,6 +394,7 @@ class HorizonSSP(ProductSSP):
         return cast("_StepLabels", self.states)
 
 
+@explained
 def within_steps(
     model: SSP,
     steps: int,
@@ -434,7 +438,7 @@ def within_steps(
         raise wrong_argument("survive", "be True, False or labels of states", survive)
     lost = (None, ())[labels] if isinstance(labels, bool) else tuple(labels)
     for label in set(lost or ()) - model.state_labels.keys():
-        near = did_you_mean(label, model.state_labels)
+        near = did_you_mean(label, model.state_labels, "the labels:")
         raise ModelError(f"no state bears the label {label!r}{near}")
     if lost:
         inside = np.zeros(model.n_states, dtype=np.bool_)

@@ -62,7 +62,6 @@ ENDS = ("goal", "dead_end", "gave_up", "wandering", "unfinished")
 """Names that reports give to the ways in which an episode ends."""
 
 _UNHASHABLE = "list, dict or set, nor an array: write tuple(array.tolist())"
-_LISTED = 5  # actions that an error names
 _PROGRESS_EVERY = 10_000
 _EXPLORING = logging.getLogger("ssp_lp.exploring")
 _NO_REWARDS = (
@@ -279,6 +278,10 @@ class SSP(Graph, ReadOnlyCopies):
         """
         if isinstance(table, (str, PathLike)):
             raise ModelError(f"the table is a path: SSP.from_csv({str(table)!r}, ...) reads it")
+        if isinstance(table, Sequence):
+            raise ModelError(
+                "the table is a list: give its columns, {'state': [...], ...}, or a frame"
+            )
         costs = [cost] if isinstance(cost, str) else list(cost)
         before, after, acts, chances, *paid = (
             _column(table, names) for names in (state, successor, action, probability, *costs)
@@ -488,9 +491,8 @@ class SSP(Graph, ReadOnlyCopies):
             ModelError: the model has no cost of this name.
         """
         if name not in self.named_costs:
-            known = ", ".join(map(repr, self.named_costs)) or "none by name"
-            nearest = did_you_mean(name, self.named_costs)
-            raise ModelError(f"the model has no cost {name!r}{nearest}; its costs: {known}")
+            nearest = did_you_mean(name, self.named_costs, "its costs by name:")
+            raise ModelError(f"the model has no cost {name!r}{nearest}")
         return self.named_costs[name]
 
     @cached_property
@@ -498,15 +500,20 @@ class SSP(Graph, ReadOnlyCopies):
         """Positions of the model's states by their names."""
         return {label: i for i, label in enumerate(self.states)}
 
-    def index_of(self, state: Hashable) -> int:
+    def index_of(self, state: Hashable, place: str = "") -> int:
         """Index of the model's state with this label.
+
+        Args:
+            state: the label.
+            place: name, for the error, of the argument that holds it.
 
         Raises:
             ModelError: no state has the label.
         """
         index = self.find(state)
         if index is None:
-            raise ModelError(f"{state!r} is not a state of the model{self.hint(state)}")
+            where = f"{place}: " if place else ""
+            raise ModelError(f"{where}{state!r} is not a state of the model{self.hint(state)}")
         return index
 
     def find(self, state: Hashable) -> int | None:
@@ -523,7 +530,7 @@ class SSP(Graph, ReadOnlyCopies):
         """Clause for a model's errors: what may be meant by what is no state."""
         if isinstance(self.states, range):
             return f": states are 0 .. {len(self.states) - 1}"
-        return did_you_mean(state, self.states)
+        return did_you_mean(state, self.states, "its states:")
 
     def places_of(self, state: Hashable) -> IntArray:
         """All states of the model that a label stands for: here one, in a product several.
@@ -545,8 +552,7 @@ class SSP(Graph, ReadOnlyCopies):
         """Error text for an action that a state of the model lacks: the nearest one, or some."""
         first, end = int(self.pair_offsets[state]), int(self.pair_offsets[state + 1])
         actions = [self.action_of(pair) for pair in range(first, end)]
-        some = ", ".join(repr(name) for name in actions[:_LISTED]) or "none"
-        nearest = did_you_mean(action, actions) or f"; it has {some}"
+        nearest = did_you_mean(action, actions, "it has")
         return f"state {self.states[state]!r} has no action {action!r}{nearest}"
 
     def describe_pair(self, pair: int) -> str:
@@ -671,7 +677,7 @@ class _FlatModel:
                         raise ModelError(
                             f"action {action!r} of state {state!r} leads to {successor!r}, which "
                             "is neither a state of the model nor a goal"
-                            f"{did_you_mean(successor, states)}"
+                            f"{did_you_mean(successor, states, 'the states:')}"
                         )
                     place = index[successor] = len(states)
                     states.append(successor)
@@ -751,7 +757,9 @@ def _number_in_cell(path: object, name: str, row: int, cell: str | None) -> floa
     try:
         return cell if cell is None else Fraction(cell) if "/" in cell else float(cell)
     except (ValueError, ZeroDivisionError) as error:
-        complaint = f"{path}, row {row}: {cell!r} in the column {name!r} is no number"
+        complaint = (
+            f"{path}, row {row}: {cell!r} in the column {name!r} is no number, such as 0.1 or 1/3"
+        )
         raise ModelError(complaint) from error
 
 
@@ -765,7 +773,7 @@ def _column(table: Any, names: str | Sequence[str]) -> list[Any]:
         return list(zip(*(_column(table, name) for name in names), strict=True))
     known = [*getattr(table, "columns", table)]
     if names not in known:
-        nearest = did_you_mean(names, known) or f"; it has {', '.join(map(repr, known))}"
+        nearest = did_you_mean(names, known, "it has")
         raise ModelError(f"the table has no column {names!r}{nearest}")
     column = table[names]
     cells = column.tolist() if hasattr(column, "tolist") else list(column)
@@ -992,7 +1000,7 @@ def _dead_end_members(model: SSP, dead_ends: DeadEnds) -> IntArray:
             entry = next((state for state in model.states if str(state) == entry), entry)
         if model.find(entry) is None and (nearest := did_you_mean(entry, labels)):
             raise ModelError(f"dead_ends: {entry!r} is neither a state nor a label{nearest}")
-        places.append(model.index_of(entry))
+        places.append(model.index_of(entry, "dead_ends"))
     return np.array(places, dtype=np.int64)
 
 
@@ -1090,7 +1098,7 @@ def _indexed_labels(model: SSP, labels: Mapping[str, StateSet]) -> Mapping[str, 
     for name, members in labels.items():
         if name in ENDS:
             raise ModelError(f"state label {name!r} is taken: reports use {', '.join(ENDS)}")
-        indexed[name] = read_only(_members(model, name, members))
+        indexed[name] = read_only(_members(model, f"state_labels[{name!r}]", members))
     return indexed
 
 
@@ -1103,5 +1111,5 @@ def _members(model: SSP, name: str, members: StateSet) -> IntArray:
     if callable(members):
         places = [place for place, state in enumerate(model.states) if members(state)]
     else:
-        places = sorted({model.index_of(state) for state in no_lone_string(members, name)})
+        places = sorted({model.index_of(state, name) for state in no_lone_string(members, name)})
     return np.array(places, dtype=np.int64)

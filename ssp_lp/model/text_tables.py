@@ -17,9 +17,7 @@ class ByName(dict[str, _Value]):
 
     def __missing__(self, name: object) -> _Value:
         """Raise :class:`KeyError`."""
-        names = ", ".join(map(repr, self)) or "none"
-        nearest = did_you_mean(name, self) or f"; there are {names}"
-        raise KeyError(f"{name!r} is no name here{nearest}")
+        raise KeyError(f"{name!r} is no name here{did_you_mean(name, self, 'there are')}")
 
 
 def text_table(rows: Iterable[Sequence[str]], left: int = 1) -> list[str]:
@@ -27,7 +25,9 @@ def text_table(rows: Iterable[Sequence[str]], left: int = 1) -> list[str]:
     table = [*rows]
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     return [
-        "  ".join([*map(str.ljust, row[:left], widths), *map(str.rjust, row[left:], widths[left:])])
+        "  ".join(
+            [*map(str.ljust, row[:left], widths), *map(str.rjust, row[left:], widths[left:])]
+        ).rstrip()
         for row in table
     ]
 

@@ -59,7 +59,8 @@ class Explorer:
     page: str  # HTML
 
     def write(self, path: str | Path) -> None:
-        """Write the page."""
+        """Write the page; raise :class:`ModelError` unless the name ends in .html or .htm."""
+        _check_page_name(path)
         Path(path).write_text(self.page, encoding="utf-8")
 
     def _repr_html_(self) -> str:
@@ -70,6 +71,12 @@ class Explorer:
     def __repr__(self) -> str:
         """One line."""
         return f"Explorer({len(self.page.encode()):,} bytes of HTML: write(path) keeps them)"
+
+
+def _check_page_name(path: str | Path) -> None:
+    """Raise :class:`ModelError` for the name of a file in which no browser looks for a page."""
+    if Path(path).suffix not in (".html", ".htm"):
+        raise ModelError(f"a page is written as .html, not {str(path)!r}")
 
 
 @explained
@@ -114,7 +121,10 @@ def explore(
     """
     check_whole("episodes", episodes, 0)
     if not isinstance(frontier, Frontier) or frontier.problem is None:
-        raise ModelError(f"explore takes a frontier of a problem, not {in_short(frontier)}")
+        told = f"explore takes a frontier of a problem, not {in_short(frontier)}"
+        raise ModelError(f"{told}; trace_frontier(problem) makes one")
+    if path is not None:
+        _check_page_name(path)
     plotting, problem = optional_module("bokeh.plotting", "explore"), frontier.problem
     policies = [frontier.policy_at(float(spent)) for spent in frontier.spent]
     evaluations = [evaluate(policy, problem) for policy in policies]

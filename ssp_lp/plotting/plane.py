@@ -31,6 +31,7 @@ Places = Mapping[Any, Point] | Callable[[Any], Point | None]
 """State or action -> a point, or none: a mapping without the key, or a function that says None."""
 
 
+@explained
 def row_major(rows: int, columns: int) -> Callable[[int], Point]:
     """Points in the plane of cells numbered row by row from the upper left corner, from 0.
 

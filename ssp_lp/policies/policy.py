@@ -106,6 +106,11 @@ class CostLayers:
         return len(self.decision)
 
 
+_EVERYWHERE = (
+    "(runs need not come to all of these: solution.policy_table() lists those that they come to)"
+)
+
+
 class Playable(ReadOnlyCopies, ABC):
     """Mix-in of the policies that a person's own loop can drive: they start episodes.
 
@@ -120,6 +125,7 @@ class Playable(ReadOnlyCopies, ABC):
         True
     """
 
+    @explained
     def start(self, seed: Randomness | None = None, *, world: World = "model") -> Episode:
         """A new episode of the policy, beside any others; ``seed`` draws the lottery and actions.
 
@@ -175,7 +181,7 @@ class Playable(ReadOnlyCopies, ABC):
             Member(weight, member.remembers, dict(member.memories()), member.decisions)
             for weight, member in self.weighted
         )
-        return PolicyTable(self.weighted[0][1].model, members, GIVE_UP)
+        return PolicyTable(self.weighted[0][1].model, members, GIVE_UP, _EVERYWHERE)
 
     def to_frame(self) -> Any:
         """The policy's table as a pandas ``DataFrame``.
@@ -203,6 +209,7 @@ class Playable(ReadOnlyCopies, ABC):
         except ModelError:
             return None
 
+    @explained
     def action(self, state: Hashable) -> Hashable:
         """The policy's action in a state: :data:`GIVE_UP` where it gives up, None where it is over.
 
@@ -581,6 +588,7 @@ class Episode:
         self._alone = alone
         self._staying: IntArray | None = None  # [states], once it goes on after giving up
 
+    @explained
     def action(self, state: Hashable) -> Hashable:
         """The policy's action in this state; :data:`GIVE_UP` or None once the episode is over.
 

@@ -16,7 +16,7 @@ import numpy as np
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.model.arguments import explained_class
+from ssp_lp.model.arguments import explained, explained_class
 from ssp_lp.model.failure_product import FailureSSP, check_label
 from ssp_lp.model.graph import dead_ends
 from ssp_lp.model.product import HorizonSSP, ProductSSP, check_product
@@ -571,6 +571,7 @@ Default = Hashable | Mapping[Hashable, Hashable] | DeterministicPolicy
 """An action wherever it exists, ``{state: action}``, or the decisions of a policy."""
 
 
+@explained
 def acting_everywhere(
     policy: Policy | MixedPolicy,
     default: Default | None = None,
@@ -627,6 +628,7 @@ def acting_everywhere(
     return MixedPolicy(members, lottery.weights)
 
 
+@explained
 def on_original(policy: Policy | MixedPolicy) -> MixedPolicy:
     """Policy of a product as one that remembers its memory on the original model.
 

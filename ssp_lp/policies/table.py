@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from html import escape
 from itertools import islice
 from typing import Any, NamedTuple, overload
 
@@ -74,6 +75,7 @@ class PolicyTable(Sequence[PolicyRow]):
     model: SSP
     members: tuple[Member, ...]
     give_up: Hashable  # the action of decisions without a pair
+    note: str = ""  # printed below decisions that depend on a memory
 
     @cached_property
     def _rows(self) -> list[PolicyRow]:
@@ -116,14 +118,14 @@ class PolicyTable(Sequence[PolicyRow]):
     def __str__(self) -> str:
         """The first rows of each member under its weight."""
         if len(self.members) == 1:
-            return "\n".join(self._member_lines(0))
+            return "\n".join([*self._member_lines(0), *self._notes])
         lines = [f"lottery over {len(self.members)} policies, drawn once at the start"]
         for k, member in enumerate(self.members[:_MEMBERS]):
             lines.append(f"with probability {member.weight:.4g}:")
             lines += [f"  {line}" for line in self._member_lines(k)]
         if len(self.members) > _MEMBERS:
             lines.append(f"and {len(self.members) - _MEMBERS:,} more policies")
-        return "\n".join(lines)
+        return "\n".join([*lines, *self._notes])
 
     def __repr__(self) -> str:
         """The printed table."""
@@ -136,13 +138,19 @@ class PolicyTable(Sequence[PolicyRow]):
             title = "policy" if len(self.members) == 1 else f"with probability {member.weight:.4g}"
             head, rows, notes = self._shown(k)
             tables.append(html_table(title, rows, head, notes))
-        return "\n".join(tables)
+        return "\n".join([*tables, *(f"<p>{escape(note)}</p>" for note in self._notes)])
+
+    @property
+    def _notes(self) -> list[str]:
+        """The table's note, where a member remembers something."""
+        words = (memory for member in self.members for memory in member.words.values())
+        return [self.note] if self.note and any(memory is not None for memory in words) else []
 
     def _member_lines(self, member: int) -> list[str]:
         """Lines of a member's table."""
         head, rows, notes = self._shown(member)
         lines = text_table([head, *rows], left=len(head) - 1) if rows else []
-        return [*(line.rstrip() for line in lines), *notes]
+        return [*lines, *notes]
 
     def _shown(self, member: int) -> tuple[list[str], list[list[str]], list[str]]:
         """Head, first rows and a note on the other rows of a member's table."""

@@ -265,7 +265,10 @@ def start_distribution(model: SSP, start: Hashable | Mapping[Hashable, float]) -
         ModelError: unknown state, negative probability, or a sum that is not one.
     """
     if isinstance(start, (list, set, np.ndarray)):
-        raise ModelError(f"start must be a state or {{state: probability}}, not {start!r}")
+        hint = "; several states are written dict(zip(states, probabilities))"
+        if isinstance(start, np.ndarray):
+            hint += ", a state tuple(array.tolist())"
+        raise wrong_argument("start", "be a state or {state: probability}", start, hint)
     weights = start if isinstance(start, Mapping) else {start: 1.0}
     distribution = np.zeros(model.n_states)
     for state, probability in weights.items():
@@ -274,7 +277,7 @@ def start_distribution(model: SSP, start: Hashable | Mapping[Hashable, float]) -
             raise ModelError(f"start probability of state {state!r} is no number: {given}")
         if not 0.0 <= float(probability) <= 1.0 + 1e-12:
             raise ModelError(f"start probability of state {state!r} is {probability!r}")
-        distribution[model.index_of(state)] += float(probability)
+        distribution[model.index_of(state, "start")] += float(probability)
     total = float(distribution.sum())
     if abs(total - 1.0) > 1e-9:
         raise ModelError(f"start probabilities sum to {total:.12g}, not to 1")
@@ -357,7 +360,9 @@ def check_failure_setting(
     budgets = {"failure_budget": failure_budget, "reach_fraction": reach_fraction}
     for name, value in {**budgets, "discount": discount}.items():
         if value is not None and (isinstance(value, bool) or not isinstance(value, Real)):
-            raise wrong_argument(name, "be a number or None", value)
+            is_list = isinstance(value, (list, tuple, np.ndarray))
+            hint = "; sweep(criterion, ...) states a problem for each of several" if is_list else ""
+            raise wrong_argument(name, "be a number or None", value, hint)
     if reach_fraction is not None and failure_budget is not None:
         either = Argument("failure_budget"), " or ", Argument("reach_fraction")
         raise ModelError("give ", *either, ", not both: each says the other")

@@ -15,7 +15,6 @@ from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import update_wrapper
 from inspect import signature
-from itertools import chain
 from math import isfinite
 from typing import Generic, ParamSpec
 
@@ -24,8 +23,9 @@ import numpy.typing as npt
 
 from ssp_lp.accumulated_cost.charges import ExpectedArrivalCost
 from ssp_lp.arrays import BoolArray, FloatArray, read_only
-from ssp_lp.errors import ModelError, check_flag, did_you_mean, in_short, is_number
+from ssp_lp.errors import ModelError, did_you_mean, in_short, is_number, nearest_name
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained, explained_class
 from ssp_lp.model.graph import end_marks
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.processes.conditions import OBJECTIVE, RESERVED, ArrivalTerm, Condition, StepTerm, Term
@@ -203,7 +203,7 @@ class QuantityFunction(Generic[_Given]):
 
     def __init__(self, make: Callable[_Given, Quantity]) -> None:
         update_wrapper(self, make)
-        self._make = make
+        self._make = explained(make)
 
     def __call__(self, *arguments: _Given.args, **named: _Given.kwargs) -> Quantity:
         """Make the quantity."""
@@ -248,7 +248,6 @@ def secondary_cost(
         through_failure: count it to the true end of the run (mathematics, section 2): each step
             that is taken after failing, and no charge in its place.
     """
-    check_flag("through_failure", through_failure)
     return Quantity(((1.0, _StageCosts(cost, through_failure)),))
 
 
@@ -267,7 +266,6 @@ def visits(*states: Hashable, through_failure: bool = False) -> Quantity:
         ModelError: none is given, or a list in place of a state.
     """
     _check_quantity_names("visits", states)
-    check_flag("through_failure", through_failure)
     return Quantity(((1.0, _Visits(states, through_failure)),))
 
 
@@ -351,6 +349,7 @@ def cvxpy_hint(value: object) -> str:
     return _WITH_CVXPY if hasattr(value, "is_dcp") else ""
 
 
+@explained_class
 @dataclass(frozen=True, eq=False)
 class CostLimit:
     """An upper bound on the expected total of a secondary cost: ``secondary_cost(cost) <= bound``.
@@ -607,6 +606,15 @@ def _looked_up_term(model: SSP, name: str, counted: Counted) -> Term:
             return ArrivalTerm(model, ends, final=True, others=others)
 
 
+def _as_an_action(model: SSP, word: Hashable) -> str:
+    """For an error: a clause for a word in the place of a state that names an action, or nearly."""
+    meant = nearest_name(word, model.action_names)
+    if meant is None or nearest_name(word, model.states) is not None:
+        return ""
+    told = "it is an action" if meant == word else f"did you mean the action {meant!r}"
+    return f"; {told}: secondary_cost({{state: {{{meant!r}: 1.0}}}}) counts how often it is taken"
+
+
 def _looked_up_states(
     model: SSP, name: str, words: tuple[Hashable, ...], *, final: bool = False
 ) -> BoolArray:
@@ -638,7 +646,8 @@ def _looked_up_states(
                 if final
                 else ("neither a state nor a label of states")
             )
-            nearest = did_you_mean(word, chain(named if final else labels, model.states))
+            known_names = [*(named if final else labels), *model.states]
+            nearest = _as_an_action(model, word) or did_you_mean(word, known_names, "there are")
             raise ModelError(f"limit {name!r}: {word!r} is {told}{nearest}") from error
         if final and states.size and (marks[states] < 0).all():  # a horizon may leave none
             raise ModelError(f"limit {name!r}: no episode ends in state {word!r}: take visits(...)")

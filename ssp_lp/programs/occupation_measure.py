@@ -22,6 +22,7 @@ from ssp_lp.dynamic_programming.dynamics import leaving_choice
 from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.errors import ModelError, SolverError, optional_module
 from ssp_lp.linear_programming.linear_program import MeasuredRow
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import nearer_pairs
 from ssp_lp.model.text_tables import ByName
 from ssp_lp.policies.policy import MixedPolicy, StochasticPolicy
@@ -132,6 +133,7 @@ class OccupationMeasure:
         over = [row.violation(self.activity[row.name]) for row in self.program.rows]
         return max(self.imbalance, *over, 0.0)
 
+    @explained
     def value(self, state: Hashable, cost: float | None = None) -> float:
         """Dual of a state's flow balance at the occupation measure, as :meth:`StateValues.at`.
 
@@ -298,6 +300,7 @@ class StateValues:
         """A state's value."""
         return self.at(state)
 
+    @explained
     def at(
         self, state: Hashable, action: Hashable | None = None, cost: float | None = None
     ) -> float:
@@ -323,6 +326,7 @@ class StateValues:
             raise ModelError(f"{complaint}: one is asked for{such}")
         return float(self.states[rows[0]])
 
+    @explained
     def advantage(self, state: Hashable, action: Hashable, cost: float | None = None) -> float:
         """Reduced cost of an action by the dual values: 0 of those that are optimal.
 

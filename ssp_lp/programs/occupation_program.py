@@ -139,6 +139,7 @@ class OccupationProgram:
             return make(then)
         return self.with_rows(lambda row: replace(row, bound=then[row.name]))
 
+    @explained
     def with_rows(self, changed: Callable[[ProgramRow], ProgramRow | None]) -> OccupationProgram:
         """The occupation program with each row changed, or without it where it becomes None."""
         inner = self.reduced and replace(
@@ -212,6 +213,7 @@ class OccupationProgram:
                 return label._replace(action=STAY)
         return label
 
+    @explained
     def columns(self, state: Hashable, action: Hashable | None = None) -> tuple[int, ...]:
         """Indices in x of an action in a state: of all copies, one per accumulated cost in case S.
 
@@ -225,6 +227,7 @@ class OccupationProgram:
         augmented = self.augmented
         return tuple(augmented.pairs_of(augmented.model.places_of(state), action).tolist())
 
+    @explained
     def visits(self, state: Hashable, action: Hashable | None = None) -> FloatArray:
         """Coefficients in the occupation program that count visits of a state or action, [pairs].
 
@@ -246,6 +249,7 @@ class OccupationProgram:
             counted += self.augmented.counted(ArrivalTerm(model, ends))
         return counted
 
+    @explained
     def expression(self, quantity: Quantity) -> tuple[FloatArray, float]:
         """A quantity as coefficients of x in the occupation program, [pairs], and a constant.
 
@@ -262,6 +266,7 @@ class OccupationProgram:
         terms = (weight * self.augmented.counted(term) for weight, term in objective.terms)
         return sum(terms, np.zeros(self.process.n_pairs)), objective.constant
 
+    @explained
     def column(self, state: Hashable, action: Hashable, cost: float | None = None) -> int:
         """Index in x of an action in a state, in case S at an accumulated cost.
 
@@ -282,6 +287,7 @@ class OccupationProgram:
             "accumulated cost: say cost=..., or take columns(...)"
         )
 
+    @explained
     def row(self, name: str) -> ProgramRow:
         """A named row of the occupation program.
 

@@ -754,6 +754,9 @@ def check_certificate(path: Any) -> Checked:
 
     Where the answer is not ``accepted``, it says which inequality fails where.
     """
+    if not (isinstance(path, str) or hasattr(path, "__fspath__")):
+        told = "no path of a file, which ssp_lp.write_certificate(solution, path) writes"
+        return Checked(False, f"{printable(type(path).__name__)} is {told}")
     try:
         with open(path, "rb") as packed, gzip.open(packed) as file:
             most = min(FILE, LINE + TIMES * packed.seek(0, 2))

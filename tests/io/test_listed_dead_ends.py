@@ -60,6 +60,28 @@ def test_a_json_file_lists_its_dead_ends(tmp_path):
     refused("'dead_ends' must be a list of states", read_any, path, [])
 
 
+def test_a_json_file_is_written_with_its_dead_ends(tmp_path):
+    path = tmp_path / "roads.json"
+    write_any(MODEL, path, start="depot")
+    table = json.loads(path.read_text())
+    assert table["dead_ends"] == ["wreck", "lost"]
+    assert read_any(path, []).model.states == MODEL.states
+    table["transitions"]["depot"]["road"][0][1] = "hoem"
+    path.write_text(json.dumps(table))
+    refused("'hoem', where .* did you mean 'home'", read_any, path, [])
+
+    # with another goal the states that are listed may be no dead-ends
+    write_any(MODEL, path, start="depot")
+    assert read_any(path, "wreck").model.goal_mask.sum() == 1
+    none = SSP.from_transitions({"a": {"go": [(1.0, "b", 1.0)]}}, goal={"b"}, dead_ends=())
+    write_any(none, path)
+    table = json.loads(path.read_text())
+    assert table["dead_ends"] == []
+    table["transitions"]["a"]["go"] = [[0.5, "b", 1.0], [0.5, "c", 1.0]]
+    path.write_text(json.dumps(table))
+    refused("'c', where action 'go' of state 'a' leads", read_any, path, [])
+
+
 def test_dead_ends_of_matrices_and_of_worlds():
     go = np.array([[0.0, 0.5, 0.5], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     options = {"goal": {1}, "costs": [1.0, 0.0, 0.0], "state_labels": {"pit": {2}}}

@@ -153,7 +153,7 @@ def test_other_errors_stay_what_they_are() -> None:
     assert share(1, 2) == 0.5
     with pytest.raises(KeyError, match="no such key"):
         share(1)
-    with pytest.raises(TypeError, match="missing"):
+    with pytest.raises(ModelError, match=r"share needs 'number': write test_.*share\(number\)"):
         share()
     with pytest.raises(ModelError, match="number must be a whole number, not 'x'") as caught:
         share("x", 2)

@@ -66,7 +66,7 @@ IN_PYTHON: list[tuple[Callable[[], Any], str]] = [
     (lambda: model({"depot": [(1.0, "home", 1.0)]}), "needs a dict {action:"),
     (lambda: model([("depot", "home")]), "a model is told as {state: {action:"),
     (lambda: model(state_labels={"crash": ["wrek"]}), "did you mean 'wreck'?"),
-    (lambda: model(state_labels={"crash": "wreck"}), "crash must be a set of states"),
+    (lambda: model(state_labels={"crash": "wreck"}), "labels['crash'] must be a set of"),
     (lambda: model(state_labels={"goal": ["home"]}), "state label 'goal' is taken"),
     (lambda: MCMP(FINE, "depot", 0.05), "MCMP takes an SSP first, then the start"),
     (lambda: MCMP(model(), "depo", 0.05), "did you mean 'depot'?"),

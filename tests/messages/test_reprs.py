@@ -39,6 +39,7 @@ from ssp_lp import (
     visits,
 )
 from ssp_lp.analysis.evaluation import giving_up_in_words
+from ssp_lp.game import stationary_game
 
 MODEL = model_of(
     {
@@ -268,3 +269,11 @@ def test_every_report_has_a_summary() -> None:
         lines = report.summary().splitlines()
         assert len(lines) >= 2
         assert max(map(len, lines)) <= 200
+
+
+def test_an_optimum_of_the_game_prints_in_one_line():
+    problem = MCMP(MODEL, "s", 0.05, discount=0.99)
+    found = stationary_game(problem)
+    assert repr(found).startswith(f"GameSolution(c* {found.objective:.9g}, lower bound ")
+    assert len(repr(found)) <= 200
+    assert found.summary().splitlines()[2].split() == ["alpha*", f"{found.alpha:.6g}"]

@@ -438,3 +438,14 @@ FINER = {"episodes": 10, "simulator": WorldSimulator(FINE, start=(3.5,))}
 def test_what_cannot_be_is_refused(build, words):
     with np.errstate(divide="ignore", invalid="ignore"):
         refused(words, build)
+
+
+def test_a_grid_places_its_states_in_pictures():
+    """Cells lie where their middles do, ends nowhere; further axes do not count."""
+    grid = Grid([Axis(0.0, 1.0, cells=2), Axis(-1.0, 1.0, cells=4), Axis(0.0, 6.0, cells=3)])
+    for cell in range(grid.n_cells):
+        x, y, _ = grid.centre(cell)
+        assert grid.place(cell) == (int(x / 0.5), int((y + 1.0) / 0.5))
+    assert grid.place(grid.n_cells) is None
+    refused("whole numbers", grid.place, -1)
+    refused("grid.place needs two axes", Grid([Axis(0.0, 1.0, cells=2)]).place, 0)

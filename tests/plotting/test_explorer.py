@@ -213,6 +213,55 @@ def test_arrows_of_a_graph_are_named_by_their_actions(opened, tmp_path):
     assert {name for name, is_seen in zip(names, seen, strict=True) if is_seen} <= taken
 
 
+HOVERED = """
+const [name, place] = arguments, data = Bokeh.documents[0].get_model_by_name(name);
+const view = Object.values(Bokeh.index.roots).find((root) =>
+  root.model.renderers && root.model.renderers.some((r) => r.data_source === data));
+view.el.scrollIntoView({block: "center"});
+const box = view.canvas.el.getBoundingClientRect(), {x_scale, y_scale} = view.frame;
+return [box.left + x_scale.compute(place[0]), box.top + y_scale.compute(place[1])];
+"""
+TIPS = """
+const seen = [], walk = (node) => {
+  for (const inner of [...(node.shadowRoot ? node.shadowRoot.children : []), ...node.children]) {
+    const is_tip = String(inner.className).includes("bk-Tooltip");
+    if (is_tip && getComputedStyle(inner).display !== "none")
+      seen.push(inner.shadowRoot.textContent.replace(/^.*}/s, ""));
+    walk(inner);
+  }
+};
+walk(document.body);
+return seen.join(" ").replace(/\\s+/g, " ");
+"""
+
+
+def test_a_mouse_over_an_arrow_that_is_seen_says_its_action(opened, tmp_path):
+    """Each action's tooltip has how often it is taken; arrows that are not seen have none."""
+    from selenium.webdriver.common.actions.action_builder import ActionBuilder
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    explore(traced("field"), tmp_path / "page.html")
+    page = opened(tmp_path / "page.html")
+    columns = [page.execute_script(f"return [...{DRAWN[7:]}]", "arrows", name)
+               for name in ("x0", "x1", "y0", "y1")]  # fmt: skip
+    typed(page, 0.0)
+    names, told, seen = (
+        page.execute_script(DRAWN, "arrows", n) for n in ("action", "told", "seen")
+    )
+    assert set(seen) == {0, 1}
+    for name, times, is_seen, x0, x1, y0, y1 in zip(names, told, seen, *columns, strict=True):
+        if not is_seen:
+            continue
+        where = page.execute_script(HOVERED, "arrows", [(x0 + x1) / 2, (y0 + y1) / 2])
+        mouse = ActionBuilder(page)
+        mouse.pointer_action.move_to_location(*map(int, where))
+        mouse.perform()
+        words = f"action: {name} expected times: {times}"
+        WebDriverWait(page, 10).until(lambda page, words=words: words in page.execute_script(TIPS))
+    begins = page.execute_script(f"return [...{DRAWN[7:]}].map(Number.isNaN)", "arrows", "x0")
+    assert begins == [not is_seen for is_seen in seen]
+
+
 @pytest.mark.parametrize("case", PROBLEMS)
 def test_a_page_shows_four_digits_and_costs_as_far_as_they_go(case, opened, tmp_path):
     frontier = traced(case)

@@ -71,6 +71,16 @@ def test_the_table_of_a_solution_has_what_the_plan_comes_to_nearest_first():
     assert "cost paid" in str(aware)
 
 
+def test_a_table_of_a_memory_says_where_runs_come():
+    """Case S prints all costs, with a note; the solution's own table has those that runs pay."""
+    solution = solve(S3P(DEPOT, "depot", 0.05))
+    note = "runs need not come to all of these: solution.policy_table()"
+    assert str(solution.policy).count(note) == 1
+    assert note in solution.policy._repr_html_()
+    assert [row.memory for row in solution.policy_table()] == [0.0, 0.0]
+    assert note not in str(solution.policy_table()) + str(LOTTERY.policy)
+
+
 def test_giving_up_is_called_give_up_in_every_table():
     policy = StochasticPolicy.from_actions(DEPOT, {"depot": {"road": 0.25, GIVE_UP: 0.75}})
     assert {row.action for row in policy.table()} == {"road", "give up"}

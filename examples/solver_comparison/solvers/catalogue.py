@@ -45,7 +45,7 @@ def _method(
         name,
         LIBRARY,
         package="ssp_lp",
-        pip="pip install ssp-lp",
+        pip="pip install .",
         options={"method": method, "backend": backend},
         environment=environment or {},
     )

@@ -10,6 +10,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from ssp_lp.errors import Argument, ModelError, did_you_mean
 from ssp_lp.io.model_files.raw_model import FIRST_COST, opened_text
 from ssp_lp.model import SSP
@@ -53,7 +55,7 @@ def parse_json(
         goal: names of the goal states, or of a label of them; none: as the text says.
         cost: the name of the cost; None: the only one.
         dead_ends: states from which no action reaches the goal, labels of theirs, or a predicate;
-            None: as the text lists them ("dead_ends"), if it does.
+            None: as the text lists them ("dead_ends"), if it does and has this goal.
 
     Raises:
         ModelError: no such table, a name twice, no goal, or one that does not occur.
@@ -151,7 +153,10 @@ def _stated_model(
         if not isinstance(members, list):
             raise ModelError(f"{source}: the label {name!r} must be a list of states")
     labels = {name: [str(state) for state in members] for name, members in labels.items()}
-    goal = goal or [str(name) for name in table["goal"]]
+    own_goal = [str(name) for name in table["goal"]]
+    if dead_ends is None and listed_ends is not None and set(goal or own_goal) == {*own_goal}:
+        dead_ends = [*map(str, listed_ends)]  # of another goal they need not be dead-ends
+    goal = goal or own_goal
     if not goal:
         told = f"{source} does not say which states are goals: name them by "
         raise ModelError(told, Argument("goal"))
@@ -179,13 +184,15 @@ def _stated_model(
     for name in goals:
         if name not in transitions and name not in met:
             names = [*transitions, *(to for to in met if to not in transitions)]
-            raise ModelError(f"the goal {name!r} does not occur{did_you_mean(name, names)}")
+            raise ModelError(
+                f"the goal {name!r} does not occur{did_you_mean(name, names, 'the states:')}"
+            )
     model = SSP.from_transitions(
         transitions,
         goals,
         cost=next(iter(counted), None),
         state_labels=labels,
-        dead_ends=[*map(str, listed_ends)] if dead_ends is None and listed_ends else dead_ends,
+        dead_ends=dead_ends,
         treat_actionless_as_dead_ends=True,
     )
     return StatedModel(model, start if start is None or isinstance(start, dict) else str(start))
@@ -208,7 +215,8 @@ def _json_outcome(
         counted.add(_counted_cost(where, named, cost))
         paid = {name: _json_number(value) for name, value in named.items()}
     elif cost not in (None, FIRST_COST):
-        raise ModelError(f"{where}: the cost has no name, there is none called {cost!r}")
+        told = f"{where}: the costs of this model have no names, none is {cost!r}: leave out "
+        raise ModelError(told, Argument("cost"))
     return _json_number(chance), str(successor), _json_number(paid)
 
 
@@ -247,8 +255,10 @@ def model_in_json(
     names = [str(state) for state in model.states]
     if len(set(names)) < len(names):
         raise ModelError("two states of the model read the same as words: name them differently")
+    idle = np.diff(model.pair_offsets) == 0
     stated: dict[str, Any] = {
         "goal": [names[k] for k in model.goal_mask.nonzero()[0].tolist()],
+        "dead_ends": [names[k] for k in np.flatnonzero(idle & ~model.goal_mask).tolist()],
         "labels": {word: [names[k] for k in at] for word, at in model.state_labels.items()},
     }
     if isinstance(start, Mapping):

@@ -284,3 +284,18 @@ def test_a_wrapper_that_records_sees_every_step():
     recorded = gym.wrappers.RenderCollection(env, pop_frames=False, reset_clean=False)
     report = rollout(recorded, solved(from_gymnasium(env), 0.3).policy, episodes=3, seed=1)
     assert len(recorded.render()) >= 3 + 3 * report.mean_steps  # each begins with a picture
+
+
+def test_intervals_of_rolled_out_costs_allow_for_what_the_policy_and_the_limit_can_cost():
+    """Along the cliff there are 13 steps and no way round; on the ice the limit is 100 steps."""
+    cliff = gym.make("CliffWalking-v1")
+    world = from_gymnasium(cliff, goal={47})
+    report = rollout(cliff, solve(MCMP(world.model, world.start)).policy, episodes=5, seed=0)
+    assert set(report.success_costs) == {13.0}
+    assert report.conditional_cost.high <= 48.0
+    lake = gym.make("FrozenLake-v1")
+    world = from_gymnasium(lake, horizon=None)
+    policy = solve(MCMP(world.model, world.start, failure_budget=0.3)).policy
+    with pytest.warns(StepLimitWarning):
+        report = rollout(lake, policy, episodes=100, seed=0)
+    assert report.success_costs.mean() <= report.conditional_cost.high <= 100.0

@@ -52,6 +52,26 @@ def least(found, budget=0.0):
     return solve(MCMP(found.model, found.start, failure_budget=budget))
 
 
+def test_dead_ends_of_a_program_are_listed_by_states_or_a_predicate(tmp_path):
+    path, options = written(tmp_path, PROGRAM), {"goal": "done", "cost": "time"}
+    broken = {(True, 0), (True, 1)}
+    for listed in (broken, lambda state: state[0]):
+        found = read_with_storm(path, **options, constants="N=2,p=0.25", dead_ends=listed)
+        assert dead_end_labels(found.model) == broken
+        storms = to_stormpy(found.model, start=found.start)
+        for numbers in ({found.model.index_of(state) for state in broken}, "deadlock"):
+            same = from_stormpy(storms, goal="goal", cost="time", dead_ends=numbers)
+            assert same.model.n_states == found.model.n_states
+        refused("neither a goal nor a dead", from_stormpy, storms, goal="goal", cost="time",
+                dead_ends=())  # fmt: skip
+    told = r"state \(True, 1\), where .* neither a goal nor a dead-end"
+    refused(told, read_with_storm, path, **options, constants="N=2,p=0.25", dead_ends={(True, 0)})
+    whole = {"constants": "N=2,p=0.25", "dead_ends": {(False, 1), *broken}}
+    refused(
+        "listed in dead_ends, but the goal is reached", read_with_storm, path, **options, **whole
+    )
+
+
 def test_a_program_of_prism(tmp_path):
     path, constants = written(tmp_path, PROGRAM), {"N": 2, "p": 0.25}
     found = read_with_storm(path, goal="done", cost="time", constants="N=2,p=0.25")
