@@ -133,7 +133,7 @@ SEVERAL = {
 _JSON = "for other programs"
 
 _MODEL_HELP = """\
-MODEL is a file (.json, .csv, .drn, .tra, .npz, through Storm .prism, .nm, .pm, .jani, .umb; also
+MODEL is a file (.json, .csv, .drn, .umb, .npz, through Storm .prism, .nm, .pm, .jani; also
 .json.gz, .drn.gz, .drn.xz), "-" for JSON from standard input, or gym:NAME for an environment of
 Gymnasium's, gym:NAME,map_name=8x8 with its arguments. In JSON a model is
 {state: {action: [[probability, successor, cost], ...]}}; a state without actions that is no goal
@@ -333,8 +333,7 @@ def _add_solve(one: ArgumentParser) -> None:
     answer = one.add_argument_group("the answer")
     _add_file(
         answer, "--policy-out", metavar="FILE",
-        help="write the policy: .npz to load again, .storm.json for Storm, .json for a "
-        "controller, .h for C, .dot, .csv",
+        help="write the policy: .npz to load again, .json for a controller, .h for C, .csv",
     )  # fmt: skip
     shown = "print what the policy does, where it comes to from the start"
     answer.add_argument("--show-policy", action="store_true", help=shown)

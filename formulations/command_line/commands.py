@@ -75,12 +75,6 @@ class _CommandModel:
         return self.stated_start
 
     @property
-    def only_start(self) -> Start | None:
-        """Start of a command's model; where it is one state for sure, that state."""
-        start = self.stated_start
-        return next(iter(start)) if isinstance(start, Mapping) and len(start) == 1 else start
-
-    @property
     def written_out(self) -> tuple[SSP, Start | None]:
         """A command's model with its states counting the horizon's steps, and its start.
 
@@ -424,13 +418,9 @@ def _write_answer_table(solution: Solution, of: _CommandModel, path: str) -> Non
 
 
 _WRITERS: dict[str, PolicyWriter] = {
-    ".storm.json": lambda solution, of, path: io.write_scheduler(
-        solution.randomised_policy, path, start=of.only_start
-    ),
     ".npz": lambda solution, of, path: io.save_policy(solution.policy, path),
     ".json": lambda solution, of, path: io.write_controller(solution.policy, path),
     ".h": lambda solution, of, path: io.write_c_header(solution.policy, path),
-    ".dot": lambda solution, of, path: io.write_dot(solution.policy, path, of.start),
     ".csv": _write_answer_table,
 }
 
