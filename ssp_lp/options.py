@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Protocol, TextIO
 from ssp_lp.arrays import RELATIVE_GAP
 from ssp_lp.errors import ModelError, check_between_0_and_1, check_flag, is_number, wrong_argument
 
-BACKENDS = ("highs", "highs-simplex", "highs-ipx", "clarabel", "cvxpy")
+BACKENDS = ("highs", "highs-simplex", "highs-ipx", "cvxpy")
 """Solvers of linear programs."""
 
 
@@ -88,7 +88,7 @@ class LinearProgramming:
     """The full linear program, whose duals then price the policies of the answer.
 
     Args:
-        backend: "highs", "highs-simplex", "highs-ipx", "clarabel" or "cvxpy"; None: chosen by the
+        backend: "highs", "highs-simplex", "highs-ipx" or "cvxpy"; None: chosen by the
             size of the program.
 
     Raises:
