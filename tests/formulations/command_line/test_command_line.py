@@ -322,8 +322,6 @@ def test_a_horizon_is_that_of_the_criterion(
     for step in range(6):  # there is nothing else to do
         assert (player.action("lock"), player.failed) == ("try", step >= 3)
         player.observe("lock", 1.0)
-    first = told("compare", model, *words)[0]
-    assert (first["criterion"], first["objective"]) == ("MaxProb", pytest.approx(0.875))
 
 
 def test_the_frontier_in_three_forms(roads: Path, run: Run, told: Told) -> None:
@@ -379,14 +377,6 @@ def test_the_program_is_written(roads: Path, tmp_path: Path, run: Run) -> None:
     assert (code, "failure: <failure, x> <= 0.05" in out) == (0, True)
     assert "failure" in (tmp_path / "roads.lp").read_text(encoding="utf-8")
     assert run(*asked, tmp_path / "roads.txt")[0] == 2
-
-
-def test_criteria_side_by_side(roads: Path, told: Told) -> None:
-    rows = told("compare", roads, *WITHIN, "--cost-bound", 4, "--level", 0.9)
-    found = {row["criterion"]: row["objective"] for row in rows}
-    assert found["MCMP, failure budget 0.05"] == pytest.approx(20 / 3)
-    assert found["CostBoundedReach, cost 4"] == pytest.approx(0.9)
-    assert found["MinCost"] is None
 
 
 WALKER = """mdp
@@ -472,7 +462,7 @@ def test_several_budgets_make_a_table(roads: Path, run: Run, told: Told, refused
         ("solve x.json --failure-budget 5%%", "'5%%' is no number"),
         ("solve x.json --failure-budget %", "'%' is no number"),
         ("solve x.json --quiet --verbose", "not allowed with"),
-        ("compare x.json --json --csv", "not allowed with"),
+        ("frontier x.json --json --csv", "not allowed with"),
         ("solve x.json --gaol home", "--gaol"),
     ],
 )
@@ -495,14 +485,12 @@ def test_solvers_print_nothing_beside_the_answer(roads: Path, method: str) -> No
 
 
 def test_tables_go_into_files(roads: Path, tmp_path: Path, run: Run) -> None:
-    for command in ("frontier", "compare"):
-        path, asked = tmp_path / f"{command}.csv", (command, roads, *FROM_DEPOT, "--csv")
-        assert run(*asked, path) == (0, "", "")
-        code, printed, _ = run(*asked)
-        assert (code, printed) == (0, path.read_text(encoding="utf-8"))
-        rows = list(csv.DictReader(io.StringIO(printed)))
-        assert {"failure", "failure_probability"} & rows[0].keys()
-        assert min(float(row["objective"]) for row in rows if row["objective"]) < 4.0
+    path, asked = tmp_path / "frontier.csv", ("frontier", roads, *FROM_DEPOT, "--csv")
+    assert run(*asked, path) == (0, "", "")
+    code, printed, _ = run(*asked)
+    assert (code, printed) == (0, path.read_text(encoding="utf-8"))
+    rows = list(csv.DictReader(io.StringIO(printed)))
+    assert min(float(row["objective"]) for row in rows) < 4.0
 
 
 def test_shells_complete(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
