@@ -6,8 +6,7 @@ import re
 from array import array
 from collections.abc import Hashable, Iterator
 from dataclasses import dataclass, field
-from itertools import compress, pairwise
-from operator import methodcaller
+from itertools import pairwise
 
 import numpy as np
 
@@ -45,10 +44,6 @@ _SECTIONS = {
 their own below their names."""
 
 _ENTRY = re.compile(r"(state|action)\s+([^\s\[]+)\s*(?:\[([^\]]*)\])?\s*(.*)")
-_ENTRIES = re.compile(r"\n[ \t]*(state|action)[ \t]+([^\s\[]+)[ \t]*(?:\[([^\]\n]*)\])?[ \t]*(.*)")
-"""A line of a state or an action, and all such lines of a block of the file."""
-
-_COLONS, _COMMAS = methodcaller("count", ":"), methodcaller("count", ",")
 _LABEL = re.compile(r'"([^"]*)"|(\S+)')
 _NO_NAME = "__NOLABEL__"
 
@@ -131,27 +126,28 @@ class _Entries:
     states_read: int = 0
     is_rewarded: bool = False
 
-    def add_lines(self, block: str) -> None:
-        """Add a block line by line, however it is written.
+    def add(self, line: str) -> None:
+        """Add a line of a state, an action or a transition.
 
         Raises:
             ModelError: naming the line at fault.
         """
-        for raw_line in block.splitlines():
-            self.file.number += 1
-            line = raw_line.strip()
-            match = _ENTRY.fullmatch(line)
-            if match is not None:
-                self._add_entry(*match.groups())
-            elif line[:1].isdigit():
-                if not self.is_action or not self.is_action[-1]:
-                    raise self.file.fault("it stands before any state or action that it belongs to")
-                successor, probability = _drn_transition(line, self.file, self.n_states)
-                self.successors.append(successor)
-                self.probabilities.append(probability)
-                self.n_outcomes[-1] += 1
-            elif line:
-                raise self.file.fault("neither a state nor an action nor a transition")
+        if line[:1].isdigit():
+            if not self.is_action or not self.is_action[-1]:
+                raise self.file.fault("it stands before any state or action that it belongs to")
+            words = line.replace(":", " : ").split()
+            if len(words) != 3 or words[1] != ":":
+                raise self.file.fault("a transition is written 'successor : probability'")
+            successor = self.file.integer(words[0])
+            if successor >= self.n_states:
+                raise self.file.fault(f"there is no state {successor}")
+            self.successors.append(successor)
+            self.probabilities.append(self.file.float(words[2]))
+            self.n_outcomes[-1] += 1
+        elif (match := _ENTRY.fullmatch(line)) is not None:
+            self._add_entry(*match.groups())
+        elif line:
+            raise self.file.fault("neither a state nor an action nor a transition")
 
     def _add_entry(self, kind: str, name: str, listed: str | None, rest: str) -> None:
         """Add the line of a state or an action."""
@@ -160,74 +156,25 @@ class _Entries:
             raise self.file.fault("it stands before any state that it belongs to")
         if not is_action and name != str(self.states_read):
             raise self.file.fault(f"state {self.states_read} should come here")
-        paid = _listed_rewards(listed, self.n_rewards, self.file)
-        self.is_rewarded |= bool(paid)
+        words = listed.split(",") if listed and listed.strip() else []
+        if words and len(words) != (self.n_rewards or 1):
+            raise self.file.fault(f"{len(words)} rewards for {self.n_rewards} reward models")
+        self.is_rewarded |= bool(words)
+        paid = [self.file.float(word.strip()) for word in words]
         self.rewards.extend(paid or [0.0] * max(self.n_rewards, 1))
         self.is_action.append(is_action)
         self.n_outcomes.append(0)
         if is_action:
-            self.names.append(name)
-        else:
-            self._add_labels(self.states_read, rest)
-            self.states_read += 1
-
-    def _add_labels(self, state: int, listed: str) -> None:
-        """Add a state's labels."""
-        for label in _labels_of_line(listed, self.file):
-            self.labels.setdefault(label, []).append(state)
-
-    def add_block(self, block: str) -> bool:
-        """Add a block of many lines at once, written as Storm writes them.
-
-        Returns:
-            Whether it is added; if not, it is written otherwise, or wrong.
-        """
-        lines = "\n" + block.rstrip()  # comments, such as Storm's on states, leave empty ones
-        pieces = _ENTRIES.split(re.sub("\n+", "\n", lines) if "\n\n" in lines else lines)
-        moves, kinds, names, listed, rests = (pieces[k::5] for k in range(5))
-        is_action = [kind == "action" for kind in kinds]
-        is_state = [kind == "state" for kind in kinds]
-        nothing = ",".join(["0"] * max(self.n_rewards, 1))
-        rewards = [each or nothing for each in listed]
-        first, sizes = self.states_read, [*map(_COLONS, moves)]
-        numbers = range(first, first + sum(is_state))
-        text, paid, n_moves = "".join(moves), ",".join(rewards), sum(sizes)
-        words = text.replace(":", " : ").split()
-        ends = words[::3]
-        follows = self.is_action or (kinds[:1] == ["state"] and not sizes[0])
-        if (
-            not follows or (sizes[0] and not self.is_action[-1])
-            or any(compress(sizes[1:], is_state))  # transitions belong to actions
-            or [*compress(names, is_state)] != [*map(str, numbers)]
-            or (rewards and paid.count(",") + 1 != max(self.n_rewards, 1) * len(rewards))
-            or (self.n_rewards > 1 and len({*map(_COMMAS, rewards)}) > 1)
-            or len(words) != 3 * n_moves or words[1::3].count(":") != n_moves
-            or text.count("\n") != n_moves or not (n_moves == 0 or "".join(ends).isdigit())
-            or "_" in text + paid or not (text + paid).isascii()
-        ):  # fmt: skip
-            return False
-        try:
-            probabilities = array("d", map(float, words[2::3]))
-            costs = array("d", map(float, paid.split(",") if paid else ()))
-        except ValueError:
-            return False
-        successors = np.fromstring(" ".join(ends), np.int64, sep=" ")
-        if successors.max(initial=0) >= self.n_states:
-            return False
-        if sizes[0]:
-            self.n_outcomes[-1] += sizes[0]
-        self.n_outcomes += array("q", sizes[1:])
-        self.is_action += array("b", is_action)
-        self.successors.frombytes(successors.tobytes())
-        self.probabilities += probabilities
-        self.is_rewarded |= any(listed)
-        self.rewards += costs
-        self.names += compress(names, is_action)
-        for state, rest in zip(numbers, compress(rests, is_state), strict=True):
-            if rest:
-                self._add_labels(state, rest)
-        self.states_read += len(numbers)
-        return True
+            self.names.append("" if name == _NO_NAME else name)
+            return
+        if rest[:1] in ("{", "!"):
+            raise self.file.fault("observations and exit rates are not read")
+        labels = [quoted or bare for quoted, bare in _LABEL.findall(rest)]
+        if any('"' in label for label in labels):
+            raise self.file.fault("a quotation mark that has no partner")
+        for label in dict.fromkeys(labels):
+            self.labels.setdefault(label, []).append(self.states_read)
+        self.states_read += 1
 
 
 def _drn_body(
@@ -242,10 +189,8 @@ def _drn_body(
     place = chosen_reward(file.path, rewards, cost)
     n_states, n_choices = int(header["@nr_states"]), int(header.get("@nr_choices", -1))
     read = _Entries(file, len(rewards), n_states)
-    file.in_blocks = True
-    for block in lines:
-        if not read.add_block(block):
-            read.add_lines(block)
+    for line in lines:
+        read.add(line)
     if n_states != read.states_read or n_choices not in (-1, len(read.names)):
         stated = f"{n_states} states" + f" and {n_choices} choices" * (n_choices >= 0)
         there = f"{read.states_read} and {len(read.names)}"
@@ -259,11 +204,7 @@ def _drn_body(
     listed = [decimal_sum(*each) for each in zip(of_pairs, of_states, strict=True)]
     is_rewarded = read.is_rewarded or place is not None
     costs = [np.repeat(c, sizes) for c in (listed if is_rewarded else [np.ones(state.size)])]
-    offsets, names = offsets_of(counts), read.names
-    if _NO_NAME in names:
-        positions = (np.arange(state.size) - offsets[state]).tolist()
-        numbered = zip(names, positions, strict=True)
-        names = [str(position) if name == _NO_NAME else name for name, position in numbered]
+    offsets = offsets_of(counts)
     return RawModel(
         pair_offsets=offsets,
         outcome_offsets=offsets_of(sizes),
@@ -271,7 +212,7 @@ def _drn_body(
         probabilities=np.array(read.probabilities),
         costs=costs[place or 0],
         named_costs=named_rewards(rewards, costs) if rewards else {},
-        actions=distinct_actions(names, state),
+        actions=distinct_actions(read.names, offsets),
         labels={name: np.array(at, dtype=np.int64) for name, at in read.labels.items()},
     )
 
@@ -280,35 +221,6 @@ def _drn_reward_names(listed: str) -> list[str]:
     """Names of reward models, each with a blank behind it as Storm writes them: one may be ""."""
     names = [word.strip('"') for word in re.split("[ \t]", listed.removesuffix(" "))]
     return names if names.count("") == 1 < len(names) else list(filter(None, names))
-
-
-def _drn_transition(line: str, file: TextFile, n_states: int) -> tuple[int, float]:
-    """Successor and probability on a line of a DRN file."""
-    words = line.replace(":", " : ").split()
-    if len(words) != 3 or words[1] != ":":
-        raise file.fault("a transition is written 'successor : probability'")
-    successor = file.integer(words[0])
-    if successor >= n_states:
-        raise file.fault(f"there is no state {successor}")
-    return successor, file.float(words[2])
-
-
-def _listed_rewards(listed: str | None, n_rewards: int, file: TextFile) -> list[float]:
-    """The rewards in brackets, one for each reward model; none: nothing stands there."""
-    words = listed.split(",") if listed and listed.strip() else []
-    if words and len(words) != (n_rewards or 1):
-        raise file.fault(f"{len(words)} rewards for {n_rewards} reward models")
-    return [file.float(word.strip()) for word in words]
-
-
-def _labels_of_line(text: str, file: TextFile) -> dict[str, None]:
-    """Labels of a state in a DRN file, each in quotation marks or not."""
-    if text[:1] in ("{", "!"):
-        raise file.fault("observations and exit rates are not read")
-    labels = [quoted or bare for quoted, bare in _LABEL.findall(text)]
-    if any('"' in label for label in labels):
-        raise file.fault("a quotation mark that has no partner")
-    return dict.fromkeys(labels)
 
 
 @explained

@@ -35,9 +35,6 @@ FilePath = str | PathLike[str]
 _LONGEST_LINE = 1 << 24
 """Characters of a line beyond which a file is taken for no text at all."""
 
-_BLOCK = 1 << 18
-"""Characters of a file read at a time where lines are not read one by one."""
-
 _GZIP, _XZ, _ZIP = b"\x1f\x8b", b"\xfd7", b"PK"  # the first two bytes of packed files
 _GZIP_LEVEL = 6  # the usual compromise of size and time; 9 takes several times as long
 WHOLE = re.compile(r"-?\d{1,18}", re.ASCII)  # of 64 bits
@@ -114,28 +111,22 @@ class TextFile:
     def __init__(self, path: FilePath, comment: str) -> None:
         """Name a file; ``comment`` is a pattern of what is left out of its lines."""
         self.path, self.number, self.text = Path(path), 0, ""  # the text that was last read
-        self.in_blocks = False  # whether ``lines`` gives the rest as blocks of many whole lines
-        self._comment = re.compile(comment, re.MULTILINE)
+        self._comment = re.compile(comment)
 
     def lines(self) -> Iterator[str]:
         """Lines of a model's text file without comments and outer spaces.
-
-        Once ``in_blocks`` is set, blocks of many whole lines without comments; ``number`` is then
-        the number of lines before the block.
 
         Raises:
             ModelError: a line without end, no UTF-8, or a broken gzip file.
             OSError: the file cannot be opened.
         """
         with opened_text(self.path) as file:
-            while text := file.read(_BLOCK * self.in_blocks) + file.readline(_LONGEST_LINE):
-                start = self.number
-                self.number += not self.in_blocks
+            while text := file.readline(_LONGEST_LINE):
+                self.number += 1
                 if len(text) >= _LONGEST_LINE:
                     raise self.fault("the line is too long for a model")
                 self.text = self._comment.sub("", text)
-                yield self.text if self.in_blocks else self.text.strip()
-                self.number = start + text.count("\n")
+                yield self.text.strip()
 
     def fault(self, complaint: str) -> ModelError:
         """The error that names a model's text file and the line last read."""
@@ -410,21 +401,25 @@ def absorbed(raw: RawModel, goals: IntArray, idle: IntArray, source: str) -> SSP
         raise ModelError(f"{source}: ", *error.args) from error
 
 
-def distinct_actions(names: Sequence[str], pair_state: IntArray) -> Sequence[str]:
-    """Action names of a raw model, distinct in each state: a repeat gets a number, [pairs]."""
-    table = {name: k for k, name in enumerate(dict.fromkeys(names))}
-    code = np.fromiter(map(table.__getitem__, names), np.int64, len(names))
-    if np.diff(np.sort(pair_state * len(table) + code)).all():
+def distinct_actions(names: Sequence[str], pair_offsets: IntArray) -> Sequence[str]:
+    """Action names of a raw model, distinct in each state, [pairs].
+
+    One without a name is called by its position in the state; a repeat gets a number.
+    """
+    state = segment_ids(pair_offsets)
+    position = (np.arange(state.size) - pair_offsets[state]).tolist()
+    names = [name or str(k) for name, k in zip(names, position, strict=True)]
+    taken, counts = set(zip(state.tolist(), names, strict=True)), Counter[tuple[int, str]]()
+    if len(taken) == len(names):
         return names
-    taken, counts = set(zip(pair_state.tolist(), names, strict=True)), Counter[tuple[int, str]]()
     distinct = []
-    for state, name in zip(pair_state.tolist(), names, strict=True):
-        counts[state, name] += 1
+    for owner, name in zip(state.tolist(), names, strict=True):
+        counts[owner, name] += 1
         own = name
-        while counts[state, name] > 1 and (state, own) in taken:
-            own = f"{name}#{counts[state, name]}"
-            counts[state, name] += (state, own) in taken
-        taken.add((state, own))
+        while counts[owner, name] > 1 and (owner, own) in taken:
+            own = f"{name}#{counts[owner, name]}"
+            counts[owner, name] += (owner, own) in taken
+        taken.add((owner, own))
         distinct.append(own)
     return distinct
 

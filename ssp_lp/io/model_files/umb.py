@@ -236,10 +236,7 @@ class UmbArchive:
             codes = self._array(f"{_ACTIONS}values.bin", "<u4", self._n_choices).astype(np.int64)
         if codes.max(initial=0) >= len(words):
             raise self._fault(f"there is no action {codes.max()}")
-        state = segment_ids(self._pairs)
-        position = (np.arange(self._n_choices) - self._pairs[state]).tolist()
-        named = zip(codes.tolist(), position, strict=True)
-        return distinct_actions([words[code] or str(k) for code, k in named], state)
+        return distinct_actions([words[code] for code in codes.tolist()], self._pairs)
 
     def _read_index(self) -> dict[str, Any]:
         """The archive's index.

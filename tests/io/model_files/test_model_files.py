@@ -27,7 +27,6 @@ from ssp_lp.io import (
     save_model,
     write_drn,
 )
-from ssp_lp.io.model_files import drn as drn_files, raw_model
 from tests.campaigns.damaged_files import GOALS, READ, REFUSED, damaged, verdict
 
 ARRAYS = ("pair_offsets", "outcome_offsets", "successors", "probabilities", "costs", "goal_mask")
@@ -246,15 +245,13 @@ def test_a_reward_model_without_a_name_beside_others_in_drn(tmp_path):
             assert {n: c.tolist() for n, c in model.named_costs.items()} == costs
 
 
-def test_blocks_of_drn_are_read_as_lines_are(tmp_path, monkeypatch):
-    """Blanks that Storm does not write have a block read line by line."""
+def test_lines_of_drn_may_be_spaced_and_commented(tmp_path):
     model = drawn_model(3, 60)[0]
     write_drn(model, path := tmp_path / "m.drn", start="s0")
     text = path.read_text(encoding="utf-8")
     head, body = text.split("@model\n")
     spaced = head + "@model\n" + "\n".join(line + " \n" for line in body.splitlines())
-    for block, written in ((1 << 18, text), (64, text), (64, spaced), (1 << 18, spaced + "// end")):
-        monkeypatch.setattr(raw_model, "_BLOCK", block)
+    for written in (text, spaced, spaced + "// end"):
         found = read_drn(drn(tmp_path, written), goal="goal").model
         assert optima(found, 0, 0.5) == pytest.approx(optima(model, "s0", 0.5), rel=1e-12)
         assert list(found.action_names) == list(map(str, model.action_names))
@@ -263,13 +260,9 @@ def test_blocks_of_drn_are_read_as_lines_are(tmp_path, monkeypatch):
         refused(rf"line {line}: state 40 should come", read_drn, drn(tmp_path, wrong), goal="goal")
 
 
-def test_what_storm_writes_is_read_in_blocks(tmp_path, monkeypatch):
-    """Reading line by line takes three times as long."""
-    monkeypatch.delattr(drn_files._Entries, "add_lines")
-    write_drn(drawn_model(3, 60)[0], path := tmp_path / "m.drn", start="s0")
-    assert read_drn(path, goal="goal").model.n_states == drawn_model(3, 60)[0].n_states
+def test_what_storm_writes_is_read(tmp_path):
     stormpy = pytest.importorskip("stormpy")
-    program = tmp_path / "m.prism"
+    program, path = tmp_path / "m.prism", tmp_path / "m.drn"
     program.write_text(
         "mdp\nmodule m\n x : [0..9];\n [] x<9 -> 1/3:(x'=x+1)+2/3:true;\nendmodule\n"
         'rewards "time"\n true : 1;\nendrewards\nrewards\n x=2 : 0.5;\nendrewards\n'
