@@ -7,23 +7,20 @@ its place there stands for it, so that both are small and an answer is on the ca
 from __future__ import annotations
 
 import logging
-import os
 import pickle
 import signal
-import sys
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
-from contextlib import contextmanager, suppress
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from itertools import product as combinations
 from math import inf, isfinite
-from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
@@ -54,9 +51,7 @@ _LOG = logging.getLogger("ssp_lp.answers")
 _SHOWN = 20  # problems in a summary
 _AHEAD = 2  # problems in hand for each process, one of them waiting, so that none idles
 _LATE = 2.0  # seconds beyond the limit of the whole in which answers that were begun may come
-_LEAVING = 0.5  # seconds for a process that is told to end, before it is killed
 _ASKED = 3  # times that a problem is given to a process, if those before died of it
-_STILLBORN = 10  # pools in a row of which no process comes to work, where one has worked before
 _DIED = (
     f"{_ASKED} processes died while they solved it, perhaps for want of memory: try it by itself"
 )
@@ -234,15 +229,14 @@ def solve_many(
     """Solve many problems side by side, each as ``solve`` does.
 
     A process of one's own that dies, such as for want of memory, is replaced, and what it may have
-    worked on is asked again, alone. Ctrl-C ends the call at once with what is there. In a script
-    the call stands under ``if __name__ == "__main__":``, as processes read the script anew.
+    worked on is asked again, alone. Ctrl-C ends the call at once with what is there.
 
     Args:
         problems: formulations such as ``MCMP(...)``, of any kinds and on any models, such as those
-            of :func:`sweep`. Functions of your own in them stand in a module.
+            of :func:`sweep`.
         method: as of ``solve``, for all.
         executor: anything with the interface of ``concurrent.futures.Executor``: a pool of threads
-            or processes, mpi4py's, Dask's. It is not shut down. None: a pool of processes, each
+            or processes, mpi4py's, Dask's. It is not shut down. None: processes of joblib's, each
             with one thread.
         workers: processes of that pool; None: one for each core.
         tolerance: relative gap to reach, for each.
@@ -281,9 +275,11 @@ def solve_many(
         check_whole("workers", workers)
     if progress is not None and not callable(progress):
         raise wrong_argument("progress", "be a function or None", progress)
+    from joblib import cpu_count
+
     order = _Order(method, tolerance, time_limit, time.time() + left)
     with progress_shown(verbose):
-        answers = _answers_to(asked, order, executor, workers or _n_cores(), progress)
+        answers = _answers_to(asked, order, executor, workers or cpu_count(), progress)
         made = Answers(tuple(asked), answers, time.perf_counter() - began)
         _LOG.info("%r", made)
     return made
@@ -352,13 +348,6 @@ def _checked_problems(problems: Iterable[Problem]) -> list[Problem]:
     return asked
 
 
-def _n_cores() -> int:
-    """Cores that this process may use for answers."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 @contextmanager
 def _sending() -> Iterator[None]:
     """Context in which something is pickled for those who answer.
@@ -369,10 +358,7 @@ def _sending() -> Iterator[None]:
     try:
         yield
     except (pickle.PicklingError, AttributeError, TypeError) as error:
-        raise ModelError(
-            f"it cannot be sent to another process: {error}; functions of your own must stand in "
-            "a module"
-        ) from error
+        raise ModelError(f"it cannot be sent to another process: {error}") from error
 
 
 @dataclass(frozen=True)
@@ -410,14 +396,11 @@ def _answer(shipment: Shipment, packed: bytes, order: _Order) -> bytes | None:
     except OSError:
         return None
     try:
-        try:
-            return cargo.pack(order.solution_of(cargo.unpack(packed)))
-        except SSPError as error:
-            return cargo.pack(error)
-        except Exception as error:  # one problem's, from which the others do not suffer
-            return cargo.pack(SolverError(f"it ended in {type(error).__name__}: {error}"))
-    except _Leaving:  # told to leave: what runs beside has been ended on the way here
-        os._exit(1)
+        return cargo.pack(order.solution_of(cargo.unpack(packed)))
+    except SSPError as error:
+        return cargo.pack(error)
+    except Exception as error:  # one problem's, from which the others do not suffer
+        return cargo.pack(SolverError(f"it ended in {type(error).__name__}: {error}"))
 
 
 class _Dispatch:
@@ -520,9 +503,6 @@ class _Dispatch:
             self._crew.is_broken = True
             if not self._crew.is_own:
                 return self._crew.error()
-            if not self._crew.has_started:  # whoever died had no problem in hand yet
-                (self._suspects if self._deaths[place] else self._waiting).appendleft(place)
-                return None
             self._deaths[place] += 1
             if self._deaths[place] == _ASKED:
                 return SolverError(_DIED)
@@ -541,37 +521,19 @@ class _Dispatch:
         return None
 
 
-class _Spawning(SpawnContext):
-    """Starts processes anew, forks none, and knows those that it has started for answers."""
-
-    def __init__(self) -> None:
-        """Have started none."""
-        super().__init__()
-        self.started: list[SpawnProcess] = []
-
-    def Process(self, *given: Any, **named: Any) -> SpawnProcess:  # type: ignore[override]  # noqa: N802 (multiprocessing's name)
-        """A process to be started, which is remembered."""
-        made = SpawnProcess(*given, **named)
-        self.started.append(made)
-        return made
-
-
 class _Crew:
-    """Who answers: the executor that was given, or a pool of processes, made anew if it breaks."""
+    """Who answers: the executor that was given, or processes of joblib's, new ones if any dies."""
 
     def __init__(self, given: Executor | None, count: int) -> None:
-        """Begin to start processes, where none is given.
+        """Begin to start processes, where no executor is given.
 
         Args:
             given: the executor.
-            count: of the processes, where none is given.
+            count: of the processes.
         """
-        self.is_own, self.is_broken, self._count = given is None, False, max(count, 1)
-        self.room = _AHEAD * self._count if given is None else inf
-        self._spawning = _Spawning()
-        self._first: Future[None] | None = None  # of the pool: it could be started
-        self._has_worked, self._stillborn = False, 0  # a process of any pool; the last pools
-        self._executor = self._new_pool() if given is None else given
+        self.is_own, self.is_broken, self._count = given is None, False, count
+        self.room = _AHEAD * count if given is None else inf
+        self._executor: Any = self._new_pool() if given is None else given
 
     def __enter__(self) -> _Crew:
         """The crew is there already."""
@@ -582,8 +544,8 @@ class _Crew:
         unloaded.cache_clear()  # of threads
         if raised[0] is not None:
             self.leave()
-        elif self.is_own:
-            self._executor.shutdown(wait=not self.is_broken, cancel_futures=True)
+        elif self.is_own and not self.is_broken:
+            self._executor.shutdown()
 
     def __repr__(self) -> str:
         """Who they are."""
@@ -591,82 +553,47 @@ class _Crew:
 
     def submit(self, shipment: Shipment, packed: bytes, order: _Order) -> Future[bytes | None]:
         """Give a problem to the crew."""
-        return self._executor.submit(_answer, shipment, packed, order)
-
-    @property
-    def has_started(self) -> bool:
-        """Whether a process of the crew's present pool came to work."""
-        return self._first is not None and self._first.exception() is None
+        given: Future[bytes | None] = self._executor.submit(_answer, shipment, packed, order)
+        return given
 
     def renew(self) -> bool:
-        """Replace a broken pool; whether that can be done.
-
-        Where some process has worked before, one that dies while it starts may be followed by one
-        that does not.
-        """
-        if self._first is None:
+        """Replace processes of which one died; whether that can be done, and they start."""
+        if not self.is_own:
             return False
-        self._stillborn = 0 if self.has_started else self._stillborn + 1
-        self._has_worked |= self.has_started
-        if self._stillborn > (_STILLBORN if self._has_worked else 0):
+        self._executor = self._new_pool()
+        try:
+            self._executor.submit(_nothing).result()
+        except BrokenExecutor:
             return False
-        self._executor, self.is_broken = self._new_pool(), False
+        self.is_broken = False
         return True
 
     def leave(self) -> None:
         """End the crew's processes at once; who is not one's own goes on with what is in hand."""
-        if not self.is_own:
-            return
-        self.is_broken = True
-        self._executor.shutdown(wait=False, cancel_futures=True)
-        ends = time.monotonic() + _LEAVING
-        for process in self._spawning.started:
-            with suppress(ValueError, AssertionError):  # it has been closed, or was not started
-                process.terminate()
-        for process in self._spawning.started:
-            with suppress(ValueError, AssertionError):
-                process.join(max(ends - time.monotonic(), 0.0))
-                process.kill()
+        if self.is_own:
+            self.is_broken = True
+            self._executor.shutdown(kill_workers=True)
 
     def error(self) -> SolverError:
         """The answer to what is left where the crew is broken for good."""
         if not self.is_own:
             return SolverError("the executor broke or was shut down: give a new one, or none")
-        if self._has_worked:
-            return SolverError(
-                f"processes died {self._stillborn} times in a row while they started, perhaps for "
-                "want of memory: take fewer workers"
-            )
         return SolverError(
-            "no process could be started (in a script solve_many stands under "
-            'if __name__ == "__main__":)'
+            "processes die while they start, perhaps for want of memory: take fewer workers"
         )
 
-    def _new_pool(self) -> ProcessPoolExecutor:
-        """A pool of processes that answer."""
-        pool = ProcessPoolExecutor(self._count, self._spawning, _prepare_worker)
-        self._first = pool.submit(_nothing)
-        return pool
+    def _new_pool(self) -> Any:
+        """Processes that answer, each with one thread for compiled loops."""
+        from joblib.externals.loky import ProcessPoolExecutor
 
-
-class _Leaving(SystemExit):
-    """A process of the crew was told to end."""
-
-
-def _leave(*_: object) -> NoReturn:
-    """End a process of the crew, from wherever it is."""
-    raise _Leaving(1)
+        alone = {"NUMBA_NUM_THREADS": "1"}
+        return ProcessPoolExecutor(self._count, initializer=_prepare_worker, env=alone)
 
 
 def _nothing() -> None:
-    """What a process of the crew does first: it has been started then."""
+    """Answer nothing: whoever does has been started."""
 
 
 def _prepare_worker() -> None:
-    """Make a process of the crew one that uses one core and leaves Ctrl-C to its caller."""
+    """Have a process of the crew leave Ctrl-C to its caller."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, _leave)
-    if numba := sys.modules.get("numba"):
-        numba.set_num_threads(1)
-    else:
-        os.environ["NUMBA_NUM_THREADS"] = "1"

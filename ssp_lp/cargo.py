@@ -14,9 +14,11 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
+from types import FunctionType
 from typing import Any, BinaryIO
 
 import numpy as np
+from joblib.externals.loky.cloudpickle_wrapper import dumps, loads
 
 from ssp_lp.model import SSP
 from ssp_lp.problem import Problem
@@ -37,6 +39,11 @@ def models_of(problems: Iterable[Problem]) -> list[SSP]:
     return [*models.values()]
 
 
+def _is_of_a_script(thing: FunctionType | type) -> bool:
+    """Whether a worker of the answers cannot import a function or class."""
+    return thing.__module__ == "__main__" or "<l" in thing.__qualname__  # lambda, locals
+
+
 class _Pickler(pickle.Pickler):
     """A pickler that leaves out models of the answers' problems: their places stand for them."""
 
@@ -54,7 +61,9 @@ class _Pickler(pickle.Pickler):
         return self._places.get(id(thing)) if isinstance(thing, SSP) else None
 
     def reducer_override(self, thing: Any) -> Any:
-        """A number for all outcomes takes no more room on the way than before."""
+        """Send functions and classes of a script themselves, one cost for all outcomes once."""
+        if isinstance(thing, (FunctionType, type)) and _is_of_a_script(thing):
+            return loads, (dumps(thing),)
         if type(thing) is np.ndarray and thing.strides == (0,) and thing.size > 1:
             return np.broadcast_to, (thing[:1].copy(), thing.shape)
         return NotImplemented

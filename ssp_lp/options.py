@@ -22,7 +22,7 @@ from ssp_lp.errors import (
     wrong_argument,
 )
 
-BACKENDS = ("highs", "highs-simplex", "highs-ipx", "clarabel", "cvxpy")
+BACKENDS = ("highs", "highs-simplex", "highs-ipx", "cvxpy")
 """Solvers of linear programs."""
 
 
@@ -105,7 +105,7 @@ class LinearProgramming(_Option):
     """The full linear program, whose duals then price the policies of the answer.
 
     Args:
-        backend: "highs", "highs-simplex", "highs-ipx", "clarabel" or "cvxpy"; None: chosen by the
+        backend: "highs", "highs-simplex", "highs-ipx" or "cvxpy"; None: chosen by the
             size of the program.
 
     Raises:

@@ -122,64 +122,14 @@ PARAMETERS = {
 }
 """The arguments of criteria, by name; which of them one takes and needs, its class says."""
 
-SEVERAL = {
-    "failure_budget": "failure_budgets",
-    "penalty": "penalties",
-    "reach_fraction": "reach_fractions",
-    "cost_bound": "cost_bounds",
-    "level": "levels",
-}
-"""What ``compare`` takes several of, as its function calls them."""
-
 _JSON = "for other programs"
 
 _MODEL_HELP = """\
-MODEL is a file (.json, .csv, .drn, .tra, .npz, through Storm .prism, .nm, .pm, .jani, .umb; also
+MODEL is a file (.json, .csv, .drn, .umb, .npz, through Storm .prism, .nm, .pm, .jani; also
 .json.gz, .drn.gz, .drn.xz), "-" for JSON from standard input, or gym:NAME for an environment of
 Gymnasium's, gym:NAME,map_name=8x8 with its arguments. In JSON a model is
 {state: {action: [[probability, successor, cost], ...]}}; a state without actions that is no goal
 is a dead-end."""
-
-EXAMPLES = {
-    "solve": """\
-  ssp-lp solve roads.json --goal home --start depot --failure-budget 0.05
-  ssp-lp solve roads.json --goal home --start depot --criterion cvar --level 0.9 --json
-  ssp-lp solve roads.json --goal home --start depot --failure-budget 0.05 --policy-out policy.npz
-  ssp-lp solve roads.json --goal home --start depot --failure-budget 0.02,0.05,0.08
-  ssp-lp solve roads.json --goal home --start depot --criterion s3p --limit "cost <= 9"
-  ssp-lp solve roads.json --start depot --property 'multi(Rmin=? [C], P>=0.95 [F "home"])'
-  ssp-lp solve gym:FrozenLake-v1 --criterion cost-bounded-reach --cost-bound 40""",
-    "frontier": """\
-  ssp-lp frontier roads.json --goal home --start depot
-  ssp-lp frontier roads.json --goal home --start depot --criterion s3p --csv frontier.csv
-  ssp-lp frontier roads.json --goal home --start depot --failure-budget 0.05 --plot frontier.png
-  ssp-lp frontier roads.json --goal home --start depot --limit "cost <= 9" --over cost""",
-    "explore": """\
-  ssp-lp explore roads.json --goal home --start depot --failure-budget 0.05 --out roads.html
-  ssp-lp explore gym:FrozenLake-v1 --horizon none --out lake.html""",
-    "info": """\
-  ssp-lp info roads.json --goal home --start depot
-  ssp-lp info gym:FrozenLake-v1 --horizon none --json""",
-    "simulate": """\
-  ssp-lp simulate roads.json --goal home --start depot --policy policy.npz --seed 7
-  ssp-lp solve gym:FrozenLake-v1 --policy-out lake.npz
-  ssp-lp simulate gym:FrozenLake-v1 --policy lake.npz --episodes 500""",
-    "convert": """\
-  ssp-lp convert roads.json roads.drn --goal home --start depot
-  ssp-lp convert gym:FrozenLake-v1 - --horizon 20 | ssp-lp info -""",
-    "compare": """\
-  ssp-lp compare roads.json --goal home --start depot
-  ssp-lp compare roads.json --goal home --start depot --failure-budget 0.02 0.05 --level 0.9""",
-    "program": """\
-  ssp-lp program roads.json --goal home --start depot --failure-budget 0.05
-  ssp-lp program roads.json --goal home --start depot --failure-budget 0.05 --out roads.mps""",
-    "check": """\
-  ssp-lp solve roads.json --goal home --start depot --certificate-out roads.cert
-  ssp-lp check roads.cert""",
-    "compile": """\
-  ssp-lp compile""",
-}
-"""Commands that run as they stand, given the file roads.json of the page on the command line."""
 
 
 class _Version(Action):
@@ -249,7 +199,7 @@ def argument_parser() -> ArgumentParser:
         formatter_class=RawDescriptionHelpFormatter,
         description="Reach the goal as cheaply as possible, and fail with probability at most P.",
         epilog="examples:\n"
-        + "\n".join(some.splitlines()[0] for some in EXAMPLES.values())
+        + "\n".join(verb.examples.splitlines()[0] for verb in VERBS.values())
         + "\n\nexit codes: 0 done, 1 a method failed, 2 wrong arguments or model, 3 infeasible",
     )
     whole.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
@@ -258,43 +208,27 @@ def argument_parser() -> ArgumentParser:
         help=f"print what makes {', '.join(_SHELLS)} complete the command",
     )  # fmt: skip
     commands = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for name, (purpose, add) in _COMMANDS.items():
+    for name, verb in VERBS.items():
+        purpose = f"{verb.purpose[0].upper()}{verb.purpose[1:]}."
         one = commands.add_parser(
             name,
-            help=purpose,
+            help=verb.purpose,
             formatter_class=RawDescriptionHelpFormatter,
-            description=f"{purpose[0].upper()}{purpose[1:]}.\n\n{_MODEL_HELP}",
-            epilog=f"examples:\n{EXAMPLES[name]}",
+            description=f"{purpose}\n\n{_MODEL_HELP}" if verb.takes_model else purpose,
+            epilog=f"examples:\n{verb.examples}",
         )
-        _add_file(one, "model", metavar="MODEL", help="see above")
-        if name == "convert":
-            one.add_argument("target", metavar="TARGET", help="a file, or - for JSON to read on")
-        said = one.add_mutually_exclusive_group()
-        said.add_argument("--verbose", action="store_true", help="each phase, in lines that stay")
-        said.add_argument("--quiet", action="store_true", help="say nothing on the way")
-        _add_model(one)
-        if add is not None:
-            add(one)
-        if name in ("solve", "info", "simulate"):
-            one.add_argument("--json", action="store_true", help=_JSON)
-    aim = "check a certificate by exact inequalities"
-    more = ": what the optimum lies between, as fractions"
-    check = _add_without_model(commands, "check", aim, more)
-    _add_file(check, "certificate", metavar="FILE", help="of solve --certificate-out")
-    aim = "compile all inner loops at once, for later processes"
-    _add_without_model(commands, "compile", aim, ": a minute or two, with the extra fast (numba)")
+        one.set_defaults(verbose=False, quiet=not verb.takes_model)
+        if verb.takes_model:
+            _add_file(one, "model", metavar="MODEL", help="see above")
+        verb.add(one)
+        if verb.takes_model:
+            said = one.add_mutually_exclusive_group()
+            said.add_argument(
+                "--verbose", action="store_true", help="each phase, in lines that stay"
+            )
+            said.add_argument("--quiet", action="store_true", help="say nothing on the way")
+            _add_model(one)
     return whole
-
-
-def _add_without_model(commands: Any, name: str, aim: str, more: str) -> ArgumentParser:
-    """Add a command of the command line that takes no model, with what its help says of it."""
-    one: ArgumentParser = commands.add_parser(
-        name, help=aim, formatter_class=RawDescriptionHelpFormatter,
-        description=f"{aim[0].upper()}{aim[1:]}{more}.",
-        epilog=f"examples:\n{EXAMPLES[name]}",
-    )  # fmt: skip
-    one.set_defaults(verbose=False, quiet=True)
-    return one
 
 
 def _add_file(one: Any, *names: str, **told: Any) -> None:
@@ -363,8 +297,7 @@ def _add_solve(one: ArgumentParser) -> None:
     answer = one.add_argument_group("the answer")
     _add_file(
         answer, "--policy-out", metavar="FILE",
-        help="write the policy: .npz to load again, .storm.json for Storm, .json for a "
-        "controller, .h for C, .dot, .csv",
+        help="write the policy: .npz to load again, .json for a controller, .h for C, .csv",
     )  # fmt: skip
     shown = "print what the policy does, where it comes to from the start"
     answer.add_argument("--show-policy", action="store_true", help=shown)
@@ -375,6 +308,7 @@ def _add_solve(one: ArgumentParser) -> None:
     told = "write a proof of the answer, for ssp-lp check"
     _add_file(answer, "--certificate-out", metavar="FILE", help=told)
     _add_file(answer, "--plot", metavar="FILE", help="draw the law of the total cost")
+    answer.add_argument("--json", action="store_true", help=_JSON)
 
 
 def _add_tracing(one: ArgumentParser, points: int | None = None) -> None:
@@ -420,15 +354,7 @@ def _add_simulate(one: ArgumentParser) -> None:
         "--check", action=BooleanOptionalAction, default=True,
         help="whether the policy must be of this very model, the default",
     )  # fmt: skip
-
-
-def _add_compare(one: ArgumentParser) -> None:
-    """Add the command-line arguments of ``compare``, each of which takes several values."""
-    for name, several in SEVERAL.items():
-        said = PARAMETERS[name]
-        settings: dict[str, Any] = {"type": said.type, "metavar": said.metavar, "help": said.help}
-        one.add_argument(option(name), dest=several, nargs="+", default=[], **settings)
-    _add_forms(one)
+    one.add_argument("--json", action="store_true", help=_JSON)
 
 
 def _add_program(one: ArgumentParser) -> None:
@@ -437,14 +363,106 @@ def _add_program(one: ArgumentParser) -> None:
     _add_file(one, "--out", metavar="FILE", help="write it: .mps or .lp")
 
 
-_COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None] | None]] = {
-    "solve": ("the best policy within a failure budget, and its proof", _add_solve),
-    "frontier": ("the least cost for every failure budget at once", _add_frontier),
-    "explore": ("a page of HTML with a slider along the frontier", _add_explore),
-    "info": ("what a model holds, and how little can fail in it", None),
-    "simulate": ("play a saved policy, with confidence intervals", _add_simulate),
-    "convert": ("a model from one format into another", None),
-    "compare": ("the criteria of the literature side by side", _add_compare),
-    "program": ("the linear program of a criterion, shown or written", _add_program),
+def _add_convert(one: ArgumentParser) -> None:
+    """Add the command-line argument of ``convert``."""
+    one.add_argument("target", metavar="TARGET", help="a file, or - for JSON to read on")
+
+
+def _add_info(one: ArgumentParser) -> None:
+    """Add the command-line argument of ``info``."""
+    one.add_argument("--json", action="store_true", help=_JSON)
+
+
+def _add_check(one: ArgumentParser) -> None:
+    """Add the command-line argument of ``check``."""
+    _add_file(one, "certificate", metavar="FILE", help="of solve --certificate-out")
+
+
+def _add_compile(one: ArgumentParser) -> None:
+    """``compile`` takes no arguments of the command line."""
+
+
+class Verb(NamedTuple):
+    """A command of the command line: what it is for, what it takes, and how it is used."""
+
+    purpose: str
+    add: Callable[[ArgumentParser], None]  # adds its own arguments
+    examples: str  # run as they stand, given the file roads.json of the page on the command line
+    takes_model: bool = True
+
+
+VERBS = {
+    "solve": Verb(
+        "the best policy within a failure budget, and its proof",
+        _add_solve,
+        """\
+  ssp-lp solve roads.json --goal home --start depot --failure-budget 0.05
+  ssp-lp solve roads.json --goal home --start depot --criterion cvar --level 0.9 --json
+  ssp-lp solve roads.json --goal home --start depot --failure-budget 0.05 --policy-out policy.npz
+  ssp-lp solve roads.json --goal home --start depot --failure-budget 0.02,0.05,0.08
+  ssp-lp solve roads.json --goal home --start depot --criterion s3p --limit "cost <= 9"
+  ssp-lp solve roads.json --start depot --property 'multi(Rmin=? [C], P>=0.95 [F "home"])'
+  ssp-lp solve gym:FrozenLake-v1 --criterion cost-bounded-reach --cost-bound 40""",
+    ),
+    "check": Verb(
+        "check a certificate by exact inequalities: between which fractions the optimum lies",
+        _add_check,
+        """\
+  ssp-lp solve roads.json --goal home --start depot --certificate-out roads.cert
+  ssp-lp check roads.cert""",
+        takes_model=False,
+    ),
+    "frontier": Verb(
+        "the least cost for every failure budget at once",
+        _add_frontier,
+        """\
+  ssp-lp frontier roads.json --goal home --start depot
+  ssp-lp frontier roads.json --goal home --start depot --criterion s3p --csv frontier.csv
+  ssp-lp frontier roads.json --goal home --start depot --failure-budget 0.05 --plot frontier.png
+  ssp-lp frontier roads.json --goal home --start depot --limit "cost <= 9" --over cost""",
+    ),
+    "explore": Verb(
+        "a page of HTML with a slider along the frontier",
+        _add_explore,
+        """\
+  ssp-lp explore roads.json --goal home --start depot --failure-budget 0.05 --out roads.html
+  ssp-lp explore gym:FrozenLake-v1 --horizon none --out lake.html""",
+    ),
+    "program": Verb(
+        "the linear program of a criterion, shown or written",
+        _add_program,
+        """\
+  ssp-lp program roads.json --goal home --start depot --failure-budget 0.05
+  ssp-lp program roads.json --goal home --start depot --failure-budget 0.05 --out roads.mps""",
+    ),
+    "simulate": Verb(
+        "play a saved policy, with confidence intervals",
+        _add_simulate,
+        """\
+  ssp-lp simulate roads.json --goal home --start depot --policy policy.npz --seed 7
+  ssp-lp solve gym:FrozenLake-v1 --policy-out lake.npz
+  ssp-lp simulate gym:FrozenLake-v1 --policy lake.npz --episodes 500""",
+    ),
+    "info": Verb(
+        "what a model holds, and how little can fail in it",
+        _add_info,
+        """\
+  ssp-lp info roads.json --goal home --start depot
+  ssp-lp info gym:FrozenLake-v1 --horizon none --json""",
+    ),
+    "convert": Verb(
+        "a model from one format into another",
+        _add_convert,
+        """\
+  ssp-lp convert roads.json roads.drn --goal home --start depot
+  ssp-lp convert gym:FrozenLake-v1 - --horizon 20 | ssp-lp info -""",
+    ),
+    "compile": Verb(
+        "compile all inner loops at once, a minute or two with the extra fast (numba)",
+        _add_compile,
+        """\
+  ssp-lp compile""",
+        takes_model=False,
+    ),
 }
-"""What each command is for, and what adds arguments that are its own."""
+"""Every command of the command line, by its name."""

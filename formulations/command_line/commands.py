@@ -33,16 +33,10 @@ from ssp_lp.plotting import explore, plot_cost_law, plot_frontier, row_major
 from ssp_lp.policies.policy import Policy
 from ssp_lp.policies.table import PolicyRow
 
-from ..comparison import COLUMNS, compare_criteria
 from ..maxprob import MaxProb
 from ..mcmp import MCMP
-from .arguments import (
-    CRITERIA,
-    PARAMETERS,
-    SEVERAL,
-    number_argument,
-    option,
-)
+from .arguments import CRITERIA, PARAMETERS, number_argument, option
+from .compiling import compile_loops
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -73,12 +67,6 @@ class _CommandModel:
         if self.stated_start is None:
             raise ModelError("say where an episode begins: --start STATE")
         return self.stated_start
-
-    @property
-    def only_start(self) -> Start | None:
-        """Start of a command's model; where it is one state for sure, that state."""
-        start = self.stated_start
-        return next(iter(start)) if isinstance(start, Mapping) and len(start) == 1 else start
 
     @property
     def written_out(self) -> tuple[SSP, Start | None]:
@@ -438,13 +426,9 @@ def _write_answer_table(solution: Solution, of: _CommandModel, path: str) -> Non
 
 
 _WRITERS: dict[str, PolicyWriter] = {
-    ".storm.json": lambda solution, of, path: io.write_scheduler(
-        solution.randomised_policy, path, start=of.only_start
-    ),
     ".npz": lambda solution, of, path: io.save_policy(solution.policy, path),
     ".json": lambda solution, of, path: io.write_controller(solution.policy, path),
     ".h": lambda solution, of, path: io.write_c_header(solution.policy, path),
-    ".dot": lambda solution, of, path: io.write_dot(solution.policy, path, of.start),
     ".csv": _write_answer_table,
 }
 
@@ -672,23 +656,6 @@ def _convert_command(asked: Namespace) -> Iterable[str]:
     return []
 
 
-def _compare_command(asked: Namespace) -> Iterable[str]:
-    """The command ``compare``."""
-    found = command_model(asked)
-    several: dict[str, Any] = {  # least failure, which none asks for, is always among them
-        name: [value for value in given if value is not None]
-        for name in SEVERAL.values()
-        if (given := getattr(asked, name))
-    }
-    compared = compare_criteria(found.model, found.start, horizon=found.horizon, **several)
-    rows = [(row.criterion, *row.numbers, row.note) for row in compared.rows]
-    if asked.csv:
-        return _csv_answer(asked.csv, COLUMNS, rows)
-    if asked.json:
-        return json_answer([dict(zip(COLUMNS, row, strict=True)) for row in rows])
-    return [compared.summary()]
-
-
 def _program_command(asked: Namespace) -> Iterable[str]:
     """The command ``program``."""
     asked = with_property(asked)
@@ -705,8 +672,8 @@ COMMANDS: dict[str, Callable[[Namespace], Iterable[str]]] = {
     "info": _info_command,
     "simulate": _simulate_command,
     "convert": _convert_command,
-    "compare": _compare_command,
     "program": _program_command,
     "check": _check_command,
+    "compile": compile_loops,
 }
 """What a command prints, by its name."""

@@ -12,6 +12,7 @@ from ssp_lp.io.archives import (
 )
 from ssp_lp.io.c_header import write_c_header as write_c_header
 from ssp_lp.io.controller import Controller as Controller
+from ssp_lp.io.controller_file import write_controller as write_controller
 from ssp_lp.io.gymnasium_worlds import (
     GymnasiumWorld as GymnasiumWorld,
     RolloutReport as RolloutReport,
@@ -21,28 +22,12 @@ from ssp_lp.io.gymnasium_worlds import (
     rollout as rollout,
 )
 from ssp_lp.io.matrices import from_matrices as from_matrices
-from ssp_lp.io.model_files.explicit_files import (
-    read_drn as read_drn,
-    read_prism as read_prism,
-    write_drn as write_drn,
-    write_prism as write_prism,
-)
-from ssp_lp.io.model_files.programs import (
-    write_jani as write_jani,
-    write_prism_program as write_prism_program,
-)
+from ssp_lp.io.model_files.drn import read_drn as read_drn, write_drn as write_drn
 from ssp_lp.io.model_files.raw_model import ModelFile as ModelFile
-from ssp_lp.io.policy_exports import (
-    induced_chain as induced_chain,
-    write_controller as write_controller,
-    write_dot as write_dot,
-    write_scheduler as write_scheduler,
-)
+from ssp_lp.io.model_files.umb import read_umb as read_umb, write_umb as write_umb
 from ssp_lp.io.storm_models import (
     from_stormpy as from_stormpy,
     read_with_storm as read_with_storm,
-    to_stormpy as to_stormpy,
-    write_umb as write_umb,
 )
 
 __all__ = sorted(

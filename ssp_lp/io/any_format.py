@@ -8,16 +8,16 @@ from typing import Any
 
 from ssp_lp.errors import Argument, ModelError, did_you_mean
 from ssp_lp.io.archives import load_model, save_model
-from ssp_lp.io.model_files.explicit_files import read_drn, read_prism, write_drn, write_prism
+from ssp_lp.io.model_files.drn import read_drn, write_drn
 from ssp_lp.io.model_files.json_model import StatedModel, model_in_json, read_json
-from ssp_lp.io.model_files.programs import write_jani, write_prism_program
 from ssp_lp.io.model_files.raw_model import (
     FIRST_COST,
     ModelFile,
     chosen_reward,
     write_text,
 )
-from ssp_lp.io.storm_models import Constants, read_with_storm, write_umb
+from ssp_lp.io.model_files.umb import read_umb, write_umb
+from ssp_lp.io.storm_models import Constants, read_with_storm
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.ssp import DeadEnds, csv_columns
@@ -26,22 +26,16 @@ Start = Hashable | Mapping[Hashable, float]
 
 _JSON, _ARCHIVE = (".json", ".json.gz"), ".npz"
 _CSV, _OUTCOME = ".csv", ("state", "action", "successor", "probability")
-_STORM = (".prism", ".nm", ".pm", ".jani", ".umb")
+_STORM = (".prism", ".nm", ".pm", ".jani")
+_DRN = (".drn", ".drn.gz", ".drn.xz")
 _READERS: dict[str, Callable[..., ModelFile]] = {
-    **{".drn": read_drn, ".drn.gz": read_drn, ".drn.xz": read_drn, ".tra": read_prism},
+    **dict.fromkeys(_DRN, read_drn),
+    ".umb": read_umb,
     **dict.fromkeys(_STORM, read_with_storm),
 }
 """What reads a file whose goals are the states of one label, by the ending of its name."""
 
-_WRITERS: dict[str, Callable[..., None]] = {
-    ".drn": write_drn,
-    ".drn.gz": write_drn,
-    ".drn.xz": write_drn,
-    ".tra": write_prism,
-    ".prism": write_prism_program,
-    ".jani": write_jani,
-    ".umb": write_umb,
-}
+_WRITERS: dict[str, Callable[..., None]] = {**dict.fromkeys(_DRN, write_drn), ".umb": write_umb}
 """What writes a file that knows one initial state, by the ending of its name."""
 
 
@@ -55,7 +49,7 @@ def read_any(
 ) -> StatedModel:
     """Read a model from a file, whose name's ending says in which format it is.
 
-    Programs (.prism, .nm, .pm, .jani) and .umb are read through Storm (the extra ``storm``).
+    Programs (.prism, .nm, .pm, .jani) are read through Storm (the extra ``storm``).
 
     Args:
         path: the file.
@@ -115,7 +109,7 @@ def _csv_model(
 
 @explained
 def write_any(model: SSP, path: str | Path, start: Start | None = None) -> None:
-    """Write a model to a file of any format, which the name's ending says; .umb through Storm.
+    """Write a model to a file of any format, which the name's ending says.
 
     Args:
         model: the model.
@@ -124,7 +118,6 @@ def write_any(model: SSP, path: str | Path, start: Start | None = None) -> None:
             know one state only.
 
     Raises:
-        MissingDependencyError: the format needs stormpy, which is not installed.
         ModelError: an unknown ending, no start, or names that cannot be written.
         OSError: the file cannot be written.
     """

@@ -46,7 +46,6 @@ import numpy as np
 
 from ssp_lp.accumulated_cost.charges import CostQuantileOf, ExcessCharge, LateCharge, TailMeanOf
 from ssp_lp.accumulated_cost.cost_law import CostLaw
-from ssp_lp.accumulated_cost.sweep import KEPT_VALUES
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, last_steps, room_of, step_costs, sums_in
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.analysis.quantity_values import complement
@@ -62,7 +61,6 @@ from ssp_lp.column_generation.search import DualGuess
 from ssp_lp.compiled.deadline import Stop, WithIncumbent, is_late
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.columns import refined_optimum
-from ssp_lp.methods.exact_totals import ExactTotals, rises_by_each_step
 from ssp_lp.methods.incumbent import worth_bound
 from ssp_lp.methods.refinement import Proved
 from ssp_lp.methods.rows import (
@@ -515,61 +513,6 @@ def _beyond_refuted(question: _Question, refuted: int) -> float:
     if places.sharp:
         return places.total(refuted + 1)
     return places.total(refuted) if refuted >= 0 else 0.0
-
-
-_BELOW = 1e-10  # relative: a quantile is proved to be no less than what lies so far below it
-_TURNS = 8  # prices that are tried
-_STEEPER = 8.0  # times a price at which the best policy fails too often
-_PLACES = 2_000, 50_000  # looked at for a price, at least and at most
-_CELLS_A_PLACE = 64  # of the table, for each of them in between
-
-
-def exactly_refuted(question: _WithinBudget, model: SSP, level: float, quantile: float) -> float:
-    """A quantile, a trifle less, if exact totals prove that no policy has a lower one.
-
-    Args:
-        question: the policies that count, with costs rounded down.
-        model: with its true costs.
-        level: in (0, 1).
-        quantile: of some policy.
-
-    Returns:
-        The bound; 0 where nothing is proved.
-    """
-    bound, share = quantile * (1.0 - _BELOW), _late_share(level)
-    if quantile <= 0.0 or not rises_by_each_step(model, bound):
-        return 0.0
-    compiled, budget = question.compiled.charging(LateCharge(bound)), question.budget
-    cells = compiled.process.cap * compiled.base.n_nodes
-    if compiled.base.width == 1 or cells > KEPT_VALUES:  # all rounded to nothing, or no table kept
-        return 0.0
-    places = int(np.clip(cells // _CELLS_A_PLACE, *_PLACES))
-    usable = compiled.greatest.usable if budget is None else None
-    within: tuple[float, float] | None = None  # failure, and value at no price, of its line
-    beyond: tuple[float, float] | None = None
-    lowest = share * (1.0 + _ABOVE)  # price, at which a budget is slack
-    price = 0.0 if budget is None else max(1.0, lowest)
-    for _ in range(_TURNS if budget is not None else 1):
-        proof = compiled.pricing().prove(price)
-        search = ExactTotals(model, compiled.start, compiled.process, proof, bound, usable)
-        enough = share * (1.0 - question.allowed) + price * question.allowed
-        raised, failure, finished = search.raised(enough, places)
-        if question.share(replace(proof, bound=raised)) > share:
-            return quantile * (1.0 - 2.0 * _BELOW)
-        if not finished or budget is None or (price == lowest and failure <= budget):
-            break
-        line = failure, raised - price * failure
-        within, beyond = (line, beyond) if failure <= budget else (within, line)
-        if beyond is None:
-            price = max(price / _STEEPER, lowest)
-        elif within is None:
-            price *= _STEEPER
-        else:  # where both are equal: no price proves more than they do there
-            price = max((within[1] - beyond[1]) / (beyond[0] - within[0]), lowest)
-            most = within[1] + price * (within[0] - budget)
-            if most <= share * (1.0 - budget):
-                break
-    return 0.0
 
 
 def _late_share(level: float) -> float:

@@ -30,7 +30,7 @@ from typing import cast
 
 import numpy as np
 
-from ssp_lp.accumulated_cost.charges import CostQuantileOf, WithinBound
+from ssp_lp.accumulated_cost.charges import WithinBound
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, step_costs, sums_in, totals_of
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.analysis.success_costs import measured_costs
@@ -55,7 +55,7 @@ from ssp_lp.methods.columns import (
 )
 from ssp_lp.methods.incumbent import Incumbent
 from ssp_lp.methods.refinement import Proved, refine
-from ssp_lp.methods.risk import Near, exactly_refuted, least_risk, question_of_compiled
+from ssp_lp.methods.risk import Near, least_risk, question_of_compiled
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends
 from ssp_lp.options import CERTIFYING, SolveOptions
@@ -466,7 +466,7 @@ def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solut
         if best is None or sign * solution.objective < sign * best.objective:
             best = solution
         with WithIncumbent():
-            proved = lattice_bound(problem, unit, finer, best.objective, near)[0]
+            proved = lattice_bound(problem, unit, finer, near)[0]
             bound = sign * max(sign * bound, sign * proved)
         best = replace(best, lower_bound=bound, upper_bound=bound if semantics.maximises else None)
         yield best
@@ -476,7 +476,7 @@ def _rounded_proofs(problem: Problem, attained: float, rough: SolveOptions) -> I
     """Best bound by rounded costs after each unit."""
     sign, bound = -1.0 if problem.semantics.maximises else 1.0, _trivial_bound(problem)
     for unit in rounding_units(problem, span_of_totals(problem), finest=True):
-        proved, allowed = lattice_bound(problem, unit, rough, attained)
+        proved, allowed = lattice_bound(problem, unit, rough)
         bound = sign * max(sign * bound, sign * proved)
         yield Proved(attained, bound, allowed)
 
@@ -485,27 +485,17 @@ def lattice_bound(
     problem: Problem,
     unit: Fraction,
     options: SolveOptions,
-    attained: float,
     near: Near | None = None,
 ) -> tuple[float, float]:
     """Bound by costs rounded down to a lattice, and the failure that is allowed.
-
-    A quantile is one of the totals: exact ones may prove what is attained to be the best.
 
     Args:
         problem: the problem.
         unit: of which costs are multiples.
         options: tolerance and limits.
-        attained: what some policy does.
         near: where a search may begin; None: unknown.
     """
     rounded, budget = _with_rounded_costs(problem, unit, up=False), problem.failure_budget
-    risk = problem.semantics.risk
-    if isinstance(risk, CostQuantileOf):
-        question = question_of_compiled(rounded.compile(), budget)
-        bound = exactly_refuted(question, problem.model, risk.level, attained)
-        if bound > 0.0:
-            return bound, question.allowed
     solution = _solved_on_lattice(rounded, options, near)
     bound = solution.lower_bound if solution.upper_bound is None else solution.upper_bound
     return bound, solution.budget_used if budget is None else max(budget, solution.budget_used)

@@ -16,9 +16,6 @@ price * (bound - its own bound)) * t``, where c is what was attained and ``t = 1
 probability of a lottery is not known, but it is one number in all these lines: the least that their
 greatest comes to for any t >= 1 is a bound. Lines proved inside of a segment pass through both its
 ends, and meet nowhere else: there the bound is tight.
-
-**Over two limits** what optima prove are planes, and what they attain all lotteries over them. The
-problem is solved next at those bounds, of a grid, where both lie apart most.
 """
 
 from __future__ import annotations
@@ -29,15 +26,13 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, TypeVar
 
 import numpy as np
 
 from ssp_lp.analysis.evaluation import evaluate
-from ssp_lp.arrays import MACHINE_EPSILON, RELATIVE_GAP, FloatArray, ReadOnlyCopies
+from ssp_lp.arrays import MACHINE_EPSILON, RELATIVE_GAP, FloatArray
 from ssp_lp.column_generation.column import FailureRow
-from ssp_lp.column_generation.restricted_master import solve_master
-from ssp_lp.compiled.deadline import Deadline, Stop, WithIncumbent, interrupted, until
+from ssp_lp.compiled.deadline import Stop, WithIncumbent, interrupted, until
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import (
     Argument,
@@ -45,17 +40,13 @@ from ssp_lp.errors import (
     ModelError,
     OutOfTimeError,
     did_you_mean,
-    is_number,
-    optional_module,
-    wrong_argument,
 )
 from ssp_lp.methods.frontier import Frontier, TraceLimits, traced_over_failure
 from ssp_lp.methods.rows import rows_optimum, true_figures
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.text_tables import Reported
-from ssp_lp.options import SolveOptions, Status, deadline_of, progress_shown
+from ssp_lp.options import SolveOptions, deadline_of, progress_shown
 from ssp_lp.policies import MixedPolicy
-from ssp_lp.problem import Problem, Restated, check_problem, compiled_constrained, pulled_back
+from ssp_lp.problem import Problem, Restated, check_problem, compiled_constrained
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_semantics import AS_ASKED, Aim, ObjectiveSense
 
@@ -129,94 +120,18 @@ def trace_frontier(
         """The frontier, traced over failure alone or over any limit."""
         if over == FAILURE_ROW and not asked.has_rows:
             return traced_over_failure(asked, limits)
-        return _Tracing(asked, [over], limits).traced()
+        return _Tracing(asked, over, limits).traced()
 
-    frontier, ended = _within_time(traced, deadline, over, verbose=verbose)
-    status = ended.status(np.inf if frontier.ends_early else frontier.gap, gap)
-    return replace(frontier, _problem=problem, status=status)
-
-
-@explained
-def trace_surface(
-    problem: Problem,
-    over: Sequence[str],
-    *,
-    gap: float = 1e-3,
-    point_limit: int = 200,
-    time_limit: float | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    verbose: bool = False,
-) -> Surface:
-    """Trace the least objective over two limits (or more) at once, all others held.
-
-    The problem is solved at those bounds where what is attained and what is proved lie apart most,
-    of a grid over all bounds that matter, until they do so nowhere by more than the gap.
-
-    Args:
-        problem: what it allows of what is traced does not matter; all other limits are kept.
-        over: "failure", or names of limits that bound a quantity from above.
-        gap: how far both bounds may lie apart on the grid, as a share of the largest objective.
-        point_limit: most bounds at which the problem is solved.
-        time_limit: seconds after which no further ones are solved.
-        progress: called after each of them with (pricing calls, how many were solved).
-        verbose: show how far it has come (``ssp_lp.progress_shown``).
-
-    Raises:
-        ModelError: an argument out of range, no such limit, the same one twice, or a criterion that
-            is no linear program.
-        InfeasibleError: the other limits cannot be kept.
-        OutOfTimeError: the time limit passed before there was a point.
-        KeyboardInterrupt: Ctrl-C came before there was one.
-
-    Example:
-        >>> from ssp_lp import MCMP, SSP, trace_surface, visits
-        >>> model = SSP.from_transitions(
-        ...     {"a": {"fast": [(0.9, "g", 1.0), (0.1, "yard", 1.0)], "slow": [(1.0, "g", 10.0)]},
-        ...      "yard": {"on": [(0.5, "g", 2.0), (0.5, "pit", 2.0)]}, "pit": {}}, goal={"g"},
-        ...     treat_actionless_as_dead_ends=True)
-        >>> problem = MCMP(model, "a", constraints={"yard": visits("yard") <= 0.05})
-        >>> surface = trace_surface(problem, ["failure", "yard"])
-        >>> [round(bound, 6) for bound in surface.bounds_at(0.02, 0.05)]
-        [6.48, 6.48]
-    """
-    check_problem(problem, "trace_surface")
-    over = over if isinstance(over, str) else list(over)
-    if isinstance(over, str) or len(set(over)) != len(over) or len(over) < 2:
-        raise wrong_argument("over", "be several different limits", over)
-    deadline = deadline_of(time_limit, time.perf_counter())
-    limits = TraceLimits(gap, None, point_limit, deadline < np.inf, progress)
-    inner = problem.unrolled
-    for name in over:
-        inner = _traceable(inner, name, limits)
-    surface, ended = _within_time(
-        lambda: _surface_of(_Tracing(inner, over, limits), problem),
-        deadline,
-        " and ".join(over),
-        verbose=verbose,
-    )
-    return replace(surface, status=ended.status(surface.gap, gap))
-
-
-_Traced = TypeVar("_Traced")
-
-
-def _within_time(
-    trace: Callable[[], _Traced], deadline: float, over: str, *, verbose: bool
-) -> tuple[_Traced, Deadline]:
-    """What was traced by a deadline, and how that ended it.
-
-    Raises:
-        OutOfTimeError: the time ended before there was a point.
-        KeyboardInterrupt: Ctrl-C came before there was one.
-    """
     with progress_shown(verbose), until(deadline) as ended:
         try:
-            return trace(), ended
+            frontier = traced()
         except Stop:
             if ended.is_interrupted:
                 raise interrupted() from None
             told = f"the time limit ended before the least {over} was known: allow more time"
             raise OutOfTimeError(told) from None
+    status = ended.status(np.inf if frontier.ends_early else frontier.gap, gap)
+    return replace(frontier, _problem=problem, status=status)
 
 
 def _traceable(problem: Problem, over: str, limits: TraceLimits) -> Problem:
@@ -248,48 +163,33 @@ def _traceable(problem: Problem, over: str, limits: TraceLimits) -> Problem:
 
 @dataclass(frozen=True, eq=False)
 class _Optimum:
-    """The optimum at some bounds, in what is minimised: a point, and a plane below all policies."""
+    """The optimum at a bound, in what is minimised: a point, and a line below all policies."""
 
-    spends: FloatArray  # [limits] of what is traced
+    spent: float  # of what is traced
     value: float
     goal: float
-    bounds: FloatArray  # [limits]
-    proved: float  # of every policy that keeps to them
-    prices: FloatArray  # [limits] of the bounds in that proof; infinite: no word of larger bounds
+    bound: float
+    proved: float  # of every policy that keeps to it
+    price: float  # of the bound in that proof; infinite: no word of larger bounds
     policy: MixedPolicy
-
-    @property
-    def spent(self) -> float:
-        """What is spent of the limit that is traced, or of the first of them."""
-        return float(self.spends[0])
-
-    @property
-    def price(self) -> float:
-        """The price of its bound."""
-        return float(self.prices[0])
 
 
 @dataclass(frozen=True, eq=False)
 class _Lines:
-    """What the prices of all optima prove at any bounds."""
+    """What the prices of all optima prove at any bound."""
 
-    bounds: FloatArray  # [optima, limits] of each
-    value: FloatArray  # [optima] attained at them
-    proved: FloatArray  # [optima] at them
-    prices: FloatArray  # [optima, limits]
+    bounds: FloatArray  # [optima] of each
+    value: FloatArray  # [optima] attained at it
+    proved: FloatArray  # [optima] at it
+    prices: FloatArray  # [optima]
     least_goal: float | None  # that all lotteries have; None: nothing is counted given success
-    failure: int | None  # which of the bounds is a failure budget
+    is_failure: bool  # whether the bound is a failure budget
 
-    def least(self, bounds: FloatArray) -> float:
-        """No policy that keeps to bounds has less: the least over t of the greatest line.
-
-        Args:
-            bounds: [limits].
-        """
-        longest, beyond = self._longest(bounds), bounds - self.bounds
-        tells = ((beyond <= 0.0) | np.isfinite(self.prices)).all(axis=1)
-        finite = np.where(np.isfinite(self.prices), self.prices, 0.0)
-        saved = (finite * beyond).sum(axis=1)
+    def least(self, bound: float) -> float:
+        """No policy that keeps to a bound has less: the least over t of the greatest line."""
+        longest, beyond = self._longest(bound), bound - self.bounds
+        tells = (beyond <= 0.0) | np.isfinite(self.prices)
+        saved = np.where(np.isfinite(self.prices), self.prices, 0.0) * beyond
         height, slope = self.value[tells], (self.proved - self.value - saved)[tells]
         up, down = slope >= 0.0, slope < 0.0
         first = _rounded_down(height[up], slope[up], 1.0)
@@ -299,11 +199,11 @@ class _Lines:
         crossing = _rounded_down(rise, turn, t)[(t >= 1.0) & (t <= longest)]
         return float(np.concatenate([[0.0], first, last, crossing]).max())
 
-    def _longest(self, bounds: FloatArray) -> float:
+    def _longest(self, bound: float) -> float:
         """The greatest that 1 / goal may be."""
         if self.least_goal is None:
             return 1.0
-        goal = max(self.least_goal, 0.0 if self.failure is None else 1.0 - bounds[self.failure])
+        goal = max(self.least_goal, 1.0 - bound if self.is_failure else 0.0)
         return 1.0 / max(goal, _RAREST)
 
 
@@ -333,7 +233,7 @@ class LimitFrontier(Frontier):
         number, weight = self._locate(budget)
         attained = self._attained(number, weight, FailureRow(budget, self.ratio))
         worth = self._sense.worth
-        least = 0.0 if self._lines is None else self._lines.least(np.array([budget]))
+        least = 0.0 if self._lines is None else self._lines.least(budget)
         if self.maximises:
             return attained, max(worth(least), attained)
         return min(worth(least), attained), attained
@@ -344,40 +244,30 @@ class LimitFrontier(Frontier):
 
 
 class _Tracing:
-    """Optima at bounds of some limits, the others held. Grows."""
+    """Optima at bounds of one limit, the others held. Grows."""
 
-    def __init__(self, problem: Problem, over: Sequence[str], limits: TraceLimits) -> None:
+    def __init__(self, problem: Problem, over: str, limits: TraceLimits) -> None:
         """Nothing is solved yet."""
-        self.problem, self.over, self.limits = problem, tuple(over), limits
+        self.problem, self.over, self.limits = problem, over, limits
         self.calls, self.work = 0, Work()
         self.stated = compiled_constrained(problem)
-        if FAILURE_ROW in self.over:  # whatever was allowed, even if that was the least
+        if over == FAILURE_ROW:  # whatever was allowed, even if that was the least
             self.stated = replace(self.stated, budget=1.0)
         self.truth = true_figures(problem, self.stated)
         self.options = SolveOptions(_FINER * limits.gap)
         self.optima: list[_Optimum] = []
-
-    @property
-    def unlimited(self) -> list[float]:
-        """Bounds of what is traced that allow everything."""
-        return [1.0 if name == FAILURE_ROW else np.inf for name in self.over]
-
-    def begin(self) -> None:
-        """Solve where nothing of what is traced is limited."""
-        _ = self.stated.pricing()  # for all bounds
-        self.add(self.unlimited)
 
     def add_at_least(self) -> bool:
         """Solve at the least that can be spent, or near it; whether that is where it began.
 
         Near it, where only policies spend the least that do not count: they never succeed.
         """
-        least, free = self.least(0), self.optima[0].spent
+        least, free = self.least(), self.optima[0].spent
         if least >= free:
             return True
         for share in (0.0, *_NEAR):
             with suppress(InfeasibleError):
-                self.add([least + share * (free - least)])
+                self.add(least + share * (free - least))
                 return share == 0.0
         return False
 
@@ -388,7 +278,8 @@ class _Tracing:
             InfeasibleError: the other limits cannot be kept.
             Stop: the time ended before both ends were known.
         """
-        self.begin()
+        _ = self.stated.pricing()  # for all bounds
+        self.add(1.0 if self.over == FAILURE_ROW else np.inf)
         complete = self.add_at_least()
         settled: set[tuple[float, float]] = set()
         with WithIncumbent():
@@ -408,7 +299,7 @@ class _Tracing:
                 if share <= 2.0 * own or width <= _NARROW * whole:
                     settled.add((p.spent, q.spent))
                     continue
-                self.add([bound])
+                self.add(bound)
                 if not any(p.spent < o.spent < q.spent for o in self.optima):
                     settled.add((p.spent, q.spent))
         return replace(self._frontier(), complete=complete)
@@ -425,13 +316,11 @@ class _Tracing:
     def lines(self) -> _Lines:
         """What the optima so far prove."""
         bounds, prices = (
-            np.array(each)
-            for each in zip(*((o.bounds, o.prices) for o in self.optima), strict=True)
+            np.array(each) for each in zip(*((o.bound, o.price) for o in self.optima), strict=True)
         )
         value, proved = np.array([(o.value, o.proved) for o in self.optima]).T
         goal = self.stated.least_goal if self.stated.ratio else None
-        failure = self.over.index(FAILURE_ROW) if FAILURE_ROW in self.over else None
-        return _Lines(bounds, value, proved, prices, goal, failure)
+        return _Lines(bounds, value, proved, prices, goal, self.over == FAILURE_ROW)
 
     def _scale(self, p: _Optimum, q: _Optimum) -> float:
         """To which what lies below a segment is compared: the larger objective of its ends."""
@@ -455,7 +344,7 @@ class _Tracing:
         shares = [min(max(share, _INSIDE), 1.0 - _INSIDE), *(_SPLITS if self.stated.ratio else ())]
         shares += [] if np.isfinite(left) else [_NARROW]
         apart = [
-            (self._mixed(p, q, b) - lines.least(np.array([b])), k)
+            (self._mixed(p, q, b) - lines.least(b), k)
             for k, share in enumerate(shares)
             for b in [p.spent + share * width]
         ]
@@ -463,13 +352,13 @@ class _Tracing:
         split = 0.5 if shares[k] == _NARROW else shares[k]
         return most / self._scale(p, q), p.spent + split * width
 
-    def least(self, number: int) -> float:
-        """The least that can be spent of one of what is traced, the limits that are not, held."""
-        problem, name = self.problem, self.over[number]
+    def least(self) -> float:
+        """The least that can be spent of what is traced, the other limits held."""
+        problem, name = self.problem, self.over
         semantics = replace(problem.semantics, aim=Aim.LEAST_COST, measure=None)
         conditions, objective = problem.conditions, None
-        held = tuple(each for each in conditions if each.name not in self.over)
-        budget = 1.0 if FAILURE_ROW in self.over else problem.failure_budget
+        held = tuple(each for each in conditions if each.name != name)
+        budget = 1.0 if name == FAILURE_ROW else problem.failure_budget
         if name == FAILURE_ROW:
             semantics = replace(semantics, aim=Aim.GREATEST_GOAL)
         else:
@@ -479,40 +368,30 @@ class _Tracing:
         least = safest.sense.worth(rows_optimum(safest, self.options).value)
         return 1.0 - least if name == FAILURE_ROW else least
 
-    def _spent(self, policy: MixedPolicy) -> tuple[FloatArray, float]:
-        """What a policy spends of what is traced, [limits], and its goal probability."""
-        found = evaluate(policy, self.problem)
-        failure = found.limited_failure
-        spent = {**found.secondary_costs, FAILURE_ROW: failure}
-        return np.array([spent[name] for name in self.over]), 1.0 - failure
-
-    def add(self, bounds: Sequence[float]) -> None:
-        """Solve at some bounds.
-
-        Args:
-            bounds: of what is traced, in its order.
-        """
-        asked, stated = dict(zip(self.over, bounds, strict=True)), self.stated
-        budget = asked.get(FAILURE_ROW, stated.budget)
+    def add(self, bound: float) -> None:
+        """Solve at a bound of what is traced."""
+        stated = self.stated
+        budget = bound if self.over == FAILURE_ROW else stated.budget
         side = tuple(
-            replace(row, bound=row.activity(asked[row.name])) if row.name in asked else row
+            replace(row, bound=row.activity(bound)) if row.name == self.over else row
             for row in stated.side
         )
         found = rows_optimum(stated.bounded(budget, side), self.options, self.truth)
         at_least = found.compiled.budget is None, stated.budget is None
         if found.compiled.layers > stated.layers and at_least[0] == at_least[1]:
             self.stated = found.compiled.bounded(stated.budget, stated.side)  # begun there next
-        spends, goal = self._spent(found.policy)
-        tells = np.isfinite(bounds) if found.bound > 0.0 else np.zeros(len(bounds), dtype=np.bool_)
+        evaluation = evaluate(found.policy, self.problem)
+        failure = evaluation.limited_failure
+        spent = {**evaluation.secondary_costs, FAILURE_ROW: failure}[self.over]
+        tells = np.isfinite(bound) and found.bound > 0.0
         self.optima.append(_Optimum(
-            spends=np.minimum(spends, bounds), value=found.value, goal=goal,
-            bounds=np.where(np.isfinite(bounds), bounds, spends), proved=found.bound,
-            prices=np.where(tells, [found.prices.get(name, np.inf) for name in self.over], 0.0),
-            policy=found.policy,
+            spent=min(spent, bound), value=found.value, goal=1.0 - failure,
+            bound=bound if np.isfinite(bound) else spent, proved=found.bound,
+            price=found.prices.get(self.over, np.inf) if tells else 0.0, policy=found.policy,
         ))  # fmt: skip
         self.calls, self.work = self.calls + found.calls, self.work + found.work
         points = len(self.optima)
-        _LOG.debug("%d pricing calls, %d bounds of %s", self.calls, points, ", ".join(self.over))
+        _LOG.debug("%d pricing calls, %d bounds of %s", self.calls, points, self.over)
         if self.limits.progress is not None:
             self.limits.progress(self.calls, points)
 
@@ -531,7 +410,7 @@ class _Tracing:
         objective = cost / goal if self.stated.ratio else cost
         own = [(o.value - o.proved) / self._scale(o, o) for o in turning]
         _LOG.info(
-            "%d turning points over %s, gap %.1e", len(turning), self.over[0], max(below, default=0)
+            "%d turning points over %s, gap %.1e", len(turning), self.over, max(below, default=0)
         )
         return LimitFrontier(
             spent=spent, goal=goal, cost=cost,
@@ -541,213 +420,9 @@ class _Tracing:
             hidden=max(0.0, *own), ratio=self.stated.ratio, complete=True,
             pricing_calls=self.calls, work=self.work,
             _pricing=self.stated.pricing(), _columns=(),
-            over=self.over[0], maximises=sense.constant is not None,
+            over=self.over, maximises=sense.constant is not None,
             _lines=lines, _members=tuple(o.policy for o in turning), _sense=sense,
         )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Surface(Reported, ReadOnlyCopies):
-    """The least objective over several limits at once, between what is attained and proved.
-
-    Policies mix: at any bounds the best lottery over all points attains the upper bound. The prices
-    of the points prove the lower one.
-    """
-
-    problem: Problem
-    over: tuple[str, ...]
-    gap: float  # on the grid both lie apart by no more than this share of the largest objective
-    ratio: bool
-    maximises: bool
-    pricing_calls: int
-    work: Work
-    _optima: tuple[_Optimum, ...]
-    _lines: _Lines
-    _sense: ObjectiveSense
-    status: Status = Status.OPTIMAL
-
-    @property
-    def spent(self) -> FloatArray:
-        """What each point spends of what is traced, [points, limits]."""
-        return np.array([o.spends for o in self._optima])
-
-    @property
-    def objective(self) -> FloatArray:
-        """Objective of each point, [points]."""
-        return np.array([self._sense.worth(o.value) for o in self._optima])
-
-    @property
-    def price(self) -> FloatArray:
-        """Prices of the bounds at which each point was solved, [points, limits]."""
-        return np.array([o.prices for o in self._optima])
-
-    def bounds_at(self, *bounds: float) -> tuple[float, float]:
-        """What the optimum within bounds surely lies between; nothing is solved.
-
-        Args:
-            bounds: in the order of ``over``.
-
-        Raises:
-            ModelError: another number of bounds, or one that is no number >= 0.
-            InfeasibleError: no lottery over the points keeps to them.
-        """
-        asked, attained, _ = self._best_at(bounds)
-        low, high = (
-            self._sense.worth(v) for v in (min(self._lines.least(asked), attained), attained)
-        )
-        return (high, low) if self.maximises else (low, high)
-
-    def policy_at(self, *bounds: float) -> MixedPolicy:
-        """A lottery that keeps to bounds, and attains the upper one of :meth:`bounds_at`.
-
-        Raises:
-            ModelError: another number of bounds, or one that is no number >= 0.
-            InfeasibleError: no lottery over the points keeps to them.
-        """
-        *_, weights = self._best_at(bounds)
-        return pulled_back(_mixed_of([o.policy for o in self._optima], weights), self.problem)
-
-    def _best_at(self, bounds: tuple[float, ...]) -> tuple[FloatArray, float, FloatArray]:
-        """Bounds as an array, [limits], the least that a lottery attains within, and its weights.
-
-        Raises:
-            ModelError: another number of bounds, or one that is no number >= 0.
-            InfeasibleError: no lottery over the points keeps to them.
-        """
-        if len(bounds) != len(self.over) or not all(
-            is_number(b) and 0.0 <= b < np.inf for b in bounds
-        ):
-            raise ModelError(
-                f"give a finite bound >= 0 for each of {', '.join(self.over)}: {bounds!r}"
-            )
-        asked = np.array(bounds, dtype=np.float64)
-        attained, weights = _best_lottery(self._optima, asked, ratio=self.ratio)
-        if not np.isfinite(attained):
-            named = dict(zip(self.over, bounds, strict=True))
-            told = ", ".join(f"{name} <= {bound:g}" for name, bound in named.items())
-            raise InfeasibleError(
-                f"no lottery over what was found keeps to {told}",
-                failure_budget=named.get(FAILURE_ROW, self.problem.failure_budget),
-                least_failure=1.0 - max(o.goal for o in self._optima),
-            )
-        return asked, attained, weights
-
-    def facts(self) -> list[tuple[str, str]]:
-        """What was traced, how finely, and between which bounds."""
-        ends = zip(self.over, self.spent.min(axis=0), self.spent.max(axis=0), strict=True)
-        return [
-            ("over", ", ".join(f"{name} {low:.4g} .. {high:.4g}" for name, low, high in ends)),
-            ("points", f"{len(self.objective):,}"),
-            ("objective", f"{self.objective.min():.6g} .. {self.objective.max():.6g}"),
-            ("gap on the grid", f"{self.gap:.1e}"),
-            ("pricing calls", f"{self.pricing_calls:,}"),
-        ]
-
-    def to_frame(self) -> Any:
-        """The points as a table of pandas: what each spends, its objective and its prices.
-
-        Raises:
-            MissingDependencyError: pandas is not installed.
-        """
-        pandas = optional_module("pandas", "frames")
-        columns = {name: self.spent[:, k] for k, name in enumerate(self.over)}
-        columns["objective"] = self.objective
-        columns |= {f"price of {name}": self.price[:, k] for k, name in enumerate(self.over)}
-        return pandas.DataFrame(columns)
-
-
-_GRID = 16  # bounds of each limit at which a surface is compared
-_MOST_PLACES = 1_000  # of the grid
-
-
-def _surface_of(tracing: _Tracing, problem: Problem) -> Surface:
-    """The surface, solved where its bounds lie apart most.
-
-    Raises:
-        InfeasibleError: the other limits cannot be kept.
-        Stop: the time ended before the ends were known.
-    """
-    tracing.begin()
-    least = np.minimum(
-        [tracing.least(k) for k in range(len(tracing.over))], tracing.optima[0].spends
-    )
-    for k, low in enumerate(least.tolist()):  # where one is tight more of the others may help
-        with suppress(InfeasibleError):
-            tracing.add([low if k == j else b for j, b in enumerate(tracing.unlimited)])
-    ends = list(zip(least, np.max([o.spends for o in tracing.optima], axis=0), strict=True))
-    many = max(min(_GRID, int(_MOST_PLACES ** (1.0 / len(ends)))), 2)
-    axes = (np.linspace(low, high, many) for low, high in ends)
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(ends))
-    apart = np.full(len(grid), np.inf)  # what was known when each place was last looked at
-    looked = np.zeros(len(grid), dtype=np.int64)  # how many optima were known then
-    is_kept, is_solved = np.ones(len(grid), dtype=np.bool_), np.zeros(len(grid), dtype=np.bool_)
-
-    def look(place: int) -> None:
-        """How far what is attained and what is proved lie apart at a place, with all optima."""
-        bounds, optima = grid[place], tracing.optima
-        looked[place], worth = len(optima), tracing.stated.sense.worth
-        attained, _ = _best_lottery(optima, bounds, ratio=tracing.stated.ratio)
-        if np.isfinite(attained):
-            scale = max(abs(worth(value)) for value in (attained, *(o.value for o in optima)))
-            apart[place] = (attained - tracing.lines.least(bounds)) / (scale or 1.0)
-
-    with WithIncumbent():
-        while tracing.limits.allows(len(tracing.optima)):
-            place = int(np.argmax(np.where(is_kept & ~is_solved, apart, -1.0)))
-            if apart[place] <= tracing.limits.gap or is_solved[place] or not is_kept[place]:
-                break
-            if looked[place] < len(tracing.optima):  # others may have closed it since
-                look(place)
-                continue
-            is_solved[place] = True
-            try:
-                tracing.add(grid[place].tolist())
-            except InfeasibleError:  # nor is it kept to where less is allowed
-                is_kept &= (grid > grid[place]).any(axis=1)
-    for place in np.flatnonzero(is_kept & (looked < len(tracing.optima))).tolist():
-        look(place)
-    sense = tracing.stated.sense
-    return Surface(
-        problem=problem,
-        over=tracing.over,
-        gap=max(float(apart[is_kept].max(initial=0.0)), 0.0),
-        ratio=tracing.stated.ratio,
-        maximises=sense.constant is not None,
-        pricing_calls=tracing.calls,
-        work=tracing.work,
-        _optima=tuple(tracing.optima),
-        _lines=tracing.lines,
-        _sense=sense,
-    )
-
-
-def _best_lottery(
-    optima: Sequence[_Optimum], bounds: FloatArray, *, ratio: bool
-) -> tuple[float, FloatArray]:
-    """The least that a lottery over optima within bounds attains, infinite for none; its weights.
-
-    Args:
-        optima: at any bounds.
-        bounds: [limits].
-        ratio: whether it is a cost given success (Charnes and Cooper: optima are weighed by the
-            goal mass that they bring).
-    """
-    spent, (value, goal) = (
-        np.array([o.spends for o in optima]),
-        np.array([(o.value, o.goal) for o in optima]).T,
-    )
-    mass = goal if ratio else np.ones(len(optima))
-    taken = (spent - bounds).T / mass  # of a unit of mass
-    scales = np.maximum(np.abs(bounds), np.abs(spent).max(axis=0))
-    scales = np.where(scales > 0.0, scales, 1.0)
-    limits = np.zeros(len(bounds)), scales
-    weights = solve_master(value, taken, *limits, elastic=True).weights
-    if (taken @ weights > 1e-12 * scales).any():
-        return np.inf, weights
-    weights = solve_master(value, taken, *limits, elastic=False).weights
-    attained = float(value @ weights)
-    weights = weights / mass
-    return attained, weights / weights.sum()
 
 
 def _mixed_of(members: Sequence[MixedPolicy], weights: FloatArray) -> MixedPolicy:

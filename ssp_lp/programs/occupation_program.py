@@ -311,7 +311,7 @@ class OccupationProgram:
         """Solve the occupation program and recompute what the solver says.
 
         Args:
-            backend: "highs", "highs-simplex", "highs-ipx", "clarabel" or "cvxpy"; None: by size.
+            backend: "highs", "highs-simplex", "highs-ipx" or "cvxpy"; None: by size.
             time_limit: seconds.
             warm_start: the optimum at other bounds, costs or starts, from which HiGHS's simplex
                 goes on where columns and rows are as many as there; others begin anew.

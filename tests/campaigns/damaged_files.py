@@ -7,11 +7,12 @@ A file that raises anything but an SSPError, ends the process that reads it, or 
 than a reader may is told with its number, and the least of it of which the same is said; `--seed
 NUMBER --count 1 --keep FOLDER` makes it again. What is written in a modelling language may describe
 a model of any size: such files are read under the same limits by Storm, and those that run into
-them are counted apart. Damaged JANI and UMB files may end the process in Storm's own parsers: they
-are checked where they are named alone.
+them are counted apart. Damaged JANI files may end the process in Storm's own parser: they are
+checked where they are named alone.
 
-Certificates (`--formats s3p.cert quantile.cert` and others) are damaged in their text, before it is
-compressed: each is refused by the checker, or proves an interval that holds the optimum still.
+Certificates (`--formats s3p.cert quantile.cert` and others) and UMB archives are damaged before
+they are compressed: each certificate is refused by the checker, or proves an interval that holds
+the optimum still.
 """
 
 import argparse
@@ -127,8 +128,9 @@ CERTIFIED: dict[str, Any] = {
 """Problems of which certificates are damaged."""
 
 TEXTS = {"explicit.json": EXPLICIT, "nested.json": NESTED, "prism": PROGRAM, "jani": JANI}
-FORMATS = (*TEXTS, *CERTIFIED, "json", "json.gz", "drn", "drn.gz", "tra", "npz", "umb")
-SOUND = tuple(ending for ending in FORMATS if ending not in ("jani", "umb"))
+FORMATS = (*TEXTS, *CERTIFIED, "json", "json.gz", "drn", "drn.gz", "npz", "umb")
+SOUND = tuple(ending for ending in FORMATS if ending != "jani")
+PACKED = (*CERTIFIED, "umb")
 
 
 def mutated(content: bytes, rng: np.random.Generator) -> bytes:
@@ -189,7 +191,7 @@ def damaged(ending: str, folder: Path, numbers: Sequence[int]) -> Iterator[tuple
     for number in numbers:
         rng = np.random.default_rng(number)
         broken = files[int(rng.integers(len(files)))]
-        content, is_packed = sound[broken], ending in CERTIFIED
+        content, is_packed = sound[broken], ending in PACKED
         content = mutated(gzip.decompress(content) if is_packed else content, rng)
         broken.write_bytes(gzip.compress(content) if is_packed else content)
         yield number, broken
@@ -261,7 +263,7 @@ def shorter(content: bytes) -> Iterator[bytes]:
 
 def shrunk(ending: str, number: int) -> bytes:
     """The least of a damaged file of which the same is said, but for what it names."""
-    packed = ending in CERTIFIED
+    packed = ending in PACKED
     with tempfile.TemporaryDirectory() as name:
 
         def kind(content: bytes) -> str:

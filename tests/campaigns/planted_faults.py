@@ -129,7 +129,7 @@ FAULTS = (
     ),
     Fault(
         "controller: rounds_up is not written",
-        "ssp_lp/io/policy_exports.py",
+        "ssp_lp/io/controller_file.py",
         '"rounds_up": bool(policy.rounds_up),',
         '"rounds_up": False,',
         "tests/formulations/test_real_costs.py",

@@ -93,7 +93,7 @@ def test_two_rows(method):
     assert mixed == pytest.approx(solution.secondary_costs, **EXACT)
 
 
-@pytest.mark.parametrize("backend", ["highs", "highs-simplex", "highs-ipx", "clarabel", "cvxpy"])
+@pytest.mark.parametrize("backend", ["highs", "highs-simplex", "highs-ipx", "cvxpy"])
 def test_every_backend(backend):
     """The full program with any solver ends at the same prices."""
     solution = solve(ConstrainedCost(THREE, "a", BOTH), LinearProgramming(backend))

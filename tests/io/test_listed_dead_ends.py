@@ -8,7 +8,7 @@ import pytest
 from formulations.command_line import main
 from refusing import refused
 from ssp_lp import SSP, Axis, ContinuousModel, Grid, discretise
-from ssp_lp.io import from_gymnasium, from_matrices, read_any, read_drn, read_prism, write_any
+from ssp_lp.io import from_gymnasium, from_matrices, read_any, read_drn, read_umb, write_any
 
 ROUTES = {
     "alley": [(0.9, "home", 4.0), (0.1, "wreck", 2.0)],
@@ -20,7 +20,7 @@ MODEL = SSP.from_transitions(
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("ending", [".json", ".drn", ".tra", ".npz"])
+@pytest.mark.parametrize("ending", [".json", ".drn", ".umb", ".npz"])
 def test_dead_ends_of_files_are_listed_by_states_or_labels(tmp_path, ending, capsys):
     path = tmp_path / f"model{ending}"
     write_any(MODEL, path, start="depot")
@@ -42,7 +42,7 @@ def test_dead_ends_of_files_are_listed_by_states_or_labels(tmp_path, ending, cap
 
 
 def test_the_deadlocks_of_a_file_are_a_label_as_well(tmp_path):
-    for ending, read in ((".drn", read_drn), (".tra", read_prism)):
+    for ending, read in ((".drn", read_drn), (".umb", read_umb)):
         path = tmp_path / f"model{ending}"
         write_any(MODEL, path, start="depot")
         found = read(path, goal="goal", dead_ends="deadlock").model

@@ -1,17 +1,15 @@
-"""Tables and graphs of policies say what the policies do."""
+"""Tables of policies say what the policies do."""
 
 import importlib.util
-import re
 import sys
 from types import SimpleNamespace
 
 import pytest
 
-from named_policies import EVERY, HALL, made, start_of
-from played import START, everywhere, hall
+from named_policies import EVERY, made, start_of
+from played import everywhere, hall
 from refusing import refused
 from ssp_lp import GIVE_UP, MissingDependencyError
-from ssp_lp.io import write_dot
 from ssp_lp.policies.chain import policy_chain
 from ssp_lp.policies.policy import as_lottery
 from ssp_lp.policies.remembering import common_memory
@@ -70,44 +68,3 @@ def test_a_frame_needs_pandas(monkeypatch):
     rows, columns = policy.to_frame()
     assert rows == list(policy.table())
     assert columns == ["state", "memory", "action", "probability", "member"]
-
-
-@pytest.mark.parametrize("name", HALL)
-def test_a_graph_has_the_nodes_and_steps_of_the_chain(name, tmp_path):
-    policy, path = made()[name], tmp_path / "policy.dot"
-    write_dot(policy, path, START, most_nodes=2000)
-    text, start = path.read_text(), start_distribution(policy.model, START)
-    members = as_lottery(policy).policies
-    chains = [policy_chain(policy.model, member, start) for member in members]
-    nodes = re.findall(r"^ *n(\d+_\d+) \[label", text, flags=re.MULTILINE)
-    steps = re.findall(r'n\d+_\d+ -> n\d+_\d+ \[label="([\d.e-]+)"\]', text)
-    assert len(nodes) == len(set(nodes)) == sum(chain.n_nodes for chain in chains)
-    moving = sum(float((chain.matrix.sum(axis=1))[()].sum()) for chain in chains)
-    assert sum(map(float, steps)) == pytest.approx(moving, rel=1e-4)
-    assert text.count("{") == text.count("}")
-    assert ("doublecircle" in text) == any(chain.goal.any() for chain in chains)
-
-
-def test_a_small_graph_in_full(tmp_path):
-    write_dot(everywhere(hall(), "fast"), tmp_path / "policy.dot", ("hall", 2))
-    lines = (tmp_path / "policy.dot").read_text().splitlines()
-    assert [line.strip() for line in lines] == [
-        "digraph policy {",
-        "rankdir=LR;",
-        "node [shape=ellipse];",
-        "subgraph cluster_0 {",
-        "n0_0 [label=\"('hall', 2)\\nfast\", penwidth=2];",
-        'n0_1 [label="pit", shape=box];',
-        "n0_2 [label=\"('hall', 3)\", shape=doublecircle];",
-        'n0_0 -> n0_0 [label="0.2"];',
-        'n0_0 -> n0_1 [label="0.1"];',
-        'n0_0 -> n0_2 [label="0.7"];',
-        "}",
-        "}",
-    ]
-
-
-def test_a_graph_too_large_is_refused(tmp_path):
-    path, policy = tmp_path / "policy.dot", everywhere(hall(), "fast")
-    refused("5 nodes, more than 4", write_dot, policy, path, START, most_nodes=4)
-    assert not path.exists()

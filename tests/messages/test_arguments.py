@@ -96,7 +96,7 @@ SLIPS = [
     ("load_policy(3, M)", "path must be a string or a path, not 3"),
     ("read_drn('m.drn', goal=None)", "No such file|goal must be a string"),
     ("read_any(None, ['g'])", "path must be a string or a Path, not None"),
-    ("write_prism(None, 'm', start='a')", "model must be an SSP, not None"),
+    ("write_umb(None, 'm', start='a')", "model must be an SSP, not None"),
     ("from_matrices(3, 1, costs=[1, 1])", "transitions must be"),
     ("from_matrices([np.eye(2)], 1, costs='x')", "costs or rewards are no numbers: 'x'"),
     ("from_gymnasium('FrozenLake-v1')", "an environment is needed, such as"),

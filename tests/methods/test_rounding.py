@@ -26,7 +26,6 @@ from ssp_lp.arrays import read_only
 from ssp_lp.column_generation.layered_pricing import LayeredPricing
 from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.methods import rounding
-from ssp_lp.methods.risk import exactly_refuted, question_of_compiled
 from ssp_lp.methods.rounding import is_split, split_optimum, with_split_costs
 from ssp_lp.model.graph import dead_ends
 from ssp_lp.options import SolveOptions
@@ -147,7 +146,6 @@ def interrupted(problem, name, turn, best):
 @pytest.mark.parametrize("number", range(5))
 def test_ctrl_c_while_a_bound_is_worked_out_keeps_the_policy(number, turn, monkeypatch):
     """Units of 128 and 200 in the totals that matter: the bound of the first or of the second."""
-    monkeypatch.setattr(rounding, "exactly_refuted", lambda *_: 0.0)  # else the first is enough
     problem = questions(REAL, 200)[number]
     best = solve(replace(problem, cost_levels=128) if turn == 0 else problem)
     interrupted(problem, "lattice_bound", turn, best)
@@ -165,29 +163,15 @@ def test_ctrl_c_while_the_answer_is_measured_keeps_it():
 @pytest.mark.parametrize("budget", [None, 0.25])
 @pytest.mark.parametrize("level", [0.5, 0.9, 0.99])
 def test_a_quantile_is_one_of_the_totals(level, budget):
-    """Rounded costs and exact totals find what all sums say, and prove it."""
+    """Rounded costs find what all sums say, and prove it up to what rounding takes away."""
     exact = solve(CostQuantile(REAL, "r0", level, budget))
     solution = solve(CostQuantile(REAL, "r0", level, budget, cost_levels=1_000))
     assert solution.objective == pytest.approx(exact.objective, rel=1e-12)
+    assert solution.lower_bound <= exact.objective * (1.0 + 1e-12)
     certificate = certify(solution)
     assert certificate.accepted
-    assert max(exact.gap, solution.gap, certificate.gap) <= 1e-9
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_exact_totals_refute_what_no_policy_keeps_to_and_nothing_else(seed):
-    """Drawn rooms, beside the optimum that all sums give, for units of any size."""
-    draw = np.random.default_rng(seed)
-    model = corridor(draw.choice([0.4, 1.3, STEP, 3.0**0.5, 0.1 * np.pi], 3).tolist(), 2.0)
-    level, budget = float(draw.uniform(0.3, 0.99)), [None, 0.25][seed % 2]
-    best = solve(CostQuantile(model, "r0", level, budget)).objective
-    problem = CostQuantile(model, "r0", level, budget, cost_levels=50)
-    for unit in (Fraction(3, 10), Fraction(1, 50)):
-        rounded = rounding._with_rounded_costs(problem, unit, up=False)
-        question = question_of_compiled(rounded.compile(), budget)
-        for factor, refuted in ((0.9, 0.9), (1.0, 1.0), (1.0 + 1e-8, 0.0), (1.1, 0.0)):
-            found = exactly_refuted(question, model, level, factor * best)
-            assert found == pytest.approx(refuted * best, rel=1e-9)
+    assert exact.gap <= 1e-9
+    assert certificate.gap <= solution.gap <= 2e-2
 
 
 @pytest.mark.parametrize("budget", [None, 0.25, 1.0])

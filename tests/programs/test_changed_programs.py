@@ -591,8 +591,8 @@ def test_what_is_no_basis_of_the_program_is_left():
         found = program.solve(warm_start=replace(known, basis=basis))
         assert found.objective == pytest.approx(known.objective, rel=1e-9)
         assert found.gap <= 1e-9
-    assert program.solve("clarabel").basis is None
-    assert program.solve("clarabel", warm_start=known).solver == "clarabel"
+    assert program.solve("cvxpy").basis is None
+    assert program.solve("cvxpy", warm_start=known).solver == "cvxpy"
     told = S3P(TURNS, "s", 0.1).program()
     assert told.solve(warm_start=known).objective == pytest.approx(told.solve().objective)
 

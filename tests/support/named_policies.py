@@ -12,7 +12,6 @@ def made():
     return policies(hall()) | others
 
 
-HALL = sorted(set(made()) - {"levels", "remembering"})
 EVERY = sorted(made())
 
 

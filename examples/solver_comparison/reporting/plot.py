@@ -28,7 +28,6 @@ STYLES = {
     "columns-numpy": (_NUMPY, "s"),
     "lp-simplex": (_LP, "^"),
     "lp-ipx": (_LP, "v"),
-    "lp-clarabel": (_LP, "<"),
     "lp-cvxpy": (_LP, ">"),
     "highs-ipx": (_HIGHS, "D"),
     "highs-hipo": (_HIGHS, "P"),

@@ -86,7 +86,6 @@ SOLVERS = (
     _method(GAME, "game", environment=COMPILED),
     _method("lp-simplex", "lp", "highs-simplex"),
     _method("lp-ipx", "lp", "highs-ipx"),
-    _method("lp-clarabel", "lp", "clarabel"),
     _method("lp-cvxpy", "lp", "cvxpy"),
     _highs("ipx"),
     _highs("hipo", also_needs="highspy_extras", pip="pip install highspy-extras"),

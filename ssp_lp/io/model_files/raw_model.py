@@ -17,7 +17,6 @@ from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -35,9 +34,6 @@ FilePath = str | PathLike[str]
 
 _LONGEST_LINE = 1 << 24
 """Characters of a line beyond which a file is taken for no text at all."""
-
-_BLOCK = 1 << 18
-"""Characters of a file read at a time where lines are not read one by one."""
 
 _GZIP, _XZ, _ZIP = b"\x1f\x8b", b"\xfd7", b"PK"  # the first two bytes of packed files
 _GZIP_LEVEL = 6  # the usual compromise of size and time; 9 takes several times as long
@@ -61,9 +57,19 @@ def opened_text(path: Path, what: str = "text") -> Iterator[TextIO]:
         ModelError: no UTF-8, a broken packed file, or an archive of several files.
         OSError: the file cannot be opened.
     """
+    with (
+        broken_files_named(path, what),
+        _unpacked(path) as stream,
+        io.TextIOWrapper(stream, encoding="utf-8") as file,
+    ):
+        yield file
+
+
+@contextmanager
+def broken_files_named(path: Path, what: str) -> Iterator[None]:
+    """Errors of a file that cannot be unpacked, or is no text, as :class:`ModelError`."""
     try:
-        with _unpacked(path) as stream, io.TextIOWrapper(stream, encoding="utf-8") as file:
-            yield file
+        yield
     except _BROKEN as error:
         raise ModelError(f"{path} is no {what}: {error}") from error
 
@@ -105,28 +111,22 @@ class TextFile:
     def __init__(self, path: FilePath, comment: str) -> None:
         """Name a file; ``comment`` is a pattern of what is left out of its lines."""
         self.path, self.number, self.text = Path(path), 0, ""  # the text that was last read
-        self.in_blocks = False  # whether ``lines`` gives the rest as blocks of many whole lines
-        self._comment = re.compile(comment, re.MULTILINE)
+        self._comment = re.compile(comment)
 
     def lines(self) -> Iterator[str]:
         """Lines of a model's text file without comments and outer spaces.
-
-        Once ``in_blocks`` is set, blocks of many whole lines without comments; ``number`` is then
-        the number of lines before the block.
 
         Raises:
             ModelError: a line without end, no UTF-8, or a broken gzip file.
             OSError: the file cannot be opened.
         """
         with opened_text(self.path) as file:
-            while text := file.read(_BLOCK * self.in_blocks) + file.readline(_LONGEST_LINE):
-                start = self.number
-                self.number += not self.in_blocks
+            while text := file.readline(_LONGEST_LINE):
+                self.number += 1
                 if len(text) >= _LONGEST_LINE:
                     raise self.fault("the line is too long for a model")
                 self.text = self._comment.sub("", text)
-                yield self.text if self.in_blocks else self.text.strip()
-                self.number = start + text.count("\n")
+                yield self.text.strip()
 
     def fault(self, complaint: str) -> ModelError:
         """The error that names a model's text file and the line last read."""
@@ -170,15 +170,21 @@ def write_archive(path: FilePath, pieces: Iterable[str]) -> None:
         return
     with TemporaryFile() as text:  # an archive states the size before the text
         text.writelines(piece.encode() for piece in pieces)
-        member = tarfile.TarInfo(place.stem)
-        member.size = text.tell()
-        text.seek(0)
-        is_gzip = place.suffix == ".gz"
-        with (
-            gzip.open(place, "wb", _GZIP_LEVEL) if is_gzip else lzma.open(place, "wb") as packed,
-            tarfile.open(fileobj=packed, mode="w:") as archive,
-        ):
-            archive.addfile(member, text)
+        write_tar(path, {place.stem: text}, place.suffix)
+
+
+def write_tar(path: FilePath, files: Mapping[str, IO[bytes]], packing: str) -> None:
+    """Write the files of a model by their names as a tar archive, packed by ".gz" or ".xz"."""
+    is_gzip = packing == ".gz"
+    with (
+        gzip.open(path, "wb", _GZIP_LEVEL) if is_gzip else lzma.open(path, "wb") as packed,
+        tarfile.open(fileobj=packed, mode="w:") as archive,
+    ):
+        for name, file in files.items():
+            member = tarfile.TarInfo(name)
+            member.size = file.seek(0, io.SEEK_END)
+            file.seek(0)
+            archive.addfile(member, file)
 
 
 FIRST_COST = "*"
@@ -395,21 +401,25 @@ def absorbed(raw: RawModel, goals: IntArray, idle: IntArray, source: str) -> SSP
         raise ModelError(f"{source}: ", *error.args) from error
 
 
-def distinct_actions(names: Sequence[str], pair_state: IntArray) -> Sequence[str]:
-    """Action names of a raw model, distinct in each state: a repeat gets a number, [pairs]."""
-    table = {name: k for k, name in enumerate(dict.fromkeys(names))}
-    code = np.fromiter(map(table.__getitem__, names), np.int64, len(names))
-    if np.diff(np.sort(pair_state * len(table) + code)).all():
+def distinct_actions(names: Sequence[str], pair_offsets: IntArray) -> Sequence[str]:
+    """Action names of a raw model, distinct in each state, [pairs].
+
+    One without a name is called by its position in the state; a repeat gets a number.
+    """
+    state = segment_ids(pair_offsets)
+    position = (np.arange(state.size) - pair_offsets[state]).tolist()
+    names = [name or str(k) for name, k in zip(names, position, strict=True)]
+    taken, counts = set(zip(state.tolist(), names, strict=True)), Counter[tuple[int, str]]()
+    if len(taken) == len(names):
         return names
-    taken, counts = set(zip(pair_state.tolist(), names, strict=True)), Counter[tuple[int, str]]()
     distinct = []
-    for state, name in zip(pair_state.tolist(), names, strict=True):
-        counts[state, name] += 1
+    for owner, name in zip(state.tolist(), names, strict=True):
+        counts[owner, name] += 1
         own = name
-        while counts[state, name] > 1 and (state, own) in taken:
-            own = f"{name}#{counts[state, name]}"
-            counts[state, name] += (state, own) in taken
-        taken.add((state, own))
+        while counts[owner, name] > 1 and (owner, own) in taken:
+            own = f"{name}#{counts[owner, name]}"
+            counts[owner, name] += (owner, own) in taken
+        taken.add((owner, own))
         distinct.append(own)
     return distinct
 
@@ -436,18 +446,6 @@ class Exported(NamedTuple):
     costs: FloatArray  # [pairs, costs]
     actions: Sequence[str]  # [pairs] words, distinct within each state
     labels: Mapping[str, IntArray]  # label -> states
-    choice_of_pair: IntArray  # [pairs of the model]
-    target_of_outcome: IntArray  # [outcomes of the model] the next state; -1: it never occurs
-
-    def pairs(self) -> Iterator[tuple[int, int, int, list[tuple[int, float]]]]:
-        """State, number in it, pair, and the successors with their probabilities."""
-        ends, pair = self.outcome_offsets.tolist(), 0
-        for state, (begin, end) in enumerate(pairwise(self.pair_offsets.tolist())):
-            for pair in range(begin, end):
-                some = slice(ends[pair], ends[pair + 1])
-                chances = self.probabilities[some].tolist()
-                moves = list(zip(self.successors[some].tolist(), chances, strict=True))
-                yield state, pair - begin, pair, moves
 
 
 def exported(model: SSP, start: Hashable) -> Exported:
@@ -478,13 +476,11 @@ def exported(model: SSP, start: Hashable) -> Exported:
     new = (np.diff(pairs, prepend=-1) != 0) | (np.diff(targets, prepend=-1) != 0)
     costs, code = np.zeros((n_pairs, len(by_name))), np.empty(n_pairs, dtype=np.int64)
     costs[own], costs[paying] = least, rests
-    names = [*_exported_words(model.action_names), *_OWN_ACTIONS]
+    names = [*distinct_words(model.action_names), *_OWN_ACTIONS]
     code[own], code[loops], code[paying] = model.pair_action, len(names) - 2, len(names) - 1
     counts = np.concatenate([np.maximum(np.diff(model.pair_offsets), 1), np.ones_like(paying)])
-    next_state = np.full(model.n_outcomes, -1, dtype=np.int64)
-    next_state[occurs] = successors
     return Exported(
-        cost_names=_exported_words(list(by_name)),
+        cost_names=distinct_words(list(by_name)),
         pair_offsets=offsets_of(counts),
         outcome_offsets=offsets_of(np.bincount(pairs[new], minlength=n_pairs)),
         successors=targets[new],
@@ -492,8 +488,6 @@ def exported(model: SSP, start: Hashable) -> Exported:
         costs=costs,
         actions=[names[k] for k in code.tolist()],
         labels=_exported_labels(model, start, idle, len(paying)),
-        choice_of_pair=own,
-        target_of_outcome=next_state,
     )
 
 
@@ -529,12 +523,12 @@ def _split_costs(
     return successors, least, following[alone], rest[alone]
 
 
-def _exported_words(names: Sequence[Hashable]) -> list[str]:
-    """Names in a raw model's file as distinct words of letters, digits and a few signs."""
+def distinct_words(names: Sequence[Hashable], other: str = r"[^A-Za-z0-9_.+-]+") -> list[str]:
+    """Names in a raw model's file as distinct words, other signs replaced by underscores."""
     taken: set[str] = set()
     words = []
     for position, name in enumerate(names):
-        word = re.sub(r"[^A-Za-z0-9_.+-]+", "_", str(name)).strip("_") or "_"
+        word = re.sub(other, "_", str(name)).strip("_") or "_"
         while word in taken:
             word += f"_{position}"
         taken.add(word)

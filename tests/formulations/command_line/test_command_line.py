@@ -25,7 +25,7 @@ from formulations.command_line import main
 from formulations.command_line.arguments import CRITERIA, argument_parser
 from small_models import model_of
 from ssp_lp import ModelError, evaluate, solve
-from ssp_lp.io import Controller, load_policy, save_model, write_drn, write_prism
+from ssp_lp.io import Controller, load_policy, save_model, write_drn, write_umb
 from ssp_lp.io.any_format import read_any
 from ssp_lp.options import progress_shown
 
@@ -162,10 +162,10 @@ def test_other_formats_and_the_policy_in_a_file(
     ways = {"a": [(0.9, 1, 1.0), (0.1, 2, 1.0)], "b": [(1.0, 1, 3.0)]}
     model = model_of({0: ways, 1: {}, 2: {}}, 1)
     write_drn(model, tmp_path / "m.drn", start=0)
-    write_prism(model, tmp_path / "m", start=0)
+    write_umb(model, tmp_path / "m.umb", start=0)
     save_model(model, tmp_path / "m.npz")
-    drn, prism, own = (tmp_path / f"m.{ending}" for ending in ("drn", "tra", "npz"))
-    for asked in ((drn, "--goal", "goal"), (prism, "--goal", "goal"), (own, "--start", "0")):
+    drn, umb, own = (tmp_path / f"m.{ending}" for ending in ("drn", "umb", "npz"))
+    for asked in ((drn, "--goal", "goal"), (umb, "--goal", "goal"), (own, "--start", "0")):
         code, out, _ = run("info", *asked)
         assert (code, "attention states" in out) == (0, True)
     policy = tmp_path / "policy.npz"
@@ -251,7 +251,7 @@ def test_limits_in_words(tmp_path: Path, told: Told, refused: Any) -> None:
         ("--limit visits(depto)<=3", "depto"),
         ("--penalty 3", "mcmp takes no --penalty; its options: --failure-budget"),
         ("--criterion cvar", "cvar needs --level"),
-        ("--policy-out policy.txt", "a policy is written as .storm.json"),
+        ("--policy-out policy.txt", "a policy is written as .npz, .json, .h, .csv"),
         ("--horizon 0", "--horizon must be a whole number >= 1, not 0"),
         ("--discount .9", "--failure-budget none (least failure) is exact only: leave --disc"),
         ("--criterion least-quantity", "least-quantity needs --quantity"),
@@ -278,8 +278,8 @@ def test_models_go_round_through_every_format(
     roads: Path, run: Run, told: Told, refused: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(roads.parent)
-    way = ["roads.json", "a.npz", "b.json.gz", "c.drn", "d.tra", "e.drn.gz", "f.json"]
-    goals = {"roads.json": "home", "c.drn": "goal", "d.tra": "goal", "e.drn.gz": "goal"}
+    way = ["roads.json", "a.npz", "b.json.gz", "c.drn", "d.umb", "e.drn.gz", "f.json"]
+    goals = {"roads.json": "home", "c.drn": "goal", "d.umb": "goal", "e.drn.gz": "goal"}
     starts = {"roads.json": "depot", "a.npz": "depot"}
     values = []
     for source, target in zip(way, [*way[1:], "-"], strict=True):
@@ -322,8 +322,6 @@ def test_a_horizon_is_that_of_the_criterion(
     for step in range(6):  # there is nothing else to do
         assert (player.action("lock"), player.failed) == ("try", step >= 3)
         player.observe("lock", 1.0)
-    first = told("compare", model, *words)[0]
-    assert (first["criterion"], first["objective"]) == ("MaxProb", pytest.approx(0.875))
 
 
 def test_the_frontier_in_three_forms(roads: Path, run: Run, told: Told) -> None:
@@ -355,7 +353,7 @@ def test_pictures(roads: Path, tmp_path: Path, run: Run, refused: Any) -> None:
 def test_a_saved_policy_is_simulated(
     roads: Path, tmp_path: Path, run: Run, told: Told, refused: Any
 ) -> None:
-    for ending in ("json", "dot", "csv", "npz"):
+    for ending in ("json", "csv", "npz"):
         policy = tmp_path / f"policy.{ending}"
         assert run("solve", roads, *WITHIN, "--policy-out", policy)[0] == 0
         assert policy.stat().st_size > 0
@@ -381,14 +379,6 @@ def test_the_program_is_written(roads: Path, tmp_path: Path, run: Run) -> None:
     assert run(*asked, tmp_path / "roads.txt")[0] == 2
 
 
-def test_criteria_side_by_side(roads: Path, told: Told) -> None:
-    rows = told("compare", roads, *WITHIN, "--cost-bound", 4, "--level", 0.9)
-    found = {row["criterion"]: row["objective"] for row in rows}
-    assert found["MCMP, failure budget 0.05"] == pytest.approx(20 / 3)
-    assert found["CostBoundedReach, cost 4"] == pytest.approx(0.9)
-    assert found["MinCost"] is None
-
-
 WALKER = """mdp
 const int N;
 module walker
@@ -407,12 +397,11 @@ def test_a_program_through_storm(tmp_path: Path, told: Told, refused: Any) -> No
     pytest.importorskip("stormpy")
     (tmp_path / "walker.prism").write_text(WALKER, encoding="utf-8")
     asked = ("solve", tmp_path / "walker.prism", "--goal", "done", "--cost", "time")
-    scheduler = tmp_path / "walker.storm.json"
     words = ("--constants", "N=1", "--failure-budget", 0.1, "--limit", "fuel <= 1.5")
-    answer = told(*asked, *words, "--policy-out", scheduler)
+    answer = told(*asked, *words)
     assert answer["objective"] == pytest.approx(0.5 * 1 + 0.5 * 3)
-    chosen = json.loads(scheduler.read_text())[0]["c"]
-    assert {choice["labels"][0] for choice in chosen} == {"run", "walk"}
+    chosen = {action for each in answer["policy"] for action in each["actions"].values()}
+    assert chosen == {"run", "walk"}
     refused(*asked)
 
 
@@ -473,7 +462,7 @@ def test_several_budgets_make_a_table(roads: Path, run: Run, told: Told, refused
         ("solve x.json --failure-budget 5%%", "'5%%' is no number"),
         ("solve x.json --failure-budget %", "'%' is no number"),
         ("solve x.json --quiet --verbose", "not allowed with"),
-        ("compare x.json --json --csv", "not allowed with"),
+        ("frontier x.json --json --csv", "not allowed with"),
         ("solve x.json --gaol home", "--gaol"),
     ],
 )
@@ -496,14 +485,12 @@ def test_solvers_print_nothing_beside_the_answer(roads: Path, method: str) -> No
 
 
 def test_tables_go_into_files(roads: Path, tmp_path: Path, run: Run) -> None:
-    for command in ("frontier", "compare"):
-        path, asked = tmp_path / f"{command}.csv", (command, roads, *FROM_DEPOT, "--csv")
-        assert run(*asked, path) == (0, "", "")
-        code, printed, _ = run(*asked)
-        assert (code, printed) == (0, path.read_text(encoding="utf-8"))
-        rows = list(csv.DictReader(io.StringIO(printed)))
-        assert {"failure", "failure_probability"} & rows[0].keys()
-        assert min(float(row["objective"]) for row in rows if row["objective"]) < 4.0
+    path, asked = tmp_path / "frontier.csv", ("frontier", roads, *FROM_DEPOT, "--csv")
+    assert run(*asked, path) == (0, "", "")
+    code, printed, _ = run(*asked)
+    assert (code, printed) == (0, path.read_text(encoding="utf-8"))
+    rows = list(csv.DictReader(io.StringIO(printed)))
+    assert min(float(row["objective"]) for row in rows) < 4.0
 
 
 def test_shells_complete(run: Run, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,7 +16,7 @@ from test_command_line import ROADS
 from cases import FOLDER, expected
 from formulations import MCMP
 from formulations.command_line import main
-from formulations.command_line.arguments import EXAMPLES
+from formulations.command_line.arguments import VERBS
 from ssp_lp import solve
 from ssp_lp.io import from_gymnasium
 
@@ -24,7 +24,7 @@ gymnasium = pytest.importorskip("gymnasium")
 
 SSP_LP = f"{shlex.quote(sys.executable)} -m ssp_lp"
 ROOT = Path(__file__).parents[3]
-EVERY = [line.strip() for some in EXAMPLES.values() for line in some.splitlines()]
+EVERY = [line.strip() for verb in VERBS.values() for line in verb.examples.splitlines()]
 
 
 def shell(command: str, folder: Path) -> subprocess.CompletedProcess[str]:

@@ -1,6 +1,5 @@
 """Model files: archives and texts read as they should, broken ones are named; matrices."""
 
-import gzip
 import io
 import json
 import tarfile
@@ -25,11 +24,9 @@ from ssp_lp.io import (
     load_model,
     read_any,
     read_drn,
-    read_prism,
     save_model,
     write_drn,
 )
-from ssp_lp.io.model_files import explicit_files, raw_model
 from tests.campaigns.damaged_files import GOALS, READ, REFUSED, damaged, verdict
 
 ARRAYS = ("pair_offsets", "outcome_offsets", "successors", "probabilities", "costs", "goal_mask")
@@ -248,15 +245,13 @@ def test_a_reward_model_without_a_name_beside_others_in_drn(tmp_path):
             assert {n: c.tolist() for n, c in model.named_costs.items()} == costs
 
 
-def test_blocks_of_drn_are_read_as_lines_are(tmp_path, monkeypatch):
-    """Blanks that Storm does not write have a block read line by line."""
+def test_lines_of_drn_may_be_spaced_and_commented(tmp_path):
     model = drawn_model(3, 60)[0]
     write_drn(model, path := tmp_path / "m.drn", start="s0")
     text = path.read_text(encoding="utf-8")
     head, body = text.split("@model\n")
     spaced = head + "@model\n" + "\n".join(line + " \n" for line in body.splitlines())
-    for block, written in ((1 << 18, text), (64, text), (64, spaced), (1 << 18, spaced + "// end")):
-        monkeypatch.setattr(raw_model, "_BLOCK", block)
+    for written in (text, spaced, spaced + "// end"):
         found = read_drn(drn(tmp_path, written), goal="goal").model
         assert optima(found, 0, 0.5) == pytest.approx(optima(model, "s0", 0.5), rel=1e-12)
         assert list(found.action_names) == list(map(str, model.action_names))
@@ -265,13 +260,9 @@ def test_blocks_of_drn_are_read_as_lines_are(tmp_path, monkeypatch):
         refused(rf"line {line}: state 40 should come", read_drn, drn(tmp_path, wrong), goal="goal")
 
 
-def test_what_storm_writes_is_read_in_blocks(tmp_path, monkeypatch):
-    """Reading line by line takes three times as long."""
-    monkeypatch.delattr(explicit_files._Entries, "add_lines")
-    write_drn(drawn_model(3, 60)[0], path := tmp_path / "m.drn", start="s0")
-    assert read_drn(path, goal="goal").model.n_states == drawn_model(3, 60)[0].n_states
+def test_what_storm_writes_is_read(tmp_path):
     stormpy = pytest.importorskip("stormpy")
-    program = tmp_path / "m.prism"
+    program, path = tmp_path / "m.prism", tmp_path / "m.drn"
     program.write_text(
         "mdp\nmodule m\n x : [0..9];\n [] x<9 -> 1/3:(x'=x+1)+2/3:true;\nendmodule\n"
         'rewards "time"\n true : 1;\nendrewards\nrewards\n x=2 : 0.5;\nendrewards\n'
@@ -308,161 +299,6 @@ def test_a_drn_cost_must_be_chosen(tmp_path):
     found = read_drn(drn(tmp_path, f"@type: DTMC\n@nr_states\n2\n@model\n{states}"), goal="g")
     assert found.model.costs.tolist() == [1.0]
     refused("0 initial states", lambda: found.start)
-
-
-PRISM = {
-    "tra": "5 6 8\n3 0 4 1 b\n0 0 1 0.5 a\n0 0 2 0.5 a\n0 1 3 1\n1 0 1 1\n2 0 2 0.9\n2 0 1 0.1\n"
-    "4 0 4 1\n",
-    "lab": '0="init" 1="deadlock" 2="done" 3="odd one"\n0: 0 3\n1: 2\n4: 1\n',
-    "sta": "(x,b)\n0:(0,true)\n1:(1,false)\n2:(2,true)\n3:(3,true)\n4:(-4,true)\n",
-    "srew": '# Reward structure "energy"\n# State rewards\n5 2\n0 0.1\n2 2\n',
-    "trew": '# Reward structure "energy"\n# Transition rewards\n5 6 2\n0 0 1 0.2\n3 0 4 7\n',
-}
-
-
-def prism(tmp_path, **changes):
-    for ending, text in (PRISM | changes).items():
-        if text is not None:
-            (tmp_path / f"hand.{ending}").write_text(text, encoding="utf-8", newline="\n")
-    return tmp_path / "hand"
-
-
-def test_prism_texts_read_as_they_should(tmp_path):
-    found = read_prism(prism(tmp_path), goal="done", cost="energy")
-    model = found.model
-    assert model.states == [(0, True), (1, False), (2, True), (3, True), (-4, True)]
-    assert found.start == (0, True)
-    assert [model.action_of(k) for k in range(model.n_pairs)] == ["a", "1", "0", "b"]
-    assert model.successors.tolist() == [1, 2, 3, 2, 1, 4]
-    assert model.probabilities.tolist() == [0.5, 0.5, 1.0, 0.9, 0.1, 1.0]
-    assert model.costs.tolist() == [0.3, 0.1, 0.1, 2.0, 2.0, 7.0]
-    assert model.state_labels["odd one"].tolist() == [0]
-    packed = tmp_path / "hand.tra"
-    (tmp_path / "hand.tra.gz").write_bytes(gzip.compress(packed.read_bytes()))
-    packed.unlink()
-    assert read_prism(tmp_path / "hand.tra.gz", goal="done").model.n_outcomes == 6
-
-
-def test_a_prism_structure_is_chosen_by_name(tmp_path):
-    base = prism(tmp_path, srew=None, trew=None, sta=None)
-    assert set(read_prism(base, goal="done").model.costs) == {1.0}
-    (tmp_path / "hand1.srew").write_text('# Reward structure "time"\n5 1\n0 3\n')
-    (tmp_path / "hand2.trew").write_text('# Reward structure "coins"\n5 6 1\n3 0 4 7\n')
-    refused(r"choose one .* 'time', 'coins'", read_prism, base, goal="done")
-    for cost, paid in (("time", [3, 3, 3, 0, 0, 0]), ("coins", [0, 0, 0, 0, 0, 7])):
-        assert read_prism(base, goal="done", cost=cost).model.costs.tolist() == paid
-
-
-IROBOT = {
-    "tra": "# Transitions (MDP)\n6 10 16\n0 0 1 0.1 south\n0 0 3 0.8 south\n0 0 4 0.1 south\n"
-    "0 1 0 0.4 east\n0 1 1 0.6 east\n1 0 2 0.5 south\n1 0 4 0.5 south\n1 1 2 1 east\n"
-    "2 0 2 1 stuck\n3 0 3 1 stuck\n4 0 3 0.6 west\n4 0 4 0.4 west\n4 1 5 1 north\n"
-    "5 0 2 0.9 east\n5 0 5 0.1 east\n5 1 5 1 stuck\n",
-    "lab": '# Labels\n0="init" 1="deadlock" 2="hazard" 3="goal1" 4="goal2"\n0: 0\n1: 2\n'
-    "2: 4\n3: 4\n5: 3\n",
-    "sta": "# States\n(s)\n0:(0)\n1:(1)\n2:(2)\n3:(3)\n4:(4)\n5:(5)\n",
-    "1.srew": '# Reward structure "time"\n# State rewards\n6 6\n0 1\n1 1\n2 1\n3 1\n4 1\n5 1\n',
-    "1.trew": '# Reward structure "time"\n# Transition rewards\n6 10 0\n',
-    "2.srew": "# Reward structure\n# State rewards\n6 0\n",
-    "2.trew": "# Reward structure\n# Transition rewards\n6 10 3\n0 0 1 2\n0 0 3 2\n0 0 4 2\n",
-    "3.srew": '# Reward structure "odd"\n# State rewards\n6 1\n0 -1\n',
-    "3.trew": '# Reward structure "odd"\n# Transition rewards\n6 10 0\n',
-}  # fmt: skip
-"""The robot of PRISM's tutorial as PRISM 4.10 exports it, with three reward structures."""
-
-
-def exported_by_prism(folder, stem="run", **changes):
-    for ending, text in (IROBOT | changes).items():
-        name = f"{stem}{ending}" if ending[0].isdigit() else f"{stem}.{ending}"
-        (folder / name).write_text(text, encoding="utf-8", newline="\n")
-    return folder / stem
-
-
-def test_the_files_that_prism_exports_are_read(tmp_path):
-    """By hand: time 2 to "goal2" from 0 by south 0.8 / 0.1 / 0.1; moving south first costs 2."""
-    base = exported_by_prism(tmp_path)
-    for cost in ("time", ""):
-        model = read_prism(base, goal="goal2", cost=cost).model
-        assert set(model.named_costs) == {"time", ""}  # "odd" is negative in state 0
-        assert [model.action_of(k) for k in range(4)] == ["south", "east", "south", "east"]
-        assert model.state_labels["hazard"].tolist() == [1]
-    time = solve(MCMP(read_prism(base, goal="goal2", cost="time").model, 0, 0.0)).objective
-    assert time == pytest.approx(1 + 0.1 * 1 + 0.1 / 0.6)
-    free = solve(MCMP(read_prism(base, goal="goal2", cost="").model, 0, 0.0)).objective
-    assert free == pytest.approx(0.0)  # east until 1
-    refused("choose one .* 'time', '', 'odd'", read_prism, base, goal="goal2")
-    refused("negative cost", read_prism, base, goal="goal2", cost="odd")
-
-
-def test_comments_stand_anywhere_in_prisms_files(tmp_path):
-    plain = read_prism(exported_by_prism(tmp_path), goal="goal2", cost="time").model
-    noisy = {
-        ending: "# x\n\n"
-        + text.replace("\n0", "\n\n  # 0 0 1\n0", 1).replace("\n3", "  # three\n3")
-        for ending, text in IROBOT.items()
-    }
-    again = read_prism(exported_by_prism(tmp_path, "noisy", **noisy), goal="goal2", cost="time")
-    for field in ARRAYS:
-        assert np.array_equal(getattr(again.model, field), getattr(plain, field))
-    assert list(again.model.named_costs) == list(plain.named_costs)
-
-
-def test_rewards_of_other_models_of_prism_are_left_alone(tmp_path):
-    base = exported_by_prism(tmp_path)
-    dear = {"1.srew": IROBOT["1.srew"].replace("0 1\n", "0 200\n")}
-
-    def costs(base):
-        """The costs of the first outcome by name; None: 1 for each action."""
-        named = read_prism(base, goal="goal2", cost="*").model.named_costs
-        return {name: float(paid[0]) for name, paid in named.items()} or None
-
-    assert costs(base) == {"time": 1.0, "": 2.0}
-    (tmp_path / "run2.tra").write_text("of another model", encoding="utf-8")
-    assert costs(base) == {"time": 1.0}
-    (tmp_path / "run1.tra.gz").write_text("of another model", encoding="utf-8")
-    assert costs(base) is None
-    gap = exported_by_prism(tmp_path, "gap", **dear)
-    for ending in ("srew", "trew"):
-        (tmp_path / f"gap2.{ending}").unlink()
-    assert costs(gap) == {"time": 200.0}
-    own = IROBOT["1.srew"].replace("time", "own")
-    (tmp_path / "gap.srew").write_text(own, encoding="utf-8")
-    assert costs(gap) == {"own": 1.0}
-    (tmp_path / "gap.trew").write_text(IROBOT["1.trew"], encoding="utf-8")
-    refused("name different reward structures", read_prism, gap, goal="goal2")
-
-
-def test_a_markov_chain_of_prism(tmp_path):
-    chain = {"tra": "3 4\n0 1 0.5\n0 2 0.5\n1 1 1\n2 2 1\n", "lab": '0="init" 1="done"\n1: 1\n'}
-    chain |= {"srew": "3 1\n0 2\n", "trew": "3 1\n0 2 5\n", "sta": None}
-    found = read_prism(prism(tmp_path, **chain), goal="done")
-    assert found.model.costs.tolist() == [2.0, 7.0, 0.0]
-
-
-@pytest.mark.parametrize(
-    ("ending", "text", "message"),
-    [
-        ("tra", "", "tra, line 0: the first line"),
-        ("tra", "1000000000000000 6 8\n0 0 1 1\n", "states of the lines are not those"),
-        ("tra", "2 1 1\n0 0 999999999999 1\n", "states of the lines"),
-        ("tra", "5 6 8\n0 0 1\n", "tra, line 2: the line must have 4"),
-        ("tra", "5 6 8\n0 x 1 1\n", "tra, line 2: 'x' is no whole number"),
-        ("tra", "2 1 2\n0 0 1 1\n", "header says"),
-        ("lab", "init\n", "lab, line 1"),
-        ("lab", '0="init" 2="done"\n9: 2\n', "lab, line 2"),
-        ("lab", '0="init" 2="done"\n1: 7\n', "there is no label 7"),
-        ("sta", "(x)\n0:(1,2)\n", "sta, line 2"),
-        ("sta", "(x)\n0:(1)\n", "state 1 is missing"),
-        ("sta", "(x)\n0:(a)\n", "neither a whole number"),
-        ("srew", "5 1\n9 2\n", "srew: the states are not the 5"),
-        ("srew", "5 3\n1 2\n", "header says 3 rewards"),
-        ("trew", "5 6 1\n0 0 4 1\n", "twice, or does not exist"),
-        ("trew", "5 6 2\n0 0 1 1\n0 0 1 1\n", "twice, or does not exist"),
-        ("trew", "5 6 1\n0 0 1 -1\n", "negative cost"),
-    ],
-)
-def test_an_error_in_a_prism_text_names_its_file(ending, text, message, tmp_path):
-    refused(message, read_prism, prism(tmp_path, **{ending: text}), goal="done")
 
 
 def drn_text(model, start, path):
@@ -532,7 +368,7 @@ def test_a_state_that_merely_bears_the_name_is_kept(tmp_path):
 @pytest.mark.filterwarnings("ignore::ssp_lp.ModelWarning")
 @pytest.mark.parametrize(
     "ending",
-    ["json", "json.gz", "nested.json", "explicit.json", "prism", "drn", "drn.gz", "tra", "npz"],
+    ["json", "json.gz", "nested.json", "explicit.json", "prism", "drn", "drn.gz", "npz", "umb"],
 )
 def test_damaged_files_are_read_or_refused_by_name(ending, tmp_path):
     """A sample of `tests/campaigns/damaged_files.py`."""

@@ -9,11 +9,10 @@ import stormpy
 from cases import load_case
 from formulations import MCMP, MaxProb
 from refusing import refused
-from small_models import FIRST
 from ssp_lp import SSP, MissingDependencyError, secondary_cost, solve
-from ssp_lp.io import from_stormpy, read_any, read_with_storm, to_stormpy
+from ssp_lp.io import from_stormpy, read_any, read_with_storm, write_umb
 from ssp_lp.model.graph import dead_end_labels
-from storm_values import value
+from storm_values import in_storm, value
 from tests.campaigns.damaged_files import JANI
 
 # "time" is paid by states and actions, "coins" by actions
@@ -342,7 +341,7 @@ def test_models_that_are_no_decision_processes_in_floats_are_refused(tmp_path):
         ("prism_rewpoliter", "cost"),
     ],
 )
-def test_storm_agrees_on_published_models(name, cost):
+def test_storm_agrees_on_published_models(name, cost, tmp_path):
     """The greatest goal probability, and the least cost where three tenths of it may be lost."""
     case = load_case(name, cost)
     choices = case.floats()
@@ -350,7 +349,8 @@ def test_storm_agrees_on_published_models(name, cost):
     # where the goal is out of reach an episode is over, while Storm would go on counting
     ended = choices | {state: {} for state in dead_end_labels(whole)}
     model = SSP.from_transitions(ended, case.goal, treat_actionless_as_dead_ends=True)
-    theirs = to_stormpy(model, start=case.start)
+    write_umb(model, tmp_path / "m.umb", start=case.start)
+    theirs = in_storm(tmp_path / "m.umb")
     best = solve(MaxProb(model, case.start)).objective
     assert value(theirs, 'Pmax=? [F "goal"]') == pytest.approx(best, abs=1e-6)
     wanted = 0.7 * best
@@ -365,5 +365,5 @@ def test_what_is_missing_is_named(monkeypatch, tmp_path):
     )
     monkeypatch.setitem(sys.modules, "stormpy", None)
     missing = {"error": MissingDependencyError}
-    refused(r"pip install '\.\[storm\]'", to_stormpy, FIRST, start="depot", **missing)
-    refused("storm", read_with_storm, written(tmp_path, PROGRAM), goal="done", **missing)
+    words = r"pip install '\.\[storm\]'"
+    refused(words, read_with_storm, written(tmp_path, PROGRAM), goal="done", **missing)

@@ -1,0 +1,200 @@
+"""Files of policies for :class:`ssp_lp.io.Controller`, which runs them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Hashable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ssp_lp import policies
+from ssp_lp.arrays import segment_ids
+from ssp_lp.errors import ModelError
+from ssp_lp.io.archives import are_numbers_in_turn, fingerprint, label_value
+from ssp_lp.io.controller import GIVE_UP as GIVE_UP_WORD, controller_checksum
+from ssp_lp.io.model_files.raw_model import (
+    FilePath,
+)
+from ssp_lp.model.arguments import explained
+from ssp_lp.model.failure_product import FailureSSP
+from ssp_lp.model.graph import dead_ends
+from ssp_lp.model.product import HorizonSSP, ProductSSP
+from ssp_lp.policies import MixedPolicy, Policy, StochasticPolicy
+from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, as_lottery
+from ssp_lp.policies.remembering import (
+    CompletePolicy,
+    JointMemory,
+    LabelledPolicy,
+    RememberingPolicy,
+    memory_size,
+)
+
+_VERSION = 1
+
+
+@explained
+def write_controller(policy: Policy | MixedPolicy, path: FilePath) -> None:
+    """Write a policy as a JSON file that :class:`ssp_lp.io.Controller` runs.
+
+    That class stands in one file of its own, ``ssp_lp/io/controller.py``, which imports nothing but
+    the standard library and says what the file holds.
+
+    Args:
+        policy: deterministic, stochastic, cost-aware, of a problem with a horizon or on a product
+            with a memory (``on_original``), one that remembers having failed, one that acts
+            everywhere (``Solution.policy_everywhere``), or a lottery over these.
+        path: of the file, ``controller.json``.
+
+    Raises:
+        ModelError: the policy is of another class, or a label is no str, int, float, bool, None or
+            tuple of them, or an action is called "give up".
+    """
+    lottery = as_lottery(policy)
+    model = lottery.model
+    if GIVE_UP_WORD in model.action_names:
+        raise ModelError(f"an action is called {GIVE_UP_WORD!r}, which says that a policy gives up")
+    codes = {name: k for k, name in enumerate(model.action_names)}
+    content = {
+        "format": "ssp-lp controller",
+        "version": _VERSION,
+        "model": fingerprint(model),
+        "states": model.n_states
+        if are_numbers_in_turn(model.states)
+        else [label_value(label) for label in model.states],
+        "actions": [label_value(label) for label in model.action_names],
+        "goals": np.flatnonzero(model.goal_mask).tolist(),
+        "dead_ends": np.flatnonzero(dead_ends(model)).tolist(),
+        "members": [
+            {"weight": weight, **_controller_member(member, codes)}
+            for member, weight in zip(lottery.policies, lottery.weights.tolist(), strict=True)
+        ],
+    }
+    content["checksum"] = controller_checksum(content)
+    text = json.dumps(content, separators=(",", ":"), allow_nan=False)
+    Path(path).write_text(text + "\n", encoding="utf-8")
+
+
+def _controller_member(policy: Policy, codes: Mapping[Hashable, int]) -> dict[str, Any]:
+    """A member of a lottery, as the controller reads it."""
+    if isinstance(policy, CompletePolicy):
+        action = np.array([codes[name] for name in policy.model.action_names], dtype=np.int64)
+        action = np.append(action[policy.model.pair_action], 0)  # of a model without pairs, too
+        chosen = {
+            name: np.where(pairs < 0, pairs, action[np.maximum(pairs, 0)]).tolist()
+            for name, pairs in (("otherwise", policy.otherwise), ("afterwards", policy.afterwards))
+        }
+        return _controller_member(policy.inner, codes) | chosen
+    return {
+        "memory": _controller_memory(policy, codes),
+        "decision": _controller_decisions(policy, codes),
+        "ends": np.flatnonzero(policy.ended).tolist(),
+    }
+
+
+def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[str, Any] | None:
+    """An exported policy's memory as the controller reads it.
+
+    Raises:
+        ModelError: the controller does not know such a memory.
+    """
+    match policy:
+        case policies.DeterministicPolicy() | StochasticPolicy(carrier=None):
+            return None
+        case StochasticPolicy(carrier=Policy() as carrier):
+            return _controller_memory(carrier, codes)
+        case JointMemory(keepers=(keeper,)):
+            return _controller_memory(keeper, codes)
+        case RememberingPolicy(inner=inner, product=product):
+            place = {"place": product.table.T.tolist(), "inner": _controller_memory(inner, codes)}
+            return _controller_numbers(product, codes) | place
+        case LabelledPolicy(inner=inner, product=product):
+            n, charged = product.n_original, np.zeros(product.n_original)
+            failing = np.flatnonzero(product.fails)
+            charge = product.costs[product.outcome_offsets[failing]]
+            charged[product.original_state[product.pair_state[failing]]] = charge
+            lost = dead_ends(product.original) & product.is_open
+            return {
+                "kind": "failing",
+                "place": [list(range(n)), list(range(n, 2 * n))],
+                "lost": np.flatnonzero(lost).tolist(),
+                "charge": charged.tolist(),
+                "inner": _controller_memory(inner, _labelled_codes(product, codes)),
+            }
+        case policies.CostAwarePolicy():
+            table = policy.tail_table
+            return {
+                "kind": "layers",
+                "unit": float(policy.unit),
+                "rounds_up": bool(policy.rounds_up),
+                "cap": policy.cap,
+                "tails": len(policy.tails),
+                "threshold": [  # None for never, 0 for always
+                    max(layer, 0.0) if layer < np.inf else None
+                    for layer in policy.tail_threshold.tolist()
+                ],
+                "table": None if table is None else table.tolist(),
+                "levels": None if policy.levels is None else policy.levels.tolist(),
+                "acting": (policy.tails[0] != UNDECIDED).astype(np.int64).tolist(),
+            }
+    raise ModelError(f"a controller cannot run a {type(policy).__name__}")
+
+
+def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> dict[str, Any]:
+    """Transitions of an exported product's memory numbers, for the controller's file."""
+    if isinstance(product, HorizonSSP):
+        acting = np.diff(product.original.pair_offsets) > 0
+        return {"kind": "steps", "steps": product.steps, "acting": acting.astype(int).tolist()}
+    occurs, numbers = product.table >= 0, np.empty(product.n_states, dtype=np.int64)
+    numbers[product.table[occurs]] = np.nonzero(occurs)[1]
+    pairs = segment_ids(product.outcome_offsets)
+    begin, end = numbers[product.pair_state[pairs]], numbers[product.successors]
+    action = np.array([codes[name] for name in product.action_names])[product.pair_action[pairs]]
+    here, there = product.original_state[product.pair_state[pairs]], product.original_state
+    steps = np.column_stack([begin, here, action, there[product.successors]])
+    after: dict[tuple[int, ...], dict[float, int]] = {}
+    for step, cost, then in zip(steps.tolist(), product.costs.tolist(), end.tolist(), strict=True):
+        after.setdefault(tuple(step), {})[cost] = then
+    moves: list[list[Any]] = []
+    for step, by_cost in after.items():
+        if len(set(by_cost.values())) > 1:
+            moves += [[*step, cost, then] for cost, then in by_cost.items()]
+        elif (then := next(iter(by_cost.values()))) != step[0]:
+            moves.append([*step, None, then])
+    return {"kind": "task", "start": product.memory_number[product.memory.start], "moves": moves}
+
+
+def _labelled_codes(product: FailureSSP, codes: Mapping[Hashable, int]) -> dict[Hashable, int]:
+    """The numbers of a model's actions, and of those by which a run gives up, behind them."""
+    names = product.original.action_names
+    giving_up = zip(product.action_names[len(names) :], names, strict=True)
+    return {**codes, **{name: len(codes) + codes[own] for name, own in giving_up}}
+
+
+def _controller_decisions(policy: Policy, codes: Mapping[Hashable, int]) -> list[list[Any]]:
+    """An exported policy's decisions, [memories][states], of its innermost memory."""
+    over = np.zeros(policy.model.n_states, dtype=np.bool_)
+    while isinstance(policy, RememberingPolicy | LabelledPolicy):
+        product, policy = policy.product, policy.inner
+        if (label := product.failure_label) is not None:
+            codes = _labelled_codes(label, codes)
+            over = over[label.original_state] | label.after | label.lost
+            continue
+        idle = (np.diff(product.pair_offsets) == 0) & ~product.goal_mask
+        over = idle | np.where(dead_ends(product), True, over[product.original_state])
+    model = policy.model
+    action = np.array([codes[name] for name in model.action_names] or [0])
+    action = np.append(action[model.pair_action], 0)  # of a model without pairs, too
+    decisions = []
+    for memory in range(memory_size(policy)):
+        branches = policy.branches(np.arange(model.n_states), np.full(model.n_states, memory))
+        choice = np.where(branches.pair < 0, branches.pair, action[np.maximum(branches.pair, 0)])
+        # it gives up where it has no decision and all is over
+        choice = np.where(over[branches.situation] & (choice == UNDECIDED), GIVE_UP_CODE, choice)
+        listed: list[list[list[Any]]] = [[] for _ in range(model.n_states)]
+        columns = branches.situation, choice, branches.probability
+        for state, code, share in zip(*(column.tolist() for column in columns), strict=True):
+            listed[state].append([code, share])
+        decisions.append([some[0][0] if len(some) == 1 else some for some in listed])
+    return decisions
