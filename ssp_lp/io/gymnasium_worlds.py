@@ -47,6 +47,7 @@ from ssp_lp.model.continuous_model import ContinuousModel, Coordinates, Grid
 from ssp_lp.model.discretise import Quadrature, discretise
 from ssp_lp.model.graph import dead_ends
 from ssp_lp.model.product import ProductSSP, within_steps
+from ssp_lp.model.report import Facts, Table
 from ssp_lp.model.ssp import SSP, StateSet, no_lone_string
 from ssp_lp.policies.policy import (
     GIVE_UP_CODE,
@@ -588,8 +589,11 @@ class StepLimitWarning(UserWarning):
     """The environment cut episodes off by a step limit that the policy's model does not have."""
 
 
-@dataclass(frozen=True, eq=False)
-class RolloutReport(ReadOnlyCopies):
+_ENDS = "goal", "failed", "gave_up", "truncated"  # of an episode in an environment
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RolloutReport(Facts, ReadOnlyCopies):
     """Counts of the episodes that were rolled out in an environment."""
 
     episodes: int
@@ -604,14 +608,18 @@ class RolloutReport(ReadOnlyCopies):
     mean_steps: float
     step_limit: int | None  # the environment's own
 
-    def summary(self) -> str:
-        """Rollouts in a Gymnasium environment in two lines for a person."""
-        cut = ", cut where truncated" if self.truncated else ""
-        ends = f"goal {self.goal:,}, failed {self.failed:,}, gave up {self.gave_up:,}"
-        return (
-            f"{self.episodes:,} episodes: {ends}, truncated {self.truncated:,}\n  failure "
-            f"{self.failure_probability}, cost given success {self.conditional_cost}{cut}"
-        )
+    def tables(self) -> list[Table]:
+        """How the episodes ended, and what they cost, with intervals."""
+        return [
+            Table([
+                ("episodes", self.episodes),
+                ("ends", {name: getattr(self, name) for name in _ENDS}),
+                ("failure probability", self.failure_probability),
+                ("cost given success", self.conditional_cost),
+                ("mean steps", self.mean_steps),
+                ("note", "costs are cut where truncated" if self.truncated else ""),
+            ])
+        ]  # fmt: skip
 
 
 @explained

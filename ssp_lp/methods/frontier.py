@@ -28,7 +28,7 @@ from ssp_lp.errors import (
     optional_module,
     wrong_argument,
 )
-from ssp_lp.model.text_tables import html_table
+from ssp_lp.model.report import Report, Table
 from ssp_lp.options import SolveOptions, Status
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem, budget_of_share, check_numbers, pulled_back, requirements
@@ -45,7 +45,7 @@ _AROUND = 3.0  # times as far as the bend of a frontier is worth looking at
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Frontier:
+class Frontier(Report):
     """Turning points of the lower convex hull of (failure, cost), by increasing failure.
 
     Between two of them the optimum is their lottery: cost is piecewise linear and convex in the
@@ -286,41 +286,30 @@ class Frontier:
         axes: Axes = pictures.plot_frontier(self, budget, ax=ax, **style)
         return axes
 
-    def to_frame(self) -> Any:
-        """The turning points as a pandas ``DataFrame``, a row for each.
+    def tables(self) -> list[Table]:
+        """One table with a row for each turning point, of which text shows a few.
 
         Columns: what is traced by its name, goal, cost, objective; price and below of the segment
-        that begins at the point, nan at the last.
-
-        Raises:
-            MissingDependencyError: pandas is not installed.
+        that begins at the point, without a value at the last.
         """
-        columns = {
-            self.over: self.spent,
-            "goal": self.goal,
-            "cost": self.cost,
-            "objective": self.objective,
-            "price": np.append(self.price, np.nan),
-            "below": np.append(self.below, np.nan),
-        }
-        return optional_module("pandas", "frames").DataFrame(columns)
+        price, below = ([*each.tolist(), None] for each in (self.price, self.below))
+        points = (x.tolist() for x in (self.spent, self.goal, self.cost, self.objective))
+        count = len(self.spent)
+        shown = np.unique(np.linspace(0, count - 1, min(count, _SHOWN)).round().astype(int))
+        return [
+            Table(
+                [*zip(*points, price, below, strict=True)],
+                (self.over, "goal", "cost", "objective", "price", "below"),
+                self._title,
+                shown=shown.tolist(),
+                hidden={"below"},
+                left=0,
+            )
+        ]
 
     def __repr__(self) -> str:
-        """One line, and a few of the points."""
-        rows = "".join(
-            f"\n  {self.over} {failure:<12} objective {objective:<12} price {price}"
-            for failure, objective, price in self._some()
-        )
-        return f"Frontier({self._title}){rows}"
-
-    def summary(self) -> str:
-        """One line, and a few of the points."""
-        return repr(self)
-
-    def _repr_html_(self) -> str:
-        """A few of the frontier's points as a table, for notebooks."""
-        head = (self.over, "objective", "price from here on")
-        return html_table(f"Frontier: {self._title}", self._some(), head)
+        """One line."""
+        return f"Frontier({self._title})"
 
     @property
     def _title(self) -> str:
@@ -331,15 +320,6 @@ class Frontier:
             f"{len(spent):,} points, {self.over} {spent[0]:.6g} .. {spent[-1]:.6g}, "
             f"objective {value[0]:.6g} .. {value[-1]:.6g}, gap {self.gap:.1e}{unfinished}"
         )
-
-    def _some(self) -> list[tuple[str, str, str]]:
-        """Spent, objective and price from there on, of a few points from first to last."""
-        count = len(self.spent)
-        shown = np.unique(np.linspace(0, count - 1, min(count, _SHOWN)).round().astype(int))
-        price = [f"{p:.6g}" for p in self.price] + ["-"]
-        return [
-            (f"{self.spent[k]:.6g}", f"{self.objective[k]:.6g}", price[k]) for k in shown.tolist()
-        ]
 
     def _locate(self, budget: float) -> tuple[int, float]:
         """The frontier's turning point at or before a budget, and the weight of the next one."""

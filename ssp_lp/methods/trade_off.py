@@ -52,7 +52,7 @@ from ssp_lp.errors import (
 from ssp_lp.methods.frontier import Frontier, TraceLimits, traced_over_failure
 from ssp_lp.methods.rows import rows_optimum, true_figures
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.text_tables import Reported
+from ssp_lp.model.report import Facts, Table
 from ssp_lp.options import SolveOptions, Status, deadline_of, progress_shown
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import (
@@ -559,7 +559,7 @@ class _Tracing:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Surface(Reported, ReadOnlyCopies):
+class Surface(Facts, ReadOnlyCopies):
     """The least objective over several limits at once, between what is attained and proved.
 
     Policies mix: at any bounds the best lottery over all points attains the upper bound. The prices
@@ -644,19 +644,26 @@ class Surface(Reported, ReadOnlyCopies):
             )
         return asked, attained, weights
 
-    def facts(self) -> list[tuple[str, str]]:
+    def tables(self) -> list[Table]:
         """What was traced, how finely, and between which bounds."""
         ends = zip(self.over, self.spent.min(axis=0), self.spent.max(axis=0), strict=True)
         return [
-            ("over", ", ".join(f"{name} {low:.4g} .. {high:.4g}" for name, low, high in ends)),
-            ("points", f"{len(self.objective):,}"),
-            ("objective", f"{self.objective.min():.6g} .. {self.objective.max():.6g}"),
-            ("gap on the grid", f"{self.gap:.1e}"),
-            ("pricing calls", f"{self.pricing_calls:,}"),
+            Table(
+                [
+                    (
+                        "over",
+                        ", ".join(f"{name} {low:.4g} .. {high:.4g}" for name, low, high in ends),
+                    ),
+                    ("points", f"{len(self.objective):,}"),
+                    ("objective", f"{self.objective.min():.6g} .. {self.objective.max():.6g}"),
+                    ("gap on the grid", f"{self.gap:.1e}"),
+                    ("pricing calls", f"{self.pricing_calls:,}"),
+                ]
+            )
         ]
 
     def to_frame(self) -> Any:
-        """The points as a table of pandas: what each spends, its objective and its prices.
+        """The points as a table of pandas.
 
         Raises:
             MissingDependencyError: pandas is not installed.
