@@ -9,10 +9,10 @@ from fractions import Fraction
 from typing import Any
 
 from ssp_lp import SSP, InfeasibleError, Solution, progress_shown, solve
-from ssp_lp.errors import did_you_mean, optional_module
+from ssp_lp.errors import did_you_mean
 from ssp_lp.formulation import CostLimit, Problem
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.text_tables import Summarised, html_table, text_table
+from ssp_lp.model.report import Report, Table
 from ssp_lp.problem import as_stated
 
 from .alpha_mcmp import AlphaMCMP
@@ -29,12 +29,7 @@ from .min_cost import MinCost
 from .minprob import MinProb
 from .s3p import S3P
 
-_HEAD = ["criterion", "objective", "cost", "given success", "failure", "price"]
-COLUMNS = (
-    "criterion", "objective", "expected_cost", "conditional_cost", "failure_probability", "price",
-    "note",
-)  # fmt: skip
-"""Names of a comparison's columns."""
+_HEAD = "criterion", "objective", "cost", "given_success", "failure", "price", "note"
 _LOG = logging.getLogger("ssp_lp.comparison")
 
 
@@ -67,7 +62,7 @@ class CriterionRow:
 
 
 @dataclass(frozen=True, repr=False)
-class CriteriaComparison(Summarised):
+class CriteriaComparison(Report):
     """One row per criterion, in the order in which they were asked."""
 
     rows: tuple[CriterionRow, ...]
@@ -90,33 +85,11 @@ class CriteriaComparison(Summarised):
         infeasible = f", {unmet} that no policy meets" if unmet else ""
         return f"CriteriaComparison({len(self.rows)} criteria{infeasible})"
 
-    def _repr_html_(self) -> str:
-        """The comparison's table, for notebooks."""
-        return html_table("Criteria", self._cells(), _HEAD, self._notes())
-
-    def _cells(self) -> list[list[str]]:
-        """Name and numbers of each compared criterion."""
-        return [
-            [row.criterion, *("-" if v is None else f"{v:.6g}" for v in row.numbers)]
-            for row in self.rows
-        ]
-
-    def to_frame(self) -> Any:
-        """The compared criteria as a pandas ``DataFrame``, a row for each.
-
-        Raises:
-            MissingDependencyError: pandas is not installed.
-        """
+    def tables(self) -> list[Table]:
+        """One table with a row for each criterion; those without numbers say why."""
         rows = [(row.criterion, *row.numbers, row.note) for row in self.rows]
-        return optional_module("pandas", "frames").DataFrame(rows, columns=[*COLUMNS])
-
-    def _notes(self) -> list[str]:
-        """Notes on compared criteria without numbers."""
-        return [f"{row.criterion}: {row.note}" for row in self.rows if row.note]
-
-    def summary(self) -> str:
-        """The comparison as an aligned table; criteria without numbers say why."""
-        return "\n".join([*text_table([_HEAD, *self._cells()]), *self._notes()])
+        notes = [f"{row.criterion}: {row.note}" for row in self.rows if row.note]
+        return [Table(rows, _HEAD, notes=notes, hidden={"note"})]
 
 
 @explained

@@ -48,8 +48,7 @@ if TYPE_CHECKING:
         MinProb as MinProb,
         compare_criteria as compare_criteria,
     )
-    from ssp_lp.methods.frontier import Frontier as Frontier
-    from ssp_lp.methods.trade_off import trace_frontier as trace_frontier
+    from ssp_lp.methods.frontier import Frontier as Frontier, trace_frontier as trace_frontier
     from ssp_lp.model import SSP as SSP
     from ssp_lp.model.continuous_model import (
         Axis as Axis,
@@ -130,8 +129,7 @@ _MODULES = {
         "SSPError SolverError"
     ),
     "formulation": "Formulation",
-    "methods.frontier": "Frontier",
-    "methods.trade_off": "trace_frontier",
+    "methods.frontier": "Frontier trace_frontier",
     "model": "SSP",
     "model.continuous_model": "Axis ContinuousModel Distribution Grid WorldSimulator",
     "model.discretise": "Quadrature Samples discretise",

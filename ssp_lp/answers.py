@@ -34,11 +34,10 @@ from ssp_lp.errors import (
     check_whole,
     in_short,
     is_number,
-    optional_module,
     wrong_argument,
 )
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.text_tables import Summarised, text_table
+from ssp_lp.model.report import Report, Table
 from ssp_lp.options import Method, deadline_of, options_of, parse_method, progress_shown
 from ssp_lp.problem import Problem, as_stated, check_problem
 from ssp_lp.solution import Solution
@@ -96,7 +95,7 @@ def _swept(value: Any) -> Sequence[Any]:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Answers(Summarised):
+class Answers(Report):
     """Answers to many problems, in their order: each a solution, or the error in its place."""
 
     problems: tuple[Problem, ...]
@@ -125,44 +124,28 @@ class Answers(Summarised):
         """The answers' optimal values, nan where there is an error, [problems]."""
         return np.array([getattr(answer, "objective", np.nan) for answer in self])
 
-    def to_frame(self) -> Any:
-        """The answers as a pandas ``DataFrame``, a row for each problem.
+    def tables(self) -> list[Table]:
+        """One table with a row for each problem; text shows the first ones, and the errors.
 
         Columns: criterion, whatever else was asked differently (models by their numbers), then
         objective, bound (certified), gap, failure (as limited), price, seconds, status or the kind
         of error, and the error in words.
-
-        Raises:
-            MissingDependencyError: pandas is not installed.
         """
-        found: dict[str, list[Any]] = {name: [] for name in _FACTS}
-        for answer in self:
-            facts = _facts_of(answer)
-            for name, column in found.items():
-                column.append(facts.get(name))
-        return optional_module("pandas", "frames").DataFrame(self._asked() | found)
+        asked, facts = self._asked(), [_facts_of(answer) for answer in self]
+        rows = [
+            (*stated, *(fact.get(name) for name in _FACTS))
+            for stated, fact in zip(zip(*asked.values(), strict=True), facts, strict=True)
+        ]
+        more = len(rows) - _SHOWN
+        notes = [f"and {more:,} more: to_frame() has all"] * (more > 0)
+        notes += [f"{k}: {error}" for k, error in self.errors.items()][:_SHOWN]
+        shown = range(min(len(rows), _SHOWN))
+        return [Table(rows, (*asked, *_FACTS), "", notes, shown=shown, hidden=_FRAME_ONLY)]
 
     def __repr__(self) -> str:
         """One line: how many problems there are, and how many have no solution."""
         failed = f", {len(self.errors):,} of them errors" if self.errors else ""
         return f"Answers({len(self):,}{failed}, {self.seconds:.3g} s)"
-
-    def summary(self) -> str:
-        """The answers in a table, of which the first lines are shown."""
-        if not self.problems:
-            return repr(self)
-        columns = {
-            name: [_cell(value) for value in column] for name, column in self._asked().items()
-        }
-        for name in ("objective", "failure", "price", "status"):
-            facts = (_facts_of(answer).get(name) for answer in self.answers[:_SHOWN])
-            columns[name] = [_cell(fact) for fact in facts]
-        rows = [list(row) for row in zip(*columns.values(), strict=False)]
-        lines = text_table([[*columns], *rows])
-        if (more := len(self) - _SHOWN) > 0:
-            lines.append(f"and {more:,} more: to_frame() has all")
-        notes = [f"{k}: {error}" for k, error in self.errors.items()]
-        return "\n".join([*lines, *notes[:_SHOWN]])
 
     def _asked(self) -> dict[str, list[Any]]:
         """What was asked in each answer's problem, by name, as far as it is not the same in all."""
@@ -178,7 +161,8 @@ class Answers(Summarised):
         return {"criterion": [type(problem).__name__ for problem in self.problems], **several}
 
 
-_FACTS = ("objective", "bound", "gap", "failure", "price", "seconds", "status", "error")
+_FACTS = "objective", "bound", "gap", "failure", "price", "seconds", "status", "error"
+_FRAME_ONLY = "bound", "gap", "seconds", "error"  # columns that are not printed
 
 
 def _stated_names(problem: Problem) -> list[str]:
@@ -190,11 +174,6 @@ def _stated_names(problem: Problem) -> list[str]:
 def _plain(value: Any) -> Any:
     """A value of an answer's problem for a table."""
     return value if value is None or isinstance(value, str) or is_number(value) else in_short(value)
-
-
-def _cell(value: Any) -> str:
-    """A value of an answer's problem as text."""
-    return "-" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _facts_of(answer: Answer) -> dict[str, Any]:

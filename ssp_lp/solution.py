@@ -27,7 +27,7 @@ from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import dead_ends
-from ssp_lp.model.text_tables import ByName, html_table
+from ssp_lp.model.report import ByName, Facts, Table
 from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
 from ssp_lp.policies.chain import reached_table
@@ -77,7 +77,7 @@ class Run:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Solution(ReadOnlyCopies):
+class Solution(Facts, ReadOnlyCopies):
     """The optimal value c*, a certified lower bound, and a mixed policy that attains the value.
 
     ``objective`` and ``budget_used`` are exact measures of the policy on the augmented process. The
@@ -337,15 +337,6 @@ class Solution(ReadOnlyCopies):
             f"{failure} {self.budget_used:.6g}, method {self.method})"
         )
 
-    def _repr_html_(self) -> str:
-        """The solution's summary as a table, for notebooks."""
-        return html_table(self._title, self._rows())
-
-    def summary(self) -> str:
-        """The solution in a few lines for a person."""
-        body = "\n".join(f"  {label:<20} {value}" for label, value in self._rows())
-        return f"{self._title}\n{body}"
-
     @property
     def _title(self) -> str:
         """Title of a solution's summary: criterion, failure asked about, discount."""
@@ -355,47 +346,41 @@ class Solution(ReadOnlyCopies):
         within = "" if horizon is None else f", within {horizon:,} steps"
         return f"{type(self.problem).__name__}, {self._asked}{within}, {setting}"
 
-    def _rows(self) -> list[tuple[str, str]]:
-        """Rows of a solution's summary, by name; how the policy fails, if it does."""
-        failing = failing_in_words(self.evaluation.ends)
+    def tables(self) -> list[Table]:
+        """One table of facts: both sides, how the policy fails, costs, prices, and the method."""
+        failing, limits = failing_in_words(self.evaluation.ends), self.secondary_costs.items()
         bound = self.upper_bound
         side, bound = ("lower", self.lower_bound) if bound is None else ("upper", bound)
-        rows = [
-            ("objective c*", f"{self.objective:.9g}"),
-            (f"{side} bound", f"{bound:.9g}   (relative gap {self.gap:.1e})"),
-            ("failure probability", f"{self.failure_probability:.6g}"),
-            *least_failure_rows(self.budget_used, self.least_failure_bound),
-            *([("failing", failing)] if failing else []),
-            *self._giving_up(),
+        shares = self.policy.weights
+        lottery = f"lottery over {len(shares)} ({', '.join(f'{share:.4f}' for share in shares)})"
+        facts = [
+            ("objective c*", self.objective),
+            (f"{side} bound", bound, f"(relative gap {self.gap:.1e})"),
+            ("failure probability", self.failure_probability),
+            ("least failure", unproved_failure(self.budget_used, self.least_failure_bound)),
+            ("failing", failing),
+            ("giving up", self._giving_up()),
+            ("discounted failure", self.discounted_failure),
             ("cost given success", cost_in_words(self.conditional_cost)),
-            ("cost until failure", f"{self.expected_cost:.6g}"),
-            *([] if self.problem.model.costs.any() else [("costs", _ALL_FREE)]),
-        ]
-        if self.discounted_failure is not None:
-            rows.insert(-2, ("discounted failure", f"{self.discounted_failure:.6g}"))
-        if self.failure_price is not None:
-            rows.append(("failure price", f"{self.failure_price:.6g}"))
-        for limit, spent in self.secondary_costs.items():
-            rows.append((limit, f"{spent:.6g}   (price {self.prices.get(limit, 0.0):.6g})"))
-        weights = self.policy.weights
-        lottery = ", ".join(f"{weight:.4f}" for weight in weights)
-        drawn = f"lottery over {len(weights)} ({lottery})" if len(weights) > 1 else "no lottery"
-        rows.append(("policy", drawn))
-        rows.append(("method", f"{self.method}: {self.run.reason}, {self.seconds:.3g} s"))
-        if self.status is not Status.OPTIMAL:
-            rows.append(("status", str(self.status)))
-        if self.note:
-            rows.append(("note", self.note))
-        return rows
+            ("cost until failure", self.expected_cost),
+            ("costs", "" if self.problem.model.costs.any() else _ALL_FREE),
+            ("failure price", self.failure_price),
+            *((name, spent, f"(price {self.prices.get(name, 0.0):.6g})") for name, spent in limits),
+            ("policy", lottery if len(shares) > 1 else "no lottery"),
+            ("method", f"{self.method}: {self.run.reason}, {self.seconds:.3g} s"),
+            ("status", "" if self.status is Status.OPTIMAL else str(self.status)),
+            ("note", self.note),
+        ]  # fmt: skip
+        return [Table(facts, title=self._title, digits={"objective c*": 9, f"{side} bound": 9})]
 
-    def _giving_up(self) -> list[tuple[str, str]]:
+    def _giving_up(self) -> str:
         """Row of the summary on giving up by choice: how often, where first, what forbids it."""
         share = self.evaluation.ends.get("gave_up", 0.0)
         if share <= 0.0 or self.problem.semantics.give_up is GiveUp.DEAD_ENDS:
-            return []
+            return ""
         place = giving_up_in_words(self.policy, self.problem, share)
         words = f"{share:.6g} by choice, {place}" if place else f"{share:.6g} by choice"
-        return [("giving up", f"{words}; give_up='dead_ends' forbids it")]
+        return f"{words}; give_up='dead_ends' forbids it"
 
     @property
     def _asked(self) -> str:
@@ -523,11 +508,11 @@ def gap_of_least_failure(failure: float, bound: float | None) -> float:
     return relative_gap(1.0 - proved, 1.0 - failure) if failure - proved > _ROUNDED else 0.0
 
 
-def least_failure_rows(failure: float, bound: float | None) -> list[tuple[str, str]]:
-    """Row of a solution's summary where the least failure is not proved; none where it is."""
+def unproved_failure(failure: float, bound: float | None) -> str:
+    """Interval of the least failure in words; empty where it is proved or not asked for."""
     if bound is None or gap_of_least_failure(failure, bound) <= PROVED_OF_MANY:
-        return []
-    return [("least failure", f"between {bound:.9g} and {failure:.9g}, not proved further")]
+        return ""
+    return f"between {bound:.9g} and {failure:.9g}, not proved further"
 
 
 _ROUNDED = 1e-14  # of probabilities: what their sums and differences lose

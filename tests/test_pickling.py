@@ -114,6 +114,8 @@ def of_solving():
     yield ssp_lp.cross_check(first)
     yield ssp_lp.write_certificate(solve(criteria.MCMP(MODEL, START, 0.2)), os.devnull)
     yield ssp_lp.trace_frontier(criteria.S3P(MODEL, START, failure_budget=0.3))
+    limits = {"seen": ssp_lp.visits(START) <= 2.0}
+    yield ssp_lp.trace_frontier(criteria.MCMP(MODEL, START, constraints=limits), "seen")
     asked = ssp_lp.sweep(criteria.MCMP, MODEL, START, failure_budget=[0.01, 0.2])
     yield ssp_lp.solve_many(asked, executor=ThreadPoolExecutor(1))
     comparison = criteria.compare_criteria(MODEL, START)

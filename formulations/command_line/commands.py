@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import re
 import sys
@@ -13,8 +12,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import cache
-from io import StringIO
-from itertools import zip_longest
 from operator import eq, ge, le
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
@@ -27,11 +24,9 @@ from ssp_lp.formulation import Problem, attention_labels, dead_end_labels
 from ssp_lp.io.model_files.json_model import model_in_json, parse_json
 from ssp_lp.io.model_files.raw_model import FIRST_COST
 from ssp_lp.methods.labelled_program import program_of
-from ssp_lp.model.text_tables import text_table
-from ssp_lp.options import Status
+from ssp_lp.model.report import Table
 from ssp_lp.plotting import explore, plot_cost_law, plot_frontier, row_major
 from ssp_lp.policies.policy import Policy
-from ssp_lp.policies.table import PolicyRow
 
 from ..maxprob import MaxProb
 from ..mcmp import MCMP
@@ -371,13 +366,11 @@ def json_answer(answer: Any) -> list[str]:
     return [json.dumps(finite, indent=2, ensure_ascii=False)]
 
 
-def _csv_answer(path: str, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> list[str]:
-    """The lines of a table with commas between its cells, an unknown one empty; or in a file."""
-    text = StringIO()
-    csv.writer(text, lineterminator="\n").writerows([head, *rows])
+def _csv_answer(path: str, table: Table) -> list[str]:
+    """The lines of a table with commas between its cells; or in a file."""
     if path == "-":
-        return text.getvalue().splitlines()
-    Path(path).write_text(text.getvalue(), encoding="utf-8")
+        return table.csv().splitlines()
+    Path(path).write_text(table.csv(), encoding="utf-8")
     return []
 
 
@@ -422,7 +415,7 @@ def policy_writer(path: str | None) -> PolicyWriter | None:
 
 def _write_answer_table(solution: Solution, of: _CommandModel, path: str) -> None:
     """Write the policy of a command's answer as a table."""
-    _csv_answer(path, PolicyRow._fields, solution.policy.table())
+    _csv_answer(path, solution.policy.table().all_rows())
 
 
 _WRITERS: dict[str, PolicyWriter] = {
@@ -537,7 +530,6 @@ def _decisions(policy: Policy) -> dict[str, Any]:
 
 
 _LISTED = 8  # actions that ``info`` names
-_POINT = ("goal", "cost", "objective", "price")
 
 
 def _traced_frontier(asked: Namespace, of: _CommandModel) -> ssp_lp.Frontier:
@@ -570,17 +562,11 @@ def _frontier_command(asked: Namespace) -> Iterable[str]:
         budget = getattr(asked, "failure_budget", None) if traced.over == "failure" else None
         plot_frontier(traced, budget, ax=figure.subplots())
         figure.savefig(asked.plot)
-    # the last point has no price
-    rows = list(zip_longest(*(getattr(traced, name).tolist() for name in ("spent", *_POINT))))
-    head = (traced.over, *_POINT)
+    (table,) = traced.tables()
     if asked.json:
-        points = [dict(zip(head, row, strict=True)) for row in rows]
+        points = table.records()
         return json_answer({"gap": traced.gap, "complete": traced.complete, "points": points})
-    if asked.csv:
-        return _csv_answer(asked.csv, head, rows)
-    cells = [["-" if x is None else f"{x:.6g}" for x in row] for row in rows]
-    ended = "" if traced.status is Status.OPTIMAL else f"; {traced.status}"
-    return [*text_table([head, *cells], left=0), f"gap {traced.gap:.1e}{ended}"]
+    return _csv_answer(asked.csv, table) if asked.csv else replace(table, shown=None).lines()
 
 
 def _info_command(asked: Namespace) -> Iterable[str]:
@@ -594,8 +580,6 @@ def _info_command(asked: Namespace) -> Iterable[str]:
         "goals": int(model.goal_mask.sum()),
         "dead-ends": len(dead_end_labels(model)),
         "attention states": len(attention_labels(model)),
-    }
-    facts |= {
         "actions": names[:_LISTED] + ["..."] * (len(names) > _LISTED),
         "costs": list(model.costs_by_name),
         "labels": {name: len(members) for name, members in model.state_labels.items()},
@@ -604,7 +588,7 @@ def _info_command(asked: Namespace) -> Iterable[str]:
         facts["least failure"] = ssp_lp.solve(MaxProb(model, start)).failure_probability
     if asked.json:
         return json_answer(facts)
-    return [f"{name:<17} {_in_words(value)}" for name, value in facts.items() if value != {}]
+    return Table([*facts.items()]).lines()
 
 
 def _simulate_command(asked: Namespace) -> Iterable[str]:
@@ -614,36 +598,16 @@ def _simulate_command(asked: Namespace) -> Iterable[str]:
     problem = MCMP(found.model, found.start, failure_budget=1.0, horizon=found.horizon)
     policy = io.load_policy(asked.policy, problem.unrolled.model, check=asked.check)
     settings = {name: getattr(asked, name) for name in ("episodes", "max_steps", "confidence")}
-    names = {"failure_probability": "failure_probability", "conditional_cost": "cost_given_success"}
     report: Any
     if found.environment is not None:
         report = io.rollout(found.environment, policy, seed=asked.seed, **settings)
-        ends = {name: getattr(report, name) for name in ("goal", "failed", "gave_up", "truncated")}
     else:
         report = ssp_lp.simulate(policy, problem, seed=asked.seed, **settings)
-        ends, names = dict(report.ends), names | {"expected_cost": "cost_until_failure"}
-    names |= {"mean_steps": "mean_steps", "note": "note"}
-    numbers = {name: getattr(report, of, "") for of, name in names.items()}
-    table = {
-        "episodes": asked.episodes,
-        "ends": ends,
-        **{k: v for k, v in numbers.items() if v != ""},
-    }
-    if asked.json:
-        plain = {k: v._asdict() if isinstance(v, Estimate) else v for k, v in table.items()}
-        return json_answer(plain)
-    return [f"{name.replace('_', ' '):<20} {_in_words(value)}" for name, value in table.items()]
-
-
-def _in_words(value: Any) -> str:
-    """A command's result in words."""
-    if isinstance(value, list):
-        return ", ".join(value)
-    if isinstance(value, int):
-        return f"{value:,}"
-    if isinstance(value, Mapping):
-        return ", ".join(f"{name} {count:,}" for name, count in value.items() if count)
-    return f"{value}" if isinstance(value, (Estimate, str)) else f"{value:,.6g}"
+    if not asked.json:
+        return [report.summary()]
+    facts = {fact["name"].replace(" ", "_"): fact["value"] for fact in report.tables()[0].records()}
+    plain = {k: v._asdict() if isinstance(v, Estimate) else v for k, v in facts.items()}
+    return json_answer(plain | {"ends": dict(facts["ends"])})
 
 
 def _convert_command(asked: Namespace) -> Iterable[str]:

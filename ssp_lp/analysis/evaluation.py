@@ -34,7 +34,7 @@ from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import dead_ends, end_marks, stop_marks
 from ssp_lp.model.product import ProductSSP
-from ssp_lp.model.text_tables import ByName, Reported
+from ssp_lp.model.report import ByName, Facts, Table
 from ssp_lp.policies import StochasticPolicy
 from ssp_lp.policies.chain import Chain, policy_chain, reached_table
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED, MixedPolicy, Policy
@@ -52,7 +52,7 @@ from ssp_lp.processes.live_rows import cost_means
 
 
 @dataclass(frozen=True, repr=False)
-class Evaluation(Reported):
+class Evaluation(Facts):
     """Measures of a policy from the start, exact. Costs are in the model's unit."""
 
     goal_probability: float
@@ -84,19 +84,19 @@ class Evaluation(Reported):
         for name in ("ends", "secondary_costs"):
             object.__setattr__(self, name, ByName(getattr(self, name)))
 
-    def facts(self) -> list[tuple[str, str]]:
+    def tables(self) -> list[Table]:
         """The objective, how episodes end, and the costs."""
-        failing = failing_in_words(self.ends)
-        costs = {
-            "objective": self.objective,
-            "goal": self.goal_probability,
-            "cost given success": self.conditional_cost,
-            "cost until failure": self.expected_cost,
-            **({} if (later := self.cost_after_failing) is None else {"cost after failing": later}),
-            **self.secondary_costs,
-        }
-        told = [(name, cost_in_words(cost)) for name, cost in costs.items()]
-        return [*told[:2], *([("failing", failing)] if failing else []), *told[2:]]
+        return [
+            Table([
+                ("objective", self.objective),
+                ("goal", self.goal_probability),
+                ("failing", failing_in_words(self.ends)),
+                ("cost given success", cost_in_words(self.conditional_cost)),
+                ("cost until failure", self.expected_cost),
+                ("cost after failing", self.cost_after_failing),
+                *self.secondary_costs.items(),
+            ])
+        ]  # fmt: skip
 
 
 @explained

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from ssp_lp.arrays import FloatArray
 from ssp_lp.dynamic_programming.dynamics import leaving_choice
-from ssp_lp.errors import ModelError, optional_module
+from ssp_lp.errors import ModelError
 from ssp_lp.model.graph import nearer_pairs
-from ssp_lp.model.text_tables import Summarised, text_table
+from ssp_lp.model.report import Report, Table
 from ssp_lp.policies.policy import MixedPolicy, Policy
 from ssp_lp.programs.occupation_measure import StateValues
 
@@ -34,7 +34,7 @@ class ActionValue(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class Explanation(Summarised):
+class Explanation(Report):
     """The actions of one state, the best first.
 
     Each action is taken once, and an optimal policy at the optimal prices is followed afterwards.
@@ -49,36 +49,22 @@ class Explanation(Summarised):
     weights: tuple[float, ...]  # 1, -c* for the goal, the price of each row; 0 without a price
     actions: tuple[ActionValue, ...]
 
-    def to_frame(self) -> Any:
-        """The actions as a pandas ``DataFrame``, with a column for each quantity.
-
-        Raises:
-            MissingDependencyError: pandas is not installed.
-        """
-        pandas = optional_module("pandas", "frames")
-        rows = [(a.action, a.share, *a.amounts, a.value, a.excess) for a in self.actions]
-        return pandas.DataFrame(rows, columns=self._head)
-
-    @property
-    def _head(self) -> list[str]:
-        """Names of the columns."""
-        return ["action", "taken", *self.quantities, "value", "excess"]
-
-    def summary(self) -> str:
-        """A table with a line for each action."""
+    def tables(self) -> list[Table]:
+        """One table with a row for each action, under the weights of the quantities."""
         paid = "" if self.cost_paid is None else f" after a cost of {self.cost_paid:g}"
         terms = [
             f"{'-' if weight < 0.0 else '+'} {abs(weight):.6g} x {name}"
             for name, weight in zip(self.quantities[1:], self.weights[1:], strict=True)
             if weight
         ]
-        rows = [
-            [str(a.action), "-" if np.isnan(a.share) else f"{a.share:.4g}"]
-            + [f"{number:.6g}" for number in (*a.amounts, a.value, a.excess)]
-            for a in self.actions
+        return [
+            Table(
+                [(a.action, a.share, *a.amounts, a.value, a.excess) for a in self.actions],
+                ["action", "taken", *self.quantities, "value", "excess"],
+                " ".join([f"{self.state}{paid}: value =", self.quantities[0], *terms]),
+                digits={"taken": 4},
+            )
         ]
-        title = " ".join([f"{self.state}{paid}: value =", self.quantities[0], *terms])
-        return "\n".join([title, *text_table([self._head, *rows])])
 
 
 class _Counted(NamedTuple):

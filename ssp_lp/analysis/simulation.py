@@ -33,7 +33,7 @@ from ssp_lp.model.continuous_model import WorldSimulator
 from ssp_lp.model.failure_product import FailureSSP
 from ssp_lp.model.graph import attention_states, dead_ends, end_marks, stop_marks
 from ssp_lp.model.product import HorizonSSP, ProductSSP
-from ssp_lp.model.text_tables import ByName, Reported
+from ssp_lp.model.report import ByName, Facts, Table
 from ssp_lp.options import progress_shown
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import GIVE_UP_CODE, MOST_EPISODES, Randomness, as_lottery, generator_of
@@ -147,7 +147,9 @@ def greatest_total(model: SSP, steps: int, pairs: BoolArray | None = None) -> tu
 
 def pairs_taken(policy: MixedPolicy, model: SSP) -> BoolArray | None:
     """Pairs that a simulated policy takes somewhere, [pairs]; None: that is not known."""
-    if (table := policy._known_table()) is None:
+    try:
+        table = policy.table()
+    except ModelError:
         return None
     taken = np.zeros(model.n_pairs, dtype=np.bool_)
     for member in table.members:
@@ -254,7 +256,7 @@ def _on_products(simulator: Simulator, model: SSP, stated: SSP) -> Simulator:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SimulationReport(Reported, ReadOnlyCopies):
+class SimulationReport(Facts, ReadOnlyCopies):
     """Counts and estimates of simulated episodes."""
 
     episodes: int
@@ -287,18 +289,20 @@ class SimulationReport(Reported, ReadOnlyCopies):
         miss = 1.0 - reached.value, 1.0 - reached.high, 1.0 - reached.low
         return Estimate(*miss, reached.confidence)
 
-    def facts(self) -> list[tuple[str, str]]:
+    def tables(self) -> list[Table]:
         """How the episodes ended, and the costs with their intervals."""
-        ends = ", ".join(f"{name} {count:,}" for name, count in self.ends.items() if count)
-        later = self.cost_after_failing
         return [
-            ("episodes", f"{self.episodes:,}: {ends}"),
-            ("goal", str(self.goal_probability)),
-            ("cost given success", str(self.conditional_cost)),
-            ("cost until failure", str(self.expected_cost)),
-            *([] if later is None else [("cost after failing", str(later))]),
-            *([("note", self.note)] if self.note else []),
-        ]
+            Table([
+                ("episodes", self.episodes),
+                ("ends", self.ends),
+                ("failure probability", self.failure_probability),
+                ("cost given success", self.conditional_cost),
+                ("cost until failure", self.expected_cost),
+                ("cost after failing", self.cost_after_failing),
+                ("mean steps", self.mean_steps),
+                ("note", self.note),
+            ])
+        ]  # fmt: skip
 
 
 @explained

@@ -48,8 +48,8 @@ from ssp_lp.model.continuous_model import ContinuousModel, Coordinates, Grid
 from ssp_lp.model.discretise import Quadrature, discretise
 from ssp_lp.model.graph import dead_ends
 from ssp_lp.model.product import ProductSSP, within_steps
+from ssp_lp.model.report import Facts, Table
 from ssp_lp.model.ssp import SSP, StateSet, no_lone_string
-from ssp_lp.model.text_tables import Reported
 from ssp_lp.policies.policy import (
     GIVE_UP_CODE,
     MOST_EPISODES,
@@ -588,8 +588,11 @@ class StepLimitWarning(UserWarning):
     """The environment cut episodes off by a step limit that the policy's model does not have."""
 
 
+_ENDS = "goal", "failed", "gave_up", "truncated"  # of an episode in an environment
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class RolloutReport(Reported, ReadOnlyCopies):
+class RolloutReport(Facts, ReadOnlyCopies):
     """Counts of the episodes that were rolled out in an environment."""
 
     episodes: int
@@ -604,16 +607,19 @@ class RolloutReport(Reported, ReadOnlyCopies):
     mean_steps: float
     step_limit: int | None  # the environment's own
 
-    def facts(self) -> list[tuple[str, str]]:
-        """How the episodes ended in the environment, and the probabilities with their intervals."""
-        ends = f"goal {self.goal:,}, failed {self.failed:,}, gave up {self.gave_up:,}"
-        cut = ", cut where truncated" if self.goal and self.truncated else ""
+    def tables(self) -> list[Table]:
+        """How the episodes ended, and what they cost, with intervals."""
         return [
-            ("episodes", f"{self.episodes:,}: {ends}, truncated {self.truncated:,}"),
-            ("goal", str(self.goal_probability)),
-            ("failure", str(self.failure_probability)),
-            ("cost given success", f"{self.conditional_cost}{cut}"),
-        ]
+            Table([
+                ("episodes", self.episodes),
+                ("ends", {name: getattr(self, name) for name in _ENDS}),
+                ("goal probability", self.goal_probability),
+                ("failure probability", self.failure_probability),
+                ("cost given success", self.conditional_cost),
+                ("mean steps", self.mean_steps),
+                ("note", "costs are cut where truncated" if self.goal and self.truncated else ""),
+            ])
+        ]  # fmt: skip
 
 
 @explained

@@ -9,7 +9,7 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray
 from ssp_lp.linear_programming.linear_program import LinearProgram
-from ssp_lp.model.text_tables import text_table
+from ssp_lp.model.report import Table
 
 _WIDEST = 100  # characters of a table that can be read
 _MOST = 12  # columns, and as many rows
@@ -23,10 +23,10 @@ def is_small(program: LinearProgram) -> bool:
     return max(program.matrix.shape) <= _MOST
 
 
-def as_table(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]) -> list[str]:
-    """A linear program printed in full: a line for each column, then the bounds.
+def as_table(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]) -> Table | None:
+    """A linear program printed in full: a row for each column, then the bounds.
 
-    Nothing where that is wider than a page.
+    None where that is wider than a page.
 
     Args:
         program: the program.
@@ -34,12 +34,13 @@ def as_table(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]
         rows: names.
     """
     taken = np.vstack([program.cost, program.matrix.toarray()]).T
-    lines = [["", "minimise", *rows]]
-    for name, line in zip(columns, taken, strict=True):
-        lines.append([name, *(f"{value:.6g}" if value else "" for value in line)])
+    lines = [
+        (name, *(value or "" for value in line))
+        for name, line in zip(columns, taken.tolist(), strict=True)
+    ]
     bounds = [f"{relation} {bound:g}" for relation, bound in _sides(program)]
-    table = text_table([*lines, ["", "", *bounds]])
-    return [line.rstrip() for line in table] if len(table[0]) <= _WIDEST else []
+    table = Table([*lines, ("", "", *bounds)], ("", "minimise", *rows), "in full")
+    return table if max(map(len, table.lines())) <= _WIDEST else None
 
 
 def as_latex(

@@ -1,52 +1,212 @@
-"""The whole trade-off between cost and failure: the turning points of the optimal frontier."""
+"""The trade-off between the objective and one limit: the turning points of the frontier.
+
+The least objective is convex in the bound, and linear between turning points. A segment between two
+of them is looked at: how far below it may policies lie, and where? There it is split, the segment
+with most below it first, until no policy lies below any by more than the gap. Two searches look:
+
+- **Columns**, where failure is limited and nothing else. A segment is priced at its own slope:
+  either no policy lies below it, or the policy that is found is the next point.
+- **Optima at bounds**, over any limit, the others held. An optimum's lottery, mixed with that of
+  another bound, attains what lies between; its prices prove of every bound that no policy has less
+  than ``L - price * (bound - its own bound)``. Where the lines that two neighbours prove meet below
+  the segment, the problem is solved next.
+
+**Given success** the objective is a ratio, of which prices prove ``cost / goal >= c - (c - L +
+price * (bound - its own bound)) * t``, where c is what was attained and ``t = 1 / goal``. The goal
+probability of a lottery is not known, but it is one number in all these lines: the least that their
+greatest comes to for any t >= 1 is a bound. Lines proved inside of a segment pass through both its
+ends, and meet nowhere else: there the bound is tight.
+"""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from heapq import heappop, heappush
+from itertools import count, pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ssp_lp.arrays import BELOW_RATIO, LEAST_BUDGET, FloatArray
-from ssp_lp.column_generation.column import Column, FailureRow, PricingProblem, Proof, least_of
-from ssp_lp.column_generation.compiled_problem import CompiledProblem, checked_least_failure
+from ssp_lp.analysis.evaluation import evaluate
+from ssp_lp.arrays import (
+    BELOW_RATIO,
+    LEAST_BUDGET,
+    MACHINE_EPSILON,
+    RELATIVE_GAP,
+    FloatArray,
+)
+from ssp_lp.column_generation.column import (
+    Column,
+    FailureRow,
+    PricingProblem,
+    Proof,
+    excess_failure,
+    least_of,
+)
+from ssp_lp.column_generation.compiled_problem import (
+    CompiledProblem,
+    checked_least_failure,
+)
 from ssp_lp.column_generation.search import Secant, generate
-from ssp_lp.compiled.deadline import Stop, WithIncumbent, closing, is_late
+from ssp_lp.compiled.deadline import Stop, WithIncumbent, closing, interrupted, is_late, until
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import (
     Argument,
     InfeasibleError,
     ModelError,
+    OutOfTimeError,
     SolverError,
     check_between_0_and_1,
     check_whole,
+    did_you_mean,
     is_number,
     optional_module,
     wrong_argument,
 )
+from ssp_lp.methods.rows import rows_optimum, true_figures
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.text_tables import html_table
-from ssp_lp.options import SolveOptions, Status
+from ssp_lp.model.report import Report, Table
+from ssp_lp.options import SolveOptions, Status, deadline_of, progress_shown
 from ssp_lp.policies import MixedPolicy
-from ssp_lp.problem import Problem, budget_of_share, check_numbers, pulled_back
+from ssp_lp.policies.policy import Policy
+from ssp_lp.problem import (
+    Problem,
+    Restated,
+    budget_of_share,
+    check_numbers,
+    check_problem,
+    compiled_constrained,
+    pulled_back,
+)
 from ssp_lp.processes.conditions import FAILURE_ROW
-from ssp_lp.processes.failure_semantics import as_percentage
+from ssp_lp.processes.failure_semantics import Aim, ObjectiveSense, as_percentage
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-
-_SHOWN = 5  # points that a repr lists
+_LOG = logging.getLogger("ssp_lp.frontier")
+_SHOWN = 5  # points that a summary lists
 _BENT = 0.1  # of its height: a frontier that lies less below its chord has no bend
 _AROUND = 3.0  # times as far as the bend of a frontier is worth looking at
+_REFINEMENTS = 6
+_STEEP_SHARE = 3  # one in so many of the points that are allowed is sought at the steep end
+_FINER = 0.1  # of the gap that is asked for: how exactly the problem is solved at each bound
+_STRAIGHT = 1e-11  # relative: a point so little below the line of its neighbours is none that turns
+_NARROW = 1e-9  # of the whole range: segments are not split further
+_NEAR = 1e-4, 1e-2, 0.1  # of the range: so near to a least that no policy that counts attains
+_INSIDE = 1e-4  # of a segment: so far from its ends it is split at least
+_RAREST = 1e-12  # goal probability below which nothing is proved of a cost given success
+_SPLITS = 0.25, 0.5, 0.75  # of a segment, given success, where lines meet nowhere in particular
+_LEAST = 1e-300  # costs below are compared with this
+
+
+@explained
+def trace_frontier(
+    problem: Problem,
+    over: str = FAILURE_ROW,
+    *,
+    gap: float = RELATIVE_GAP,
+    steepest_price: float | None = None,
+    point_limit: int | None = None,
+    time_limit: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    verbose: bool = False,
+) -> Frontier:
+    """Trace the frontier over a budget, from the least of it to where more of it buys nothing.
+
+    Over the failure budget each segment is priced at its own slope: either no policy lies below it
+    and it is part of the frontier, or the policy found splits it. Case M ends at price 0; case S
+    where the price falls to the ratio itself, beyond which failing more does not lower the cost
+    given success. Over another limit, and where others are held at their bounds, the problem is
+    solved at one bound after another, where its bounds from above and below lie apart most.
+
+    Args:
+        problem: what it allows of what is traced does not matter; all other limits are kept.
+        over: "failure", or the name of a limit that bounds a quantity from above.
+        gap: how far a policy may lie below a segment, as a share of the cost at its safer end
+            (over other limits of the larger objective at its ends).
+        steepest_price: begin with the policy that is best at this price of failure (kappa in case
+            S) rather than at the least failure, near which the price grows without bound.
+        point_limit: stop splitting after so many turning points, of which the segments with most
+            below them get theirs first; ``gap`` is then what was reached.
+        time_limit: seconds after which splitting stops, also within a pricing call, as Ctrl-C does
+            at once. The points found are kept; ``open_segments`` says where others may be missing.
+        progress: called after each pricing call with (calls, turning points so far).
+        verbose: show how far it has come (``ssp_lp.progress_shown``).
+
+    Raises:
+        ModelError: an argument out of range, a problem without a failure budget, no such limit, or
+            a criterion that is no linear program.
+        InfeasibleError: case S, and the goal cannot be reached from the start; or the other limits
+            cannot be kept.
+        OutOfTimeError: the time limit passed before there was a point.
+        KeyboardInterrupt: Ctrl-C came before there was one.
+
+    Example:
+        >>> from ssp_lp import MCMP, SSP, trace_frontier, visits
+        >>> model = SSP.from_transitions(
+        ...     {"a": {"fast": [(0.9, "g", 1.0), (0.1, "yard", 1.0)], "slow": [(1.0, "g", 10.0)]},
+        ...      "yard": {"on": [(1.0, "g", 2.0)]}}, goal={"g"})
+        >>> problem = MCMP(model, "a", constraints={"yard": visits("yard") <= 0.05})
+        >>> trace_frontier(problem, over="yard").objective_at(0.05)
+        5.6
+    """
+    check_problem(problem, "trace_frontier")
+    deadline = deadline_of(time_limit, time.perf_counter())
+    limits = TraceLimits(gap, steepest_price, point_limit, deadline < np.inf, progress)
+    asked = _traceable(problem.unrolled, over, limits)
+    with progress_shown(verbose), until(deadline) as ended:
+        try:
+            if over == FAILURE_ROW and not asked.has_rows:
+                frontier = _traced_by_columns(asked, limits)
+            else:
+                frontier = _Optima(asked, over, limits).traced()
+        except Stop:
+            if ended.is_interrupted:
+                raise interrupted() from None
+            told = f"the time limit ended before the least {over} was known: allow more time"
+            raise OutOfTimeError(told) from None
+    status = ended.status(np.inf if frontier.ends_early else frontier.gap, gap)
+    _LOG.info("%d turning points over %s, gap %.1e", len(frontier.spent), over, frontier.gap)
+    return replace(frontier, problem=problem, status=status)
+
+
+def _traceable(problem: Problem, over: str, limits: TraceLimits) -> Problem:
+    """The problem that is solved, once it is known that what is traced can be.
+
+    Raises:
+        ModelError: it cannot: nothing of this name is limited from above, or no program says so.
+    """
+    name, asked = type(problem).__name__, problem.requirements
+    if over == FAILURE_ROW:
+        if asked.aim is not Aim.LEAST_COST or problem.semantics.forbids_failing:
+            raise ModelError(f"{name} has no failure budget to trace: trace MCMP's")
+        if not asked.rows:
+            return problem
+    else:
+        names = [condition.name for condition in problem.conditions]
+        if over not in names:
+            known = ", ".join(map(repr, names)) or "none"
+            raise ModelError(
+                Argument("over"), f" must be 'failure' or the name of a limit ({known}), not "
+                f"{over!r}{did_you_mean(over, names)}",
+            )  # fmt: skip
+        if problem.conditions[names.index(over)].lower is not None:
+            raise ModelError(f"limit {over!r} bounds from below: state what is to be little, such "
+                             "as 1 - end_probability(...) <= 0.1, to trace it")  # fmt: skip
+    if asked.is_risk:
+        raise ModelError(f"{name} is no linear program: trace the limits of another criterion")
+    if limits.steepest_price is not None:
+        raise ModelError(Argument("steepest_price"), " goes with the failure budget alone")
+    return problem
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Frontier:
+class Frontier(Report):
     """Turning points of the lower convex hull of (failure, cost), by increasing failure.
 
     Between two of them the optimum is their lottery: cost is piecewise linear and convex in the
@@ -66,53 +226,17 @@ class Frontier:
     complete: bool  # whether it begins at the least, not at a price asked for or near the least
     pricing_calls: int
     work: Work  # passes over the process
-    _pricing: PricingProblem
-    _columns: tuple[Column, ...]
-    _problem: Problem | None = None  # as stated
+    _points: _ColumnPoints | _OptimumPoints  # policies of its points, and proofs between them
+    problem: Problem | None = None  # as stated
     ends_early: bool = False  # whether tracing was stopped before it found the other end
     status: Status = Status.OPTIMAL
     over: str = FAILURE_ROW  # the limit that is traced
     maximises: bool = False  # then the objective grows, and what is said to lie below lies above
 
-    @classmethod
-    def through(
-        cls,
-        columns: Sequence[Column],
-        below: Mapping[float, float],
-        pricing: PricingProblem,
-        **told: Any,
-    ) -> Frontier:
-        """The frontier through some columns, in any order.
-
-        Args:
-            columns: its turning points.
-            below: how far below each segment policies may lie, by the failure at its safer end.
-            pricing: what made the columns.
-            told: the other fields, by name.
-        """
-        ordered = tuple(sorted(columns, key=lambda c: c.failure))
-        failure, cost = np.array([c.failure for c in ordered]), np.array([c.cost for c in ordered])
-        return cls(
-            spent=failure,
-            goal=np.array([c.goal for c in ordered]),
-            cost=cost,
-            price=-np.diff(cost) / np.diff(failure),
-            below=np.array([below[column.failure] for column in ordered[:-1]]),
-            hidden=0.0,
-            _pricing=pricing,
-            _columns=ordered,
-            **told,
-        )
-
     @property
     def failure(self) -> FloatArray:
         """What fails at each turning point, [points]."""
         return self.spent if self.over == FAILURE_ROW else 1.0 - self.goal
-
-    @property
-    def problem(self) -> Problem | None:
-        """The problem as it was stated."""
-        return self._problem
 
     @property
     def region(self) -> tuple[float, float]:
@@ -135,11 +259,6 @@ class Frontier:
     def gap(self) -> float:
         """Gap of the frontier: how far policies may lie below a segment."""
         return max(self.tolerance, self.hidden, float(self.below.max(initial=0.0)))
-
-    @property
-    def priced(self) -> dict[float, Column]:
-        """The frontier's turning points that were found by pricing, by price."""
-        return {c.found_at: c for c in self._columns if c.found_at is not None}
 
     @property
     def open_segments(self) -> tuple[int, ...]:
@@ -172,74 +291,40 @@ class Frontier:
             low, high = self.bounds_at(budget)
             raise SolverError(
                 f"the frontier is not settled at the budget {budget:g}: the least objective lies "
-                f"between {_digits_apart(low, high)} (bounds_at); policy_at attains the latter. "
+                f"between {low!r} and {high!r} (bounds_at); policy_at attains the latter. "
                 "A higher ",
                 Argument("point_limit"),
                 " or ",
                 Argument("time_limit"),
                 " of trace_frontier settles more",
             )
-        return self._attained(number, weight, FailureRow(budget, self.ratio))
+        return self._attained(number, weight)
 
     @explained
     def bounds_at(self, budget: float) -> tuple[float, float]:
-        """Certified bounds of the frontier's least objective within a failure budget.
+        """Certified bounds of the frontier's optimum within a bound, failure budget or another.
 
-        The upper bound is what :meth:`policy_at` attains. The lower one is proved afresh, at the
-        price of the segment, and where that is not settled also at those at which its ends are
-        best: one to three pricing calls, remembered for every budget.
+        One of them is what :meth:`policy_at` attains. Over the failure budget alone the other is
+        proved afresh, at the price of the segment, and where that is not settled also at those at
+        which its ends are best: one to three pricing calls, remembered for every budget. Else it is
+        what the prices of all optima on the way prove.
 
         Raises:
-            InfeasibleError: the budget is below the least failure.
+            InfeasibleError: the budget is below the least.
             ModelError: the frontier was not traced down to the budget.
         """
         number, weight = self._locate(budget)
-        row = FailureRow(budget, self.ratio)
-        high = self._attained(number, weight, row)
-        low = max(row.lower_bound(proof) for proof in self._proofs_near(number, weight))
-        return least_of(low, high), high
+        attained = self._attained(number, weight)
+        proved = self._points.proved(self, number, weight, budget, attained)
+        return (attained, proved) if self.maximises else (proved, attained)
 
-    def _attained(self, number: int, weight: float, row: FailureRow) -> float:
+    def _attained(self, number: int, weight: float) -> float:
         """Objective of a lottery over a turning point of the frontier and the next one."""
         if weight == 0.0:
-            return row.objective(float(self.cost[number]), float(self.goal[number]))
-        ends = np.array([1.0 - weight, weight])
-        pair = slice(number, number + 2)
-        return row.objective(float(ends @ self.cost[pair]), float(ends @ self.goal[pair]))
-
-    def _proofs_near(self, number: int, weight: float) -> list[Proof]:
-        """Proofs at the prices that matter between two turning points of the frontier."""
-        last = len(self._columns) - 1
-        segments = {number} if weight > 0.0 else {max(number - 1, 0), number}
-        proofs = [self._segment_proof(k) for k in segments]
-        if any(k < last and self.below[k] > self.tolerance for k in segments):
-            for point in (number,) if weight == 0.0 else (number, number + 1):
-                price = self._columns[point].found_at
-                if point == last:
-                    proofs.append(self._segment_proof(last))
-                elif price is not None:
-                    proofs.append(self._proof(price, self._columns[point]))
-        return proofs
-
-    def _segment_proof(self, segment: int) -> Proof:
-        """Proof at a frontier segment's price; beyond the last, at that of the best policy."""
-        column = self._columns[segment]
-        if segment < len(self._columns) - 1:
-            return self._proof(float(self.price[segment]), column)
-        price = float(self.objective[-1]) * BELOW_RATIO if self.ratio else 0.0
-        return self._proof(price, column, slack=self.ratio)
-
-    def _proof(self, price: float, column: Column, *, slack: bool = False) -> Proof:
-        """Proof for the frontier at a price; ``column`` is a policy perhaps near to the best."""
-        if (price, slack) not in self._proofs:
-            proof = self._pricing.prove(price, column, slack=slack)
-            self._proofs[price, slack] = replace(proof, values=np.zeros(0))  # only bounds are asked
-        return self._proofs[price, slack]
-
-    @cached_property
-    def _proofs(self) -> dict[tuple[float, bool], Proof]:
-        """The frontier's proofs by price, filled as they are asked for."""
-        return {}
+            return float(self.objective[number])
+        ends, pair = np.array([1.0 - weight, weight]), slice(number, number + 2)
+        cost = float(ends @ self.cost[pair])
+        return cost / float(ends @ self.goal[pair]) if self.ratio else cost
 
     @explained
     def policy_at(self, budget: float) -> MixedPolicy:
@@ -252,14 +337,16 @@ class Frontier:
             ModelError: the frontier was not traced down to the budget.
         """
         number, weight = self._locate(budget)
-        weights = np.ones(1) if weight == 0.0 else np.array([1.0 - weight, weight])
-        lottery = self._lottery(number, weights)
-        return lottery if self._problem is None else pulled_back(lottery, self._problem)
-
-    def _lottery(self, number: int, weights: FloatArray) -> MixedPolicy:
-        """The lottery over turning points from one on, on the model of the problem solved."""
-        some = self._columns[number : number + len(weights)]
-        return MixedPolicy(tuple(self._pricing.policy(column) for column in some), weights)
+        weights = {number: 1.0 - weight, number + 1: weight}
+        mixed = [
+            (policy, share * chance)
+            for point, chance in weights.items()
+            if chance > 0.0
+            for share, policy in self._points.policy(point).weighted
+        ]
+        policies, shares = zip(*mixed, strict=True)
+        lottery = MixedPolicy(policies, np.array(shares))
+        return lottery if self.problem is None else pulled_back(lottery, self.problem)
 
     @explained
     def slopes_at(self, budget: float) -> list[float]:
@@ -272,11 +359,9 @@ class Frontier:
                 np.diff(x[k : k + 2])[0] for x in (self.spent, self.cost, self.goal)
             )
             if self.ratio:
-                w = (budget - self.spent[k]) / width
-                here = (1.0 - w) * self.goal[k] + w * self.goal[k + 1]
-                cost = (
-                    cost - ((1.0 - w) * self.cost[k] + w * self.cost[k + 1]) / here * goal
-                ) / here
+                weight = (budget - self.spent[k]) / width
+                here = self.goal[k] + weight * goal
+                cost = (cost - self._attained(k, weight) * goal) / here
             slopes.append(float(cost / width))
         return slopes
 
@@ -291,41 +376,30 @@ class Frontier:
         axes: Axes = pictures.plot_frontier(self, budget, ax=ax, **style)
         return axes
 
-    def to_frame(self) -> Any:
-        """The turning points as a pandas ``DataFrame``, a row for each.
+    def tables(self) -> list[Table]:
+        """One table with a row for each turning point, of which text shows a few.
 
         Columns: what is traced by its name, goal, cost, objective; price and below of the segment
-        that begins at the point, nan at the last.
-
-        Raises:
-            MissingDependencyError: pandas is not installed.
+        that begins at the point, without a value at the last.
         """
-        columns = {
-            self.over: self.spent,
-            "goal": self.goal,
-            "cost": self.cost,
-            "objective": self.objective,
-            "price": np.append(self.price, np.nan),
-            "below": np.append(self.below, np.nan),
-        }
-        return optional_module("pandas", "frames").DataFrame(columns)
+        price, below = ([*each.tolist(), None] for each in (self.price, self.below))
+        points = (x.tolist() for x in (self.spent, self.goal, self.cost, self.objective))
+        count = len(self.spent)
+        shown = np.unique(np.linspace(0, count - 1, min(count, _SHOWN)).round().astype(int))
+        return [
+            Table(
+                [*zip(*points, price, below, strict=True)],
+                (self.over, "goal", "cost", "objective", "price", "below"),
+                self._title,
+                shown=shown.tolist(),
+                hidden={"below"},
+                left=0,
+            )
+        ]
 
     def __repr__(self) -> str:
-        """One line, and a few of the points."""
-        rows = "".join(
-            f"\n  {self.over} {failure:<12} objective {objective:<12} price {price}"
-            for failure, objective, price in self._some()
-        )
-        return f"Frontier({self._title}){rows}"
-
-    def summary(self) -> str:
-        """One line, and a few of the points."""
-        return repr(self)
-
-    def _repr_html_(self) -> str:
-        """A few of the frontier's points as a table, for notebooks."""
-        head = (self.over, "objective", "price from here on")
-        return html_table(f"Frontier: {self._title}", self._some(), head)
+        """One line."""
+        return f"Frontier({self._title})"
 
     @property
     def _title(self) -> str:
@@ -336,15 +410,6 @@ class Frontier:
             f"{len(spent):,} points, {self.over} {spent[0]:.6g} .. {spent[-1]:.6g}, "
             f"objective {value[0]:.6g} .. {value[-1]:.6g}, gap {self.gap:.1e}{unfinished}"
         )
-
-    def _some(self) -> list[tuple[str, str, str]]:
-        """Spent, objective and price from there on, of a few points from first to last."""
-        count = len(self.spent)
-        shown = np.unique(np.linspace(0, count - 1, min(count, _SHOWN)).round().astype(int))
-        price = [f"{p:.6g}" for p in self.price] + ["-"]
-        return [
-            (f"{self.spent[k]:.6g}", f"{self.objective[k]:.6g}", price[k]) for k in shown.tolist()
-        ]
 
     def _locate(self, budget: float) -> tuple[int, float]:
         """The frontier's turning point at or before a budget, and the weight of the next one."""
@@ -375,71 +440,9 @@ class Frontier:
 
     def _least_failure(self) -> float:
         """The least failure probability of all policies, worked out where an error asks for it."""
-        if self._problem is None:
+        if self.problem is None:
             return float(self.failure.min())
-        return budget_of_share(self._problem.model, self._problem.start, 1.0)
-
-
-def _digits_apart(low: float, high: float) -> str:
-    """Two numbers of the frontier with the digits that tell them apart, or all of them."""
-    digits = next((k for k in range(9, 17) if f"{low:.{k}g}" != f"{high:.{k}g}"), 17)
-    return f"{low:.{digits}g} and {high:.{digits}g}"
-
-
-_REFINEMENTS = 6
-_STEEP_SHARE = 3  # one in so many of the points that are allowed is sought at the steep end
-_LOG = logging.getLogger("ssp_lp.frontier")
-
-
-def traced_over_failure(problem: Problem, limits: TraceLimits) -> Frontier:
-    """The frontier over the failure budget alone, of a problem without other limits.
-
-    Raises:
-        ModelError: it has no failure budget, or no mean of costs, to trace.
-        InfeasibleError: case S, and the goal cannot be reached from the start.
-        Stop: the time ended before there was a point.
-    """
-    name, asked = type(problem).__name__, problem.requirements
-    if asked.law:
-        raise ModelError(f"{name} is no mean of costs to trace: trace S3P's")
-    if asked.several_rows:
-        raise ModelError(
-            f"{name}'s costs have no common unit and too many sums to tell apart: round them, or "
-            "trace MCMP's frontier"
-        )
-    traced = _traced_and_refined(problem.compile(), limits)
-    _LOG.info("%d turning points, gap %.1e", len(traced.spent), traced.gap)
-    return traced
-
-
-def _traced_and_refined(compiled: CompiledProblem, limits: TraceLimits) -> Frontier:
-    """Trace the frontier, and again more finely while a cap on the cost hides more than the gap.
-
-    It hides most where the price is steepest, so that a few pricing calls at that end tell first
-    how fine a process is needed; the rest is then traced once.
-    """
-    if limits.steepest_price is None:
-        compiled = compiled.for_program()
-    elif compiled.is_trial:
-        compiled = compiled.refined(limits.steepest_price) or compiled
-    calls, work, frontier, begun, steep_only = 0, Work(), None, None, compiled.ratio
-    for _ in range(2 * _REFINEMENTS):
-        with WithIncumbent() as search:
-            traced = _traced(compiled, limits, begun, steep_only=steep_only)
-        if search.stop:
-            if frontier is None:
-                raise Stop from search.stop
-            return frontier
-        lost = _share_lost_in_tracing(compiled, traced)
-        calls, work = calls + traced.pricing_calls, work + traced.work
-        frontier = replace(traced, hidden=lost, pricing_calls=calls, work=work)
-        is_fine = lost <= limits.gap or is_late()
-        finer = None if is_fine else compiled.refined(float(traced.price[0]))
-        if finer is None and not steep_only:
-            break
-        begun, compiled = (traced, compiled) if finer is None else (None, finer)
-        steep_only = finer is not None
-    return frontier or traced
+        return budget_of_share(self.problem.model, self.problem.start, 1.0)
 
 
 @dataclass(frozen=True)
@@ -460,6 +463,11 @@ class TraceLimits:
         if steepest is not None and not (is_number(steepest) and 0.0 < steepest < np.inf):
             raise wrong_argument("steepest_price", "be a positive number", steepest)
 
+    def report(self, calls: int, points: int) -> None:
+        """Tell whoever asked how far tracing has come."""
+        if self.progress is not None:
+            self.progress(calls, points)
+
     @property
     def may_stop(self) -> bool:
         """Whether some segments may be left, so that it matters which are split."""
@@ -471,126 +479,447 @@ class TraceLimits:
         return not full and not is_late()
 
 
-def _share_lost_in_tracing(compiled: CompiledProblem, traced: Frontier) -> float:
+@dataclass(frozen=True, eq=False)
+class _ColumnPoints:
+    """Columns that are turning points, and proofs at prices, kept as they are asked for."""
+
+    pricing: PricingProblem
+    columns: tuple[Column, ...]  # [points]
+    proofs: dict[tuple[float, bool], Proof] = field(default_factory=dict)  # by price and slack
+
+    def policy(self, point: int) -> Policy:
+        """The policy of a turning point."""
+        return self.pricing.policy(self.columns[point])
+
+    def proved(
+        self, frontier: Frontier, number: int, weight: float, budget: float, attained: float
+    ) -> float:
+        """What no policy within a budget falls below, by the prices that matter around it."""
+        last, open_below = len(self.columns) - 1, frontier.below > frontier.tolerance
+        segments = {number} if weight > 0.0 else {max(number - 1, 0), number}
+        proofs = [self._proof_below(frontier, segment) for segment in segments]
+        if any(segment < last and open_below[segment] for segment in segments):
+            for point in (number,) if weight == 0.0 else (number, number + 1):
+                price = self.columns[point].found_at
+                if point == last:
+                    proofs.append(self._proof_below(frontier, last))
+                elif price is not None:
+                    proofs.append(self.proof(price, self.columns[point]))
+        row = FailureRow(budget, frontier.ratio)
+        return least_of(max(map(row.lower_bound, proofs)), attained)
+
+    def _proof_below(self, frontier: Frontier, segment: int) -> Proof:
+        """Proof at a segment's price; beyond the last, at that of the best policy."""
+        column = self.columns[segment]
+        if segment < len(self.columns) - 1:
+            return self.proof(float(frontier.price[segment]), column)
+        price = float(frontier.objective[-1]) * BELOW_RATIO if frontier.ratio else 0.0
+        return self.proof(price, column, slack=frontier.ratio)
+
+    def proof(self, price: float, column: Column, *, slack: bool = False) -> Proof:
+        """Proof at a price; ``column`` is a policy perhaps near to the best."""
+        if (price, slack) not in self.proofs:
+            proof = self.pricing.prove(price, column, slack=slack)
+            self.proofs[price, slack] = replace(proof, values=np.zeros(0))  # only bounds are asked
+        return self.proofs[price, slack]
+
+
+@dataclass(frozen=True, eq=False)
+class _OptimumPoints:
+    """Lotteries that are turning points, and what the prices of all optima prove at any bound."""
+
+    policies: tuple[MixedPolicy, ...]  # [points]
+    sense: ObjectiveSense
+    bounds: FloatArray  # [optima] of each
+    value: FloatArray  # [optima] attained at them, in what is minimised
+    bound: FloatArray  # [optima] proved at them
+    prices: FloatArray  # [optima] infinite: no word of larger bounds
+    least_goal: float | None  # that all lotteries have; None: nothing is counted given success
+    is_failure: bool  # whether the bounds are failure budgets
+
+    def policy(self, point: int) -> MixedPolicy:
+        """The lottery of a turning point."""
+        return self.policies[point]
+
+    def proved(
+        self, frontier: Frontier, number: int, weight: float, budget: float, attained: float
+    ) -> float:
+        """What no policy within a bound betters."""
+        proved = self.sense.worth(self.least(budget))
+        return max(proved, attained) if frontier.maximises else min(proved, attained)
+
+    def least(self, bound: float) -> float:
+        """No policy that keeps to a bound has less: the least over t of the greatest line."""
+        beyond = bound - self.bounds
+        tells = (beyond <= 0.0) | np.isfinite(self.prices)
+        saved = np.where(np.isfinite(self.prices), self.prices, 0.0) * beyond
+        height, slope = self.value[tells], (self.bound - self.value - saved)[tells]
+        longest = 1.0
+        if self.least_goal is not None:
+            goal = max(self.least_goal, 1.0 - bound if self.is_failure else 0.0)
+            longest = 1.0 / max(goal, _RAREST)
+        up, down = slope >= 0.0, slope < 0.0
+        first = _rounded_down(height[up], slope[up], 1.0)
+        last = _rounded_down(height[down], slope[down], longest)
+        rise, turn = height[up][:, None], slope[up][:, None]
+        t = (rise - height[down]) / (slope[down] - turn)
+        crossing = _rounded_down(rise, turn, t)[(t >= 1.0) & (t <= longest)]
+        return float(np.concatenate([[0.0], first, last, crossing]).max())
+
+
+def _rounded_down(height: FloatArray, slope: FloatArray, t: FloatArray | float) -> FloatArray:
+    """``height + slope * t``, rounding counted against it."""
+    rise = slope * t
+    return np.asarray(height + rise - 4.0 * MACHINE_EPSILON * (np.abs(height) + np.abs(rise)))
+
+
+def _split(search: _Columns | _Optima, *, steep_only: bool = False) -> None:
+    """Split segments until no policy lies below any by more than the gap.
+
+    Where not all can be split, the segment with most below it comes first; else the one that was
+    found last, whose policies are the warmest starts.
+
+    Args:
+        search: what looks below segments and splits them.
+        steep_only: split only the first segment, until it is settled.
+    """
+    limits, waiting, numbers = search.limits, list[Any](), count()
+
+    def look(p: Any, q: Any) -> None:
+        """Have a segment wait, unless it is settled."""
+        below, candidate = search.look(p, q)
+        if candidate is not None:
+            number = next(numbers)
+            heappush(waiting, (-below if search.worst_first else -number, number, p, q))
+
+    for p, q in pairwise(search.points):
+        look(p, q)
+    while waiting and limits.allows(len(search.points) * (_STEEP_SHARE if steep_only else 1)):
+        *_, p, q = heappop(waiting)
+        candidate: Any
+        below, candidate = search.look(p, q)  # what was found since may have closed it
+        if candidate is None:
+            continue
+        if search.worst_first and waiting and below < -waiting[0][0]:
+            heappush(waiting, (-below, next(numbers), p, q))
+            continue
+        ends = search.split(p, q, candidate)
+        for left, right in [*pairwise(ends)][: 1 if steep_only else None]:
+            look(left, right)
+
+
+class _Columns:
+    """Columns of a process, each the best at the slope of a segment. Grows."""
+
+    def __init__(self, compiled: CompiledProblem, limits: TraceLimits) -> None:
+        """The columns at both ends.
+
+        Raises:
+            ModelError: at the steepest price it is best to fail.
+        """
+        self.limits, self.worst_first = limits, limits.may_stop
+        self.pricing, self.ratio = compiled.pricing(), compiled.ratio
+        row, steepest, self.calls = FailureRow(1.0, self.ratio), limits.steepest_price, 0
+        if steepest is None:
+            safest = checked_least_failure(compiled, None).column
+        else:
+            safest, self.calls = self.pricing.minimise(steepest, self.pricing.first()), 1
+            if row.ratio and row.objective(safest.cost, safest.goal) >= steepest:
+                raise ModelError(
+                    f"at the price {steepest:g} of failure it is best to fail: "
+                    "steepest_price must lie above the least cost given success"
+                )
+        rule = Secant(self.pricing, row, safest, calls=self.calls, work=safest.work)
+        free = generate(rule, SolveOptions(limits.gap))
+        last = free.columns[-1]
+        self.calls, self.work, self.ends_early = rule.calls, rule.work, not free.finished
+        self.ends = [safest] if last.failure <= safest.failure else [safest, last]
+        self._priced: dict[float, Column] = {}  # found so far, by price
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget which columns are points; what was found at a price stays known."""
+        self._columns, self._below = [*self.ends], dict[float, float]()
+
+    @property
+    def points(self) -> list[Column]:
+        """The columns that are points, by their failure."""
+        return sorted(self._columns, key=lambda column: column.failure)
+
+    def look(self, p: Column, q: Column) -> tuple[float, Column | None]:
+        """Share by which policies may lie below a segment, priced at its slope, and the lowest."""
+        price = max((p.cost - q.cost) / excess_failure(q, p), 0.0)
+        below, gap = self._below.get(p.failure, 1.0), self.limits.gap
+        column = self._priced.get(price)
+        if price > 0.0 and below > gap and column is None:
+            with WithIncumbent():
+                column = replace(self.pricing.minimise(price, q), found_at=price)
+                self.calls, self.work = self.calls + 1, self.work + column.work
+                _LOG.debug("%d pricing calls, %d turning points", self.calls, len(self._columns))
+                self.limits.report(self.calls, len(self._columns))
+        if price == 0.0 or column is not None:
+            below = _share_below(p, q, column, price)
+        self._below[p.failure] = below
+        waits = column is not None and below > gap
+        if column is not None:  # only those that wait start others warmly
+            self._priced[price] = column if waits else replace(column, totals=None)
+        return below, column if waits else None
+
+    def split(self, p: Column, q: Column, column: Column) -> tuple[Column, ...]:
+        """Make the column below a segment a point."""
+        light = replace(column, totals=None)
+        self._columns.append(light)
+        self._priced[column.found_at or 0.0] = light
+        self._below[column.failure] = self._below[p.failure] * p.cost / max(column.cost, _LEAST)
+        return p, column, q
+
+    def frontier(self) -> Frontier:
+        """The frontier through all points."""
+        columns = self.points
+        spent, goal, cost = np.array([(c.failure, c.goal, c.cost) for c in columns]).T
+        light = tuple(replace(column, totals=None) for column in columns)
+        return Frontier(
+            spent=spent, goal=goal, cost=cost, price=-np.diff(cost) / np.diff(spent),
+            below=np.array([self._below[column.failure] for column in columns[:-1]]),
+            tolerance=self.limits.gap, hidden=0.0, ratio=self.ratio,
+            complete=self.limits.steepest_price is None, ends_early=self.ends_early,
+            pricing_calls=self.calls, work=self.work, _points=_ColumnPoints(self.pricing, light),
+        )  # fmt: skip
+
+
+def _share_below(p: Column, q: Column, column: Column | None, price: float) -> float:
+    """Distance of a column below a segment of the frontier, relative to its cost; else 0."""
+    if column is None or not p.failure < column.failure < q.failure:
+        return 0.0
+    below = p.cost - column.cost - price * (column.failure - p.failure)
+    return max(below, 0.0) / max(p.cost, _LEAST)
+
+
+def _traced_by_columns(problem: Problem, limits: TraceLimits) -> Frontier:
+    """Trace over failure alone, again more finely while a cap on the cost hides more than the gap.
+
+    It hides most where the price is steepest, so that a few pricing calls at that end tell first
+    how fine a process is needed; the rest is then traced once.
+
+    Raises:
+        ModelError: the problem has no failure budget, or no mean of costs, to trace.
+        InfeasibleError: case S, and the goal cannot be reached from the start.
+        Stop: the time ended before there was a point.
+    """
+    name, asked = type(problem).__name__, problem.requirements
+    if asked.law:
+        raise ModelError(f"{name} is no mean of costs to trace: trace S3P's")
+    if asked.several_rows:
+        raise ModelError(
+            f"{name}'s costs have no common unit and too many sums to tell apart: round them, or "
+            "trace MCMP's frontier"
+        )
+    compiled = problem.compile()
+    if limits.steepest_price is None:
+        compiled = compiled.for_program()
+    elif compiled.is_trial:
+        compiled = compiled.refined(limits.steepest_price) or compiled
+    frontier: Frontier | None = None
+    columns: _Columns | None = None
+    calls, work, steep_only, attempts = 0, Work(), compiled.ratio, 2 * _REFINEMENTS
+    while True:
+        with WithIncumbent() as search:
+            columns = columns or _Columns(compiled, limits)
+            columns.begin()
+            _split(columns, steep_only=steep_only)
+        if search.stop or columns is None:
+            if frontier is None:
+                raise Stop from search.stop
+            return frontier
+        traced, attempts = columns.frontier(), attempts - 1
+        lost, spent = _share_lost(compiled, traced), (calls + columns.calls, work + columns.work)
+        frontier = replace(traced, hidden=lost, pricing_calls=spent[0], work=spent[1])
+        is_fine = lost <= limits.gap or is_late()
+        finer = None if is_fine else compiled.refined(float(traced.price[0]))
+        if attempts == 0 or (finer is None and not steep_only):
+            return frontier
+        if finer is not None:
+            (calls, work), compiled, columns = spent, finer, None
+        steep_only = finer is not None
+
+
+def _share_lost(compiled: CompiledProblem, traced: Frontier) -> float:
     """Share by which the cap on the cost may hide policies below the traced frontier."""
     if len(traced.price) == 0:
         return 0.0
     lost = np.inf
     with WithIncumbent(), closing():
         lost = max(compiled.tail_loss(float(p)) for p in (traced.price[0], traced.price[-1]))
-    return lost / max(float(traced.cost.min()), 1e-300) if lost > 0.0 else 0.0
+    return lost / max(float(traced.cost.min()), _LEAST) if lost > 0.0 else 0.0
 
 
-def _ends(compiled: CompiledProblem, limits: TraceLimits) -> tuple[list[Column], bool, int, Work]:
-    """First and last point of the frontier to be traced; whether the last is known; work.
+@dataclass(frozen=True, eq=False)
+class _Optimum:
+    """The optimum at a bound, in what is minimised: a point, and a line below all policies."""
 
-    Raises:
-        ModelError: at the steepest price it is best to fail.
-    """
-    pricing, row = compiled.pricing(), FailureRow(1.0, compiled.ratio)
-    steepest, calls = limits.steepest_price, 0
-    if steepest is None:
-        safest = checked_least_failure(compiled, None).column
-    else:
-        safest, calls = pricing.minimise(steepest, pricing.first()), 1
-        if row.ratio and row.objective(safest.cost, safest.goal) >= steepest:
-            raise ModelError(
-                f"at the price {steepest:g} of failure it is best to fail: "
-                "steepest_price must lie above the least cost given success"
-            )
-    rule = Secant(pricing, row, safest, calls=calls, work=safest.work)
-    free = generate(rule, SolveOptions(limits.gap))
-    last = free.columns[-1]
-    columns = [safest] if last.failure <= safest.failure else [safest, last]
-    return columns, free.finished, rule.calls, rule.work
+    spent: float  # of what is traced
+    value: float
+    goal: float
+    bound: float
+    proved: float  # of every policy that keeps to it
+    price: float  # of the bound in that proof; infinite: no word of larger bounds
+    policy: MixedPolicy
 
 
-def _traced(
-    compiled: CompiledProblem, limits: TraceLimits, begun: Frontier | None, *, steep_only: bool
-) -> Frontier:
-    """The frontier's turning points in one process.
+class _Optima:
+    """Optima at bounds of a limit, the others held. Grows."""
 
-    Args:
-        compiled: the problem.
-        limits: how far to trace.
-        begun: what is known of the same process.
-        steep_only: split only the first segment, until it is settled.
-    """
-    pricing = compiled.pricing()
-    waiting = _WaitingSegments(pricing, compiled.ratio, limits)
-    if begun is None:
-        columns, is_known, waiting.calls, work = _ends(compiled, limits)
-        open_below = [1.0] * (len(columns) - 1)
-    else:
-        columns, is_known, work = list(begun._columns), not begun.ends_early, Work()
-        open_below, waiting.priced = begun.below.tolist(), begun.priced
-        if limits.point_limit is not None and len(columns) > 2:  # the worst segments come first
-            columns, open_below = [columns[0], columns[-1]], [1.0]
-    for inside, outside, below in zip(columns, columns[1:], open_below, strict=False):
-        waiting.add(inside, outside, len(columns), below)
-    columns = [replace(column, totals=None) for column in columns]
-    while waiting.found and limits.allows(len(columns) * (_STEEP_SHARE if steep_only else 1)):
-        inside, found, outside = heappop(waiting.found)[2]  # its ends, and the policy between them
-        columns.append(replace(found, totals=None))  # only those waiting start others warmly
-        at_most = waiting.below[inside.failure]
-        beyond = at_most * inside.cost / max(found.cost, 1e-300)
-        waiting.below[found.failure] = beyond
-        waiting.add(inside, found, len(columns), at_most)
-        if not steep_only:
-            waiting.add(found, outside, len(columns), beyond)
-    return Frontier.through(
-        columns, waiting.below, pricing,
-        tolerance=limits.gap, ends_early=not is_known, ratio=compiled.ratio,
-        complete=limits.steepest_price is None,
-        pricing_calls=waiting.calls, work=work + waiting.work,
-    )  # fmt: skip
+    worst_first = True
 
+    def __init__(self, problem: Problem, over: str, limits: TraceLimits) -> None:
+        """Nothing is solved yet."""
+        self.problem, self.over, self.limits = problem, over, limits
+        self.calls, self.work, self.optima = 0, Work(), list[_Optimum]()
+        self.stated = compiled_constrained(problem)
+        if over == FAILURE_ROW:  # whatever was allowed, even if that was the least
+            self.stated = replace(self.stated, budget=1.0)
+        self.truth = true_figures(problem, self.stated)
+        self.options = SolveOptions(_FINER * limits.gap)
 
-class _WaitingSegments:
-    """Segments with a policy below them, the worst first where not all can be split. Grows."""
+    def traced(self) -> Frontier:
+        """The frontier.
 
-    def __init__(self, pricing: PricingProblem, ratio: bool, limits: TraceLimits) -> None:
-        """Nothing waits."""
-        self.found: list[tuple[float, int, tuple[Column, Column, Column]]] = []  # a heap
-        self.calls, self.work = 0, Work()
-        self.priced: dict[float, Column] = {}  # what was found before, by price
-        self._pricing, self._ratio, self._limits = pricing, ratio, limits
-        self.below: dict[float, float] = {}  # by a segment's safer failure; see Frontier.below
-
-    def add(self, inside: Column, outside: Column, points: int, at_most: float = 1.0) -> None:
-        """Price a segment of the frontier, and keep it if a policy lies below by more than the gap.
-
-        Args:
-            inside: its safer end.
-            outside: its other end.
-            points: turning points so far.
-            at_most: the share by which policies may lie below it, as far as is known.
+        Raises:
+            InfeasibleError: the other limits cannot be kept.
+            Stop: the time ended before both ends were known.
         """
-        price = Secant(self._pricing, FailureRow(1.0, self._ratio), inside, outside).slope
-        if price == 0.0 or at_most <= self._limits.gap:
-            self.below[inside.failure] = 0.0 if price == 0.0 else at_most
-            return
-        with WithIncumbent() as search:
-            column = self.priced.get(price)
-            if column is None:
-                column = replace(self._pricing.minimise(price, outside), found_at=price)
-                self.calls, self.work = self.calls + 1, self.work + column.work
-        if search.stop or column is None:
-            self.below[inside.failure] = at_most
-            return
-        below = self.below[inside.failure] = _share_below_segment(inside, outside, column, price)
-        if below > self._limits.gap:
-            urgency = -below if self._limits.may_stop else -float(self.calls)
-            heappush(self.found, (urgency, self.calls, (inside, column, outside)))
-        _LOG.debug("%d pricing calls, %d turning points", self.calls, points)
+        _ = self.stated.pricing()  # for all bounds
+        self.add(1.0 if self.over == FAILURE_ROW else np.inf)
+        least, free = self.least(), self.optima[0].spent
+        is_least = least >= free
+        # only policies that never succeed, which do not count, may spend the least
+        for share in () if is_least else (0.0, *_NEAR):
+            with suppress(InfeasibleError):
+                self.add(least + share * (free - least))
+                is_least = share == 0.0
+                break
         with WithIncumbent():
-            if self._limits.progress is not None:
-                self._limits.progress(self.calls, points)
+            _split(self)
+        return self.frontier(complete=is_least)
 
+    @property
+    def points(self) -> list[_Optimum]:
+        """The optima that cost less than all that spend no more, by what they spend."""
+        points: list[_Optimum] = []
+        for one in sorted(self.optima, key=lambda o: (o.spent, o.value)):
+            if not points or one.value < points[-1].value - _STRAIGHT * abs(points[-1].value):
+                points.append(one)
+        return points
 
-def _share_below_segment(inside: Column, outside: Column, found: Column, price: float) -> float:
-    """Distance of a column below a segment of the frontier, relative to its cost; else 0."""
-    if not inside.failure < found.failure < outside.failure:
-        return 0.0
-    below = inside.cost - found.cost - price * (found.failure - inside.failure)
-    return max(below, 0.0) / max(inside.cost, 1e-300)
+    def look(self, p: _Optimum, q: _Optimum) -> tuple[float, float | None]:
+        """Share by which policies may lie below a segment, and the bound to solve at next."""
+        below, bound = self._apart(p, q)
+        own = max((o.value - o.proved) for o in (p, q)) / self._scale(p, q)
+        points = self.points
+        narrow = _NARROW * (points[-1].spent - points[0].spent)
+        settled = below <= max(self.limits.gap, 2.0 * own) or q.spent - p.spent <= narrow
+        return below, None if settled else bound
+
+    def split(self, p: _Optimum, q: _Optimum, bound: float) -> tuple[_Optimum, ...]:
+        """Solve at a bound inside of a segment; its points, the ends included."""
+        self.add(bound)
+        if not p.spent < self.optima[-1].spent < q.spent:
+            return ()
+        return tuple(o for o in self.points if p.spent <= o.spent <= q.spent)
+
+    def lines(self, *turning: _Optimum) -> _OptimumPoints:
+        """What the optima so far prove."""
+        told = [(o.bound, o.value, o.proved, o.price) for o in self.optima]
+        bounds, value, proved, prices = np.array(told).T
+        policies, goal = tuple(o.policy for o in turning), None
+        if self.stated.ratio:
+            goal = self.stated.least_goal
+        told_of = policies, self.stated.sense, bounds, value, proved, prices
+        return _OptimumPoints(*told_of, goal, self.over == FAILURE_ROW)
+
+    def _scale(self, p: _Optimum, q: _Optimum) -> float:
+        """To which what lies below a segment is compared: the larger objective of its ends."""
+        worth = self.stated.sense.worth
+        return max(abs(worth(p.value)), abs(worth(q.value)), _LEAST)
+
+    def _mixed(self, p: _Optimum, q: _Optimum, bound: float) -> float:
+        """What the lottery of two optima that meets a bound in between attains."""
+        w = (bound - p.spent) / (q.spent - p.spent)
+        goals = ((1.0 - w) * p.goal, w * q.goal) if self.stated.ratio else (1.0 - w, w)
+        return (goals[0] * p.value + goals[1] * q.value) / sum(goals)
+
+    def _apart(self, p: _Optimum, q: _Optimum) -> tuple[float, float]:
+        """How far below a segment policies may lie, as a share, and the bound to split it at."""
+        width, share, lines = q.spent - p.spent, 0.5, self.lines()
+        left, right = (o.price / (o.goal if self.stated.ratio else 1.0) for o in (p, q))
+        if np.isfinite(left) and left > right:  # where the lines of both ends meet
+            share = (p.value - q.value - right * width) / ((left - right) * width)
+        shares = [min(max(share, _INSIDE), 1.0 - _INSIDE), *(_SPLITS if self.stated.ratio else ())]
+        shares += [] if np.isfinite(left) else [_NARROW]
+        bounds = [p.spent + share * width for share in shares]
+        most, k = max((self._mixed(p, q, b) - lines.least(b), k) for k, b in enumerate(bounds))
+        split = 0.5 if shares[k] == _NARROW else shares[k]
+        return most / self._scale(p, q), p.spent + split * width
+
+    def least(self) -> float:
+        """The least that can be spent of what is traced, the other limits held."""
+        problem, of_failure = self.problem, self.over == FAILURE_ROW
+        conditions = {condition.name: condition for condition in problem.conditions}
+        objective = conditions.pop(self.over, None)
+        aim = Aim.GREATEST_GOAL if of_failure else Aim.LEAST_COST
+        semantics = replace(problem.semantics, aim=aim, measure=None)
+        budget = 1.0 if of_failure else problem.failure_budget
+        held = tuple(conditions.values())
+        asked = problem.model, problem.start, False, budget, semantics, held, problem.discount
+        safest = compiled_constrained(Restated(*asked, objective))
+        least = safest.sense.worth(rows_optimum(safest, self.options).value)
+        return 1.0 - least if of_failure else least
+
+    def add(self, bound: float) -> None:
+        """Solve at a bound of what is traced."""
+        stated, over, budget = self.stated, self.over, self.stated.budget
+        if over == FAILURE_ROW:
+            budget = bound
+        side = tuple(
+            replace(row, bound=row.activity(bound)) if row.name == over else row
+            for row in stated.side
+        )
+        optimum = rows_optimum(stated.bounded(budget, side), self.options, self.truth)
+        compiled = optimum.compiled
+        if compiled.layers > stated.layers and (compiled.budget is None) == (stated.budget is None):
+            self.stated = compiled.bounded(stated.budget, stated.side)  # begun there next
+        found = evaluate(optimum.policy, self.problem)
+        failure = found.limited_failure
+        spent = failure if over == FAILURE_ROW else found.secondary_costs[over]
+        price = (
+            optimum.prices.get(over, np.inf) if np.isfinite(bound) and optimum.bound > 0.0 else 0.0
+        )
+        self.optima.append(_Optimum(
+            spent=min(spent, bound), value=optimum.value, goal=1.0 - failure,
+            bound=bound if np.isfinite(bound) else spent, proved=optimum.bound,
+            price=price, policy=optimum.policy,
+        ))  # fmt: skip
+        self.calls, self.work = self.calls + optimum.calls, self.work + optimum.work
+        _LOG.debug("%d pricing calls, %d bounds of %s", self.calls, len(self.optima), over)
+        self.limits.report(self.calls, len(self.optima))
+
+    def frontier(self, *, complete: bool) -> Frontier:
+        """The frontier through all points that turn."""
+        points, sense, ratio = self.points, self.stated.sense, self.stated.ratio
+        turning = points[:1]
+        for one, after in pairwise(points[1:]):
+            straight = self._mixed(turning[-1], after, one.spent)
+            if one.value < straight - _STRAIGHT * self._scale(one, one):
+                turning.append(one)
+        turning += points[1:][-1:]
+        spent, value, goal = np.array([(o.spent, o.value, o.goal) for o in turning]).T
+        below = [max(self._apart(p, q)[0], 0.0) for p, q in pairwise(turning)]
+        cost = value * goal if ratio else np.array([sense.worth(v) for v in value])
+        objective = cost / goal if ratio else cost
+        own = [(o.value - o.proved) / self._scale(o, o) for o in turning]
+        return Frontier(
+            spent=spent, goal=goal, cost=cost, price=np.abs(np.diff(objective) / np.diff(spent)),
+            below=np.array(below), tolerance=self.limits.gap, hidden=max(0.0, *own), ratio=ratio,
+            complete=complete, pricing_calls=self.calls, work=self.work,
+            _points=self.lines(*turning), over=self.over, maximises=sense.constant is not None,
+        )  # fmt: skip

@@ -42,7 +42,7 @@ from ssp_lp.errors import (
 )
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import Graph, dead_ends as lost_states, end_components
-from ssp_lp.model.text_tables import html_table
+from ssp_lp.model.report import Table
 
 if TYPE_CHECKING:
     from ssp_lp.model.failure_product import FailureSSP
@@ -606,8 +606,7 @@ class SSP(Graph, ReadOnlyCopies):
 
     def _repr_html_(self) -> str:
         """The model's sizes as a table, for notebooks."""
-        rows = [(name, f"{count:,}") for name, count in self._sizes.items()]
-        return html_table(type(self).__name__, rows)
+        return Table([*self._sizes.items()], title=type(self).__name__).html()
 
     @cached_property
     def kept_facts(self) -> dict[str, Any]:

@@ -30,8 +30,8 @@ from ssp_lp.errors import ModelError, check_whole, in_short, wrong_argument
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained, explained_class
 from ssp_lp.model.graph import attention_pairs, attention_states, dead_ends
+from ssp_lp.model.report import Report, Table
 from ssp_lp.model.ssp import check_model
-from ssp_lp.model.text_tables import html_text
 from ssp_lp.policies.table import Decisions, Member, PolicyTable
 
 Randomness = np.random.Generator | int
@@ -111,7 +111,7 @@ _EVERYWHERE = (
 )
 
 
-class Playable(ReadOnlyCopies, ABC):
+class Playable(Report, ReadOnlyCopies, ABC):
     """Mix-in of the policies that a person's own loop can drive: they start episodes.
 
     Example:
@@ -192,22 +192,12 @@ class Playable(ReadOnlyCopies, ABC):
         """
         return self.table().to_frame()
 
-    def __str__(self) -> str:
-        """The policy's table; one line where the policy's memory is not known."""
-        table = self._known_table()
-        return repr(self) if table is None else str(table)
-
-    def _repr_html_(self) -> str:
-        """The policy's table for notebooks."""
-        table = self._known_table()
-        return html_text(repr(self)) if table is None else table._repr_html_()
-
-    def _known_table(self) -> PolicyTable | None:
-        """The policy's table; None where the policy's memory is not known."""
+    def tables(self) -> Sequence[Table]:
+        """Tables of the policy's decisions; one line where the policy's memory is not known."""
         try:
-            return self.table()
+            return self.table().tables()
         except ModelError:
-            return None
+            return [Table([], notes=[repr(self)])]
 
     @explained
     def action(self, state: Hashable) -> Hashable:

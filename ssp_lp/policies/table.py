@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from html import escape
 from itertools import islice
 from typing import Any, NamedTuple, overload
 
 from ssp_lp.arrays import FloatArray, IntArray
-from ssp_lp.errors import optional_module
 from ssp_lp.model import SSP
-from ssp_lp.model.text_tables import html_table, text_table
+from ssp_lp.model.report import Report, Table
 
 _ROWS = 20  # rows printed of a member's decisions
 _MEMBERS = 5  # members of a lottery that are printed
@@ -47,7 +45,7 @@ class Member(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PolicyTable(Sequence[PolicyRow]):
+class PolicyTable(Report, Sequence[PolicyRow]):
     """The decisions of a policy, in the order of members, memories and states.
 
     It is a sequence of :class:`PolicyRow`. States in which the policy never acts have no row.
@@ -106,67 +104,59 @@ class PolicyTable(Sequence[PolicyRow]):
         """The rows in order."""
         return iter(self._rows)
 
+    def tables(self) -> list[Table]:
+        """A table for each of the first members, under its weight, with its first rows."""
+        several = len(self.members) > 1
+        tables = [self._member_table(k, several) for k in range(min(len(self.members), _MEMBERS))]
+        if several:
+            tables.insert(
+                0,
+                Table(
+                    [], title=f"lottery over {len(self.members)} policies, drawn once at the start"
+                ),
+            )
+        if (more := len(self.members) - _MEMBERS) > 0:
+            tables.append(Table([], notes=[f"and {more:,} more policies"]))
+        words = (memory for member in self.members for memory in member.words.values())
+        if self.note and any(memory is not None for memory in words):
+            tables.append(Table([], notes=[self.note]))
+        return tables
+
+    def all_rows(self) -> Table:
+        """One table with a column for each field of a row, of all members."""
+        return Table(self._rows, PolicyRow._fields)
+
     def to_frame(self) -> Any:
-        """The table as a pandas ``DataFrame``, with a column for each field of a row.
+        """All rows as a pandas ``DataFrame``, with a column for each field of a row.
 
         Raises:
             MissingDependencyError: pandas is not installed.
         """
-        pandas = optional_module("pandas", "frames")
-        return pandas.DataFrame(self._rows, columns=list(PolicyRow._fields))
-
-    def __str__(self) -> str:
-        """The first rows of each member under its weight."""
-        if len(self.members) == 1:
-            return "\n".join([*self._member_lines(0), *self._notes])
-        lines = [f"lottery over {len(self.members)} policies, drawn once at the start"]
-        for k, member in enumerate(self.members[:_MEMBERS]):
-            lines.append(f"with probability {member.weight:.4g}:")
-            lines += [f"  {line}" for line in self._member_lines(k)]
-        if len(self.members) > _MEMBERS:
-            lines.append(f"and {len(self.members) - _MEMBERS:,} more policies")
-        return "\n".join([*lines, *self._notes])
+        return self.all_rows().to_frame()
 
     def __repr__(self) -> str:
         """The printed table."""
         return str(self)
 
-    def _repr_html_(self) -> str:
-        """The printed table for notebooks."""
-        tables = []
-        for k, member in enumerate(self.members[:_MEMBERS]):
-            title = "policy" if len(self.members) == 1 else f"with probability {member.weight:.4g}"
-            head, rows, notes = self._shown(k)
-            tables.append(html_table(title, rows, head, notes))
-        return "\n".join([*tables, *(f"<p>{escape(note)}</p>" for note in self._notes)])
-
-    @property
-    def _notes(self) -> list[str]:
-        """The table's note, where a member remembers something."""
-        words = (memory for member in self.members for memory in member.words.values())
-        return [self.note] if self.note and any(memory is not None for memory in words) else []
-
-    def _member_lines(self, member: int) -> list[str]:
-        """Lines of a member's table."""
-        head, rows, notes = self._shown(member)
-        lines = text_table([head, *rows], left=len(head) - 1) if rows else []
-        return [*lines, *notes]
-
-    def _shown(self, member: int) -> tuple[list[str], list[list[str]], list[str]]:
-        """Head, first rows and a note on the other rows of a member's table."""
+    def _member_table(self, member: int, titled: bool) -> Table:
+        """Table of a member's first rows, with a note on the others."""
         part = self.members[member]
-        rows = list(islice(self._member_rows(member), _ROWS))
         count = sum(len(block.pair) for block in part.decisions())
         remembers = any(memory is not None for memory in part.words.values())
-        head = ["state", *([part.remembers] if remembers else []), "action", "probability"]
-        listed = []
-        for row in rows:
-            memory = [_in_table(row.memory)] if remembers else []
-            listed.append(
-                [_in_table(row.state), *memory, _in_table(row.action), f"{row.probability:.4g}"]
-            )
-        notes = [f"and {count - len(rows):,} more"] if count > len(rows) else []
-        return head, listed, notes if rows else ["no decisions"]
+        rows = [
+            (*map(_in_table, (row.state, row.memory, row.action)), row.probability)
+            for row in islice(self._member_rows(member), _ROWS)
+        ]
+        notes = [f"and {count - len(rows):,} more"] * (count > len(rows))
+        return Table(
+            rows,
+            ("state", part.remembers, "action", "probability"),
+            f"with probability {part.weight:.4g}:" if titled else "",
+            notes,
+            {"probability": 4},
+            left=3 if remembers else 2,
+            hidden=() if remembers else {part.remembers},
+        )
 
 
 def _in_table(value: Hashable) -> str:

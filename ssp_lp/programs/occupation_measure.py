@@ -24,7 +24,7 @@ from ssp_lp.errors import ModelError, SolverError, optional_module
 from ssp_lp.linear_programming.linear_program import MeasuredRow
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import nearer_pairs
-from ssp_lp.model.text_tables import ByName
+from ssp_lp.model.report import ByName
 from ssp_lp.policies.policy import MixedPolicy, StochasticPolicy
 from ssp_lp.processes.explicit_process import ExplicitProcess
 from ssp_lp.programs.augmented import ColumnLabel

@@ -25,7 +25,7 @@ from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer, ch
 from ssp_lp.linear_programming.program_text import as_latex, as_table, is_small, words_as_latex
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.product import ProductSSP
-from ssp_lp.model.text_tables import ByName, html_text
+from ssp_lp.model.report import ByName, Report, Table
 from ssp_lp.policies.policy import GIVE_UP
 from ssp_lp.processes.conditions import ArrivalTerm
 from ssp_lp.processes.explicit_process import ExplicitProcess, PricedMinimum, priced_minimum
@@ -90,7 +90,7 @@ class _Reduction:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OccupationProgram:
+class OccupationProgram(Report):
     """A linear program over the visits of an augmented process.
 
     Columns are the pairs of the process, self-loops and steps that cost nothing included: x is how
@@ -633,17 +633,18 @@ class OccupationProgram:
             stated[-1] = stated[-1][0] + self._dual_of_normaliser, stated[-1][1]
         return words_as_latex(*self.aim, stated, scaled=self.ratio)
 
-    def _repr_html_(self) -> str:
-        """The occupation program's page as ``str`` has it, for notebooks."""
-        return html_text(str(self))
-
-    def __str__(self) -> str:
-        """The page of ``repr``, and a small program in full: a line for each column."""
-        full = as_table(self.linear, self._columns, self._rows) if is_small(self.linear) else []
-        return "\n  ".join([repr(self), *full])
+    def tables(self) -> list[Table]:
+        """The page of a paper, and a small program in full: a row for each column."""
+        page = Table(self._page(), title=self.title)
+        full = as_table(self.linear, self._columns, self._rows) if is_small(self.linear) else None
+        return [page] if full is None else [page, full]
 
     def __repr__(self) -> str:
         """The program as the page of a paper would have it."""
+        return "\n".join(Table(self._page(), title=self.title).lines())
+
+    def _page(self) -> list[tuple[str, str]]:
+        """Objective, rows and variables of the occupation program in words."""
         process, scale = self.process, "t " * self.ratio
         width = max((len(name) for name, _ in self._stated_rows), default=0) + 1
         page = [f"balance: outflow(x) - inflow(x) = {scale}start   ({process.n_states:,} rows)"]
@@ -655,5 +656,4 @@ class OccupationProgram:
             page[-2] += "  " + self._dual_of_normaliser
             given = f"<{self.objective}, x> is the {self.objective} given success"
             page.append(f"x: visits times the scale t, so that {given}")
-        rows = f"\n{'':14}".join(page)
-        return f"{self.title}\n  {'    '.join(self.aim)}\n  subject to  {rows}"
+        return [self.aim, *zip(["subject to", *[""] * len(page)], page, strict=False)]

@@ -17,11 +17,11 @@ from ssp_lp.methods.approaches import Case, approach_to
 from ssp_lp.methods.incumbent import broken_limit, by_moments, prove_by_cheapest_way
 from ssp_lp.methods.refinement import Proved
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.text_tables import Reported
+from ssp_lp.model.report import Facts, Table
 from ssp_lp.options import Status, progress_shown
 from ssp_lp.policies.policy import as_lottery
 from ssp_lp.problem import least_failure_bound, on_one_model
-from ssp_lp.solution import Solution, as_solved, gap_of_least_failure, least_failure_rows
+from ssp_lp.solution import Solution, as_solved, gap_of_least_failure, unproved_failure
 
 _LOG = logging.getLogger("ssp_lp.certificate")
 
@@ -119,7 +119,7 @@ _BUDGET_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, repr=False)
-class Certificate(Reported):
+class Certificate(Facts):
     """Recomputed values. ``accepted`` says that the policy keeps to the budget and all limits."""
 
     objective: float  # exact value of the policy
@@ -146,18 +146,19 @@ class Certificate(Reported):
             return max(relative_gap(self.upper_bound, self.objective), failing)
         return max(relative_gap(self.objective, self.lower_bound), failing)
 
-    def facts(self) -> list[tuple[str, str]]:
+    def tables(self) -> list[Table]:
         """Accepted or why not, both sides, and what is left of the budget."""
         upper = self.upper_bound
         side, bound = ("lower", self.lower_bound) if upper is None else ("upper", upper)
-        return [
+        facts = [
             ("verdict", "accepted" if self.accepted else f"refused: {self.reason}"),
-            ("objective", f"{self.objective:.9g}"),
-            (f"{side} bound", f"{bound:.9g}"),
-            ("gap", f"{self.gap:.1e}"),
+            ("objective", self.objective),
+            (f"{side} bound", bound),
+            ("gap", self.gap),
             ("failure", f"{self.failure:.6g} of {self.budget:.6g}"),
-            *least_failure_rows(self.failure, self.least_failure_bound),
+            ("least failure", unproved_failure(self.failure, self.least_failure_bound)),
         ]
+        return [Table(facts, digits={"objective": 9, f"{side} bound": 9, "gap": 2})]
 
 
 def certificate_of(

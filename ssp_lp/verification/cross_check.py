@@ -24,7 +24,7 @@ from ssp_lp.errors import InfeasibleError, ModelError, SolverError, check_betwee
 from ssp_lp.methods.approaches import refusal
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import attention_states, end_components, hopeless_states
-from ssp_lp.model.text_tables import Summarised, text_table
+from ssp_lp.model.report import Report, Table
 from ssp_lp.options import LinearProgramming, parse_method, progress_shown
 from ssp_lp.problem import Problem, check_problem
 from ssp_lp.processes.failure_semantics import dead_end_charges, give_up_charges
@@ -167,18 +167,20 @@ _SAME = 1e-9  # relative, of a charge: the library's is a sum of rounded terms
 _LOG = logging.getLogger("ssp_lp.comparison")
 
 _COLUMNS = {
-    "c*": ("objective", 10),
-    "lower bound": ("lower_bound", 10),
-    "gap": ("gap", 2),
-    "alpha*": ("adversary_weight", 6),
-    "price": ("failure_price", 6),
-    "failure": ("failure_probability", 6),
-    "discounted": ("discounted_failure", 6),
-    "cost": ("expected_cost", 6),
-    "given success": ("conditional_cost", 6),
-    "seconds": ("seconds", 2),
+    "objective": "objective",
+    "bound": "lower_bound",
+    "gap": "gap",
+    "alpha": "adversary_weight",
+    "price": "failure_price",
+    "failure": "failure_probability",
+    "discounted": "discounted_failure",
+    "cost": "expected_cost",
+    "given_success": "conditional_cost",
+    "seconds": "seconds",
 }
-"""The table's columns: what of a method's result each shows, and its significant digits."""
+"""Columns of the table, and the field of a method's result that each shows."""
+
+_DIGITS = {"objective": 10, "bound": 10, "gap": 2, "seconds": 2}
 
 
 @dataclass(frozen=True)
@@ -197,7 +199,7 @@ class SecondReading:
 
 
 @dataclass(frozen=True, repr=False)
-class CrossCheck(Summarised):
+class CrossCheck(Report):
     """The methods side by side, and what they disagree about.
 
     A method is named in ``disagreeing`` where its c* lies outside the tolerance of the majority
@@ -231,21 +233,19 @@ class CrossCheck(Summarised):
         names = ", ".join(method.name for method in self.methods)
         return f"CrossCheck({names}: {self._verdict()})"
 
-    def summary(self) -> str:
-        """The cross-check as a table of methods, policies and remarks, and a line: the verdict."""
-        rows = [["method", *_COLUMNS]]
-        for one in self.methods:
-            values = [(getattr(one, name), digits) for name, digits in _COLUMNS.values()]
-            rows.append([one.name, *("-" if x is None else f"{x:.{k}g}" for x, k in values)])
-        lines = text_table(rows)
+    def tables(self) -> list[Table]:
+        """One table with a row for each method; its notes are policies, remarks and the verdict."""
+        notes = []
         for one in self.methods:
             lottery = (f"{m.weight:.6f} x ({m.cost:.9g}, {m.failure:.6g})" for m in one.members)
-            lines += [f"  {one.name}: {' + '.join(lottery)}"] * bool(one.members)
-        lines += [f"  {r.name}: {r.note}" for r in self.methods if r.note]
-        lines += [f"  {remark}" for remark in self.remarks]
+            notes += [f"{one.name}: {' + '.join(lottery)}"] * bool(one.members)
+        notes += [f"{one.name}: {one.note}" for one in self.methods if one.note]
+        notes += self.remarks
         if self.reading is not None:
-            lines += [f"  {each}" for each in (self.reading, *self.reading.faults)]
-        return "\n".join([*lines, self._verdict()])
+            notes += map(str, (self.reading, *self.reading.faults))
+        fields = _COLUMNS.values()
+        rows = [(one.name, *(vars(one)[field] for field in fields)) for one in self.methods]
+        return [Table(rows, ("method", *_COLUMNS), "", [*notes, self._verdict()], _DIGITS)]
 
     def _verdict(self) -> str:
         """The verdict on methods that were checked against each other."""

@@ -105,11 +105,11 @@ FAULTS = (
     Fault(
         "frontier: proofs are kept by their price alone",
         "ssp_lp/methods/frontier.py",
-        "if (price, slack) not in self._proofs:",
-        "slack = any(p == price for p, _ in self._proofs) or slack\n"
-        "        if (price, slack) not in self._proofs and (price, not slack) in self._proofs:\n"
-        "            return self._proofs[price, not slack]\n"
-        "        if (price, slack) not in self._proofs:",
+        "if (price, slack) not in self.proofs:",
+        "slack = any(p == price for p, _ in self.proofs) or slack\n"
+        "        if (price, slack) not in self.proofs and (price, not slack) in self.proofs:\n"
+        "            return self.proofs[price, not slack]\n"
+        "        if (price, slack) not in self.proofs:",
         "tests/methods/test_frontier.py",
     ),
     Fault(

@@ -57,7 +57,8 @@ def test_dead_ends_of_a_program_are_listed_by_states_or_a_predicate(tmp_path):
     for listed in (broken, lambda state: state[0]):
         found = read_with_storm(path, **options, constants="N=2,p=0.25", dead_ends=listed)
         assert dead_end_labels(found.model) == broken
-        storms = to_stormpy(found.model, start=found.start)
+        write_umb(found.model, tmp_path / "walker.umb", start=found.start)
+        storms = in_storm(tmp_path / "walker.umb")
         for numbers in ({found.model.index_of(state) for state in broken}, "deadlock"):
             same = from_stormpy(storms, goal="goal", cost="time", dead_ends=numbers)
             assert same.model.n_states == found.model.n_states

@@ -144,15 +144,16 @@ def test_reprs_are_short(solution: Solution) -> None:
 
 def test_a_frontier_lists_five_points_at_most() -> None:
     text = str(trace_frontier(PROBLEM))
-    assert text.startswith("Frontier(")
+    assert " points, failure " in text.splitlines()[0]
     steep = model_of(
         {"s": {k: [(k / 20, "g", k * k), (1 - k / 20, "d", 0.0)] for k in range(20)}, "d": {}}
     )
     frontier = trace_frontier(MCMP(steep, "s"))
     lines = str(frontier).splitlines()
     assert len(frontier.failure) > 5
-    assert len(lines) == 6
-    assert f"{frontier.failure[0]:.6g}" in lines[1]
+    assert len(lines) == 7
+    assert lines[1].split() == ["failure", "goal", "cost", "objective", "price"]
+    assert f"{frontier.failure[0]:.6g}" in lines[2]
     assert f"{frontier.failure[-1]:.6g}" in lines[-1]
 
 

@@ -9,7 +9,6 @@ import pytest
 from formulations import MCMP, S3P
 from small_models import model_of
 from ssp_lp import InfeasibleError, ModelError, SolverError, evaluate, solve, trace_frontier
-from ssp_lp.methods import frontier as frontier_module
 from written_models import written
 
 ROADS = written(
@@ -185,17 +184,13 @@ def test_a_frontier_is_traced_once_however_often_its_process_is_refined(coarse_r
     assert frontier.pricing_calls < 4 * 40
 
 
-def test_bounds_that_are_near_to_each_other_are_told_apart():
-    assert frontier_module._digits_apart(1.0, 1.0 + 1e-12) == "1 and 1.000000000001"
-    assert frontier_module._digits_apart(15.123456789, 16.0) == "15.1234568 and 16"
-
-
 def test_a_proof_that_counts_success_is_kept_beside_one_that_counts_failing():
     """At one price, in either order: J + price * failure, and the same less the price."""
     for first in (False, True):
         frontier = trace_frontier(S3P(ROADS, "s"))
-        column, price = frontier._columns[-1], float(frontier.objective[-1])
-        proofs = {k: frontier._proof(price, column, slack=k) for k in (first, not first)}
+        points, price = frontier._points, float(frontier.objective[-1])
+        column = points.columns[-1]
+        proofs = {k: points.proof(price, column, slack=k) for k in (first, not first)}
         assert (proofs[False].failing, proofs[True].failing) == (price, 0.0)
         assert proofs[False].bound == pytest.approx(proofs[True].bound + price, rel=1e-12)
-        assert frontier._proof(price, column, slack=first) is proofs[first]
+        assert points.proof(price, column, slack=first) is proofs[first]

@@ -195,14 +195,11 @@ def test_who_may_not_give_up_may_wait_for_ever():
     assert solve(problem).objective == pytest.approx(1.5)
 
 
-def test_a_budget_that_is_traced_may_be_stated_or_not():
-    """What a problem allows of what is traced does not matter, be it the least failure.
-
-    A share w of fast fails with w / 20, sees the yard with w / 10 and costs 10 - 8.8 w.
-    """
-    model = written("a fast: 0.9 g 1, 0.1 yard 1\na slow: g 10\nyard on: 0.5 g 2, 0.5 pit 2")
+def test_a_budget_that_is_traced_may_be_stated_or_not() -> None:
+    """What a problem allows of what is traced does not matter, be it the least failure."""
+    yard = written("a fast: 0.9 g 1, 0.1 yard 1\na slow: g 10\nyard on: 0.5 g 2, 0.5 pit 2")
     limits = {"yard": visits("yard") <= 0.05}
     for budget in (None, 0.02, 1.0):
-        frontier = trace_frontier(MCMP(model, "a", budget, constraints=limits))
+        frontier = trace_frontier(MCMP(yard, "a", budget, constraints=limits))
         assert frontier.spent == pytest.approx([0.0, 0.025])
         assert frontier.objective == pytest.approx([10.0, 5.6])

@@ -198,6 +198,7 @@ def test_small_programs_are_written_in_full():
         "              normaliser: <goal, x> = 1   (its dual is c*)",
         "              x >= 0, t >= 0   (3 columns, 8 entries)",
         "              x: visits times the scale t, so that <cost, x> is the cost given success",
+        "in full",
         "                            minimise  depot at cost 0  failure  normaliser",
         "  (depot, road) at cost 0       8.91                1     0.01        0.99",
         "  (depot, alley) at cost 0       2.7                1      0.1         0.9",

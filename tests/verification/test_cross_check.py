@@ -68,7 +68,7 @@ def test_three_roads_agree(criterion):
         success = 1.0 - 0.05 if problem.ratio else 1.0
         assert weights @ costs / success == pytest.approx(method.objective)
     lines = found.summary().splitlines()
-    assert lines[0].split()[:3] == ["method", "c*", "lower"]
+    assert lines[0].split()[:3] == ["method", "objective", "bound"]
     assert len({len(line) for line in lines[:4]}) == 1
     assert lines[-1].startswith("3 methods agree: c* within ")
 
