@@ -6,6 +6,7 @@ its place there stands for it, so that both are small and an answer is on the ca
 
 from __future__ import annotations
 
+import gc
 import logging
 import pickle
 import signal
@@ -574,5 +575,6 @@ def _nothing() -> None:
 
 
 def _prepare_worker() -> None:
-    """Have a process of the crew leave Ctrl-C to its caller."""
+    """Have a process of the crew leave Ctrl-C to its caller, and what it has loaded alone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    gc.freeze()  # joblib's processes look through all objects once a second

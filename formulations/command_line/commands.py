@@ -31,7 +31,6 @@ from ssp_lp.policies.policy import Policy
 from ..maxprob import MaxProb
 from ..mcmp import MCMP
 from .arguments import CRITERIA, PARAMETERS, number_argument, option
-from .compiling import compile_loops
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -638,6 +637,5 @@ COMMANDS: dict[str, Callable[[Namespace], Iterable[str]]] = {
     "convert": _convert_command,
     "program": _program_command,
     "check": _check_command,
-    "compile": compile_loops,
 }
 """What a command prints, by its name."""

@@ -161,7 +161,7 @@ def test_ctrl_c_while_the_answer_is_measured_keeps_it():
 
 
 @pytest.mark.parametrize("budget", [None, 0.25])
-@pytest.mark.parametrize("level", [0.5, 0.9, 0.99])
+@pytest.mark.parametrize("level", [0.5, 0.9])
 def test_a_quantile_is_one_of_the_totals(level, budget):
     """Rounded costs find what all sums say, and prove it up to what rounding takes away."""
     exact = solve(CostQuantile(REAL, "r0", level, budget))

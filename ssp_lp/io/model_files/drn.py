@@ -73,7 +73,7 @@ def read_drn(
         ModelError: naming the file and the line, or the state and the action.
         OSError: the file cannot be opened.
     """
-    file = TextFile(path, r"//.*")
+    file = TextFile(path, "//")
     lines = file.lines()
     raw = _drn_body(file, lines, _drn_header(file, lines), cost)
     return finished(raw, goal, file.path, dead_ends)
@@ -135,14 +135,14 @@ class _Entries:
         if line[:1].isdigit():
             if not self.is_action or not self.is_action[-1]:
                 raise self.file.fault("it stands before any state or action that it belongs to")
-            words = line.replace(":", " : ").split()
-            if len(words) != 3 or words[1] != ":":
+            to, _, chance = (part.strip() for part in line.partition(":"))
+            if not chance or " " in chance:
                 raise self.file.fault("a transition is written 'successor : probability'")
-            successor = self.file.integer(words[0])
+            successor = self.file.integer(to)
             if successor >= self.n_states:
                 raise self.file.fault(f"there is no state {successor}")
             self.successors.append(successor)
-            self.probabilities.append(self.file.float(words[2]))
+            self.probabilities.append(self.file.float(chance))
             self.n_outcomes[-1] += 1
         elif (match := _ENTRY.fullmatch(line)) is not None:
             self._add_entry(*match.groups())

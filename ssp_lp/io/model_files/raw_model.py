@@ -109,9 +109,9 @@ class TextFile:
     """A text file, plain or gzip, that knows the line where it stands. Moves on as it is read."""
 
     def __init__(self, path: FilePath, comment: str) -> None:
-        """Name a file; ``comment`` is a pattern of what is left out of its lines."""
+        """Name a file; ``comment`` is what the rest of a line that is left out begins with."""
         self.path, self.number, self.text = Path(path), 0, ""  # the text that was last read
-        self._comment = re.compile(comment)
+        self._comment = comment
 
     def lines(self) -> Iterator[str]:
         """Lines of a model's text file without comments and outer spaces.
@@ -125,7 +125,7 @@ class TextFile:
                 self.number += 1
                 if len(text) >= _LONGEST_LINE:
                     raise self.fault("the line is too long for a model")
-                self.text = self._comment.sub("", text)
+                self.text = text.partition(self._comment)[0]
                 yield self.text.strip()
 
     def fault(self, complaint: str) -> ModelError:
