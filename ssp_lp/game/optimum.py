@@ -31,7 +31,7 @@ from ssp_lp.game.label_player import BayesLabelPlayer, LabelModels, LabelPlayer,
 from ssp_lp.game.threshold import Threshold, extremes, find_threshold
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import dead_ends
-from ssp_lp.model.text_tables import Reported
+from ssp_lp.model.report import Facts, Table
 from ssp_lp.options import Progress, check_tail
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
@@ -114,7 +114,7 @@ def construct(problem: Problem) -> LabelModels | AccumulatedCost:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class GameSolution(Reported):
+class GameSolution(Facts):
     """c* of a problem under one construction of the paper, with its proof."""
 
     problem: Problem
@@ -126,16 +126,17 @@ class GameSolution(Reported):
     alpha: float  # alpha*: the adversary's weight of the objective MDP at epsilon*
     price: float  # weight of J_cond against J_obj at alpha*: lambda in case M, kappa in case S
 
-    def facts(self) -> list[tuple[str, str]]:
+    def tables(self) -> list[Table]:
         """The optimum of the game, its bound, the adversary's weight and the price."""
-        return [
-            ("c*", f"{self.objective:.9g}"),
-            ("lower bound", f"{self.lower_bound:.9g}"),
-            ("alpha*", f"{self.alpha:.6g}"),
-            ("price", f"{self.price:.6g}"),
-            ("epsilon*", f"{self.spent:.6g}"),
-            ("weights", ", ".join(f"{weight:.4f}" for weight in self.threshold.weights)),
+        facts = [
+            ("c*", self.objective),
+            ("lower bound", self.lower_bound),
+            ("alpha*", self.alpha),
+            ("price", self.price),
+            ("epsilon*", self.spent),
+            ("weights", [f"{weight:.4f}" for weight in self.threshold.weights]),
         ]
+        return [Table(facts, digits={"c*": 9, "lower bound": 9})]
 
     @property
     def policy(self) -> MixedPolicy:
