@@ -65,7 +65,6 @@ ROADS = """{"depot": {"alley": [[0.9, "home", 4], [0.1, "wreck", 2]]}}"""
         (lambda: SOLUTION.policy.action(), "MixedPolicy.action needs 'state'"),
         (lambda: SOLUTION.policy.start(0, 0), r"MixedPolicy.start takes \(seed\) by place"),
         (lambda: load_policy(), r"load_policy needs 'path', 'model'"),
-        (lambda: ssp_lp.trace_surface(PROBLEM), "trace_surface needs 'over'"),
     ],
 )
 def test_an_argument_that_is_missing_or_one_too_many_is_named(call, told):
