@@ -7,8 +7,9 @@ import math
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence, Sized
 from difflib import get_close_matches
 from fractions import Fraction
+from functools import cache
 from importlib import import_module
-from inspect import Parameter, Signature
+from inspect import Parameter, Signature, signature
 from itertools import islice
 from numbers import Integral, Real
 from types import ModuleType
@@ -212,6 +213,10 @@ def meant_argument(word: str, own: Collection[str]) -> str | None:
     """Return the argument of a function that is probably meant by an unknown one; None: none is."""
     meant = next((one for one in own if word in _MEANT.get(one, "").split()), None)
     return cast("str | None", nearest_name(word, own)) if meant is None else meant
+
+
+form_of = cache(signature)
+"""The signature of a function, which takes longer to find than many calls take."""
 
 
 def check_call(name: str, form: Signature, given: Sequence[object], named: Collection[str]) -> None:

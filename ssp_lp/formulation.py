@@ -12,7 +12,6 @@ import logging
 from collections.abc import Hashable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cached_property
-from inspect import signature
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -36,6 +35,7 @@ from ssp_lp.errors import (
     ModelError as ModelError,
     check_call,
     check_whole,
+    form_of,
     in_short,
     is_number,
     wrong_argument as wrong_argument,
@@ -130,7 +130,7 @@ class Formulation(Problem):
                 has = f"; it has {' and '.join(parts)}: pass them" if parts else ""
                 takes = f"{cls.__name__} takes an SSP first, then the start"
                 raise ModelError(f"{takes}, not {given}{has}")
-        check_call(cls.__name__, signature(cls.__init__), (None, *arguments), named)
+        check_call(cls.__name__, form_of(cls.__init__), (None, *arguments), named)
         return super().__new__(cls)
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from inspect import signature
 from typing import Any, ClassVar, Protocol, Self, TextIO
 
 from ssp_lp.arrays import RELATIVE_GAP
@@ -18,6 +17,7 @@ from ssp_lp.errors import (
     check_between_0_and_1,
     check_call,
     check_flag,
+    form_of,
     is_number,
     wrong_argument,
 )
@@ -74,7 +74,7 @@ class _Option:
 
     def __new__(cls, *given: object, **named: object) -> Self:
         """Raise :class:`ModelError` for an argument that there is not."""
-        check_call(cls.__name__, signature(cls.__init__), (None, *given), named)
+        check_call(cls.__name__, form_of(cls.__init__), (None, *given), named)
         return super().__new__(cls)
 
 

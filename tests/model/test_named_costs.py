@@ -223,7 +223,7 @@ def test_names_that_are_mixed_or_not_there():
     unknown = {"f": secondary_cost("ful") <= 1}
     refused("did you mean 'fuel'", solved, roads(), constraints=unknown)
     alone = SSP.from_frame(TABLE, {"home"}, cost="time")
-    refused("none by name", alone.with_cost, "fuel")
+    refused("its costs by name: none", alone.with_cost, "fuel")
     answer = solved(roads())
     assert evaluate(answer.policy, answer.problem).objective == pytest.approx(answer.objective)
 

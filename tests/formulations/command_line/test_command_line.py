@@ -244,7 +244,7 @@ def test_limits_in_words(tmp_path: Path, told: Told, refused: Any) -> None:
         ("--failure-budget 5", "--failure-budget must be a probability, not 5.0; did you mean 0.0"),
         ("--criterion maxprob --failure-budget .1", "takes no"),
         ("--limit fuel", "a limit is a quantity"),
-        ("--limit oil<=3", "choose one of the costs"),
+        ("--limit oil<=3", "'oil' is no quantity of this model; quantities are 'cost'"),
         ("--limit fuel<=x", '"x" in "fuel<=x" is no number'),
         ("--limit x*fuel<=3", "is no number"),
         ("--limit visits(home<=3", "is no sum of quantities"),
