@@ -24,7 +24,7 @@ from ssp_lp.accumulated_cost.charges import (
     Utility as Utility,
     WithinBound as WithinBound,
 )
-from ssp_lp.arrays import FloatArray, ReadOnlyCopies, read_only
+from ssp_lp.arrays import FloatArray, read_only
 from ssp_lp.column_generation.compiled_problem import (
     CompiledAccumulatedCost,
     CompiledExplicit,
@@ -101,22 +101,8 @@ _NUMBER_OR_NONE = ("float | None", float | None)
 """Annotations of fields that hold numbers, which are floats once a problem is stated."""
 
 
-class _Inherited(ReadOnlyCopies):
-    """Defaults of a formulation: exact, failing free and unlimited."""
-
-    model: SSP
-    start: Start
-    failure_budget: float | FailureBudget | None = 1.0
-    give_up: str | GiveUp | None = GiveUp.ATTENTION
-    charge_failing_step: bool | None = False
-    discount: float | None = None
-    ratio = False
-    cost_cap: float | None = None  # of accumulated cost, where it is told apart
-    quantity: Quantity | None = None  # what is minimised in place of the cost
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Formulation(_Inherited):
+class Formulation(Problem):
     """A criterion on a model with a start (see :class:`ssp_lp.problem.Problem`).
 
     What a class does not say is inherited: exact, not given success, failing free and unlimited.
@@ -194,7 +180,7 @@ class Formulation(_Inherited):
         share = given.get("reach_fraction")
         budget = given.get("failure_budget", 1.0 if share is None else None)
         budget = given.get("_stated_budget", budget)
-        charged = getattr(self, "charge_failing_step", True)
+        charged = self.charge_failing_step
         check_failure_setting(budget, given.get("discount"), share, charged)
         if "give_up" in given:
             object.__setattr__(self, "give_up", parse_give_up(given["give_up"]))
@@ -202,7 +188,7 @@ class Formulation(_Inherited):
             raise ModelError(f"model must be an SSP, not {in_short(self.model)}")
         _ = self._begun
         for name in ("horizon", "cost_levels"):
-            if (number := getattr(self, name, None)) is not None:
+            if (number := getattr(self, name)) is not None:
                 check_whole(name, number)
         for condition in self.conditions:
             _ = condition.rows

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import logging
+from abc import abstractmethod
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 
 from ssp_lp.accumulated_cost.charges import TOTAL_COST, ExponentialUtility
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, Resolution, resolution_for, sums_in
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import FloatArray, IntArray, ReadOnlyCopies
 from ssp_lp.column_generation.compiled_problem import (
     CompiledArrivalCost,
     CompiledExplicit,
@@ -33,80 +34,90 @@ from ssp_lp.processes.conditions import Condition
 from ssp_lp.processes.failure_semantics import (
     Aim,
     FailureSemantics,
+    GiveUp,
     GoalShare,
     start_distribution,
     survival_of,
 )
 from ssp_lp.processes.goal_reach import greatest_goal_from, greatest_goal_reach
 
+if TYPE_CHECKING:
+    from ssp_lp.processes.quantities import Quantity
 
-class Problem(Protocol):
+
+_PLAIN = FailureSemantics()  # of a class that does not say what an episode is worth
+
+
+class Problem(ReadOnlyCopies):
     """A criterion on a model with a start and a failure budget.
 
-    ``formulations`` holds the criteria of the literature; a class of your own with these members
-    is a first-class problem too. Where failing is not limited but has its price, ``failure_budget``
-    is 1 and ``semantics`` names the penalty; where only the goal counts, ``semantics`` says so.
+    ``formulations`` holds the criteria of the literature; a subclass of your own is a first-class
+    problem too. What it does not say is inherited: exact, not given success, failing free and
+    unlimited. Where failing is not limited but has its price, ``semantics`` names the penalty;
+    where only the goal counts, it says so.
     """
 
-    @property
-    def model(self) -> SSP:
-        """The problem's model."""
-
-    @property
-    def start(self) -> Hashable | Mapping[Hashable, float]:
-        """The problem's start: a state, or a distribution over states."""
-
-    @property
-    def failure_budget(self) -> float | None:
-        """The problem's allowed failure probability; None: as low as possible."""
-
-    @property
-    def discount(self) -> float | None:
-        """The problem's discount; None: exact; a number: the surrogate of section 3.5."""
-
-    @property
-    def ratio(self) -> bool:
-        """Whether the problem counts its cost given success (case S)."""
+    model: SSP
+    start: Hashable | Mapping[Hashable, float]
+    failure_budget: float | FailureBudget | None = 1.0  # None: as low as possible
+    give_up: str | GiveUp | None = GiveUp.ATTENTION
+    charge_failing_step: bool | None = False
+    discount: float | None = None  # None: exact; a number: the surrogate of section 3.5
+    ratio = False  # whether the cost counts given success (case S)
+    cost_cap: float | None = None  # of accumulated cost, where it is told apart
+    cost_levels: int | None = None  # how many totals are told apart at most
+    horizon: int | None = None  # steps within which the goal has to be reached
+    quantity: Quantity | None = None  # what is minimised in place of the cost
 
     @property
     def semantics(self) -> FailureSemantics:
         """The problem's worth of an episode: which cost counts and what failing costs."""
+        return _PLAIN
 
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """The problem's constraints beside its failure budget."""
+        return ()
+
+    @property
+    def objective_condition(self) -> Condition | None:
+        """The quantity that the problem minimises in place of its cost; None: the cost."""
+        return None
+
+    @property
+    def unrolled(self) -> Self:
+        """The problem that is solved: itself, or that on (state, steps taken) and (state, label).
+
+        The first with a horizon, the second where something is counted after failing.
+        """
+        return self
+
+    @abstractmethod
     def compile(self) -> CompiledProblem:
         """The problem compiled: its augmented process, ready for a method."""
+
+    def program(self) -> Any:
+        """The problem's linear program over expected visits.
+
+        Raises:
+            ModelError: its class makes none.
+        """
+        name = type(self).__name__
+        raise ModelError(f"a {name} makes no program: its states' values are those of one")
 
 
 NEEDED = cast("Problem", None)
 """Stands where a problem was left out, so that what is said of it is the library's word."""
 
 
-def unrolled(problem: Problem) -> Problem:
-    """The problem that is solved: itself, or that on (state, steps taken) and (state, label).
-
-    The first with a horizon, the second where something is counted after failing.
-    """
-    return cast("Problem", getattr(problem, "unrolled", problem))
-
-
-def conditions_of(problem: Problem) -> tuple[Condition, ...]:
-    """A problem's constraints beside its failure budget; a class of one's own may have none."""
-    return cast("tuple[Condition, ...]", getattr(problem, "conditions", ()))
-
-
-def objective_of(problem: Problem) -> Condition | None:
-    """The quantity that a problem minimises in place of its cost; None: there is none."""
-    return cast("Condition | None", getattr(problem, "objective_condition", None))
-
-
 def has_rows(problem: Problem) -> bool:
     """Whether a problem has constraints or an objective that only the methods for rows know."""
-    return bool(conditions_of(problem)) or objective_of(problem) is not None
+    return bool(problem.conditions) or problem.objective_condition is not None
 
 
 def resolution_of(problem: Problem) -> Resolution | None:
     """Resolution of totals that a problem asks for; None where multiples of a unit serve."""
-    levels: int | None = getattr(problem, "cost_levels", None)
-    cap: float | None = getattr(problem, "cost_cap", None)
+    levels, cap = problem.cost_levels, problem.cost_cap
     of_law = problem.semantics.counts_law
     if not of_law and not problem.ratio:
         return None
@@ -162,7 +173,7 @@ def requirements(problem: Problem) -> Requirements:
     semantics, rows, totals = problem.semantics, has_rows(problem), TotalScale.NONE
     law, is_risk = semantics.counts_law, semantics.risk is not None
     if law or problem.ratio:
-        is_cut = problem.discount is not None or getattr(problem, "cost_cap", None) is not None
+        is_cut = problem.discount is not None or problem.cost_cap is not None
         resolution, totals = resolution_of(problem), TotalScale.UNITS
         if resolution is not None:
             whole = not rows and not (is_cut and not law)
@@ -192,7 +203,7 @@ def compiled_constrained(problem: Problem, *, by_units: bool = False) -> Compile
         by_units: tell totals apart as multiples of a unit whatever the costs are.
     """
     logging.getLogger("ssp_lp.compiling").info("%r, with its rows", problem)
-    objective, model = objective_of(problem), problem.model
+    objective, model = problem.objective_condition, problem.model
     start = start_distribution(model, problem.start)
     if (label := model.failure_label) is not None and start[~label.finite[0]].any():
         raise InfeasibleError(
@@ -207,11 +218,11 @@ def compiled_constrained(problem: Problem, *, by_units: bool = False) -> Compile
         start=start,
         semantics=problem.semantics,
         discount=problem.discount,
-        side=tuple(row for condition in conditions_of(problem) for row in condition.rows),
+        side=tuple(row for condition in problem.conditions for row in condition.rows),
         budget=problem.failure_budget,
         charge=problem.semantics.charge(problem.ratio),
         ratio=problem.ratio,
-        fixed_cap=getattr(problem, "cost_cap", None),
+        fixed_cap=problem.cost_cap,
         objective=None if objective is None else objective.minimised(),
         resolution=None if by_units else resolution_of(problem),
     )
@@ -231,14 +242,14 @@ def compiled_totals(problem: Problem, *, may_sum: bool = True) -> CompiledArriva
 
 
 @dataclass(frozen=True, eq=False)
-class Restated:
+class Restated(Problem):
     """A problem on its model with other costs, or of another worth, the rest as asked."""
 
     model: SSP
     start: Hashable | Mapping[Hashable, float]
     ratio: bool
     failure_budget: float | None
-    semantics: FailureSemantics
+    semantics: FailureSemantics = _PLAIN
     conditions: tuple[Condition, ...] = ()
     discount: float | None = None
     objective_condition: Condition | None = None  # minimised in place of the cost
@@ -270,8 +281,8 @@ class FailureBudget:
             return None
         fields, key, share = vars(problem), "_stated_budget", problem.reach_fraction
         if share is not None:
-            if (asked := unrolled(problem)) is not problem:
-                return asked.failure_budget  # kept in one place, whoever asks
+            if (asked := problem.unrolled) is not problem:
+                return cast("float | None", asked.failure_budget)  # kept in one place, whoever asks
             if (key := "_budget") not in fields:
                 with limited(None if is_within_call() else READING, _FOLLOWS):
                     fields[key] = budget_of_share(asked.model, asked.start, share)
@@ -308,7 +319,7 @@ def check_problem(problem: object, verb: str) -> None:
     Raises:
         ModelError: a model alone, or something else; ``verb`` is what was to be done with it.
     """
-    if not (hasattr(problem, "model") and hasattr(problem, "semantics")):
+    if not isinstance(problem, Problem):
         raise ModelError(
             f"{verb} takes a problem, such as MCMP(model, start=..., failure_budget=...), not "
             f"{in_short(problem)}"
@@ -336,7 +347,7 @@ def on_one_model(
             f"model, {{state: action}}), not {in_short(policy)}"
         )
     theirs = policy.model
-    solved = unrolled(problem)
+    solved = problem.unrolled
     if theirs is solved.model:
         return until_failing(as_lottery(policy)), solved
     if theirs is not problem.model:

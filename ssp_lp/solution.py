@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import cast
 
 import numpy as np
 
@@ -126,10 +125,8 @@ class Solution(Facts, ReadOnlyCopies):
         Raises:
             ModelError: the criterion is no linear program, or the problem's class makes none.
         """
-        if (make := getattr(self.problem, "program", None)) is None:
-            raise ModelError(f"a {type(self.problem).__name__} makes no program: its states' "
-                             "values are those of one")  # fmt: skip
-        return cast("StateValues", make().values_at(self.prices, self.objective))
+        values: StateValues = self.problem.program().values_at(self.prices, self.objective)
+        return values
 
     def policy_table(self) -> PolicyTable:
         """The decisions that the solution's policy comes to from the start, the nearest first.
@@ -338,7 +335,7 @@ class Solution(Facts, ReadOnlyCopies):
         """Title of a solution's summary: criterion, failure asked about, discount."""
         discount = self.problem.discount
         setting = "exact" if discount is None else f"discount {discount:g}"
-        horizon = getattr(self.problem, "horizon", None)
+        horizon = self.problem.horizon
         within = "" if horizon is None else f", within {horizon:,} steps"
         return f"{type(self.problem).__name__}, {self._asked}{within}, {setting}"
 
@@ -372,7 +369,7 @@ class Solution(Facts, ReadOnlyCopies):
     def _giving_up(self) -> str:
         """Row of the summary on giving up by choice: how often, where first, what forbids it."""
         share = self.evaluation.ends.get("gave_up", 0.0)
-        if share <= 0.0 or getattr(self.problem, "give_up", GiveUp.DEAD_ENDS) is GiveUp.DEAD_ENDS:
+        if share <= 0.0 or self.problem.give_up is GiveUp.DEAD_ENDS:
             return ""
         place = giving_up_in_words(self.policy, self.problem, share)
         words = f"{share:.6g} by choice, {place}" if place else f"{share:.6g} by choice"

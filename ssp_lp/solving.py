@@ -42,11 +42,9 @@ from ssp_lp.options import (
 from ssp_lp.problem import (
     Problem,
     check_problem,
-    conditions_of,
     has_rows,
     least_failure_bound,
     pulled_back,
-    unrolled,
 )
 from ssp_lp.processes.failure_semantics import GiveUp, goal_out_of_reach, start_distribution
 from ssp_lp.solution import Solution
@@ -128,7 +126,7 @@ def _solution_to(
         solution, status = _solved_with_proof(problem, parse_method(method), shared)
     note, reason = solution.note, solution.run.reason
     if solution.budget_used >= 1.0:
-        inner = unrolled(problem)
+        inner = problem.unrolled
         far = goal_out_of_reach(inner.model, start_distribution(inner.model, inner.start))
         note = "; ".join(part for part in (far, note) if part)
     at_least = solution.least_failure_bound is not None
@@ -160,7 +158,7 @@ def _solved_with_proof(
     incumbent = Incumbent(problem, options.deterministic)
     with until(options.deadline, prepare=incumbent.find) as deadline:
         with WithIncumbent() as search:
-            inner, left = unrolled(problem), options.deadline - time.perf_counter()
+            inner, left = problem.unrolled, options.deadline - time.perf_counter()
             by_program, by_game = options.program is not None, isinstance(method, Game)
             case = Case(inner, left, by_program, by_game=by_game)
             try:
@@ -234,14 +232,14 @@ def _check_solution(solution: Solution, deadline: float | None) -> None:
     if not (min(weights) >= 0.0 and abs(sum(weights) - 1.0) <= _ROUNDING):
         faults.append("its weights are no lottery")
     taken, granted = solution.taken, solution.granted
-    for condition in conditions_of(solution.problem) if taken else ():
+    for condition in solution.problem.conditions if taken else ():
         for row in (each.by_digits for each in condition.rows):
             most = granted.get(row.name, row.bound)
             if taken.get(row.name, np.inf) > most + _ROUNDING * abs(most):
                 faults.append(
                     f"it takes {taken[row.name]!r} of {row.told!r}, {row.bound!r} allowed"
                 )
-    if not taken and conditions_of(solution.problem) and deadline is not None and not faults:
+    if not taken and solution.problem.conditions and deadline is not None and not faults:
         left = deadline - time.perf_counter()
         with suppress(OutOfTimeError, ModelError):  # a law that is too long to be told
             limit = left if isfinite(left) else None

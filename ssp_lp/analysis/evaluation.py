@@ -39,7 +39,7 @@ from ssp_lp.policies import StochasticPolicy
 from ssp_lp.policies.chain import Chain, policy_chain, reached_table
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED, MixedPolicy, Policy
 from ssp_lp.policies.remembering import common_memory
-from ssp_lp.problem import NEEDED, Problem, conditions_of, objective_of, on_one_model
+from ssp_lp.problem import NEEDED, Problem, on_one_model
 from ssp_lp.processes.conditions import OBJECTIVE
 from ssp_lp.processes.failure_semantics import (
     Aim,
@@ -465,7 +465,7 @@ def layered_measures(
     model, layers = problem.model, policy.layers()
     if layers is None or layers.count * model.n_states < least_nodes:
         return None
-    if conditions_of(problem) or objective_of(problem) is not None:
+    if problem.conditions or problem.objective_condition is not None:
         return None
     moves, survivals = LayerMoves(model, layers), _survivals(problem)
     hopeful, costs = hopeful_layers(moves)[0], _LayerCosts.of(problem)

@@ -14,7 +14,7 @@ from ssp_lp.model import SSP
 from ssp_lp.model.graph import attention_states, dead_ends
 from ssp_lp.policies.chain import Chain, policy_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, Policy, as_lottery
-from ssp_lp.problem import Problem, conditions_of, objective_of
+from ssp_lp.problem import Problem
 from ssp_lp.processes.conditions import StepTerm, Term
 from ssp_lp.processes.failure_semantics import (
     FailureSemantics,
@@ -178,8 +178,8 @@ def lost_nodes(chain: Chain, problem: Problem, *, declared: bool = False) -> Boo
 
 def _asks_for_ends(problem: Problem) -> bool:
     """Whether some constraint or the objective asks for an end that is not the goal."""
-    objective = objective_of(problem)
-    asked = conditions_of(problem) + (() if objective is None else (objective,))
+    objective = problem.objective_condition
+    asked = problem.conditions + (() if objective is None else (objective,))
     return any(condition.wants_ends for condition in asked)
 
 
@@ -202,8 +202,8 @@ def cost_after_failing(chain: Chain, counted: BoolArray) -> float | None:
 
 def quantity_values(chain: Chain, counted: BoolArray, problem: Problem) -> dict[str, float]:
     """Value of each constrained quantity of a policy, and of a minimised one."""
-    objective = objective_of(problem)
-    conditions = conditions_of(problem) + (() if objective is None else (objective,))
+    objective = problem.objective_condition
+    conditions = problem.conditions + (() if objective is None else (objective,))
     return {
         condition.name: condition.constant
         + sum(w * _quantity_value(chain, counted, problem, term) for w, term in condition.terms)
@@ -251,11 +251,11 @@ def ending_values(
 
 def pairs_free_in_all_quantities(problem: Problem) -> BoolArray:
     """Pairs free in all quantities that a problem minimises and limits, [pairs]."""
-    objective = objective_of(problem)
+    objective = problem.objective_condition
     return free_pairs(
         problem.model,
         problem.semantics.aim,
-        (row for condition in conditions_of(problem) for row in condition.rows),
+        (row for condition in problem.conditions for row in condition.rows),
         None if objective is None else objective.minimised(),
     )
 

@@ -70,7 +70,7 @@ from ssp_lp.model.continuous_model import ContinuousModel
 from ssp_lp.model.discretise import MIDPOINTS, Quadrature, discretised_rows
 from ssp_lp.options import ColumnGeneration, Progress, SolveOptions, options_of
 from ssp_lp.policies.policy import MOST_EPISODES
-from ssp_lp.problem import compiled_constrained, conditions_of, has_rows, requirements
+from ssp_lp.problem import compiled_constrained, has_rows, requirements
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_semantics import Aim, as_percentage, start_distribution
 from ssp_lp.solution import CUT_SHORT, Run, Solution
@@ -599,7 +599,7 @@ def _words(problem: Formulation) -> dict[str, Any]:
         "discount": problem.discount,
         "cost_cap": problem.cost_cap,
         "what an episode is worth": re.sub(r" at 0x\w+", "", repr(problem.semantics)),
-        "the limits": [(one.name, one.lower, one.upper) for one in conditions_of(problem)],
+        "the limits": [(one.name, one.lower, one.upper) for one in problem.conditions],
     }
 
 

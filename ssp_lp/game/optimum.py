@@ -32,7 +32,7 @@ from ssp_lp.game.threshold import Threshold, extremes, find_threshold
 from ssp_lp.model.graph import dead_ends
 from ssp_lp.options import Progress, check_tail
 from ssp_lp.policies import MixedPolicy
-from ssp_lp.problem import Problem, unrolled
+from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import goal_out_of_reach, start_distribution
 from ssp_lp.processes.goal_reach import max_goal_probability
 
@@ -76,7 +76,7 @@ def check_budget(
     discounted = safest.bound + safest.origin
     if discounted <= budget + LEAST_BUDGET:
         return
-    problem = unrolled(problem)
+    problem = problem.unrolled
     start = start_distribution(problem.model, problem.start)
     real = max(1.0 - float(start @ max_goal_probability(problem.model)), 0.0)
     if goal_out_of_reach(problem.model, start):
@@ -101,7 +101,7 @@ def construct(problem: Problem) -> LabelModels | AccumulatedCost:
         ModelError: no discount, or a budget that is not above 0.
         InfeasibleError: case S, and the goal cannot be reached from the start.
     """
-    discount, problem = checked_setting(problem)[1], unrolled(problem)
+    discount, problem = checked_setting(problem)[1], problem.unrolled
     start = start_distribution(problem.model, problem.start)
     if not problem.ratio:
         return label_models(problem.model, start, problem.semantics, discount)

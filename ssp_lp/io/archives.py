@@ -42,7 +42,7 @@ from ssp_lp.policies.remembering import (
     LabelledPolicy,
     RememberingPolicy,
 )
-from ssp_lp.problem import Problem, conditions_of, unrolled
+from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.solution import Run, Solution, as_solved
 
@@ -521,7 +521,7 @@ def load_solution(path: FilePath, problem: Problem) -> Solution:
         ModelError: the file is none of a solution, the model is another one, or the problem has
             another criterion, start, budget, discount, penalty, or other limits.
     """
-    model = unrolled(problem).model
+    model = problem.unrolled.model
     with opened_archive(path, "solution") as (header, arrays):
         policy = _policy_in(header, arrays, model, check=True)
         _check_problem(problem, header["problem"], arrays[header["start"]])
@@ -551,7 +551,7 @@ def _solution_words(problem: Problem) -> dict[str, Any]:
         "measure": None if measure is None else measure.words,
         "limits": {
             condition.name: [float(row.bound) for row in condition.rows]
-            for condition in conditions_of(problem)
+            for condition in problem.conditions
         },
     }
 

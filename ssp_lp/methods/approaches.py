@@ -36,7 +36,7 @@ from ssp_lp.methods.rounding import (
 )
 from ssp_lp.methods.rows import prove_limits, solve_constrained
 from ssp_lp.policies.cost_aware import levels_of
-from ssp_lp.problem import Problem, Requirements, TotalScale, conditions_of, requirements
+from ssp_lp.problem import Problem, Requirements, TotalScale, requirements
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.solution import Solution
 
@@ -123,7 +123,7 @@ def refusal(problem: Problem, method: options.Method) -> ModelError | None:
     if pricing is None and isinstance(method, options.ColumnGeneration | options.LinearProgramming):
         return None  # a budget of a share is not worked out for it
     asks, named = requirements(problem), Argument("method", method.name)
-    name = f"{type(problem).__name__}{' with limits' if conditions_of(problem) else ''}"
+    name = f"{type(problem).__name__}{' with limits' if problem.conditions else ''}"
     if pricing is not None:
         if is_shared(asks) and relaxation is method:
             return None

@@ -80,11 +80,9 @@ from ssp_lp.problem import (
     check_numbers,
     check_problem,
     compiled_constrained,
-    conditions_of,
     has_rows,
     pulled_back,
     requirements,
-    unrolled,
 )
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_semantics import Aim, ObjectiveSense, as_percentage
@@ -162,7 +160,7 @@ def trace_frontier(
     check_problem(problem, "trace_frontier")
     deadline = deadline_of(time_limit, time.perf_counter())
     limits = TraceLimits(gap, steepest_price, point_limit, deadline < np.inf, progress)
-    asked = _traceable(unrolled(problem), over, limits)
+    asked = _traceable(problem.unrolled, over, limits)
     with progress_shown(verbose), until(deadline) as ended:
         try:
             if over == FAILURE_ROW and not has_rows(asked):
@@ -192,14 +190,14 @@ def _traceable(problem: Problem, over: str, limits: TraceLimits) -> Problem:
         if not asked.rows:
             return problem
     else:
-        names = [condition.name for condition in conditions_of(problem)]
+        names = [condition.name for condition in problem.conditions]
         if over not in names:
             known = ", ".join(map(repr, names)) or "none"
             raise ModelError(
                 Argument("over"), f" must be 'failure' or the name of a limit ({known}), not "
                 f"{over!r}{did_you_mean(over, names)}",
             )  # fmt: skip
-        if conditions_of(problem)[names.index(over)].lower is not None:
+        if problem.conditions[names.index(over)].lower is not None:
             raise ModelError(f"limit {over!r} bounds from below: state what is to be little, such "
                              "as 1 - end_probability(...) <= 0.1, to trace it")  # fmt: skip
     if asked.is_risk:
@@ -864,7 +862,7 @@ class _Optima:
     def least(self) -> float:
         """The least that can be spent of what is traced, the other limits held."""
         problem, of_failure = self.problem, self.over == FAILURE_ROW
-        conditions = {condition.name: condition for condition in conditions_of(problem)}
+        conditions = {condition.name: condition for condition in problem.conditions}
         objective = conditions.pop(self.over, None)
         aim = Aim.GREATEST_GOAL if of_failure else Aim.LEAST_COST
         semantics = replace(problem.semantics, aim=aim, measure=None)

@@ -34,7 +34,7 @@ from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.chain import policy_chain
 from ssp_lp.policies.policy import as_lottery
-from ssp_lp.problem import Problem, Restated, conditions_of, requirements, unrolled
+from ssp_lp.problem import Problem, Restated, requirements
 from ssp_lp.processes.failure_semantics import (
     AS_ASKED,
     RARE_GOAL,
@@ -72,7 +72,7 @@ class Incumbent:
             return self
         if not requirements(self.stated).counts_totals:
             return None
-        problem = unrolled(self.stated)
+        problem = self.stated.unrolled
         for at_least_failure in (False, True):  # the cheapest policy may be one that only fails
             with WithIncumbent(), suppress(SSPError):  # what the search itself will find, and name
                 if at_least_failure not in self.policies:
@@ -95,7 +95,7 @@ class Incumbent:
         """
         if not requirements(self.stated).counts_totals:
             return other
-        best, bound = self.solution or other, worth_bound(unrolled(self.stated))
+        best, bound = self.solution or other, worth_bound(self.stated.unrolled)
         sign = 1.0 if other.upper_bound is None else -1.0
         if sign * other.objective <= sign * best.objective:
             best = other
@@ -120,7 +120,7 @@ class Incumbent:
         start = start_distribution(model, problem.start)
         semantics = replace(problem.semantics, measure=None)
         budget = None if at_least_failure else budget
-        side = tuple(row for condition in conditions_of(problem) for row in condition.rows)
+        side = tuple(row for condition in problem.conditions for row in condition.rows)
         compiled = CompiledExplicit(model, start, semantics, problem.discount, side, budget)
         if side:
             return rows_optimum(compiled, _ROUGH).policy
@@ -178,7 +178,7 @@ def by_moments(policy: MixedPolicy, problem: Problem) -> Evaluation:
     """
     model, semantics, risk = problem.model, problem.semantics, problem.semantics.risk
     asked = problem.start, True, problem.failure_budget, replace(semantics, measure=None)
-    evaluation = evaluate(policy, Restated(model, *asked, conditions_of(problem)))
+    evaluation = evaluate(policy, Restated(model, *asked, problem.conditions))
     start, squares = start_distribution(model, problem.start), 0.0
     for member, weight in zip(policy.policies, policy.weights.tolist(), strict=True):
         chain = policy_chain(model, member, start)
@@ -227,7 +227,7 @@ def broken_limit(
         granted: bounds by name that count in place of those that are stated; None: none does.
     """
     granted = granted or {}
-    for condition in conditions_of(problem):
+    for condition in problem.conditions:
         spent = evaluation.secondary_costs[condition.name]
         for each in condition.rows:
             row = each.by_digits

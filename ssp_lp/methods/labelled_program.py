@@ -15,7 +15,7 @@ from ssp_lp.column_generation.compiled_problem import CompiledExplicit
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.rows import rows_optimum, true_figures
 from ssp_lp.options import CERTIFYING
-from ssp_lp.problem import Problem, compiled_constrained, has_rows, requirements, unrolled
+from ssp_lp.problem import Problem, compiled_constrained, has_rows, requirements
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_label import label_failure
 from ssp_lp.processes.failure_semantics import Aim
@@ -58,7 +58,7 @@ def program_of(
             "CostBoundedReach(...).program() is the one at a fixed cost"
         )
     problem = problem if start is None else replace(cast("Any", problem), start=start)
-    inner, horizon = unrolled(problem), getattr(problem, "horizon", None)
+    inner, horizon = problem.unrolled, getattr(problem, "horizon", None)
     stated, bounds = compiled_constrained(inner), bounds or {}
     side = tuple(replace(row, bound=bounds.get(row.name, row.bound)) for row in stated.side)
     budget = min(bounds[FAILURE_ROW], 1.0) if FAILURE_ROW in bounds else stated.budget

@@ -48,7 +48,7 @@ from ssp_lp.options import CERTIFYING, Game, SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.policies.policy import Policy
-from ssp_lp.problem import Problem, Restated, compiled_constrained, unrolled
+from ssp_lp.problem import Problem, Restated, compiled_constrained
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_semantics import (
     RARE_GOAL,
@@ -438,7 +438,7 @@ def true_figures(problem: Problem, stated: CompiledExplicit) -> Truth | None:
     """True figures in the rows of a lottery's policies on the model, where tables truncate them."""
     if stated.charge is None:
         return None
-    plain = unrolled(problem)
+    plain = problem.unrolled
     asked = (plain.start, plain.ratio, plain.failure_budget, plain.semantics)
     unlimited = Restated(plain.model, *asked, discount=plain.discount)
 

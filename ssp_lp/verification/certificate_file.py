@@ -45,7 +45,7 @@ from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import Graph
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import UNDECIDED
-from ssp_lp.problem import Problem, as_stated, conditions_of, objective_of, requirements
+from ssp_lp.problem import Problem, as_stated, requirements
 from ssp_lp.processes.conditions import Condition, StepTerm
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, GiveUp
 from ssp_lp.solution import Solution, as_solved
@@ -306,7 +306,7 @@ class Statement:
     def _question(self) -> dict[str, Any]:
         """The question of a certificate file, in the checker's terms."""
         problem, semantics = self.problem, self.problem.semantics
-        objective, to_goal = objective_of(problem), [["1", "end", "goal"]]
+        objective, to_goal = problem.objective_condition, [["1", "end", "goal"]]
         charge = semantics.charge(problem.ratio) if objective is None else None
         penalty = 0.0 if semantics.forbids_failing else semantics.penalty
         least: dict[str, Any] = {"constant": _decimal_of(penalty), "terms": [["1", "cost", 0]]}
@@ -321,7 +321,7 @@ class Statement:
             least = {"constant": "0", "terms": to_goal}
         rows = []
         stated = {**getattr(problem, "own_constraints", {}), **getattr(problem, "constraints", {})}
-        for condition in conditions_of(problem):
+        for condition in problem.conditions:
             quantity = getattr(stated.get(condition.name), "quantity", None)
             row = {"quantity": self._quantity(condition, quantity)}
             for upper in condition.rows:

@@ -20,7 +20,7 @@ from ssp_lp.model.arguments import explained
 from ssp_lp.model.report import Facts, Table
 from ssp_lp.options import Status, progress_shown
 from ssp_lp.policies.policy import as_lottery
-from ssp_lp.problem import least_failure_bound, objective_of, on_one_model
+from ssp_lp.problem import least_failure_bound, on_one_model
 from ssp_lp.solution import Solution, as_solved, gap_of_least_failure, unproved_failure
 
 _LOG = logging.getLogger("ssp_lp.certificate")
@@ -70,7 +70,7 @@ def certify(
             proved, least = prove_by_cheapest_way(solution.problem, evaluation), None
         reason = proved.reason or broken_limit(solution.problem, evaluation)
         is_maximised = solution.problem.semantics.sense.constant is not None
-        above = is_maximised and objective_of(solution.problem) is None
+        above = is_maximised and solution.problem.objective_condition is None
         certificate = certificate_of(
             evaluation, proved.bound, proved.allowed, reason, tail=proved.tail, above=above
         )

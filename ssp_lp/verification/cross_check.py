@@ -26,7 +26,7 @@ from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import attention_states, end_components, hopeless_states
 from ssp_lp.model.report import Report, Table
 from ssp_lp.options import LinearProgramming, parse_method, progress_shown
-from ssp_lp.problem import Problem, check_problem, requirements, unrolled
+from ssp_lp.problem import Problem, check_problem, requirements
 from ssp_lp.processes.failure_semantics import dead_end_charges, give_up_charges
 from ssp_lp.processes.live_rows import costless_pairs
 from ssp_lp.solution import Solution
@@ -445,7 +445,7 @@ def second_reading(problem: Problem) -> SecondReading | None:
     Raises:
         ModelError: a criterion that certificates in files do not cover.
     """
-    problem = unrolled(problem)
+    problem = problem.unrolled
     model, semantics = problem.model, problem.semantics
     if model.n_outcomes > MOST_OUTCOMES:
         return None

@@ -53,7 +53,6 @@ from ssp_lp.analysis.simulation import ModelSimulator
 from ssp_lp.game import stationary_game
 from ssp_lp.io import load_policy, load_solution, save_policy, save_solution
 from ssp_lp.model.product import LATE
-from ssp_lp.problem import unrolled
 
 STEPS = 6
 SEEDS = (0, 3, 4, 8)  # of which the goal can be reached in so many steps
@@ -351,7 +350,7 @@ def test_what_is_saved_is_what_was_found(tmp_path, criterion: type[MCMP] | type[
     with pytest.raises(ModelError, match="made for HorizonSSP"):
         load_solution(tmp_path / "solution.npz", criterion(mountain(), "camp", 0.2))
     save_policy(solution.policy, tmp_path / "policy.npz")
-    for beside in (unrolled(again).model, within_steps(again.model, 5, start=["camp"])):
+    for beside in (again.unrolled.model, within_steps(again.model, 5, start=["camp"])):
         policy = load_policy(tmp_path / "policy.npz", beside)
         assert policy.model.states == again.model.states
 
@@ -363,7 +362,7 @@ def test_an_array_that_would_fit_the_unrolled_model_too_is_the_stated_models() -
     )
     cost = np.array([1.0, 2.0, 3.0])
     problem = LeastQuantity(model, "x", secondary_cost(cost), horizon=2)
-    assert unrolled(problem).model.n_outcomes == model.n_outcomes == 3
+    assert problem.unrolled.model.n_outcomes == model.n_outcomes == 3
     assert solve(problem).objective == pytest.approx(0.5 * 2.0 + 0.5 * (3.0 + 1.0))
     with pytest.raises(ModelError, match="2 pairs or 3 outcomes are needed"):
         LeastQuantity(model, "x", secondary_cost(np.ones(4)), horizon=2)

@@ -6,7 +6,6 @@ import pytest
 from formulations import MCMP
 from small_models import FREE_PAIR, TWO_MOVES, model_of
 from ssp_lp import failure_probability, goal_probability, solve
-from ssp_lp.problem import conditions_of
 from ssp_lp.processes.goal_reach import cheapest_reach, greatest_goal_reach
 from ssp_lp.processes.live_rows import costless_pairs
 from ssp_lp.processes.quotient import build_quotient
@@ -16,7 +15,7 @@ MOVES = model_of(TWO_MOVES)
 
 def rows_of(limit):
     """The upper rows of a limit, on TWO_MOVES."""
-    (condition,) = conditions_of(MCMP(MOVES, "x", constraints={"one": limit}))
+    (condition,) = MCMP(MOVES, "x", constraints={"one": limit}).conditions
     return condition.rows
 
 
