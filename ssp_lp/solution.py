@@ -157,9 +157,9 @@ class Solution(Facts, ReadOnlyCopies):
             ...                              treat_actionless_as_dead_ends=True)
             >>> print(solve(MCMP(model, "depot", failure_budget=0.05)).explain("depot"))
             depot: value = cost + 57.3333 x failure
-            action   taken  cost  failure    value  excess
-            alley   0.4444   3.8      0.1  9.53333       0
-            road    0.5556  8.96     0.01  9.53333       0
+              action   taken  cost  failure    value  excess
+              alley   0.4444   3.8      0.1  9.53333       0
+              road    0.5556  8.96     0.01  9.53333       0
         """
         ratio = self.objective if self.problem.ratio else 0.0
         randomised = self.randomised_policy
