@@ -135,7 +135,7 @@ def compare_criteria(
         ...               "safe": [(1.0, "home", 3.0)]}, "ditch": {}},
         ...     goal={"home"}, treat_actionless_as_dead_ends=True)
         >>> print(compare_criteria(model, "road", penalties=(10.0,)).summary())
-        criterion                      objective  cost  given success  failure    price
+        criterion                      objective  cost  given_success  failure    price
         MaxProb                                1     3              3        0        -
         MinProb                              0.9     1              1      0.1        -
         MinCost                                3     3              3        0      inf

@@ -320,7 +320,7 @@ def _checked_problems(problems: Iterable[Problem]) -> list[Problem]:
     Raises:
         ModelError: one alone, or something that is no problem.
     """
-    if hasattr(problems, "model"):
+    if isinstance(problems, Problem):
         raise ModelError("solve_many takes several problems: pass a list, or call solve")
     asked = [*problems]
     for problem in asked:

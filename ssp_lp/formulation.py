@@ -181,7 +181,7 @@ class Formulation(Problem):
         share = given.get("reach_fraction")
         budget = given.get("failure_budget", 1.0 if share is None else None)
         budget = given.get("_stated_budget", budget)
-        charged = getattr(self, "charge_failing_step", True)
+        charged = self.charge_failing_step
         check_failure_setting(budget, given.get("discount"), share, charged)
         if "give_up" in given:
             object.__setattr__(self, "give_up", parse_give_up(given["give_up"]))
@@ -189,7 +189,7 @@ class Formulation(Problem):
             raise ModelError(f"model must be an SSP, not {in_short(self.model)}")
         _ = self._begun
         for name in ("horizon", "cost_levels"):
-            if (number := getattr(self, name, None)) is not None:
+            if (number := getattr(self, name)) is not None:
                 check_whole(name, number)
         for condition in self.conditions:
             _ = condition.rows

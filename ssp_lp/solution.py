@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import cast
 
 import numpy as np
 
@@ -128,10 +127,8 @@ class Solution(Facts, ReadOnlyCopies):
         Raises:
             ModelError: the criterion is no linear program, or the problem's class makes none.
         """
-        if (make := getattr(self.problem, "program", None)) is None:
-            raise ModelError(f"a {type(self.problem).__name__} makes no program: its states' "
-                             "values are those of one")  # fmt: skip
-        return cast("StateValues", make().values_at(self.prices, self.objective))
+        values: StateValues = self.problem.program().values_at(self.prices, self.objective)
+        return values
 
     def policy_table(self) -> PolicyTable:
         """The decisions that the solution's policy comes to from the start, the nearest first.
@@ -163,9 +160,9 @@ class Solution(Facts, ReadOnlyCopies):
             ...                              treat_actionless_as_dead_ends=True)
             >>> print(solve(MCMP(model, "depot", failure_budget=0.05)).explain("depot"))
             depot: value = cost + 57.3333 x failure
-            action   taken  cost  failure    value  excess
-            alley   0.4444   3.8      0.1  9.53333       0
-            road    0.5556  8.96     0.01  9.53333       0
+              action   taken  cost  failure    value  excess
+              alley   0.4444   3.8      0.1  9.53333       0
+              road    0.5556  8.96     0.01  9.53333       0
         """
         ratio = self.objective if self.problem.ratio else 0.0
         randomised = self.randomised_policy

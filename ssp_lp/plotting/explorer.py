@@ -165,9 +165,8 @@ def _numbers(frontier: Frontier, evaluations: list[Evaluation]) -> dict[str, Any
     reached = np.array([found.goal_probability for found in evaluations])
     paid = np.array([found.conditional_cost for found in evaluations])
     region, spent = frontier.region, frontier.spent
-    asked = (
-        getattr(frontier.problem, "failure_budget", None) if frontier.over == "failure" else None
-    )
+    problem = frontier.problem if frontier.over == "failure" else None
+    asked = None if problem is None else problem.failure_budget
     begin = region[0] + 0.5 * (region[1] - region[0]) if asked is None else asked
     quantities = evaluations[0].secondary_costs
     return {
