@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from abc import abstractmethod
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -46,8 +45,6 @@ from ssp_lp.processes.quantities import Constraint, Quantity
 Start = Hashable | Mapping[Hashable, float]
 """A state, or a distribution over states."""
 
-if TYPE_CHECKING:
-    from ssp_lp.processes.quantities import Quantity
 
 EXACT = FailureSemantics()
 """What an episode is worth where nothing is said: its cost until the goal, failing free."""
@@ -110,25 +107,6 @@ class Problem(ReadOnlyCopies):
         """Requirements of a problem to a method."""
         return _requirements(self)
 
-    @property
-    def conditions(self) -> tuple[Condition, ...]:
-        """The problem's constraints beside its failure budget."""
-        return ()
-
-    @property
-    def objective_condition(self) -> Condition | None:
-        """The quantity that the problem minimises in place of its cost; None: the cost."""
-        return None
-
-    @property
-    def unrolled(self) -> Self:
-        """The problem that is solved: itself, or that on (state, steps taken) and (state, label).
-
-        The first with a horizon, the second where something is counted after failing.
-        """
-        return self
-
-    @abstractmethod
     def compile(self) -> CompiledProblem:
         """The problem compiled: its augmented process, ready for a method."""
         raise NotImplementedError
