@@ -45,7 +45,6 @@ from ssp_lp.processes.quantities import Constraint, Quantity
 Start = Hashable | Mapping[Hashable, float]
 """A state, or a distribution over states."""
 
-
 EXACT = FailureSemantics()
 """What an episode is worth where nothing is said: its cost until the goal, failing free."""
 
@@ -105,7 +104,17 @@ class Problem(ReadOnlyCopies):
     @property
     def requirements(self) -> Requirements:
         """Requirements of a problem to a method."""
-        return _requirements(self)
+        semantics, rows, totals = self.semantics, self.has_rows, TotalScale.NONE
+        law, is_risk = semantics.counts_law, semantics.risk is not None
+        if law or self.ratio:
+            is_cut = self.discount is not None or self.cost_cap is not None
+            resolution, totals = resolution_of(self), TotalScale.UNITS
+            if resolution is not None:
+                whole = not rows and not (is_cut and not law)
+                by_sums = whole and resolution.most == MOST_SUMS
+                totals = TotalScale.SUMS if by_sums else TotalScale.GRID
+        least = self.failure_budget is None
+        return Requirements(law, is_risk, semantics.aim, self.ratio, rows, totals, least)
 
     def compile(self) -> CompiledProblem:
         """The problem compiled: its augmented process, ready for a method."""
@@ -178,21 +187,6 @@ class Requirements:
         return self.totals is not TotalScale.NONE
 
 
-def _requirements(problem: Problem) -> Requirements:
-    """Requirements of a problem to a method."""
-    semantics, rows, totals = problem.semantics, problem.has_rows, TotalScale.NONE
-    law, is_risk = semantics.counts_law, semantics.risk is not None
-    if law or problem.ratio:
-        is_cut = problem.discount is not None or problem.cost_cap is not None
-        resolution, totals = resolution_of(problem), TotalScale.UNITS
-        if resolution is not None:
-            whole = not rows and not (is_cut and not law)
-            by_sums = whole and resolution.most == MOST_SUMS
-            totals = TotalScale.SUMS if by_sums else TotalScale.GRID
-    least = problem.failure_budget is None
-    return Requirements(law, is_risk, semantics.aim, problem.ratio, rows, totals, least)
-
-
 def least_failure_bound(problem: Problem) -> float | None:
     """Certified lower bound of the failure of every policy; None: the problem limits failure."""
     if not problem.requirements.least_failure:
@@ -256,7 +250,7 @@ class Restated(Problem):
     """A problem on its model with other costs, or of another worth, the rest as asked."""
 
     model: SSP
-    start: Hashable | Mapping[Hashable, float]
+    start: Start
     ratio: bool = field()
     failure_budget: float | None = field()
     semantics: FailureSemantics = EXACT

@@ -50,7 +50,7 @@ def test_the_program_is_assembled_in_pieces_and_is_what_it_says(monkeypatch):
     """A look for each hundred entries; the matrix of the definition, entry by entry."""
     monkeypatch.setattr(deadline, "_PIECE", 100)
     rng, n, pairs = np.random.default_rng(3), 40, 120
-    steps = sp.csr_array(sp.random_array((pairs, n), density=0.3, rng=rng) / n)
+    steps = sp.csr_array(rng.random((pairs, n)) * (rng.random((pairs, n)) < 0.3) / n)
     offsets = np.arange(0, pairs + 1, 3)
     numbers = [rng.random(pairs) for _ in range(3)]
     process = ExplicitProcess(offsets, steps, np.full(n, 1 / n), *numbers)

@@ -28,8 +28,9 @@ NO_CODE = {
 
 
 class Way(NamedTuple):
-    """What a call runs through: different functions, calls of them, changes from file to file."""
+    """What a call runs through: modules, functions, calls of these, changes from file to file."""
 
+    modules: int
     functions: int
     calls: int
     switches: int
@@ -148,7 +149,7 @@ def way_of(call: Callable[[], object]) -> Way:
         call()
     finally:
         sys.setprofile(None)
-    return Way(len(crossed), crossed.total(), switches)
+    return Way(len({file for file, _ in crossed}), len(crossed), crossed.total(), switches)
 
 
 if __name__ == "__main__":
