@@ -52,6 +52,7 @@ _WAITED = 5  # sweeps from above that cost as much as one from below with what f
 _SLOWEST = 0.9999  # share of a sweep's gain that the next one is taken to gain at most
 _QUICK = 0.1  # the same below which states that nobody asked for are waited for, too
 _STEPS = 1_000  # over which it is gathered what is lost where cost decides
+_ALIKE = 10.0  # floors that a step may lose: values are known to one or two, so those tell nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,7 +308,8 @@ def attaining_pairs(found: ExtremeReach) -> BoolArray:
     )
     ahead = np.where((high < lost)[home], gain, -loss)  # each is exact where it is small
     size = np.minimum(high, lost)[home]  # the smaller of both is known to that relative accuracy
-    slack = np.maximum(MAXIMISER * size, found.floor * high[home])
+    told_apart = _ALIKE * found.floor * high[home]
+    slack = np.maximum(MAXIMISER * size, told_apart)
     slack = np.where(slack > 0.0, slack, MAXIMISER * lost[home])
     tied: BoolArray = np.asarray(ahead >= -slack)
     tied[choice] = True
@@ -316,15 +318,17 @@ def attaining_pairs(found: ExtremeReach) -> BoolArray:
     if found.floor > 0.0:
         lost = np.where(tied, np.maximum(-ahead, 0.0), np.inf)
         if _loss_accumulates(dynamics, lost, slack[choice]):
-            tied &= chosen | (lost <= np.maximum(slack / _STEPS, found.floor * high[home]))
+            tied &= chosen | (lost <= np.maximum(slack / _STEPS, told_apart))
         # what is lost at each of many steps may add up to more than the floor says
-        return np.asarray(tied & (chosen | (lost * 2.0 * totals.runs.max() <= LEAST_BUDGET)))
+        allowed = LEAST_BUDGET / (2.0 * float(totals.runs.max()))
+        if (tied & ~chosen & (lost > allowed)).any():  # this policy may be slower than it need be
+            kept, among, same = _with_pairs(dynamics, tied, choice)
+            quickest = iterate_policy(among, np.ones((kept.size, 1)), _ONE, same)
+            allowed = LEAST_BUDGET / (2.0 * float(quickest.runs.max()))
+        return np.asarray(tied & (chosen | (lost <= allowed)))
     while (tied & ~chosen & (ahead < 0.0)).any():
-        kept = tied.nonzero()[0]
-        place = np.full(len(tied), -1, dtype=np.int32)
-        place[kept] = np.arange(kept.size)
-        among = dynamics.restricted(kept)
-        worst = iterate_policy(among, both[kept], -_OTHER, place[choice])
+        kept, among, same = _with_pairs(dynamics, tied, choice)
+        worst = iterate_policy(among, both[kept], -_OTHER, same)
         if high.min() < _SMALL:
             worst = iterate_policy(among, both[kept], _WANTED, worst.choice)
         taken = kept[worst.choice]
@@ -338,3 +342,13 @@ def attaining_pairs(found: ExtremeReach) -> BoolArray:
             break
         tied[taken[share > min(1.0, float(share.max()) * 0.5)]] = False
     return tied
+
+
+def _with_pairs(
+    dynamics: Dynamics, tied: BoolArray, choice: IntArray
+) -> tuple[IntArray, Dynamics, IntArray]:
+    """The pairs kept, the dynamics with them alone, and a policy by its places there."""
+    kept = tied.nonzero()[0]
+    place = np.full(len(tied), -1, dtype=np.int32)
+    place[kept] = np.arange(kept.size)
+    return kept, dynamics.restricted(kept), place[choice]

@@ -26,6 +26,7 @@ from ssp_lp import SSP, InfeasibleError, OutOfTimeError, Status, certify, evalua
 from ssp_lp.accumulated_cost.totals import Resolution, resolution_of_costs
 from ssp_lp.compiled.deadline import Stop
 from ssp_lp.dynamic_programming import extreme_reach
+from ssp_lp.dynamic_programming.extreme_reach import attaining_pairs
 from ssp_lp.model.graph import attention_states
 from ssp_lp.policies import DeterministicPolicy
 from ssp_lp.processes.goal_reach import greatest_goal_reach
@@ -92,6 +93,20 @@ def test_least_failure_of_a_large_grid_ends_and_criteria_agree(side, slip, share
     share_of_best = solve(AlphaMCMP(model, 0, 0.9), time_limit=_ENDS)
     assert share_of_best.goal_probability == pytest.approx(0.9 * best.objective, rel=1e-9)
     assert share_of_best.objective <= cheapest.objective * (1 + 1e-9)
+
+
+def test_what_fails_alike_does_not_hang_on_the_policy_found(monkeypatch):
+    """Neither on its last digits nor on how long it takes: the cost is the same in any process."""
+    pytest.importorskip("numba")
+    model = holes(44, slip=0.3, share=0.1, seed=1)
+    costs = []
+    for accelerator in ("numba", "none"):
+        monkeypatch.setenv("SSP_LP_ACCELERATOR", accelerator)
+        costs.append(solve(MCMP(model, 0)).objective)
+        _, found = greatest_goal_reach(model).solved
+        slower = replace(found, totals=replace(found.totals, runs=1e6 * found.totals.runs))
+        np.testing.assert_array_equal(attaining_pairs(slower), attaining_pairs(found))
+    assert costs[0] == pytest.approx(costs[1], rel=1e-9)
 
 
 @pytest.mark.parametrize("budget", [0.05, 0.2])
