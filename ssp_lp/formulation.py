@@ -135,7 +135,7 @@ class Formulation(Problem):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled by what it holds: it is stated, and checked, once."""
-        return object.__new__, (type(self),), vars(self)
+        return object.__new__, (type(self),), self.__getstate__()
 
     def __init_subclass__(cls) -> None:
         """Every criterion keeps the repr that it inherits, which ``dataclass`` would replace."""

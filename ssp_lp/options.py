@@ -168,7 +168,7 @@ class DeterministicPolicies(_Option):
         ModelError: another method.
     """
 
-    relaxation: ColumnGeneration | LinearProgramming = field(default_factory=ColumnGeneration)
+    relaxation: ColumnGeneration | LinearProgramming | str = field(default_factory=ColumnGeneration)
 
     name: ClassVar[str] = "deterministic"
 
@@ -176,7 +176,6 @@ class DeterministicPolicies(_Option):
         relaxation = parse_method(self.relaxation)
         if not isinstance(relaxation, (ColumnGeneration, LinearProgramming)):
             raise wrong_argument("relaxation", "be 'columns' or 'lp'", self.relaxation)
-        object.__setattr__(self, "relaxation", relaxation)
 
 
 Method = ColumnGeneration | LinearProgramming | Game | DeterministicPolicies
@@ -268,9 +267,10 @@ def options_of(
 
     deadline = deadline_of(time_limit, began)
     single = isinstance(method, DeterministicPolicies)
-    relaxation = method.relaxation if isinstance(method, DeterministicPolicies) else method
-    program = relaxation if isinstance(relaxation, LinearProgramming) else None
     tail = method.tail if isinstance(method, Game) else None
+    if isinstance(method, DeterministicPolicies):
+        method = parse_method(method.relaxation)
+    program = method if isinstance(method, LinearProgramming) else None
     return SolveOptions(float(tolerance), deadline, told, program, single, tail)
 
 

@@ -170,8 +170,8 @@ def trace_frontier(
                 raise interrupted() from None
             told = f"the time limit ended before the least {over} was known: allow more time"
             raise OutOfTimeError(told) from None
+        _LOG.info("%d turning points over %s, gap %.1e", len(frontier.spent), over, frontier.gap)
     status = ended.status(np.inf if frontier.ends_early else frontier.gap, gap)
-    _LOG.info("%d turning points over %s, gap %.1e", len(frontier.spent), over, frontier.gap)
     return replace(frontier, problem=problem, status=status)
 
 

@@ -14,6 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations
 from math import inf, isnan
+from operator import attrgetter
 from typing import cast
 
 import numpy as np
@@ -243,8 +244,8 @@ class CrossCheck(Report):
         notes += self.remarks
         if self.reading is not None:
             notes += map(str, (self.reading, *self.reading.faults))
-        fields = _COLUMNS.values()
-        rows = [(one.name, *(vars(one)[field] for field in fields)) for one in self.methods]
+        parts = attrgetter("name", *_COLUMNS.values())
+        rows = [parts(one) for one in self.methods]
         return [Table(rows, ("method", *_COLUMNS), "", [*notes, self._verdict()], _DIGITS)]
 
     def _verdict(self) -> str:

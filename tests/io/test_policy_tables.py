@@ -66,5 +66,5 @@ def test_a_frame_needs_pandas(monkeypatch):
     made = SimpleNamespace(DataFrame=lambda rows, columns: (rows, columns))
     monkeypatch.setitem(sys.modules, "pandas", made)
     rows, columns = policy.to_frame()
-    assert rows == list(policy.table())
+    assert rows == [row._asdict() for row in policy.table()]
     assert columns == ["state", "memory", "action", "probability", "member"]
