@@ -12,9 +12,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ssp_lp.arrays import BELOW_RATIO, LEAST_BUDGET, FloatArray
-from ssp_lp.column_generation.column import Column, FailureRow, PricingProblem, Proof, least_of
+from ssp_lp.column_generation.column import (
+    Column,
+    FailureRow,
+    PricingProblem,
+    Proof,
+    excess_failure,
+    least_of,
+)
 from ssp_lp.column_generation.compiled_problem import CompiledProblem, checked_least_failure
-from ssp_lp.column_generation.search import Secant, generate
+from ssp_lp.column_generation.search import generate, master_at
 from ssp_lp.compiled.deadline import Stop, WithIncumbent, closing, is_late
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import (
@@ -493,11 +500,11 @@ def _ends(compiled: CompiledProblem, limits: TraceLimits) -> tuple[list[Column],
                 f"at the price {steepest:g} of failure it is best to fail: "
                 "steepest_price must lie above the least cost given success"
             )
-    rule = Secant(pricing, row, safest, calls=calls, work=safest.work)
-    free = generate(rule, SolveOptions(limits.gap))
+    master = master_at(pricing, row, safest, calls=calls, work=safest.work)
+    free = generate(master, SolveOptions(limits.gap))
     last = free.columns[-1]
     columns = [safest] if last.failure <= safest.failure else [safest, last]
-    return columns, free.finished, rule.calls, rule.work
+    return columns, free.finished, master.pool.calls, master.pool.work
 
 
 def _traced(
@@ -561,7 +568,7 @@ class _WaitingSegments:
             points: turning points so far.
             at_most: the share by which policies may lie below it, as far as is known.
         """
-        price = Secant(self._pricing, FailureRow(1.0, self._ratio), inside, outside).slope
+        price = max((inside.cost - outside.cost) / excess_failure(outside, inside), 0.0)
         if price == 0.0 or at_most <= self._limits.gap:
             self.below[inside.failure] = 0.0 if price == 0.0 else at_most
             return
