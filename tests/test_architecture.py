@@ -209,9 +209,9 @@ DEPOT = SSP.from_transitions(
     ("problem", "modules", "functions"),
     [
         (MCMP(DEPOT, "depot", 0.05), 33, 245),
-        (S3P(DEPOT, "depot", 0.05), 38, 342),
-        (CVaR(DEPOT, "depot", 0.9, 0.05), 50, 470),
-        (MCMP(DEPOT, "depot", 0.05, constraints={"few": visits("wreck") <= 0.04}), 41, 330),
+        (S3P(DEPOT, "depot", 0.05), 38, 333),
+        (CVaR(DEPOT, "depot", 0.9, 0.05), 50, 466),
+        (MCMP(DEPOT, "depot", 0.05, constraints={"few": visits("wreck") <= 0.04}), 41, 324),
     ],
     ids=["MCMP", "S3P", "CVaR", "limits"],
 )
