@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -41,7 +41,7 @@ class Column:
 
     @classmethod
     def of_figures(
-        cls, figures: FloatArray, choice: IntArray, *, by_goal: bool = False, **more: Any
+        cls, figures: FloatArray, choice: IntArray | None, *, by_goal: bool = False, **more: Any
     ) -> Column:
         """A column from its rewards, verified: beyond 0 and 1 lies rounding."""
         cost, counted, *rows = figures.tolist()
@@ -98,6 +98,17 @@ class PricingProblem(ABC):
     be explicit, layered or distributed.
     """
 
+    by_goal: bool = False  # success, as minus the goal, is counted in place of failing
+
+    @property
+    @abstractmethod
+    def n_rewards(self) -> int:
+        """Number of rewards that a pricing problem counts: cost, failure and limits."""
+
+    def counting_success(self) -> Self:
+        """The pricing problem whose columns count success in place of failing, where it can."""
+        return self
+
     @property
     @abstractmethod
     def value_shape(self) -> tuple[int, ...]:
@@ -112,11 +123,11 @@ class PricingProblem(ABC):
         """A first column of the pricing problem, cheap to find, that reaches the goal if it can."""
 
     @abstractmethod
-    def minimise(self, failure_price: float, *warm: Column | None) -> Column:
+    def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
         """Solve the pricing problem: a column of least priced cost, measured exactly.
 
         Args:
-            failure_price: price of failure.
+            price: of failure, or the weight of each reward, [rewards].
             warm: policies to start from, the one that is thought to be nearest first; None: none.
 
         Raises:
@@ -128,14 +139,18 @@ class PricingProblem(ABC):
         return column
 
     @abstractmethod
-    def prove(self, price: float, best: Column, *, slack: bool = False) -> Proof:
+    def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
         """Prove a lower bound of every column's priced value.
 
         Args:
-            price: of failure.
+            price: of failure, or the weight of each reward, [rewards].
             best: a policy of least value at this price.
             slack: count failing as 0 and success as minus the price.
         """
+
+    def prove_afresh(self, weights: FloatArray, warm: Column) -> Proof:
+        """Best lower bound of the pricing problem at weights that nothing has been priced at."""
+        return self.prove(weights, warm)
 
     @abstractmethod
     def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
@@ -162,6 +177,11 @@ class PricingProblem(ABC):
         """Raise :class:`ModelError` unless a pricing problem's values have their shape."""
         if values.shape != self.value_shape:
             raise ModelError(f"a value function of shape {self.value_shape} is needed")
+
+
+def pricing_weights(price: float | FloatArray) -> FloatArray:
+    """The weight of each reward in a pricing problem, [rewards]."""
+    return price if isinstance(price, np.ndarray) else np.array([1.0, price])
 
 
 _ROUNDED = 4.0 * MACHINE_EPSILON  # of a bound and of what the budget is worth at its price

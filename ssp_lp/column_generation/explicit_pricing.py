@@ -25,7 +25,13 @@ import numpy as np
 
 from ssp_lp.accumulated_cost.written_out import LastLayer, OpenEnded
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, expected, weighted
-from ssp_lp.column_generation.column import Column, PricingProblem, Proof, required
+from ssp_lp.column_generation.column import (
+    Column,
+    PricingProblem,
+    Proof,
+    pricing_weights,
+    required,
+)
 from ssp_lp.compiled.deadline import Stop, is_limited
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.dynamic_programming.dual_bound import DualBound
@@ -139,7 +145,8 @@ class ExplicitPricing(PricingProblem):
         """
         weights = pricing_weights(price)
         choice, guess = self._begun(weights, warm)
-        smaller, at = self.contracted(weights), None if isinstance(price, np.ndarray) else price
+        smaller = self.contracted(weights)
+        at = float(weights[1]) if len(weights) == 2 and weights[0] == 1.0 else None
         noise = _noise(weights, warm) if self.by_goal or self.rows else 0.0
         run = partial(iterate_policy, precise=self.precise or None, floor=noise)
         if smaller is None:
@@ -326,11 +333,6 @@ def _noise(weights: FloatArray, columns: Sequence[Column | None]) -> float:
     if known is None or not (known.figures * weights < 0.0).any():
         return 0.0
     return LOST * float(np.abs(known.figures) @ np.abs(weights))
-
-
-def pricing_weights(price: float | FloatArray) -> FloatArray:
-    """The weight of each reward in explicit pricing, [rewards]."""
-    return price if isinstance(price, np.ndarray) else np.array([1.0, price])
 
 
 def pricing_rounding(rewards: FloatArray, weights: FloatArray) -> FloatArray:

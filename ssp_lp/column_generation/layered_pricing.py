@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import fsum
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -25,7 +25,13 @@ from ssp_lp.accumulated_cost.totals import Window
 from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import MACHINE_EPSILON, TIED, FloatArray, IntArray, least_integer_type, weighted
 from ssp_lp.column_generation import explicit_pricing
-from ssp_lp.column_generation.column import Column, PricingProblem, Proof, required
+from ssp_lp.column_generation.column import (
+    Column,
+    PricingProblem,
+    Proof,
+    pricing_weights,
+    required,
+)
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import backward
 from ssp_lp.dynamic_programming import bellman
@@ -42,6 +48,13 @@ class LayeredPricing(PricingProblem):
     """Column generation's pricing problem for case S; a choice has [cap, nodes]."""
 
     process: LayeredProcess
+    by_goal: bool = False  # columns count success, as minus the goal, in place of failing
+
+    n_rewards: ClassVar[int] = 2
+
+    def counting_success(self) -> LayeredPricing:
+        """The same with success in the columns: both are measured."""
+        return replace(self, by_goal=True)
 
     @property
     def value_shape(self) -> tuple[int, ...]:
@@ -80,16 +93,19 @@ class LayeredPricing(PricingProblem):
         """Layered pricing's first column: the tail that goes for the goal, from the start on."""
         base, tails = self.process.base, self.process.tails
         if tails.guess is not None:
-            return Column(tails.guess[0], 1.0, tails.guess[1] + base.start_goal, None)
+            guess = tails.guess[0], 1.0, tails.guess[1] + base.start_goal
+            return Column(*guess, None, by_goal=self.by_goal)
         nothing_paid = self.process.charge.beyond(np.zeros(base.n_nodes), tails.first)
         cost = float(base.start @ nothing_paid) + self.process.start_charge
         goal = float(base.start @ tails.goal[0])
         failure = float(base.start @ tails.first.failure) + base.start_failure
         policy = DeterministicPolicy(base.quotient.model, tails.decisions[0])
-        return Column(cost, failure, goal + base.start_goal, None, policy=policy)
+        found = cost, failure, goal + base.start_goal, None
+        return Column(*found, policy=policy, by_goal=self.by_goal)
 
-    def minimise(self, failure_price: float, *warm: Column | None) -> Column:
-        """Layered pricing: a column of least ``E[charge; goal] + failure_price * failure``."""
+    def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
+        """Layered pricing: a column of least ``E[charge; goal] + price * failure``."""
+        failure_price = float(pricing_weights(price)[1])
         base, tails, choice = self.process.base, self.process.tails, self.sweep.room_for_choice()
         goal = tails.guess[1] if tails.guess else float(base.start @ tails.goal[0])
         # where no policy probably succeeds success is counted rather than failure
@@ -115,7 +131,7 @@ class LayeredPricing(PricingProblem):
         failure = max(failure + base.start_failure, 0.0)  # verified: below it lies rounding
         goal = max(goal + base.start_goal, 0.0)
         cost += self.process.start_charge
-        return Column(cost, failure, goal, choice, tail_price, work=work)
+        return Column(cost, failure, goal, choice, tail_price, work=work, by_goal=self.by_goal)
 
     def aligned(self, column: Column, price: float) -> Column:
         """A layered column with its tails chosen by this price, measured again."""
@@ -124,8 +140,11 @@ class LayeredPricing(PricingProblem):
         here, there = self.process.threshold(column.tail_price), self.process.threshold(price)
         return column if np.array_equal(here, there) else self.measure(column.choice, price)
 
-    def prove(self, price: float, best: Column | None = None, *, slack: bool = False) -> Proof:
+    def prove(
+        self, price: float | FloatArray, best: Column | None = None, *, slack: bool = False
+    ) -> Proof:
         """Best lower bound of every column that layered pricing's sweep gives."""
+        price = float(pricing_weights(price)[1])
         return self._proof(price, 0.0 if slack else price, self.anything)
 
     def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
@@ -440,7 +459,7 @@ class OpenEndedPricing(PricingProblem):
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
         """Layered pricing with rows: a column of least priced cost, measured exactly."""
-        weights = explicit_pricing.pricing_weights(price)
+        weights = pricing_weights(price)
         return self._swept(self._best_beyond(weights, *warm), weights)
 
     def _best_beyond(self, weights: FloatArray, *warm: Column | None) -> Column:
@@ -474,11 +493,7 @@ class OpenEndedPricing(PricingProblem):
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
         """Best lower bound that layered pricing's sweep with rows gives."""
-        return self._proved(explicit_pricing.pricing_weights(price), self.anything, best)
-
-    def prove_afresh(self, weights: FloatArray, warm: Column) -> Proof:
-        """Best lower bound of layered pricing at weights that nothing has been priced at yet."""
-        return self.prove(weights, warm)
+        return self._proved(pricing_weights(price), self.anything, best)
 
     def check(self, price: float | FloatArray, values: FloatArray, *, slack: bool = False) -> Proof:
         """Lower layered values, [states], to a checked sub-solution; infinite: the best.
@@ -487,7 +502,7 @@ class OpenEndedPricing(PricingProblem):
             ModelError: values of another shape.
         """
         self.check_shape(values)
-        return self._proved(explicit_pricing.pricing_weights(price), values, None)
+        return self._proved(pricing_weights(price), values, None)
 
     def _proved(self, weights: FloatArray, values: FloatArray, best: Column | None) -> Proof:
         """Lower layered values to a proof; a policy that is best, or about, saves work."""

@@ -1,35 +1,34 @@
 """Column generation (Dantzig-Wolfe) over deterministic policies.
 
-1. The **restricted master** mixes the columns that are known into the best lottery within the rows;
-   its duals are prices of the rows.
-2. The **pricing problem** finds a policy of least cost plus priced rows: the column of least
+1. The **restricted master** mixes the known columns into the best lottery within the limits; its
+   duals are prices of the limits.
+2. The **pricing problem** finds a policy of least cost plus priced limits: the column of least
    **reduced cost** (``minimise`` of a :class:`~ssp_lp.column_generation.column.PricingProblem`).
 3. Where that lies below the master's own valuation it enters; else the search **stops**: the least
-   priced cost, less what the rows allow at these prices, is a lower bound of the optimum
+   priced cost, less what the limits allow at these prices, is a lower bound of the optimum
    (Lagrange).
 
-:func:`generate` is that loop. A price rule keeps the lottery and says where the next column is
-sought: :class:`Secant` for the failure row alone, :class:`StabilisedMaster` for any rows.
+:func:`generate` is that loop, on a :class:`Master` of any number of limits.
 
-**One failure row.** The master program has the failure row and convexity, so its optimum lies on an
-edge of the lower convex hull of the points (failure, cost). The rule keeps a feasible column A and
-an infeasible column B, prices failure at the slope between them, and ends when no policy lies below
-their line. In case S the objective is the ratio ``cost / (1 - failure)`` (paper, eq.
-s3p_gamma_j_obj): as long as no column is infeasible the price is the ratio itself (Dinkelbach's
-iteration).
+**One limit.** The optimum of the master lies on an edge of the lower convex hull of the points
+(what is limited, cost): its closed form is the **secant** through a column within the limit and one
+beyond it, and the price is its slope. All other columns can be forgotten.
 
-**First columns** lie on both sides of the budget, and are found by pricing alone. The cheapest
-policy of least failure takes two stages to find. A search does not need it: any policy that keeps
-to the budget will do to begin with, and one is found at a steep price of failure, if not at the
-first guess then at a steeper one. Only where that fails, because the budget is near the least
-failure or below it, is the least failure itself worked out.
+**Two or more limits.** The master is a small linear program (``restricted_master``). Far from the
+optimum its prices zig-zag, so that pricing happens in between them and the best prices known
+(Wentges 1997, "Weighted Dantzig-Wolfe decomposition"); where that finds nothing new, at the
+master's prices themselves. Phase 1 is the same search with the violation of the limits in place of
+the cost.
 
-**Any number of rows.** For prices y >= 0 the least of ``cost + y @ activity`` over all policies,
-minus ``y @ bounds``, is a lower bound of the optimum (Lagrange); the policy that attains it enters
-the master wherever it lies below the master's own valuation. Far from the optimum the master's
-prices zig-zag, so that pricing happens in between them and the best prices known (Wentges 1997,
-"Weighted Dantzig-Wolfe decomposition"); where that finds nothing new, at the master's prices
-themselves. Phase 1 is the same search with the violation of the rows in place of the cost.
+**Given success** (case S) the objective is the ratio ``cost / goal`` (paper, eq. s3p_gamma_j_obj).
+Between two pricing calls the master minimises ``cost + ratio * failure``, the ratio being what its
+lottery attains, until that falls no more (Dinkelbach 1967).
+
+**First columns within one limit** lie on both sides of it, and are found by pricing alone. The
+cheapest policy of least failure takes two stages to find. A search does not need it: any policy
+that keeps to the budget will do to begin with, and one is found at a steep price of failure, if not
+at the first guess then at a steeper one. Only where that fails, because the budget is near the
+least failure or below it, is the least failure itself worked out.
 """
 
 from __future__ import annotations
@@ -37,11 +36,12 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import ClassVar
+from operator import attrgetter
+from typing import Any
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
 from ssp_lp.column_generation.column import (
     Column,
     FailureRow,
@@ -50,12 +50,11 @@ from ssp_lp.column_generation.column import (
     excess_failure,
     least_of,
 )
-from ssp_lp.column_generation.compiled_problem import CompiledProblem, LeastFailure
-from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
-from ssp_lp.column_generation.layered_pricing import OpenEndedPricing
+from ssp_lp.column_generation.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.restricted_master import MasterOptimum, solve_master
 from ssp_lp.compiled import deadline
 from ssp_lp.dynamic_programming.bellman import Work
+from ssp_lp.errors import ModelError
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 
@@ -64,26 +63,27 @@ _NEVER = 1e-14  # a goal probability that is the rounding of none
 
 @dataclass(frozen=True, eq=False)
 class Generated:
-    """Result of the loop: the best lottery over columns, and prices that prove it."""
+    """Result of the loop: the best lottery over columns, and the prices that prove it."""
 
     columns: tuple[Column, ...]
     weights: FloatArray  # [columns]
-    prices: FloatArray  # [rows] at which the bound holds
-    objective: float  # of the lottery; in phase 1 by how much it violates the rows
+    prices: FloatArray  # [limits] at which the bound holds
+    ratio: float  # case S: at which the bound holds
+    objective: float  # of the lottery; in phase 1 by how much it violates the limits
     lower_bound: float  # of the optimum
     finished: bool  # false: stopped by the time limit
     values: FloatArray | None = None  # the checked sub-solution, where the bound is certified
     excess: FloatArray = field(default_factory=partial(np.zeros, 0))
-    """Phase 1: the violation in units of the rows' scales, [rows]."""
+    """Phase 1: the violation in units of the limits' scales, [limits]."""
 
     @property
     def price(self) -> float:
-        """Price of the only row that column generation ended with."""
-        return float(self.prices[0])
+        """Price of failing: that of the first limit, in case S with the ratio."""
+        return float(self.prices[:1].sum()) + self.ratio
 
     @property
     def figures(self) -> FloatArray:
-        """Rewards of column generation's lottery, [rewards]: cost, failure and rows."""
+        """Rewards of column generation's lottery, [rewards]: cost, failure and limits."""
         if len(self.columns) == 1:
             return self.columns[0].figures
         return np.asarray(self.weights @ np.stack([column.figures for column in self.columns]))
@@ -102,191 +102,294 @@ class Generated:
         return float(self.weights @ [column.goal for column in self.columns])
 
     @property
-    def ratio(self) -> float:
-        """Cost given success of column generation's lottery; infinite where there is no success."""
+    def given_success(self) -> float:
+        """Cost given success of column generation's lottery; infinite where there is none."""
         goal, never = self.goal, 0.0 if self.columns[0].by_goal else _NEVER
-        return float(self.figures[0]) / goal if goal > never else float("inf")
+        return float(self.figures[0]) / goal if goal > never else np.inf
 
     def lottery(self, pricing: PricingProblem) -> MixedPolicy:
         """Column generation's lottery over policies of the model."""
         return MixedPolicy(tuple(pricing.policy(column) for column in self.columns), self.weights)
 
 
-def generate(rule: Secant | StabilisedMaster, options: SolveOptions) -> Generated:
-    """Column generation: add columns until the price rule finds none worth having, or time is up.
+def generate(master: Master, options: SolveOptions) -> Generated:
+    """Column generation: add columns until none is worth having, or time is up.
 
     Args:
-        rule: where to begin; it moves on.
+        master: where to begin; it moves on.
         options: tolerance, deadline, and who is told after each pricing call.
     """
-    begun, finished = rule.calls, False
+    begun, finished = master.pool.calls, False
     with deadline.WithIncumbent():
-        for _ in range(rule.most_rounds):
-            if rule.calls > begun and deadline.is_late():
+        for _ in range(_MOST_ROUNDS):
+            if master.pool.calls > begun and deadline.is_late():
                 break
-            column = rule.seek(options.tolerance)
-            told = column is not None and options.progress is not None
-            report = rule.report() if told else None
-            finished = column is None or rule.learn(column, options.tolerance)
-            if options.progress is not None and report is not None:
-                options.progress(rule.calls, *report)
+            before, column = master.pool.calls, master.seek(options.tolerance)
+            known = np.inf if master.elastic else master.objective
+            finished = column is None or master.learn(column, options.tolerance)
+            if options.progress and master.tried is not None and master.pool.calls > before:
+                options.progress(master.pool.calls, float(master.tried[1]), known)
             if finished:
                 break
-    return rule.concluded(options.tolerance, finished=finished)
+    if not finished:
+        master.solve()
+    return Generated(
+        *master.lottery,
+        prices=master.prices,
+        ratio=master.rows.ratio if master.given_success else 0.0,
+        objective=master.optimum.value if master.elastic else master.objective,
+        lower_bound=master.bound,
+        finished=finished,
+        excess=master.optimum.excess,
+    )
 
 
 _SHARE = 0.25  # of a search that its bounds on the way may take
 _LONG = 0.1  # seconds of a pricing call, below which its proof can wait for the end
+_MOST_ROUNDS = 2_000
+_NEAR = 0.1  # of the gap that is asked for: a reduced cost that is not worth a further column
+_RATIOS = 40  # steps of Dinkelbach's iteration between two pricing calls
+_SETTLED = 1e-14  # relative change of a ratio that is rounding
+_STEEP_RATIO = 1e3  # factor of a ratio at which no lottery reaches the goal
+_STEEPEST = 1e15  # times the first ratio: then no lottery does
 _SAME_COST = 1e-15  # relative; a weight so far below 1 is 1
 _SAME_FAILURE = 1e-15  # of columns, one of which is the other, found again
 _SAME_SMALL = 1e-14  # the same, relative to failures that are small and to goals that are rare
+_IN_BETWEEN = 0.5  # share of the best known prices in those that are tried
+_SLIGHT = 1e-6  # worth of a limit, relative to the objective, that a price in between may neglect
+_ROUNDING = 1e-15  # relative, of weighted totals
+_FEASIBLE = 1e-15
+"""Sum of the limits' violations, relative to their sizes, that is no more than rounding."""
+_MET = 4.0 * MACHINE_EPSILON
+"""Share of a bound by which a column may seem to miss a limit that it satisfies."""
 
 
 @dataclass(eq=False)
-class Secant:
-    """The two columns between which the lottery lies; ``outside`` is missing while none is."""
+class Master:
+    """The restricted master over a pool, some lottery over which satisfies the limits.
 
-    pricing: PricingProblem
-    row: FailureRow
-    inside: Column  # keeps to the budget
-    outside: Column | None = None  # cheaper, and breaks it
-    last: Column | None = None  # found last: a warm start
-    calls: int = 0
-    work: Work = field(default_factory=Work)
-    proof: Proof | None = None  # the best one so far
-    took: float = 0.0  # seconds of the longest pricing call; a proof needs about as many
+    Elastic: it minimises the violation of the limits, each relative to its scale, not the cost.
+    """
+
+    pool: Pool
+    rows: Rows  # in case S with the ratio that the lottery attains
+    prices: FloatArray  # [limits] the best that are known, or thought to be good
+    bound: float = 0.0  # of the optimum at these prices, uncertified
+    elastic: bool = False
+    given_success: bool = False
+    luck: float = 0.0  # a goal probability that is the rounding of none
+    limit: FailureRow | None = None  # where failure alone is limited: proves bounds on the way
+    lottery: tuple[tuple[Column, ...], FloatArray] = ((), np.zeros(0))  # columns, their weights
+    objective: float = np.inf  # of the lottery
+    tried: FloatArray | None = None  # [rewards] weights of the last pricing call
+    last: Column | None = None  # what it found
+    proof: Proof | None = None  # the best one on the way
+    optimum: MasterOptimum = field(init=False)  # at the ratio
+    basic: Column = field(init=False)  # of the optimum: its reduced cost is 0
+    size: float = 0.0  # of the numbers that the optimum is the sum of
+    in_between: float = _IN_BETWEEN  # share of the best known prices in those that are tried
+    share: float = _IN_BETWEEN  # the same in those that are tried next
+    _asked: FloatArray = field(init=False)  # [limits] prices of the last pricing call
+    _first_ratio: float = 0.0
     _spent: float = 0.0  # seconds on proofs
     _since: float = field(default_factory=time.perf_counter)
 
-    most_rounds: ClassVar[int] = 200
-
-    @property
-    def slope(self) -> float:
-        """The secant's price of failure, at which both columns are worth the same; or the ratio."""
-        if self.outside is not None:
-            saved = self.inside.cost - self.outside.cost
-            return max(saved / excess_failure(self.outside, self.inside), 0.0)
-        return self.row.objective(self.inside.cost, self.inside.goal) if self.row.ratio else 0.0
-
-    @property
-    def weight(self) -> float:
-        """Weight of the secant's column beyond the budget at which the lottery meets the budget."""
-        if self.outside is None:
-            return 0.0
-        room = self.row.spare(self.inside) / excess_failure(self.outside, self.inside)
-        if room * abs(self.inside.cost - self.outside.cost) <= _SAME_COST * abs(self.inside.cost):
-            return 0.0  # what it would save is rounding
-        return 1.0 if room > 1.0 - _SAME_COST else float(max(room, 0.0))
-
-    @property
-    def objective(self) -> float:
-        """Objective of the lottery over the secant's two columns."""
-        w = self.weight
-        if self.outside is None or w == 0.0:
-            return self.row.objective(self.inside.cost, self.inside.goal)
-        return self.row.objective(
-            (1.0 - w) * self.inside.cost + w * self.outside.cost,
-            (1.0 - w) * self.inside.goal + w * self.outside.goal,
-        )
-
-    def report(self) -> tuple[float, float]:
-        """The secant's price of failure and objective so far, for progress."""
-        return self.slope, self.objective
-
-    def seek(self, tolerance: float) -> Column:
-        """The best column at the secant's slope, unless the last one is known to be that."""
-        price, last = self.slope, self.last or self.inside
-        if last.found_at != price:
-            warm = last, self.inside, self.outside
-            began, last = time.perf_counter(), self.pricing.minimise(price, *warm)
-            self.took = max(self.took, time.perf_counter() - began)
-            self.calls, self.work = self.calls + 1, self.work + last.work
-            self._prove_on_the_way(price, last, began)
-        self.last = last
-        return last
+    def seek(self, tolerance: float) -> Column | None:
+        """A best column at the next prices; None where all limits are satisfied in phase 1."""
+        self.solve()
+        best, own = self.optimum.value, self.optimum.prices
+        if len(own) <= 1 or best - self.bound <= _NEAR * tolerance * self.size:
+            self.share = 0.0
+        if self.elastic and best <= _FEASIBLE:
+            self.prices = own
+            return None
+        if len(own) > 1:
+            own = without_negligible_prices(own, self.pool.sizes(self.rows), best)
+        if self.share > 0.0:  # in between the best prices and the master's
+            mixed = self.share * self.prices + (1.0 - self.share) * own
+            own = without_negligible_prices(mixed, self.rows.scales, best, _SLIGHT)
+        weights = self.rows.weights(own, 0.0 if self.elastic else 1.0)
+        if self.last is None or self.tried is None or not np.array_equal(weights, self.tried):
+            began = time.perf_counter()
+            self.last = self.pool.priced(weights, *self.lottery[0])
+            if self.limit is not None and deadline.is_limited():
+                self._prove_on_the_way(self.limit, weights, self.last, began)
+        self._asked, self.tried = own, weights
+        return self.last
 
     def learn(self, column: Column, tolerance: float) -> bool:
-        """Replace one end of the secant by a column that lies below its line.
+        """Keep the better bound, and a column below the master's valuation; whether it is done."""
+        own, settled = self.optimum.prices, _NEAR * tolerance * self.size
+        best, near, several = self.optimum.value, settled, len(own) > 1
+        beyond = column.figures[self.rows.index] - self.rows.bounds
+        earned = 0.0 if self.elastic else 1.0
+        objective = earned * float(column.figures[0] + self.rows.ratio * column.figures[1])
+        value = objective + float(self._asked @ beyond)
+        weights = self.rows.weights(own, earned)
+        below = float(weights @ (self.basic.figures - column.figures))
+        if several:
+            paid = float(own @ np.abs(beyond))
+            near = max(near, _ROUNDING * (abs(objective) + paid))
+        new = below > near and self.pool.add(column)
+        finished = self.share == 0.0 and (not new or best - value <= settled)
+        if finished and self.given_success and self.objective > self.rows.ratio * (1.0 + _SETTLED):
+            return self._begin_at_larger_ratio()
+        if finished or value > self.bound:
+            self.prices, self.bound = self._asked, value
+        self.share = self.in_between if new and several else 0.0
+        return finished
 
-        One that never succeeds has no ratio: the price was too low, nothing is learnt. Where none
-        lies below the line and the budget is slack, Dinkelbach's iteration goes on.
-        """
-        price, outside = self.slope, self.outside
-        below = self.inside.cost - column.cost - price * excess_failure(column, self.inside)
-        scale = abs(self.objective) * (self.inside.goal if self.row.ratio else 1.0)
-        if not below > 0.1 * tolerance * max(scale, 1e-300):
-            slack = self.row.ratio and outside is not None and price < self.objective
-            self.outside = None if slack else outside
-            return not slack
-        if outside is not None and column.cost >= outside.cost - _SAME_COST * abs(outside.cost):
-            same = min(_SAME_FAILURE, _SAME_SMALL * min(outside.failure, outside.goal))
-            if abs(excess_failure(column, outside)) <= same:
-                return True  # the one beyond the budget again
-        if self.row.breaks(column):
-            self.outside = column
-        elif self.row.objective(column.cost, column.goal) < np.inf:
-            self.inside = column
+    def solve(self) -> None:
+        """Find the best lottery over the pool, in case S by Dinkelbach's iteration."""
+        rows, columns, figures = self.rows, self.pool.columns, self.pool.figures
+        for _ in range(_RATIOS):
+            cost, taken = figures[0] + self.rows.ratio * figures[1], figures[rows.index]
+            if self.elastic or len(taken) > 1:
+                how = rows.bounds, rows.scales
+                self.optimum = solve_master(cost, taken, *how, elastic=self.elastic)
+            else:
+                self.optimum = secant(cost, taken.ravel(), rows.bounds)
+            used = np.flatnonzero(self.optimum.weights)
+            used = used[np.argsort(figures[1, used], kind="stable")]  # the safest first
+            mixed = tuple(map(columns.__getitem__, used.tolist()))
+            self.basic, weights = mixed[0], self.optimum.weights[used]
+            attained, goal = float(figures[0, used] @ weights), 0.0
+            self.size = abs(self.optimum.value)
+            if not self.given_success:
+                self.lottery, self.objective = (mixed, weights), attained
+                break
+            for column, weight in zip(mixed, weights.tolist(), strict=True):
+                goal += weight * column.goal
+            attained = attained / goal if goal > self.luck else np.inf
+            if not self.lottery[0] or attained < self.objective * (1.0 - _SETTLED):
+                self.lottery, self.objective = (mixed, weights), attained
+            if not attained < self.rows.ratio * (1.0 - _SETTLED):
+                break
+            self._price_success_at(attained)
+        if self.given_success and np.isfinite(self.objective):
+            self.size = abs(self.objective) * self.basic.goal
+        if self.pool.forgets:
+            self.pool.columns = list(dict.fromkeys((*self.lottery[0], *mixed)))
+
+    def _begin_at_larger_ratio(self) -> bool:
+        """Go on at the ratio that is attained, or a steeper one while none is; whether none can."""
+        attained, steeper = self.objective, self.rows.ratio * _STEEP_RATIO
+        self._first_ratio = self._first_ratio or max(self.rows.ratio, 1.0)
+        if not np.isfinite(attained) and steeper > _STEEPEST * self._first_ratio:
+            return True
+        self._price_success_at(attained if np.isfinite(attained) else steeper)
+        self.share = self.in_between
         return False
 
-    def concluded(self, tolerance: float, *, finished: bool) -> Generated:
-        """The lottery of the secant's ends, and a certified bound at its slope."""
-        row, price, last = self.row, self.slope, self.last or self.inside
-        if self.outside is not None and deadline.has_time_for(self.took):
-            # with the tails of this price, if one is still on each side of the budget
-            with deadline.WithIncumbent(), deadline.closing():
-                both = [self.pricing.aligned(c, price) for c in (self.inside, self.outside)]
-                if row.breaks(both[1]) and not row.breaks(both[0]):
-                    self.inside, self.outside = both
-        weight, best = self.weight, self.objective
-        columns: tuple[Column, ...] = (self.inside,)
-        weights = np.ones(1)
-        if self.outside is not None and weight == 1.0:
-            columns = (self.outside,)
-        elif self.outside is not None and weight > 0.0:
-            columns, weights = (self.inside, self.outside), np.array([1.0 - weight, weight])
-        price = max(price, best) if row.ratio else price
-        slack = row.ratio and price <= best  # then prove it just below it: Row.lower_bound
-        at = price * (1.0 - 0.25 * tolerance) if slack else price
-        proof = self._proved(at, last, slack=slack or row.is_rare)
-        price = price if proof.price == at else max(proof.price, best if row.ratio else 0.0)
-        self.work = self.work + proof.work
-        bound = least_of(row.lower_bound(proof), best)
-        return Generated(columns, weights, np.array([price]), best, bound, finished, proof.values)
+    def _price_success_at(self, ratio: float) -> None:
+        """Price success at another ratio; the bound stays one, as no policy fails beyond surely."""
+        rise = ratio - self.rows.ratio
+        self.bound -= max(rise if self.rows.by_goal else -rise, 0.0)
+        self.rows = replace(self.rows, ratio=ratio)
 
-    def _prove_on_the_way(self, price: float, best: Column, began: float) -> None:
-        """Prove the secant's bound at a price, if there is a time limit and proofs take little.
+    def _prove_on_the_way(
+        self, limit: FailureRow, weights: FloatArray, best: Column, began: float
+    ) -> None:
+        """Prove the bound at some weights, if that takes little of the time.
 
         Args:
-            price: of failure.
-            best: a policy of least value at this price.
+            limit: what is limited.
+            weights: of the rewards, [rewards].
+            best: a policy of least value at these weights.
             began: when its pricing began, on the clock of ``time.perf_counter``.
         """
         now = time.perf_counter()
-        if (
-            not deadline.is_limited()
-            or now - began < _LONG
-            or self._spent > _SHARE * (now - self._since)
-        ):
+        if now - began < _LONG or self._spent > _SHARE * (now - self._since):
             return
         with deadline.WithIncumbent():
-            proof = self.pricing.prove(price, best, slack=self.row.is_rare)
-            bound = self.row.lower_bound
-            if self.proof is None or bound(proof) > bound(self.proof):
+            proof = self.pool.pricing.prove(weights, best, slack=limit.is_rare)
+            if self.proof is None or limit.lower_bound(proof) > limit.lower_bound(self.proof):
                 self.proof = proof
         self._spent += time.perf_counter() - now
 
-    def _proved(self, price: float, best: Column, *, slack: bool) -> Proof:
-        """The secant's final proof; where there is no time for it the best so far, or the trivial.
 
-        The values of a trivial bound ask a certificate for the best that can be had.
-        """
-        with deadline.WithIncumbent():
-            if deadline.has_time_for(self.took):
-                with deadline.closing():
-                    return self.pricing.prove(price, best, slack=slack)
-        return self.proof or Proof(price, price, -np.inf, self.pricing.anything)
+def secant(cost: FloatArray, taken: FloatArray, bounds: FloatArray) -> MasterOptimum:
+    """The restricted master of one limit, or of none, in closed form.
+
+    Of all lines through a column within the limit and one beyond it, the lowest at the bound is an
+    edge of the lower convex hull; where none falls, the cheapest column within is the optimum.
+
+    Args:
+        cost: [columns].
+        taken: of the limit, [columns]; empty: nothing is limited.
+        bounds: the limit's, [1], or empty.
+    """
+    weights, price, bound = np.zeros(len(cost)), 0.0, float(bounds.sum())
+    spent = taken if len(bounds) else np.zeros(len(cost))
+    most = max(bound + _MET * abs(bound), float(spent.min()))  # else rounding breaks the limit
+    is_within, value = spent <= most, np.inf
+    inside = outside = -1
+    for i in np.flatnonzero(is_within).tolist():
+        if cost[i] < value:
+            value, price, inside, outside = cost[i], 0.0, i, i
+        for j in np.flatnonzero(~is_within).tolist():
+            slope = (cost[i] - cost[j]) / (spent[j] - spent[i])
+            height = cost[i] - slope * max(bound - spent[i], 0.0)
+            if slope > 0.0 and (height < value or (height == value and slope > price)):
+                value, price, inside, outside = height, slope, i, j
+    room, left = bound - spent[inside], spent[outside] - bound
+    if inside == outside or room <= most - bound:
+        weights[inside] = 1.0
+    else:  # each by itself, so that the small one is exact
+        weights[[inside, outside]] = np.array([left, room]) / (left + room)
+    excess = np.zeros(len(bounds))
+    return MasterOptimum(float(value), weights, np.full(len(bounds), float(price)), excess)
 
 
+def certified(master: Master, generated: Generated, tolerance: float) -> Generated:
+    """What a search with a failure row alone ended with, with a certified bound.
+
+    Tails beyond a cap are chosen by the final price, if one column is still on each side of the
+    budget. Where there is no time for a proof the best one so far counts, or a trivial one, whose
+    values ask a certificate for the best that can be had.
+
+    Args:
+        master: of the search.
+        generated: how it ended.
+        tolerance: relative gap that is asked for.
+    """
+    row, pricing, pool = master.limit, master.pool.pricing, master.pool
+    if row is None:
+        raise ModelError("a search with several limits is certified by the prices of all")
+    price, last = generated.price, master.last or generated.columns[0]
+    if len(generated.columns) > 1 and deadline.has_time_for(pool.took):
+        with deadline.WithIncumbent(), deadline.closing():
+            inside = pricing.aligned(generated.columns[0], price)
+            outside = pricing.aligned(generated.columns[1], price)
+            if row.breaks(outside) and not row.breaks(inside):
+                pool.columns, master.lottery = [inside, outside], ((), np.zeros(0))
+                master.solve()
+                (columns, weights), value = master.lottery, master.objective
+                generated = replace(generated, columns=columns, weights=weights, objective=value)
+    best = generated.objective
+    price = max(price, best) if row.ratio else price
+    slack = row.ratio and price <= best  # then prove it just below it: FailureRow.lower_bound
+    at = price * (1.0 - 0.25 * tolerance) if slack else price
+    proof = master.proof
+    with deadline.WithIncumbent():
+        if deadline.has_time_for(pool.took):
+            with deadline.closing():
+                weights = np.array([1.0, at])
+                proof = pricing.prove(weights, last, slack=slack or row.is_rare)
+    proof = proof or Proof(at, at, -np.inf, pricing.anything)
+    price = price if proof.price == at else max(proof.price, best if row.ratio else 0.0)
+    pool.work = pool.work + proof.work
+    base = best if row.ratio else 0.0
+    return replace(
+        generated,
+        prices=np.full(1, price - base),
+        ratio=base,
+        lower_bound=least_of(row.lower_bound(proof), best),
+        values=proof.values,
+    )
+
+
+_SELDOM = 0.5  # a demanded goal probability below which success tells columns apart more exactly
 _STEEP = 5.0  # first price of failure, in costs of a policy that goes for the goal
 _STEPS = (3.0, 15.0, 255.0)  # relative steps of the price until both sides are known
 _LEAST_FACTOR = 1.5  # by which the price moves at least while it is a guess
@@ -302,15 +405,35 @@ class DualGuess:
     slack: bool = False  # whether the budget was slack there, so that one side is all there is
 
 
-def columns_at(pricing: PricingProblem, least: LeastFailure, row: FailureRow) -> Secant:
-    """Begin the secant at the policy of least failure; rounding raises the budget to it."""
-    return Secant(pricing, row.raised_to(least.column), least.column)
+def master_at(
+    pricing: PricingProblem, row: FailureRow, *known: Column | None, **more: Any
+) -> Master:
+    """The master of a failure row alone, over columns of which one satisfies it.
+
+    Args:
+        pricing: makes the columns.
+        row: the budget, and the form of the objective.
+        known: columns to begin with, the first of which satisfies it.
+        more: what the pool knows besides, by name.
+    """
+    pool = Pool(pricing, [], forgets=True, **more)
+    for column in known:
+        if column is not None:
+            same = column.by_goal == pricing.by_goal
+            pool.columns.append(column if same else replace(column, by_goal=pricing.by_goal))
+    limited, ratio = row.demanded > 0.0, 0.0
+    bounds = np.full(int(limited), -row.demanded if pricing.by_goal else row.budget)
+    if row.ratio:
+        ratio = row.objective(pool.columns[0].cost, pool.columns[0].goal)
+    form = pricing.n_rewards, pricing.by_goal, ratio
+    rows = Rows(np.ones(len(bounds), dtype=np.int64), bounds, np.ones(len(bounds)), *form)
+    return Master(pool, rows, np.zeros(len(bounds)), given_success=row.ratio, limit=row)
 
 
 def columns_by_pricing(
     compiled: CompiledProblem, row: FailureRow, guess: DualGuess | None, options: SolveOptions
-) -> Secant | None:
-    """Begin the secant: price failure up and down until columns lie on both sides of the budget.
+) -> Master | None:
+    """Begin the search: price failure up and down until columns lie on both sides of the budget.
 
     Args:
         compiled: says the process and the pricing.
@@ -327,6 +450,8 @@ def columns_by_pricing(
     last, doing = None, "the process was still being built"
     with deadline.WithIncumbent() as search:
         pricing = compiled.pricing()
+        if row.demanded < _SELDOM:
+            pricing = pricing.counting_success()
         doing = "the totals of a first policy were being worked out"
         if guess is None:
             last = pricing.first()
@@ -373,7 +498,9 @@ def columns_by_pricing(
         inside = last = _initial_column_within(pricing, row, search.stop, inside, last)
     if inside is None or last is None:
         return None
-    return Secant(pricing, row, inside, outside, last, calls, work, took=took)
+    master = master_at(pricing, row, inside, outside, calls=calls, work=work, took=took)
+    master.last, master.tried = last, np.array([1.0, price])
+    return master
 
 
 def _initial_column_within(
@@ -411,110 +538,6 @@ def _initial_column_within(
     return min(answers, key=lambda column: row.objective(column.cost, column.goal))
 
 
-_IN_BETWEEN = 0.5  # share of the best known prices in those that are tried
-_SLIGHT = 1e-6  # worth of a row, relative to the objective, that a price in between may neglect
-_ROUNDING = 1e-15  # relative, of weighted totals
-_FEASIBLE = 1e-15
-"""Sum of the rows' violations, relative to their sizes, that is no more than rounding."""
-
-
-@dataclass(eq=False)
-class StabilisedMaster:
-    """One phase on a pool of policies, some lottery over which keeps to the rows, unless elastic.
-
-    Elastic: minimise the violation of the rows, each relative to its scale, not the cost.
-    """
-
-    pool: Pool
-    rows: Rows
-    prices: FloatArray  # [rows] the best that are known, or thought to be good
-    bound: float = 0.0  # of the optimum at these prices, uncertified
-    elastic: bool = False
-    in_between: float = _IN_BETWEEN
-    share: float = field(init=False)  # of the best known prices in those that are tried next
-    master: MasterOptimum = field(init=False)
-    tried: FloatArray = field(init=False)  # [rows] prices of the last pricing call
-
-    most_rounds: ClassVar[int] = 2_000
-
-    def __post_init__(self) -> None:
-        """Begin with prices in between."""
-        self.share = self.in_between
-
-    @property
-    def calls(self) -> int:
-        """Pricing calls of the stabilised search so far, those of earlier phases included."""
-        return self.pool.calls
-
-    def seek(self, tolerance: float) -> Column | None:
-        """A best column at stabilised prices; None where all rows are kept in phase 1."""
-        self.master = self._solved()
-        if self.master.value - self.bound <= self._near(tolerance):
-            self.share = 0.0
-        if self.elastic and self.master.value <= _FEASIBLE:
-            self.prices = self.master.prices
-            return None
-        self.tried = self._between()
-        weights = self.rows.weights(self.tried, 0.0 if self.elastic else 1.0)
-        return self.pool.priced(weights)
-
-    def report(self) -> tuple[float, float]:
-        """The price of failure and the objective of the stabilised search so far."""
-        failure = float(self.tried[self.rows.index == 1].sum())
-        return failure, np.inf if self.elastic else self.master.value
-
-    def learn(self, column: Column, tolerance: float) -> bool:
-        """Stabilised search: keep the better bound, and a column below the master's valuation."""
-        best, near = self.master.value, self._near(tolerance)
-        value = self._value(column, self.tried)
-        beyond = np.abs(column.figures[self.rows.index] - self.rows.bounds)
-        objective = abs(self._objective(column))
-        rounding = _ROUNDING * (objective + float(self.master.prices @ beyond))
-        below = best - self._value(column, self.master.prices)
-        new = below > max(near, rounding) and self.pool.add(column)
-        finished = self.share == 0.0 and (not new or best - value <= near)
-        if finished or value > self.bound:
-            self.prices, self.bound = self.tried, value
-        self.share = self.in_between if new else 0.0
-        return finished
-
-    def concluded(self, tolerance: float, *, finished: bool) -> Generated:
-        """Stabilised search concluded: the lottery, and the bound at the best prices."""
-        master = self.master if finished else self._solved()
-        used = np.flatnonzero(master.weights > 0.0)
-        lottery = tuple(self.pool.columns[k] for k in used.tolist()), master.weights[used]
-        prices, value = self.prices, master.value
-        return Generated(*lottery, prices, value, self.bound, finished, excess=master.excess)
-
-    def _near(self, tolerance: float) -> float:
-        """Gap at which column generation goes on without stabilisation, or ends."""
-        return 0.1 * tolerance * abs(self.master.value)
-
-    def _between(self) -> FloatArray:
-        """Stabilised prices, between the best and the master's; at a share of 0 these, [rows]."""
-        best, share = self.master.value, self.share
-        own = without_negligible_prices(self.master.prices, self.pool.sizes(self.rows), best)
-        if share == 0.0:
-            return own
-        mixed = share * self.prices + (1.0 - share) * own
-        return without_negligible_prices(mixed, self.rows.scales, best, _SLIGHT)
-
-    def _solved(self) -> MasterOptimum:
-        """Stabilised search: the restricted master's best lottery over the pool's columns."""
-        figures, rows = self.pool.figures, self.rows
-        cost, taken = rows.objective(figures), figures[rows.index]
-        return solve_master(cost, taken, rows.bounds, rows.scales, elastic=self.elastic)
-
-    def _value(self, column: Column, prices: FloatArray) -> float:
-        """Lagrangian value of a column; its coefficient in a row is counted from the bound."""
-        beyond = column.figures[self.rows.index] - self.rows.bounds
-        return self._objective(column) + float(prices @ beyond)
-
-    def _objective(self, column: Column) -> float:
-        """Stabilised search: the objective of a column in the master."""
-        return 0.0 if self.elastic else float(self.rows.objective(column.figures))
-
-
 def without_negligible_prices(
     prices: FloatArray, sizes: FloatArray, objective: float, trifle: float = 1e-12
 ) -> FloatArray:
@@ -538,6 +561,7 @@ class Rows:
     bounds: FloatArray  # [rows]
     scales: FloatArray  # [rows] > 0
     n_rewards: int
+    by_goal: bool  # the second reward is minus the goal, in place of failing
     ratio: float = 0.0  # what failing counts in the objective besides (Dinkelbach)
 
     def among(self, some: tuple[int, ...]) -> Rows:
@@ -548,10 +572,6 @@ class Rows:
     def relaxed(self, excess: FloatArray) -> Rows:
         """Rows of a column search, bounds raised by an excess in units of scales, [rows]."""
         return replace(self, bounds=self.bounds + np.maximum(excess, 0.0) * self.scales)
-
-    def objective(self, figures: FloatArray) -> FloatArray:
-        """Objective of columns in the pool by totals that begin with cost and failure, [...]."""
-        return np.asarray(figures[0] + self.ratio * figures[1] if self.ratio else figures[0])
 
     def weights(self, prices: FloatArray, cost: float = 1.0) -> FloatArray:
         """Weights of the rewards in pricing columns, by prices of rows and cost, [rewards]."""
@@ -566,15 +586,17 @@ class Rows:
 class Pool:
     """The policies found so far, in every phase, and the work that it took."""
 
-    pricing: ExplicitPricing | OpenEndedPricing
+    pricing: PricingProblem
     columns: list[Column]
     calls: int = 0
     work: Work = field(default_factory=Work)
+    took: float = 0.0  # seconds of the longest pricing call; a proof needs about as many
+    forgets: bool = False  # whether columns that no lottery needs are let go
 
     @property
     def figures(self) -> FloatArray:
         """Rewards of all columns in the pool, [rewards, columns]."""
-        return np.stack([column.figures for column in self.columns], axis=1)
+        return np.stack(tuple(map(attrgetter("figures"), self.columns)), axis=1)
 
     def sizes(self, rows: Rows) -> FloatArray:
         """Size of each row: its bound, or the most that a column of the pool takes, [rows]."""
@@ -583,11 +605,18 @@ class Pool:
 
     def best(self, weights: FloatArray) -> Column:
         """The column of the pool of least weighted totals."""
-        return self.columns[int(np.argmin(weights @ self.figures))]
+        return self.columns[-1 - int(np.argmin((weights @ self.figures)[::-1]))]
 
-    def priced(self, weights: FloatArray) -> Column:
-        """Price a new column of least weighted totals, improved from the pool's best one."""
-        column = self.pricing.minimise(weights, self.best(weights))
+    def priced(self, weights: FloatArray, *warm: Column) -> Column:
+        """Price a new column of least weighted totals, improved from known ones.
+
+        Args:
+            weights: of the rewards, [rewards].
+            warm: columns to start from; none: the pool's best one.
+        """
+        began = time.perf_counter()
+        column = self.pricing.minimise(weights, *(warm or (self.best(weights),)))
+        self.took = max(self.took, time.perf_counter() - began)
         self.calls, self.work = self.calls + 1, self.work + column.work
         return column
 
@@ -597,7 +626,7 @@ class Pool:
 
     def add(self, column: Column) -> bool:
         """Keep a column in the pool; false where one with the same totals is known."""
-        if any(np.array_equal(column.figures, known.figures) for known in self.columns):
+        if any(_is_same(column, known) for known in self.columns):
             return False
         self.columns.append(column)
         return True
@@ -612,4 +641,14 @@ class Pool:
         taken = np.abs(self.figures[index]).max(axis=1, initial=0.0)
         scales = np.where(bounds == 0.0, taken, np.abs(bounds))
         scales = np.where(scales > 0.0, scales, 1.0)
-        return Rows(index, bounds, scales, self.pricing.n_rewards)
+        return Rows(index, bounds, scales, self.pricing.n_rewards, self.pricing.by_goal)
+
+
+def _is_same(column: Column, known: Column) -> bool:
+    """Whether a column is a known one, but for the rounding of its cost and failure."""
+    same = min(_SAME_FAILURE, _SAME_SMALL * min(known.failure, known.goal))
+    return (
+        abs(column.cost - known.cost) <= _SAME_COST * abs(known.cost)
+        and abs(excess_failure(column, known)) <= same
+        and column.rows == known.rows
+    )

@@ -18,9 +18,9 @@ from ssp_lp.arrays import (
     FloatArray,
     IntArray,
 )
-from ssp_lp.column_generation.column import Column, Proof, required
+from ssp_lp.column_generation.column import Column, Proof, pricing_weights, required
 from ssp_lp.column_generation.compiled_problem import CompiledExplicit, LeastFailure
-from ssp_lp.column_generation.explicit_pricing import ExplicitPricing, pricing_weights
+from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
 from ssp_lp.distributed.dynamics import PartitionedDynamics
 from ssp_lp.distributed.ranks import Ranks
 from ssp_lp.distributed.share import Share

@@ -19,9 +19,10 @@ from ssp_lp.column_generation.compiled_problem import (
 from ssp_lp.column_generation.search import (
     DualGuess,
     Generated,
-    columns_at,
+    certified,
     columns_by_pricing,
     generate,
+    master_at,
 )
 from ssp_lp.compiled.deadline import (
     Stop,
@@ -413,7 +414,7 @@ def _capped_by_case_m(
         model, start, discount = compiled.model, compiled.start, compiled.discount
         label = CompiledExplicit(model, start, semantics, discount)
         outcome = refined_optimum(label, budget, SolveOptions(_TRIAL_TOLERANCE))
-    price = max(outcome.generated.price, outcome.generated.ratio)
+    price = max(outcome.generated.price, outcome.generated.given_success)
     if not np.isfinite(price):
         return compiled, None
     return compiled.capped_at(_LABEL_MARGIN * price), DualGuess(
@@ -433,9 +434,11 @@ def _safest_outcome(
         raise Stop from stop
     with WithIncumbent(), closing():
         least = checked_least_failure(compiled, row.budget) if least is None else least
-        rule = columns_at(compiled.pricing(), least, row)
-        generated = generate(rule, SolveOptions(_TRIAL_TOLERANCE))
-        return RefinedOutcome(replace(generated, finished=False), compiled, rule.row, least)
+        row = row.raised_to(least.column)
+        master = master_at(compiled.pricing(), row, least.column)
+        generated = generate(master, SolveOptions(_TRIAL_TOLERANCE))
+        generated = certified(master, replace(generated, finished=False), _TRIAL_TOLERANCE)
+        return RefinedOutcome(generated, compiled, row, least)
     words = stop.told if isinstance(stop, Stop) else ""
     raise Stop(told=words or "no policy was measured by then") from stop
 
@@ -465,21 +468,24 @@ def _attempt(
             guess = DualGuess(kappa, _SPREAD)
     if guess is None and row.demanded <= 0.0 and not row.ratio:
         guess = DualGuess(0.0, _SPREAD, slack=True)  # nothing is limited: no price has to be found
-    rule = None
+    master = None
     if least is None or row.spare(least.column) > 0.0:
-        rule = columns_by_pricing(compiled, row, guess, options)
-    if rule is None:
+        master = columns_by_pricing(compiled, row, guess, options)
+    if master is None:
         least = checked_least_failure(compiled, row.budget) if least is None else least
-        rule = columns_at(compiled.pricing(), least, row)
+        row = row.raised_to(least.column)
+        master = master_at(compiled.pricing(), row, least.column)
     finer = _TRIAL_TOLERANCE if compiled.is_trial else options.tolerance
-    generated = generate(rule, replace(options, tolerance=finer))
+    generated = generate(master, replace(options, tolerance=finer))
+    generated = certified(master, generated, finer)
     if optimum is not None and generated.finished:
         check_agreement(optimum, generated.objective)
     is_least = least is not None and least.is_proved
-    is_met = least is not None and rule.row.spare(least.column) <= 0.0 < least.column.goal
+    is_met = least is not None and row.spare(least.column) <= 0.0 < least.column.goal
     if least is not None and is_least and is_met:
         generated = replace(
             generated, lower_bound=max(generated.lower_bound, least.objective_bound)
         )
     report = "" if optimum is None else optimum.report
-    return RefinedOutcome(generated, compiled, rule.row, least, rule.calls, rule.work, report)
+    pool = master.pool
+    return RefinedOutcome(generated, compiled, row, least, pool.calls, pool.work, report)

@@ -51,7 +51,7 @@ from ssp_lp.column_generation.compiled_problem import (
     CompiledProblem,
     checked_least_failure,
 )
-from ssp_lp.column_generation.search import Secant, generate
+from ssp_lp.column_generation.search import generate, master_at
 from ssp_lp.compiled.deadline import Stop, WithIncumbent, closing, interrupted, is_late, until
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import (
@@ -629,10 +629,11 @@ class _Columns:
                     f"at the price {steepest:g} of failure it is best to fail: "
                     "steepest_price must lie above the least cost given success"
                 )
-        rule = Secant(self.pricing, row, safest, calls=self.calls, work=safest.work)
-        free = generate(rule, SolveOptions(limits.gap))
+        master = master_at(self.pricing, row, safest, calls=self.calls, work=safest.work)
+        free = generate(master, SolveOptions(limits.gap))
         last = free.columns[-1]
-        self.calls, self.work, self.ends_early = rule.calls, rule.work, not free.finished
+        self.calls, self.work = master.pool.calls, master.pool.work
+        self.ends_early = not free.finished
         self.ends = [safest] if last.failure <= safest.failure else [safest, last]
         self._priced: dict[float, Column] = {}  # found so far, by price
         self.begin()

@@ -27,15 +27,14 @@ import numpy as np
 from ssp_lp.accumulated_cost.totals import Resolution
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.arrays import BELOW_RATIO, MACHINE_EPSILON, RELATIVE_GAP, FloatArray, read_only
-from ssp_lp.column_generation.column import Proof, least_of, relative_gap, two_sided_gap
+from ssp_lp.column_generation.column import Column, Proof, least_of, relative_gap, two_sided_gap
 from ssp_lp.column_generation.compiled_problem import ATTAINABLE, CompiledExplicit
 from ssp_lp.column_generation.explicit_pricing import LARGEST
-from ssp_lp.column_generation.restricted_master import solve_master
 from ssp_lp.column_generation.search import (
     Generated,
+    Master,
     Pool,
     Rows,
-    StabilisedMaster,
     generate,
     without_negligible_prices,
 )
@@ -250,17 +249,16 @@ def _rows_attempt(
         if compiled.ratio:  # whether any lottery within the rows succeeds is no solver's to say
             best_lottery(compiled, rule, replace(options, tolerance=_COARSE))
         program, rule = search_begun_at_duals(compiled, rule, options)
-    generated, ratio = best_lottery(compiled, rule, options)
-    pool, rows = rule.pool, rule.rows
-    cost, failure = float(generated.figures[0]), generated.failure
+    generated = best_lottery(compiled, rule, options)
+    pool, rows, ratio = rule.pool, rule.rows, generated.ratio  # in case S with the ratio
+    cost, failure, value = float(generated.figures[0]), generated.failure, generated.objective
     size = abs(cost) + ratio * abs(float(generated.figures[1]))
-    value = generated.ratio if compiled.ratio else cost
     if program is not None and generated.finished:
         check_agreement(program, value)
     prices = without_negligible_prices(generated.prices, pool.sizes(rows), size)
     bound, values = 0.0, compiled.pricing().anything
     with WithIncumbent(), closing():  # where no time is left the values ask for the best
-        bound, proof = rows_bound(compiled, replace(rows, ratio=ratio), prices, pool.proved)
+        bound, proof = rows_bound(compiled, rows, prices, pool.proved)
         values = read_only(proof.values)
     policy, taken = generated.lottery(compiled.pricing()), generated.figures[rows.index].tolist()
     taken = dict(zip(names_of(compiled, rows), taken, strict=True))
@@ -324,13 +322,9 @@ def _remarks(
 
 _MOST = 8  # policies of the search that are evaluated
 _STEEPER = (0.01, 0.1, 1.0, 100.0)  # shares of the prices that are added for further ones
-_RATIOS = 40  # steps of Dinkelbach's iteration
 _LUCK = 1e-12  # of the greatest goal probability: what the room for rounding of a limit may buy
 _TIGHTER = 1e-12  # share of a bound, far beyond its room for rounding
 _KEPT = 1e-12  # share of its own bound to which every row is kept
-_SETTLED = 1e-14  # relative change of a ratio that is rounding
-_STEEP = 1e3  # factor of a ratio at which nothing reached the goal
-_STEEPEST = 1e15
 
 
 Truth = tuple[Callable[[MixedPolicy], float], Callable[[Policy], FloatArray]]
@@ -338,37 +332,22 @@ Truth = tuple[Callable[[MixedPolicy], float], Callable[[Policy], FloatArray]]
 minimised; and cost, failure and rows of one policy."""
 
 
-def best_lottery(
-    compiled: CompiledExplicit, opened: StabilisedMaster, options: SolveOptions
-) -> tuple[Generated, float]:
-    """Best lottery within the rows, and in case S its ratio (Dinkelbach's iteration)."""
-    if not compiled.ratio:
-        return generate(replace(opened), options), 0.0
-    rule, best, ratio = opened, None, opened.rows.ratio
-    luck = 0.0 if compiled.by_goal else _LUCK * compiled.greatest_goal
-    for _ in range(_RATIOS):
-        rule = replace(rule, rows=replace(opened.rows, ratio=ratio))
-        generated = generate(rule, options)
-        attained = generated.ratio if generated.goal > luck else np.inf
-        if best is None and not np.isfinite(attained):
-            ratio *= _STEEP
-            if ratio > _STEEPEST:
-                raise InfeasibleError(
-                    "no policy that keeps to all limits reaches the goal: no cost given success "
-                    "exists",
-                    failure_budget=compiled.budget,
-                    least_failure=max(1.0 - compiled.greatest_goal, 0.0),
-                )
-            rule = opened
-            continue
-        if best is not None and not attained < ratio * (1.0 - _SETTLED):
-            return replace(generated, columns=best.columns, weights=best.weights), ratio
-        best, ratio, rule = generated, attained, replace(rule, prices=generated.prices, bound=0.0)
-        if not generated.finished or ratio == 0.0:
-            break
-    if best is None:
-        raise SolverError("no policy that reaches the goal was found within the time limit")
-    return best, ratio
+def best_lottery(compiled: CompiledExplicit, opened: Master, options: SolveOptions) -> Generated:
+    """Best lottery within the limits, by the search as it was opened.
+
+    Raises:
+        InfeasibleError: case S, and none within the limits reaches the goal.
+    """
+    generated = generate(opened, options)
+    if not np.isfinite(generated.objective):
+        if not generated.finished:
+            raise SolverError("no policy that reaches the goal was found within the time limit")
+        raise InfeasibleError(
+            "no policy that keeps to all limits reaches the goal: no cost given success exists",
+            failure_budget=compiled.budget,
+            least_failure=max(1.0 - compiled.greatest_goal, 0.0),
+        )
+    return generated
 
 
 def true_lottery(
@@ -401,37 +380,37 @@ def true_lottery(
             steeper = weights.copy()
             steeper[rows.index] += factor * np.maximum(weights[rows.index], least)
             points.append(pricing.minimise(steeper, best))
-    policies = [pricing.policy(point) for point in points]
-    true = np.stack([figures(policy) for policy in policies], axis=1)
-    taken, limits, (cost, counted) = true[rows.index], (rows.bounds, rows.scales), true[:2]
-    failure, reached, rounding = counted, 1.0 - counted, _LUCK * compiled.greatest_goal
-    if compiled.by_goal:
-        failure, reached, rounding = 1.0 + counted, -counted, 0.0
-
-    def given_success(weights: FloatArray) -> float:
-        """The cost given success of a lottery."""
-        goal = float(reached @ weights)
-        return float(cost @ weights) / goal if goal > rounding else np.inf
-
-    chosen = solve_master(cost, taken, *limits, elastic=True).weights
-    if (taken @ chosen > rows.bounds + _KEPT * np.abs(rows.bounds)).any():
+    measured = []
+    for policy in map(pricing.policy, points):
+        column = Column.of_figures(figures(policy), None, by_goal=compiled.by_goal, policy=policy)
+        measured.append(column)
+    true, none = Pool(pricing, measured), np.zeros(len(rows.index))
+    within = Master(true, rows, none, elastic=True)
+    within.solve()
+    columns, weights = within.lottery
+    taken = weights @ np.stack([column.figures[rows.index] for column in columns])
+    if (taken > rows.bounds + _KEPT * np.abs(rows.bounds)).any():
         return None
-    if not compiled.ratio:
-        chosen = solve_master(cost, taken, *limits, elastic=False).weights
-    ratio = given_success(chosen)
-    if not np.isfinite(ratio):
-        ratio = float((cost / np.maximum(reached, 1e-300)).max()) + 1.0
-    for _ in range(_RATIOS if compiled.ratio else 0):
-        optimal = solve_master(cost + ratio * counted, taken, *limits, elastic=False).weights
-        attained = given_success(optimal)
-        if not attained < ratio * (1.0 - _SETTLED):
-            break
-        chosen, ratio = optimal, attained
-    if compiled.ratio and not np.isfinite(given_success(chosen)):
+    master = Master(true, rows, none, given_success=compiled.ratio, luck=_luck(compiled))
+    if compiled.ratio:
+        cost, goal = weights @ [(column.cost, column.goal) for column in columns]
+        if goal > master.luck:
+            master.lottery, master.objective = within.lottery, float(cost / goal)
+            master.rows = replace(rows, ratio=master.objective)
+        else:
+            ratios = [column.cost / max(column.goal, 1e-300) for column in measured]
+            master.rows = replace(rows, ratio=max(ratios) + 1.0)
+    master.solve()
+    if not np.isfinite(master.objective):
         return None
-    used = np.flatnonzero(chosen > 0.0)
-    lottery = MixedPolicy(tuple(policies[k] for k in used.tolist()), chosen[used])
-    return lottery, float(failure @ chosen)
+    columns, weights = master.lottery
+    members = tuple(column.policy for column in columns if column.policy is not None)
+    return MixedPolicy(members, weights), float(weights @ [column.failure for column in columns])
+
+
+def _luck(compiled: CompiledExplicit) -> float:
+    """Goal probability that the room for rounding of a limit may buy."""
+    return 0.0 if compiled.by_goal or not compiled.ratio else _LUCK * compiled.greatest_goal
 
 
 def true_figures(problem: Problem, stated: CompiledExplicit) -> Truth | None:
@@ -468,7 +447,7 @@ def row_activities(stated: CompiledExplicit, evaluation: Evaluation) -> list[flo
 
 def phase_one(
     compiled: CompiledExplicit, stated: CompiledExplicit, options: SolveOptions
-) -> StabilisedMaster:
+) -> Master:
     """Phase 1 of a search with rows: columns until some lottery keeps to all of them.
 
     Args:
@@ -486,13 +465,19 @@ def phase_one(
     pool.add(cheapest)
     limited = np.flatnonzero(np.isfinite(compiled.bounds))
     rows = pool.rows(1 + limited, compiled.bounds[limited])
-    elastic = StabilisedMaster(pool, rows, np.zeros(limited.size), elastic=True)
+    elastic = Master(pool, rows, np.zeros(limited.size), elastic=True)
     ended = generate(elastic, options)
     if _kept_to(ended, rows):
         raised = rows.relaxed(ended.excess)
         ratio = _positive_ratio(pool, ended) if compiled.ratio else 0.0
-        at_none = np.zeros(len(limited)), cheapest.cost
-        return StabilisedMaster(pool, replace(raised, ratio=ratio), *at_none)
+        return Master(
+            pool,
+            replace(raised, ratio=ratio),
+            np.zeros(len(limited)),
+            cheapest.cost,
+            given_success=compiled.ratio,
+            luck=_luck(compiled),
+        )
     if compiled.budget is None and stated.budget is not None:
         anyhow = replace(stated, budget=1.0)
         phase_one(anyhow, anyhow, options)  # raises where the limits contradict each other anyhow
@@ -510,7 +495,7 @@ def phase_one(
 
 def _positive_ratio(pool: Pool, ended: Generated) -> float:
     """A ratio for phase 1 within rows to begin with: of the known lottery, or some policy."""
-    attained = ended.ratio
+    attained = ended.given_success
     if np.isfinite(attained) and attained > 0.0:
         return attained
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -612,7 +597,7 @@ def _irreducible_conflict(
         if not rest or len(rest) == len(conflict.rows):
             continue
         part = rows.among(rest)
-        elastic = StabilisedMaster(pool, part, np.zeros(len(rest)), elastic=True)
+        elastic = Master(pool, part, np.zeros(len(rest)), elastic=True)
         ended = generate(elastic, options)
         smaller = None if _kept_to(ended, part) else _proved_conflict(pool, part, ended)
         if smaller is not None:
@@ -631,8 +616,8 @@ def names_of(compiled: CompiledExplicit, rows: Rows) -> list[str]:
 
 
 def search_begun_at(
-    compiled: CompiledExplicit, rule: StabilisedMaster, ratio: float, prices: Mapping[str, float]
-) -> StabilisedMaster:
+    compiled: CompiledExplicit, rule: Master, ratio: float, prices: Mapping[str, float]
+) -> Master:
     """The search within rows, begun at a ratio, in case S, and at prices by name."""
     rows = replace(rule.rows, ratio=ratio or rule.rows.ratio) if compiled.ratio else rule.rows
     begun = np.array([prices.get(name, 0.0) for name in names_of(compiled, rows)])
@@ -640,8 +625,8 @@ def search_begun_at(
 
 
 def search_begun_at_duals(
-    compiled: CompiledExplicit, rule: StabilisedMaster, options: SolveOptions
-) -> tuple[ProgramOptimum, StabilisedMaster]:
+    compiled: CompiledExplicit, rule: Master, options: SolveOptions
+) -> tuple[ProgramOptimum, Master]:
     """Full linear program's optimum with rows, and the search begun at its duals."""
     pricing, rows = compiled.explicit_pricing, rule.rows
     limited = zip(names_of(compiled, rows), rows.index, rows.bounds.tolist(), strict=True)
@@ -672,7 +657,7 @@ def limited_rows(compiled: CompiledExplicit) -> Rows:
     """The rows of a problem that are limited, none of them in a size of its own."""
     limited = np.flatnonzero(np.isfinite(compiled.bounds))
     ones, n_rewards = np.ones(limited.size), 1 + len(compiled.names)
-    return Rows(1 + limited, compiled.bounds[limited], ones, n_rewards)
+    return Rows(1 + limited, compiled.bounds[limited], ones, n_rewards, compiled.by_goal)
 
 
 def rows_bound(

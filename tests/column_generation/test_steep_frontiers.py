@@ -78,6 +78,9 @@ def test_the_lottery_spends_a_tiny_budget_exactly(budget, least, most):
     ):
         found = solve(problem, method="columns")
         assert found.objective == pytest.approx(float(objective), rel=1e-12)
+        if objective == 2 and bold == 1:
+            assert found.failure_probability <= budget  # failing surely costs and saves nothing
+            continue
         assert float(found.policy.weights[-1]) == pytest.approx(float(weight), rel=1e-10)
         assert found.failure_probability == pytest.approx(budget, rel=1e-12, abs=0)
 
