@@ -333,7 +333,8 @@ def secant(cost: FloatArray, taken: FloatArray, bounds: FloatArray) -> MasterOpt
             if slope > 0.0 and (height < value or (height == value and slope > price)):
                 value, price, inside, outside = height, slope, i, j
     room, left = bound - spent[inside], spent[outside] - bound
-    if inside == outside or room <= most - bound:
+    earns_nothing = room <= most - bound and price * room <= _ROUNDING * abs(value)
+    if inside == outside or room <= 0.0 or earns_nothing:
         weights[inside] = 1.0
     else:  # each by itself, so that the small one is exact
         weights[[inside, outside]] = np.array([left, room]) / (left + room)
