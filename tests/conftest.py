@@ -16,8 +16,15 @@ NAME = 1000
 """Characters of a test's name at most: it is sent between processes with every result."""
 
 
+@pytest.hookimpl(tryfirst=True)  # before tests are chosen by their markers
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Refuse tests whose names hold their data."""
+    """Mark all but the first case of each test slow; refuse names that hold a test's data."""
+    met = set[str]()
+    for item in items:
+        name = item.nodeid.partition("[")[0]
+        if name in met:
+            item.add_marker(pytest.mark.slow)
+        met.add(name)
     if long := [item.nodeid[:100] for item in items if len(item.nodeid) > NAME]:
         raise pytest.UsageError(f"give these tests an id, their names are too long: {long}")
 

@@ -152,6 +152,7 @@ def test_stops_and_kinds_of_compiled_problems_are_known_in_few_places() -> None:
     assert not any(re.search(r"isinstance\([^)]*Compiled", text) for text in texts)
 
 
+@pytest.mark.slow
 def test_no_module_imports_itself_by_way_of_others() -> None:
     """Imports that only a type checker sees, and those of a package's own modules, apart."""
     files = files_of("ssp_lp") + files_of("formulations")
@@ -172,6 +173,7 @@ def test_no_module_imports_itself_by_way_of_others() -> None:
     assert not imported
 
 
+@pytest.mark.slow
 def test_no_small_module_serves_one_neighbour_alone() -> None:
     """A module below 200 lines that one module of its own folder imports is a part of that one."""
     files = files_of("ssp_lp") + files_of("formulations")
@@ -239,6 +241,7 @@ def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -
     assert all(is_now <= was for is_now, was in zip(way, most, strict=True)), way
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("measure", "most"),
     [
@@ -255,6 +258,7 @@ def test_the_house_only_shrinks(measure: Callable[[], int], most: int) -> None:
     assert measure() <= most
 
 
+@pytest.mark.slow
 def test_no_folder_grows() -> None:
     grown = {
         folder: count

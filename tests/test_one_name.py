@@ -51,6 +51,7 @@ def test_a_misspelled_name_is_told_the_nearest(name: str, meant: str) -> None:
         exec(f"from ssp_lp import {name}")
 
 
+@pytest.mark.slow
 def test_a_room_is_a_name_once_it_is_asked_for_and_nothing_before() -> None:
     code = "import ssp_lp; print('numpy' in sys.modules, ssp_lp.io.__name__, ssp_lp.solve.__name__)"
     assert run(code).split() == ["False", "ssp_lp.io", "solve"]

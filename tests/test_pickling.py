@@ -203,6 +203,7 @@ def public_names():
         yield from ((name, getattr(module, name)) for name in module.__all__)
 
 
+@pytest.mark.slow
 def test_every_public_object_is_copied(tmp_path):
     seen = set()
     for kind in (of_solving, of_models, lambda: of_files(tmp_path), of_gymnasium):
@@ -232,6 +233,7 @@ def test_every_error_says_the_same_after_a_pickle_and_a_copy():
             assert vars(fresh) == vars(error)
 
 
+@pytest.mark.slow
 def test_a_pool_hands_on_that_a_problem_is_infeasible():
     """It would wait for ever for an error that cannot be read."""
     asked = [criteria.MCMP(MODEL, START, failure_budget=budget) for budget in (0.2, 0.01)]

@@ -39,7 +39,7 @@ def as_table(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]
         for name, line in zip(columns, taken.tolist(), strict=True)
     ]
     bounds = [f"{relation} {bound:g}" for relation, bound in _sides(program)]
-    table = Table([*lines, ("", "", *bounds)], ("", "minimise", *rows))
+    table = Table([*lines, ("", "", *bounds)], ("", "minimise", *rows), "in full")
     return table if max(map(len, table.lines())) <= _WIDEST else None
 
 

@@ -359,6 +359,7 @@ def test_few_sums_of_a_fine_unit_are_followed_one_by_one(cost):
     assert hyperbola == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_unlikely_sums_are_rounded_and_likely_ones_are_not():
     """Twelve rare detours at costs of their own beside one try: the likely totals stay exact."""
     rng = np.random.default_rng(0)

@@ -34,6 +34,7 @@ def check_proved(solution, gap=1e-09):
     assert max(solution.gap, certificate.gap) < gap
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", range(4))
 def test_levels_grids_and_the_lattice(block):
     """All sums as levels give the lattice's optimum; 30 levels bound it from both sides."""
@@ -183,6 +184,7 @@ def test_a_certificate_finds_the_table_where_more_cost_has_fewer_sums(budget):
     check_proved(solve(S3P(model_of(choices), 0, failure_budget=budget)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("last", [1e4, 1e6])
 def test_a_table_that_cannot_grow_is_searched_to_the_end(last):
     """B is left by a dear sure step or a cheap doubtful one; the first table holds all there is.

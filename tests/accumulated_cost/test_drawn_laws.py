@@ -64,6 +64,7 @@ def check_law(law, expected, most):
         assert law.within(float(bound)) == law.within(bound)
 
 
+@pytest.mark.slow
 @often(150)
 @given(played(), st.sampled_from([1, 10, 3]))
 def test_randomised_policies_have_the_enumerated_law(drawn_and_decisions, parts):
@@ -135,6 +136,7 @@ def test_memories_of_time_and_ones_that_go_back_have_the_enumerated_law(drawn):
         check_law(success_costs(policy, S3P(model, start=drawn.start)), expected, Fraction(8))
 
 
+@pytest.mark.slow
 @often(100)
 @given(played())
 def test_what_holds_for_every_law(drawn_and_decisions):

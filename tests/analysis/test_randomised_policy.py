@@ -124,6 +124,7 @@ def test_with_time_in_the_memory_states_agree_at_each_time_in_case_m(drawn, gamm
         assert mean[0] == pytest.approx(mean[1], abs=1e-9)
 
 
+@pytest.mark.slow
 @few
 @given(problems(most_live=2, most_cost=2), st.sampled_from([0.25, 0.1, 0.5]))
 def test_with_time_and_cost_in_the_memory_both_agree_at_each_time_in_case_s(drawn, share):

@@ -108,6 +108,7 @@ def drawn_plain_policy(draw, model):
     return DeterministicPolicy.from_actions(model, actions)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(9))
 def test_costs_until_failing_and_after_it_are_one_number_each(seed):
     """Of every criterion and every policy: simulated as evaluated, under one name."""

@@ -26,6 +26,7 @@ from tests.campaigns.campaign import run, smaller_tables, smallest, smallest_mod
 PRICED_ROWS = 900231  # without a certificate once: a limit has a price, and nothing is paid
 
 
+@pytest.mark.slow
 def test_certificates_and_changed_ones():
     tally = Counter()
     for seed in (*range(4 * len(certificate_check.KINDS)), PRICED_ROWS):
@@ -35,6 +36,7 @@ def test_certificates_and_changed_ones():
     assert sum(count for name, count in tally.items() if name.startswith("changed")) > 30
 
 
+@pytest.mark.slow
 def test_no_wrong_answer_of_a_broken_library_is_believed(tmp_path):
     tally = Counter()
     for fault in ("dead-ends charge twice", "steps cost more in one room"):
@@ -54,6 +56,7 @@ def test_damaged_certificates_are_refused_or_true(ending, tmp_path):
     assert said[damaged_files.REFUSED] > 40
 
 
+@pytest.mark.slow
 def test_programs_are_those_of_the_definitions():
     """Each criterion with two of the changes."""
     tally, criteria = Counter(), len(program_check.CRITERIA)
@@ -76,6 +79,7 @@ def test_programs_that_were_refused(seed):
     assert tally["visits"] == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("criterion", failure_check.CRITERIA)
 def test_limits_after_failing_are_those_of_the_definitions(criterion):
     counts = Counter()
@@ -85,6 +89,7 @@ def test_limits_after_failing_are_those_of_the_definitions(criterion):
     assert counts["with a price on what is limited"] > 1
 
 
+@pytest.mark.slow
 def test_the_truth_lies_between_the_bounds_of_few_levels():
     tally = Counter()
     for seed in (0, 1, 2, 3, 6, 7):  # 4, 5 and 8 take long
@@ -92,6 +97,7 @@ def test_the_truth_lies_between_the_bounds_of_few_levels():
     assert tally["rounded"] > 20
 
 
+@pytest.mark.slow
 def test_small_draws_of_families_are_closed(capsys):
     assert family_draws.SIZES.keys() <= FAMILIES.keys()
     small = ["--states", "60", "120", "--families", "blocks", "factored", "tandem"]
@@ -172,6 +178,7 @@ def test_the_smallest_model_that_fails_is_left():
     assert "402 states" in smallest_model(FAMILIES["ring"](400), lambda case: True)
 
 
+@pytest.mark.slow
 def test_the_least_of_a_damaged_file_is_left(monkeypatch):
     """Nothing but what is not understood; the damage number 4 has put it there."""
     large = b"9" * 11
@@ -183,6 +190,7 @@ def test_the_least_of_a_damaged_file_is_left(monkeypatch):
     assert damaged_files.shrunk("json", 4) == large
 
 
+@pytest.mark.slow
 def test_a_campaign_shows_the_smallest_problem_that_it_found_wrong(monkeypatch, capsys):
     """A reference that is wrong by 1 where the wall is limited: one limit and little else stay."""
     least = program_check.combined.least

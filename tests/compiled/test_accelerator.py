@@ -180,6 +180,7 @@ def test_rows_are_filled_within_their_arrays():
         np.testing.assert_array_equal(data, np.ones(n))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("n", "costs", "budget", "back"),
     [

@@ -60,6 +60,7 @@ def told(*asked):
     return run.stdout.splitlines()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", ["numba", "numba.np.arraymath"])
 def test_loading_is_ended_before_ctrl_c_is_heard(module):
     """At the begin and where registries are filled; in the middle: the next test."""
@@ -72,12 +73,14 @@ def test_loading_is_ended_before_ctrl_c_is_heard(module):
     ]
 
 
+@pytest.mark.slow
 def test_a_solve_that_was_interrupted_while_numba_was_loaded_is_followed_by_others():
     lines = told("numba.core.typing", "solve")
     assert lines[0] == "interrupted in numba.core.typing"
     assert lines[2:] == [f"solved {117 / 35:.9f} OPTIMAL"] * 2 + ["counted 3"]
 
 
+@pytest.mark.slow
 def test_another_thread_loads_it_without_signals():
     code = (
         "import threading, ssp_lp.compiled.accelerator as a\n"

@@ -163,6 +163,7 @@ def test_a_function_without_a_twin_is_compiled_after_all(loops):
     assert not loops.running
 
 
+@pytest.mark.slow
 def test_damaged_files_of_numba_are_compiled_anew(tmp_path):
     """The index cut short, and the code cut short, each met by a process of its own."""
     code = (

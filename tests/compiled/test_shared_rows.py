@@ -72,6 +72,7 @@ def test_shared_rows_are_the_rows(survival, width):
     np.testing.assert_array_equal(shared @ x, written @ x)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("sharing")
 def test_compiled_loops_read_both_kinds_of_rows_alike(monkeypatch):
     monkeypatch.setattr(bellman, "_FEW_ENTRIES", 0)

@@ -70,6 +70,7 @@ def test_names_of_instances_are_read_back():
         assert parse_instance(name).warm_up.name == warm_up
 
 
+@pytest.mark.slow
 def test_criteria_without_a_budget_are_compared_with_storm(tmp_path):
     def value(instance, solver):
         told = worked(instance, solver, tmp_path)
@@ -82,6 +83,7 @@ def test_criteria_without_a_budget_are_compared_with_storm(tmp_path):
     assert value("tandem-6-C", "columns") is value("tandem-6-C", "storm") is None  # nobody is sure
 
 
+@pytest.mark.slow
 def test_an_instance_without_a_policy_is_told_as_such_by_all(tmp_path):
     """At a discount of 0.9 success after t steps counts 0.9^t only: no policy keeps to 0.05."""
     for solver in ("columns", "value iteration (game)", "storm", "storm-sound"):
@@ -91,6 +93,7 @@ def test_an_instance_without_a_policy_is_told_as_such_by_all(tmp_path):
         assert "no policy keeps to the failure budget" in told["note"]
 
 
+@pytest.mark.slow
 def test_the_game_is_compared_where_there_is_a_discount(tmp_path):
     told = [worked(f"{SMALL}@0.999", name, tmp_path) for name in ("columns", GAME)]
     assert told[0]["objective"] == pytest.approx(told[1]["objective"], rel=1e-8)
@@ -117,6 +120,7 @@ def test_by_default_two_discounted_instances_are_compared(
     assert GAME in solvers
 
 
+@pytest.mark.slow
 def test_solvers_agree_each_in_a_process_of_its_own(tmp_path):
     chosen = ["columns", "highs-ipx"]
     options = ["--solvers", *chosen, "--repeat", "2", "--output", str(tmp_path)]
@@ -187,6 +191,7 @@ def test_what_is_not_installed_is_a_row(monkeypatch, tmp_path):
     assert told == {"outcome": "not installed", "note": absent.pip, "phase": "done"}
 
 
+@pytest.mark.slow
 def test_an_error_in_a_solver_is_a_row():
     run = compare_solvers.run_solver(order("no-such-method"), Limits(60.0, 9.0))
     assert run.outcome is Outcome.FAILED

@@ -45,6 +45,7 @@ def test_the_cost_of_a_share_is_linear_up_to_the_best_ratio(domain):
     assert (np.diff(costs[:-1], 2) >= -1e-9 * max(costs)).all()
 
 
+@pytest.mark.slow
 def test_the_tour_prints_a_table_for_each_domain(capsys):
     criteria_tour.main()
     printed = capsys.readouterr().out

@@ -243,6 +243,7 @@ def test_carried_spares_are_the_published_ones_state_by_state():
     assert copy.model.n_states == theirs.model.n_states == 80
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EQUIVALENTS)
 def test_published_models_and_their_smaller_equivalents(name):
     """Bisimilar starts, hence equal values; the solver agrees."""

@@ -222,6 +222,7 @@ def test_answers_are_certified_and_one_randomised_policy_does_as_much(robot, cri
     assert limited == pytest.approx(BUDGET, abs=1e-11)
 
 
+@pytest.mark.slow
 def test_the_full_linear_program_agrees_in_case_m(robot):
     columns = solved(MCMP, *robot)
     program = solve(columns.problem, "lp")
@@ -334,6 +335,7 @@ def test_more_points_on_the_way_see_all_that_fewer_see_and_the_whole_way_sees_al
         assert (times[more] < 1).any()
 
 
+@pytest.mark.slow
 def test_the_script_prints_the_paper_then_both_readings_and_draws_six_pictures(
     tmp_path, capsys, monkeypatch
 ):
@@ -372,6 +374,7 @@ def test_true_costs_are_proved_and_played_inside_their_intervals(turning_cost):
     assert failure.low <= BUDGET <= failure.high
 
 
+@pytest.mark.slow
 def test_sums_are_told_apart_on_the_whole_grid_of_the_paper():
     """Some 1,200 sums on 4,800 cells; a table cut short of them proves nothing."""
     grid = RobotGrid(points_on_the_way=None, turning_cost=0.2)
@@ -382,6 +385,7 @@ def test_sums_are_told_apart_on_the_whole_grid_of_the_paper():
     assert solution.objective == pytest.approx(3.2077, abs=4e-4)
 
 
+@pytest.mark.slow
 def test_the_script_prints_a_line_for_a_price_and_draws(tmp_path, capsys):
     asked = ["--episodes", "500", "--segments", "12", "--turning-costs", "0"]
     true_costs([*asked, "--output", str(tmp_path)])

@@ -12,14 +12,15 @@ from examples.paper_walkthrough.model import Row
 from examples.paper_walkthrough.robot import robot_text
 
 PAGE = (Path(__file__).parents[2] / "docs/robot.md").read_text(encoding="utf-8")
+SECTIONS = dict(walkthrough.SECTIONS)
 
 
 @cache
 def rows_of(title):
-    return walkthrough.SECTIONS[title]()
+    return SECTIONS[title]()
 
 
-@pytest.mark.parametrize("title", walkthrough.SECTIONS)
+@pytest.mark.parametrize("title", SECTIONS)
 def test_section(title):
     rows = rows_of(title)
     assert rows
@@ -35,7 +36,7 @@ def test_rows_tell_what_does_not_agree():
 
 
 def test_it_prints_all_sections(capsys, monkeypatch):
-    sections = {title: partial(rows_of, title) for title in walkthrough.SECTIONS}
+    sections = {title: partial(rows_of, title) for title in SECTIONS}
     monkeypatch.setattr(walkthrough, "SECTIONS", sections)
     walkthrough.main([])
     told = capsys.readouterr().out
@@ -49,6 +50,7 @@ def cells(text):
     return [[c.strip() for c in line.strip("|").split("|")] for line in lines[first + 2 :][:5]]
 
 
+@pytest.mark.slow
 def test_the_robots_table_is_that_of_its_page_and_closes():
     found, told = cells(robot_text(RobotGrid())), cells(PAGE)
     exact = float(found[-1][1])

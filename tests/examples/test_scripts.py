@@ -73,6 +73,7 @@ def test_the_week_goes_on_and_the_stock_goes_down():
     assert (where[after[:, 0] < 0.0] == world.end_state("sold out")).all()
 
 
+@pytest.mark.slow
 def test_the_key_and_the_door_and_the_gallery_are_drawn(tmp_path, capsys):
     matplotlib = pytest.importorskip("matplotlib")
     matplotlib.use("Agg")
@@ -90,6 +91,7 @@ def test_the_key_and_the_door_and_the_gallery_are_drawn(tmp_path, capsys):
     matplotlib.pyplot.close("all")
 
 
+@pytest.mark.slow
 def test_the_three_methods_agree_on_a_coarse_robot(capsys):
     grid = ["--segments", "4", "--headings", "3"]
     cross_check.main([*grid, "--budget", "0.98", "--discount", "0.9"])
@@ -100,6 +102,7 @@ def test_the_three_methods_agree_on_a_coarse_robot(capsys):
     assert all(abs(float(weight) - float(identity)) <= 1e-9 for weight, identity in pairs)
 
 
+@pytest.mark.slow
 def test_the_frozen_lake_tells_both_horizons(capsys, monkeypatch):
     pytest.importorskip("gymnasium")
     rollout = ssp_lp.io.rollout
@@ -113,6 +116,7 @@ def test_the_frozen_lake_tells_both_horizons(capsys, monkeypatch):
     assert float(without[0]) > 0.4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(TASKS))
 def test_the_certified_failure_of_a_toy_text_is_what_is_played(name):
     solution, report = TASKS[name](100)
@@ -123,6 +127,7 @@ def test_the_certified_failure_of_a_toy_text_is_what_is_played(name):
     assert len(body) <= 8
 
 
+@pytest.mark.slow
 def test_every_law_of_real_costs_and_every_number_of_levels_has_its_line(capsys):
     real_costs(["--sizes", "4", "--time-limit", "2"])
     laws, levels = capsys.readouterr().out.strip().split("\n\n")
@@ -141,6 +146,7 @@ SUBURB = (
 )
 
 
+@pytest.mark.slow
 def test_the_drones_limits_hold_when_its_plan_is_flown(monkeypatch, tmp_path):
     pytest.importorskip("matplotlib")
     monkeypatch.setattr(drone, "PLAN", SUBURB)
@@ -161,6 +167,7 @@ def test_the_drones_limits_hold_when_its_plan_is_flown(monkeypatch, tmp_path):
     assert (tmp_path / "drone.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_in_at_most_forty_lines_and_says_what_it_shows(path, monkeypatch):
     plt = pytest.importorskip("matplotlib.pyplot")

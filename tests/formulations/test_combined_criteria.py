@@ -242,6 +242,7 @@ def check_conflict(draw: Draw, error: InfeasibleError) -> None:
         assert possible(set(named) - {name}), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", range(2))
 @pytest.mark.parametrize("name", OTHERS)
 def test_many_models_each(name: str, block: int, accelerate: Switch) -> None:
@@ -260,6 +261,7 @@ def test_totals_with_and_without_a_common_unit(name: str, costs: str, accelerate
         check(drawn(name, costs, seed), by_program=linear)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OF_TOTALS)
 def test_few_levels_bound_the_optimum_from_both_sides(name: str) -> None:
     for seed in range(7, 11):

@@ -452,6 +452,7 @@ def test_free_rings_in_a_larger_model(n):
             assert price * (allowed[name] - spent[name]) <= 1e-8 * solution.objective
 
 
+@pytest.mark.slow
 @often(60)
 @given(problems(), semantics, discounts)
 def test_without_limits_it_is_mcmp(drawn, meaning, discount):
@@ -476,6 +477,7 @@ def test_without_limits_it_is_mcmp(drawn, meaning, discount):
         assert set(found.prices) <= {"failure"}
 
 
+@pytest.mark.slow
 @often(80)
 @given(problems(most_live=3), semantics, discounts, st.integers(0, 99))
 def test_a_secondary_cost_is_the_cost_of_the_model_that_has_it(drawn, meaning, discount, seed):

@@ -431,6 +431,7 @@ UTILITIES = {
 bonuses = st.sampled_from([0.3, 0.0, 1.0, 20.0])
 
 
+@pytest.mark.slow
 @often(80)
 @given(problems(), st.sampled_from([-0.5, -0.1, -2.0]), bonuses)
 def test_exponential_utility(drawn, rate, bonus):
@@ -439,6 +440,7 @@ def test_exponential_utility(drawn, rate, bonus):
     check(EGUBS(library_model(drawn), drawn.start, rate, bonus), value)
 
 
+@pytest.mark.slow
 @often(60)
 @given(problems(), st.sampled_from(sorted(UTILITIES)), bonuses, st.sampled_from([0.0, -0.5]))
 def test_expected_utility(drawn, name, bonus, at_infinity):
@@ -460,6 +462,7 @@ def test_what_cancels_to_rounding_is_no_gap(back):
     check(GUBS(model, "a", UTILITIES["constant"], 0.0, -0.5), 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("criterion", [CostBoundedReach, CostQuantile, CVaR])
 @often(120)
 @given(drawn=drawn_problems, share=shares, level=levels, bound=bounds)
@@ -489,6 +492,7 @@ def test_within_a_budget_and_at_least_failure(criterion, drawn, share, level, bo
         assert solution.goal_probability == pytest.approx(1.0 - least, abs=1e-11)
 
 
+@pytest.mark.slow
 @often(40)
 @given(problems())
 def test_budgets_below_the_least_failure(drawn):
@@ -521,6 +525,7 @@ def twisted(drawn, name=lambda state: state, unit=1, dearer=False):
     return Draw(choices, frozenset(map(name, drawn.goals)), start)
 
 
+@pytest.mark.slow
 @often(12)
 @given(problems(), levels, bounds, st.sampled_from([0.5, 0.1, 0.25, 0.75, 1.0]))
 def test_symmetries(drawn, level, bound, share):

@@ -62,6 +62,7 @@ def check_all(problem, value):
     return solution
 
 
+@pytest.mark.slow
 @often(100)
 @given(problems())
 def test_extreme_probabilities_and_the_plain_problem(drawn):
@@ -86,6 +87,7 @@ def test_extreme_probabilities_and_the_plain_problem(drawn):
         assert caught.value.least_failure == pytest.approx(least_failure(points), abs=1e-12)
 
 
+@pytest.mark.slow
 @often(40)
 @given(problems(), st.sampled_from([0.5, 0.9, 1.0]))
 def test_s3p_and_isspude(drawn, share):

@@ -59,6 +59,7 @@ def a_corridor(seed: int) -> SSP:
     return model_of({**rooms, "shaft": {}}, "r8")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "problem",
     [

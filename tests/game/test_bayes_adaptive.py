@@ -68,6 +68,7 @@ def test_beliefs_out_of_range_are_refused():
         play(None, Game(1.0, 0.1))
 
 
+@pytest.mark.slow
 @few
 @given(problems(most_live=3), gammas, shares)
 def test_the_true_value_lies_between_the_bounds_in_case_m(drawn, gamma, share):
@@ -75,6 +76,7 @@ def test_the_true_value_lies_between_the_bounds_in_case_m(drawn, gamma, share):
     _check_bracket(drawn_problem(MCMP, drawn, share, gamma))
 
 
+@pytest.mark.slow
 @few
 @given(problems(most_live=2, most_cost=2), st.sampled_from([0.5, 0.3]), shares)
 def test_the_true_value_lies_between_the_bounds_in_case_s(drawn, gamma, share):
@@ -108,6 +110,7 @@ def test_the_bracket_closes_as_the_discount_goes_to_one(criterion):
     assert approximate.lower_bound == pytest.approx(exact, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_bracket_on_the_robot(robot):
     """Case M of the paper's robot at gamma = 0.999: 15.371 <= c* <= 15.4914 or so."""
     model, start = robot
@@ -160,6 +163,7 @@ def test_t3_2_against_all_policies_of_state_and_time(drawn, gamma, share):
     )
 
 
+@pytest.mark.slow
 @few
 @given(acyclic_problems(most_live=2), st.sampled_from([0.5, 0.9]), shares)
 def test_t3_1_against_all_policies_of_state_cost_and_time(drawn, gamma, share):

@@ -185,6 +185,7 @@ def test_the_game_and_column_generation_agree_on_costs_without_a_unit(costs):
     assert certificate.gap <= 1e-9
 
 
+@pytest.mark.slow
 def test_the_unapproximated_game_without_a_unit_tends_to_that_with_one():
     """Its value is continuous in the costs, and its policy costs what the game says."""
     near, exact = (

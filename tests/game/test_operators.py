@@ -27,6 +27,7 @@ def _at_start(drawn, values):
     return mean(begin, values)
 
 
+@pytest.mark.slow
 @few
 @given(problems(most_live=2), st.sampled_from([0.5, 0.8]), alphas, scales)
 def test_the_bayes_operator_of_case_m(drawn, gamma, alpha, scale):
@@ -75,6 +76,7 @@ def test_the_stationary_operator_of_case_m(drawn, gamma, alpha, scale):
     )
 
 
+@pytest.mark.slow
 def test_a_failed_run_may_still_reach_the_goal_as_printed():
     """U(x') of section 3.3 lists (u, f) for actions u that leave the attention states.
 
@@ -173,6 +175,7 @@ def minprob_rules(model, gamma=None):
     ]
 
 
+@pytest.mark.slow
 @often(40)
 @given(draws_of_s, st.sampled_from([0.5, 0.9, 0.99]), alphas, scales)
 def test_the_operator_of_case_s_at_a_fixed_cap(drawn, gamma, alpha, scale):
@@ -201,6 +204,7 @@ def test_the_operator_of_case_s_at_a_fixed_cap(drawn, gamma, alpha, scale):
     assert stationary_player(problem).response(*weights, 1e-12).bound <= before * (1 + 1e-11)
 
 
+@pytest.mark.slow
 def test_the_tail_is_of_least_undiscounted_goal_probability():
     """T_alpha of 3.5.1 on random models, many of which have another rule under the discount."""
     rng, gamma, alpha, scale, told_apart = np.random.default_rng(3), 0.3, 0.5, 8.0, 0

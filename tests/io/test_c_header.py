@@ -129,6 +129,7 @@ def test_every_published_model(name: str, tmp_path: Path) -> None:
     check({kind: one.policy for kind, one in solved.items()} | everywhere, start, tmp_path)
 
 
+@pytest.mark.slow
 @needs_gcc
 def test_policies_of_every_kind(tmp_path: Path) -> None:
     made = policies(hall())

@@ -67,6 +67,7 @@ def test_every_member_of_a_policy_acts_the_same(name, tmp_path):
         acts_the_same(member, tmp_path, start_of(name))
 
 
+@pytest.mark.slow
 def test_every_memory_of_a_cost_aware_policy(tmp_path):
     """Random decisions, thresholds and tails, so that nothing can be mixed up."""
     model, rng = hall(), np.random.default_rng(5)
@@ -87,6 +88,7 @@ def dear(count, state, action, successor, cost):
     return min(count + (cost == 2.0), 1)
 
 
+@pytest.mark.slow
 def test_policies_that_count_steps_and_carry_memories_of_tasks(tmp_path):
     """By the action and by the cost, one within the other, with a horizon around both."""
     for criterion in (MCMP, S3P):
@@ -242,6 +244,7 @@ CLIFF = SSP.from_transitions(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
 @pytest.mark.parametrize("horizon", [None, 5])
 @pytest.mark.parametrize("name", ["crash", "seen"])

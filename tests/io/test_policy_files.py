@@ -62,6 +62,7 @@ def test_policies_play_the_same_beside_a_model_built_anew(name, tmp_path):
         refused("load it beside product", load_policy, path, hall())
 
 
+@pytest.mark.slow
 def test_a_new_process_plays_the_same(tmp_path):
     policies = [made()[name] for name in ("solution", "carried")]
     paths = [str(saved(policy, tmp_path, k)) for k, policy in enumerate(policies)]
@@ -183,6 +184,7 @@ def test_whatever_differs_changes_the_fingerprint():
     assert len({fingerprint(other) for other in (model, *others)}) == len(others) + 1
 
 
+@pytest.mark.slow
 def test_labels_of_many_kinds_can_be_stated_and_others_are_refused():
     labels = [frozenset({"a", "b"}), ODD.RED, Fraction(1, 3), ("x", (1, 2.5, None)), "RED"]
     prints = [fingerprint(with_label(label)) for label in labels]

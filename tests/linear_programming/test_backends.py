@@ -49,6 +49,7 @@ def test_s3p(backend, drawn, discount, share):
         check(S3P(library_model(drawn), drawn.start, budget, discount), backend)
 
 
+@pytest.mark.slow
 def test_highs_may_run_on_other_threads_before():
     """HiGHS refuses a number of threads other than the one that it began with in a process."""
     script = """

@@ -30,6 +30,7 @@ depot,road,wreck,0.01,5,3
 OPTIONS = {"goal": {"home"}, "cost": ["time", "fuel"], "dead_ends": {"wreck"}}
 
 
+@pytest.mark.slow
 def test_a_policy_of_a_grid_is_rolled_out_in_its_environment():
     """The car is driven up the hill in the environment's own steps, which cost 1 each."""
     gym = pytest.importorskip("gymnasium")

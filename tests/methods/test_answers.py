@@ -181,6 +181,7 @@ def test_answers_come_in_order_on_the_callers_models() -> None:
     assert all(certify(answers[k]).accepted for k in (0, 5))
 
 
+@pytest.mark.slow
 def test_processes_answer_and_one_that_dies_is_replaced(tmp_path) -> None:
     problems = [*mixed_problems()[:7], Deadly(FIRST, "depot", 0.05, marker=str(tmp_path / "died"))]
     come = []
@@ -272,6 +273,7 @@ print("all answered")
 """
 
 
+@pytest.mark.slow
 def test_functions_and_classes_of_a_script_go_along(tmp_path) -> None:
     (tmp_path / "script.py").write_text(SCRIPT, encoding="utf-8")
     told = subprocess.run(  # noqa: S603

@@ -114,6 +114,7 @@ def ratios(points):
     ]
 
 
+@pytest.mark.slow
 @often(120)
 @given(problems(), semantics, discounts, budgets)
 def test_mcmp_against_all_deterministic_policies(drawn, meaning, discount, place):
@@ -122,6 +123,7 @@ def test_mcmp_against_all_deterministic_policies(drawn, meaning, discount, place
     check_drawn(MCMP(library_model(drawn), drawn.start, budget, discount, **meaning), points)
 
 
+@pytest.mark.slow
 @often(40)
 @given(acyclic_problems(most_live=2, most_actions=2), discounts, budgets)
 def test_s3p_against_all_policies_of_state_and_cost(drawn, discount, place):
@@ -131,6 +133,7 @@ def test_s3p_against_all_policies_of_state_and_cost(drawn, discount, place):
     check_drawn(problem, ratios(points), room=1e-7)
 
 
+@pytest.mark.slow
 @often(60)
 @given(problems(most_live=3), discounts, budgets)
 def test_s3p_with_cycles_has_honest_bounds(drawn, discount, place):

@@ -139,6 +139,7 @@ def test_a_frame_has_a_row_for_each_turning_point():
     assert frame["price"].isna().tolist() == frame["below"].isna().tolist() == [False, False, True]
 
 
+@pytest.mark.slow
 def test_two_pricing_calls_a_turning_point_and_closing_bounds_on_the_robot(robot):
     calls = []
     problem = MCMP(*robot)
@@ -177,6 +178,7 @@ def test_the_segment_with_most_below_it_is_split_first():
         assert part.failure == pytest.approx(failure[sorted(known)], abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_frontier_is_traced_once_however_often_its_process_is_refined(coarse_robot):
     frontier = trace_frontier(S3P(*coarse_robot, 0.3), point_limit=40)
     assert len(frontier.failure) == 40

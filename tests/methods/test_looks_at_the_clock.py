@@ -97,6 +97,7 @@ PROBLEMS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", PROBLEMS)
 def test_whichever_look_finds_the_time_over_the_call_ends_by_name(kind, monkeypatch):
     """An answer within the budget, above its bound, or OutOfTimeError; never anything else."""

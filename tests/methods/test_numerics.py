@@ -187,6 +187,7 @@ def test_a_model_that_nearly_always_starts_over_is_reduced_once(monkeypatch) -> 
     assert len(reductions) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("criterion", [MCMP, S3P, ISSPUDE])
 def test_a_least_failure_that_is_not_proved_is_reported_as_an_interval(criterion: Any) -> None:
     """Runs of 2^60 steps: the policy fails with 0.3, and all that is proved is MaxProb's bound."""
@@ -208,6 +209,7 @@ def test_a_least_failure_that_is_not_proved_is_reported_as_an_interval(criterion
     assert "between 0 and 0.3" in str(certificate)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
 def test_a_budget_below_an_unproved_least_failure_is_not_called_infeasible(criterion: Any) -> None:
     with pytest.raises(SolverError, match=r"not decided.*between 0 and 0\.3"):

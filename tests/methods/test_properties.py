@@ -52,6 +52,7 @@ def checked(problem, method, budget):
     return solution
 
 
+@pytest.mark.slow
 @often(200)
 @given(problems(), semantics, discounts, budgets | st.sampled_from([1e-9, 1e-6]))
 def test_mcmp_is_the_best_lottery_over_all_policies(drawn, meaning, discount, place):
@@ -75,6 +76,7 @@ def test_mcmp_is_the_best_lottery_over_all_policies(drawn, meaning, discount, pl
         assert failure <= budget + 1e-12
 
 
+@pytest.mark.slow
 @often(80)
 @given(problems(), semantics)
 def test_least_failure_and_then_least_cost(drawn, meaning):
@@ -97,6 +99,7 @@ def test_least_failure_and_then_least_cost(drawn, meaning):
                 assert solution.conditional_cost == pytest.approx(value, **CLOSE)
 
 
+@pytest.mark.slow
 @often(100)
 @given(problems())
 def test_goal_probabilities(drawn):
@@ -153,6 +156,7 @@ def check_s3p_price(reference, start, budget, solution, discount):
         assert low >= -room
 
 
+@pytest.mark.slow
 @often(80)
 @given(problems(most_live=3, attention=True), discounts, budgets)
 def test_s3p_where_every_state_can_wait(drawn, discount, place):
@@ -160,6 +164,7 @@ def test_s3p_where_every_state_can_wait(drawn, discount, place):
     check_s3p(drawn, discount, place)
 
 
+@pytest.mark.slow
 @often(60)
 @given(acyclic_problems(), discounts, budgets)
 def test_s3p_where_every_run_ends(drawn, discount, place):
@@ -167,6 +172,7 @@ def test_s3p_where_every_run_ends(drawn, discount, place):
     check_s3p(drawn, discount, place)
 
 
+@pytest.mark.slow
 @often(80)
 @given(problems(most_live=3), discounts, budgets)
 def test_s3p_with_cycles_that_cannot_be_left(drawn, discount, place):

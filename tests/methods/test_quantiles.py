@@ -69,6 +69,7 @@ def test_no_lesser_bound_is_kept_by_any_policy(level, budget):
             assert (within >= level * law.goal * (1.0 - 1e-12)) == kept
 
 
+@pytest.mark.slow
 def test_a_corridor_of_many_layers_takes_few_bounds():
     """A walk of thousands of steps: every trial's prices refute nearly all that is too low."""
     problem = CostQuantile(corridor(50), 0, 0.9, 0.01)
@@ -148,6 +149,7 @@ def test_totals_without_room_leave_an_answer(level):
             assert solution.objective >= 5.0387 * rounds
 
 
+@pytest.mark.slow
 def test_tables_cut_for_want_of_room_are_certified():
     for problem in (
         EGUBS(SELDOM_LEFT, "a", -1e-6, 1.0),

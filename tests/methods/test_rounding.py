@@ -66,6 +66,7 @@ def questions(model, levels):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(5))
 def test_a_certificate_proves_the_gap_that_the_solution_states(number):
     """Costs of one kind as well, whose rounded multiples have a unit of their own."""
@@ -76,6 +77,7 @@ def test_a_certificate_proves_the_gap_that_the_solution_states(number):
         assert certificate.gap <= 1.1 * solution.gap + 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dear", [1e4, 1e8, 1e12])
 def test_a_policy_beside_a_dear_step_can_be_evaluated(dear):
     problem = CostBoundedReach(corridor([1.3, STEP, 0.4], dear), "r0", 9.0, 0.2, cost_levels=50)
@@ -331,6 +333,7 @@ def test_finer_units_bring_the_bounds_together_and_a_thousand_prices_are_soon_se
     assert found.budget_used <= 0.4 + 1e-12
 
 
+@pytest.mark.slow
 def test_little_time_for_many_sums_gives_a_certified_answer_on_a_grid():
     problem = S3P(*real_costs.field(24, "3 prices"), 0.3)
     assert not is_split(problem, problem.requirements)

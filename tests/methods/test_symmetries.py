@@ -39,6 +39,7 @@ def check_same(drawn, changed, place, setting, scale=1.0):
         assert changed_value == pytest.approx(factor * value, **CLOSE)
 
 
+@pytest.mark.slow
 @often(50)
 @given(PROBLEM, budgets, SETTING, st.randoms(use_true_random=False))
 def test_relabelled_and_reordered_with_split_outcomes(drawn, place, setting, random):
@@ -61,6 +62,7 @@ def test_relabelled_and_reordered_with_split_outcomes(drawn, place, setting, ran
     check_same(drawn, changed, place, setting)
 
 
+@pytest.mark.slow
 @often(50)
 @given(PROBLEM, budgets, SETTING, st.sampled_from([0.1, 0.25, 3, 1000]))
 def test_scaled_costs_with_dominated_actions_and_states_that_nobody_visits(
@@ -82,6 +84,7 @@ def test_scaled_costs_with_dominated_actions_and_states_that_nobody_visits(
     check_same(drawn, Draw(choices, drawn.goals, drawn.start), place, setting, scale)
 
 
+@pytest.mark.slow
 @often(50)
 @given(PROBLEM, SETTING)
 def test_a_larger_budget_costs_no_more(drawn, setting):

@@ -101,6 +101,7 @@ def ctrl_c():
     signal.signal(signal.SIGINT, before)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("ctrl_c")
 @pytest.mark.skipif(sys.platform == "win32", reason="no process sends itself this signal there")
 def test_a_signal_in_the_middle_of_a_long_loop_is_ctrl_c(robot):
@@ -247,6 +248,7 @@ ASKED = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tick", "looks"), [(0.05, range(0, 60, 3)), (1.0, range(0, 36, 3))])
 @pytest.mark.parametrize("dear", ["3", str(2**0.5)])
 def test_nothing_but_its_own_errors_leaves_the_library(monkeypatch, dear, tick, looks):

@@ -100,6 +100,7 @@ def test_a_task_equals_the_model_built_by_hand(memory):
             assert found.failure_probability == pytest.approx(known.failure_probability, abs=1e-9)
 
 
+@pytest.mark.slow
 @each_task
 def test_its_policy_plays_on_the_original_model(memory):
     made = product(MODEL, memory)

@@ -163,6 +163,7 @@ def test_a_cell_is_a_dead_end_where_all_its_states_are():
     assert [cell(k) for k in (0, 1, 8, 63)] == [(0, 7), (1, 7), (0, 6), (7, 0)]
 
 
+@pytest.mark.slow
 def test_episodes_are_those_of_the_seed():
     policy = solve(PROBLEM).policy
     first, again, other = (

@@ -36,6 +36,7 @@ def tries(episode, seed):
     return 3
 
 
+@pytest.mark.slow
 def test_one_policy_plays_in_many_threads():
     def right(seed):
         return tries(TRYING.start(seed), seed) == tries(TRYING.start(seed), seed) <= 3

@@ -109,6 +109,7 @@ def test_what_fails_alike_does_not_hang_on_the_policy_found(monkeypatch):
     assert costs[0] == pytest.approx(costs[1], rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("budget", [0.05, 0.2])
 def test_a_cost_given_success_is_swept_as_far_as_the_price_asks(budget):
     """From the price of failure on it is best to fail: totals beyond twice as much tell nothing."""
@@ -135,6 +136,7 @@ def test_a_start_that_surely_reaches_the_goal_is_decided_on_the_graph():
     assert known == pytest.approx(cheapest.objective, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_racetrack_of_seventy_thousand_states_ends():
     pytest.importorskip("numba")
     model = racetrack(38)
@@ -144,6 +146,7 @@ def test_a_racetrack_of_seventy_thousand_states_ends():
     assert certify(solution).accepted
 
 
+@pytest.mark.slow
 def test_a_small_grid_whose_runs_are_long_has_an_answer():
     """Runs of 1e8 steps: a bound by state reduction took a minute where it was not compiled."""
     pytest.importorskip("numba")

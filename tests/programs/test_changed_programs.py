@@ -558,6 +558,7 @@ def steps_of(program, basis):
     return int(solver.getInfo().simplex_iteration_count)
 
 
+@pytest.mark.slow
 def test_a_sweep_takes_a_tenth_of_the_steps():
     model, start = river(30, 30, current=0.2)
     program = MCMP(model, start, 0.9, give_up="dead_ends").program()

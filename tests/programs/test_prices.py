@@ -149,6 +149,7 @@ def test_values_at_what_is_no_price_are_refused(price):
         program.values_at({"failure": 1.0}, price)
 
 
+@pytest.mark.slow
 def test_prices_hold_within_their_ranges():
     ranges = MCMP(DEPOT, "depot", 0.05, constraints=LIMIT).program().ranges()
     assert ranges["failure"] == pytest.approx((0.01, 0.1))

@@ -464,10 +464,11 @@ def test_it_reads_like_the_page_of_a_paper():
         "  subject to  balance: outflow(x) - inflow(x) = start   (1 rows)",
         "              failure: <failure, x> <= 0.05",
         "              x >= 0   (2 columns, 4 entries)",
-        "                minimise  depot  failure",
-        "(depot, road)       8.96      1     0.01",
-        "(depot, alley)       2.8      1      0.1",
-        "                            = 1  <= 0.05",
+        "in full",
+        "                  minimise  depot  failure",
+        "  (depot, road)       8.96      1     0.01",
+        "  (depot, alley)       2.8      1      0.1",
+        "                              = 1  <= 0.05",
     ]
     text = str(program.solve())
     assert text.startswith("objective 6.22222222 ")

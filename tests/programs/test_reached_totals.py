@@ -57,6 +57,7 @@ def test_columns_are_those_of_the_walks_from_the_start(seed):
             assert (labels[-1].action == "start") == bool(begun - open_states)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(20))
 def test_nothing_is_lost_with_the_totals_that_no_run_comes_to(seed):
     """The optimum is `solve`'s and the one over all totals; duals and both policies attain it."""

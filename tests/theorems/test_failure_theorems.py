@@ -42,6 +42,7 @@ def _check(drawn, model, policy):
     assert before == pytest.approx(average, abs=1e-3)  # t2-1
 
 
+@pytest.mark.slow
 @few
 @given(problems(most_live=3), st.sampled_from([(1.0,), (0.5, 0.5), (0.2, 0.8)]), st.data())
 def test_lotteries_of_policies_that_depend_on_time(drawn, weights, data):
@@ -59,6 +60,7 @@ def test_lotteries_of_policies_that_depend_on_time(drawn, weights, data):
     _check(drawn, model, MixedPolicy(tuple(members), np.array(weights)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", [stationary_game, bayes_adaptive])
 @few
 @given(problems(most_live=2), st.sampled_from([0.25, 0.1, 0.5]))

@@ -140,6 +140,7 @@ def _values(problem, c):
     return approximate, play(bayes_player(problem), game, accuracy=1e-9), player, game
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("criterion", "lemma"), [(S3P, "l3-9"), (MCMP, "l3-12")])
 def test_l3_9_and_l3_12_the_approximate_value_tends_to_the_true_one(criterion, lemma):
     """l3-9 (M beyond all need) and l3-12: at fixed c, the two values approach as gamma -> 1."""
@@ -219,6 +220,7 @@ def test_l3_10_is_true_in_the_limit_of_the_cap_only():
     assert whole.objective > 5 * stationary_game(problem).objective
 
 
+@pytest.mark.slow
 @few
 @given(problems(most_live=2, most_cost=2), st.sampled_from([0.5, 0.7]), shares)
 def test_l3_10_discounting_the_objective_can_only_lower_the_threshold(drawn, gamma, share):

@@ -76,6 +76,7 @@ def test_t3_0_on_a_closed_form():
         assert surrogate == pytest.approx(closed, rel=1e-9)
 
 
+@pytest.mark.slow
 @few
 @given(problems(most_live=3), gammas, shares)
 def test_t3_1_the_least_c_over_smaller_budgets_is_the_optimum_of_case_s(drawn, gamma, share):
@@ -144,6 +145,7 @@ def test_t3_1_is_false_where_the_budget_is_one():
         assert stationary_game(problem).objective == pytest.approx(1 / gamma, rel=1e-9)
 
 
+@pytest.mark.slow
 @some
 @given(problems(most_live=3), gammas, shares)
 def test_t3_2_the_threshold_is_the_optimum_of_case_m(drawn, gamma, share):
@@ -290,6 +292,7 @@ def test_t3_5_and_t3_11_on_paying_models(criterion, drawn, share):
     assert real == pytest.approx(exact, rel=1e-3, abs=1e-6)
 
 
+@pytest.mark.slow
 @criteria
 @some
 @given(problems(most_live=3), gammas, shares)

@@ -61,6 +61,7 @@ def test_evaluation_under_case_s(drawn, discount, data):
         assert evaluation.objective == pytest.approx(cost / weight, **CLOSE)
 
 
+@pytest.mark.slow
 @drawn_settings
 @given(problems(), meanings, st.data())
 def test_failure_is_the_long_run_average_of_not_being_at_the_goal(drawn, give_up, data):
@@ -73,6 +74,7 @@ def test_failure_is_the_long_run_average_of_not_being_at_the_goal(drawn, give_up
     assert evaluation.failure_probability == pytest.approx(average, abs=1e-6)
 
 
+@pytest.mark.slow
 @drawn_settings
 @given(problems(), meanings, st.data())
 def test_discounted_failure_falls_to_the_failure(drawn, give_up, data):

@@ -525,6 +525,7 @@ def signed(lines):
     return [*lines[:HEAD], json.dumps(head).encode(), *lines[PROOF:]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("what", "name", "line", "edit", "words"), CHANGES, ids=[c[0] for c in CHANGES]
 )

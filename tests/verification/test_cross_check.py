@@ -239,6 +239,7 @@ def check_at(criterion, model, start, discount, share, **meaning):
         check_roads(replace(loose, failure_budget=min(least + share * (1.0 - least), 1.0)))
 
 
+@pytest.mark.slow
 @often(280)
 @given(problems(), semantics, discounts, shares)
 def test_three_roads_agree_on_mcmp(drawn, meaning, discount, share):
@@ -250,6 +251,7 @@ layered = [problems(most_live=3, attention=True), acyclic_problems(), problems(m
 """Every live state can wait; every run ends; cycles, where what follows beyond M matters."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drawing", layered, ids=["waiting", "acyclic", "cycles"])
 @often(80)
 @given(data=st.data(), discount=discounts, share=shares)
@@ -258,6 +260,7 @@ def test_three_roads_agree_on_s3p(drawing, data, discount, share):
     check_at(S3P, library_model(drawn), drawn.start, discount, share)
 
 
+@pytest.mark.slow
 @often(40)
 @given(problems(), discounts, st.sampled_from([0.5, 0.9, 0.999]), st.sampled_from([MCMP, S3P]))
 def test_three_roads_agree_that_nothing_is_feasible(drawn, discount, part, criterion):
@@ -268,6 +271,7 @@ def test_three_roads_agree_that_nothing_is_feasible(drawn, discount, part, crite
         check_infeasible(replace(loose, failure_budget=part * least))
 
 
+@pytest.mark.slow
 @often(40)
 @given(problems(most_live=3), discounts, st.sampled_from([MCMP, S3P]))
 def test_three_roads_agree_at_the_least_failure(drawn, discount, criterion):

@@ -161,6 +161,7 @@ def signed(lines, n):
     return [*lines[: n + 1], json.dumps(head).encode(), *lines[n + 2 :]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_a_certificate_of_each_kind_of_question_is_accepted(folder, name):
     checked = check_certificate(folder / name)

@@ -475,6 +475,7 @@ def test_errors_are_one_line(words: str, complaint: str, run: Run, capsys: Any) 
     assert "--help" in told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["lp", "deterministic"])
 def test_solvers_print_nothing_beside_the_answer(roads: Path, method: str) -> None:
     """HiGHS would name itself on standard output, which only another process sees."""

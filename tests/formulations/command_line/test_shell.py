@@ -67,6 +67,7 @@ def test_a_published_case_through_its_own_process(folder: Path) -> None:
     assert told["objective"] == pytest.approx(case["min_cost_s.t._P>=1-eps"]["0.5"], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_an_environment_through_a_pipe(folder: Path) -> None:
     done = shell("ssp-lp convert gym:FrozenLake-v1 - | ssp-lp solve - --failure-budget .3 --json",
                  folder)  # fmt: skip
@@ -76,6 +77,7 @@ def test_an_environment_through_a_pipe(folder: Path) -> None:
     assert json.loads(done.stdout)["objective"] == pytest.approx(own.objective, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_away_is_no_error(folder: Path) -> None:
     done = shell("ssp-lp convert gym:FrozenLake8x8-v1 - | head -c 10", folder)
     assert (done.returncode, done.stderr) == (141, "")

@@ -53,6 +53,7 @@ def test_what_is_no_world_of_coordinates_is_refused(name, complaint):
         refused("continuous_from_gymnasium", from_gymnasium, gym.make(name))
 
 
+@pytest.mark.slow
 def test_a_grid_is_discretised_in_one_call():
     """The same model as by hand; on it, as on any other, surviving can be the goal."""
     grid = Grid([Axis(-1.2, 0.6, cells=12), Axis(-0.07, 0.07, cells=8)])

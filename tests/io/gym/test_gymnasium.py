@@ -105,6 +105,7 @@ def test_the_least_failure_is_backward_induction(name, made, read, budget, steps
     assert read or world.step_limit == report.step_limit == steps
 
 
+@pytest.mark.slow
 def test_without_the_horizon_the_step_limit_is_told():
     env = gym.make("FrozenLake-v1", map_name="8x8")
     world = from_gymnasium(env, horizon=None)
@@ -147,6 +148,7 @@ def test_a_fall_may_be_a_failure_by_a_memory():
     check(env, solve(MCMP(task, task.start(world.start), failure_budget=0.3)))
 
 
+@pytest.mark.slow
 def test_taxi_ends_in_states_of_their_own():
     env = gym.make("Taxi-v4", max_episode_steps=20)
     world = from_gymnasium(env, cost="reward")
