@@ -33,7 +33,7 @@ from ssp_lp.arrays import (
     least_integer_type,
     weighted,
 )
-from ssp_lp.column_generation.column import Column, Proof, required
+from ssp_lp.column_generation.column import Column, Proof, pricing_weights, required
 from ssp_lp.column_generation.compiled_problem import CompiledExplicit, unreachable
 from ssp_lp.column_generation.explicit_pricing import LOST
 from ssp_lp.column_generation.layered_pricing import OpenEndedPricing, OpenSweeps
@@ -423,9 +423,10 @@ class PartitionedLayers(OpenEndedPricing):
         Where the budget is slack failing counts nothing and success earns the price, which is exact
         where nothing but failing pays: no large number is taken from another.
         """
-        layered = self.augmented
-        if not slack or layered.shift > 0.0 or isinstance(price, np.ndarray):
-            return super().prove(price, best)
+        layered, weights = self.augmented, pricing_weights(price)
+        if not slack or layered.shift > 0.0 or len(weights) > 2:
+            return super().prove(weights, best)
+        price = float(weights[1])
         parts = self.end.shared.order("lower_less", (price,))
         charged, earned = layered.start_charge, price * layered.base.start_goal
         at_source = charged - earned - LOST * (charged + earned)

@@ -199,7 +199,7 @@ def check_order():
         assert counts[1] <= 0.25 * counts[0], counts
         assert 0 < sent[1] <= 0.25 * sent[0], sent
     check_the_same(model, narrow, S3P, **asked)
-    check_the_same(model, narrow, S3P, **asked, **limits, cost_cap=250.0)
+    check_the_same(model, narrow, S3P, optima=2, **asked, **limits, cost_cap=250.0)
     with pytest.raises(ModelError, match=r"each of the states 0 .. 2001 once"):
         PartitionedModel.from_model(model, np.zeros(n_states, dtype=np.int64))
 
