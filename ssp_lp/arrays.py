@@ -37,9 +37,9 @@ FAILURE_FLOOR: Final = 1e-15
 
 Far from any hazard least failures are 1e-100 or 1e-233: whoever chases gains relative to these does
 not end, and no episode would ever show the difference. Rare goals keep their digits, as it is a
-share of them, and so do probabilities in components that are solved without subtractions. Where
-cost decides among policies that fail alike a step may lose ten times as much, as what a policy
-attains is itself known to one or two floors.
+share of them, and so do probabilities in components that are solved without subtractions. Gains
+are sought down to a tenth of it, and where cost decides among policies that fail alike a step may
+lose ten times as much: so far apart which pairs are alike does not hang on rounding.
 """
 
 LEAST_BUDGET: Final = 1e-10

@@ -51,8 +51,8 @@ _NEARER = 0.1  # so much nearer it is before it is tried again from above
 _WAITED = 5  # sweeps from above that cost as much as one from below with what follows it
 _SLOWEST = 0.9999  # share of a sweep's gain that the next one is taken to gain at most
 _QUICK = 0.1  # the same below which states that nobody asked for are waited for, too
-_STEPS = 1_000  # over which it is gathered what is lost where cost decides
-_ALIKE = 10.0  # floors that a step may lose: values are known to one or two, so those tell nothing
+_SOUGHT = 0.1  # floors that a step has to gain for it to be taken
+_ALIKE = 10.0  # floors that a step may lose where cost decides: far more than values are off by
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +129,7 @@ def _settled_reach(
 ) -> ExtremeReach:
     """Extreme probability of reaching by policy iteration, with a checked bound of it."""
     wanted, other = (np.ascontiguousarray(column) for column in both.T)
-    run = partial(iterate_policy, dynamics, both, _OTHER, floor=floor)
+    run = partial(iterate_policy, dynamics, both, _OTHER, floor=_SOUGHT * floor)
     few = dynamics.n_states <= DIRECT_STATES
     enough = None if few or last_digits else False
     settled = run(choice, precise=enough)
@@ -159,27 +159,6 @@ def _settled_reach(
         reach = np.where(reach > missed, missed, 1.0 - reach)
         bound = np.clip(least, 0.0, reach)
     return ExtremeReach(dynamics, both, settled.choice, totals, reach, bound, floor)
-
-
-def _loss_accumulates(dynamics: Dynamics, lost: FloatArray, slack: FloatArray) -> bool:
-    """Whether some policy loses much more of the extreme reach in many steps than is let pass.
-
-    Args:
-        dynamics: the process.
-        lost: at each step, infinite where a pair is not taken, [pairs].
-        slack: what may be lost, [states].
-    """
-    gathered = np.zeros(dynamics.n_states)
-    for step in range(_STEPS):
-        cost = np.where(np.isinf(lost), np.inf, -lost)
-        backup = best_pairs(dynamics.pair_offsets, dynamics.transitions, cost, -gathered)
-        growth = float(((-backup.minima - gathered) / slack).max(initial=0.0))
-        gathered = -backup.minima
-        if (gathered > 10.0 * slack).any():
-            return True
-        if growth * (_STEPS - step) <= 1.0:
-            break
-    return False
 
 
 @with_twin
@@ -308,8 +287,7 @@ def attaining_pairs(found: ExtremeReach) -> BoolArray:
     )
     ahead = np.where((high < lost)[home], gain, -loss)  # each is exact where it is small
     size = np.minimum(high, lost)[home]  # the smaller of both is known to that relative accuracy
-    told_apart = _ALIKE * found.floor * high[home]
-    slack = np.maximum(MAXIMISER * size, told_apart)
+    slack = MAXIMISER * size if found.floor == 0.0 else _ALIKE * found.floor * high[home]
     slack = np.where(slack > 0.0, slack, MAXIMISER * lost[home])
     tied: BoolArray = np.asarray(ahead >= -slack)
     tied[choice] = True
@@ -317,8 +295,6 @@ def attaining_pairs(found: ExtremeReach) -> BoolArray:
     chosen[choice] = True
     if found.floor > 0.0:
         lost = np.where(tied, np.maximum(-ahead, 0.0), np.inf)
-        if _loss_accumulates(dynamics, lost, slack[choice]):
-            tied &= chosen | (lost <= np.maximum(slack / _STEPS, told_apart))
         # what is lost at each of many steps may add up to more than the floor says
         allowed = LEAST_BUDGET / (2.0 * float(totals.runs.max()))
         if (tied & ~chosen & (lost > allowed)).any():  # this policy may be slower than it need be
