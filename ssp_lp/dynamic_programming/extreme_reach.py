@@ -129,7 +129,9 @@ def _settled_reach(
 ) -> ExtremeReach:
     """Extreme probability of reaching by policy iteration, with a checked bound of it."""
     wanted, other = (np.ascontiguousarray(column) for column in both.T)
-    run = partial(iterate_policy, dynamics, both, _OTHER, floor=_SOUGHT * floor)
+    run = partial(
+        iterate_policy, dynamics, both, _OTHER, floor=floor * (_SOUGHT if last_digits else 1.0)
+    )
     few = dynamics.n_states <= DIRECT_STATES
     enough = None if few or last_digits else False
     settled = run(choice, precise=enough)
