@@ -119,21 +119,14 @@ class System:
         return Moves(self.home, self.matrix, self.exits)
 
     @cached_property
-    @with_twin
     def closed(self) -> IntArray:
         """States from which the chain of the equations never leaves, [some states]."""
         strong, rows = self.components, self.matrix
         left = np.zeros(strong.n_components, dtype=np.bool_)
-        if accelerated(len(rows.indices), "graphs.mark_left"):
-            from ssp_lp.compiled.graphs import mark_left
-
-            arrays = unsigned(rows.indptr), unsigned(rows.indices), rows.data
-            mark_left(*arrays, self.exits, strong.label, left)
-        else:
-            entry = rows.tocoo()
-            onward = (strong.label[entry.row] != strong.label[entry.col]) & (entry.data > 0.0)
-            left[strong.label[self.exits > 0.0]] = True
-            left[strong.label[entry.row[onward]]] = True
+        entry = rows.tocoo()
+        onward = (strong.label[entry.row] != strong.label[entry.col]) & (entry.data > 0.0)
+        left[strong.label[self.exits > 0.0]] = True
+        left[strong.label[entry.row[onward]]] = True
         return (~left[strong.label]).nonzero()[0] if not left.all() else _NOBODY
 
     @with_twin

@@ -5,9 +5,11 @@ Facts about a model are worked out once and kept with it, for every problem on i
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import cached_property, wraps
+from itertools import count
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -27,13 +29,15 @@ from ssp_lp.arrays import (
     segment_ids,
     sorted_unique,
 )
-from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time
 
 if TYPE_CHECKING:
     from ssp_lp.model.ssp import SSP
 
 Fact = TypeVar("Fact")
+
+_TURNS = 1_000  # of a search, between two looks at the clock
+_FEW = 32  # states, below which one after the other is faster than all at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,21 +81,12 @@ class Graph:
         return read_only(segment_ids(self.pair_offsets))
 
     @cached_property
-    @with_twin
     def predecessors(self) -> _Predecessors:
         """Graph turned round: the pairs that may lead to each state; found at first use, kept."""
-        arrays = self.outcome_offsets, self.successors, self.probabilities
-        if accelerated(self.n_outcomes, "graphs._count_edges", "graphs._write_edges"):
-            from ssp_lp.compiled.graphs import transpose_graph
-
-            offsets, pairs = transpose_graph(self.n_states, *arrays)
-        else:
-            # offsets, [states + 1], and pairs, [entries], by scipy's conversion of rows to columns
-            ends, columns = possible_steps(*arrays)
-            present = np.ones(columns.size, dtype=np.bool_)
-            shape = self.n_pairs, self.n_states
-            rows = sp.csr_array((present, columns, narrow(ends)), shape=shape).tocsc()
-            offsets, pairs = rows.indptr.astype(np.int64), rows.indices.astype(np.int32, copy=False)
+        ends, columns = possible_steps(self.outcome_offsets, self.successors, self.probabilities)
+        present, shape = np.ones(columns.size, dtype=np.bool_), (self.n_pairs, self.n_states)
+        rows = sp.csr_array((present, columns, narrow(ends)), shape=shape).tocsc()
+        offsets, pairs = rows.indptr.astype(np.int64), rows.indices.astype(np.int32, copy=False)
         return _Predecessors(read_only(offsets), read_only(pairs))
 
 
@@ -163,7 +158,6 @@ def dead_ends(model: SSP) -> BoolArray:
     return hopeless_states(model) if label is None else label.ended
 
 
-@with_twin
 def reaching_states(model: Graph, ends: BoolArray) -> BoolArray:
     """States from which some policy may come to one of the given states, these included, [states].
 
@@ -171,10 +165,6 @@ def reaching_states(model: Graph, ends: BoolArray) -> BoolArray:
         ends: [states].
     """
     before, frontier = model.predecessors, ends.nonzero()[0]
-    if accelerated(model.n_outcomes, "graphs._search_backwards"):
-        from ssp_lp.compiled.graphs import reaching
-
-        return reaching(before.offsets, before.pairs, model.pair_state, frontier)
     return reached_along(model.pair_state[before.pairs], before.offsets, frontier)
 
 
@@ -237,17 +227,12 @@ def goal_pairs(model: SSP) -> BoolArray:
     return pairs_into(model, model.goal_mask)
 
 
-@with_twin
 def pairs_into(model: Graph, states: BoolArray) -> BoolArray:
     """Pairs of the graph that may lead to one of the states, [pairs].
 
     Args:
         states: [states].
     """
-    if accelerated(model.n_outcomes, "graphs._search_leading_into"):
-        from ssp_lp.compiled.graphs import leading_into
-
-        return leading_into(model.outcome_offsets, model.successors, model.probabilities, states)
     leads = np.zeros(model.n_pairs, dtype=np.bool_)
     for piece in pieces_of_chunks(model.outcome_offsets):
         check_time()
@@ -310,7 +295,6 @@ def goal_approach(model: SSP) -> tuple[IntArray, IntArray]:
     return choice, np.where(choice >= 0, distance + 1, 0)
 
 
-@with_twin
 def nearer_pairs(
     graph: Graph,
     leaving: BoolArray,
@@ -336,11 +320,6 @@ def nearer_pairs(
     distance = np.zeros(n, dtype=np.int32) if distance is None else distance
     choice = np.full(n, -1, dtype=np.int64)
     useful: IntArray = (leaving & free).nonzero()[0]
-    if accelerated(len(before.pairs), "graphs._begin_search", "graphs._approach_search"):
-        from ssp_lp.compiled.graphs import approach
-
-        approach(before.offsets, before.pairs, pair_state, useful, free, choice, distance)
-        return choice
     # by the distance of each state, found by scipy from a node added behind all ends; its search
     # of shortest paths took only numbers of 32 bits before version 1.15
     reached = np.repeat(np.arange(n, dtype=np.int32), np.diff(before.offsets))
@@ -365,7 +344,6 @@ def nearer_pairs(
     return choice
 
 
-@with_twin
 def drain(
     model: Graph, open_pairs: BoolArray, open_counts: IntArray, closed_states: IntArray
 ) -> None:
@@ -379,15 +357,11 @@ def drain(
     if not closed_states.size:
         return
     before = model.predecessors
-    if accelerated(model.n_outcomes, "graphs._drain_search"):
-        from ssp_lp.compiled import graphs as searches
-
-        searches.drain(
-            before.offsets, before.pairs, model.pair_state, open_pairs, open_counts, closed_states
-        )
-        return
     while closed_states.size:
         check_time()
+        if closed_states.size < _FEW:
+            closed_states = _drain_one_by_one(model, open_pairs, open_counts, closed_states)
+            continue
         entering = [before.pairs[:0]]
         lengths = before.offsets[closed_states + 1] - before.offsets[closed_states]
         for some in segment_chunks(offsets_of(lengths)):
@@ -395,6 +369,27 @@ def drain(
             entering.append(pairs[open_pairs[pairs]])
         pairs = sorted_unique(np.concatenate(entering))
         closed_states = close_pairs(model, open_pairs, open_counts, pairs)
+
+
+def _drain_one_by_one(
+    model: Graph, open_pairs: BoolArray, open_counts: IntArray, closed_states: IntArray
+) -> IntArray:
+    """Drain the graph from a few closed states, until they are many; those that are left."""
+    before, waiting = model.predecessors, deque(closed_states.tolist())
+    for turn in count():
+        if not 0 < len(waiting) < _FEW:
+            break
+        if turn % _TURNS == 0:
+            check_time()
+        state = waiting.popleft()
+        for pair in before.pairs[before.offsets[state] : before.offsets[state + 1]].tolist():
+            if open_pairs[pair]:
+                open_pairs[pair] = False
+                home = model.pair_state[pair]
+                open_counts[home] -= 1
+                if open_counts[home] == 0:
+                    waiting.append(home)
+    return np.array(waiting, dtype=np.int64)
 
 
 def close_pairs(
@@ -445,7 +440,6 @@ def attention_labels(model: SSP) -> frozenset[Hashable]:
     return frozenset(model.states[i] for i in attention_states(model).nonzero()[0].tolist())
 
 
-@with_twin
 def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArray]:
     """Maximal end components of the model's graph, restricted to the allowed pairs.
 
@@ -475,26 +469,20 @@ def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArra
         pending &= counts > 0
         if not pending.any():
             break
-        if accelerated(model.n_outcomes, "graphs._search_components"):
-            from ssp_lp.compiled.graphs import label_components
-
-            arrays = model.pair_offsets, model.outcome_offsets, model.successors
-            label_components(*arrays, model.probabilities, inside, pending.nonzero()[0], label)
-        else:
-            # each pending state is labelled by the first one of its strong component, by scipy
-            links = inside & pending[model.pair_state]
-            steps = model.outcome_offsets, model.successors, model.probabilities
-            ends, columns = possible_steps(*steps, links)
-            shape, present = (model.n_states, model.n_states), np.ones(columns.size, dtype=np.bool_)
-            offsets = narrow(ends[model.pair_offsets])
-            once = sp.csr_array((present, columns.copy(), offsets), shape=shape)
-            once.sum_duplicates()
-            check_time()
-            strong = csgraph.connected_components(
-                edges(once.indices, once.indptr), connection="strong"
-            )[1]
-            _, first, back = np.unique(strong, return_index=True, return_inverse=True)
-            label[pending] = first[back[pending]]
+        # each pending state is labelled by the first one of its strong component, by scipy
+        links = inside & pending[model.pair_state]
+        steps = model.outcome_offsets, model.successors, model.probabilities
+        ends, columns = possible_steps(*steps, links)
+        shape, present = (model.n_states, model.n_states), np.ones(columns.size, dtype=np.bool_)
+        offsets = narrow(ends[model.pair_offsets])
+        once = sp.csr_array((present, columns.copy(), offsets), shape=shape)
+        once.sum_duplicates()
+        check_time()
+        strong = csgraph.connected_components(
+            edges(once.indices, once.indptr), connection="strong"
+        )[1]
+        _, first, back = np.unique(strong, return_index=True, return_inverse=True)
+        label[pending] = first[back[pending]]
         leaving = _crossing_end_components(model, inside, pending, label).nonzero()[0]
         torn = np.zeros_like(pending)
         torn[label[model.pair_state[leaving]]] = True
@@ -505,17 +493,11 @@ def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArra
     return component, inside
 
 
-@with_twin
 def _crossing_end_components(
     model: Graph, inside: BoolArray, pending: BoolArray, label: IntArray
 ) -> BoolArray:
     """Pairs that may cross between candidate end components of the graph, [pairs]."""
     candidates = inside & pending[model.pair_state]
-    if accelerated(model.n_outcomes, "graphs._crossing_components"):
-        from ssp_lp.compiled.graphs import crossing_pairs
-
-        arrays = model.outcome_offsets, model.successors, model.probabilities, model.pair_state
-        return crossing_pairs(*arrays, candidates, label)
     for piece in pieces_of_chunks(model.outcome_offsets):
         check_time()
         successors, chances = model.successors[piece.entries], model.probabilities[piece.entries]

@@ -84,8 +84,8 @@ def test_nothing_is_compiled_in_a_short_call(loops):
     """Numba cannot be interrupted: a call of a second that compiled would end late."""
     for seconds, compiles in ((1.0, False), (19.0, False), (100.0, True)):
         with until(time.perf_counter() + seconds):
-            assert accelerated(10 * SECOND, "graphs.mark_left") is compiles
-    assert accelerated(1, "graphs.mark_left")
+            assert accelerated(10 * SECOND, "graphs.mark_leading") is compiles
+    assert accelerated(1, "graphs.mark_leading")
 
 
 def test_earlier_processes_count(loops, tmp_path):
@@ -193,8 +193,8 @@ def test_damaged_files_of_numba_are_compiled_anew(tmp_path):
 
 
 def test_the_index_of_an_older_source_does_not_count(loops):
-    put_in_cache("backups.back_up", "graphs.mark_left", "no_module.loop")
-    (index,) = accelerator.cache_folders()[0].glob("graphs.mark_left*")
+    put_in_cache("backups.back_up", "graphs.mark_leading", "no_module.loop")
+    (index,) = accelerator.cache_folders()[0].glob("graphs.mark_leading*")
     os.utime(index, (0, 0))
     assert accelerator.cached_loops() == {"backups.back_up"}
     assert not loops.cached
