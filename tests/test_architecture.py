@@ -245,7 +245,7 @@ def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -
 @pytest.mark.parametrize(
     ("measure", "most"),
     [
-        (house.lines_in_all, 34_845),
+        (house.lines_in_all, 34_849),
         (house.public_classes, 288),
         (house.numeric_constants, 550),
         (house.questions_asked, 105),
@@ -279,7 +279,7 @@ LINES = {
     "ssp_lp/distributed": 2_675,
     "ssp_lp/dynamic_programming": 2_089,
     "ssp_lp/game": 1_239,
-    "ssp_lp/io": 3_075,
+    "ssp_lp/io": 3_079,
     "ssp_lp/linear_programming": 632,
     "ssp_lp/methods": 3_246,
     "ssp_lp/model": 2_519,

@@ -149,6 +149,11 @@ class GymnasiumWorld:
     horizon: int | None  # steps within which the model asks for the goal
     continuous: ContinuousModel | None = None  # of an array of coordinates: what was discretised
 
+    def __repr__(self) -> str:
+        """One line: the model, where episodes begin, and the horizon."""
+        begins = in_short(dict(self.start))
+        return f"GymnasiumWorld({self.model!r}, start={begins}, horizon={self.horizon})"
+
 
 @explained
 def from_gymnasium(
@@ -388,7 +393,8 @@ def _table_of(env: gymnasium.Env[Any, Any]) -> _Table:
         raise ModelError(
             f"{_name_of(env)} is not tabular: it has no table of transitions, env.unwrapped.P; "
             "where its state is coordinates, continuous_from_gymnasium(env, grid, goal=...) makes "
-            "a world of it that discretise cuts into cells"
+            "a world of it that discretise cuts into cells; where you know how likely its steps "
+            "are, SSP.from_successors takes a function (docs/guides/own_simulator.md)"
         )
     # no lists of lists: their collector would take longer than all the rest
     names, tables = _keys(listed), list(_values(listed))
@@ -628,7 +634,7 @@ def rollout(
     policy: Policy | MixedPolicy,
     *,
     episodes: int,
-    seed: int,
+    seed: int = 0,
     max_steps: int | None = None,
     confidence: float = 0.95,
 ) -> RolloutReport:
@@ -644,7 +650,7 @@ def rollout(
             each step, or a wrapper that records, shows the policy at play.
         policy: of a problem on ``from_gymnasium(env).model``, or on a product with that model.
         episodes: how many to play.
-        seed: of the environment and of the policy's draws.
+        seed: of the environment and of the policy's draws; the default plays the same each time.
         max_steps: steps after which an episode is cut off; None: 10,000.
         confidence: of the intervals.
 

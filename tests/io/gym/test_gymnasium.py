@@ -301,3 +301,16 @@ def test_intervals_of_rolled_out_costs_allow_for_what_the_policy_and_the_limit_c
     with pytest.warns(StepLimitWarning):
         report = rollout(lake, policy, episodes=100, seed=0)
     assert report.success_costs.mean() <= report.conditional_cost.high <= 100.0
+
+
+def test_a_world_of_many_starts_is_shown_in_a_line():
+    world = from_gymnasium(gym.make("Taxi-v4" if "Taxi-v4" in gym.registry else "Taxi-v3"))
+    assert len(world.start) == 300
+    assert "start=<dict of 300>, horizon=200" in repr(world)
+
+
+def test_a_rollout_is_the_same_each_time_where_no_seed_is_given():
+    env = gym.make("FrozenLake-v1")
+    world = from_gymnasium(env)
+    policy = solve(MaxProb(world.model, world.start)).policy
+    assert str(rollout(env, policy, episodes=20)) == str(rollout(env, policy, episodes=20, seed=0))
