@@ -39,7 +39,7 @@ Far from any hazard least failures are 1e-100 or 1e-233: whoever chases gains re
 not end, and no episode would ever show the difference. Rare goals keep their digits, as it is a
 share of them, and so do probabilities in components that are solved without subtractions. Gains
 are sought down to a tenth of it, and where cost decides among policies that fail alike a step may
-lose ten times as much: so far apart which pairs are alike does not hang on rounding.
+lose a hundred times as much: so far apart which pairs are alike does not hang on rounding.
 """
 
 LEAST_BUDGET: Final = 1e-10

@@ -52,7 +52,7 @@ _WAITED = 5  # sweeps from above that cost as much as one from below with what f
 _SLOWEST = 0.9999  # share of a sweep's gain that the next one is taken to gain at most
 _QUICK = 0.1  # the same below which states that nobody asked for are waited for, too
 _SOUGHT = 0.1  # floors that a step has to gain for it to be taken
-_ALIKE = 10.0  # floors that a step may lose where cost decides: far more than values are off by
+_ALIKE = 100.0  # floors that a step may lose where cost decides: far more than values are off by
 
 
 @dataclass(frozen=True, eq=False)
