@@ -127,7 +127,7 @@ class Problem(ReadOnlyCopies):
             ModelError: its class makes none.
         """
         name = type(self).__name__
-        raise ModelError(f"a {name} makes no program: its states' values are those of one")
+        raise ModelError(f"{name} has no linear program: derive it from Formulation")
 
 
 NEEDED = cast("Problem", None)

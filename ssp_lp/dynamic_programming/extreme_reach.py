@@ -1,10 +1,10 @@
 """Extreme probabilities of leaving a process by one of two ways, and the pairs that attain them.
 
 Hitting and missing are each summed from their own exits, so that both keep their relative accuracy
-where they are small; where a component is too large to be solved state by state they are told apart
-down to ``FAILURE_FLOOR``. A pair is as good as the best where taking it, as often as it comes
-round, loses no more than that or rounding: one that loses little at a time, in a loop that is
-hardly ever left, may lose everything.
+where they are small. A pair is as good as the best where taking it, as often as it comes round,
+loses no more than rounding: one that loses little at a time, in a loop that is hardly ever left,
+may lose everything. Where a component is too large to be solved state by state, a pair may lose a
+hundred ``FAILURE_FLOOR`` a step, and ``LEAST_BUDGET`` over the longest run of the quickest policy.
 """
 
 from __future__ import annotations
@@ -297,7 +297,7 @@ def attaining_pairs(found: ExtremeReach) -> BoolArray:
     chosen[choice] = True
     if found.floor > 0.0:
         lost = np.where(tied, np.maximum(-ahead, 0.0), np.inf)
-        # what is lost at each of many steps may add up to more than the floor says
+        # what is lost at each of many steps adds up
         allowed = LEAST_BUDGET / (2.0 * float(totals.runs.max()))
         if (tied & ~chosen & (lost > allowed)).any():  # this policy may be slower than it need be
             kept, among, same = _with_pairs(dynamics, tied, choice)
