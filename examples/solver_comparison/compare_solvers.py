@@ -57,7 +57,7 @@ from examples.solver_comparison.solvers.catalogue import (
     solver_names,
 )
 
-_QUICK_LIMIT, _LONG_LIMIT = 10.0, 60.0  # seconds for one call, in a comparison of a minute or not
+_QUICK_LIMIT, _LONG_LIMIT = 5.0, 60.0  # seconds for one call, in a comparison of a minute or not
 _LARGE = 1_000_000  # transitions from which a sweep is measured against the memory's bandwidth
 
 
@@ -183,7 +183,7 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("--structures", action="store_true", help="one instance of each structure")
     add("--full", action="store_true", help="all solvers, and many instances: about an hour")
     add("--solvers", nargs="+", choices=known, metavar="NAME", help=", ".join(known))
-    add("--time-limit", type=float, help="seconds for one call of a solver; default: 10, else 60")
+    add("--time-limit", type=float, help="seconds for one call of a solver; default: 5, else 60")
     add("--prepare-limit", type=float, default=1800.0, help="seconds until its first call")
     half = physical_memory() / 2e9
     add("--memory-limit", type=float, default=half, help="GB; default: half of the machine's")

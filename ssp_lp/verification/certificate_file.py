@@ -69,6 +69,7 @@ from ssp_lp.verification.lottery import (
 )
 
 _ROUNDED_ROW = Fraction(1, 10**12)  # of a bound, or of 1, to which solutions keep rows
+_ROUNDED_NUMBER = Fraction(1, 2**51)  # of a bound as it is stated, which is a float
 _MOVED = Fraction(1, 10**6)  # of a price, by which it may be corrected
 _RAISES = 60  # of a price that is not known
 _LESS = Fraction(1, 10**12)  # of a ratio, than which nothing less is told apart where totals count
@@ -173,6 +174,11 @@ class _Draft(checker.Model):
         self.is_checked = True
         self.charged: dict[tuple[float, float], Solution] = {}  # of thresholds between two
         self.rounded: dict[str, Fraction] = {}  # of rows that are kept but for rounding, by so much
+        sides = (row.get("at_most", row.get("at_least")) for row in self.question["rows"])
+        rows = self.rows[len(self.rows) - len(self.question["rows"]) :]
+        self._stated = {
+            row.name: abs(checker.number(side)) for row, side in zip(rows, sides, strict=True)
+        }
 
     def attain(
         self, weights: Sequence[Fraction], members: Sequence[Sequence[Fraction]]
@@ -182,9 +188,10 @@ class _Draft(checker.Model):
         beyond = zip(self.rows, attained[1:], strict=True)
         excess = {row.name: value - row.bound for row, value in beyond}
         most = {row.name: min(abs(row.bound), Fraction(1)) for row in self.rows}
+        digits = {name: self._stated.get(name, Fraction(0)) * _ROUNDED_NUMBER for name in most}
         self.rounded = {
             name: more for name, more in excess.items()
-            if most[name] * checker.EXCESS < more <= most[name] * _ROUNDED_ROW
+            if most[name] * checker.EXCESS < more <= max(most[name] * _ROUNDED_ROW, digits[name])
             and (name != "failure" or self.share is None)
         }  # fmt: skip
         return attained

@@ -166,3 +166,12 @@ def test_a_limit_that_is_broken_by_rounding(tmp_path):
     written = write_certificate(solve(tight), tmp_path / "one")
     assert (written.lower, written.upper, written.exceeded) == (2, 2, {})
     assert written.asked.endswith("but for rounding of fuel")
+
+
+def test_a_share_of_surely_by_the_last_digit_of_its_number(tmp_path):
+    """An end that comes surely, asked for with a little more than surely."""
+    model = model_of({"x": {"go": [(1.0, "d", 1.0)]}, "d": {}}, labels={"crash": ["d"]})
+    asked = {"end": end_probability("crash") >= 1.0 + 2.0**-52}
+    written = write_certificate(solve(MaxProb(model, "x", constraints=asked)), tmp_path / "one")
+    assert (written.lower, written.upper, written.exceeded) == (0, 0, {})
+    assert written.asked.endswith("but for rounding of end")
