@@ -7,7 +7,7 @@ policy leaves it after a few steps: such processes are swept in one compiled pas
 can be put in order one turn does.
 
 Forward, one number of each node is sent on, and only from where the choice comes to; a sweep
-backwards gathers three numbers for every node of every layer.
+backwards gathers all that is counted for every node of every layer.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import fsum
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias, cast
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias, cast
 
 import numpy as np
 
-from ssp_lp.accumulated_cost.process import AccumulatedCost, LayeredProcess
+from ssp_lp.accumulated_cost.process import AccumulatedCost, ChargedLayers, LayeredProcess
 from ssp_lp.accumulated_cost.totals import Totals, Window
 from ssp_lp.arrays import MACHINE_EPSILON, TIED, FloatArray, IntArray, least_integer_type, unsigned
 from ssp_lp.compiled.accelerator import accelerated, with_twin
@@ -77,6 +77,43 @@ CompiledPass: TypeAlias = "tuple[Layers, FloatArray]"
 empty where free steps do not go round."""
 
 
+class Priced(NamedTuple):
+    """What a sweep is asked: what pairs and ends are worth, and what lies beyond the cap."""
+
+    owed: FloatArray  # [pairs] what they cost beside the charge, non-negative
+    saved: FloatArray  # [pairs] what they earn, non-negative
+    beyond: FloatArray  # [layers beyond, nodes] values beyond the cap; for bounds, lower ones
+    measures: FloatArray = _NONE  # [layers beyond, nodes, 1 + counted] the same there
+    charged: float = 1.0  # weight of the charge
+    floor: float = 0.0  # no value lies below
+    at_start: tuple[float, ...] = ()  # worth of what ends before the first step, in parts
+    price: float = 0.0  # of failure, where that alone is priced
+
+
+def at_price(
+    process: LayeredProcess, price: float, failing: float, *, bounds: bool = False
+) -> Priced:
+    """What a sweep is asked at a price of failure alone.
+
+    Beyond the cap lie the tails of that price, or, for bounds, what no policy is worth less than.
+
+    A run is worth its charge, ``failing`` where it fails and ``failing - price`` where it arrives:
+    with ``failing`` equal to the price this is ``charge + price * failure``; with 0 it is ``charge
+    - price * goal``, where no digit is lost if failing is likely.
+    """
+    base, earned = process.base, price - failing
+    ended = failing * base.start_failure, -earned * base.start_goal, process.start_charge
+    return Priced(
+        failing * base.failure,
+        earned * base.survival * base.gain,
+        (process.beyond_bound if bounds else process.beyond_value)(price, failing),
+        _NONE if bounds else process.measures_beyond(price),
+        floor=-(earned - process.charge.lowest) * (1.0 + _BELOW_EVERY_VALUE),
+        at_start=ended,
+        price=price,
+    )
+
+
 class PartOfSweep(NamedTuple):
     """Part of a sweep for the best choice that was done when it was stopped."""
 
@@ -86,38 +123,94 @@ class PartOfSweep(NamedTuple):
     measures: FloatArray | None  # [nodes, 3] from that layer on; None: a choice can be followed
 
 
+class Neighbours(Protocol):
+    """Ranks that sweep other nodes of the same layers, at the same time."""
+
+    @property
+    def size(self) -> int:
+        """Number of nodes that are known: the own ones first, then neighbours' ghosts."""
+
+    def filled(self, own: FloatArray) -> FloatArray:
+        """Values of own nodes, [nodes, ...], with those of neighbours', [known nodes, ...]."""
+
+    def gather(self, values: FloatArray) -> None:
+        """Add up, in place, what was sent to own nodes; to neighbours' there is nothing then."""
+
+
+class OwnNodes(NamedTuple):
+    """The nodes that a rank sweeps, and who sweeps the others."""
+
+    own: slice
+    neighbours: Neighbours
+    follows: bool  # mass is followed forwards, in compiled loops; all ranks do alike
+
+
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """The sweeps over one process, and what they share.
+    """The sweeps over the layers of one process, and what they share.
 
-    At a price of failure a run is worth its charge, ``failing`` where it fails and ``failing -
-    price`` where it arrives: with ``failing`` equal to the price this is ``charge + price *
-    failure``; with 0 it is ``charge - price * goal``, where no digit is lost if failing is likely.
-    A choice is the position of a pair among those of its node, [cap, nodes].
+    A choice is the position of a pair among those of its node, [cap, nodes]. Its measures are what
+    it is charged, and what else is counted at its pairs.
     """
 
-    process: LayeredProcess
+    process: ChargedLayers
+    counted: FloatArray  # [pairs, counted] beside the charge
+    on_top: FloatArray | None = None  # [pairs] charged besides, whatever has been paid
+    share: OwnNodes | None = None  # of a rank; None: all nodes are swept
 
-    def room_for_choice(self) -> IntArray:
+    @classmethod
+    def of_ends(cls, process: ChargedLayers) -> Sweep:
+        """The sweeps that count failing and reaching the goal."""
+        base = process.base
+        return cls(process, np.stack([base.failure, base.survival * base.gain], axis=1))
+
+    @property
+    def pair_offsets(self) -> IntArray:
+        """Offsets of the pairs of each swept node in a layer, [nodes + 1]."""
+        offsets = self.process.base.pair_offsets
+        if self.share is None:
+            return offsets
+        return offsets[self.share.own.start : self.share.own.stop + 1]
+
+    @property
+    def first_pairs(self) -> IntArray:
+        """First pair of each swept node, [nodes]."""
+        return self.pair_offsets[:-1]
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes that are swept."""
+        return len(self.pair_offsets) - 1
+
+    @cached_property
+    def start(self) -> FloatArray:
+        """Start mass of the swept nodes, [nodes]."""
+        start = self.process.base.start
+        return start if self.share is None else start[self.share.own]
+
+    def charged(self, layer: int) -> PairCost:
+        """What the pairs of a layer are charged in the sweep, [pairs]."""
+        charge = self.process.charged(layer)
+        return charge if self.on_top is None else replace(charge, fixed=charge.fixed + self.on_top)
+
+    def room_for_choice(self, layers: int | None = None) -> IntArray:
         """An array for the choice of a sweep over layers, in the smallest integers that hold it."""
-        base = self.process.base
-        most = int(np.diff(base.pair_offsets).max(initial=1))
-        return np.empty((self.process.cap, base.n_nodes), dtype=least_integer_type(most))
+        most = int(np.diff(self.pair_offsets).max(initial=1))
+        size = self.process.cap if layers is None else layers, self.n_nodes
+        return np.empty(size, dtype=least_integer_type(most))
 
     @with_twin
-    def minimise(self, price: float, failing: float, choice: IntArray) -> FloatArray:
-        """Best choice of a backward sweep at a price, written; its charge, failure and goal, [3].
+    def minimise(self, priced: Priced, choice: IntArray) -> FloatArray:
+        """Best choice of a backward sweep, written; its measures from the start, [1 + counted].
 
         Raises:
             Stop: with the part of the sweep that was done.
         """
-        process, base = self.process, self.process.base
-        values, measures = process.beyond_value(price, failing), process.measures_beyond(price)
+        base, values, measures = self.process.base, priced.beyond, priced.measures
         if (one_pass := self.one_pass) is not None:
-            owed, saved = self._owed(price, failing)
-            blocks = self._blocks(one_pass, owed, saved, values, measures, choice)
-            return np.asarray(base.start @ deque(blocks, maxlen=1)[0][2][0])
-        cost, inner = self._pair_costs(price, failing), self._first_choice
+            blocks = self._blocks(one_pass, priced, values, measures, choice)
+            return np.asarray(self.start @ deque(blocks, maxlen=1)[0][2][0])
+        cost, inner = self._pair_costs(priced), self._first_choice
 
         def best(
             layer: int, ahead: FloatArray, measured: FloatArray | None = None
@@ -126,74 +219,76 @@ class Sweep:
             nonlocal inner
             if self.is_acyclic:
                 pair_cost = cost(layer)[0]
-                backup = best_pairs(base.pair_offsets, base.later, pair_cost, ahead, tied=TIED)
+                backup = best_pairs(self.pair_offsets, base.later, pair_cost, ahead, tied=TIED)
                 inner, least = backup.choice, backup.minima
             else:
                 onward = (cost(layer)[0].total + base.later @ ahead)[:, None]
                 settled = iterate_policy(base.instant_dynamics, onward, _ONE, inner)
                 inner, least = settled.choice, settled.values
-            choice[layer] = inner - base.pair_offsets[:-1]
+            choice[layer] = inner - self.first_pairs
             return (least,) if measured is None else (least, self._measures(layer, inner, measured))
 
-        part = PartOfSweep(choice, price, process.cap, None)
+        part = PartOfSweep(choice, priced.price, self.process.cap, None)
         try:
             beyond = (values,) if self.can_follow else (values, measures)
             for layer, numbers in self._backward(best, *beyond):
                 part = part._replace(layer=layer, measures=(*numbers, None)[1])
             if part.measures is None:
-                return self.follow(choice, price)
-            return np.asarray(base.start @ part.measures)
+                return self.follow(choice, measures)
+            return np.asarray(self.start @ part.measures)
         except STOPS as stop:
             end_with_incumbent(stop)
             raise Stop(part) from stop
 
     @with_twin
-    def measure(self, choice: IntArray, tail_price: float) -> FloatArray:
-        """Charge, failure and goal of a choice by a sweep over the layers, from the start on, [3].
+    def measure(self, choice: IntArray, beyond: FloatArray) -> FloatArray:
+        """Measures of a choice by a sweep over the layers, from the start on, [1 + counted].
 
         Args:
             choice: [cap, nodes].
-            tail_price: the price of failure by which tails are chosen beyond the cap.
+            beyond: those beyond the cap, [layers beyond, nodes, 1 + counted].
         """
-        base, beyond = self.process.base, self.process.measures_beyond(tail_price)
         if (one_pass := self.one_pass) is not None:
-            given = _NONE, _NONE, beyond[:, :, 0], beyond, choice
+            given = Priced(_NONE, _NONE, _NONE), beyond[:, :, 0], beyond, choice
             blocks = self._blocks(one_pass, *given, keeps=True)
-            return np.asarray(base.start @ deque(blocks, maxlen=1)[0][2][0])
+            return np.asarray(self.start @ deque(blocks, maxlen=1)[0][2][0])
         if self.can_follow:
-            return self.follow(choice, tail_price)
+            return self.follow(choice, beyond)
 
         def measured(layer: int, ahead: FloatArray) -> tuple[FloatArray]:
             """The measures of a layer's choice."""
-            return (self._measures(layer, base.pair_offsets[:-1] + choice[layer], ahead),)
+            return (self._measures(layer, self.first_pairs + choice[layer], ahead),)
 
         swept = self._backward(measured, beyond)
-        return np.asarray(base.start @ deque(swept, maxlen=1)[0][1][0])
+        return np.asarray(self.start @ deque(swept, maxlen=1)[0][1][0])
 
     def bound(
         self,
-        price: float,
-        failing: float,
+        priced: Priced,
         given: FloatArray,
-        beyond: FloatArray,
         choice: IntArray | None = None,
+        *,
+        keeps: bool = True,
     ) -> tuple[FloatArray, FloatArray]:
-        """Lower bounds of all policies' values at a price, by a backward sweep; rounding counts.
+        """Lower bounds of all policies' values, by a backward sweep; rounding counts.
 
         Args:
-            price: of failure.
-            failing: what failing counts.
+            priced: with lower bounds beyond the cap.
             given: values that are not to be exceeded, [cap, nodes]; infinite: none.
-            beyond: lower bounds beyond the cap, [layers beyond, nodes].
             choice: written by compiled loops where there are no free steps: whose values these
                 are, [cap, nodes].
+            keeps: whether the values are asked for.
 
         Returns:
             The bound if an episode began in each layer, [cap]; and the values, [cap, nodes],
             infinite where they are too many to be kept.
         """
-        process, base, inner = self.process, self.process.base, self._first_choice
-        floor = -(price - failing - process.charge.lowest) * (1.0 + _BELOW_EVERY_VALUE)
+        process, base, inner, floor = (
+            self.process,
+            self.process.base,
+            self._first_choice,
+            priced.floor,
+        )
 
         def lower(layer: int, ahead: FloatArray) -> tuple[FloatArray]:
             """Lower bounds of a layer; within one with free steps its best choice is kept."""
@@ -205,7 +300,7 @@ class Sweep:
             if self.is_acyclic:
                 position = None if choice is None else choice[layer]
                 sums = pair_cost, size, alone, ahead, position
-                lowest = safe_minima(base.pair_offsets, base.later, *sums)
+                lowest = safe_minima(self.pair_offsets, base.later, *sums)
                 return (lowest if is_free else np.minimum(lowest, most),)
             growth = 0.0 if pair_cost.slope is None else pair_cost.factor * pair_cost.slope
             size = (size + growth) + base.later @ np.abs(ahead)
@@ -217,90 +312,97 @@ class Sweep:
 
         blocks: Iterable[tuple[slice, FloatArray]]
         if (one_pass := self.one_pass) is None:
-            cost = self._pair_costs(price, failing, sizes=True)
-            layers = self._backward(lower, beyond)
+            cost = self._pair_costs(priced, sizes=True)
+            layers = self._backward(lower, priced.beyond)
             blocks = ((slice(layer, layer + 1), lowest[None]) for layer, (lowest,) in layers)
         else:
-            owed = self._owed(price, failing)
-            swept = self._blocks(one_pass, *owed, beyond, limits=(given, floor))
+            swept = self._blocks(one_pass, priced, priced.beyond, limits=given)
             blocks = ((some, lowest) for some, lowest, _ in swept)
-        is_kept = given.size <= KEPT_VALUES
+        is_kept = keeps and given.size <= KEPT_VALUES
         kept = np.empty(given.shape) if is_kept else np.broadcast_to(np.inf, given.shape)
         begun, sizes = np.zeros((2, process.cap))
-        entries = np.flatnonzero(base.start)
-        shares = base.start[entries]
+        entries = np.flatnonzero(self.start)
+        shares = self.start[entries]
         for some, lowest in blocks:
             begun[some] = lowest[:, entries] @ shares
             sizes[some] = np.abs(lowest[:, entries]) @ shares
             if is_kept:
                 kept[some] = lowest
-        ended = [failing * base.start_failure, -(price - failing) * base.start_goal]
-        ended.append(process.start_charge)
+        ended = priced.at_start
         terms = max(len(entries) + int(np.count_nonzero(ended)) - 1, 0)
         loss = terms * MACHINE_EPSILON * (sizes + float(np.abs(ended).sum()))
         return begun + sum(ended) - loss, kept
 
-    def lost_beyond(self, price: float, failing: float) -> FloatArray:
-        """Worth of the tails above the sweep's lower bound beyond the cap, [layers, nodes]."""
-        tails = self.process.beyond_value(price, failing)
-        bound = self.process.beyond_bound(price, failing)
-        same = tails - bound <= _SAME * (np.abs(tails) + np.abs(bound))
-        return np.where(same, 0.0, tails - bound)
+    def follow(self, choice: IntArray, beyond: FloatArray) -> FloatArray:
+        """Measures of a choice by a forward sweep of its mass, [1 + counted].
 
-    def follow(self, choice: IntArray, tail_price: float) -> FloatArray:
-        """Charge, failure and goal of a choice by a forward sweep of its mass, [3]."""
-        process, mass = self.process, self._begun_mass
-        sums = [mass.follow(choice[k], process.charged(k)).tolist() for k in range(process.cap)]
-        beyond = process.beyond(tail_price)
-        sums.append([float((mass.left[: len(each)] * each).sum()) for each in beyond])
+        Args:
+            choice: [cap, nodes].
+            beyond: the measures beyond the cap, [layers beyond, nodes, 1 + counted].
+        """
+        process, mass, sums = self.process, self._begun_mass, list[list[float]]()
+        for layer in range(process.cap):
+            self._gathered(mass.here)
+            sums.append(mass.follow(choice[layer], self.charged(layer)).tolist())
+        for left, each in zip(mass.left, beyond, strict=False):
+            sums.append((self._gathered(left) @ each).tolist())
         return np.array([fsum(each) for each in zip(*sums, strict=True)])
 
     @property
     def _begun_mass(self) -> LayerMass:
         """The mass of the sweep's first layer, to be followed forwards."""
-        return LayerMass(LayerRows.of(self.process.base), self.process.totals)
+        start = self.start
+        if self.share is not None:
+            start = np.append(start, np.zeros(self.share.neighbours.size - len(start)))
+        rows = LayerRows(self.process.base.later, self.pair_offsets, self.counted, start)
+        return LayerMass(rows, self.process.totals)
+
+    def _gathered(self, mass: FloatArray) -> FloatArray:
+        """Mass of the swept nodes, with what others have sent to them, [nodes]."""
+        if self.share is not None:
+            self.share.neighbours.gather(mass)
+        return mass[: self.n_nodes]
 
     def mass_beyond(self, choice: IntArray) -> FloatArray:
         """Mass of a choice that gets beyond the cap, by a forward sweep, [layers beyond, nodes]."""
-        base, mass = self.process.base, self._begun_mass
+        mass = self._begun_mass
         for chosen in choice:
-            mass.follow(chosen, PairCost(base.gain_cost))
+            mass.follow(chosen, PairCost(self.process.base.gain_cost))
         return mass.left
 
     def _blocks(
         self,
         compiled: CompiledPass,
-        owed: FloatArray,
-        saved: FloatArray,
+        priced: Priced,
         values: FloatArray,
         measures: FloatArray | None = None,
         choice: IntArray | None = None,
         *,
         keeps: bool = False,
-        limits: tuple[FloatArray, float] | None = None,
+        limits: FloatArray | None = None,
     ) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
         """Sweep block after block of layers in the compiled pass, the last first.
 
         Args:
             compiled: the pass.
-            owed: what pairs cost beside the charge, non-negative, [pairs].
-            saved: what they earn, non-negative, [pairs].
+            priced: what is asked.
             values: beyond the cap, [layers beyond, nodes].
-            measures: charge, failure and goal there, [layers beyond, nodes, 3]; None: not asked.
+            measures: those there, [layers beyond, nodes, 1 + counted]; None: not asked for.
             choice: written, or given where ``keeps``, [cap, nodes].
             keeps: whether the choice is given; then values do not matter.
-            limits: values not to be exceeded, [cap, nodes], and one that no value lies below:
-                lower bounds are asked for, rounding counted; None: the least values.
+            limits: values not to be exceeded, [cap, nodes]: lower bounds are asked for, rounding
+                counted; None: the least values.
 
         Yields:
             The layers of the block, their values, [layers, nodes], and measures, [layers, nodes,
-            3]. The memory is the next block's as well.
+            1 + counted]. The memory is the next block's as well.
         """
         from ssp_lp.compiled.layers import sweep_layers
 
         (whole, within), run = compiled, cast(Callable[..., None], sweep_layers)
         cap, span = self.process.cap, self.process.totals.span
-        ahead = [values, np.zeros((len(values), 0, 3)) if measures is None else measures]
+        counts = 1 + self.counted.shape[1]
+        ahead = [values, np.zeros((len(values), 0, counts)) if measures is None else measures]
         position = np.zeros((0, 0), dtype=np.int8) if choice is None else choice
         rooms = list[FloatArray]()
         for turn in pieces(cap, int(cap * len(whole.classes) * within.max(initial=1.0))):
@@ -320,32 +422,30 @@ class Sweep:
                 part[many:] = later
             given = np.zeros((0, 0))
             if limits is not None:
-                given = _at_least(limits[0][some], limits[1])
-            own = parts[0].ravel(), parts[1].reshape(-1, 3), position[some], keeps
-            run(layers, owed, saved, *own, within, given)
+                given = _at_least(limits[some], priced.floor)
+            own = parts[0].ravel(), parts[1].reshape(-1, counts), position[some], keeps
+            run(layers, priced.charged, priced.owed, priced.saved, *own, within, given)
             yield some, parts[0][:many], parts[1][:many]
             ahead = [part[:span] for part in parts]
 
-    def _owed(self, price: float, failing: float) -> tuple[FloatArray, FloatArray]:
-        """Costs of pairs beside the charge in a sweep, and savings, non-negative, [pairs] each."""
-        base = self.process.base
-        return failing * base.failure, (price - failing) * base.survival * base.gain
-
     def _pair_costs(
-        self, price: float, failing: float, *, sizes: bool = False
+        self, priced: Priced, *, sizes: bool = False
     ) -> Callable[[int], tuple[PairCost, FloatArray, FloatArray]]:
         """Pair costs of a sweep by layer, ``charge + owed - saved``, with sizes if asked for."""
-        process, (owed, saved) = self.process, self._owed(price, failing)
+        process, (owed, saved), weight = self.process, priced[:2], priced.charged
+        alone = np.maximum(owed, saved)
         if process.grows_evenly:
-            even, totals = process.charged(0), process.totals.values
-            cost, size = PairCost(even.fixed + owed - saved, even.slope), even.fixed + owed + saved
-            return lambda layer: (replace(cost, factor=float(totals[layer])), size, owed)
+            even, totals = self.charged(0), process.totals.values
+            fixed, slope = weight * even.fixed, even.slope
+            cost = PairCost(fixed + owed - saved, None if slope is None else weight * slope)
+            size = fixed + owed + saved
+            return lambda layer: (replace(cost, factor=float(totals[layer])), size, alone)
 
         def summed(layer: int) -> tuple[PairCost, FloatArray, FloatArray]:
             """What the pairs of a layer sum up, each layer's charges by themselves."""
-            fixed = process.charged(layer).fixed
+            fixed = weight * self.charged(layer).fixed
             size = np.abs(fixed) + owed + saved if sizes else owed
-            return PairCost(fixed + owed - saved), size, owed
+            return PairCost(fixed + owed - saved), size, alone
 
         return summed
 
@@ -361,28 +461,38 @@ class Sweep:
         Yields:
             The layer, and its numbers, [nodes, ...] each.
         """
-        windows = [Window(numbers, self.process.totals) for numbers in beyond]
+        totals = self.process.totals
+        windows = [Window(self._all_told(numbers), totals) for numbers in beyond]
         for layer in backward(self.process.cap):
             swept = step(layer, *(window.flat for window in windows))
             for window, numbers in zip(windows, swept, strict=True):
-                window.push(numbers)
+                window.push(self._told(numbers))
             yield layer, swept
 
+    def _all_told(self, layers: FloatArray) -> FloatArray:
+        """The same of several layers, [layers, known nodes, ...]."""
+        if self.share is None or not len(layers):
+            return layers
+        return np.stack([self._told(layer) for layer in layers])
+
+    def _told(self, values: FloatArray) -> FloatArray:
+        """Values of swept nodes, [nodes, ...], with those of all known ones, [known nodes, ...]."""
+        return values if self.share is None else self.share.neighbours.filled(values)
+
     def _measures(self, layer: int, chosen: IntArray, ahead: FloatArray) -> FloatArray:
-        """(charge, failure, goal) of a layer's choice in the sweep, [nodes, 3].
+        """Measures of a layer's choice in the sweep, [nodes, 1 + counted].
 
         Args:
             layer: the layer.
             chosen: a pair of each node, [nodes].
-            ahead: measures of what steps lead to, [layers * nodes, 3].
+            ahead: measures of what steps lead to, [layers * nodes, 1 + counted].
         """
-        base, charge = self.process.base, self.process.charged(layer)
-        measures = np.empty((base.n_nodes, 3))
+        base, charge = self.process.base, self.charged(layer)
+        measures = np.empty((len(chosen), 1 + self.counted.shape[1]))
         measures[:, 0] = charge.fixed[chosen]
         if charge.slope is not None:
             measures[:, 0] += charge.factor * charge.slope[chosen]
-        measures[:, 1] = base.failure[chosen]
-        measures[:, 2] = base.survival * base.gain[chosen]
+        measures[:, 1:] = self.counted[chosen]
         measures += chosen_product(base.later, chosen, ahead)
         if not self.is_acyclic:
             chain = base.instant_dynamics.chain(chosen)
@@ -401,14 +511,20 @@ class Sweep:
     @property
     def can_follow(self) -> bool:
         """Whether a choice can be swept forwards, in compiled loops."""
+        if self.share is not None:
+            return self.share.follows
         return self.is_acyclic and accelerated(self.process.base.later.nnz, "layers.follow_layer")
 
     @property
     def one_pass(self) -> CompiledPass | None:
         """The layers as the compiled backward sweep reads them; None: it does not run compiled."""
         process, base = self.process, self.process.base
-        cells = base.n_nodes * process.totals.span
-        if cells > _MOST_CELLS or (base.instant.nnz == 0 and base.later.nnz > _MOST_ENTRIES):
+        cells = base.n_nodes * process.totals.span * (1 + self.counted.shape[1]) // 3
+        if (
+            self.share is not None
+            or cells > _MOST_CELLS
+            or (base.instant.nnz == 0 and base.later.nnz > _MOST_ENTRIES)
+        ):
             return None
         loops = ("layers.sweep_layers", *(COMPONENTS if base.instant.nnz else ()))
         if base.n_nodes == 0 or not accelerated(base.later.nnz * process.cap, *loops):
@@ -423,7 +539,8 @@ class Sweep:
         """
         process, base, cap = self.process, self.process.base, self.process.cap
         arriving = process.arriving
-        if not process.grows_evenly and (len(arriving) + 1) * cap > _MOST_CHARGES:
+        columns = len(base.gain) if self.on_top is not None else len(arriving) + 1
+        if not process.grows_evenly and columns * cap > _MOST_CHARGES:
             return None
         from ssp_lp.compiled.layers import Layers
 
@@ -449,17 +566,20 @@ class Sweep:
         ahead, column = process.totals.ahead, np.arange(len(base.gain), dtype=np.uint32)
         leads = used[None, :] if ahead is None else process.totals.reached[:, used]
         if process.grows_evenly:
-            even = process.charged(0)
+            even = self.charged(0)
             charge, growth = even.fixed[None, :], even.parts[1]
+        elif self.on_top is not None:
+            charge, growth = np.tile(self.on_top, (cap, 1)), _NONE
+            charge[:, arriving] += process.charged_arriving(slice(0, cap))
         else:
-            charge, growth = np.zeros((cap, len(arriving) + 1)), _NONE
+            charge, growth = np.zeros((cap, columns)), _NONE
             charge[:, :-1] = process.charged_arriving(slice(0, cap))
             column[:] = len(arriving)
             column[arriving] = np.arange(len(arriving))
         layers = Layers(
             order, turns, unsigned(base.pair_offsets), indptr, classes, nodes, data,
             leads.astype(np.int64), process.totals.values, charge, column, growth,
-            base.failure, base.survival * base.gain,
+            self.counted,
         )  # fmt: skip
         return layers, within
 
@@ -468,7 +588,7 @@ class Sweep:
         """The sweep's first choice, by which each layer with free steps is left, [nodes]."""
         base = self.process.base
         if self.is_acyclic:
-            return base.pair_offsets[:-1]
+            return self.first_pairs
         leaving = (base.gain > 0) | (base.failure > 0) | (np.diff(base.later.indptr) > 0)
         return approach_leaving(base.instant_dynamics, leaving)
 
@@ -503,7 +623,9 @@ def follow_rule(
     Returns:
         None where nothing is seen to arrive, or much is still on its way by then.
     """
-    mass, sums = LayerMass(LayerRows.of(base), base.totals(0)), np.zeros(3)
+    counted = np.stack([base.failure, base.survival * base.gain], axis=1)
+    rows = LayerRows(base.later, base.pair_offsets, counted, base.start)
+    mass, sums = LayerMass(rows, base.totals(0)), np.zeros(3)
     for layer in range(most_layers):
         mass.here[mass.here < _DROPPED] = 0.0
         sums += mass.follow(rule, PairCost(base.gain_cost, base.gain, layer * base.unit))
@@ -517,15 +639,8 @@ class LayerRows(NamedTuple):
 
     later: SparseRows  # [pairs, layers ahead * nodes]
     pair_offsets: IntArray  # [nodes that have pairs + 1]
-    gain: FloatArray  # [pairs]
-    failure: FloatArray  # [pairs]
-    survival: float
+    counted: FloatArray  # [pairs, counted] beside the charge
     start: FloatArray  # [nodes]
-
-    @classmethod
-    def of(cls, base: AccumulatedCost) -> LayerRows:
-        """The layer of an accumulated-cost process."""
-        return cls(*(getattr(base, name) for name in cls._fields))
 
 
 class LayerMass:
@@ -563,17 +678,18 @@ class LayerMass:
             charge: of arriving by the pairs.
 
         Returns:
-            What it is charged, fails and arrives, [3].
+            What it is charged, and what else is counted, [1 + counted].
         """
         from ssp_lp.compiled.layers import follow_layer
 
         check_time()
-        rows, sums = self._rows, np.zeros((3, 2))  # and what was rounded off them
+        rows = self._rows
+        sums = np.zeros((1 + rows.counted.shape[1], 2))  # and what was rounded off them
         first, leads = self._front + 1, self._leads
         onward = self._buffer[first : first + self._span] if leads is None else self._by_class
         follow_layer(
             self.here, choice, unsigned(rows.pair_offsets), *row_parts(rows.later), *charge.parts,
-            rows.gain, rows.failure, rows.survival, onward.reshape(-1), sums,
+            rows.counted, onward.reshape(-1), sums,
         )  # fmt: skip
         if leads is not None:
             for mass, lead in zip(self._by_class, leads[self._layer].tolist(), strict=True):

@@ -38,6 +38,7 @@ class Column:
     work: Work = field(default_factory=Work)  # what finding it took
     rows: tuple[float, ...] = ()  # what it takes of each row beside the failure row
     by_goal: bool = False  # the pricing counts success, as minus the goal, in place of failing
+    beyond: Column | None = None  # of layers without tails of their own: what is done beyond them
 
     @classmethod
     def of_figures(

@@ -37,7 +37,7 @@ from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.dynamic_programming.dual_bound import DualBound
 from ssp_lp.dynamic_programming.dynamics import Dynamics, leaving_choice
 from ssp_lp.dynamic_programming.equations import DIRECT_STATES
-from ssp_lp.dynamic_programming.evaluation import evaluate_policy
+from ssp_lp.dynamic_programming.evaluation import EVALUATED, evaluate_policy
 from ssp_lp.dynamic_programming.policy_iteration import first_of_equals, iterate_policy, switched
 from ssp_lp.options import Partition
 from ssp_lp.policies.policy import Policy
@@ -196,6 +196,14 @@ class ExplicitPricing(PricingProblem):
             free = (self.rewards[:, priced] == 0.0).all(axis=1)
             self._known[key] = contract(self.process, free)
         return self._known[key]
+
+    def is_best(self, column: Column, weights: FloatArray) -> bool:
+        """Whether no pair gains on a known column of explicit pricing at other weights."""
+        values = weighted(required(column.totals), weights)
+        cost, held = weighted(self.rewards, weights), required(column.choice)
+        backup = self.dynamics.back_up(cost, values, held)
+        gain = float((backup.here - backup.minima).max(initial=0.0))
+        return gain <= EVALUATED * float(np.abs(values).max(initial=0.0))
 
     def measure(
         self, choice: IntArray, work: Work = _NONE, found_at: float | None = None

@@ -11,20 +11,24 @@ integers that hold it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import fsum
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ssp_lp.accumulated_cost.process import LayeredProcess
-from ssp_lp.accumulated_cost.sweep import KEPT_VALUES, LayerMass, LayerRows, PartOfSweep, Sweep
-from ssp_lp.accumulated_cost.totals import Window
+from ssp_lp.accumulated_cost.sweep import (
+    KEPT_VALUES,
+    OwnNodes,
+    PartOfSweep,
+    Priced,
+    Sweep,
+    at_price,
+)
 from ssp_lp.accumulated_cost.written_out import OpenEnded
-from ssp_lp.arrays import MACHINE_EPSILON, TIED, FloatArray, IntArray, least_integer_type, weighted
-from ssp_lp.column_generation import explicit_pricing
+from ssp_lp.arrays import FloatArray, IntArray, weighted
 from ssp_lp.column_generation.column import (
     Column,
     PricingProblem,
@@ -32,15 +36,16 @@ from ssp_lp.column_generation.column import (
     pricing_weights,
     required,
 )
-from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.compiled.deadline import backward
+from ssp_lp.column_generation.explicit_pricing import (
+    ExplicitPricing,
+    pricing_rounding,
+    values_less_paid,
+)
 from ssp_lp.dynamic_programming import bellman
-from ssp_lp.dynamic_programming.bellman import PairCost, SparseRows
-from ssp_lp.dynamic_programming.dual_bound import DualBound
 from ssp_lp.policies.policy import DeterministicPolicy, Policy
 
 _SAME = 1e-14
-"""Share of a bound below which there is only rounding."""
+"""Relative difference of values below which there is only rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +69,7 @@ class LayeredPricing(PricingProblem):
     @cached_property
     def sweep(self) -> Sweep:
         """The sweeps of layered pricing over its process."""
-        return Sweep(self.process)
+        return Sweep.of_ends(self.process)
 
     def incumbent(self, reached: Any) -> Column | None:
         """The best column of a layered pricing that was stopped, at a lower price of failure.
@@ -82,7 +87,7 @@ class LayeredPricing(PricingProblem):
         within, choice = replace(self, process=begun), reached.choice[reached.layer :]
         price = reached.price - paid
         if reached.measures is None:
-            measures = within.sweep.follow(choice, price)
+            measures = within.sweep.follow(choice, begun.measures_beyond(price))
         else:
             measures = base.start @ reached.measures
             measures[0] -= paid * measures[2]
@@ -110,7 +115,7 @@ class LayeredPricing(PricingProblem):
         goal = tails.guess[1] if tails.guess else float(base.start @ tails.goal[0])
         # where no policy probably succeeds success is counted rather than failure
         failing = failure_price if goal + base.start_goal >= 0.5 else 0.0
-        measures = self.sweep.minimise(failure_price, failing, choice)
+        measures = self.sweep.minimise(at_price(self.process, failure_price, failing), choice)
         return self._column(measures, choice, failure_price, self.process.cap)
 
     def measure(self, choice: IntArray, tail_price: float) -> Column:
@@ -120,7 +125,8 @@ class LayeredPricing(PricingProblem):
             choice: [cap, nodes].
             tail_price: the price of failure by which tails are chosen beyond the cap.
         """
-        return self._column(self.sweep.measure(choice, tail_price), choice, tail_price, 0)
+        measures = self.sweep.measure(choice, self.process.measures_beyond(tail_price))
+        return self._column(measures, choice, tail_price, 0)
 
     def _column(
         self, totals: FloatArray, choice: IntArray, tail_price: float, backups: int
@@ -176,8 +182,11 @@ class LayeredPricing(PricingProblem):
             slack: as of :meth:`check`.
             proof: what was proved at this price; where its bound is as high, that is all.
         """
-        failing = 0.0 if slack else price
-        lost = self.sweep.lost_beyond(price, failing)
+        process, failing = self.process, 0.0 if slack else price
+        tails = process.beyond_value(price, failing)
+        least = process.beyond_bound(price, failing)
+        same = tails - least <= _SAME * (np.abs(tails) + np.abs(least))
+        lost = np.where(same, 0.0, tails - least)
         if not lost.any():
             return 0.0
         if proof is not None and proof.choice is not None:
@@ -185,8 +194,8 @@ class LayeredPricing(PricingProblem):
             most = float((left[: len(lost)] * lost).sum())
             if most <= _SAME * abs(proof.bound):
                 return most
-        beyond = self.process.beyond_value(price, failing)
-        reached = float(self.sweep.bound(price, failing, self.anything, beyond, None)[0][0])
+        followed = at_price(process, price, failing)
+        reached = float(self.sweep.bound(followed, self.anything)[0][0])
         if proof is not None and reached <= proof.bound:
             return 0.0
         return max(reached - self.prove(price, slack=slack).bound, 0.0)
@@ -195,217 +204,14 @@ class LayeredPricing(PricingProblem):
         self, price: float, failing: float, values: FloatArray, choice: IntArray | None = None
     ) -> Proof:
         """Lower values layer by layer, from the bound beyond the cap."""
-        beyond = self.process.beyond_bound(price, failing)
-        bounds, kept = self.sweep.bound(price, failing, values, beyond, choice)
+        priced = at_price(self.process, price, failing, bounds=True)
+        bounds, kept = self.sweep.bound(priced, values, choice)
         work = bellman.Work(self.process.cap, 0)
         return Proof(price, failing, float(bounds[0]), kept, work, choice, by_layer=bounds)
 
     def pulled_back(self, column: Column) -> Policy:
         """The cost-aware policy of a layered choice and its tails."""
         return self.process.policy(required(column.choice), column.tail_price)
-
-
-class Neighbours(Protocol):
-    """Ranks that sweep other nodes of the same layers, at the same time."""
-
-    @property
-    def size(self) -> int:
-        """Number of nodes that are known: the own ones first, then neighbours' ghosts."""
-
-    def filled(self, own: FloatArray) -> FloatArray:
-        """Values of own nodes, [nodes, ...], with those of neighbours', [known nodes, ...]."""
-
-    def gather(self, values: FloatArray) -> None:
-        """Add up, in place, what was sent to own nodes; to neighbours' there is nothing then."""
-
-
-@dataclass(frozen=True, eq=False)
-class OpenSweeps:
-    """Backward sweeps over the layers of an open-ended table: of all nodes, or of a rank's own.
-
-    A rank knows some nodes of its neighbours, too.
-    """
-
-    layered: OpenEnded
-    rows: tuple[FloatArray, ...]  # [pairs] each: what is counted besides cost and failure
-    later: SparseRows  # [pairs, layers ahead * known nodes]
-    own: slice  # the nodes that are swept
-    neighbours: Neighbours | None = None  # who know the others; None: all nodes are swept
-    follows: bool = False  # mass is followed forwards, in compiled loops
-    by_goal: bool = False  # success, as minus the goal, is counted in place of failing
-
-    @property
-    def pair_offsets(self) -> IntArray:
-        """Offsets of the pairs of each swept node in a layer, [nodes + 1]."""
-        return self.layered.base.pair_offsets[self.own.start : self.own.stop + 1]
-
-    @property
-    def n_nodes(self) -> int:
-        """Number of nodes that are swept."""
-        return len(self.pair_offsets) - 1
-
-    @cached_property
-    def start(self) -> FloatArray:
-        """Start mass of the swept nodes, 0 at others, [known nodes]."""
-        known = self.n_nodes if self.neighbours is None else self.neighbours.size
-        start = np.zeros(known)
-        start[: self.n_nodes] = self.layered.base.start[self.own]
-        return start
-
-    def _told(self, values: FloatArray) -> FloatArray:
-        """Values of swept nodes, [nodes, ...], with those of all known ones, [known nodes, ...]."""
-        return values if self.neighbours is None else self.neighbours.filled(values)
-
-    @cached_property
-    def counted(self) -> FloatArray:
-        """Failure and rows of each pair of a swept layer, [pairs, rewards - 1]."""
-        base = self.layered.base
-        ending = -base.survival * base.gain if self.by_goal else base.failure
-        return np.stack([ending, *self.rows], axis=1)
-
-    def charged(self, layer: int) -> PairCost:
-        """Charges of arriving from a swept layer with the shift, [pairs]."""
-        charge, shift = self.layered.charged(layer), self.layered.shift_of_ends[0]
-        return charge if self.layered.shift == 0.0 else PairCost(charge.total + shift)
-
-    def best(self, last: IntArray, values: FloatArray, weights: FloatArray) -> IntArray:
-        """Sweep for the best pairs at some weights.
-
-        Args:
-            last: position of the pair that is taken beyond the cap, [nodes].
-            values: what all that lies beyond is worth at least, [nodes].
-            weights: of the rewards, [rewards].
-
-        Returns:
-            The choice, [layers + 1, nodes], the last layer for all beyond.
-        """
-        window, owed, offsets = self._window(values), self.counted @ weights[1:], self.pair_offsets
-        costs = self._by_layer(weights[0], lambda charged: weights[0] * charged + owed)
-        choice = self.always(last)
-        for layer in backward(self.layered.cap):
-            rows = offsets, self.later, costs(layer), window.flat
-            backup = bellman.best_pairs(*rows, tied=TIED)
-            window.push(self._told(backup.minima))
-            choice[layer] = backup.choice - offsets[:-1]
-        return choice
-
-    def always(self, last: IntArray) -> IntArray:
-        """The choice that is the same in all swept layers and beyond, [layers + 1, nodes]."""
-        most = int(np.diff(self.pair_offsets).max(initial=1))
-        same = np.broadcast_to(last, (self.layered.cap + 1, len(last)))
-        return same.astype(least_integer_type(most))
-
-    def measured(self, choice: IntArray, totals: FloatArray) -> FloatArray:
-        """Totals of a choice from the start of the swept nodes on, by a sweep, [rewards].
-
-        Args:
-            choice: [layers + 1, nodes].
-            totals: beyond the cap, in each layer that a step can reach, [layers, nodes, rewards].
-        """
-        return self._followed(choice, totals) if self.follows else self._summed(choice, totals)
-
-    def _summed(self, choice: IntArray, totals: FloatArray) -> FloatArray:
-        """Totals of a choice by a sweep backwards."""
-        told, offsets = [self._told(layer) for layer in totals], self.pair_offsets
-        window = Window(np.stack(told) if told else totals)
-        for layer in backward(self.layered.cap):
-            chosen, charged = offsets[:-1] + choice[layer], self.charged(layer)
-            here = np.empty(totals.shape[1:])
-            here[:, 0], here[:, 1:] = charged.total[chosen], self.counted[chosen]
-            here += bellman.chosen_product(self.later, chosen, window.flat)
-            window.push(self._told(here))
-        return np.asarray(self.start[: self.n_nodes] @ here)
-
-    def _followed(self, choice: IntArray, totals: FloatArray) -> FloatArray:
-        """Totals of a choice by a sweep of its mass forwards, only from where it comes to."""
-        base, offsets, sums = self.layered.base, self.pair_offsets, list[list[float]]()
-        counted = base.gain, base.failure, base.survival
-        rows = LayerRows(self.later, offsets, *counted, self.start)
-        mass = LayerMass(rows, self.layered.totals)
-        for layer in range(self.layered.cap):
-            here = self._gathered(mass.here)
-            chosen = offsets[:-1] + choice[layer] if self.rows else offsets[:0]
-            limited = [float(here @ row[chosen]) for row in self.rows]
-            paid, failed, reached = mass.follow(choice[layer], self.charged(layer)).tolist()
-            sums.append([paid, -reached if self.by_goal else failed, *limited])
-        for left, each in zip(mass.left, totals, strict=False):
-            sums.append((self._gathered(left) @ each).tolist())
-        return np.array([fsum(each) for each in zip(*sums, strict=True)])
-
-    def _gathered(self, mass: FloatArray) -> FloatArray:
-        """Mass of the swept nodes, with what others have sent to them, [nodes]."""
-        if self.neighbours is not None:
-            self.neighbours.gather(mass)
-        return mass[: self.n_nodes]
-
-    def _by_layer(
-        self, weight: float, summed: Callable[[FloatArray], FloatArray]
-    ) -> Callable[[int], PairCost]:
-        """Costs of the pairs of each swept layer; those that grow evenly are summed up once.
-
-        Args:
-            weight: of what arriving is charged.
-            summed: the cost of a charge, with what is counted besides, [pairs] -> [pairs].
-        """
-        layered = self.layered
-        even, totals = layered.charged(0), layered.totals.values
-        if even.slope is None:
-            return lambda layer: PairCost(summed(self.charged(layer).total))
-        cost = PairCost(summed(even.fixed), weight * even.slope)
-        return lambda layer: replace(cost, factor=float(totals[layer]))
-
-    def priced(self, weights: FloatArray) -> Callable[[int], PairCost]:
-        """Priced costs of the pairs of each swept layer, rounded down, [pairs]."""
-        owed, size = self.counted @ weights[1:], np.abs(self.counted) @ np.abs(weights[1:])
-        lost = explicit_pricing.pricing_rounding(self.counted, weights[1:]) * size
-
-        def summed(charged: FloatArray) -> FloatArray:
-            """A charge with the priced rows."""
-            cost = weights[0] * charged
-            both = (cost != 0.0) & (owed != 0.0)
-            return np.asarray(
-                cost + owed - (lost + both * explicit_pricing.LOST * (np.abs(cost) + size))
-            )
-
-        return self._by_layer(weights[0] * (1.0 - explicit_pricing.LOST), summed)
-
-    def priced_less(self, weights: FloatArray, ratio: float) -> Callable[[int], PairCost]:
-        """The same less what every episode pays on ending: a ratio, and the shift."""
-        base, owed = self.layered.base, self.counted @ weights[1:]
-        earned = ratio * base.survival * base.gain
-
-        def cost_in(layer: int) -> PairCost:
-            """Those of a layer."""
-            own = self.layered.own_cost_from(layer)
-            return PairCost(explicit_pricing.costs_less_earned(own, own + owed, earned))
-
-        return cost_in
-
-    def lowered(
-        self, lowest: FloatArray, priced: Callable[[int], PairCost]
-    ) -> Iterator[tuple[int, FloatArray]]:
-        """Sweep for lower bounds of all policies' values; what is sent back is a ceiling.
-
-        Args:
-            lowest: of what lies beyond the cap, [nodes].
-            priced: what the pairs of a layer cost at least, [pairs].
-
-        Yields:
-            A layer and its bounds, [nodes], which may be lowered in place.
-        """
-        window = self._window(lowest)
-        for layer in backward(self.layered.cap):
-            cost = priced(layer)
-            size = np.abs(cost.fixed)
-            sums = cost, size, size, window.flat
-            lowest = bellman.safe_minima(self.pair_offsets, self.later, *sums)
-            yield layer, lowest
-            window.push(self._told(lowest))
-
-    def _window(self, last: FloatArray) -> Window:
-        """Values of the layers ahead of the last swept one, the open end's."""
-        reached, told = self.layered.base.width - 1, self._told(last)
-        return Window(np.broadcast_to(told, (reached, *told.shape)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -431,19 +237,15 @@ class OpenEndedPricing(PricingProblem):
         return ((self.augmented.cap + 1) * self.augmented.n_nodes + 1,)
 
     @cached_property
-    def _beyond(self) -> explicit_pricing.ExplicitPricing:
+    def _beyond(self) -> ExplicitPricing:
         """The pricing problem of the open end beyond the layers."""
         rows = tuple(row for row, _ in self.rows)
-        how = self.augmented.beyond, self.precise, rows
-        return explicit_pricing.ExplicitPricing(*how, by_goal=self.by_goal)
+        return ExplicitPricing(self.augmented.beyond, self.precise, rows, by_goal=self.by_goal)
 
     @cached_property
-    def sweeps(self) -> OpenSweeps:
+    def sweep(self) -> Sweep:
         """The sweeps of layered pricing with rows."""
-        base, rows = self.augmented.base, tuple(row for row, _ in self.rows)
-        follows = accelerated(base.later.nnz, "layers.follow_layer")
-        every_node = self.augmented, rows, base.later, slice(0, base.n_nodes)
-        return OpenSweeps(*every_node, follows=follows, by_goal=self.by_goal)
+        return open_sweep(self.augmented, [row for row, _ in self.rows], by_goal=self.by_goal)
 
     @cached_property
     def _at_source(self) -> FloatArray:
@@ -462,17 +264,6 @@ class OpenEndedPricing(PricingProblem):
         weights = pricing_weights(price)
         return self._swept(self._best_beyond(weights, *warm), weights)
 
-    def _best_beyond(self, weights: FloatArray, *warm: Column | None) -> Column:
-        """What is best beyond the cap at some weights, by what is known of layered columns."""
-        return self._beyond.minimise(weights, *map(self._last, warm))
-
-    def _last(self, column: Column | None) -> Column | None:
-        """The choice of a layered column beyond the cap."""
-        if column is None or column.choice is None:
-            return None
-        choice = self.augmented.base.pair_offsets[:-1] + column.choice[-1]
-        return Column(0.0, 0.0, 0.0, choice.astype(np.int32))
-
     def _swept(self, last: Column, weights: FloatArray | None) -> Column:
         """A policy with its totals from the start, found layer by layer.
 
@@ -480,16 +271,24 @@ class OpenEndedPricing(PricingProblem):
             last: what is done beyond the cap, with its totals.
             weights: at which the best is done in each layer, [rewards]; None: always the same.
         """
-        base, own = self.augmented.base, required(last.totals)
-        position = required(last.choice) - base.pair_offsets[:-1]
-        totals = np.broadcast_to(own, (base.width - 1, *own.shape))
-        if weights is None:
-            choice = self.sweeps.always(position)
-        else:
-            choice = self.sweeps.best(position, weighted(own, weights), weights)
-        figures = self.sweeps.measured(choice, totals) + self._at_source
-        work = last.work + bellman.Work(1, 1)
-        return Column.of_figures(figures, choice, by_goal=self.by_goal, work=work)
+        totals, position = required(last.totals), required(last.choice) - self.sweep.first_pairs
+        measures = ahead_of(self.augmented, totals)
+        choice, figures = swept(self.sweep, position, weights, totals, measures)
+        figures, work = figures + self._at_source, last.work + bellman.Work(1, 1)
+        kept: dict[str, Any] = {"work": work, "beyond": last}
+        return Column.of_figures(figures, choice, by_goal=self.by_goal, **kept)
+
+    def _best_beyond(self, weights: FloatArray, *warm: Column | None) -> Column:
+        """What is best beyond the cap at some weights: most often what was best before."""
+        known = [c.beyond for c in warm if c is not None and c.beyond is not None]
+        for last in known:
+            if self._beyond.is_best(last, weights):
+                return last
+        return self.tail(self._beyond.minimise(weights, *known))
+
+    def tail(self, last: Column) -> Column:
+        """What is done beyond the cap, with all that layered pricing needs to know of it."""
+        return last
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
         """Best lower bound that layered pricing's sweep with rows gives."""
@@ -506,12 +305,11 @@ class OpenEndedPricing(PricingProblem):
 
     def _proved(self, weights: FloatArray, values: FloatArray, best: Column | None) -> Proof:
         """Lower layered values to a proof; a policy that is best, or about, saves work."""
-        asked = self._asked_beyond(values, weights, best)
-        last = self._beyond.lowered(weights, asked)
-        at_source = float(self._at_source @ weights)
-        priced, price = self.sweeps.priced(weights), float(weights[1])
-        floor = -price if self.by_goal else 0.0
-        bound, kept = self._lowered(last, priced, values, at_source, floor)
+        last = self._beyond.lowered(weights, self._asked_beyond(values, weights, best)).rounded
+        priced, price = at_weights(self.sweep, weights, last), float(weights[1])
+        floor, ended = -price if self.by_goal else 0.0, (weights * self._at_source).tolist()
+        priced = priced._replace(floor=floor, at_start=tuple(ended))
+        bound, kept = self._lowered(self.sweep, priced, values)
         return Proof(price, 0.0 if self.by_goal else price, bound, kept)
 
     def check_less(
@@ -521,18 +319,23 @@ class OpenEndedPricing(PricingProblem):
 
         See :meth:`ExplicitPricing.check_less`.
         """
-        base, counted = self.augmented.base, weights.copy()
+        layered, base, counted = self.augmented, self.augmented.base, weights.copy()
         counted[1] += ratio
-        begun, earned_at_once = float(self._at_source @ weights), ratio * base.start_goal
-        shift = self.augmented.shift_of_ends[1]
-        summed = begun + shift + earned_at_once
-        at_source = begun - shift - earned_at_once - explicit_pricing.LOST * summed
-        values_beyond = self._asked_beyond(values, counted)
-        last = self._beyond.lowered_less(weights, ratio, paid, values_beyond)
-        left = self.sweeps.priced_less(weights, ratio)
-        return self._lowered(
-            last, left, explicit_pricing.values_less_paid(values, paid), at_source, -paid
-        )[0]
+        beyond = self._asked_beyond(values, counted)
+        last = self._beyond.lowered_less(weights, ratio, paid, beyond).rounded
+        priced = at_weights(self._without_top, weights, last)
+        begun = layered.start_charge, *(weights[1:] * self._at_source[1:]).tolist()
+        priced = priced._replace(
+            saved=priced.saved + ratio * base.survival * base.gain,
+            floor=-paid,
+            at_start=(*begun, -ratio * base.start_goal),
+        )
+        return self._lowered(self._without_top, priced, values_less_paid(values, paid))[0]
+
+    @cached_property
+    def _without_top(self) -> Sweep:
+        """The sweeps of layered pricing less what every episode pays on ending."""
+        return self.sweep if self.sweep.on_top is None else replace(self.sweep, on_top=None)
 
     def _asked_beyond(
         self, values: FloatArray, weights: FloatArray, best: Column | None = None
@@ -545,49 +348,93 @@ class OpenEndedPricing(PricingProblem):
         return weighted(required(self._best_beyond(weights, best).totals), weights)
 
     def _lowered(
-        self,
-        beyond: DualBound,
-        priced: Callable[[int], PairCost],
-        values: FloatArray,
-        at_source: float,
-        floor: float = 0.0,
+        self, sweep: Sweep, priced: Priced, values: FloatArray
     ) -> tuple[float, FloatArray]:
-        """Layered pricing's bound at the start by lowered values, and these.
+        """Layered pricing's bound at the start by lowered values, and these, [states].
 
         Args:
-            beyond: of what lies beyond the cap.
-            priced: what the pairs of a layer cost at least, [pairs].
+            sweep: over the layers.
+            priced: with lower bounds beyond the cap.
             values: not to be exceeded, [states].
-            at_source: what is paid before the first step.
-            floor: a constant that is known to be a sub-solution.
         """
-        layered, n = self.augmented, self.augmented.n_nodes
-        given, lowest = values[:-1].reshape(layered.cap + 1, n), beyond.rounded
-        is_kept = values.size <= KEPT_VALUES
-        kept = np.empty(values.shape) if is_kept else np.broadcast_to(np.inf, values.shape)
-        if is_kept:
-            kept[layered.cap * n : -1] = lowest
-        for layer, lowest in self.sweeps.lowered(lowest, priced):  # noqa: B020 (the last is used)
-            ceiling = np.nan_to_num(given[layer], nan=floor, posinf=np.inf)
-            np.minimum(lowest, np.maximum(ceiling, floor), out=lowest)
-            if is_kept:
-                kept[layer * n : (layer + 1) * n] = lowest
-        bound = self._at_start(lowest[np.flatnonzero(layered.base.start)], at_source)
-        if is_kept:
-            kept[-1] = bound
-        return bound, kept
-
-    def _at_start(self, lowest: FloatArray, at_source: float) -> float:
-        """Layered pricing's bound at the start by those where it has mass, [some nodes]."""
-        start = self.augmented.base.start
-        shares = start[start != 0.0]
-        parts = shares * lowest
-        terms = parts.size + self.n_rewards  # each of these is rounded once at the start
-        loss = terms * MACHINE_EPSILON * (float(np.abs(parts).sum()) + abs(at_source))
-        exact = parts.size == 1 and float(shares[0]) == 1.0 and at_source == 0.0
-        return float(parts.sum()) + at_source - (0.0 if exact else loss)
+        layered = self.augmented
+        given = values[:-1].reshape(layered.cap + 1, layered.n_nodes)
+        bounds, kept = sweep.bound(priced, given[:-1])
+        bound = float(bounds[0])
+        if values.size > KEPT_VALUES:
+            return bound, np.broadcast_to(np.inf, values.shape)
+        return bound, np.concatenate([kept.ravel(), priced.beyond[0], [bound]])
 
     def pulled_back(self, column: Column) -> Policy:
         """The cost-aware policy of a layered choice with an open end."""
         chosen = self.augmented.base.pair_offsets[:-1] + required(column.choice)
         return self.augmented.policy(chosen.ravel())
+
+
+def open_sweep(
+    table: OpenEnded, rows: Sequence[FloatArray], share: OwnNodes | None = None, *, by_goal: bool
+) -> Sweep:
+    """The sweeps over an open-ended table that count failing, or minus the goal, and rows.
+
+    Args:
+        table: the layers.
+        rows: what is counted besides, [pairs] each.
+        share: of a rank; None: all nodes are swept.
+        by_goal: whether minus the goal is counted.
+    """
+    base = table.base
+    ending = -base.survival * base.gain if by_goal else base.failure
+    on_top = table.shift_of_ends[0] if table.shift else None
+    return Sweep(table, np.stack([ending, *rows], axis=1), on_top, share)
+
+
+def ahead_of(table: OpenEnded, beyond: FloatArray) -> FloatArray:
+    """What lies beyond a table's cap, in each layer that a step can reach, [layers, nodes, ...]."""
+    return np.broadcast_to(beyond, (table.base.width - 1, *beyond.shape))
+
+
+def swept(
+    sweep: Sweep,
+    last: IntArray,
+    weights: FloatArray | None,
+    totals: FloatArray,
+    measures: FloatArray,
+) -> tuple[IntArray, FloatArray]:
+    """A choice over an open-ended table, [layers + 1, nodes], and its measures, [rewards].
+
+    Args:
+        sweep: over the layers.
+        last: positions of the pairs that are taken beyond the cap, [nodes].
+        weights: at which the best is done in each layer, [rewards]; None: always the same.
+        totals: what is counted beyond the cap, at least, [nodes, rewards].
+        measures: the same as it is, in each layer there, [layers, nodes, rewards].
+    """
+    choice = sweep.room_for_choice(sweep.process.cap + 1)
+    choice[-1 if weights is not None else slice(None)] = last
+    if weights is None:
+        return choice, sweep.measure(choice[:-1], measures)
+    priced = at_weights(sweep, weights, weighted(totals, weights), measures)
+    return choice, sweep.minimise(priced, choice[:-1])
+
+
+_FOR_BOUNDS = np.zeros(0)
+
+
+def at_weights(
+    sweep: Sweep, weights: FloatArray, beyond: FloatArray, measures: FloatArray = _FOR_BOUNDS
+) -> Priced:
+    """What a sweep over an open-ended table is asked at some weights.
+
+    Args:
+        sweep: over the layers.
+        weights: of the rewards, [rewards].
+        beyond: what all beyond the cap is worth, at least, [nodes].
+        measures: what is counted there, [layers beyond, nodes, rewards]; empty: bounds are asked
+            for, and what pairs cost is rounded down.
+    """
+    parts = sweep.counted * weights[1:]
+    owed, saved = np.maximum(parts, 0.0).sum(axis=1), -np.minimum(parts, 0.0).sum(axis=1)
+    if not measures.size:
+        saved += pricing_rounding(sweep.counted, weights[1:]) * (owed + saved)
+    table: Any = sweep.process
+    return Priced(owed, saved, ahead_of(table, beyond), measures, float(weights[0]))

@@ -23,6 +23,17 @@ _LOWERINGS = 16
 """Turns in which bounds within a layer follow each other's rounding: more than halving it takes."""
 
 
+class OneLayer(NamedTuple):
+    """What changes from layer to layer of a compiled pass."""
+
+    begin: Array  # [classes] where the values of the layer begin that a step leads to
+    charged: Array  # [columns] for arriving
+    factor: float  # of the growth
+    weight: float  # of the charge
+    owed: Array  # [pairs] cost beside the charge, non-negative
+    saved: Array  # [pairs] earned, non-negative
+
+
 class Layers(NamedTuple):
     """A block of layers, as a compiled pass reads it."""
 
@@ -38,24 +49,22 @@ class Layers(NamedTuple):
     charge: Array  # [layers or 1, columns] of arriving
     column: Array  # [pairs] among them
     growth: Array  # [pairs] what a unit of the total adds to the charge, or empty
-    failure: Array  # [pairs]
-    goal: Array  # [pairs]
+    counted: Array  # [pairs, counted] beside the charge
 
 
 @compiled_loop(inline="always")
 def _best_pair(
-    pick: Any, past: Any, layers: Layers, begin: Array, charged: Array, factor: float, due: Array,
-    values: Array, tied: float,
+    pick: Any, past: Any, layers: Layers, one: OneLayer, due: Array, values: Array, tied: float,
 ) -> tuple[float, Any]:  # fmt: skip
     """Compiled: least value of a node's pairs in a layer, and the first tied pair."""
     least, below = np.inf, np.inf
     for pair in range(pick, past):
         total = 0.0
         for k in range(layers.indptr[pair], layers.indptr[pair + 1]):
-            total += layers.data[k] * values[begin[layers.classes[k]] + layers.nodes[k]]
-        stage = charged[layers.column[pair]] + due[pair]
-        if factor != 0.0:
-            stage += factor * layers.growth[pair]
+            total += layers.data[k] * values[one.begin[layers.classes[k]] + layers.nodes[k]]
+        stage = one.weight * one.charged[layers.column[pair]] + due[pair]
+        if one.factor != 0.0:
+            stage += one.weight * one.factor * layers.growth[pair]
         total = stage + total
         edge = total - tied * abs(total)
         least = min(least, total)
@@ -66,41 +75,41 @@ def _best_pair(
 
 @compiled_loop(inline="always")
 def _measure_of(
-    pick: Any, layers: Layers, begin: Array, charged: Array, factor: float, measured: Array
-) -> tuple[float, float, float]:
-    """Compiled: charge, failure and goal of a pair in a layer."""
-    paying, failed, reached = 0.0, 0.0, 0.0
+    pick: Any, layers: Layers, one: OneLayer, measured: Array, here: Array,
+) -> None:  # fmt: skip
+    """Compiled: measures of a pair in a layer, written, [1 + counted]."""
+    here[:] = 0.0
     for k in range(layers.indptr[pick], layers.indptr[pick + 1]):
-        place, share = begin[layers.classes[k]] + layers.nodes[k], layers.data[k]
-        paying += share * measured[place, 0]
-        failed += share * measured[place, 1]
-        reached += share * measured[place, 2]
-    if factor != 0.0:
-        paying += factor * layers.growth[pick]
-    paying += charged[layers.column[pick]]
-    return paying, failed + layers.failure[pick], reached + layers.goal[pick]
+        place, share = one.begin[layers.classes[k]] + layers.nodes[k], layers.data[k]
+        for j in range(here.size):
+            here[j] += share * measured[place, j]
+    if one.factor != 0.0:
+        here[0] += one.factor * layers.growth[pick]
+    here[0] += one.charged[layers.column[pick]]
+    for j in range(1, here.size):
+        here[j] += layers.counted[pick, j - 1]
 
 
 @compiled_loop
 def _settle(
-    layers: Layers, begin: Array, charged: Array, factor: float, due: Array,
-    row: Any, values: Array, picks: Array, measured: Array,
+    layers: Layers, one: OneLayer, due: Array,
+    row: Any, values: Array, picks: Array, measured: Array, here: Array,
 ) -> None:  # fmt: skip
     """Compiled: least values of a layer of cost, and the pairs that attain them, written.
 
     Where free steps go round, the layer is gone over forwards and backwards (Gauss-Seidel): a
-    choice is followed until nothing changes, and then made anew. Where they do not, charge, failure
-    and goal of the choice are written as well, while its pair is at hand.
+    choice is followed until nothing changes, and then made anew. Where they do not, the measures
+    of the choice are written as well, while its pair is at hand.
     """
     n, is_greedy = picks.size, True
     if layers.turns == 1:
         for s in layers.order:
             first = np.uint64(layers.offsets[s])
             past = np.uint64(layers.offsets[s + 1])
-            least, pick = _best_pair(first, past, layers, begin, charged, factor, due, values, TIED)
-            here = _measure_of(pick, layers, begin, charged, factor, measured)
+            least, pick = _best_pair(first, past, layers, one, due, values, TIED)
+            _measure_of(pick, layers, one, measured, here)
             values[row + s], picks[s] = least, pick - first
-            measured[row + s, 0], measured[row + s, 1], measured[row + s, 2] = here
+            measured[row + s] = here
         return
     for turn in range(layers.turns):
         change, scale = 0.0, 0.0
@@ -109,7 +118,7 @@ def _settle(
             first = np.uint64(layers.offsets[s])
             pick = first if is_greedy else first + np.uint64(picks[s])
             past = np.uint64(layers.offsets[s + 1]) if is_greedy else pick + np.uint64(1)
-            least, pick = _best_pair(pick, past, layers, begin, charged, factor, due, values, 0.0)
+            least, pick = _best_pair(pick, past, layers, one, due, values, 0.0)
             change, scale = max(change, abs(least - values[row + s])), max(scale, abs(least))
             values[row + s], picks[s] = least, pick - first
         is_same = change <= ACCURATE * scale
@@ -120,32 +129,27 @@ def _settle(
 
 @compiled_loop
 def _measure(
-    layers: Layers, begin: Array, charged: Array, factor: float, picks: Array,
-    row: Any, measured: Array,
+    layers: Layers, one: OneLayer, picks: Array, row: Any, measured: Array, here: Array,
 ) -> None:  # fmt: skip
-    """Compiled: charge, failure and goal of a layer's choice, written; unmet nodes keep 0."""
+    """Compiled: measures of a layer's choice, written; unmet nodes keep 0."""
     n = picks.size
     for turn in range(layers.turns):
         is_same = True
         for i in range(n):
             s = layers.order[i] if turn % 2 == 0 else layers.order[n - 1 - i]
             pick, was = np.uint64(layers.offsets[s]) + np.uint64(picks[s]), measured[row + s]
-            paying, failed, reached = _measure_of(pick, layers, begin, charged, factor, measured)
-            if layers.turns > 1 and (
-                abs(paying - was[0]) > ACCURATE * abs(paying)
-                or abs(failed - was[1]) > ACCURATE * failed
-                or abs(reached - was[2]) > ACCURATE * reached
-            ):
-                is_same = False
-            was[0], was[1], was[2] = paying, failed, reached
+            _measure_of(pick, layers, one, measured, here)
+            for j in range(here.size):
+                if layers.turns > 1 and abs(here[j] - was[j]) > ACCURATE * abs(here[j]):
+                    is_same = False
+                was[j] = here[j]
         if is_same:
             break
 
 
 @compiled_loop
 def _lower(
-    layers: Layers, begin: Array, charged: Array, factor: float, owed: Array, saved: Array,
-    row: Any, values: Array, within: Array,
+    layers: Layers, one: OneLayer, row: Any, values: Array, within: Array,
 ) -> None:  # fmt: skip
     """Compiled: values of a layer lowered to their backups, rounding counted against each.
 
@@ -162,16 +166,17 @@ def _lower(
             for pair in range(layers.offsets[s], layers.offsets[s + 1]):
                 total, size = 0.0, 0.0
                 for k in range(layers.indptr[pair], layers.indptr[pair + 1]):
-                    term = layers.data[k] * values[begin[layers.classes[k]] + layers.nodes[k]]
+                    term = layers.data[k] * values[one.begin[layers.classes[k]] + layers.nodes[k]]
                     total += term
                     size += abs(term)
-                stage = charged[layers.column[pair]] + owed[pair] - saved[pair]
-                whole = abs(charged[layers.column[pair]]) + owed[pair] + saved[pair]
-                if factor != 0.0:
-                    stage += factor * layers.growth[pair]
-                    whole += factor * layers.growth[pair]
+                own = one.weight * one.charged[layers.column[pair]]
+                stage = own + one.owed[pair] - one.saved[pair]
+                whole = abs(own) + one.owed[pair] + one.saved[pair]
+                if one.factor != 0.0:
+                    stage += one.weight * one.factor * layers.growth[pair]
+                    whole += one.weight * one.factor * layers.growth[pair]
                 total, size = stage + total, whole + size
-                if size != owed[pair]:
+                if size != max(one.owed[pair], one.saved[pair]):
                     terms = float(layers.indptr[pair + 1] - layers.indptr[pair]) + 4.0
                     total -= (terms * MACHINE_EPSILON) * size
                 least = min(least, total)
@@ -188,17 +193,18 @@ def _lower(
 
 @compiled_loop
 def sweep_layers(
-    layers: Layers, owed: Array, saved: Array, values: Array, measured: Array,
+    layers: Layers, weight: float, owed: Array, saved: Array, values: Array, measured: Array,
     position: Array, keeps: bool, within: Array, given: Array,
 ) -> None:  # fmt: skip
     """Compiled backward sweep over a block of layers in one pass, the last of them first.
 
     Args:
         layers: what the pass reads of the process.
+        weight: of the charge.
         owed: what a pair costs beside the charge, non-negative, [pairs].
         saved: and what it earns, [pairs].
         values: of the layers and those that they lead to, these given, [all layers * nodes].
-        measured: charge, failure and goal, likewise, [all layers * nodes, 3]; empty: not asked for.
+        measured: the measures, likewise, [all layers * nodes, 1 + counted]; empty: not asked for.
         position: the choice among each node's pairs, [layers, nodes].
         keeps: whether the choice is given, rather than written; then values do not matter.
         within: at least one more than after the free steps of any pair, [nodes].
@@ -208,12 +214,14 @@ def sweep_layers(
     n, due, is_bound = layers.order.size, owed - saved, given.size > 0
     rows = max(values.size, measured.shape[0]) // n
     begin, unkept = np.empty(layers.leads.shape[1], np.uint64), np.empty(n, position.dtype)
+    here = np.empty(measured.shape[1])
     for layer in range(layers.paid.size - 1, -1, -1):
         ahead = layers.leads[0] + layer if layers.leads.shape[0] == 1 else layers.leads[layer]
         for step in range(begin.size):
             begin[step] = np.uint64(ahead[step] * n)
         charged = layers.charge[layer if layers.charge.shape[0] > 1 else 0]
         factor = layers.paid[layer] if layers.growth.size > 0 else 0.0
+        one = OneLayer(begin, charged, factor, weight, owed, saved)
         row, later = np.uint64(layer * n), (layer + 1) % rows * n
         picks = unkept if is_bound else position[layer]
         if is_bound and layers.turns == 1:
@@ -221,15 +229,15 @@ def sweep_layers(
         elif not keeps:
             if layers.turns > 1:
                 values[row : row + n] = values[later : later + n]
-            _settle(layers, begin, charged, factor, due, row, values, picks, measured)
+            _settle(layers, one, due, row, values, picks, measured, here)
             if is_bound:
                 values[row : row + n] = np.minimum(values[row : row + n], given[layer])
         if is_bound:
-            _lower(layers, begin, charged, factor, owed, saved, row, values, within)
+            _lower(layers, one, row, values, within)
         elif keeps or layers.turns > 1:
             if layers.turns > 1:
                 measured[row : row + n] = 0.0
-            _measure(layers, begin, charged, factor, picks, row, measured)
+            _measure(layers, one, picks, row, measured, here)
 
 
 @compiled_loop
@@ -311,10 +319,9 @@ def stream_layers(
 def follow_layer(
     mass: Array, position: Array,
     offsets: Array, indptr: Array, begins: Array, indices: Array, data: Array,
-    charge: Array, growth: Array, layer: float, gain: Array, failure: Array, survival: float,
-    onward: Array, sums: Array,
+    charge: Array, growth: Array, layer: float, counted: Array, onward: Array, sums: Array,
 ) -> None:  # fmt: skip
-    """Compiled: send the mass of a layer on by a choice; its charge, failure and goal.
+    """Compiled: send the mass of a layer on by a choice; its measures.
 
     Args:
         mass: [nodes].
@@ -327,13 +334,11 @@ def follow_layer(
         charge: of arriving, [pairs].
         growth: what a unit of the total adds to it, [pairs] or empty.
         layer: the total paid.
-        gain: [pairs].
-        failure: [pairs].
-        survival: the discount.
+        counted: beside the charge, [pairs, counted].
         onward: mass of what the columns stand for, added to, [columns].
-        sums: charge, failure and goal, and what was rounded off them, [3, 2], added to.
+        sums: the measures, and what was rounded off them, [1 + counted, 2], added to.
     """
-    terms = np.zeros(3)
+    terms = np.zeros(len(sums))
     for s in range(mass.size):
         if mass[s] <= 0.0:
             continue
@@ -341,8 +346,8 @@ def follow_layer(
         stage = charge[pair]
         if layer != 0.0:
             stage += layer * growth[pair]
-        terms[0], terms[1], terms[2] = stage, failure[pair], survival * gain[pair]
-        for j in range(3):  # what a sum loses is kept beside it
+        terms[0], terms[1:] = stage, counted[pair]
+        for j in range(len(terms)):  # what a sum loses is kept beside it
             term = mass[s] * terms[j]
             whole = sums[j, 0] + term
             if abs(sums[j, 0]) >= abs(term):

@@ -12,7 +12,7 @@ that succeed: from there on the totals that are swept are the true ones.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -24,6 +24,7 @@ import scipy.sparse as sp
 
 from ssp_lp.accumulated_cost.charges import Charge, TailValues
 from ssp_lp.accumulated_cost.process import AccumulatedCost, accumulate_cost
+from ssp_lp.accumulated_cost.sweep import OwnNodes, Priced
 from ssp_lp.accumulated_cost.written_out import LastLayer, OpenEnded, first_cap, truncates
 from ssp_lp.arrays import (
     MACHINE_EPSILON,
@@ -31,12 +32,17 @@ from ssp_lp.arrays import (
     IntArray,
     expected,
     least_integer_type,
-    weighted,
 )
 from ssp_lp.column_generation.column import Column, Proof, pricing_weights, required
 from ssp_lp.column_generation.compiled_problem import CompiledExplicit, unreachable
-from ssp_lp.column_generation.explicit_pricing import LOST
-from ssp_lp.column_generation.layered_pricing import OpenEndedPricing, OpenSweeps
+from ssp_lp.column_generation.explicit_pricing import costs_less_earned
+from ssp_lp.column_generation.layered_pricing import (
+    OpenEndedPricing,
+    ahead_of,
+    at_weights,
+    open_sweep,
+    swept,
+)
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.distributed.dynamics import PartitionedDynamics
 from ssp_lp.distributed.partitioned_pricing import (
@@ -47,9 +53,8 @@ from ssp_lp.distributed.partitioned_pricing import (
 )
 from ssp_lp.distributed.ranks import Ranks
 from ssp_lp.distributed.share import Share
-from ssp_lp.dynamic_programming.bellman import PairCost, SharedRows, SparseRows, Work, written_out
+from ssp_lp.dynamic_programming.bellman import SharedRows, SparseRows, Work, written_out
 from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.dynamic_programming.evaluation import EVALUATED
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.policy import UNDECIDED, Policy
 from ssp_lp.processes.explicit_process import ExplicitProcess
@@ -191,8 +196,8 @@ class LayeredShare(Share):
         layers = self.layers
         table, base = layers.table(cap), layers.base
         known, process = tuple(row for row, _ in layers.rows), layers.end(table).process
-        rows = known, base.later, layers.own, self.halo
-        self._sweeps = OpenSweeps(table, *rows, follows=self._follows)
+        share = OwnNodes(layers.own, self.halo, self._follows)
+        self._sweep, self._table = open_sweep(table, known, share, by_goal=False), table
         self.rewards = np.stack([process.cost, base.failure, *known], axis=1)
         self._labelled = FailureLabelled(process, base.quotient, base.departs)
 
@@ -216,7 +221,7 @@ class LayeredShare(Share):
         quotient = self.layers.base.quotient
         states = quotient.lift(goal)
         states[quotient.model.goal_mask] = 1.0
-        return self._sweeps.layered.step_cost(states)[choice]
+        return self._table.step_cost(states)[choice]
 
     def sweep(
         self,
@@ -238,9 +243,8 @@ class LayeredShare(Share):
         Returns:
             Its true totals, [rewards].
         """
-        sweeps, table = self._sweeps, self._sweeps.layered
-        offsets = table.base.pair_offsets[self.layers.own]
-        beyond = np.array(np.broadcast_to(totals, (table.base.width - 1, *totals.shape)))
+        sweep, table = self._sweep, self._table
+        beyond = np.array(ahead_of(table, totals))
         if truncates(table.charge, float(table.totals.values[-1])):
             paid, failure = table.totals.beyond[:, None], totals[:, 1]
             goal = 1.0 - failure
@@ -249,21 +253,18 @@ class LayeredShare(Share):
             )
             # of an exponential the line to which it falls: no reward is more certain
             beyond[:, :, 0] = Charge.beyond(table.charge, paid, tail) + table.shift
-        if weights is None:
-            kept = sweeps.always(choice - offsets)
-        else:
-            kept = sweeps.best(choice - offsets, weighted(totals, weights), weights)
-        self.layers.choices[number] = kept
-        return sweeps.measured(kept, beyond)
+        position = choice - sweep.first_pairs
+        self.layers.choices[number], figures = swept(sweep, position, weights, totals, beyond)
+        return figures
 
     def lower(self, weights: FloatArray, lowest: FloatArray) -> FloatArray:
-        """Lower bounds of all policies' values by a sweep, at the own start, [some own nodes].
+        """Lower bounds of all policies' values by a sweep, from the own start, [1].
 
         Args:
             weights: of the rewards, >= 0, [rewards].
             lowest: of what lies beyond the cap, [own nodes].
         """
-        return self._lower(lowest, self._sweeps.priced(weights))
+        return self._lower(at_weights(self._sweep, weights, lowest))
 
     def lower_less(self, ratio: float) -> FloatArray:
         """Lower bounds of all policies' costs, less a ratio for success, as of :meth:`lower`.
@@ -273,24 +274,23 @@ class LayeredShare(Share):
         Args:
             ratio: what success earns.
         """
-        sweeps, exits = self._sweeps, self.dynamics.exits
-        left = sweeps.priced_less(np.eye(1, self.rewards.shape[1])[0], ratio)
-        end = left(sweeps.layered.cap).total
+        base, exits, nothing = self._table.base, self.dynamics.exits, np.zeros(len(self.rewards))
+        earned, own = ratio * base.survival * base.gain, self._table.own_cost_from(self._table.cap)
+        end = costs_less_earned(own, own, earned)
         ends = (end < 0.0) & (exits > 0.0)
         least = float((end[ends] / exits[ends]).min(initial=0.0))
         constant = min(self._comm.allgather(least)) * (1.0 + 4.0 * MACHINE_EPSILON)
-        return self._lower(np.full(sweeps.n_nodes, constant), left)
+        beyond = ahead_of(self._table, np.full(self._sweep.n_nodes, constant))
+        return self._lower(Priced(nothing, earned, beyond))
 
-    def _lower(self, lowest: FloatArray, priced: Callable[[int], PairCost]) -> FloatArray:
-        """Lower bounds at the own start, [some own nodes].
+    def _lower(self, priced: Priced) -> FloatArray:
+        """The part of a lower bound that episodes make that begin here, [1].
 
         Args:
-            lowest: of what lies beyond the cap, [own nodes].
-            priced: what the pairs of a layer cost at least, [pairs].
+            priced: what is asked, with lower bounds beyond the cap.
         """
-        for _, lower in self._sweeps.lowered(lowest, priced):
-            lowest = lower
-        return lowest[np.flatnonzero(self._sweeps.start[: len(lowest)])]
+        anything = np.broadcast_to(np.inf, (self._table.cap, self._sweep.n_nodes))
+        return self._sweep.bound(priced, anything, keeps=False)[0][:1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,7 +305,6 @@ class PartitionedColumn(Column):
     """A column whose choice in the layers lies with the ranks, under a number."""
 
     number: int = -1
-    beyond: TailColumn | None = None  # what is done beyond the cap
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,21 +366,6 @@ class PartitionedLayers(OpenEndedPricing):
         """The pricing problem of the ranks' open end, in the precision that is asked for."""
         return replace(self.end, precise=True) if self.precise else self.end
 
-    def _last(self, column: Column | None) -> TailColumn | None:
-        """What a layered column of the ranks does beyond the cap."""
-        return column.beyond if isinstance(column, PartitionedColumn) else None
-
-    def _best_beyond(self, weights: FloatArray, *warm: Column | None) -> Column:
-        """What is best beyond the cap at some weights: most often what was best before."""
-        known = [last for column in warm if (last := self._last(column)) is not None]
-        for last in known[:1]:
-            values = weighted(required(last.totals), weights)
-            backup = self.end.shared.back_up(weights, values, required(last.choice))
-            gain = float((backup.here - backup.minima).max(initial=0.0))
-            if gain <= EVALUATED * float(np.abs(values).max(initial=0.0)):
-                return last
-        return self.tail(self._beyond.minimise(weights, *known))
-
     def tail(self, last: Column) -> TailColumn:
         """What is done beyond the cap on ranks, with what it costs those that succeed."""
         dynamics, choice = self.end.shared, required(last.choice)
@@ -414,7 +398,7 @@ class PartitionedLayers(OpenEndedPricing):
         last = self._beyond.lowered(weights, self._asked_beyond(values, weights, best)).rounded
         dynamics = self.end.shared
         parts = dynamics.order("lower", (weights,), [(part,) for part in dynamics.by_state(last)])
-        bound = self._at_start(np.concatenate(parts), float(self._at_source @ weights))
+        bound = _summed(np.concatenate(parts), (weights * self._at_source).tolist())
         return Proof(float(weights[1]), float(weights[1]), bound, self.anything)
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
@@ -428,9 +412,8 @@ class PartitionedLayers(OpenEndedPricing):
             return super().prove(weights, best)
         price = float(weights[1])
         parts = self.end.shared.order("lower_less", (price,))
-        charged, earned = layered.start_charge, price * layered.base.start_goal
-        at_source = charged - earned - LOST * (charged + earned)
-        bound = self._at_start(np.concatenate(parts), at_source)
+        at_source = [layered.start_charge, -price * layered.base.start_goal]
+        bound = _summed(np.concatenate(parts), at_source)
         return Proof(price, 0.0, bound, self.anything)
 
     def check_less(
@@ -445,6 +428,13 @@ class PartitionedLayers(OpenEndedPricing):
         model = self.augmented.base.quotient.model
         parts = [np.array([own.number])] * self.ranks.comm.size
         return ChosenPairs(model, parts, column.figures)
+
+
+def _summed(parts: FloatArray, at_source: Sequence[float]) -> float:
+    """Lower bound of ranks' parts and of what ends before the first step, rounded down."""
+    terms = [*parts[parts != 0.0].tolist(), *(value for value in at_source if value != 0.0)]
+    lost = max(len(terms) - 1, 0) * MACHINE_EPSILON * sum(map(abs, terms))
+    return float(sum(terms) - lost)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from ssp_lp.accumulated_cost.charges import TailValues
 from ssp_lp.accumulated_cost.process import AccumulatedCost, LayeredProcess, LayeredTails
-from ssp_lp.accumulated_cost.sweep import Sweep
+from ssp_lp.accumulated_cost.sweep import Sweep, at_price
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, Totals, step_costs, sums_in
 from ssp_lp.arrays import (
     MACHINE_EPSILON,
@@ -153,7 +153,7 @@ class CostPlayer:
         the rounding of ``price``. The sign says whether ``J_obj / (1 - J_cond) >= price`` for all.
         """
         best: LayeredStrategy = self.response(1.0, price, accuracy).strategy
-        return float(lower_bounds(Sweep(best.process), price, 0.0)[0][0])
+        return float(lower_bounds(best.process, price, 0.0)[0][0])
 
     def value_function(self, price: float) -> FloatArray:
         """Infinite values of the cost player, to ask ``certify`` for the best by so many layers.
@@ -193,20 +193,22 @@ class CostPlayer:
         """
         base, process = self.base, LayeredProcess(self.base, self.totals(cap), self.tails)
         settled = -base.start_goal if self.origin else base.start_failure
-        sweep, price = Sweep(process), _DEAREST
+        sweep, price = Sweep.of_ends(process), _DEAREST
         choice = sweep.room_for_choice()
         if weights[0] == 0.0:
             choice[:] = self.outer_tails[0][0] - base.pair_offsets[:-1]
             first = self.tails.first
             measures = np.stack([first.cost, first.failure, first.goal])
             objective, failure, goal = (measures @ base.start).tolist()
-            least = lower_bounds(sweep, price, 0.0 if self.origin else price)[0][0] / price
+            least = lower_bounds(process, price, 0.0 if self.origin else price)[0][0] / price
             bound = weights[1] * least  # the sweep leads to digits that the tails' bounds lack
         else:
             price = float(weights[1] / weights[0])
             failing = 0.0 if self.origin else price
-            objective, failure, goal = sweep.minimise(price, failing, choice).tolist()
-            bound = weights[0] * lower_bounds(sweep, price, failing)[0][0]
+            objective, failure, goal = sweep.minimise(
+                at_price(process, price, failing), choice
+            ).tolist()
+            bound = weights[0] * lower_bounds(process, price, failing)[0][0]
             bound = max(bound, -weights[1] * self.origin)  # J_obj is never negative
         failed = settled - goal if self.origin else settled + failure
         strategy = LayeredStrategy(process, choice, price)
@@ -239,10 +241,10 @@ class CappedCostPlayer:
         self, objective_weight: float, condition_weight: float, accuracy: float
     ) -> BestResponse:
         """The capped cost player's best response, by one sweep: its own bound but for rounding."""
-        base, process, sweep = self.base, self.process, Sweep(self.process)
+        base, process, sweep = self.base, self.process, Sweep.of_ends(self.process)
         choice, only_failing = sweep.room_for_choice(), objective_weight == 0.0
         price = _DEAREST if only_failing else condition_weight / objective_weight
-        objective, failure, _ = sweep.minimise(price, price, choice).tolist()
+        objective, failure, _ = sweep.minimise(at_price(process, price, price), choice).tolist()
         scale = condition_weight / price if only_failing else objective_weight
         bound = scale * self._least(price, price)
         strategy = LayeredStrategy(process, choice, price)
@@ -260,7 +262,8 @@ class CappedCostPlayer:
         charge, failure, goal = process.beyond(price)
         size = charge + failing * failure + (price - failing) * goal
         beyond = process.beyond_value(price, failing) - _ROUNDED * size
-        return float(Sweep(process).bound(price, failing, anything, beyond)[0][0])
+        priced = at_price(process, price, failing, bounds=True)._replace(beyond=beyond)
+        return float(Sweep.of_ends(process).bound(priced, anything)[0][0])
 
     def policy(self, response: BestResponse) -> CostAwarePolicy:
         """The capped cost player's response on the model's states, with the cost paid as memory."""
@@ -293,20 +296,21 @@ def undiscounted_tail(stationary: CostPlayer) -> tuple[IntArray, LayeredTails]:
     return pairs, replace(tails, decisions=quotient.pull_back(pairs)[None], values=values)
 
 
-def lower_bounds(sweep: Sweep, price: float, failing: float) -> tuple[FloatArray, FloatArray]:
+def lower_bounds(
+    process: LayeredProcess, price: float, failing: float
+) -> tuple[FloatArray, FloatArray]:
     """The cost player's lower bounds of every policy's J_obj and, at a price, J_cond.
 
     Args:
-        sweep: over the process cut at M.
+        process: cut at M.
         price: of J_cond.
         failing: the price, or 0 where J_cond is counted from 1.
 
     Returns:
         If a run began in each layer, [layers]; and of each state, [layers, nodes].
     """
-    process = sweep.process
     anything = np.broadcast_to(np.inf, (process.cap, process.base.n_nodes))
-    return sweep.bound(price, failing, anything, process.beyond_bound(price, failing))
+    return Sweep.of_ends(process).bound(at_price(process, price, failing, bounds=True), anything)
 
 
 def _larger_cost_cap(lost: Mapping[float, float], wanted: float) -> float:
@@ -570,7 +574,7 @@ class BayesCostPlayer:
         if weights[0] > 0.0:
             process = LayeredProcess(self.base, totals, self.stationary.tails)
             price = float(weights[1] / weights[0])
-            below = weights[0] * lower_bounds(Sweep(process), price, price)[1]
+            below = weights[0] * lower_bounds(process, price, price)[1]
             bound[:cap] = np.maximum(bound[:cap], below)
         return np.asarray(bound.T)
 
