@@ -320,6 +320,7 @@ def _remarks(
     return "; ".join(remarks)
 
 
+_TRACE = 1e-15  # a weight of a member that is the rounding of none
 _MOST = 8  # policies of the search that are evaluated
 _STEEPER = (0.01, 0.1, 1.0, 100.0)  # shares of the prices that are added for further ones
 _LUCK = 1e-12  # of the greatest goal probability: what the room for rounding of a limit may buy
@@ -467,6 +468,8 @@ def phase_one(
     rows = pool.rows(1 + limited, compiled.bounds[limited])
     elastic = Master(pool, rows, np.zeros(limited.size), elastic=True)
     ended = generate(elastic, options)
+    if not _kept_to(ended, rows):
+        ended = _without_traces(ended, rows)
     if _kept_to(ended, rows):
         raised = rows.relaxed(ended.excess)
         ratio = _positive_ratio(pool, ended) if compiled.ratio else 0.0
@@ -608,6 +611,19 @@ def _irreducible_conflict(
 def _kept_to(ended: Generated, rows: Rows) -> bool:
     """Whether phase 1 ended with every row kept, but for an excess that counts as none."""
     return bool((ended.excess * rows.scales <= ATTAINABLE * np.abs(rows.bounds)).all())
+
+
+def _without_traces(ended: Generated, rows: Rows) -> Generated:
+    """The end of phase 1 without members of next to no weight.
+
+    They may be there because a row that asks for nothing is broken to keep another to its last
+    digit.
+    """
+    weights = np.where(ended.weights > _TRACE, ended.weights, 0.0)
+    weights /= weights.sum()
+    taken = weights @ np.stack([column.figures[rows.index] for column in ended.columns])
+    excess = np.maximum(taken - rows.bounds, 0.0) / rows.scales
+    return replace(ended, weights=weights, excess=excess)
 
 
 def names_of(compiled: CompiledExplicit, rows: Rows) -> list[str]:
