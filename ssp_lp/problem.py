@@ -69,6 +69,8 @@ class Problem(ReadOnlyCopies):
     cost_levels: int | None = None  # of the grid where costs have no unit
     reach_fraction: float | None = None  # of the greatest goal probability, for a budget
     quantity: Quantity | None = None  # what is minimised in place of the cost
+    penalty: float = 0.0  # price of failing; infinite: failing is forbidden
+    aim = Aim.LEAST_COST
     constraints: Mapping[str, Constraint] = MappingProxyType({})
 
     @property
@@ -372,8 +374,7 @@ def pulled_back(policy: MixedPolicy, problem: Problem) -> MixedPolicy:
 
 def as_float(value: Any) -> Any:
     """A problem's argument as a float, if a fraction or a number of numpy's; else as it is."""
-    plain = isinstance(value, (int, float)) or not is_number(value)
-    return value if plain else float(value)
+    return value if type(value) in (bool, int, float) or not is_number(value) else float(value)
 
 
 def check_numbers(**named: object) -> None:
@@ -385,6 +386,14 @@ def check_numbers(**named: object) -> None:
     for name, value in named.items():
         if not is_number(value):
             raise wrong_argument(name, "be a number", value)
+
+
+def check_cost(**named: object) -> None:
+    """Raise :class:`ModelError` unless an argument of a problem is a finite number >= 0."""
+    check_numbers(**named)
+    for name, value in named.items():
+        if not 0 <= cast("float", value) < float("inf"):
+            raise wrong_argument(name, "be a cost", value)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

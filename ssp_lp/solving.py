@@ -14,14 +14,7 @@ import numpy as np
 from ssp_lp.accumulated_cost.policy_layers import giving_up_where_lost
 from ssp_lp.analysis.evaluation import evaluate
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP
-from ssp_lp.compiled.deadline import (
-    Deadline,
-    Stop,
-    WithIncumbent,
-    closing,
-    interrupted,
-    until,
-)
+from ssp_lp.compiled.deadline import Deadline, Stop, WithIncumbent, closing, interrupted, until
 from ssp_lp.dynamic_programming.evaluation import PROVED_OF_MANY
 from ssp_lp.errors import ModelError, OutOfTimeError, SolverError
 from ssp_lp.methods.approaches import Case, approach_to, refusal

@@ -38,8 +38,7 @@ from ssp_lp.programs.occupation_measure import OccupationMeasure, StateValues, b
 from ssp_lp.programs.program_rows import ProgramRow, rows_program
 
 if TYPE_CHECKING:
-    from ssp_lp.linear_programming.convex_solving import Conflict
-    from ssp_lp.programs.convex_program import ConvexProgram
+    from ssp_lp.programs.convex_program import Conflict, ConvexProgram
 
 _ACCEPTED = 1e-6  # relative gap and residual of an answer that is taken
 _TRIFLE = 1e-13  # of the greatest cost: a row worth less counts as nothing, as rounding of a 0
