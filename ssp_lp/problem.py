@@ -75,23 +75,23 @@ class Problem(ReadOnlyCopies):
 
     @property
     def semantics(self) -> FailureSemantics:
-        """The problem's worth of an episode: which cost counts and what failing costs."""
+        """Worth of an episode: which cost counts and what failing costs."""
         return EXACT
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """Constraints beside the failure budget, checked."""
+        return ()
+
+    @property
+    def objective_condition(self) -> Condition | None:
+        """The quantity that is minimised in place of the cost, checked; None: the cost."""
+        return None
 
     @property
     def own_constraints(self) -> Mapping[str, Constraint]:
         """Constraints that a criterion has by itself; none unless its class says so."""
         return {}
-
-    @property
-    def conditions(self) -> tuple[Condition, ...]:
-        """The problem's constraints beside its failure budget, checked."""
-        return ()
-
-    @property
-    def objective_condition(self) -> Condition | None:
-        """The quantity that the problem minimises in place of its cost; None: the cost."""
-        return None
 
     @property
     def unrolled(self) -> Problem:
@@ -193,12 +193,9 @@ def least_failure_bound(problem: Problem) -> float | None:
     """Certified lower bound of the failure of every policy; None: the problem limits failure."""
     if not problem.requirements.least_failure:
         return None
-    start, survival = (
-        start_distribution(problem.model, problem.start),
-        survival_of(problem.discount),
-    )
-    reach = greatest_goal_reach(problem.model, survival, start, last_digits=False)
-    return reach.least_failure(start)
+    model, survival = problem.model, survival_of(problem.discount)
+    start = start_distribution(model, problem.start)
+    return greatest_goal_reach(model, survival, start, last_digits=False).least_failure(start)
 
 
 def compiled_constrained(problem: Problem, *, by_units: bool = False) -> CompiledExplicit:
@@ -258,7 +255,7 @@ class Restated(Problem):
     semantics: FailureSemantics = EXACT
     conditions: tuple[Condition, ...] = ()
     discount: float | None = None
-    objective_condition: Condition | None = None  # minimised in place of the cost
+    objective_condition: Condition | None = None
 
     def compile(self) -> CompiledArrivalCost:
         """Compile the restated problem on the lattice of its costs."""

@@ -160,10 +160,10 @@ class OccupationProgram(Report):
         model = augmented.model
         unrolled = isinstance(model, ProductSSP) and model.is_hidden
         if isinstance(augmented, LabelledModel) and not unrolled:
-            begun = start_distribution(model, start)
-            if augmented.may_start(begun):
+            there = augmented.started(start_distribution(model, start))
+            if there is not None:
                 inner = reduced and replace(reduced, program=reduced.program.started(start))
-                make, there = make and partial(make, start=start), augmented.started(begun)
+                make = make and partial(make, start=start)
                 return replace(self, augmented=there, reduced=inner, remade=make)
         if make is None:
             raise ModelError(
@@ -201,11 +201,7 @@ class OccupationProgram(Report):
         """
         if not 0 <= column < self.process.n_pairs:
             raise ModelError(f"column {column} is no pair: there are {self.process.n_pairs:,}")
-        return self._label_of(int(self.augmented.part.pairs[column]))
-
-    def _label_of(self, number: int) -> ColumnLabel:
-        """The occupation program's label of a pair among those of all copies."""
-        label = self.augmented.label(number)
+        label = self.augmented.label(int(self.augmented.part.pairs[column]))
         if label.action is GIVE_UP and self.reduced is not None:
             merged = self.reduced.program.augmented.quotient.merged
             if merged[self.augmented.model.index_of(label.state)]:
@@ -565,25 +561,8 @@ class OccupationProgram(Report):
 
     @property
     def _columns(self) -> list[str]:
-        """Names of the occupation program's columns, as their labels, in bulk."""
-        augmented, quotient, model = self.augmented, self.augmented.quotient, self.augmented.model
-        states, actions = list(map(str, model.states)), list(map(str, model.action_names))
-        acting = np.maximum(quotient.pair_at, 0)
-        places = zip(
-            model.pair_state[acting].tolist(), model.pair_action[acting].tolist(), strict=True
-        )
-        names = [f"({states[state]}, {actions[action]})" for state, action in places]
-        for pair in np.flatnonzero(quotient.gives_up).tolist():
-            names[pair] = str(self._label_of(pair)._replace(cost=None))
-        paid = [ColumnLabel(None, None, augmented.paid(k)).paid for k in range(augmented.copies)]
-        copies, inner = np.divmod(augmented.part.pairs, max(augmented.width, 1))
-        own = [
-            f"{names[pair]}{paid[copy]}"
-            for copy, pair in zip(copies.tolist(), inner.tolist(), strict=True)
-            if copy < augmented.copies and names
-        ]
-        source = map(self.label, range(len(own), self.process.n_pairs))
-        return [*own, *map(str, source), *["t"] * self.ratio]
+        """Names of the occupation program's columns, as their labels."""
+        return [*map(str, map(self.label, range(self.process.n_pairs))), *["t"] * self.ratio]
 
     @property
     def _rows(self) -> list[str]:
