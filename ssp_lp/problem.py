@@ -480,9 +480,10 @@ class _UntilFailing(Policy):
 
 def until_failing(lottery: MixedPolicy) -> MixedPolicy:
     """A problem's policies, none of which goes on after failing."""
-    if not any(member.goes_on for member in lottery.policies):
-        return lottery
-    return replace(lottery, policies=tuple(map(_UntilFailing, lottery.policies)))
+    for member in lottery.policies:
+        if member.goes_on:
+            return replace(lottery, policies=tuple(map(_UntilFailing, lottery.policies)))
+    return lottery
 
 
 def on_product(policy: Policy | MixedPolicy, product: ProductSSP) -> MixedPolicy:

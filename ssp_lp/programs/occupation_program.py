@@ -21,8 +21,14 @@ import numpy.typing as npt
 from ssp_lp.arrays import BELOW_RATIO, FloatArray
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, is_number, wrong_argument
 from ssp_lp.linear_programming.backends import answers_in_turn, backends_for, run_backend
-from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer, check_bounds
-from ssp_lp.linear_programming.program_text import as_latex, as_table, is_small, words_as_latex
+from ssp_lp.linear_programming.linear_program import (
+    LinearProgram,
+    LPAnswer,
+    as_latex,
+    as_table,
+    check_bounds,
+    words_as_latex,
+)
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.model.report import ByName, Report, Table
@@ -343,7 +349,6 @@ class OccupationProgram(Report):
 
     def infeasible(self) -> InfeasibleError:
         """The error that no visits satisfy all rows of the occupation program."""
-        budgets = [row.bound for row in self.rows if row.name == "failure"]
         if self.remade is not None:
             try:  # names the least failure, or what contradicts what
                 self.remade({row.name: row.bound for row in self.rows})
@@ -352,7 +357,7 @@ class OccupationProgram(Report):
         return InfeasibleError(
             "no expected visits satisfy all rows of the program; its conflict() names those that "
             "contradict each other",
-            failure_budget=budgets[0] if budgets else None,
+            failure_budget=next((r.bound for r in self.rows if r.name == "failure"), None),
             least_failure=float("nan"),
         )
 
@@ -600,7 +605,7 @@ class OccupationProgram(Report):
 
     def to_latex(self) -> str:
         """The occupation program in LaTeX, for a displayed equation; in full if small."""
-        if is_small(self.linear):
+        if self.linear.is_small:
             names = self._rows
             if self.ratio:
                 names[-1] += self._dual_of_normaliser
@@ -613,9 +618,8 @@ class OccupationProgram(Report):
 
     def tables(self) -> list[Table]:
         """The page of a paper, and a small program in full: a row for each column."""
-        page = Table(self._page(), title=self.title)
-        full = as_table(self.linear, self._columns, self._rows) if is_small(self.linear) else None
-        return [page] if full is None else [page, full]
+        full = as_table(self.linear, self._columns, self._rows) if self.linear.is_small else None
+        return [Table(self._page(), title=self.title), *([] if full is None else [full])]
 
     def __repr__(self) -> str:
         """The program as the page of a paper would have it."""
