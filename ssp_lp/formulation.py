@@ -221,14 +221,8 @@ class Formulation(Problem):
             return self._on(model, places).unrolled
         if self.model.failure_label is not None:
             return self
-        label = labelled_past_failing(
-            self.model,
-            self.conditions,
-            self.objective_condition,
-            self.semantics,
-            ratio=self.ratio,
-            discount=self.discount,
-        )
+        asked = self.conditions, self.objective_condition, self.semantics
+        label = labelled_past_failing(self.model, *asked, ratio=self.ratio, discount=self.discount)
         if label is None:
             return self
         begin = np.flatnonzero(self._begun)

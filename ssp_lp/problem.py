@@ -209,12 +209,11 @@ def compiled_constrained(problem: Problem, *, by_units: bool = False) -> Compile
     objective, model = problem.objective_condition, problem.model
     start = start_distribution(model, problem.start)
     if (label := model.failure_label) is not None and start[~label.finite[0]].any():
+        begun = start[: label.n_original]
         raise InfeasibleError(
             "what is counted after failing grows without end under every policy",
             failure_budget=problem.failure_budget,
-            least_failure=lambda: max(
-                1.0 - greatest_goal_from(label.original, start[: label.n_original]), 0.0
-            ),
+            least_failure=lambda: max(1.0 - greatest_goal_from(label.original, begun), 0.0),
         )
     return CompiledExplicit(
         model=model,

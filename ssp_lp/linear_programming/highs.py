@@ -55,15 +55,11 @@ def solve_with_highs(
     began = time.perf_counter()
     solver = _solved_by_highs(program, backend, time_limit, basis)
     solution, last = solver.getSolution(), solver.getBasis()
+    x, dual = np.array(solution.col_value, float), np.array(solution.row_dual, float)
     statuses = [*last.col_status, *last.row_status] if last.valid else []
-    return LPAnswer(
-        backend=backend,
-        x=np.asarray(solution.col_value, dtype=np.float64),
-        dual=np.asarray(solution.row_dual, dtype=np.float64),
-        status=solver.modelStatusToString(solver.getModelStatus()),
-        seconds=time.perf_counter() - began,
-        basis=np.array([each == _BASIC for each in statuses]) if statuses else None,
-    )
+    basis = np.array([each == _BASIC for each in statuses]) if statuses else None
+    status, took = solver.modelStatusToString(solver.getModelStatus()), time.perf_counter() - began
+    return LPAnswer(backend, x, dual, status, took, basis)
 
 
 def bound_ranges(program: LinearProgram, rows: Iterable[str]) -> dict[str, tuple[float, float]]:
