@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
@@ -13,7 +13,6 @@ from ssp_lp.errors import did_you_mean
 from ssp_lp.formulation import CostLimit, Problem
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.report import Report, Table
-from ssp_lp.problem import as_stated
 
 from .alpha_mcmp import AlphaMCMP
 from .constrained_cost import ConstrainedCost
@@ -147,78 +146,44 @@ def compare_criteria(
         AlphaMCMP, reach fraction 0.9          1     1              1      0.1  1.11111
         FinitePenalty, penalty 10              2     1              1      0.1       10
     """
+
+    def asked(criterion: type[Any], words: str, *given: Any, **named: Any) -> tuple[str, Problem]:
+        """A compared criterion's name and problem."""
+        problem = criterion(model, start, *given, horizon=horizon, **named)
+        return f"{criterion.__name__}{words}", problem
+
+    budgets = [(budget, f"failure budget {float(budget):g}") for budget in failure_budgets]
+    within = [(None, "least failure"), *budgets]
     problems = [
-        *_compared_problems(model, start, failure_budgets, penalties, reach_fractions),
-        *_compared_risks(model, start, failure_budgets, cost_bounds, levels),
+        *(asked(criterion, "") for criterion in (MaxProb, MinProb, MinCost)),
+        *(asked(criterion, ", least failure") for criterion in (MCMP, S3P)),
+        asked(ISSPUDE, ""),
+        *(asked(c, f", {words}", failure_budget=b) for b, words in budgets for c in (MCMP, S3P)),
+        *(asked(AlphaMCMP, f", reach fraction {float(a):g}", a) for a in reach_fractions),
+        *(asked(FinitePenalty, f", penalty {float(price):g}", price) for price in penalties),
+        *(
+            asked(CostBoundedReach, f", cost {float(bound):g}{words}", bound, budget)
+            for bound in cost_bounds
+            for budget, words in [(1.0, ""), *((b, f", {words}") for b, words in budgets)]
+        ),
+        *(
+            asked(criterion, f" {float(level):g}, {words}", level, budget)
+            for level in levels
+            for budget, words in within
+            for criterion in (CostQuantile, CVaR)
+        ),
+        *(asked(ConstrainedCost, f", {words}", limits, b) for b, words in within if limits),
+        *(
+            asked(EGUBS, f", risk factor {float(r):g}, goal bonus {float(bonus):g}", r, bonus)
+            for r, bonus in exponential_utilities
+        ),
     ]
-    for budget, words in _compared_budgets(failure_budgets) if limits else ():
-        problem = ConstrainedCost(model, start, limits or {}, failure_budget=budget)
-        problems.append((f"ConstrainedCost, {words}", problem))
-    for factor, bonus in exponential_utilities:
-        name = f"EGUBS, risk factor {float(factor):g}, goal bonus {float(bonus):g}"
-        problems.append((name, EGUBS(model, start, factor, bonus)))
     rows = []
     with progress_shown(verbose):
-        for number, (name, question) in enumerate(problems, 1):
+        for number, (name, problem) in enumerate(problems, 1):
             _LOG.info("%d of %d: %s", number, len(problems), name)
-            rows.append(_criterion_row(name, question, horizon))
+            try:
+                rows.append(CriterionRow(name, solve(problem)))
+            except InfeasibleError as error:  # the rest of its message is a remedy
+                rows.append(CriterionRow(name, None, str(error.args[0])))
     return CriteriaComparison(tuple(rows))
-
-
-def _compared_problems(
-    model: SSP,
-    start: Hashable | Mapping[Hashable, float],
-    budgets: Sequence[float],
-    penalties: Sequence[float],
-    fractions: Sequence[float],
-) -> Iterator[tuple[str, Problem]]:
-    """The problems of all criteria that are compared, with their names."""
-    yield "MaxProb", MaxProb(model, start)
-    yield "MinProb", MinProb(model, start)
-    yield "MinCost", MinCost(model, start)
-    yield "MCMP, least failure", MCMP(model, start)
-    yield "S3P, least failure", S3P(model, start)
-    yield "ISSPUDE", ISSPUDE(model, start)
-    for budget in budgets:
-        yield f"MCMP, failure budget {float(budget):g}", MCMP(model, start, failure_budget=budget)
-        yield f"S3P, failure budget {float(budget):g}", S3P(model, start, failure_budget=budget)
-    for fraction in fractions:
-        yield f"AlphaMCMP, reach fraction {float(fraction):g}", AlphaMCMP(model, start, fraction)
-    for penalty in penalties:
-        yield f"FinitePenalty, penalty {float(penalty):g}", FinitePenalty(model, start, penalty)
-
-
-def _compared_risks(
-    model: SSP,
-    start: Hashable | Mapping[Hashable, float],
-    budgets: Sequence[float],
-    bounds: Sequence[float | Fraction],
-    levels: Sequence[float],
-) -> Iterator[tuple[str, Problem]]:
-    """The problems of risk that are compared, with their names."""
-    within = _compared_budgets(budgets)
-    for bound in bounds:
-        name = f"CostBoundedReach, cost {float(bound):g}"
-        yield name, CostBoundedReach(model, start, bound)
-        for budget, words in within[1:]:
-            yield f"{name}, {words}", CostBoundedReach(model, start, bound, failure_budget=budget)
-    for level in levels:
-        for budget, words in within:
-            at = f"{float(level):g}, {words}"
-            yield f"CostQuantile {at}", CostQuantile(model, start, level, budget)
-            yield f"CVaR {at}", CVaR(model, start, level, budget)
-
-
-def _compared_budgets(budgets: Sequence[float]) -> list[tuple[float | None, str]]:
-    """Least failure and each budget that is compared, with their names."""
-    return [(None, "least failure"), *((b, f"failure budget {float(b):g}") for b in budgets)]
-
-
-def _criterion_row(name: str, problem: Any, horizon: int | None) -> CriterionRow:
-    """A criterion's row of the comparison."""
-    if horizon is not None:
-        problem = replace(problem, horizon=horizon, **as_stated(problem))
-    try:
-        return CriterionRow(name, solve(problem))
-    except InfeasibleError as error:
-        return CriterionRow(name, None, str(error.args[0]))  # the rest is a remedy

@@ -4,17 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
 
-from ssp_lp.formulation import (
-    SSP,
-    FailureSemantics,
-    Formulation,
-    Start,
-    WithinBound,
-    check_numbers,
-    wrong_argument,
-)
+from ssp_lp.formulation import SSP, Formulation, Start, WithinBound, check_cost
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,13 +72,10 @@ class CostBoundedReach(Formulation):
     cost_levels: int | None = None
 
     def __post_init__(self) -> None:
-        check_numbers(cost_bound=self.cost_bound)
-        if not 0 <= self.cost_bound < float("inf"):
-            raise wrong_argument("cost_bound", "be a cost", self.cost_bound)
+        check_cost(cost_bound=self.cost_bound)
         super().__post_init__()
 
-    @cached_property
-    def semantics(self) -> FailureSemantics:
-        """Semantics of reaching the goal within a cost bound: only arriving in time counts."""
-        measure = WithinBound(self.cost_bound)
-        return FailureSemantics(measure=measure)
+    @property
+    def measure(self) -> WithinBound:
+        """Measure of the total cost: reaching the goal within the bound."""
+        return WithinBound(self.cost_bound)

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 
 from ssp_lp.formulation import (
     SSP,
     Aim,
     Constraint,
-    FailureSemantics,
     Formulation,
     GiveUp,
     Start,
-    check_numbers,
+    check_cost,
     expected_cost,
-    wrong_argument,
 )
 
 COST_BUDGET = "cost budget"
@@ -90,20 +87,13 @@ class CostBudgetedMaxProb(Formulation):
     cost_budget: float
     give_up: str | GiveUp = GiveUp.ATTENTION
 
-    failure_budget = 1.0  # failing is not limited: it is what is minimised
+    aim = Aim.GREATEST_GOAL
 
     def __post_init__(self) -> None:
-        check_numbers(cost_budget=self.cost_budget)
-        if not 0 <= self.cost_budget < float("inf"):
-            raise wrong_argument("cost_budget", "be a cost", self.cost_budget)
+        check_cost(cost_budget=self.cost_budget)
         super().__post_init__()
 
     @property
     def own_constraints(self) -> Mapping[str, Constraint]:
         """Constraint of MAXPROB within a budget of expected cost."""
         return {COST_BUDGET: expected_cost() <= self.cost_budget}
-
-    @cached_property
-    def semantics(self) -> FailureSemantics:
-        """Semantics of MAXPROB within a cost budget: only the goal counts, giving up is free."""
-        return FailureSemantics(GiveUp(self.give_up), aim=Aim.GREATEST_GOAL)

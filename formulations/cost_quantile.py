@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 from ssp_lp.formulation import (
     SSP,
     CostQuantileOf,
-    FailureSemantics,
     Formulation,
     Start,
     as_percentage,
@@ -83,11 +81,10 @@ class CostQuantile(Formulation):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 0.0 < self.level < 1.0:
-            hint = as_percentage(self.level)
-            raise wrong_argument("level", "lie strictly between 0 and 1", self.level, hint)
+            wanted = "lie strictly between 0 and 1"
+            raise wrong_argument("level", wanted, self.level, as_percentage(self.level))
 
-    @cached_property
-    def semantics(self) -> FailureSemantics:
-        """Semantics of the cost quantile: it is the measure of the total cost."""
-        measure = CostQuantileOf(float(self.level))
-        return FailureSemantics(measure=measure)
+    @property
+    def measure(self) -> CostQuantileOf:
+        """Measure of the total cost: its quantile."""
+        return CostQuantileOf(self.level)

@@ -3,17 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
-from ssp_lp.formulation import (
-    SSP,
-    FailureSemantics,
-    Formulation,
-    Start,
-    TailMeanOf,
-    as_percentage,
-    wrong_argument,
-)
+from ssp_lp.formulation import SSP, Formulation, Start, TailMeanOf, as_percentage, wrong_argument
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,11 +73,10 @@ class CVaR(Formulation):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 0.0 <= self.level < 1.0:
-            hint = as_percentage(self.level)
-            raise wrong_argument("level", "be at least 0 and below 1", self.level, hint)
+            wanted = "be at least 0 and below 1"
+            raise wrong_argument("level", wanted, self.level, as_percentage(self.level))
 
-    @cached_property
-    def semantics(self) -> FailureSemantics:
-        """Semantics of CVaR: the measure is the mean of the total cost's tail."""
-        measure = TailMeanOf(float(self.level))
-        return FailureSemantics(measure=measure)
+    @property
+    def measure(self) -> TailMeanOf:
+        """Measure of the total cost: the mean of its tail."""
+        return TailMeanOf(self.level)

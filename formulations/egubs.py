@@ -3,17 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from math import isfinite
 
-from ssp_lp.formulation import (
-    SSP,
-    ExponentialUtility,
-    FailureSemantics,
-    Formulation,
-    Start,
-    wrong_argument,
-)
+from ssp_lp.formulation import SSP, ExponentialUtility, Formulation, Start, wrong_argument
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +67,6 @@ class EGUBS(Formulation):
     goal_bonus: float
     cost_levels: int | None = None
 
-    failure_budget = 1.0  # failing is not limited: the utility weighs it
-
     def __post_init__(self) -> None:
         super().__post_init__()
         if not (self.risk_factor < 0.0 and isfinite(self.risk_factor)):
@@ -89,8 +79,7 @@ class EGUBS(Formulation):
         """C_max of eGUBS: accumulated cost from which a stationary policy is optimal."""
         return self.compile().cost_horizon
 
-    @cached_property
-    def semantics(self) -> FailureSemantics:
-        """Semantics of eGUBS: the exponential utility is the measure of the total cost."""
-        measure = ExponentialUtility(float(self.risk_factor), float(self.goal_bonus))
-        return FailureSemantics(measure=measure)
+    @property
+    def measure(self) -> ExponentialUtility:
+        """Measure of the total cost: its exponential utility."""
+        return ExponentialUtility(self.risk_factor, self.goal_bonus)

@@ -2,17 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 
-from ssp_lp.formulation import (
-    SSP,
-    FailureSemantics,
-    Formulation,
-    GiveUp,
-    Start,
-    check_penalty,
-)
+from ssp_lp.formulation import SSP, Formulation, GiveUp, Start, check_penalty
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,18 +64,11 @@ class FinitePenalty(Formulation):
 
     model: SSP
     start: Start
-    penalty: float
+    penalty: float = field()  # needed, though every criterion has one, 0
     discount: float | None = None
     give_up: str | GiveUp = GiveUp.ANYWHERE
     charge_failing_step: bool = False
 
-    failure_budget = 1.0  # failing is not limited
-
     def __post_init__(self) -> None:
         check_penalty(self.penalty)
         super().__post_init__()
-
-    @cached_property
-    def semantics(self) -> FailureSemantics:
-        """Semantics of a finite penalty: a failing episode costs the penalty as well."""
-        return FailureSemantics(GiveUp(self.give_up), self.charge_failing_step, float(self.penalty))

@@ -3,18 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from math import isfinite
 
-from ssp_lp.formulation import (
-    SSP,
-    ExpectedUtility,
-    FailureSemantics,
-    Formulation,
-    Start,
-    Utility,
-    wrong_argument,
-)
+from ssp_lp.formulation import SSP, ExpectedUtility, Formulation, Start, Utility, wrong_argument
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +73,6 @@ class GUBS(Formulation):
     utility_at_infinity: float = 0.0
     cost_levels: int | None = None
 
-    failure_budget = 1.0  # failing is not limited: the utility weighs it
-
     def __post_init__(self) -> None:
         super().__post_init__()
         limit = self.utility_at_infinity
@@ -95,12 +84,6 @@ class GUBS(Formulation):
             raise wrong_argument("utility", "be a function of the cost", self.utility)
 
     @property
-    def _numbers(self) -> tuple[float, float]:
-        """Bonus and limit of GUBS as floats, whatever numbers were given."""
-        return float(self.goal_bonus), float(self.utility_at_infinity)
-
-    @cached_property
-    def semantics(self) -> FailureSemantics:
-        """Semantics of GUBS: the expected utility is the measure of the total cost."""
-        measure = ExpectedUtility(self.utility, *self._numbers)
-        return FailureSemantics(measure=measure)
+    def measure(self) -> ExpectedUtility:
+        """Measure of the total cost: its expected utility."""
+        return ExpectedUtility(self.utility, self.goal_bonus, self.utility_at_infinity)

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ssp_lp.formulation import (
-    SSP,
-    Formulation,
-    Start,
-)
+from ssp_lp.formulation import SSP, Formulation, Start
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,13 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from ssp_lp.formulation import (
-    SSP,
-    Formulation,
-    GiveUp,
-    Quantity,
-    Start,
-)
+from ssp_lp.formulation import SSP, Formulation, GiveUp, Quantity, Start
 
 
 @dataclass(frozen=True, eq=False)

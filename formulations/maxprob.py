@@ -4,17 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass
-from functools import cached_property
 
-from ssp_lp.formulation import (
-    SSP,
-    Aim,
-    FailureSemantics,
-    Formulation,
-    GiveUp,
-    Start,
-    dead_end_labels,
-)
+from ssp_lp.formulation import SSP, Aim, Formulation, GiveUp, Start, dead_end_labels
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,14 +63,9 @@ class MaxProb(Formulation):
     start: Start
     give_up: str | GiveUp = GiveUp.ATTENTION
 
-    failure_budget = 1.0  # failing is not limited: it is what is minimised
+    aim = Aim.GREATEST_GOAL
 
     @property
     def dead_ends(self) -> frozenset[Hashable]:
         """Dead-ends, where MAXPROB is 0: no policy reaches the goal, X_{d,all}."""
         return dead_end_labels(self.model)
-
-    @cached_property
-    def semantics(self) -> FailureSemantics:
-        """Semantics of MAXPROB: only reaching the goal counts, as surely as can be."""
-        return FailureSemantics(GiveUp(self.give_up), aim=Aim.GREATEST_GOAL)

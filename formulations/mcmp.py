@@ -4,14 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ssp_lp.formulation import (
-    BUDGET_OR_SHARE,
-    SSP,
-    FailureBudget,
-    Formulation,
-    GiveUp,
-    Start,
-)
+from ssp_lp.formulation import BUDGET_OR_SHARE, SSP, FailureBudget, Formulation, GiveUp, Start
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,15 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
-from ssp_lp.formulation import (
-    SSP,
-    FailureSemantics,
-    Formulation,
-    GiveUp,
-    Start,
-)
+from ssp_lp.formulation import SSP, Formulation, GiveUp, Start
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,9 +61,5 @@ class MinCost(Formulation):
     model: SSP
     start: Start
 
-    failure_budget = 1.0  # the infinite penalty of ``semantics`` says it all
-
-    @cached_property
-    def semantics(self) -> FailureSemantics:
-        """Semantics of the least cost without failure: failing is forbidden."""
-        return FailureSemantics(GiveUp.DEAD_ENDS, charge_failing_step=False, penalty=float("inf"))
+    give_up = GiveUp.DEAD_ENDS
+    penalty = float("inf")  # failing is forbidden

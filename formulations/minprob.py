@@ -4,16 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass
-from functools import cached_property
 
-from ssp_lp.formulation import (
-    SSP,
-    Aim,
-    FailureSemantics,
-    Formulation,
-    Start,
-    attention_labels,
-)
+from ssp_lp.formulation import SSP, Aim, Formulation, Start, attention_labels
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,14 +58,9 @@ class MinProb(Formulation):
     model: SSP
     start: Start
 
-    failure_budget = 1.0  # failing is not limited: it is what is sought
+    aim = Aim.LEAST_GOAL
 
     @property
     def attention_states(self) -> frozenset[Hashable]:
         """Attention states, where MINPROB is 0: some policy surely avoids the goal, X_{d,or}."""
         return attention_labels(self.model)
-
-    @cached_property
-    def semantics(self) -> FailureSemantics:
-        """Semantics of MINPROB: only reaching the goal counts, as rarely as can be."""
-        return FailureSemantics(aim=Aim.LEAST_GOAL)

@@ -8,20 +8,18 @@ from __future__ import annotations
 
 import gc
 import logging
-import pickle
 import signal
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
-from contextlib import contextmanager
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from itertools import product as combinations
 from math import inf, isfinite
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -35,7 +33,6 @@ from ssp_lp.errors import (
     check_whole,
     in_short,
     is_number,
-    wrong_argument,
 )
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.report import Report, Table
@@ -52,6 +49,7 @@ _SHOWN = 20  # problems in a summary
 _AHEAD = 2  # problems in hand for each process, one of them waiting, so that none idles
 _LATE = 2.0  # seconds beyond the limit of the whole in which answers that were begun may come
 _ASKED = 3  # times that a problem is given to a process, if those before died of it
+_TOO_LATE = "total_time_limit ended before this problem was solved: allow more time"
 _DIED = (
     f"{_ASKED} processes died while they solved it, perhaps for want of memory: try it by itself"
 )
@@ -76,7 +74,14 @@ def sweep(criterion: Callable[..., Problem], *given: Any, **named: Any) -> list[
         >>> sweep(MCMP, model, "depot", failure_budget=[0.01, 0.05], horizon=[1, None])[1]
         MCMP(SSP(2 states, 1 pairs, 1 outcomes, 1 goals), start='depot', failure_budget=0.01)
     """
-    swept = [_swept(value) for value in (*given, *named.values())]
+    swept: list[Sequence[Any]] = [
+        value.tolist()
+        if isinstance(value, np.ndarray)
+        else value
+        if isinstance(value, (list, range))
+        else [value]
+        for value in (*given, *named.values())
+    ]
     for place, values in enumerate(swept):
         if len(values) == 0:
             names = [*(f"argument {k}" for k in range(1, len(given) + 1)), *named]
@@ -85,14 +90,6 @@ def sweep(criterion: Callable[..., Problem], *given: Any, **named: Any) -> list[
         criterion(*chosen[: len(given)], **dict(zip(named, chosen[len(given) :], strict=True)))
         for chosen in combinations(*swept)
     ]
-
-
-def _swept(value: Any) -> Sequence[Any]:
-    """The values of an argument of a sweep."""
-    if isinstance(value, np.ndarray):
-        listed: list[Any] = value.tolist()
-        return listed
-    return value if isinstance(value, (list, range)) else [value]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -132,11 +129,9 @@ class Answers(Report):
         objective, bound (certified), gap, failure (as limited), price, seconds, status or the kind
         of error, and the error in words.
         """
-        asked, facts = self._asked(), [_facts_of(answer) for answer in self]
-        rows = [
-            (*stated, *(fact.get(name) for name in _FACTS))
-            for stated, fact in zip(zip(*asked.values(), strict=True), facts, strict=True)
-        ]
+        asked = self._asked()
+        stated = zip(*asked.values(), strict=True)
+        rows = [(*one, *_facts_of(answer)) for one, answer in zip(stated, self, strict=True)]
         more = len(rows) - _SHOWN
         notes = [f"and {more:,} more: to_frame() has all"] * (more > 0)
         notes += [f"{k}: {error}" for k, error in self.errors.items()][:_SHOWN]
@@ -155,7 +150,9 @@ class Answers(Report):
         for problem in self.problems:
             stated = vars(problem) | as_stated(problem)
             stated["model"] = numbers.setdefault(id(problem.model), len(numbers))
-            rows.append({k: _plain(stated.get(k)) for k in _stated_names(problem)})
+            parts: Sequence[Any] = fields(problem) if is_dataclass(problem) else ()
+            names = [part.name for part in sorted(parts, key=lambda part: part.kw_only is True)]
+            rows.append({name: _plain(stated.get(name)) for name in names})
         every = dict.fromkeys(name for row in rows for name in row)
         columns = {name: [row.get(name) for row in rows] for name in every}
         several = {k: column for k, column in columns.items() if len(set(map(repr, column))) > 1}
@@ -166,31 +163,18 @@ _FACTS = "objective", "bound", "gap", "failure", "price", "seconds", "status", "
 _FRAME_ONLY = "bound", "gap", "seconds", "error"  # columns that are not printed
 
 
-def _stated_names(problem: Problem) -> list[str]:
-    """Names of what is stated of an answer's problem, in the order in which it is."""
-    parts: Sequence[Any] = fields(problem) if is_dataclass(problem) else ()
-    return [part.name for part in sorted(parts, key=lambda part: part.kw_only is True)]
-
-
 def _plain(value: Any) -> Any:
     """A value of an answer's problem for a table."""
     return value if value is None or isinstance(value, str) or is_number(value) else in_short(value)
 
 
-def _facts_of(answer: Answer) -> dict[str, Any]:
-    """Facts of an answer by name; nothing is worked out for it."""
+def _facts_of(answer: Answer) -> tuple[Any, ...]:
+    """Facts of an answer, as ``_FACTS`` names them; nothing is worked out for it."""
     if isinstance(answer, SSPError):
-        return {"status": type(answer).__name__, "error": str(answer)}
-    return {
-        "objective": answer.objective,
-        "bound": answer.lower_bound if answer.upper_bound is None else answer.upper_bound,
-        "gap": answer.gap,
-        "failure": answer.budget_used,
-        "price": answer.failure_price,
-        "seconds": answer.seconds,
-        "status": answer.status.name.lower(),
-        "error": "",
-    }
+        return *[None] * 6, type(answer).__name__, str(answer)
+    bound = answer.lower_bound if answer.upper_bound is None else answer.upper_bound
+    figures = answer.objective, bound, answer.gap, answer.budget_used, answer.failure_price
+    return *figures, answer.seconds, answer.status.name.lower(), ""
 
 
 @explained
@@ -245,16 +229,17 @@ def solve_many(
         >>> solve_many(asked, executor=ThreadPoolExecutor(1)).objectives.round(6).tolist()
         [3.0, 2.0]
     """
-    began = time.perf_counter()
-    asked, chosen = _checked_problems(problems), parse_method(method)
-    options_of(chosen, tolerance, began, time_limit, None)
+    if isinstance(problems, Problem):
+        raise ModelError("solve_many takes several problems: pass a list, or call solve")
+    began, asked = time.perf_counter(), [*problems]
+    for problem in asked:
+        check_problem(problem, "solve_many")
+    options_of(parse_method(method), tolerance, began, time_limit, cast("Any", progress))
     left = deadline_of(total_time_limit, 0.0, "total_time_limit")
     if executor is not None and workers is not None:
         raise ModelError("workers is for a pool of this call's own: leave out one of both")
     if workers is not None:
         check_whole("workers", workers)
-    if progress is not None and not callable(progress):
-        raise wrong_argument("progress", "be a function or None", progress)
     from joblib import cpu_count
 
     order = _Order(method, tolerance, time_limit, time.time() + left)
@@ -289,84 +274,36 @@ def _answers_to(
         if progress is not None:
             progress(place, answer)
 
-    with (
-        TemporaryDirectory(prefix="ssp-lp-", ignore_cleanup_errors=True) as folder,
-        _Crew(executor, min(workers, len(asked))) as crew,
-    ):
-        cargo, path = Cargo(), Path(folder, "models")
-        with path.open("wb") as file, _sending():
+    with TemporaryDirectory(prefix="ssp-lp-", ignore_cleanup_errors=True) as folder:
+        cargo, path, packed = Cargo(), Path(folder, "models"), dict[int, bytes]()
+        with (
+            _Crew(executor, min(workers, len(asked)), cargo, Shipment(str(path)), order) as crew,
+            path.open("wb") as file,
+        ):
             cargo.load(models_of(asked), file)
-            size = file.tell()
-        packed: dict[int, bytes] = {}
-        for place, problem in enumerate(asked):
-            try:
-                with _sending():
+            file.flush()
+            for place, problem in enumerate(asked):
+                try:
                     packed[place] = cargo.pack(problem)
-            except ModelError as error:
-                come(place, error)
-        mean = sum(map(len, packed.values())) // max(len(packed), 1)
-        told = "%d problems of %d bytes on average, models of %d bytes in all, %s"
-        _LOG.info(told, len(asked), mean, size, crew)
-        late = _Dispatch(crew, cargo, Shipment(str(path)), packed, order).collect(come)
+                except ModelError as error:
+                    come(place, error)
+            mean = sum(map(len, packed.values())) // max(len(packed), 1)
+            told = "%d problems of %d bytes on average, models of %d bytes in all, %s"
+            _LOG.info(told, len(asked), mean, file.tell(), crew)
+            late = crew.collect(packed, come)
         for place in range(len(asked)):
             if place not in answers:
                 come(place, late)
     return tuple(answers[place] for place in range(len(asked)))
 
 
-def _checked_problems(problems: Iterable[Problem]) -> list[Problem]:
-    """The problems to be answered, in a list.
-
-    Raises:
-        ModelError: one alone, or something that is no problem.
-    """
-    if isinstance(problems, Problem):
-        raise ModelError("solve_many takes several problems: pass a list, or call solve")
-    asked = [*problems]
-    for problem in asked:
-        check_problem(problem, "solve_many")
-    return asked
-
-
-@contextmanager
-def _sending() -> Iterator[None]:
-    """Context in which something is pickled for those who answer.
-
-    Raises:
-        ModelError: it cannot be.
-    """
-    try:
-        yield
-    except (pickle.PicklingError, AttributeError, TypeError) as error:
-        raise ModelError(f"it cannot be sent to another process: {error}") from error
-
-
-@dataclass(frozen=True)
-class _Order:
+class _Order(NamedTuple):
     """How each answer is to be found: the options of ``solve``, and when all must be there."""
 
     method: Method | str | None
     tolerance: float
     time_limit: float | None
     ends: float  # on the clock of time.time, which machines share
-
-    def solution_of(self, problem: Problem) -> Solution:
-        """The answer to a problem, which is a solution.
-
-        Raises:
-            SSPError: as of ``solve``, or the time for all ended before.
-        """
-        left = self.ends - time.time()
-        if left <= 0.0:
-            raise _too_late()
-        limit = min(left, inf if self.time_limit is None else self.time_limit)
-        limited = limit if isfinite(limit) else None
-        return solve(problem, self.method, tolerance=self.tolerance, time_limit=limited)
-
-
-def _too_late() -> OutOfTimeError:
-    """The answer to a problem for which there was no time."""
-    return OutOfTimeError("total_time_limit ended before this problem was solved: allow more time")
 
 
 def _answer(shipment: Shipment, packed: bytes, order: _Order) -> bytes | None:
@@ -376,144 +313,44 @@ def _answer(shipment: Shipment, packed: bytes, order: _Order) -> bytes | None:
     except OSError:
         return None
     try:
-        return cargo.pack(order.solution_of(cargo.unpack(packed)))
+        problem, left = cargo.unpack(packed), order.ends - time.time()
+        if left <= 0.0:
+            raise OutOfTimeError(_TOO_LATE)
+        limit = min(left, inf if order.time_limit is None else order.time_limit)
+        limited = limit if isfinite(limit) else None
+        answer = solve(problem, order.method, tolerance=order.tolerance, time_limit=limited)
+        return cargo.pack(answer)
     except SSPError as error:
         return cargo.pack(error)
     except Exception as error:  # one problem's, from which the others do not suffer
         return cargo.pack(SolverError(f"it ended in {type(error).__name__}: {error}"))
 
 
-class _Dispatch:
-    """The way of packed problems to a crew, and of answers back, as they come."""
-
-    def __init__(
-        self,
-        crew: _Crew,
-        cargo: Cargo,
-        shipment: Shipment,
-        packed: Mapping[int, bytes],
-        order: _Order,
-    ) -> None:
-        """Have everything wait.
-
-        Args:
-            crew: whom they are given to.
-            cargo: what unpacks the answers.
-            shipment: the models.
-            packed: place -> problem.
-            order: how they are solved, and for how long.
-        """
-        self._crew, self._cargo, self._shipment = crew, cargo, shipment
-        self._packed, self._order = packed, order
-        self._waiting, self._suspects = deque(packed), deque[int]()
-        self._deaths = Counter[int]()  # of workers that had a problem in hand, by its place
-        self._blind: set[int] = set()  # places of problems for workers that do not see the file
-        self._flying: dict[Future[bytes | None], int] = {}
-        self._back: SimpleQueue[Future[bytes | None]] = SimpleQueue()
-
-    def collect(self, come: Callable[[int, Answer], None]) -> SSPError:
-        """Give out the problems and hand on what comes back, until all have an answer, or an end.
-
-        Args:
-            come: called with each place and its answer.
-
-        Returns:
-            The answer to those that have none.
-
-        Raises:
-            SolverError: no process could be started, or the executor takes nothing.
-        """
-        missing, late = len(self._packed), _too_late()
-        try:
-            while missing:
-                self._give_out()
-                if self._crew.is_broken and not self._flying:
-                    if self._crew.renew():
-                        continue
-                    if missing == len(self._packed):
-                        raise self._crew.error()
-                    return self._crew.error()
-                left = self._order.ends + _LATE - time.time()
-                future = self._back.get(timeout=max(left, 0.0) if isfinite(left) else None)
-                place = self._flying.pop(future)
-                answer = self._answer(place, future)
-                if answer is not None:
-                    missing -= 1
-                    come(place, answer)
-        except Empty:
-            self._end()
-        except KeyboardInterrupt:
-            self._end()
-            return OutOfTimeError("Ctrl-C came before this problem was solved")
-        return late
-
-    def _end(self) -> None:
-        """Have nobody of the crew begin anything more."""
-        for future in self._flying:
-            future.cancel()
-        self._crew.leave()
-
-    def _give_out(self) -> None:
-        """Give the crew what it has room for; what a worker may have died of goes by itself."""
-        crew, flying = self._crew, self._flying
-        while not crew.is_broken:
-            alone = bool(self._suspects) or any(self._deaths[place] for place in flying.values())
-            queue = self._suspects or self._waiting
-            if not queue or len(flying) >= (1 if alone else crew.room):
-                return
-            place = queue.popleft()
-            try:
-                future = crew.submit(self._shipment_for(place), self._packed[place], self._order)
-            except RuntimeError:  # it is broken, or has been shut down
-                queue.appendleft(place)
-                crew.is_broken = True
-                return
-            flying[future] = place
-            future.add_done_callback(self._back.put)
-
-    def _shipment_for(self, place: int) -> Shipment:
-        """The shipment for a worker, with its content if the file could not be seen."""
-        path = self._shipment.path
-        return Shipment(path, Path(path).read_bytes()) if place in self._blind else self._shipment
-
-    def _answer(self, place: int, future: Future[bytes | None]) -> Answer | None:
-        """The answer that came back from the crew; None: the problem has to be given out again."""
-        error = CancelledError() if future.cancelled() else future.exception()
-        if isinstance(error, BrokenExecutor):
-            self._crew.is_broken = True
-            if not self._crew.is_own:
-                return self._crew.error()
-            self._deaths[place] += 1
-            if self._deaths[place] == _ASKED:
-                return SolverError(_DIED)
-            self._suspects.append(place)
-            return None
-        if error is not None:  # the executor's, or of what it could not send
-            return SolverError(f"the executor raised {type(error).__name__}: {error}")
-        packed = future.result()
-        if packed is not None:
-            answer: Answer = self._cargo.unpack(packed)
-            return answer
-        if place in self._blind:
-            return SolverError("its worker could not read the models that came with it")
-        self._blind.add(place)
-        self._waiting.appendleft(place)
-        return None
-
-
 class _Crew:
     """Who answers: the executor that was given, or processes of joblib's, new ones if any dies."""
 
-    def __init__(self, given: Executor | None, count: int) -> None:
+    def __init__(
+        self, given: Executor | None, count: int, cargo: Cargo, shipment: Shipment, order: _Order
+    ) -> None:
         """Begin to start processes, where no executor is given.
 
         Args:
             given: the executor.
             count: of the processes.
+            cargo: what unpacks the answers.
+            shipment: the models.
+            order: how problems are solved, and for how long.
         """
-        self.is_own, self.is_broken, self._count = given is None, False, count
-        self.room = _AHEAD * count if given is None else inf
+        self._is_own, self._is_broken, self._count = given is None, False, count
+        self._room = _AHEAD * count if given is None else inf
         self._executor: Any = self._new_pool() if given is None else given
+        self._cargo, self._shipment, self._order = cargo, shipment, order
+        self._packed: Mapping[int, bytes] = {}
+        self._waiting, self._suspects = deque[int](), deque[int]()
+        self._deaths = Counter[int]()  # of workers that had a problem in hand, by its place
+        self._blind: set[int] = set()  # places of problems for workers that do not see the file
+        self._flying: dict[Future[bytes | None], int] = {}
+        self._back: SimpleQueue[Future[bytes | None]] = SimpleQueue()
 
     def __enter__(self) -> _Crew:
         """The crew is there already."""
@@ -523,40 +360,116 @@ class _Crew:
         """Send home who is one's own; who is not keeps no models."""
         unloaded.cache_clear()  # of threads
         if raised[0] is not None:
-            self.leave()
-        elif self.is_own and not self.is_broken:
+            self._end()
+        elif self._is_own and not self._is_broken:
             self._executor.shutdown()
 
     def __repr__(self) -> str:
         """Who they are."""
-        return f"{self._count} processes" if self.is_own else type(self._executor).__name__
+        return f"{self._count} processes" if self._is_own else type(self._executor).__name__
 
-    def submit(self, shipment: Shipment, packed: bytes, order: _Order) -> Future[bytes | None]:
-        """Give a problem to the crew."""
-        given: Future[bytes | None] = self._executor.submit(_answer, shipment, packed, order)
-        return given
+    def collect(self, packed: Mapping[int, bytes], come: Callable[[int, Answer], None]) -> SSPError:
+        """Give out the problems and hand on what comes back, until all have an answer, or an end.
 
-    def renew(self) -> bool:
-        """Replace processes of which one died; whether that can be done, and they start."""
-        if not self.is_own:
-            return False
-        self._executor = self._new_pool()
+        Args:
+            packed: place -> problem.
+            come: called with each place and its answer.
+
+        Returns:
+            The answer to those that have none.
+
+        Raises:
+            SolverError: no process could be started, or the executor takes nothing.
+        """
+        self._packed, missing = packed, len(packed)
+        self._waiting.extend(packed)
         try:
-            self._executor.submit(_nothing).result()
-        except BrokenExecutor:
-            return False
-        self.is_broken = False
-        return True
+            while missing:
+                self._give_out()
+                if self._is_broken and not self._flying:
+                    if self._is_own and self._starts_anew():
+                        continue
+                    if missing == len(packed):
+                        raise self._error
+                    return self._error
+                left = self._order.ends + _LATE - time.time()
+                future = self._back.get(timeout=max(left, 0.0) if isfinite(left) else None)
+                place = self._flying.pop(future)
+                if (answer := self._brought(place, future)) is not None:
+                    missing -= 1
+                    come(place, answer)
+        except Empty:
+            self._end()
+        except KeyboardInterrupt:
+            self._end()
+            return OutOfTimeError("Ctrl-C came before this problem was solved")
+        return OutOfTimeError(_TOO_LATE)
 
-    def leave(self) -> None:
+    def _end(self) -> None:
         """End the crew's processes at once; who is not one's own goes on with what is in hand."""
-        if self.is_own:
-            self.is_broken = True
+        for future in self._flying:
+            future.cancel()
+        if self._is_own:
+            self._is_broken = True
             self._executor.shutdown(kill_workers=True)
 
-    def error(self) -> SolverError:
+    def _give_out(self) -> None:
+        """Give the crew what it has room for; what a worker may have died of goes by itself."""
+        flying = self._flying
+        while not self._is_broken:
+            alone = bool(self._suspects) or any(self._deaths[place] for place in flying.values())
+            queue = self._suspects or self._waiting
+            if not queue or len(flying) >= (1 if alone else self._room):
+                return
+            place, shipment = queue.popleft(), self._shipment
+            if place in self._blind:
+                shipment = replace(shipment, content=Path(shipment.path).read_bytes())
+            try:
+                future = self._executor.submit(_answer, shipment, self._packed[place], self._order)
+            except RuntimeError:  # it is broken, or has been shut down
+                queue.appendleft(place)
+                self._is_broken = True
+                return
+            flying[future] = place
+            future.add_done_callback(self._back.put)
+
+    def _brought(self, place: int, future: Future[bytes | None]) -> Answer | None:
+        """The answer that came back from the crew; None: the problem has to be given out again."""
+        error = CancelledError() if future.cancelled() else future.exception()
+        if isinstance(error, BrokenExecutor):
+            self._is_broken = True
+            if not self._is_own:
+                return self._error
+            self._deaths[place] += 1
+            if self._deaths[place] == _ASKED:
+                return SolverError(_DIED)
+            self._suspects.append(place)
+            return None
+        if error is not None:  # the executor's, or of what it could not send
+            return SolverError(f"the executor raised {type(error).__name__}: {error}")
+        if (packed := future.result()) is not None:
+            answer: Answer = self._cargo.unpack(packed)
+            return answer
+        if place in self._blind:
+            return SolverError("its worker could not read the models that came with it")
+        self._blind.add(place)
+        self._waiting.appendleft(place)
+        return None
+
+    def _starts_anew(self) -> bool:
+        """Replace processes of which one died; whether they start."""
+        self._executor = self._new_pool()
+        try:
+            self._executor.submit(int).result()
+        except BrokenExecutor:
+            return False
+        self._is_broken = False
+        return True
+
+    @property
+    def _error(self) -> SolverError:
         """The answer to what is left where the crew is broken for good."""
-        if not self.is_own:
+        if not self._is_own:
             return SolverError("the executor broke or was shut down: give a new one, or none")
         return SolverError(
             "processes die while they start, perhaps for want of memory: take fewer workers"
@@ -568,10 +481,6 @@ class _Crew:
 
         alone = {"NUMBA_NUM_THREADS": "1"}
         return ProcessPoolExecutor(self._count, initializer=_prepare_worker, env=alone)
-
-
-def _nothing() -> None:
-    """Answer nothing: whoever does has been started."""
 
 
 def _prepare_worker() -> None:

@@ -20,6 +20,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from joblib.externals.loky.cloudpickle_wrapper import dumps, loads
 
+from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.problem import Problem
 
@@ -39,32 +40,21 @@ def models_of(problems: Iterable[Problem]) -> list[SSP]:
     return [*models.values()]
 
 
-def _is_of_a_script(thing: FunctionType | type) -> bool:
-    """Whether a worker of the answers cannot import a function or class."""
-    return thing.__module__ == "__main__" or "<l" in thing.__qualname__  # lambda, locals
-
-
 class _Pickler(pickle.Pickler):
     """A pickler that leaves out models of the answers' problems: their places stand for them."""
 
-    def __init__(
-        self,
-        stream: BinaryIO,
-        places: Mapping[int, int],
-        keep: Callable[[pickle.PickleBuffer], None] | None = None,
-    ) -> None:
-        super().__init__(stream, protocol=5, buffer_callback=keep)
-        self._places = places
+    places: Mapping[int, int]  # id of a model -> place
 
     def persistent_id(self, thing: Any) -> int | None:
         """Place of a model in the file; None for all else."""
-        return self._places.get(id(thing)) if isinstance(thing, SSP) else None
+        return self.places.get(id(thing)) if isinstance(thing, SSP) else None
 
     def reducer_override(self, thing: Any) -> Any:
         """Send functions and classes of a script themselves, one cost for all outcomes once."""
-        if isinstance(thing, (FunctionType, type)) and _is_of_a_script(thing):
-            return loads, (dumps(thing),)
-        if type(thing) is np.ndarray and thing.strides == (0,) and thing.size > 1:
+        if isinstance(thing, (FunctionType, type)):  # lambdas and locals cannot be imported either
+            if thing.__module__ == "__main__" or "<l" in thing.__qualname__:
+                return loads, (dumps(thing),)
+        elif type(thing) is np.ndarray and thing.strides == (0,) and thing.size > 1:
             return np.broadcast_to, (thing[:1].copy(), thing.shape)
         return NotImplemented
 
@@ -72,15 +62,7 @@ class _Pickler(pickle.Pickler):
 class _Unpickler(pickle.Unpickler):
     """An unpickler that finds models of the answers' problems by their places."""
 
-    def __init__(
-        self, packed: bytes, model_at: Callable[[int], SSP], buffers: Iterable[memoryview] = ()
-    ) -> None:
-        super().__init__(BytesIO(packed), buffers=buffers)
-        self._model_at = model_at
-
-    def persistent_load(self, place: Any) -> SSP:
-        """The model at a place of the file."""
-        return self._model_at(place)
+    persistent_load: Callable[[Any], SSP]
 
 
 class Cargo:
@@ -101,11 +83,15 @@ class Cargo:
         self._places: dict[int, int] = {}  # id of a model -> place
 
     def load(self, models: Iterable[SSP], file: BinaryIO) -> None:
-        """Write models to a file for other processes, those first that others are made of."""
+        """Write models to a file for other processes, those first that others are made of.
+
+        Raises:
+            ModelError: a model cannot be pickled.
+        """
         file.write(b"ssp-lp")  # an empty file cannot be mapped
         for model in models:
-            buffers: list[pickle.PickleBuffer] = []
-            stream, spans = self._stream(model, buffers.append), []
+            buffers, spans = list[pickle.PickleBuffer](), []
+            stream = self.pack(model, buffers.append)
             for buffer in buffers:
                 file.write(bytes(-file.tell() % _ALIGNED))
                 begin = file.tell()
@@ -114,35 +100,39 @@ class Cargo:
             self.know(file.tell(), model)
             pickle.dump((stream, spans), file)
 
-    def pack(self, thing: object) -> bytes:
-        """Pickle a problem or an answer without its models."""
-        return self._stream(thing)
-
-    def unpack(self, packed: bytes) -> Any:
-        """The problem or answer that was packed, on the models that are known here."""
-        return _Unpickler(packed, self._model_at).load()
-
-    def _stream(
+    def pack(
         self, thing: object, keep: Callable[[pickle.PickleBuffer], None] | None = None
     ) -> bytes:
-        """Pickle of a cargo, arrays handed to ``keep`` where that is given."""
+        """Pickle a problem or an answer without its models; arrays go to ``keep``, if given.
+
+        Raises:
+            ModelError: it cannot be pickled.
+        """
         stream = BytesIO()
-        _Pickler(stream, self._places, keep).dump(thing)
+        pickler = _Pickler(stream, protocol=5, buffer_callback=keep)
+        pickler.places = self._places
+        try:
+            pickler.dump(thing)
+        except (pickle.PicklingError, AttributeError, TypeError) as error:
+            raise ModelError(f"it cannot be sent to another process: {error}") from error
         return stream.getvalue()
 
-    def know(self, place: int, model: SSP) -> SSP:
-        """The cargo's model at a place; the first one that was found there stays."""
-        model = self._models.setdefault(place, model)
-        self._places[id(model)] = place
-        return model
+    def unpack(self, packed: bytes, buffers: Iterable[memoryview] = ()) -> Any:
+        """The problem or answer that was packed, on the models that are known here."""
+        unpickler = _Unpickler(BytesIO(packed), buffers=buffers)
+        unpickler.persistent_load = self._model_at
+        return unpickler.load()
+
+    def know(self, place: int, model: SSP) -> None:
+        """Know the cargo's model at a place; the first one that was found there stays."""
+        self._places[id(self._models.setdefault(place, model))] = place
 
     def _model_at(self, place: int) -> SSP:
         """A cargo's model, read from the file when it is first asked for."""
         if place not in self._models:
-            content = self._content
-            stream, spans = pickle.loads(content[place:])  # noqa: S301 (of the caller's process)
-            buffers = [content[begin:end] for begin, end in spans]
-            self.know(place, _Unpickler(stream, self._model_at, buffers).load())
+            stream, spans = pickle.loads(self._content[place:])  # noqa: S301 (the caller's process)
+            buffers = [self._content[begin:end] for begin, end in spans]
+            self.know(place, self.unpack(stream, buffers))
         return self._models[place]
 
 

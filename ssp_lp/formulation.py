@@ -20,6 +20,7 @@ from ssp_lp.accumulated_cost.charges import (
     CostQuantileOf as CostQuantileOf,
     ExpectedUtility as ExpectedUtility,
     ExponentialUtility as ExponentialUtility,
+    Measure,
     TailMeanOf as TailMeanOf,
     Utility as Utility,
     WithinBound as WithinBound,
@@ -54,7 +55,7 @@ from ssp_lp.problem import (
     TotalScale,
     as_float,
     as_stated,
-    check_numbers as check_numbers,
+    check_cost as check_cost,
     compiled_totals,
 )
 from ssp_lp.processes.conditions import Condition
@@ -220,14 +221,8 @@ class Formulation(Problem):
             return self._on(model, places).unrolled
         if self.model.failure_label is not None:
             return self
-        label = labelled_past_failing(
-            self.model,
-            self.conditions,
-            self.objective_condition,
-            self.semantics,
-            ratio=self.ratio,
-            discount=self.discount,
-        )
+        asked = self.conditions, self.objective_condition, self.semantics
+        label = labelled_past_failing(self.model, *asked, ratio=self.ratio, discount=self.discount)
         if label is None:
             return self
         begin = np.flatnonzero(self._begun)
@@ -260,9 +255,9 @@ class Formulation(Problem):
             return ()
         return conditions(self.model, self._begun, every)
 
-    @cached_property
-    def semantics(self) -> FailureSemantics:
-        """A formulation's semantics by default: failing is free but for a charged step.
+    @property
+    def measure(self) -> Measure | None:
+        """Measure of the law of the total cost, in place of its mean; None: the mean counts.
 
         Raises:
             ModelError: an arrival cost is not counted given success, or is discounted.
@@ -271,8 +266,13 @@ class Formulation(Problem):
         if measure is not None and (self.discount is not None or not self.ratio):
             flaw = "has no discount" if self.ratio else "is counted given success: say ratio = True"
             raise ModelError(f"{type(self).__name__}: an arrival cost {flaw}")
+        return measure
+
+    @cached_property
+    def semantics(self) -> FailureSemantics:
+        """What an episode is worth, by the class's ``give_up``, ``penalty``, ``aim`` and so on."""
         give_up, charged = GiveUp(str(self.give_up)), bool(self.charge_failing_step)
-        return FailureSemantics(give_up, charged, measure=measure)
+        return FailureSemantics(give_up, charged, float(self.penalty), self.aim, self.measure)
 
     @cached_property
     def _begun(self) -> FloatArray:

@@ -69,27 +69,29 @@ class Problem(ReadOnlyCopies):
     cost_levels: int | None = None  # of the grid where costs have no unit
     reach_fraction: float | None = None  # of the greatest goal probability, for a budget
     quantity: Quantity | None = None  # what is minimised in place of the cost
+    penalty: float = 0.0  # price of failing; infinite: failing is forbidden
+    aim = Aim.LEAST_COST
     constraints: Mapping[str, Constraint] = MappingProxyType({})
 
     @property
     def semantics(self) -> FailureSemantics:
-        """The problem's worth of an episode: which cost counts and what failing costs."""
+        """Worth of an episode: which cost counts and what failing costs."""
         return EXACT
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """Constraints beside the failure budget, checked."""
+        return ()
+
+    @property
+    def objective_condition(self) -> Condition | None:
+        """The quantity that is minimised in place of the cost, checked; None: the cost."""
+        return None
 
     @property
     def own_constraints(self) -> Mapping[str, Constraint]:
         """Constraints that a criterion has by itself; none unless its class says so."""
         return {}
-
-    @property
-    def conditions(self) -> tuple[Condition, ...]:
-        """The problem's constraints beside its failure budget, checked."""
-        return ()
-
-    @property
-    def objective_condition(self) -> Condition | None:
-        """The quantity that the problem minimises in place of its cost; None: the cost."""
-        return None
 
     @property
     def unrolled(self) -> Problem:
@@ -191,12 +193,9 @@ def least_failure_bound(problem: Problem) -> float | None:
     """Certified lower bound of the failure of every policy; None: the problem limits failure."""
     if not problem.requirements.least_failure:
         return None
-    start, survival = (
-        start_distribution(problem.model, problem.start),
-        survival_of(problem.discount),
-    )
-    reach = greatest_goal_reach(problem.model, survival, start, last_digits=False)
-    return reach.least_failure(start)
+    model, survival = problem.model, survival_of(problem.discount)
+    start = start_distribution(model, problem.start)
+    return greatest_goal_reach(model, survival, start, last_digits=False).least_failure(start)
 
 
 def compiled_constrained(problem: Problem, *, by_units: bool = False) -> CompiledExplicit:
@@ -210,12 +209,11 @@ def compiled_constrained(problem: Problem, *, by_units: bool = False) -> Compile
     objective, model = problem.objective_condition, problem.model
     start = start_distribution(model, problem.start)
     if (label := model.failure_label) is not None and start[~label.finite[0]].any():
+        begun = start[: label.n_original]
         raise InfeasibleError(
             "what is counted after failing grows without end under every policy",
             failure_budget=problem.failure_budget,
-            least_failure=lambda: max(
-                1.0 - greatest_goal_from(label.original, start[: label.n_original]), 0.0
-            ),
+            least_failure=lambda: max(1.0 - greatest_goal_from(label.original, begun), 0.0),
         )
     return CompiledExplicit(
         model=model,
@@ -256,7 +254,7 @@ class Restated(Problem):
     semantics: FailureSemantics = EXACT
     conditions: tuple[Condition, ...] = ()
     discount: float | None = None
-    objective_condition: Condition | None = None  # minimised in place of the cost
+    objective_condition: Condition | None = None
 
     def compile(self) -> CompiledArrivalCost:
         """Compile the restated problem on the lattice of its costs."""
@@ -372,8 +370,7 @@ def pulled_back(policy: MixedPolicy, problem: Problem) -> MixedPolicy:
 
 def as_float(value: Any) -> Any:
     """A problem's argument as a float, if a fraction or a number of numpy's; else as it is."""
-    plain = isinstance(value, (int, float)) or not is_number(value)
-    return value if plain else float(value)
+    return value if type(value) in (bool, int, float) or not is_number(value) else float(value)
 
 
 def check_numbers(**named: object) -> None:
@@ -385,6 +382,14 @@ def check_numbers(**named: object) -> None:
     for name, value in named.items():
         if not is_number(value):
             raise wrong_argument(name, "be a number", value)
+
+
+def check_cost(**named: object) -> None:
+    """Raise :class:`ModelError` unless an argument of a problem is a finite number >= 0."""
+    check_numbers(**named)
+    for name, value in named.items():
+        if not 0 <= cast("float", value) < float("inf"):
+            raise wrong_argument(name, "be a cost", value)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -474,9 +479,10 @@ class _UntilFailing(Policy):
 
 def until_failing(lottery: MixedPolicy) -> MixedPolicy:
     """A problem's policies, none of which goes on after failing."""
-    if not any(member.goes_on for member in lottery.policies):
-        return lottery
-    return replace(lottery, policies=tuple(map(_UntilFailing, lottery.policies)))
+    for member in lottery.policies:
+        if member.goes_on:
+            return replace(lottery, policies=tuple(map(_UntilFailing, lottery.policies)))
+    return lottery
 
 
 def on_product(policy: Policy | MixedPolicy, product: ProductSSP) -> MixedPolicy:

@@ -520,13 +520,8 @@ CUT_SHORT = "stopped before the tolerance was met; the gap is honest"
 
 def remarks(problem: Problem, granted: float, finished: bool) -> str:
     """Remarks on a solution: a budget raised to the least failure, a search cut short."""
-    notes = []
-    budget = problem.failure_budget
+    budget, notes = problem.failure_budget, [CUT_SHORT] * (not finished)
     if budget is not None and granted > budget and not isinstance(budget, GoalShare):
-        notes.append(
-            f"the budget lies {granted - budget:.1e} below the least failure and counts as equal "
-            "to it"
-        )
-    if not finished:
-        notes.append(CUT_SHORT)
+        below = f"{granted - budget:.1e} below the least failure"
+        notes.insert(0, f"the budget lies {below} and counts as equal to it")
     return "; ".join(notes)

@@ -6,7 +6,6 @@ import logging
 import time
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from math import isfinite
 
 import numpy as np
@@ -14,14 +13,7 @@ import numpy as np
 from ssp_lp.accumulated_cost.policy_layers import giving_up_where_lost
 from ssp_lp.analysis.evaluation import evaluate
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP
-from ssp_lp.compiled.deadline import (
-    Deadline,
-    Stop,
-    WithIncumbent,
-    closing,
-    interrupted,
-    until,
-)
+from ssp_lp.compiled.deadline import Deadline, Stop, WithIncumbent, closing, interrupted, until
 from ssp_lp.dynamic_programming.evaluation import PROVED_OF_MANY
 from ssp_lp.errors import ModelError, OutOfTimeError, SolverError
 from ssp_lp.methods.approaches import Case, approach_to, refusal
@@ -34,7 +26,6 @@ from ssp_lp.options import (
     Partition,
     Progress,
     SolveOptions,
-    Status,
     options_of,
     parse_method,
     progress_shown,
@@ -89,67 +80,29 @@ def solve(
     if (refused := refusal(problem, chosen)) is not None:
         raise refused
 
-    solved = partial(_solution_to, problem, method, options, time_limit, verbose)
+    def solved(partition: Partition | None = None) -> Solution:
+        """The answer to the problem as it is stated, its pricing shared by a partition."""
+        begun = time.perf_counter()
+        with progress_shown(verbose):
+            found = _solved_with_proof(problem, chosen, replace(options, partition=partition))
+        reason = found.run.reason
+        if method is None:
+            reason = reason.replace("as asked", "which scales best for one failure row")
+        seconds = time.perf_counter() - begun
+        run = replace(found.run, reason=reason, seconds=seconds, time_limit=time_limit)
+        return replace(found, problem=problem, policy=pulled_back(found.policy, problem), run=run)
+
     if isinstance(chosen, ColumnGeneration) and chosen.pricing is not None:
         answer: Solution = chosen.pricing.on_every_rank(problem, options, solved)
         return answer
     return solved()
 
 
-def _solution_to(
-    problem: Problem,
-    method: Method | str | None,
-    options: SolveOptions,
-    time_limit: float | None,
-    verbose: bool,
-    partition: Partition | None = None,
-) -> Solution:
-    """Answer of ``solve`` to the problem as it is stated, with what is to be said of it.
-
-    Args:
-        problem: as stated.
-        method: as stated.
-        options: what follows from the method and the limits.
-        time_limit: as stated.
-        verbose: as stated.
-        partition: who shares the pricing.
-    """
-    began = time.perf_counter()
-    with progress_shown(verbose):
-        shared = options if partition is None else replace(options, partition=partition)
-        solution, status = _solved_with_proof(problem, parse_method(method), shared)
-    note, reason = solution.note, solution.run.reason
-    if solution.budget_used >= 1.0:
-        inner = problem.unrolled
-        far = goal_out_of_reach(inner.model, start_distribution(inner.model, inner.start))
-        note = "; ".join(part for part in (far, note) if part)
-    at_least = solution.least_failure_bound is not None
-    if at_least and solution.failure_gap > PROVED_OF_MANY:
-        shown = f"{solution.failure_gap:.1e}: some policy may fail less than this one"
-        note = "; ".join(filter(None, [note, f"the least failure is proved only up to {shown}"]))
-    elif not note and solution.gap > options.tolerance:
-        note = f"the gap of {solution.gap:.1e} misses the tolerance of {options.tolerance:g}"
-    if method is None:
-        reason = reason.replace("as asked", "which scales best for one failure row")
-    return replace(
-        solution,
-        problem=problem,
-        policy=pulled_back(solution.policy, problem),
-        note=note,
-        status=status,
-        run=replace(
-            solution.run, reason=reason, seconds=time.perf_counter() - began, time_limit=time_limit
-        ),
-    )
-
-
-def _solved_with_proof(
-    problem: Problem, method: Method, options: SolveOptions
-) -> tuple[Solution, Status]:
-    """Answer of ``solve`` to the problem that is solved, checked, and why its search ended."""
+def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) -> Solution:
+    """Answer of ``solve`` to the problem that is solved, checked."""
     solution: Solution | None = None
     too_large: ModelError | None = None
-    incumbent = Incumbent(problem, options.deterministic)
+    incumbent, inner = Incumbent(problem, options.deterministic), problem
     with until(options.deadline, prepare=incumbent.find) as deadline:
         with WithIncumbent() as search:
             inner, left = problem.unrolled, options.deadline - time.perf_counter()
@@ -166,10 +119,8 @@ def _solved_with_proof(
                 incumbent.find()
             if solution is None or incumbent.solution is None:
                 solution = incumbent.solution  # else it keeps its bound, and gets that policy below
-        if solution is None and too_large is not None:
-            raise too_large
         if solution is None:
-            raise _error_without_answer(problem, deadline, search.stop) from None
+            raise too_large or _error_without_answer(problem, deadline, search.stop) from None
         if inner.failure_budget is None and solution.least_failure_bound is None:
             with WithIncumbent():
                 bound = least_failure_bound(inner)
@@ -185,7 +136,16 @@ def _solved_with_proof(
     _SEARCH.info("%s: %d pricing calls, objective %.9g", *figures)
     bound = solution.lower_bound if solution.upper_bound is None else solution.upper_bound
     _PROOF.info("bound %.9g, relative gap %.1e", bound, solution.gap)
-    return solution, deadline.status(solution.gap, options.tolerance)
+    note, tolerance = solution.note, options.tolerance
+    if solution.budget_used >= 1.0:
+        far = goal_out_of_reach(inner.model, start_distribution(inner.model, inner.start))
+        note = "; ".join(filter(None, [far, note]))
+    if solution.least_failure_bound is not None and solution.failure_gap > PROVED_OF_MANY:
+        shown = f"{solution.failure_gap:.1e}: some policy may fail less than this one"
+        note = "; ".join(filter(None, [note, f"the least failure is proved only up to {shown}"]))
+    elif not note and solution.gap > tolerance:
+        note = f"the gap of {solution.gap:.1e} misses the tolerance of {tolerance:g}"
+    return replace(solution, note=note, status=deadline.status(solution.gap, tolerance))
 
 
 def _error_without_answer(

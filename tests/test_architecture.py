@@ -280,13 +280,13 @@ LINES = {
     "ssp_lp/dynamic_programming": 2_089,
     "ssp_lp/game": 1_239,
     "ssp_lp/io": 3_079,
-    "ssp_lp/linear_programming": 632,
+    "ssp_lp/linear_programming": 423,
     "ssp_lp/methods": 3_246,
     "ssp_lp/model": 2_519,
     "ssp_lp/plotting": 926,
     "ssp_lp/policies": 1_463,
     "ssp_lp/processes": 1_869,
-    "ssp_lp/programs": 1_192,
+    "ssp_lp/programs": 1_325,
     "ssp_lp/verification": 2_486,
 }
 """Code lines of each folder."""

@@ -75,29 +75,27 @@ def first_accepted(
         SolverError: no answer passes.
         Stop: the time ended before one did.
     """
-    tried: list[str] = []
-    accepted: list[tuple[float, LPAnswer, float]] = []
-    for name in backends_for(program, backend):
-        check_time()
-        answer = run_backend(program, name, deadline - time.perf_counter())
+    tried, accepted = list[str](), list[tuple[float, LPAnswer, float]]()
+    for answer in answers_in_turn(program, backend, deadline - time.perf_counter()):
         worst, doubt = answer_faults(program, answer)
         if worst <= RESIDUAL:
             accepted.append((doubt, answer, worst))
             if doubt <= _DOUBTFUL or program.matrix.shape[1] > _SIMPLEX_COLUMNS:
-                return answer, worst
-        tried.append(f"{name}: {answer.status}, residual {worst:.1e}, {answer.seconds:.1f} s")
-        if is_late() and not accepted:
-            raise Stop(told=f"no backend's answer passed its check by then: {tried[-1]}")
+                break
+        faults = f"residual {worst:.1e}, {answer.seconds:.1f} s"
+        tried.append(f"{answer.backend}: {answer.status}, {faults}")
         if is_late():
             break
-    if not accepted:
-        failures = "; ".join(tried)
-        raise SolverError(f"no LP backend's answer passes its check ({failures}); {_REMEDY}")
-    return min(accepted, key=lambda each: each[0])[1:]
+    if accepted:
+        return min(accepted, key=lambda each: each[0])[1:]
+    if is_late():
+        raise Stop(told=f"no backend's answer passed its check by then: {tried[-1]}")
+    failures = "; ".join(tried)
+    raise SolverError(f"no LP backend's answer passes its check ({failures}); {_REMEDY}")
 
 
 def answers_in_turn(
-    program: LinearProgram, backend: str | None, time_limit: float, basis: BoolArray | None
+    program: LinearProgram, backend: str | None, time_limit: float, basis: BoolArray | None = None
 ) -> Iterator[LPAnswer]:
     """Answers of one LP backend after another, unchecked; nan where the time ended before.
 
@@ -212,25 +210,22 @@ def solve_with_cvxpy(program: LinearProgram, time_limit: float) -> LPAnswer:
     """
     import cvxpy as cp
 
-    began = time.perf_counter()
+    began, equal = time.perf_counter(), program.equality
     visits = cp.Variable(program.matrix.shape[1], nonneg=True)
-    constraints: dict[str, Any] = {}
-    for name, rows in program.rows.items():
-        if rows.stop == rows.start:
-            continue
-        activity: Any = program.matrix[rows] @ visits
-        bound = program.upper[rows]
-        equal = program.equality[rows].all()
-        constraints[name] = activity == bound if equal else activity <= bound
-    problem = cp.Problem(cp.Minimize(program.cost @ visits), list(constraints.values()))
+    constraints: list[tuple[BoolArray, Any]] = []
+    for rows in (equal, ~equal):
+        if rows.any():
+            activity: Any = program.matrix[rows] @ visits
+            bound = program.upper[rows]
+            constraints.append((rows, activity == bound if rows is equal else activity <= bound))
+    problem = cp.Problem(cp.Minimize(program.cost @ visits), [row for _, row in constraints])
     limit = {"time_limit": max(time_limit, 1e-3)} if np.isfinite(time_limit) else {}
     with suppress(cp.SolverError), catch_warnings():
         simplefilter("ignore")  # that the answer may be inaccurate: it is checked
         problem.solve(solver=cp.CLARABEL, **limit, **_CLARABEL)  # type: ignore[no-untyped-call]
-    dual = np.full(program.matrix.shape[0], np.nan)
-    for name, constraint in constraints.items():
+    x, dual = (np.full(size, np.nan) for size in program.matrix.shape[::-1])
+    for rows, constraint in constraints:
         if constraint.dual_value is not None:
-            dual[program.rows[name]] = -np.asarray(constraint.dual_value)
-    x = np.full(program.matrix.shape[1], np.nan) if visits.value is None else visits.value
-    took = time.perf_counter() - began
-    return LPAnswer("cvxpy", np.asarray(x), dual, str(problem.status), took)
+            dual[rows] = -np.asarray(constraint.dual_value)
+    x = x if visits.value is None else np.asarray(visits.value)
+    return LPAnswer("cvxpy", x, dual, str(problem.status), time.perf_counter() - began)

@@ -5,13 +5,11 @@ from __future__ import annotations
 import gzip
 import re
 import time
-from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from shutil import copyfileobj
-from string import ascii_letters, digits
 from tempfile import TemporaryDirectory
 
 import highspy
@@ -57,15 +55,11 @@ def solve_with_highs(
     began = time.perf_counter()
     solver = _solved_by_highs(program, backend, time_limit, basis)
     solution, last = solver.getSolution(), solver.getBasis()
+    x, dual = np.array(solution.col_value, float), np.array(solution.row_dual, float)
     statuses = [*last.col_status, *last.row_status] if last.valid else []
-    return LPAnswer(
-        backend=backend,
-        x=np.asarray(solution.col_value, dtype=np.float64),
-        dual=np.asarray(solution.row_dual, dtype=np.float64),
-        status=solver.modelStatusToString(solver.getModelStatus()),
-        seconds=time.perf_counter() - began,
-        basis=np.array([each == _BASIC for each in statuses]) if statuses else None,
-    )
+    basis = np.array([each == _BASIC for each in statuses]) if statuses else None
+    status, took = solver.modelStatusToString(solver.getModelStatus()), time.perf_counter() - began
+    return LPAnswer(backend, x, dual, status, took, basis)
 
 
 def bound_ranges(program: LinearProgram, rows: Iterable[str]) -> dict[str, tuple[float, float]]:
@@ -212,16 +206,14 @@ def write_program(program: LinearProgram, path: Path, columns: Sequence[str]) ->
     lp = highs_lp(program)
     lp.col_names_ = _allowed_in_highs(f"{_NUMBERED}{k}.{name}" for k, name in enumerate(columns))
     rows, taken = [""] * program.matrix.shape[0], set[str]()
-    allowed = _allowed_in_highs(program.rows)
-    for number, (name, places) in enumerate(program.rows.items()):
-        plain = allowed[number]
+    named = zip(_allowed_in_highs(program.rows), program.rows.items(), strict=True)
+    for number, (plain, (name, places)) in enumerate(named):
         if plain in taken or not plain[0].isalpha():
             plain = f"row{number}.{plain}"
-        taken.add(plain)
-        alone = places.stop - places.start == 1 and name != "balance"
-        for k in range(places.start, places.stop):
-            rows[k] = plain if alone else f"{plain}.{k - places.start}"
-        taken.update(rows[places])
+        count = places.stop - places.start
+        is_alone = count == 1 and name != "balance"
+        rows[places] = [plain] if is_alone else [f"{plain}.{k}" for k in range(count)]
+        taken.update([plain, *rows[places]])
     lp.row_names_ = rows
     with TemporaryDirectory() as folder:
         packs = path.suffix == ".gz"
@@ -263,10 +255,5 @@ def read_columns(path: Path, n_columns: int) -> FloatArray:
 
 
 def _allowed_in_highs(names: Iterable[str]) -> list[str]:
-    """Names that HiGHS may write: letters, digits, dots and underscores; a million a second."""
-    allowed = {ord(letter): letter for letter in f"{ascii_letters}{digits}._\n"}
-    plain = "\n".join(name.replace("\n", "_") for name in names)
-    plain = plain.translate(defaultdict(lambda: "_", allowed))
-    while "__" in plain:
-        plain = plain.replace("__", "_")
-    return [name.strip("_") or "_" for name in plain.split("\n")]
+    """Names that HiGHS may write: letters, digits, dots and single underscores."""
+    return [re.sub(r"[^A-Za-z0-9.]+", "_", name).strip("_") or "_" for name in names]

@@ -119,10 +119,10 @@ class UpperRow:
 
     def at(self, counting: Counting) -> tuple[FloatArray, float]:
         """Coefficient of each pair in the condition's row, [pairs], and at the source."""
-        constant = np.zeros(len(counting.goal)), 0.0
+        row, source = np.zeros(len(counting.goal)), 0.0
         if self.constant > 0.0:
-            constant = counting.endings()
-        row, source = self.constant * constant[0], self.constant * constant[1]
+            ends, there = counting.endings()
+            row, source = self.constant * ends, self.constant * there
         for weight, term in self.terms:
             pairs, there = term.at(counting)
             row, source = row + weight * pairs, source + weight * there
@@ -212,14 +212,6 @@ class Condition:
         bound = 0.0 if -_ROOM * size <= bound < 0.0 else bound  # the rounding of a complement
         offset += shift
         told = f"{f'{offset:g} ' if offset else ''}{'+' if sign > 0.0 else '-'} {self.name}"
-        return UpperRow(
-            name=name,
-            told=self.name if sign > 0.0 and offset == 0.0 else told,
-            terms=tuple(terms),
-            constant=constant + shift,
-            bound=bound,
-            condition=self,
-            sign=sign,
-            offset=offset,
-            direct=direct,
-        )
+        told = self.name if sign > 0.0 and offset == 0.0 else told
+        restated = tuple(terms), constant + shift, bound
+        return UpperRow(name, told, *restated, self, sign, offset, direct)

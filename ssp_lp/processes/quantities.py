@@ -382,12 +382,11 @@ def constraints_of(limits: Mapping[str, CostLimit]) -> dict[str, Constraint]:
     return {name: secondary_cost(limit.cost) <= limit.bound for name, limit in limits.items()}
 
 
-def outcome_costs(model: SSP, name: str, cost: NestedCosts | npt.ArrayLike | str) -> FloatArray:
-    """A cost by outcome, [outcomes].
+def outcome_costs(model: SSP, cost: NestedCosts | npt.ArrayLike | str) -> FloatArray:
+    """A quantity's cost by outcome, [outcomes].
 
     Args:
         model: the model.
-        name: of the limit, for errors.
         cost: the name of one of the model's; ``{state: {action: cost}}``, or an array, [pairs] or
             [outcomes].
 
@@ -396,12 +395,9 @@ def outcome_costs(model: SSP, name: str, cost: NestedCosts | npt.ArrayLike | str
             wrong length, an unknown state or action.
     """
     if isinstance(cost, str):
-        try:
-            return model.cost_named(cost)
-        except ModelError as error:
-            raise ModelError(f"limit {name!r}: {error}") from error
+        return model.cost_named(cost)
     if isinstance(cost, Mapping):
-        given = np.repeat(_listed_costs(model, name, cost), np.diff(model.outcome_offsets))
+        given = np.repeat(_listed_costs(model, cost), np.diff(model.outcome_offsets))
     else:
         try:
             numbers = np.array(cost)
@@ -409,16 +405,14 @@ def outcome_costs(model: SSP, name: str, cost: NestedCosts | npt.ArrayLike | str
                 raise TypeError(f"{numbers.dtype} is no type of real numbers")
             numbers = numbers.astype(np.float64)
         except (TypeError, ValueError, OverflowError) as error:
-            raise ModelError(f"limit {name!r}: the cost is no array of numbers: {error}") from error
-        given = _spread_costs(model, name, numbers)
+            raise ModelError(f"the cost is no array of numbers: {error}") from error
+        given = _spread_costs(model, numbers)
     costs = read_only(given, np.float64)
     wrong = ~(np.isfinite(costs) & (costs >= 0.0))
     if wrong.any():
         outcome = int(np.argmax(wrong))
-        raise ModelError(
-            f"limit {name!r}, {model._describe_outcome(outcome)}: the cost must be finite and "
-            f">= 0, not {float(costs[outcome])!r}"
-        )
+        complaint = f"the cost must be finite and >= 0, not {float(costs[outcome])!r}"
+        raise ModelError(f"{model._describe_outcome(outcome)}: {complaint}")
     return costs
 
 
@@ -427,53 +421,50 @@ def is_amount(value: object) -> bool:
     return is_number(value) and 0.0 <= float(value) < float("inf")
 
 
-def _listed_costs(model: SSP, name: str, cost: NestedCosts) -> FloatArray:
+def _listed_costs(model: SSP, cost: NestedCosts) -> FloatArray:
     """A quantity's costs from nested dicts, 0 where nothing is listed, [pairs]."""
     result = np.zeros(model.n_pairs)
     for state, actions in cost.items():
-        try:
-            places = model.places_of(state)
-        except ModelError as error:
-            raise ModelError(f"limit {name!r}: {error}") from error
+        places = model.places_of(state)
         if not isinstance(actions, Mapping):
-            raise ModelError(f"limit {name!r}, state {state!r}: not {{action: cost}}: {actions!r}")
+            raise ModelError(f"state {state!r}: not {{action: cost}}: {actions!r}")
         acting = [int(k) for k in places if model.pair_offsets[k] < model.pair_offsets[k + 1]]
         if not acting and isinstance(model, ProductSSP) and model.find(state) is None:
-            _listed_costs(model.original, name, {state: actions})  # nobody acts there: a check only
+            _listed_costs(model.original, {state: actions})  # nobody acts there: a check only
             continue
         for place in acting or places.tolist():
             begin, end = model.pair_offsets[place : place + 2].tolist()
             pair_of = {model.action_of(pair): pair for pair in range(begin, end)}
             for action, value in actions.items():
                 if action not in pair_of:
-                    raise ModelError(f"limit {name!r}: {model.no_such_action(place, action)}")
+                    raise ModelError(model.no_such_action(place, action))
                 if not is_amount(value):
                     raise ModelError(
-                        f"limit {name!r}, action {action!r} of state {model.states[place]!r}: the "
-                        f"cost must be finite and >= 0, not {in_short(value)}{cvxpy_hint(value)}"
+                        f"action {action!r} of state {model.states[place]!r}: the cost must be "
+                        f"finite and >= 0, not {in_short(value)}{cvxpy_hint(value)}"
                     )
                 result[pair_of[action]] = float(value)
     return result
 
 
-def _spread_costs(model: SSP, name: str, given: FloatArray) -> FloatArray:
+def _spread_costs(model: SSP, given: FloatArray) -> FloatArray:
     """A quantity's costs from an array of pairs or outcomes, also of an original, [outcomes]."""
     if isinstance(model, ProductSSP) and model.is_hidden:
-        return np.asarray(_spread_costs(model.original, name, given)[model.original_outcome])
+        return np.asarray(_spread_costs(model.original, given)[model.original_outcome])
     own, theirs = _costs_by_outcome(model, given), None
     if isinstance(model, ProductSSP):
         theirs = _costs_by_outcome(model.original, given)
         theirs = None if theirs is None else theirs[model.original_outcome]
     if own is not None and theirs is not None and not np.array_equal(own, theirs):
         raise ModelError(
-            f"limit {name!r}: an array of shape {given.shape} fits both the product and its "
-            "original: give {state: {action: cost}}"
+            f"an array of shape {given.shape} fits both the product and its original: give "
+            "{state: {action: cost}}"
         )
     spread = theirs if own is None else own
     if spread is None:
         raise ModelError(
-            f"limit {name!r}: the cost has shape {given.shape}; {model.n_pairs} pairs or "
-            f"{model.n_outcomes} outcomes are needed"
+            f"the cost has shape {given.shape}; {model.n_pairs} pairs or {model.n_outcomes} "
+            "outcomes are needed"
         )
     return spread
 
@@ -573,7 +564,10 @@ def _looked_up_terms(model: SSP, start: FloatArray, name: str, constraint: Const
     weights: dict[Counted, float] = {}
     for weight, counted in constraint.quantity.terms:  # those that count the same are added up
         weights[counted] = weights.get(counted, 0.0) + weight
-    terms = tuple((w, _looked_up_term(model, name, c)) for c, w in weights.items() if w != 0.0)
+    try:
+        terms = tuple((w, _looked_up_term(model, c)) for c, w in weights.items() if w != 0.0)
+    except ModelError as error:
+        raise ModelError(f"limit {name!r}: {error}") from error
     live = end_marks(model) < 0
     begun = sum(
         weight * float(start[term.states & live].sum())
@@ -584,25 +578,25 @@ def _looked_up_terms(model: SSP, start: FloatArray, name: str, constraint: Const
     return Condition(name, model, terms, constraint.quantity.constant + begun, *stated)
 
 
-def _looked_up_term(model: SSP, name: str, counted: Counted) -> Term:
+def _looked_up_term(model: SSP, counted: Counted) -> Term:
     """One term of a quantity, looked up in the model."""
     if (label := model.failure_label) is not None:
-        return past_failing_term(label, _looked_up_term(label.original, name, counted))
+        return past_failing_term(label, _looked_up_term(label.original, counted))
     match counted:
         case _StageCosts(cost, through):
             if cost is None:
                 return StepTerm(model)
-            costs = outcome_costs(model, name, cost)
+            costs = outcome_costs(model, cost)
             return StepTerm(replace(model, costs=costs, exact_costs={}), through)
         case _ArrivalCosts():
             raise ModelError(
-                f"limit {name!r}: an arrival cost depends on the total of a whole run; it is "
-                "minimised given success (ratio = True), not limited"
+                "an arrival cost depends on the total of a whole run; it is minimised given "
+                "success (ratio = True), not limited"
             )
         case _Visits(of, through):
-            return ArrivalTerm(model, _looked_up_states(model, name, of), through=through)
+            return ArrivalTerm(model, _looked_up_states(model, of), through=through)
         case _Ends(ways, others):
-            ends = _looked_up_states(model, name, ways, final=True)
+            ends = _looked_up_states(model, ways, final=True)
             return ArrivalTerm(model, ends, final=True, others=others)
 
 
@@ -615,41 +609,37 @@ def _as_an_action(model: SSP, word: Hashable) -> str:
     return f"; {told}: secondary_cost({{state: {{{meant!r}: 1.0}}}}) counts how often it is taken"
 
 
-def _looked_up_states(
-    model: SSP, name: str, words: tuple[Hashable, ...], *, final: bool = False
-) -> BoolArray:
+def _looked_up_states(model: SSP, words: tuple[Hashable, ...], *, final: bool = False) -> BoolArray:
     """A quantity's states, by their names or a label's; or those that end in a way, [states]."""
     marks, labels = end_marks(model), model.state_labels
     named: list[Hashable] = ["goal", *labels, "dead_end"]
     mask = np.zeros(model.n_states, dtype=np.bool_)
     for word in words:
+        labelled = labels[word] if isinstance(word, str) and word in labels else None
         if final and word in named:
             ends = marks == named.index(word)
-            if isinstance(word, str) and word in labels:  # a goal that bears it is an end, too
-                ends[labels[word]] |= model.goal_mask[labels[word]]
-                if labels[word].size and not ends.any():
-                    raise ModelError(
-                        f"limit {name!r}: no episode ends in a state labelled {word!r}: take "
-                        "visits(...)"
-                    )
+            if labelled is not None:  # a goal that bears it is an end, too
+                ends[labelled] |= model.goal_mask[labelled]
+                if labelled.size and not ends.any():
+                    raise ModelError(f"no episode ends in a state labelled {word!r}{_NO_END}")
             mask |= ends
             continue
-        if not final and isinstance(word, str) and word in labels:
-            mask[labels[word]] = True
+        if labelled is not None:
+            mask[labelled] = True
             continue
         try:
             states = model.places_of(word)
         except ModelError as error:
-            known = ", ".join(repr(k) for k in named)
-            told = (
-                f"no way to end ({known}) and no state"
-                if final
-                else ("neither a state nor a label of states")
-            )
-            known_names = [*(named if final else labels), *model.states]
-            nearest = _as_an_action(model, word) or did_you_mean(word, known_names, "there are")
-            raise ModelError(f"limit {name!r}: {word!r} is {told}{nearest}") from error
+            known: list[Hashable] = [*labels]
+            told = "neither a state nor a label of states"
+            if final:
+                known, told = named, f"no way to end ({', '.join(map(repr, named))}) and no state"
+            others = did_you_mean(word, [*known, *model.states], "there are")
+            raise ModelError(f"{word!r} is {told}{_as_an_action(model, word) or others}") from error
         if final and states.size and (marks[states] < 0).all():  # a horizon may leave none
-            raise ModelError(f"limit {name!r}: no episode ends in state {word!r}: take visits(...)")
+            raise ModelError(f"no episode ends in state {word!r}{_NO_END}")
         mask[states[marks[states] >= 0] if final else states] = True
     return mask
+
+
+_NO_END = ": take visits(...)"

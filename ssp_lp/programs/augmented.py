@@ -248,13 +248,11 @@ class LabelledModel(Augmented):
         ones = np.ones(len(single.pair_at))
         return replace(self, inner=FailureLabelled(whole, single, ones))
 
-    def may_start(self, start: FloatArray) -> bool:
-        """Whether start mass enters the augmented model at places alone, [states]."""
+    def started(self, start: FloatArray) -> LabelledModel | None:
+        """The augmented model from another start; None: an episode may end where it begins."""
         ends = self.quotient.node_of < 0
-        return not start[ends].any() and not self.start[ends].any()
-
-    def started(self, start: FloatArray) -> LabelledModel:
-        """The augmented model with labels from another start."""
+        if start[ends].any() or self.start[ends].any():
+            return None
         process = replace(self.process, start=self.quotient.gather(start))
         return replace(self, inner=replace(self.inner, process=process), start=start)
 

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Hashable, Mapping
+import warnings
+from collections.abc import Collection, Hashable, Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import cvxpy as cp
 import numpy as np
+from cvxpy.constraints.constraint import Constraint
 from cvxpy.constraints.nonpos import Inequality
 from cvxpy.constraints.zero import Equality
 
 from ssp_lp.arrays import FloatArray
-from ssp_lp.errors import ModelError, SolverError, wrong_argument
-from ssp_lp.linear_programming.convex_rows import (
-    ScaledExpression,
-    affine_parts,
-    broken_rows,
-    measured_rows,
-)
-from ssp_lp.linear_programming.convex_solving import Conflict, contradicting, solve_stated, stated
-from ssp_lp.linear_programming.linear_program import check_bounds
+from ssp_lp.errors import ModelError, SolverError, in_short, wrong_argument
+from ssp_lp.linear_programming.linear_program import MeasuredRow, check_bounds
 from ssp_lp.processes.failure_semantics import AS_ASKED
 from ssp_lp.processes.quantities import Quantity
 from ssp_lp.programs.occupation_measure import NOISES, OccupationMeasure
@@ -33,6 +28,94 @@ _ATOMS: Any = cp  # which mypy knows in part
 _ACCEPTED = 1e-5  # of a row's bound: what an answer may break of it
 _NOISES = (0.0, 1e-9, 1e-7, 1e-5)  # of a solver's prices
 _OBJECTIVE = "the objective's value"
+_EXCUSED = 1e-7  # what a solver's tolerance breaks of a row
+_SOLVED = ("optimal", "optimal_inaccurate")
+_INFEASIBLE = ("infeasible", "infeasible_inaccurate")
+_PLAIN: Mapping[str, Mapping[str, Any]] = {  # HiGHS's presolve calls sound programs infeasible
+    "HIGHS": {"presolve": "off"},
+    "SCIPY": {"scipy_options": {"presolve": False}},
+}
+_TIGHT: Mapping[str, Mapping[str, float]] = {
+    "CLARABEL": {"tol_feas": 1e-11, "tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11},
+    "ECOS": {"feastol": 1e-11, "abstol": 1e-11, "reltol": 1e-11},
+    "HIGHS": {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
+    "OSQP": {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 200_000},
+    "SCS": {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iters": 200_000},
+}
+_HOW = "a convex expression <= a concave one, or == between affine ones, such as cp.square(x) <= 1"
+
+
+class ScaledExpression:
+    """An affine expression of the visits of a ratio: what it is compared with is scaled, too.
+
+    ``scaled`` is the expression of cvxpy's variables: the visits' value times ``scale``.
+    """
+
+    __array_ufunc__ = None  # numbers of numpy's go with it as others do
+
+    def __init__(self, scaled: Any, scale: Any) -> None:
+        """An expression that is already scaled, and the scale."""
+        self.scaled, self._scale = scaled, scale
+
+    def __array__(self, *_: object) -> None:
+        """Refused: ``parameter * expression`` takes it for an array.
+
+        Raises:
+            ModelError: always.
+        """
+        raise ModelError("an expression of a cost given success stands to the left of what goes "
+                         "with it: expression * parameter, expression <= parameter")  # fmt: skip
+
+    def _other(self, other: Any) -> Any:
+        """The other operand of a convex row: an expression of visits, a number or a parameter."""
+        return other.scaled if isinstance(other, ScaledExpression) else other * self._scale
+
+    def __add__(self, other: Any) -> ScaledExpression:
+        """The sum."""
+        return ScaledExpression(self.scaled + self._other(other), self._scale)
+
+    def __mul__(self, factor: Any) -> ScaledExpression:
+        """The multiple by a number or a parameter."""
+        return ScaledExpression(factor * self.scaled, self._scale)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def __neg__(self) -> ScaledExpression:
+        """The opposite."""
+        return self * -1.0
+
+    def __sub__(self, other: Any) -> ScaledExpression:
+        """The difference."""
+        return ScaledExpression(self.scaled - self._other(other), self._scale)
+
+    def __rsub__(self, other: Any) -> ScaledExpression:
+        """The difference."""
+        return ScaledExpression(self._other(other) - self.scaled, self._scale)
+
+    def __le__(self, bound: Any) -> Any:
+        """A constraint of cvxpy: at most."""
+        return self.scaled <= self._other(bound)
+
+    def __ge__(self, bound: Any) -> Any:
+        """A constraint of cvxpy: at least."""
+        return self.scaled >= self._other(bound)
+
+    def __eq__(self, value: Any) -> Any:
+        """A constraint of cvxpy: equal."""
+        return self.scaled == self._other(value)
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+class Conflict(dict[str, str]):
+    """Rows that contradict each other, by name, each with its bound."""
+
+    def __repr__(self) -> str:
+        """A line for each row."""
+        if not self:
+            return "no rows contradict each other"
+        lines = (f"\n  {name}: {told}" for name, told in self.items())
+        return f"rows that contradict each other:{''.join(lines)}"
 
 
 class ConvexProgram:
@@ -120,7 +203,7 @@ class ConvexProgram:
         """
         key = (id(self.objective), *(id(c) for c in self.constraints.values()))
         if self._compiled is None or self._compiled[0] != key:
-            self._compiled = key, stated(self._minimised, self.constraints)
+            self._compiled = key, stated_problem(self._minimised, self.constraints)
         return self._compiled[1]
 
     def solve(
@@ -211,7 +294,7 @@ class ConvexProgram:
             if max(broken.values()) <= _ACCEPTED:
                 break
         if not as_stated:
-            added = tuple(measured_rows(self._added, self.x, self.scale, scale))
+            added = tuple(self._measured_rows())
             proved, minimum = self._least_proved(), None if self._minimises_cost else value
             measure = replace(measure, own=added, minimised=minimum, optimal_value_from_dual=proved)
         by_solver = {"balance", *stated, *(name for name, off in solvers.items() if off > 0.0)}
@@ -230,7 +313,7 @@ class ConvexProgram:
             program's; where a row has no dual, as in integer programs; or nothing is proved.
         """
         program, rows = self._bounded, dict(self.constraints)
-        own, priced = affine_parts(self._minimised, self.x, self.scale), list[FloatArray]()
+        own, priced = self._affine(self._minimised), list[FloatArray]()
         kept, prices = ("balance", "normaliser")[: 1 + program.ratio], list[float]()
         if own is None or not all(self._is_stated(n) and rows.pop(n) is not None for n in kept):
             return None
@@ -238,7 +321,7 @@ class ConvexProgram:
             if not isinstance(row, Equality | Inequality) or row.dual_value is None:
                 return None
             charge = _ATOMS.sum(_ATOMS.multiply(row.dual_value, row.expr))
-            if (part := affine_parts(charge, self.x, self.scale)) is None:
+            if (part := self._affine(charge)) is None:
                 return None
             priced.append(part)
             prices.append(float(np.abs(row.dual_value).max(initial=0.0)))
@@ -257,6 +340,49 @@ class ConvexProgram:
                 return (program.sense if self._minimises_cost else AS_ASKED).worth(value + constant)
         return None
 
+    def _affine(self, expression: Any) -> FloatArray | None:
+        """Coefficients of ``x`` and ``scale`` in an affine expression of cvxpy, and its constant.
+
+        [pairs + 2]; None where it is not affine, or counts other variables.
+        """
+        variables, own = expression.variables(), {id(self.x), id(self.scale)}
+        if not expression.is_affine() or not own.issuperset(map(id, variables)):
+            return None
+        values = [variable.value for variable in variables]
+        for variable in variables:
+            variable.value = np.zeros(variable.shape)
+        slopes = {id(variable): slope for variable, slope in expression.grad.items()}
+        constant = float(np.ravel(expression.value)[0])
+        for variable, value in zip(variables, values, strict=True):
+            variable.value = value
+        taken: Any = slopes.get(id(self.x), 0.0)
+        dense = taken.toarray() if hasattr(taken, "toarray") else taken
+        by_scale = float(slopes.get(id(self.scale), 0.0))
+        return np.append(np.zeros(self.x.size) + np.ravel(dense), [by_scale, constant])
+
+    def _sides(self, row: Any) -> tuple[Any, str, Any]:
+        """Both sides of a row with <= or ==: the one that counts ``x``, the sign, and the bound."""
+        (left, right), relation = row.args, "<="
+        if id(self.x) not in map(id, left.variables()):
+            left, right, relation = right, left, ">="
+        elif id(self.x) in map(id, right.variables()):
+            left, right = left - right, cp.Constant(0.0)
+        return left, "==" if isinstance(row, Equality) else relation, right
+
+    def _measured_rows(self) -> Iterator[MeasuredRow]:
+        """Added rows with <= or == at the variables' values, entry by entry."""
+        for name, row in self._added.items():
+            if not isinstance(row, Equality | Inequality):
+                continue
+            spent, relation, bound = self._sides(row)
+            unit = self._scale if id(self.scale) in map(id, row.variables()) else 1.0
+            worth = np.nan if row.dual_value is None else row.dual_value
+            parts = np.broadcast_arrays(spent.value, bound.value, worth)
+            for k, (each, limit, price) in enumerate(zip(*map(np.ravel, parts), strict=True)):
+                label = name if parts[0].size == 1 else f"{name}[{k}]"
+                duals = (None, None) if np.isnan(price) else (float(price), float(price * unit))
+                yield MeasuredRow(label, float(each / unit), float(limit / unit), relation, *duals)
+
     @property
     def _minimised(self) -> Any:
         """The convex program's objective as a cvxpy expression."""
@@ -271,7 +397,9 @@ class ConvexProgram:
     def conflict(self, solver: str | None = None, **options: Any) -> Conflict:
         """Rows of the convex program that contradict each other, added ones too; empty: none do.
 
-        Without any of them the others can be kept.
+        Without any of them the others can be kept: one after another is left out, and put back
+        where that helps. (HiGHS's irreducible subsets are of single rows of balance, and know no
+        row that is not linear.)
 
         Args:
             solver: one of cvxpy's; None: as it chooses.
@@ -280,9 +408,30 @@ class ConvexProgram:
         Raises:
             SolverError: the solver failed.
         """
-        rows = {n: row for n, row in self.constraints.items() if n not in ("balance", "normaliser")}
-        kept = [row for name, row in self.constraints.items() if name not in rows]
-        return contradicting(rows, kept, self.x, self.scale, solver, **options)
+        always = ("balance", "normaliser")
+        names = [name for name in self.constraints if name not in always]
+
+        def can_be_kept(some: Collection[str]) -> bool:
+            kept = [row for name, row in self.constraints.items() if name in (*always, *some)]
+            return solve_stated(cp.Problem(cp.Minimize(0.0), kept), solver, options)
+
+        if can_be_kept(names):
+            return Conflict()
+        for name in [*names]:
+            fewer = [other for other in names if other != name]
+            if not can_be_kept(fewer):
+                names = fewer
+        if self.program.ratio:
+            self.scale.value = 1.0  # where bounds are told
+        return Conflict({name: self._bound_in_short(self.constraints[name]) for name in names})
+
+    def _bound_in_short(self, row: Any) -> str:
+        """The bound of a row in short, where it is one number."""
+        if isinstance(row, Equality | Inequality):
+            _, relation, bound = self._sides(row)
+            if bound.value is not None and np.size(bound.value) == 1:
+                return f"{relation} {np.ravel(bound.value)[0]:g}"
+        return "as it is stated"
 
     def measure(self) -> OccupationMeasure:
         """The occupation measure of the cvxpy variables' values, whatever problem was solved.
@@ -345,3 +494,88 @@ class ConvexProgram:
         """Multiplier of a row of the convex program from cvxpy; 0 where it has none."""
         value = getattr(self.constraints.get(name), "dual_value", None)
         return 0.0 if value is None else max(sign * float(np.ravel(value)[0]), 0.0)
+
+
+def stated_problem(objective: Any, constraints: Mapping[str, Any]) -> Any:
+    """The convex problem, in cvxpy, of minimising an objective within named constraints.
+
+    Raises:
+        ModelError: something is no constraint, or not convex; says which, and what is.
+    """
+    for name, row in constraints.items():
+        if not isinstance(row, Constraint):
+            raise ModelError(f"constraint {name!r} must compare expressions of cvxpy, such as "
+                             f"convex.visits(state) <= 1.0, not {in_short(row)}")  # fmt: skip
+        if not row.is_dcp():
+            raise ModelError(f"constraint {name!r} is not convex as cvxpy reads it: {_HOW}")
+    try:
+        problem = cp.Problem(cp.Minimize(objective), list(constraints.values()))
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"the objective must be one number of cvxpy's: {error}") from error
+    if not problem.objective.is_dcp():
+        raise ModelError("the objective is not convex as cvxpy reads it, and is to be minimised: "
+                         "add what is convex, such as cp.square(x), or subtract what is concave, "
+                         "such as cp.entr(x)")  # fmt: skip
+    return problem
+
+
+def solve_stated(
+    problem: Any, solver: str | None, options: Mapping[str, Any], *, tight: bool = False
+) -> bool:
+    """Solve a convex problem by cvxpy; where HiGHS fails, again without its presolve.
+
+    Where the solver that cvxpy chooses fails, by HiGHS.
+
+    Args:
+        problem: the problem.
+        solver: one of cvxpy's; None: as it chooses.
+        options: of the solver.
+        tight: with tolerances as small as it takes; of those that are not known, as it is.
+
+    Returns:
+        Whether there is an optimum; else nothing satisfies the constraints.
+
+    Raises:
+        ModelError: a parameter has no value, or an option is none of the solver's.
+        SolverError: the solver failed, or stopped without an answer.
+    """
+    if missing := [each.name() for each in problem.parameters() if each.value is None]:
+        raise ModelError(f"parameter {missing[0]!r} has no value: set its .value before solving")
+    name = str(solver or (problem.solver_stats.solver_name if tight else "")).upper()
+    options = {**_TIGHT.get(name, {}), **options} if tight else dict(options)
+    attempts = [(solver, options)]
+    if solver is None:
+        attempts.append(("SCIPY", {}))  # HiGHS, which every version of cvxpy has
+    elif name in _PLAIN:
+        attempts.append((solver, {**_PLAIN[name], **options}))
+    failure = ""
+    for one, attempt in attempts:
+        try:
+            with warnings.catch_warnings():
+                if tight:  # an answer that is not as exact is judged as it is
+                    warnings.simplefilter("ignore")
+                problem.solve(solver=one, **attempt)
+        except cp.SolverError as error:
+            failure = failure or str(error)
+            continue
+        except (TypeError, ValueError, AttributeError) as error:
+            raise ModelError(f"cvxpy: {error}; what is no bound of a row by its name is an option "
+                             "of the solver") from error  # fmt: skip
+        failure = f"the problem is {problem.status}"
+        if problem.status in _SOLVED:
+            return True
+        if problem.status in _INFEASIBLE and (one is None or name not in _PLAIN):
+            return False
+    if str(problem.status) in _INFEASIBLE:
+        return False
+    raise SolverError(f"cvxpy: {failure}")
+
+
+def broken_rows(rows: Mapping[str, Any]) -> dict[str, float]:
+    """Violation of each convex row at the variables' values, relative to its sides; 0 if little."""
+    broken = dict[str, float]()
+    for name, row in rows.items():
+        off = max(float(np.max(row.violation(), initial=0.0)) - _EXCUSED, 0.0)
+        largest = (float(np.abs(side.value).max(initial=0.0)) for side in row.args)
+        broken[name] = off / max(*largest, off, _EXCUSED)
+    return broken

@@ -422,8 +422,13 @@ def decomposed(
     while remaining > 0.0:
         rounding = max(_DUST * remaining, _ROUNDED) * outflow[process.pair_state]
         left[left <= rounding] = 0.0
-        choice = _within_support(process, left, safe)
-        own = process.dynamics.chain(choice.astype(np.int32)).solve_transposed(process.start)
+        most = _least_pairs(process, -left)  # of each state the pair that is visited most
+        choice = np.where(left[most] > 0.0, most, safe)
+        chain = process.dynamics.chain(choice.astype(np.int32))
+        if chain.closed.size:
+            choice = _nearer_to_leaving(process, left, safe)
+            chain = process.dynamics.chain(choice.astype(np.int32))
+        own = chain.solve_transposed(process.start)
         visited = (own * remaining > _ABOVE * rounding[choice]) & (left[choice] > 0.0)
         if not visited.any():
             break
@@ -451,19 +456,6 @@ def _least_pairs(process: ExplicitProcess, values: FloatArray) -> IntArray:
     """The pair of least value in each state, to decompose an occupation measure, [states]."""
     offsets = process.pair_offsets
     return first_minimisers(values, segment_minima(values, offsets), offsets)
-
-
-def _within_support(process: ExplicitProcess, visits: FloatArray, safe: IntArray) -> IntArray:
-    """A policy within an occupation measure's support that leaves, where it can.
-
-    The most visited pair of each state is taken where that leaves, else one by which a visited pair
-    that leaves comes nearer.
-    """
-    supported, most = visits > 0.0, _least_pairs(process, -visits)
-    choice = np.where(supported[most], most, safe)
-    if not process.dynamics.chain(choice.astype(np.int32)).closed.size:
-        return choice
-    return _nearer_to_leaving(process, visits, safe)
 
 
 def _nearer_to_leaving(process: ExplicitProcess, visits: FloatArray, safe: IntArray) -> IntArray:

@@ -21,8 +21,14 @@ import numpy.typing as npt
 from ssp_lp.arrays import BELOW_RATIO, FloatArray
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, is_number, wrong_argument
 from ssp_lp.linear_programming.backends import answers_in_turn, backends_for, run_backend
-from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer, check_bounds
-from ssp_lp.linear_programming.program_text import as_latex, as_table, is_small, words_as_latex
+from ssp_lp.linear_programming.linear_program import (
+    LinearProgram,
+    LPAnswer,
+    as_latex,
+    as_table,
+    check_bounds,
+    words_as_latex,
+)
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.model.report import ByName, Report, Table
@@ -38,8 +44,7 @@ from ssp_lp.programs.occupation_measure import OccupationMeasure, StateValues, b
 from ssp_lp.programs.program_rows import ProgramRow, rows_program
 
 if TYPE_CHECKING:
-    from ssp_lp.linear_programming.convex_solving import Conflict
-    from ssp_lp.programs.convex_program import ConvexProgram
+    from ssp_lp.programs.convex_program import Conflict, ConvexProgram
 
 _ACCEPTED = 1e-6  # relative gap and residual of an answer that is taken
 _TRIFLE = 1e-13  # of the greatest cost: a row worth less counts as nothing, as rounding of a 0
@@ -161,10 +166,10 @@ class OccupationProgram(Report):
         model = augmented.model
         unrolled = isinstance(model, ProductSSP) and model.is_hidden
         if isinstance(augmented, LabelledModel) and not unrolled:
-            begun = start_distribution(model, start)
-            if augmented.may_start(begun):
+            there = augmented.started(start_distribution(model, start))
+            if there is not None:
                 inner = reduced and replace(reduced, program=reduced.program.started(start))
-                make, there = make and partial(make, start=start), augmented.started(begun)
+                make = make and partial(make, start=start)
                 return replace(self, augmented=there, reduced=inner, remade=make)
         if make is None:
             raise ModelError(
@@ -202,11 +207,7 @@ class OccupationProgram(Report):
         """
         if not 0 <= column < self.process.n_pairs:
             raise ModelError(f"column {column} is no pair: there are {self.process.n_pairs:,}")
-        return self._label_of(int(self.augmented.part.pairs[column]))
-
-    def _label_of(self, number: int) -> ColumnLabel:
-        """The occupation program's label of a pair among those of all copies."""
-        label = self.augmented.label(number)
+        label = self.augmented.label(int(self.augmented.part.pairs[column]))
         if label.action is GIVE_UP and self.reduced is not None:
             merged = self.reduced.program.augmented.quotient.merged
             if merged[self.augmented.model.index_of(label.state)]:
@@ -348,7 +349,6 @@ class OccupationProgram(Report):
 
     def infeasible(self) -> InfeasibleError:
         """The error that no visits satisfy all rows of the occupation program."""
-        budgets = [row.bound for row in self.rows if row.name == "failure"]
         if self.remade is not None:
             try:  # names the least failure, or what contradicts what
                 self.remade({row.name: row.bound for row in self.rows})
@@ -357,7 +357,7 @@ class OccupationProgram(Report):
         return InfeasibleError(
             "no expected visits satisfy all rows of the program; its conflict() names those that "
             "contradict each other",
-            failure_budget=budgets[0] if budgets else None,
+            failure_budget=next((r.bound for r in self.rows if r.name == "failure"), None),
             least_failure=float("nan"),
         )
 
@@ -566,25 +566,8 @@ class OccupationProgram(Report):
 
     @property
     def _columns(self) -> list[str]:
-        """Names of the occupation program's columns, as their labels, in bulk."""
-        augmented, quotient, model = self.augmented, self.augmented.quotient, self.augmented.model
-        states, actions = list(map(str, model.states)), list(map(str, model.action_names))
-        acting = np.maximum(quotient.pair_at, 0)
-        places = zip(
-            model.pair_state[acting].tolist(), model.pair_action[acting].tolist(), strict=True
-        )
-        names = [f"({states[state]}, {actions[action]})" for state, action in places]
-        for pair in np.flatnonzero(quotient.gives_up).tolist():
-            names[pair] = str(self._label_of(pair)._replace(cost=None))
-        paid = [ColumnLabel(None, None, augmented.paid(k)).paid for k in range(augmented.copies)]
-        copies, inner = np.divmod(augmented.part.pairs, max(augmented.width, 1))
-        own = [
-            f"{names[pair]}{paid[copy]}"
-            for copy, pair in zip(copies.tolist(), inner.tolist(), strict=True)
-            if copy < augmented.copies and names
-        ]
-        source = map(self.label, range(len(own), self.process.n_pairs))
-        return [*own, *map(str, source), *["t"] * self.ratio]
+        """Names of the occupation program's columns, as their labels."""
+        return [*map(str, map(self.label, range(self.process.n_pairs))), *["t"] * self.ratio]
 
     @property
     def _rows(self) -> list[str]:
@@ -622,7 +605,7 @@ class OccupationProgram(Report):
 
     def to_latex(self) -> str:
         """The occupation program in LaTeX, for a displayed equation; in full if small."""
-        if is_small(self.linear):
+        if self.linear.is_small:
             names = self._rows
             if self.ratio:
                 names[-1] += self._dual_of_normaliser
@@ -635,9 +618,8 @@ class OccupationProgram(Report):
 
     def tables(self) -> list[Table]:
         """The page of a paper, and a small program in full: a row for each column."""
-        page = Table(self._page(), title=self.title)
-        full = as_table(self.linear, self._columns, self._rows) if is_small(self.linear) else None
-        return [page] if full is None else [page, full]
+        full = as_table(self.linear, self._columns, self._rows) if self.linear.is_small else None
+        return [Table(self._page(), title=self.title), *([] if full is None else [full])]
 
     def __repr__(self) -> str:
         """The program as the page of a paper would have it."""

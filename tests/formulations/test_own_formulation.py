@@ -57,9 +57,7 @@ class CautiousUtility(Formulation):
     start: Start
     failure_budget: float = 0.05
 
-    @property
-    def semantics(self) -> FailureSemantics:
-        return FailureSemantics(measure=ExponentialUtility(rate=-0.1, bonus=1.0))
+    measure = ExponentialUtility(rate=-0.1, bonus=1.0)
 
 
 @dataclass(frozen=True, eq=False)
