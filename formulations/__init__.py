@@ -7,8 +7,6 @@ import sys
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from ssp_lp import names_on_demand
-
 if TYPE_CHECKING:
     from ssp_lp.formulation import CostLimit as CostLimit
 
@@ -34,10 +32,32 @@ if TYPE_CHECKING:
     from .minprob import MinProb as MinProb
     from .s3p import S3P as S3P
 
-_ON_DEMAND = names_on_demand(__name__)
-
-PAGES = {name: of[1:] for name, of in _ON_DEMAND.items() if of[0] == "." and of != ".comparison"}
+PAGES = {
+    "AlphaMCMP": "alpha_mcmp",
+    "ConstrainedCost": "constrained_cost",
+    "CostBoundedReach": "cost_bounded_reach",
+    "CostBudgetedMaxProb": "cost_budgeted_maxprob",
+    "CostQuantile": "cost_quantile",
+    "CVaR": "cvar",
+    "EGUBS": "egubs",
+    "FinitePenalty": "finite_penalty",
+    "GUBS": "gubs",
+    "ISSPUDE": "isspude",
+    "LeastQuantity": "least_quantity",
+    "MaxProb": "maxprob",
+    "MCMP": "mcmp",
+    "MinCost": "min_cost",
+    "MinProb": "minprob",
+    "S3P": "s3p",
+}
 """The page of each criterion, imported when it is first asked for."""
+
+_ON_DEMAND = {name: f"{__name__}.{page}" for name, page in PAGES.items()} | {
+    "CriteriaComparison": f"{__name__}.comparison",
+    "CriterionRow": f"{__name__}.comparison",
+    "compare_criteria": f"{__name__}.comparison",
+    "CostLimit": "ssp_lp.formulation",
+}
 
 __all__ = sorted(_ON_DEMAND)
 
@@ -46,7 +66,7 @@ def __getattr__(name: str) -> object:
     """Import a page when it is first asked for, so that the command line begins at once."""
     if name not in _ON_DEMAND:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    member = getattr(import_module(_ON_DEMAND[name], __name__), name)
+    member = getattr(import_module(_ON_DEMAND[name]), name)
     globals()[name] = member
     return member
 

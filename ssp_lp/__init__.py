@@ -4,7 +4,6 @@ Every public name is imported when it is first asked for, the criteria of ``form
 ``from ssp_lp import SSP, MCMP, solve``.
 """
 
-import re
 import sys
 from importlib import import_module
 from importlib.util import find_spec, module_from_spec, spec_from_file_location
@@ -119,15 +118,44 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-
-def names_on_demand(package: str) -> dict[str, str]:
-    """Module of each name that a package's source imports under ``TYPE_CHECKING``, by name."""
-    source = Path(sys.modules[package].__file__ or "").read_text(encoding="utf-8")
-    lines = re.findall(r"^    from (\S+) import (\([^)]*\)|.*)", source, re.MULTILINE)
-    return {name: of for of, names in lines for name in re.findall(r"(\w+) as \1\b", names)}
-
-
-_ON_DEMAND = names_on_demand(__name__)
+_MODULES = {
+    "accumulated_cost.cost_law": "CostLaw",
+    "analysis.evaluation": "Evaluation evaluate",
+    "analysis.simulation": "simulate",
+    "analysis.success_costs": "success_costs",
+    "answers": "Answers solve_many sweep",
+    "errors": (
+        "InfeasibleError MissingDependencyError ModelError ModelWarning OutOfTimeError "
+        "SSPError SolverError"
+    ),
+    "formulation": "Formulation",
+    "methods.frontier": "Frontier trace_frontier",
+    "model": "SSP",
+    "model.continuous_model": "Axis ContinuousModel Distribution Grid WorldSimulator",
+    "model.discretise": "Quadrature Samples discretise",
+    "model.product": "HorizonSSP Memory ProductSSP product within_steps",
+    "options": (
+        "ColumnGeneration DeterministicPolicies Game LinearProgramming Status progress_shown"
+    ),
+    "policies": (
+        "CostAwarePolicy DeterministicPolicy GIVE_UP MixedPolicy StochasticPolicy TimedPolicy"
+    ),
+    "policies.remembering": "acting_everywhere on_original",
+    "processes.failure_semantics": "GiveUp",
+    "processes.quantities": (
+        "Constraint Quantity arrival_cost end_probability expected_cost failure_probability "
+        "goal_probability secondary_cost visits"
+    ),
+    "programs.occupation_measure": "OccupationMeasure StateValues",
+    "programs.occupation_program": "OccupationProgram",
+    "solution": "Solution",
+    "solving": "solve",
+    "verification.certificate_file": "write_certificate",
+    "verification.certify": "Certificate certify",
+    "verification.checker": "Checked check_certificate",
+    "verification.cross_check": "CrossCheck cross_check",
+}
+_ON_DEMAND = {name: f"{__name__}.{of}" for of, names in _MODULES.items() for name in names.split()}
 
 
 def _add_formulations() -> None:
@@ -144,7 +172,8 @@ def _add_formulations() -> None:
             raise ImportError(f"{__name__} is not complete: there is no {beside}")
         sys.modules[inner] = globals()["formulations"] = module_from_spec(spec)
         spec.loader.exec_module(sys.modules[inner])
-    import_module(inner)
+    for name in import_module(inner).__all__:
+        _ON_DEMAND.setdefault(name, inner)
 
 
 _add_formulations()
