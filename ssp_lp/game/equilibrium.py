@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssp_lp.errors import ModelError, check_between_0_and_1, wrong_argument
-from ssp_lp.game.best_response import BestResponse, Player, check_alpha
+from ssp_lp.game.best_response import BestResponse, check_alpha
+from ssp_lp.game.player import Player
 from ssp_lp.model.arguments import explained
 from ssp_lp.policies import MixedPolicy
 
@@ -214,8 +215,7 @@ def unplayed_game(game: Game, responses: Sequence[BestResponse]) -> Equilibrium:
     """Equilibrium from policies met before, where time is up: no bound from below."""
     minus, plus = _closest_to_equilibrium(game, responses)
     if minus is None or plus is None:
-        only = responses[0] if minus is None and plus is None else minus or plus
-        minus = plus = responses[0] if only is None else only
+        minus = plus = minus or plus or responses[0]
     alpha = crossing(game, minus, plus) if minus is not plus else 1.0
     upper = min(game.payoff(alpha, minus), game.payoff(alpha, plus))
     return Equilibrium(game, alpha, -np.inf, upper, minus, plus, tuple(responses))

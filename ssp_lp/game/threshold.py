@@ -9,8 +9,9 @@ import numpy as np
 
 from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON
 from ssp_lp.compiled.deadline import WithIncumbent, is_late
-from ssp_lp.game.best_response import BestResponse, Player
+from ssp_lp.game.best_response import BestResponse
 from ssp_lp.game.equilibrium import Equilibrium, Game, play, unplayed_game
+from ssp_lp.game.player import Player
 from ssp_lp.options import Progress
 
 _STEEP = (1e3, 1e6, 1e9)
@@ -93,7 +94,10 @@ def find_threshold(
     """
     accuracy = 0.1 * tolerance
     responses = [*previous, *_cheap_near_least_failure(player, budget, previous, accuracy)]
-    room = _attainable_threshold(responses, budget - responses[0].origin if room is None else room)
+    least_failure = min(r.failing for r in responses)
+    same = _SAME * (abs(least_failure) if responses[0].origin else 1.0)
+    room = budget - responses[0].origin if room is None else room
+    room = max([room, *(r.failing for r in responses if r.failing <= least_failure + same)])
     budget = responses[0].origin + room
     low, high = 0.0, cheapest_mixture(responses, room)[2] / share
     games = 0
@@ -131,13 +135,6 @@ def extremes(player: Player, accuracy: float) -> tuple[BestResponse, ...]:
     with WithIncumbent():
         return safest, player.response(1.0, 0.0, accuracy)
     return safest, safest
-
-
-def _attainable_threshold(responses: Sequence[BestResponse], room: float) -> float:
-    """Budget of the threshold, counted as responses count failing, or the least of that."""
-    least_failure = min(r.failing for r in responses)
-    same = _SAME * (abs(least_failure) if responses[0].origin else 1.0)
-    return max([room, *(r.failing for r in responses if r.failing <= least_failure + same)])
 
 
 def _cheap_near_least_failure(
