@@ -94,10 +94,7 @@ def find_threshold(
     """
     accuracy = 0.1 * tolerance
     responses = [*previous, *_cheap_near_least_failure(player, budget, previous, accuracy)]
-    least_failure = min(r.failing for r in responses)
-    same = _SAME * (abs(least_failure) if responses[0].origin else 1.0)
-    room = budget - responses[0].origin if room is None else room
-    room = max([room, *(r.failing for r in responses if r.failing <= least_failure + same)])
+    room = _attainable_threshold(responses, budget - responses[0].origin if room is None else room)
     budget = responses[0].origin + room
     low, high = 0.0, cheapest_mixture(responses, room)[2] / share
     games = 0
@@ -135,6 +132,13 @@ def extremes(player: Player, accuracy: float) -> tuple[BestResponse, ...]:
     with WithIncumbent():
         return safest, player.response(1.0, 0.0, accuracy)
     return safest, safest
+
+
+def _attainable_threshold(responses: Sequence[BestResponse], room: float) -> float:
+    """Budget of the threshold, counted as responses count failing, or the least of that."""
+    least_failure = min(r.failing for r in responses)
+    same = _SAME * (abs(least_failure) if responses[0].origin else 1.0)
+    return max([room, *(r.failing for r in responses if r.failing <= least_failure + same)])
 
 
 def _cheap_near_least_failure(

@@ -178,7 +178,7 @@ def test_a_games_value_proves_no_more_than_it_does_in_fractions():
         alpha, stake, spare = rng.uniform(0.01, 1.0), rng.uniform(0.1, 100.0), rng.uniform(0.0, 0.1)
         least = (1.0 - alpha) * stake * (1.0 + spare**8)
         game = Game(stake, 0.25)
-        told = _threshold_from_game_value(Equilibrium(game, alpha, least, least, reply, reply, ()))
+        told = _threshold_from_game_value(Equilibrium(game, reply, reply, alpha, least, least, ()))
         weight = Fraction(alpha)
         exact = (Fraction(least) - (1 - weight) * Fraction(stake)) / weight
         assert told <= exact
