@@ -38,12 +38,10 @@ from ssp_lp.game import (
     play,
     posterior,
 )
-from ssp_lp.game.label_player import label_models
 from ssp_lp.game.optimum import bayes_player
 from ssp_lp.model import SSP
 from ssp_lp.policies import Policy
 from ssp_lp.policies.remembering import TimedPolicy
-from ssp_lp.processes.failure_semantics import start_distribution
 
 G = float(GAMMA)
 THRICE = Plan(False, 3)
@@ -69,7 +67,6 @@ def section_3_1() -> list[Row]:
     """
     model = journey()
     problem = problem_m(model)
-    models = label_models(model, start_distribution(model, START), problem.semantics, G)
     policy = timed_policy(model, THRICE)
     m = evaluate(policy, problem)
     ratio = S3P(model, start=START, failure_budget=0.1, discount=G)
@@ -77,6 +74,7 @@ def section_3_1() -> list[Row]:
     condition = failure(THRICE, GAMMA)
     surrogate = s.success_cost / (1.0 - (s.discounted_failure or 0.0))
     players = {"M": (bayes_player(problem), cost), "S": (bayes_player(ratio), success_cost)}
+    process = players["M"][0].base
     alone = []
     for case, (player, of) in players.items():
         cheapest, safest = player.response(1.0, 0.0, 1e-11), player.response(0.0, 1.0, 1e-11)
@@ -85,9 +83,9 @@ def section_3_1() -> list[Row]:
             Row(f"{case}: least J_cond", safest.condition, failure(Plan(False, FOR_EVER), GAMMA)),
         ]
     return [
-        Row("M: live states labelled s", models.n_nodes, 4),
-        Row("M: pairs, (wait, f) among them", len(models.quotient.gives_up), 7),
-        Row("M: pairs labelled f", models.quotient.gives_up.sum(), 1),
+        Row("M: live states labelled s", process.n_nodes, 4),
+        Row("M: pairs, (wait, f) among them", len(process.quotient.gives_up), 7),
+        Row("M: pairs labelled f", process.quotient.gives_up.sum(), 1),
         Row("M: J_obj", m.expected_cost, cost(THRICE)),
         Row("M: J_cond", m.discounted_failure or 0.0, condition),
         Row("S: J_obj", s.success_cost, success_cost(THRICE)),

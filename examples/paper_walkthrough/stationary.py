@@ -21,7 +21,7 @@ from examples.paper_walkthrough.model import (
 )
 from ssp_lp import MCMP, S3P, Solution, evaluate, solve
 from ssp_lp.game import bayes_adaptive, stationary_game, thresholds
-from ssp_lp.game.label_player import label_models
+from ssp_lp.game.player import label_process
 from ssp_lp.processes.failure_semantics import start_distribution
 
 GAMMAS = tuple(1 - Fraction(1, 10**k) for k in (2, 3, 4, 5))
@@ -173,12 +173,13 @@ def _written_out() -> list[Row]:
     model = journey()
     problem = MCMP(model, start=START, failure_budget=float(BUDGET))
     # discount=1: no mass is lost, so J_cond is the failure probability.
-    lp = label_models(model, start_distribution(model, START), problem.semantics, discount=1.0)
+    start = start_distribution(model, START)
+    lp, _ = label_process(model, start, problem.semantics, discount=1.0, later=1.0)
     outflow = np.repeat(np.eye(lp.n_nodes), np.diff(lp.pair_offsets), axis=0)
-    flow = (outflow - lp.dynamics.transitions.toarray()).T
-    found = linprog(lp.objective, lp.condition[None, :], [float(BUDGET)], flow, lp.start)
+    flow = (outflow - lp.instant.toarray()).T
+    found = linprog(lp.gain_cost, lp.failure[None, :], [float(BUDGET)], flow, lp.start)
     return [
-        Row("M, exact, written out: c*", float(lp.objective @ found.x), Fraction(26, 5)),
+        Row("M, exact, written out: c*", float(lp.gain_cost @ found.x), Fraction(26, 5)),
         Row("M, exact, written out: price", -found.ineqlin.marginals[0], 7),
         Row("M, exact, written out: v(depot)", found.eqlin.marginals[0], Fraction(59, 10)),
     ]

@@ -288,10 +288,8 @@ def with_property(asked: Namespace) -> Namespace:
     objectives = [one for one in operators if one.relation.endswith("?")]
     if len(objectives) != 1:
         raise ModelError(f"{asked.property}: one operator must ask =?, not {len(objectives)}")
-    objective, reaching = (
-        objectives[0],
-        [o for o in operators if (o.measure, o.relation) == ("P", ">=")],
-    )
+    (objective,) = objectives
+    reaching = [one for one in operators if (one.measure, one.relation) == ("P", ">=")]
     goals = {one.target for one in (objective, *reaching) if one.target is not None}
     if len(goals) != 1:
         raise ModelError(f"{asked.property}: one goal must be reached, not {sorted(goals)}")
@@ -345,17 +343,8 @@ def _operators_in(words: str) -> list[_Operator]:
         target = None if found["total"] else found["label"] or found["condition"]
         if found["measure"] == "P" and target is None:
             raise ModelError(f"{one.strip()}: a probability is one of reaching something, F")
-        operators.append(
-            _Operator(
-                one.strip(),
-                found["measure"],
-                found["cost"],
-                relation,
-                bound,
-                target,
-                found["steps"],
-            )
-        )
+        parts = found["measure"], found["cost"], relation, bound, target, found["steps"]
+        operators.append(_Operator(one.strip(), *parts))
     return operators
 
 
@@ -395,7 +384,7 @@ def figure_for(path: str | None) -> Figure | None:
     return figure
 
 
-PolicyWriter = Callable[[Solution, _CommandModel, str], None]
+PolicyWriter = Callable[[Solution, str], object]
 
 
 def policy_writer(path: str | None) -> PolicyWriter | None:
@@ -412,16 +401,11 @@ def policy_writer(path: str | None) -> PolicyWriter | None:
     raise ModelError(f"a policy is written as {', '.join(_WRITERS)}, not {path!r}")
 
 
-def _write_answer_table(solution: Solution, of: _CommandModel, path: str) -> None:
-    """Write the policy of a command's answer as a table."""
-    _csv_answer(path, solution.policy.table().all_rows())
-
-
 _WRITERS: dict[str, PolicyWriter] = {
-    ".npz": lambda solution, of, path: io.save_policy(solution.policy, path),
-    ".json": lambda solution, of, path: io.write_controller(solution.policy, path),
-    ".h": lambda solution, of, path: io.write_c_header(solution.policy, path),
-    ".csv": _write_answer_table,
+    ".npz": lambda solution, path: io.save_policy(solution.policy, path),
+    ".json": lambda solution, path: io.write_controller(solution.policy, path),
+    ".h": lambda solution, path: io.write_c_header(solution.policy, path),
+    ".csv": lambda solution, path: _csv_answer(path, solution.policy.table().all_rows()),
 }
 
 
@@ -437,7 +421,7 @@ def _solve_command(asked: Namespace) -> Iterable[str]:
     solution = ssp_lp.solve(problem, asked.method, time_limit=asked.time_limit, **tolerance)
     if write is not None:
         policy = solution.policy_everywhere() if asked.everywhere else solution.policy
-        write(replace(solution, policy=policy), of, asked.policy_out)
+        write(replace(solution, policy=policy), asked.policy_out)
     if asked.certificate_out is not None:
         ssp_lp.write_certificate(solution, asked.certificate_out)
     if figure is not None:

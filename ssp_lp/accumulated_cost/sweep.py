@@ -438,14 +438,14 @@ class Sweep:
             even, totals = self.charged(0), process.totals.values
             fixed, slope = weight * even.fixed, even.slope
             cost = PairCost(fixed + owed - saved, None if slope is None else weight * slope)
-            size = fixed + owed + saved
-            return lambda layer: (replace(cost, factor=float(totals[layer])), size, alone)
+            sizes_of = fixed + owed + saved, np.maximum(alone, fixed)
+            return lambda layer: (replace(cost, factor=float(totals[layer])), *sizes_of)
 
         def summed(layer: int) -> tuple[PairCost, FloatArray, FloatArray]:
             """What the pairs of a layer sum up, each layer's charges by themselves."""
             fixed = weight * self.charged(layer).fixed
-            size = np.abs(fixed) + owed + saved if sizes else owed
-            return PairCost(fixed + owed - saved), size, alone
+            size, most = (np.abs(fixed) + owed + saved, np.abs(fixed)) if sizes else (owed, owed)
+            return PairCost(fixed + owed - saved), size, np.maximum(alone, most)
 
         return summed
 

@@ -227,7 +227,7 @@ class _ProductSimulator:
         """Begin episodes, no step taken, none of which has failed."""
         world, state = self.inner.reset(episodes, rng)
         if isinstance(self.product, HorizonSSP):
-            state = self.product.positions[state, 0]
+            state = self.product.table[state, 0]
         return world, state
 
     def step(

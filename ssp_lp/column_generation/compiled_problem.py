@@ -862,6 +862,8 @@ ATTAINABLE = 1e-10
 _MOST_SWEPT = 400_000_000
 """Pairs of all layers of a process that is not written out: a choice takes a byte for each node."""
 
+_WORTH_SWEEPING = 400  # entries of a layer from which pricing by layers pays
+
 _ROOM = 6_000_000  # pairs of a process on levels, each of which is priced many times
 _OWN = {"augmented", "explicit_pricing", "_pricing", "totals", "layers"}
 """What depends on the charge, the cap or the resolution."""
@@ -1098,10 +1100,10 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def _is_swept(self) -> bool:
-        """Whether the compiled problem prices layer by layer: none has free pairs."""
-        if self.charge is None or self.base.by_steps:
+        """Whether the compiled problem prices layer by layer: large ones without free pairs."""
+        if self.charge is None or self.base.by_steps or self.base.instant.nnz > 0:
             return False
-        return self.base.instant.nnz == 0
+        return self.base.later.nnz >= _WORTH_SWEEPING
 
     @cached_property
     def explicit_pricing(self) -> ExplicitPricing:

@@ -309,7 +309,7 @@ class OpenEndedPricing(PricingProblem):
         priced, price = at_weights(self.sweep, weights, last), float(weights[1])
         floor, ended = -price if self.by_goal else 0.0, (weights * self._at_source).tolist()
         priced = priced._replace(floor=floor, at_start=tuple(ended))
-        bound, kept = self._lowered(self.sweep, priced, values)
+        bound, kept = self._lowered(self.sweep, priced, values, last)
         return Proof(price, 0.0 if self.by_goal else price, bound, kept)
 
     def check_less(
@@ -330,7 +330,7 @@ class OpenEndedPricing(PricingProblem):
             floor=-paid,
             at_start=(*begun, -ratio * base.start_goal),
         )
-        return self._lowered(self._without_top, priced, values_less_paid(values, paid))[0]
+        return self._lowered(self._without_top, priced, values_less_paid(values, paid), last)[0]
 
     @cached_property
     def _without_top(self) -> Sweep:
@@ -348,7 +348,7 @@ class OpenEndedPricing(PricingProblem):
         return weighted(required(self._best_beyond(weights, best).totals), weights)
 
     def _lowered(
-        self, sweep: Sweep, priced: Priced, values: FloatArray
+        self, sweep: Sweep, priced: Priced, values: FloatArray, last: FloatArray
     ) -> tuple[float, FloatArray]:
         """Layered pricing's bound at the start by lowered values, and these, [states].
 
@@ -356,6 +356,7 @@ class OpenEndedPricing(PricingProblem):
             sweep: over the layers.
             priced: with lower bounds beyond the cap.
             values: not to be exceeded, [states].
+            last: the bounds beyond the cap, [nodes].
         """
         layered = self.augmented
         given = values[:-1].reshape(layered.cap + 1, layered.n_nodes)
@@ -363,7 +364,7 @@ class OpenEndedPricing(PricingProblem):
         bound = float(bounds[0])
         if values.size > KEPT_VALUES:
             return bound, np.broadcast_to(np.inf, values.shape)
-        return bound, np.concatenate([kept.ravel(), priced.beyond[0], [bound]])
+        return bound, np.concatenate([kept.ravel(), last, [bound]])
 
     def pulled_back(self, column: Column) -> Policy:
         """The cost-aware policy of a layered choice with an open end."""

@@ -176,7 +176,7 @@ def _lower(
                     stage += one.weight * one.factor * layers.growth[pair]
                     whole += one.weight * one.factor * layers.growth[pair]
                 total, size = stage + total, whole + size
-                if size != max(one.owed[pair], one.saved[pair]):
+                if size != max(one.owed[pair], one.saved[pair], abs(own)):  # else all is one number
                     terms = float(layers.indptr[pair + 1] - layers.indptr[pair]) + 4.0
                     total -= (terms * MACHINE_EPSILON) * size
                 least = min(least, total)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from numbers import Real
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from ssp_lp.dynamic_programming.bellman import best_pairs
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.errors import wrong_argument
-from ssp_lp.policies.policy import Policy
 
 _FIRST_SWEEPS = 16
 _MOST_SWEEPS = 1 << 14
@@ -80,41 +79,6 @@ class BestResponse:
         return objective_weight * self.objective + condition_weight * abs(self.failing)
 
 
-class Player(Protocol):
-    """Finds best responses by dynamic programming; one implementation per construction."""
-
-    def response(
-        self, objective_weight: float, condition_weight: float, accuracy: float
-    ) -> BestResponse:
-        """Best response: a policy of least ``objective_weight J_obj + condition_weight J_cond``.
-
-        All responses of a player count J_cond from the same origin.
-
-        Args:
-            objective_weight: alpha(M_o) of section 3.2 of the paper, not negative.
-            condition_weight: alpha(M_d) * eta / epsilon, not negative.
-            accuracy: largest distance between the policy's payoff and its bound, relative to the
-                payoff's size.
-        """
-        ...
-
-    def policy(self, response: BestResponse) -> Policy:
-        """The best response's policy on the original states."""
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class Discounted:
-    """A discounted decision process with two costs per pair: the operator T_alpha of section 3.5.
-
-    Every transition is scaled by gamma, so that T is a contraction.
-    """
-
-    dynamics: Dynamics
-    costs: FloatArray  # [pairs, costs] non-negative
-    discount: float  # gamma
-
-
 @dataclass(frozen=True, eq=False)
 class Iterated:
     """Result of value iteration: a policy, its exact costs, and a bound below all policies."""
@@ -126,13 +90,15 @@ class Iterated:
 
 
 def iterate_values(
-    process: Discounted,
+    dynamics: Dynamics,
+    costs: FloatArray,
+    discount: float,
     weights: FloatArray,
     watched: FloatArray,
     *,
     accuracy: float,
 ) -> Iterated:
-    """Best response by value iteration: minimise ``weights @ costs``.
+    """Best response by value iteration, T_alpha of section 3.5: minimise ``weights @ costs``.
 
     The iterates ``T^N J_0`` increase to the optimum from ``J_0 = 0``. The greedy policy, improved
     by its own values while that helps, bounds the optimum from above with its exact value; the
@@ -142,15 +108,17 @@ def iterate_values(
     ends too, with the distance that is left.
 
     Args:
-        process: the process.
+        dynamics: every transition scaled by gamma, so that T is a contraction.
+        costs: of each pair, non-negative, [pairs, costs].
+        discount: gamma.
         weights: of the costs, non-negative, [costs].
         watched: how much each node counts when bounds are compared, [nodes].
         accuracy: relative distance of the two bounds to reach.
     """
-    dynamics, pair_cost = process.dynamics, process.costs @ weights
+    pair_cost = costs @ weights
     values = np.zeros(dynamics.n_states)
     best, block, sweeps = -np.inf, _FIRST_SWEEPS, 0
-    rounding = _ROUNDED / (1.0 - process.discount)
+    rounding = _ROUNDED / (1.0 - discount)
     choice: IntArray | None = None
     while True:
         if choice is None:
@@ -158,7 +126,7 @@ def iterate_values(
                 backup = best_pairs(dynamics.pair_offsets, dynamics.transitions, pair_cost, values)
                 values = np.maximum(values, backup.minima)
             choice, sweeps = backup.choice, sweeps + block
-        choice, totals, steps = _improved_response(process, weights, choice)
+        choice, totals, steps = _improved_response(dynamics, costs, weights, choice)
         attained, sweeps = totals @ weights, sweeps + steps
         lifted = sub_solution(dynamics, pair_cost, attained)
         values = np.maximum(lifted, sub_solution(dynamics, pair_cost, values))
@@ -170,13 +138,13 @@ def iterate_values(
 
 
 def _improved_response(
-    process: Discounted, weights: FloatArray, choice: IntArray
+    dynamics: Dynamics, costs: FloatArray, weights: FloatArray, choice: IntArray
 ) -> tuple[IntArray, FloatArray, int]:
     """A best response improved by its own values, its exact costs, and the backups that took."""
-    dynamics, pair_cost, steps = process.dynamics, process.costs @ weights, 0
+    pair_cost, steps = costs @ weights, 0
     offsets, transitions = dynamics.pair_offsets, dynamics.transitions
     while True:
-        totals = dynamics.chain(choice).solve(process.costs[choice])
+        totals = dynamics.chain(choice).solve(costs[choice])
         steps += 1
         backup = best_pairs(offsets, transitions, pair_cost, totals @ weights, choice)
         better = backup.minima < backup.here - IMPROVEMENT * np.abs(backup.here)

@@ -10,11 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from ssp_lp.errors import ModelError, check_between_0_and_1, wrong_argument
-from ssp_lp.game.best_response import BestResponse, Player, check_alpha
+from ssp_lp.game.best_response import BestResponse, check_alpha
+from ssp_lp.game.player import Player
 from ssp_lp.model.arguments import explained
 from ssp_lp.policies import MixedPolicy
 
@@ -72,15 +74,48 @@ class Game:
 
 
 @dataclass(frozen=True, eq=False)
-class Equilibrium:
-    """The value of a game, between two bounds, and the two policies that meet there."""
+class Mixture:
+    """A lottery over two policies, with the weights that solve the 2 x 2 game of section 3.4."""
 
     game: Game
+    minus: BestResponse  # optimal just below alpha*: it fails less and costs more
+    plus: BestResponse  # optimal just above alpha*
+
+    @cached_property
+    def weight(self) -> float:
+        """Weight of ``plus`` in the mixture."""
+        return matrix_game(self.game, self.minus, self.plus)
+
+    @property
+    def objective(self) -> float:
+        """J_obj(x'; z) of the mixture."""
+        return (1.0 - self.weight) * self.minus.objective + self.weight * self.plus.objective
+
+    @property
+    def condition(self) -> float:
+        """J_cond(x'; z) of the mixture."""
+        return (1.0 - self.weight) * self.minus.condition + self.weight * self.plus.condition
+
+    @property
+    def value(self) -> float:
+        """Worst payoff of the mixture over the two MDPs."""
+        return max(self.objective, self.game.scale * self.condition)
+
+    def policy(self, player: Player) -> MixedPolicy:
+        """The mixture on the original states."""
+        weights = np.array([1.0 - self.weight, self.weight])
+        used = np.flatnonzero(weights > 0.0)
+        members = tuple(player.policy((self.minus, self.plus)[k]) for k in used)
+        return MixedPolicy(members, weights[used])
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibrium(Mixture):
+    """The value of a game, between two bounds, and the two policies that meet there."""
+
     alpha: float  # alpha*: the adversary's weight of the objective MDP
     least: float  # J*(alpha), J_cond counted from the origin, is at least this
     most: float  # what the mixture of the two policies pays at most, counted likewise
-    minus: BestResponse  # optimal just below alpha*: it fails less and costs more
-    plus: BestResponse  # optimal just above alpha*
     responses: tuple[BestResponse, ...]  # every policy met on the way
 
     @property
@@ -104,30 +139,12 @@ class Equilibrium:
         return (1.0 - self.alpha) * self.game.scale * self.origin
 
     @property
-    def weight(self) -> float:
-        """Weight of ``plus`` in the equilibrium's mixture."""
-        return matrix_game(self.game, self.minus, self.plus)
-
-    @property
     def failure_price(self) -> float:
         """Price of failure at the equilibrium, in J_obj: (eta / epsilon) (1 - alpha) / alpha.
 
         At c* lambda in case M, kappa in case S.
         """
         return self.game.scale * (1.0 - self.alpha) / self.alpha if self.alpha > 0.0 else np.inf
-
-    def policy(self, player: Player) -> MixedPolicy:
-        """The equilibrium's mixture on the original states."""
-        return _mixture_of_two(player, self.minus, self.plus, self.weight)
-
-
-def _mixture_of_two(
-    player: Player, minus: BestResponse, plus: BestResponse, weight: float
-) -> MixedPolicy:
-    """Mixture that plays ``plus`` in an equilibrium with this weight, on the original states."""
-    weights = np.array([1.0 - weight, weight])
-    used = np.flatnonzero(weights > 0.0)
-    return MixedPolicy(tuple(player.policy((minus, plus)[k]) for k in used), weights[used])
 
 
 def matrix_game(game: Game, minus: BestResponse, plus: BestResponse) -> float:
@@ -202,8 +219,8 @@ def play(
         done = upper - response.bound <= accuracy * size
         stalled = game.payoff(alpha, response) >= upper - 1e-15 * size
         if done or stalled or len(responses) > _MOST_ROUNDS:
-            return Equilibrium(game, alpha, min(response.bound, upper), upper, minus, plus,
-                               tuple(responses))  # fmt: skip
+            bound = min(response.bound, upper)
+            return Equilibrium(game, minus, plus, alpha, bound, upper, tuple(responses))
         if game.rises(response):
             minus = response
         else:
@@ -214,11 +231,10 @@ def unplayed_game(game: Game, responses: Sequence[BestResponse]) -> Equilibrium:
     """Equilibrium from policies met before, where time is up: no bound from below."""
     minus, plus = _closest_to_equilibrium(game, responses)
     if minus is None or plus is None:
-        only = responses[0] if minus is None and plus is None else minus or plus
-        minus = plus = responses[0] if only is None else only
+        minus = plus = minus or plus or responses[0]
     alpha = crossing(game, minus, plus) if minus is not plus else 1.0
     upper = min(game.payoff(alpha, minus), game.payoff(alpha, plus))
-    return Equilibrium(game, alpha, -np.inf, upper, minus, plus, tuple(responses))
+    return Equilibrium(game, minus, plus, alpha, -np.inf, upper, tuple(responses))
 
 
 def _pure_equilibrium(
@@ -227,7 +243,7 @@ def _pure_equilibrium(
     """Pure equilibrium: one policy is optimal and the adversary plays one MDP for sure."""
     upper = game.payoff(alpha, response)
     bound = min(response.bound, upper)
-    return Equilibrium(game, alpha, bound, upper, response, response, tuple(responses))
+    return Equilibrium(game, response, response, alpha, bound, upper, tuple(responses))
 
 
 def _closest_to_equilibrium(
@@ -252,33 +268,13 @@ def _closest_to_equilibrium(
 
 
 @dataclass(frozen=True, eq=False)
-class DeltaMixture:
-    """A lottery over the best responses to alpha* - delta and alpha* + delta (Theorem 3-4)."""
+class DeltaMixture(Mixture):
+    """A lottery over the best responses to alpha* - delta and alpha* + delta (Theorem 3-4).
+
+    Its worst payoff tends to the game's value as delta goes to 0.
+    """
 
     delta: float
-    game: Game
-    minus: BestResponse  # best response to alpha* - delta
-    plus: BestResponse  # best response to alpha* + delta
-    weight: float  # of ``plus``: the player's solution of the 2 x 2 game
-
-    @property
-    def objective(self) -> float:
-        """J_obj(x'; z*_delta) of the lottery near the equilibrium."""
-        return (1.0 - self.weight) * self.minus.objective + self.weight * self.plus.objective
-
-    @property
-    def condition(self) -> float:
-        """J_cond(x'; z*_delta) of the lottery near the equilibrium."""
-        return (1.0 - self.weight) * self.minus.condition + self.weight * self.plus.condition
-
-    @property
-    def value(self) -> float:
-        """Worst payoff of the lottery near the equilibrium; the game's value as delta goes to 0."""
-        return max(self.objective, self.game.scale * self.condition)
-
-    def policy(self, player: Player) -> MixedPolicy:
-        """The lottery near the equilibrium on the original states."""
-        return _mixture_of_two(player, self.minus, self.plus, self.weight)
 
 
 def delta_mixture(player: Player, game: Game, alpha: float, delta: float) -> DeltaMixture:
@@ -303,4 +299,4 @@ def delta_mixture(player: Player, game: Game, alpha: float, delta: float) -> Del
         raise wrong_argument("delta", "be above 0", delta)
     minus = game.best_response(player, max(alpha - delta, 0.0), _ACCURACY)
     plus = game.best_response(player, min(alpha + delta, 1.0), _ACCURACY)
-    return DeltaMixture(delta, game, minus, plus, matrix_game(game, minus, plus))
+    return DeltaMixture(game, minus, plus, delta)

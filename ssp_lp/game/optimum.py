@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 
-from ssp_lp.accumulated_cost.process import AccumulatedCost, accumulate_cost
+from ssp_lp.accumulated_cost.process import accumulate_cost
 from ssp_lp.accumulated_cost.totals import resolution_of_costs
 from ssp_lp.arrays import LEAST_BUDGET, FloatArray, IntArray
 from ssp_lp.column_generation.compiled_problem import unreachable
@@ -25,9 +24,8 @@ from ssp_lp.errors import (
     check_between_0_and_1,
     wrong_argument,
 )
-from ssp_lp.game.best_response import BestResponse, Player, check_alpha
-from ssp_lp.game.cost_player import BayesCostPlayer, CappedCostPlayer, CostPlayer
-from ssp_lp.game.label_player import BayesLabelPlayer, LabelModels, LabelPlayer, label_models
+from ssp_lp.game.best_response import BestResponse, check_alpha
+from ssp_lp.game.player import BayesPlayer, Player, label_process
 from ssp_lp.game.threshold import Threshold, extremes, find_threshold
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import dead_ends
@@ -96,21 +94,23 @@ def check_budget(
     )
 
 
-def construct(problem: Problem) -> LabelModels | AccumulatedCost:
-    """Construct the game's M_o and M_{d,gamma} of section 3.1: in case M labelled.
+def construct(kind: type[Player], problem: Problem, tail: float | None = None) -> Player:
+    """Construct the game's M_o and M_{d,gamma} of section 3.1, and the player on both.
 
     Raises:
         ModelError: no discount, or a budget that is not above 0.
         InfeasibleError: case S, and the goal cannot be reached from the start.
     """
     discount, problem = checked_setting(problem)[1], problem.unrolled
-    start = start_distribution(problem.model, problem.start)
+    model, start = problem.model, start_distribution(problem.model, problem.start)
     if not problem.ratio:
-        return label_models(problem.model, start, problem.semantics, discount)
-    if not (start[~dead_ends(problem.model)] > 0.0).any():
-        raise unreachable(problem.model, start, problem.failure_budget, discount)
-    by_steps = resolution_of_costs(problem.model) is not None
-    return accumulate_cost(problem.model, start, discount, by_steps=by_steps)
+        later = 1.0 if kind is BayesPlayer else discount
+        base, paid = label_process(model, start, problem.semantics, discount, later=later)
+        return kind(base, counts_total=False, start_cost=paid)
+    if not (start[~dead_ends(model)] > 0.0).any():
+        raise unreachable(model, start, problem.failure_budget, discount)
+    by_steps = resolution_of_costs(model) is not None
+    return kind(accumulate_cost(model, start, discount, by_steps=by_steps), tail=tail)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -167,7 +167,7 @@ def find_optimum(
     budget, share, best, is_least = float(problem.failure_budget or 0.0), 1.0, None, True
     spent, room = budget, None
     responses = extremes(player, 0.1 * tolerance)
-    check_budget(problem, budget, responses[0], tail_of(player))
+    check_budget(problem, budget, responses[0], player.tail)
     if problem.ratio:
         best, responses, is_least = _least_ratio(player, responses, tolerance)
         at_goal = best.condition == 0.0  # from the start on: c* of every epsilon' is 0
@@ -179,7 +179,7 @@ def find_optimum(
     c, lower = threshold.high, threshold.low
     is_slack = best is not None and best.failing <= budget - best.origin
     if is_slack or not (best is None or is_least or best.ratio < lower):
-        lower = _slack_bound_of_optimum(cast(_Surplus, player), c, budget, tolerance)
+        lower = _slack_bound_of_optimum(player, c, budget, tolerance)
     if is_slack:
         return GameSolution(problem, player, threshold, spent, c, lower, alpha=share, price=c)
     return GameSolution(
@@ -188,9 +188,7 @@ def find_optimum(
     )  # fmt: skip
 
 
-def _slack_bound_of_optimum(
-    player: _Surplus, ratio: float, budget: float, tolerance: float
-) -> float:
+def _slack_bound_of_optimum(player: Player, ratio: float, budget: float, tolerance: float) -> float:
     """Ratio a little below the game's optimum, such that every policy is seen to have more.
 
     There it is strictly best to fail, by a margin that no rounding reaches. Where rounding does
@@ -249,14 +247,8 @@ def _least_ratio(
     return best, tuple(tried), False
 
 
-_Surplus = CostPlayer | CappedCostPlayer | BayesCostPlayer
-"""The players of case S."""
-
-
 @explained
-def stationary_player(
-    problem: Problem, tail: float | None = None
-) -> LabelPlayer | CostPlayer | CappedCostPlayer:
+def stationary_player(problem: Problem, tail: float | None = None) -> Player:
     """Player of the game for the optimum: operator T_alpha of the problem's case.
 
     Args:
@@ -270,15 +262,7 @@ def stationary_player(
     """
     if tail is not None and not problem.ratio:
         raise wrong_argument("tail", "be None in case M, whose states hold no cost paid", tail)
-    built = construct(problem)
-    if isinstance(built, LabelModels):
-        return LabelPlayer(built)
-    return CostPlayer.of(built) if tail is None else CappedCostPlayer(built, check_tail(tail))
-
-
-def tail_of(player: Player) -> float | None:
-    """M of a player that follows pi'_or once it is paid; None: another one."""
-    return player.cap if isinstance(player, CappedCostPlayer) else None
+    return construct(Player, problem, None if tail is None else check_tail(tail))
 
 
 @explained
@@ -320,7 +304,7 @@ def value_function(solution: GameSolution) -> FloatArray:
         ModelError: not a solution of ``stationary_game``.
     """
     player, members = solution.player, solution.threshold.members
-    if not isinstance(player, LabelPlayer | CostPlayer):
+    if isinstance(player, BayesPlayer) or player.tail is not None:
         raise ModelError("only the stationary game has a value function of the state")
     with WithIncumbent(), closing():
         return player.value_function(solution.price)
@@ -364,15 +348,14 @@ def thresholds(
 
 
 @explained
-def bayes_player(problem: Problem) -> BayesLabelPlayer | BayesCostPlayer:
+def bayes_player(problem: Problem) -> Player:
     """Player of the Bayes-adaptive game for the optimum: operator T of section 3.3.
 
     Raises:
         ModelError: no discount, or a budget that is not above 0.
         InfeasibleError: case S, and the goal cannot be reached from the start.
     """
-    built = construct(problem)
-    return BayesLabelPlayer(built) if isinstance(built, LabelModels) else BayesCostPlayer(built)
+    return construct(BayesPlayer, problem)
 
 
 @explained

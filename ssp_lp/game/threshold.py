@@ -9,8 +9,9 @@ import numpy as np
 
 from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON
 from ssp_lp.compiled.deadline import WithIncumbent, is_late
-from ssp_lp.game.best_response import BestResponse, Player
+from ssp_lp.game.best_response import BestResponse
 from ssp_lp.game.equilibrium import Equilibrium, Game, play, unplayed_game
+from ssp_lp.game.player import Player
 from ssp_lp.options import Progress
 
 _STEEP = (1e3, 1e6, 1e9)

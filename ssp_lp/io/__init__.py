@@ -25,10 +25,7 @@ from ssp_lp.io.matrices import from_matrices as from_matrices
 from ssp_lp.io.model_files.drn import read_drn as read_drn, write_drn as write_drn
 from ssp_lp.io.model_files.raw_model import ModelFile as ModelFile
 from ssp_lp.io.model_files.umb import read_umb as read_umb, write_umb as write_umb
-from ssp_lp.io.storm_models import (
-    from_stormpy as from_stormpy,
-    read_with_storm as read_with_storm,
-)
+from ssp_lp.io.storm_models import from_stormpy as from_stormpy, read_with_storm as read_with_storm
 
 __all__ = sorted(
     name

@@ -10,12 +10,7 @@ from ssp_lp.errors import Argument, ModelError, did_you_mean
 from ssp_lp.io.archives import load_model, save_model
 from ssp_lp.io.model_files.drn import read_drn, write_drn
 from ssp_lp.io.model_files.json_model import StatedModel, model_in_json, read_json
-from ssp_lp.io.model_files.raw_model import (
-    FIRST_COST,
-    ModelFile,
-    chosen_reward,
-    write_text,
-)
+from ssp_lp.io.model_files.raw_model import FIRST_COST, ModelFile, chosen_reward, write_text
 from ssp_lp.io.model_files.umb import read_umb, write_umb
 from ssp_lp.io.storm_models import Constants, read_with_storm
 from ssp_lp.model import SSP

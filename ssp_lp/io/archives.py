@@ -427,7 +427,7 @@ class _PolicyRecords:
             masks["stops"] = self.add_array(labelled.stops[:n])
             label = {**masks, "charges": labelled.charges}
         if isinstance(stated, HorizonSSP):
-            begin = np.flatnonzero(stated.positions[:, 0] >= 0)
+            begin = np.flatnonzero(stated.table[:, 0] >= 0)
             horizon = {
                 "steps": stated.steps,
                 "begin": self.add_array(begin),

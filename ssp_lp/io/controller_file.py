@@ -14,9 +14,7 @@ from ssp_lp.arrays import segment_ids
 from ssp_lp.errors import ModelError
 from ssp_lp.io.archives import are_numbers_in_turn, fingerprint, label_value
 from ssp_lp.io.controller import GIVE_UP as GIVE_UP_WORD, controller_checksum
-from ssp_lp.io.model_files.raw_model import (
-    FilePath,
-)
+from ssp_lp.io.model_files.raw_model import FilePath
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.failure_product import FailureSSP
 from ssp_lp.model.graph import dead_ends

@@ -11,16 +11,7 @@ from itertools import islice, repeat
 from numbers import Integral
 from os import PathLike
 from types import NoneType, SimpleNamespace, UnionType
-from typing import (
-    Any,
-    Literal,
-    ParamSpec,
-    TypeVar,
-    Union,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 import numpy.typing as npt

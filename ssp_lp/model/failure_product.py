@@ -9,9 +9,9 @@ its actions and the same actions with giving up, as far as these avoid the goal.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Final
 
 import numpy as np
@@ -19,7 +19,7 @@ import numpy as np
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, entries_of, offsets_of, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model.graph import dead_ends, end_components, end_marks, pairs_into, surely_ending
-from ssp_lp.model.product import Label, Memory, ProductSSP
+from ssp_lp.model.product import Memory, ProductSSP, ProductStates, copied_parts
 from ssp_lp.model.ssp import SSP
 
 BEFORE: Final = "before failing"
@@ -32,39 +32,12 @@ GIVING_UP: Final = "give up"
 """First part of the name of an action that is taken with giving up: ("give up", action)."""
 
 
-@dataclass(frozen=True)
-class _LabelledStates(Sequence[Label]):
-    """The states (x, BEFORE) in the order of the model, then (x, AFTER)."""
-
-    names: Sequence[Hashable]
-
-    def __len__(self) -> int:
-        return 2 * len(self.names)
-
-    def __getitem__(self, index: Any) -> Any:
-        if isinstance(index, slice):
-            return [self[k] for k in range(*index.indices(len(self)))]
-        place = range(len(self))[index]
-        after, state = divmod(place, len(self.names))
-        return self.names[state], AFTER if after else BEFORE
-
-    def __iter__(self) -> Iterator[Label]:
-        yield from ((name, BEFORE) for name in self.names)
-        yield from ((name, AFTER) for name in self.names)
-
-
-@dataclass(frozen=True, eq=False)
-class _LabelMoves:
-    """Moves of the label of failing with a step."""
-
-    model: SSP
-    fails: BoolArray  # [states] where every step takes the label
-
-    def after(self, label: str, state: Any, action: Any, successor: Any, cost: float) -> str:
-        """Label of failing after a step: AFTER once it is, on giving up, and from dead-ends on."""
-        gives_up = isinstance(action, tuple) and action[:1] == (GIVING_UP,)
-        failed = label == AFTER or gives_up or self.fails[self.model.index_of(state)]
-        return AFTER if failed else BEFORE
+def _label_after(
+    model: SSP, fails: BoolArray, label: str, state: Any, action: Any, successor: Any, cost: float
+) -> str:
+    """Label of failing after a step: AFTER once it is, on giving up, and from dead-ends on."""
+    gives_up = isinstance(action, tuple) and action[:1] == (GIVING_UP,)
+    return AFTER if label == AFTER or gives_up or fails[model.index_of(state)] else BEFORE
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -93,24 +66,9 @@ class FailureSSP(ProductSSP):
         return self.original.n_states
 
     @cached_property
-    def original_state(self) -> IntArray:
-        """State of the original of each labelled one, [states]."""
-        return np.tile(np.arange(self.n_original), 2)
-
-    @cached_property
     def original_outcome(self) -> IntArray:
         """Outcome of the original of each labelled one, [outcomes]."""
         return np.asarray(entries_of(self.original.outcome_offsets, self.original_pair)[0])
-
-    @cached_property
-    def memories(self) -> tuple[Hashable, ...]:
-        """Labels of failing: before and after."""
-        return BEFORE, AFTER
-
-    @cached_property
-    def table(self) -> IntArray:
-        """State of the failure product for each state and label, [states, 2]."""
-        return np.arange(2 * self.n_original).reshape(2, -1).T
 
     @cached_property
     def is_open(self) -> BoolArray:
@@ -180,13 +138,6 @@ class FailureSSP(ProductSSP):
         """Pairs of the original that may stay for ever after failing, [pairs]."""
         return self.original_pair[self._staying & self.after[self.pair_state]]
 
-    def find(self, state: Hashable) -> int | None:
-        """Index of the failure product's state (state, BEFORE or AFTER), None if there is none."""
-        if not (isinstance(state, tuple) and len(state) == 2 and state[1] in (BEFORE, AFTER)):
-            return None
-        here = self.original.find(state[0])
-        return None if here is None else here + (self.n_original if state[1] == AFTER else 0)
-
     def having(self, states: IntArray, action: Hashable) -> IntArray:
         """States of the failure product with an action; all of them where none has it."""
         number = [name == action for name in self.action_names]
@@ -243,11 +194,7 @@ class FailureSSP(ProductSSP):
 
 
 def label_failing(
-    model: SSP,
-    open_pairs: BoolArray,
-    stops: BoolArray,
-    charged: BoolArray,
-    free_pairs: BoolArray,
+    model: SSP, open_pairs: BoolArray, stops: BoolArray, charged: BoolArray, free_pairs: BoolArray
 ) -> FailureSSP:
     """Build the product with the label of failing, in which runs go on after it.
 
@@ -273,26 +220,25 @@ def label_failing(
     gives_up = fails & ~dead_ends(model)[state[original_pair]]
     names = model.action_names
     own = model.pair_action[original_pair].astype(np.int64)
+    label, original_state = (read_only(part) for part in np.divmod(np.arange(2 * n), n))
+    parts = copied_parts(model, original_pair, outcome) | {
+        "action_names": (*names, *((GIVING_UP, name) for name in names)),
+        "pair_action": read_only(own + len(names) * gives_up),
+    }
     return FailureSSP(
-        states=_LabelledStates(model.states),
-        action_names=(*names, *((GIVING_UP, name) for name in names)),
-        pair_action=read_only(own + len(names) * gives_up),
+        **parts,
+        states=ProductStates(model.states, (BEFORE, AFTER), original_state, label),
         pair_offsets=read_only(
             offsets_of(np.bincount(state[original_pair] + n * after, minlength=2 * n))
         ),
         outcome_offsets=read_only(offsets_of(lengths)),
         successors=read_only(model.successors[outcome] + n * failed, np.int32),
-        probabilities=read_only(model.probabilities[outcome]),
-        costs=read_only(model.costs[outcome]),
         goal_mask=read_only(np.append(model.goal_mask, np.zeros(n, dtype=np.bool_))),
         state_labels={
             name: read_only(np.append(members, members + n))
             for name, members in model.state_labels.items()
         },
-        exact_costs=model.exact_costs,
-        named_costs={n: read_only(costs[outcome]) for n, costs in model.named_costs.items()},
-        original=model,
-        memory=Memory(BEFORE, _LabelMoves(model, dead_ends(model) & is_open).after),
+        memory=Memory(BEFORE, partial(_label_after, model, dead_ends(model) & is_open)),
         is_hidden=True,
         open_pairs=read_only(open_pairs),
         stops=read_only(np.append(stops, np.zeros(n, dtype=np.bool_))),

@@ -29,7 +29,7 @@ from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import Argument, ModelError, check_whole, did_you_mean, wrong_argument
 from ssp_lp.model.arguments import check_fields, explained, explained_class
 from ssp_lp.model.graph import dead_ends
-from ssp_lp.model.ssp import SSP, Costs, check_model, no_lone_string
+from ssp_lp.model.ssp import SSP, check_model, no_lone_string
 
 MEMORY_FAILS = "memory fails"
 """Label of states where the memory fails."""
@@ -83,6 +83,28 @@ class Memory:
         check_fields(self)
 
 
+@dataclass(frozen=True)
+class ProductStates(Sequence[Label]):
+    """The states (state, memory) of a product, made when they are asked for."""
+
+    names: Sequence[Hashable]  # the original's states
+    memories: tuple[Hashable, ...]
+    state: IntArray  # [states] of the original
+    number: IntArray  # [states] position in memories
+
+    def __len__(self) -> int:
+        return len(self.state)
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, slice):
+            return ProductStates(self.names, self.memories, self.state[index], self.number[index])
+        return self.names[int(self.state[index])], self.memories[int(self.number[index])]
+
+    def __iter__(self) -> Iterator[Label]:
+        for state, number in zip(self.state.tolist(), self.number.tolist(), strict=True):
+            yield self.names[state], self.memories[number]
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class ProductSSP(SSP):
     """A model whose states are (state, memory); see :func:`product`.
@@ -114,15 +136,20 @@ class ProductSSP(SSP):
             self.index_of(label, "start")
         return distribution
 
-    @cached_property
+    @property
+    def labels(self) -> ProductStates:
+        """The product's states, (state, memory) each."""
+        return cast("ProductStates", self.states)
+
+    @property
     def original_state(self) -> IntArray:
         """State of the original of each state of the product, [states]."""
-        return np.array([self.original.index_of(state) for state, _ in self._labels])
+        return self.labels.state
 
-    @cached_property
+    @property
     def memories(self) -> tuple[Hashable, ...]:
-        """Memories that occur in the product, in the order in which they do."""
-        return tuple(dict.fromkeys(memory for _, memory in self._labels))
+        """Memories that occur in the product: those of a horizon are counts, and :data:`LATE`."""
+        return self.labels.memories
 
     @cached_property
     def original_pair(self) -> IntArray:
@@ -165,11 +192,6 @@ class ProductSSP(SSP):
             return super().hint(state)
         return f": its states are (state, memory), start({state!r}) is where it begins"
 
-    @property
-    def _labels(self) -> Sequence[Label]:
-        """The product's states, (state, memory) each."""
-        return cast("Sequence[Label]", self.states)
-
     @cached_property
     def memory_number(self) -> dict[Hashable, int]:
         """Position of each of the product's memories in ``memories``."""
@@ -179,9 +201,41 @@ class ProductSSP(SSP):
     def table(self) -> IntArray:
         """State of the product for each state and memory, -1: none, [states, memories]."""
         table = np.full((self.original.n_states, len(self.memories)), -1, dtype=np.int64)
-        number = [self.memory_number[memory] for _, memory in self._labels]
-        table[self.original_state, number] = np.arange(self.n_states)
-        return table
+        table[self.original_state, self.labels.number] = np.arange(self.n_states)
+        return read_only(table)
+
+    def find(self, state: Hashable) -> int | None:
+        """Index of the product's state (state, memory), None if there is none."""
+        if not (isinstance(state, tuple) and len(state) == 2):
+            return None
+        here = self.original.find(state[0])
+        try:
+            number = self.memory_number.get(state[1])
+        except TypeError:  # a list, say
+            return None
+        if here is None or number is None:
+            return None
+        place = int(self.table[here, number])
+        return place if place >= 0 else None
+
+
+def copied_parts(model: SSP, pairs: IntArray, outcomes: IntArray) -> dict[str, Any]:
+    """Fields of a product that are copies of the model's.
+
+    Args:
+        model: the model.
+        pairs: of the model, that the product's are copies of, [product pairs].
+        outcomes: likewise, [product outcomes].
+    """
+    return {
+        "action_names": model.action_names,
+        "pair_action": read_only(model.pair_action[pairs]),
+        "probabilities": read_only(model.probabilities[outcomes]),
+        "costs": read_only(model.costs[outcomes]),
+        "exact_costs": model.exact_costs,
+        "named_costs": {name: read_only(c[outcomes]) for name, c in model.named_costs.items()},
+        "original": model,
+    }
 
 
 @explained
@@ -220,8 +274,8 @@ def product(
         """Whether the memory accepts it, too."""
         return is_at_goal(label) and bool(memory.accepts(label[1]))
 
-    def successors(label: Label) -> dict[Hashable, list[tuple[float, Label, Costs]]]:
-        """What each action of the original leads to; nothing where the episode is over."""
+    def successors(label: Label) -> dict[Hashable, list[tuple[float, Label, float]]]:
+        """Ends of each action of the original, with the number of the outcome as its cost."""
         if is_at_goal(label) or memory.fails(label[1]):
             return {}
         state, kept = label
@@ -234,56 +288,53 @@ def product(
             rows = zip(range(*bounds), *(array.tolist() for array in arrays), strict=True)
             ends = [(p, model.states[to], cost, k) for k, p, to, cost in rows if p > 0.0]
             actions[action] = [
-                (p, (to, memory.update(kept, state, action, to, cost)), _priced(model, cost, k))
+                (p, (to, memory.update(kept, state, action, to, cost)), float(k))
                 for p, to, cost, k in ends
             ]
         return actions
 
-    own: dict[str, Callable[[Label], bool]] = {
-        MEMORY_FAILS: lambda label: bool(memory.fails(label[1])),
-        NOT_ACCEPTED: lambda label: is_at_goal(label) and not is_goal(label),
-    }
     begin = model.states if start is None else no_lone_string(start, "start")
     plain = SSP.from_successors(
         [(state, memory.start) for state in begin],
         successors,
         is_goal,
-        cost=_OWN if model.named_costs else None,
         state_limit=state_limit,
-        state_labels=_labels_in_product(model, own),
         treat_actionless_as_dead_ends=True,
     )
+    labels = cast("Sequence[Label]", plain.states)
+    memories = {kept: k for k, kept in enumerate(dict.fromkeys(kept for _, kept in labels))}
+    state = np.array([model.index_of(name) for name, _ in labels])
+    number = np.array([memories[kept] for _, kept in labels])
+    at_goal = np.array([is_at_goal(label) for label in labels])
+    own = {
+        MEMORY_FAILS: np.array([bool(memory.fails(kept)) for kept in memories])[number],
+        NOT_ACCEPTED: at_goal & ~plain.goal_mask,
+    }
     fields = {name: getattr(plain, name) for name in SSP.__dataclass_fields__}
-    outcome = plain.named_costs.get(_OUTCOME, plain.costs[:0]).astype(np.int64)
-    named = {name: read_only(costs[outcome]) for name, costs in model.named_costs.items()}
-    fields |= {"exact_costs": model.exact_costs, "named_costs": named}
-    return ProductSSP(**fields, original=model, memory=memory)
-
-
-_OWN, _OUTCOME = "own", "outcome"  # what an outcome costs while a product is built
-
-
-def _priced(model: SSP, cost: float, outcome: int) -> Costs:
-    """A cost, and where others have names the number of its outcome, by which they are found."""
-    return {_OWN: cost, _OUTCOME: outcome} if model.named_costs else cost
+    copied = copied_parts(model, np.zeros(0, dtype=np.int64), plain.costs.astype(np.int64))
+    fields |= {name: copied[name] for name in ("costs", "exact_costs", "named_costs", "original")}
+    fields |= {
+        "states": ProductStates(model.states, tuple(memories), read_only(state), read_only(number)),
+        "state_labels": _labels_in_product(model, state, own),
+    }
+    return ProductSSP(**fields, memory=memory)
 
 
 def _labels_in_product(
-    model: SSP, own: Mapping[str, Callable[[Label], bool]]
-) -> dict[str, Callable[[Label], bool]]:
-    """The labels of the original, and why an episode failed, ``own``; a label may say both."""
-    labels = dict(own)
+    model: SSP, state: IntArray, own: Mapping[str, BoolArray]
+) -> dict[str, IntArray]:
+    """The labels of the original's states in a product, and its own; a label may say both.
+
+    Args:
+        model: the original.
+        state: of the original, of each state of the product, [states].
+        own: label -> the product's states that bear it, [states].
+    """
+    marked = dict(own)
     for name, members in model.state_labels.items():
-        among = frozenset(model.states[k] for k in members.tolist())
-        labels[name] = partial(_is_labelled, among, own.get(name, _never_in_product))
-    return labels
-
-
-def _is_labelled(
-    among: frozenset[Hashable], otherwise: Callable[[Label], bool], label: Label
-) -> bool:
-    """Whether a state of the product bears a label of the original's, or one of its own."""
-    return label[0] in among or otherwise(label)
+        among = np.isin(state, members)
+        marked[name] = among | marked[name] if name in marked else among
+    return {name: read_only(np.flatnonzero(mask)) for name, mask in marked.items()}
 
 
 def check_product(model: SSP) -> ProductSSP:
@@ -305,45 +356,18 @@ LATE: Final = "out of time"
 """The memory of an episode that has used up its steps, and the label of the states it ends in."""
 
 
-@dataclass(frozen=True)
-class _StepCount:
-    """Moves of the count of steps."""
-
-    model: SSP
-    steps: int
-
-    def after(self, count: int, state: Any, action: Any, successor: Any, cost: float) -> Hashable:
-        """Steps counted by the product: one more, or :data:`LATE` after the last."""
-        there = self.model.index_of(successor)
-        goes_on = self.model.pair_offsets[there] < self.model.pair_offsets[there + 1]
-        return LATE if goes_on and count + 1 >= self.steps else count + 1
+def _steps_after(
+    model: SSP, steps: int, count: int, state: Any, action: Any, successor: Any, cost: float
+) -> Hashable:
+    """Steps counted by the product: one more, or :data:`LATE` after the last."""
+    there = model.index_of(successor)
+    goes_on = model.pair_offsets[there] < model.pair_offsets[there + 1]
+    return LATE if goes_on and count + 1 >= steps else count + 1
 
 
 def _is_late(memory: Hashable) -> bool:
     """Whether the product's count of steps is used up."""
     return memory == LATE
-
-
-@dataclass(frozen=True)
-class _StepLabels(Sequence[Label]):
-    """The labels (state, count) of a horizon's states, made when they are asked for."""
-
-    names: Sequence[Hashable]  # the original's states
-    counts: tuple[Hashable, ...]  # 0 .. steps, LATE
-    state: IntArray  # [states] of the original
-    taken: IntArray  # [states] position in counts
-
-    def __len__(self) -> int:
-        return len(self.state)
-
-    def __getitem__(self, index: Any) -> Any:
-        if isinstance(index, slice):
-            return _StepLabels(self.names, self.counts, self.state[index], self.taken[index])
-        return self.names[int(self.state[index])], self.counts[int(self.taken[index])]
-
-    def __iter__(self) -> Iterator[Label]:
-        for state, count in zip(self.state.tolist(), self.taken.tolist(), strict=True):
-            yield self.names[state], self.counts[count]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -352,30 +376,6 @@ class HorizonSSP(ProductSSP):
 
     steps: int = field(kw_only=True)
     survive: tuple[str, ...] | None = field(kw_only=True, default=None)  # :func:`within_steps`
-    positions: IntArray = field(kw_only=True)  # [states, counts] the product's state, -1 for none
-
-    @cached_property
-    def original_state(self) -> IntArray:
-        """State of the original of each (state, count) of the product, [states]."""
-        return self._step_labels.state
-
-    @cached_property
-    def memories(self) -> tuple[Hashable, ...]:
-        """Counts of steps in the product within a horizon, and :data:`LATE`."""
-        return self._step_labels.counts
-
-    @cached_property
-    def table(self) -> IntArray:
-        """State of the horizon's product for each state and count, -1: none, [states, counts]."""
-        return self.positions
-
-    def find(self, state: Hashable) -> int | None:
-        """Index of the horizon's product state (state, count), None if there is none."""
-        if not (isinstance(state, tuple) and len(state) == 2 and state[1] in self.memory_number):
-            return None
-        here = self.original.find(state[0])
-        place = -1 if here is None else int(self.positions[here, self.memory_number[state[1]]])
-        return place if place >= 0 else None
 
     def stepped(self, states: IntArray, successors: IntArray) -> IntArray:
         """States of the horizon's product after steps to the original's, -1: none, [episodes].
@@ -384,14 +384,9 @@ class HorizonSSP(ProductSSP):
             states: of this model, in which the steps began, [episodes].
             successors: of the original, in which they ended, [episodes].
         """
-        count = self._step_labels.taken[states].astype(np.int64) + 1
+        count = self.labels.number[states].astype(np.int64) + 1
         over = (count == self.steps) & (np.diff(self.original.pair_offsets)[successors] > 0)
-        return np.asarray(self.positions[successors, np.where(over, self.steps + 1, count)])
-
-    @property
-    def _step_labels(self) -> _StepLabels:
-        """States of the product within the horizon, (state, steps taken) each."""
-        return cast("_StepLabels", self.states)
+        return np.asarray(self.table[successors, np.where(over, self.steps + 1, count)])
 
 
 @explained
@@ -458,10 +453,7 @@ def within_steps(
 
 
 def unroll_steps(
-    model: SSP,
-    steps: int,
-    begin: Sequence[int] | None,
-    survive: tuple[str, ...] | None = None,
+    model: SSP, steps: int, begin: Sequence[int] | None, survive: tuple[str, ...] | None = None
 ) -> HorizonSSP:
     """The model of :func:`within_steps`, whether a goal can be reached in it or not.
 
@@ -492,39 +484,25 @@ def unroll_steps(
 
     over = (step == steps) & (np.diff(model.pair_offsets)[state] > 0)
     count = np.where(over, steps + 1, step).astype(least_integer_type(steps + 1))
-    table = np.full((model.n_states, steps + 2), -1, dtype=np.int64)
-    table[state, count] = np.arange(len(state))
-    marked = (
-        {} if survive is not None else {LATE: _steps_needed(model, steps)[state] > steps - step}
-    )
-    for name, members in model.state_labels.items():
-        among = np.isin(state, members)
-        marked[name] = among | marked[name] if name in marked else among
+    late = {} if survive is not None else {LATE: _steps_needed(model, steps)[state] > steps - step}
     lost = np.concatenate([[], *(model.state_labels[name] for name in survive or ())])
     survived = over & ~np.isin(state, lost) & (survive is not None)
     check_time()
     horizon = HorizonSSP(
-        states=_StepLabels(model.states, (*range(steps + 1), LATE), read_only(state), count),
-        action_names=model.action_names,
-        pair_action=read_only(model.pair_action[pairs]),
+        **copied_parts(model, pairs, outcomes),
+        states=ProductStates(model.states, (*range(steps + 1), LATE), read_only(state), count),
         pair_offsets=read_only(offsets_of(actions)),
         outcome_offsets=read_only(offsets_of(ends)),
         successors=read_only(successors, np.int32),
-        probabilities=read_only(model.probabilities[outcomes]),
-        costs=read_only(model.costs[outcomes]),
         goal_mask=read_only(model.goal_mask[state] | survived),
-        state_labels={name: read_only(np.flatnonzero(mask)) for name, mask in marked.items()},
-        exact_costs=model.exact_costs,
-        named_costs={n: read_only(costs[outcomes]) for n, costs in model.named_costs.items()},
-        original=model,
+        state_labels=_labels_in_product(model, state, late),
         memory=Memory(
             start=0,
-            update=_StepCount(model, steps).after,
+            update=partial(_steps_after, model, steps),
             fails=_is_late if survive is None else _never_in_product,
         ),
         steps=steps,
         survive=survive,
-        positions=read_only(table),
     )
     _BUILDING.info("%r", horizon)
     return horizon

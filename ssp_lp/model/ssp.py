@@ -32,14 +32,7 @@ from ssp_lp.arrays import (
     pieces_of_chunks,
     read_only,
 )
-from ssp_lp.errors import (
-    Argument,
-    ModelError,
-    ModelWarning,
-    check_whole,
-    did_you_mean,
-    in_short,
-)
+from ssp_lp.errors import Argument, ModelError, ModelWarning, check_whole, did_you_mean, in_short
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import Graph, dead_ends as lost_states, end_components
 from ssp_lp.model.report import Table
@@ -417,7 +410,10 @@ class SSP(Graph, ReadOnlyCopies):
             state_labels={},
             exact_costs=dict(exact_costs or {}),
         )
-        _check_outcomes(draft)
+        refused = "has a successor that is no state"
+        _refuse_outcomes(draft, target, lambda s: (s < 0) | (s >= n_states), refused)
+        _check_numbers(draft, chance, "probability")
+        _check_costs(draft, draft.costs)
         named = {name: _costs_of_outcomes(c, outcomes) for name, c in (named_costs or {}).items()}
         for name, costs_of_name in named.items():
             _check_costs(draft, costs_of_name, name)
@@ -823,53 +819,28 @@ def check_offsets(name: str, offsets: IntArray, end: int) -> None:
         raise ModelError(f"{name} decreases at position {int(np.argmax(falls))}")
 
 
-def _check_outcomes(model: SSP) -> None:
-    """Check each outcome of a model: known successor, probability in [0, 1], finite cost >= 0.
-
-    Raises:
-        ModelError: naming the first outcome at fault.
-    """
-    chances, n_states = model.probabilities, model.n_states
-    _check_rules(
-        model,
-        [
-            (
-                model.successors,
-                lambda s: (s < 0) | (s >= n_states),
-                "has a successor that is no state",
-            ),
-            (chances, np.isnan, "has a probability that is NaN"),
-            (chances, lambda p: p < 0, "has a negative probability"),
-            (chances, np.isinf, "has an infinite probability"),
-        ],
-    )
-    _check_costs(model, model.costs)
-
-
 def _check_costs(model: SSP, costs: FloatArray, name: str = "") -> None:
     """Raise :class:`ModelError`, naming the first outcome at fault, unless costs can be paid."""
     paid = costs[:1] if costs.strides == (0,) else costs  # one number for all
-    said = f" {name!r}" if name else ""
-    _check_rules(
-        model,
-        [
-            (paid, np.isnan, f"has a cost{said} that is NaN"),
-            (paid, lambda c: c < 0, f"has a negative cost{said}: {_NO_REWARDS}"),
-            (paid, np.isinf, f"has an infinite cost{said}"),
-        ],
-    )
+    _check_numbers(model, paid, f"cost {name!r}" if name else "cost", f": {_NO_REWARDS}")
 
 
-def _check_rules(
-    model: SSP, rules: Iterable[tuple[npt.NDArray[Any], Callable[[Any], BoolArray], str]]
+def _check_numbers(model: SSP, numbers: FloatArray, what: str, remedy: str = "") -> None:
+    """Raise :class:`ModelError` for a number of a model's outcome that is not finite and >= 0."""
+    _refuse_outcomes(model, numbers, np.isnan, f"has a {what} that is NaN")
+    _refuse_outcomes(model, numbers, lambda x: x < 0, f"has a negative {what}{remedy}")
+    _refuse_outcomes(model, numbers, np.isinf, f"has an infinite {what}")
+
+
+def _refuse_outcomes(
+    model: SSP, values: npt.NDArray[Any], is_broken: Callable[[Any], BoolArray], complaint: str
 ) -> None:
-    """Raise :class:`ModelError` for the first outcome whose value breaks the first broken rule."""
-    for values, is_broken, complaint in rules:
-        for some in chunks(values.size):
-            broken = is_broken(values[some])
-            if broken.any():
-                outcome = some.start + int(np.argmax(broken))
-                raise ModelError(f"{model._describe_outcome(outcome)} {complaint}")
+    """Raise :class:`ModelError` for the first outcome of a model whose value is broken."""
+    for some in chunks(values.size):
+        broken = is_broken(values[some])
+        if broken.any():
+            outcome = some.start + int(np.argmax(broken))
+            raise ModelError(f"{model._describe_outcome(outcome)} {complaint}")
 
 
 def _with_unit_sums(model: SSP, normalise: bool) -> FloatArray:
@@ -963,16 +934,10 @@ def _check_idle_states(model: SSP, dead_ends: DeadEnds | None, *, accept: bool) 
         return
     if idle.any():
         place = int(np.argmax(idle))
-        state, others = (
-            model.states[place],
-            (s for s, i in zip(model.states, idle, strict=True) if not i),
-        )
-        entering = model.successors == place
-        led = (
-            f", where {model._describe_outcome(int(np.argmax(entering)))} leads,"
-            if entering.any()
-            else ""
-        )
+        state, entering = model.states[place], np.flatnonzero(model.successors == place)
+        others = (s for s, i in zip(model.states, idle, strict=True) if not i)
+        words = map(model._describe_outcome, entering[:1].tolist())
+        led = "".join(f", where {outcome} leads," for outcome in words)
         nearest = did_you_mean(state, others) or "; list all dead-ends, dead_ends={...}"
         raise ModelError(
             f"state {state!r}{led} has no actions and is neither a goal nor a dead-end{nearest}"

@@ -185,8 +185,10 @@ def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: _Look) 
         ax.plot([budget, budget], [low, high], "_", color=look.colour, markersize=14, zorder=5,
                 markeredgewidth=2, label=f"budget {budget:g}: {told}")  # fmt: skip
         return
+    digits = int(max(-np.log10(max(frontier.gap, _FINEST)), 2.0))
+    certain = float(f"{value:.{digits}g}")  # what the frontier's gap leaves sure
     ax.plot([budget], [value], "*", color=look.colour, markeredgecolor=INK, markersize=14, zorder=6,
-            label=f"budget {budget:g}: {_certified_digits(value, frontier):.5g}")  # fmt: skip
+            label=f"budget {budget:g}: {certain:.5g}")  # fmt: skip
     slopes = frontier.slopes_at(budget)
     for slope in slopes:
         _draw_tangent(ax, frontier, (budget, value), slope)
@@ -196,12 +198,6 @@ def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: _Look) 
         told = " to ".join(f"{price:.4g}" for price in prices)
         words = f"tangent{'s' * (len(prices) - 1)}: {frontier.over} price {told}"
         ax.plot([], [], color=INK, linestyle="-.", linewidth=1, label=words)
-
-
-def _certified_digits(value: float, frontier: Frontier) -> float:
-    """A plotted value rounded to the digits that the frontier's gap leaves sure."""
-    digits = max(-np.log10(max(frontier.gap, _FINEST)), 2.0)
-    return float(f"{value:.{int(digits)}g}")
 
 
 def _draw_tangent(ax: Axes, frontier: Frontier, point: tuple[float, float], slope: float) -> None:

@@ -15,7 +15,7 @@ from references.s3p import goal_probability_range
 from small_models import model_of
 from ssp_lp import InfeasibleError, ModelError
 from ssp_lp.compiled.deadline import until
-from ssp_lp.game import Equilibrium, Game, bayes_adaptive, label_player, thresholds
+from ssp_lp.game import Equilibrium, Game, bayes_adaptive, player as players, thresholds
 from ssp_lp.game.best_response import BestResponse
 from ssp_lp.game.optimum import _slack_bound_of_optimum, bayes_player, stationary_player
 from ssp_lp.game.threshold import _threshold_from_game_value, extremes, find_threshold
@@ -93,10 +93,7 @@ def test_what_is_beyond_a_horizon_and_a_cap_is_bounded(horizon, cap):
     player = bayes_player(HASTE.problem(criterion))
     cost, failure = HASTE.points(criterion)
     for price in PRICES:
-        if cap is None:
-            reply = player._response(1.0, price, horizon)
-        else:
-            reply = player._response(np.array([1.0, price]), cap, horizon)
+        reply = player._response(np.array([1.0, price]), cap or 1, horizon)
         best = float((cost + price * failure).min())
         assert reply.bound <= best * (1 + 1e-13)
         assert reply.payoff(1.0, price) >= best * (1 - 1e-13)
@@ -181,7 +178,7 @@ def test_a_games_value_proves_no_more_than_it_does_in_fractions():
         alpha, stake, spare = rng.uniform(0.01, 1.0), rng.uniform(0.1, 100.0), rng.uniform(0.0, 0.1)
         least = (1.0 - alpha) * stake * (1.0 + spare**8)
         game = Game(stake, 0.25)
-        told = _threshold_from_game_value(Equilibrium(game, alpha, least, least, reply, reply, ()))
+        told = _threshold_from_game_value(Equilibrium(game, reply, reply, alpha, least, least, ()))
         weight = Fraction(alpha)
         exact = (Fraction(least) - (1 - weight) * Fraction(stake)) / weight
         assert told <= exact
@@ -218,6 +215,6 @@ def test_a_table_of_times_may_be_too_large(monkeypatch):
     problem = MCMP(model_of({**choices, "d": {}}), 0, failure_budget=0.6, discount=0.99)
     player = bayes_player(problem)
     assert player.response(1.0, 90.0, 1e-9).sweeps > 64
-    monkeypatch.setattr(label_player, "_MOST_ENTRIES", 170)
+    monkeypatch.setattr(players, "_MOST_TIMED_ENTRIES", 170)
     with pytest.raises(ModelError, match="64 steps on 5 states are too many"):
         player.response(1.0, 90.0, 1e-9)

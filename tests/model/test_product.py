@@ -252,3 +252,11 @@ def test_what_is_refused():
     horizon = within_steps(MODEL, 3, start=["hall"])
     for label in ("hall", ("hall", 4), ("attic", 0), ("hall", 3), ("moon", 0)):
         refused("is not a state", horizon.index_of, label)
+
+
+def test_a_memory_that_has_no_hash_is_that_of_no_state():
+    """Of every kind of product: the label is looked up, not found, and refused by name."""
+    for model in (product(MODEL, TASKS["never hide twice"]), within_steps(MODEL, 3)):
+        assert model.find(("hall", 0)) == model.index_of(("hall", 0))
+        assert model.find(("hall", [0])) is None
+        refused(r"\('hall', \[0\]\) is not a state", model.index_of, ("hall", [0]))

@@ -160,10 +160,8 @@ class _Entries:
         try:
             if not _MOVES.fullmatch(text) or "_" in text:
                 raise ValueError
-            successors, chances = (
-                array("q", map(int, words[::2])),
-                array("d", map(float, words[1::2])),
-            )
+            successors, chances = array("q", map(int, words[::2])), array("d")
+            chances.extend(map(float, words[1::2]))
             if max(successors, default=0) >= self.n_states:
                 raise ValueError
         except (ValueError, OverflowError):
