@@ -23,7 +23,7 @@ from ssp_lp.accumulated_cost.process import LayeredProcess
 from ssp_lp.accumulated_cost.sweep import KEPT_VALUES, LayerMass, LayerRows, PartOfSweep, Sweep
 from ssp_lp.accumulated_cost.totals import Window
 from ssp_lp.accumulated_cost.written_out import OpenEnded
-from ssp_lp.arrays import MACHINE_EPSILON, TIED, FloatArray, IntArray, least_integer_type, weighted
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type, weighted
 from ssp_lp.column_generation import explicit_pricing
 from ssp_lp.column_generation.column import (
     Column,
@@ -284,7 +284,7 @@ class OpenSweeps:
         choice = self.always(last)
         for layer in backward(self.layered.cap):
             rows = offsets, self.later, costs(layer), window.flat
-            backup = bellman.best_pairs(*rows, tied=TIED)
+            backup = bellman.best_pairs(*rows)
             window.push(self._told(backup.minima))
             choice[layer] = backup.choice - offsets[:-1]
         return choice
