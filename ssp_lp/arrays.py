@@ -48,12 +48,6 @@ LEAST_BUDGET: Final = 1e-10
 IMPROVEMENT: Final = 1e-13
 """Relative gain below which policy iteration keeps an action: the accuracy of a refined solve."""
 
-TIED: Final = 1e-13
-"""Relative distance at which what two actions come to is alike: then the first one is taken.
-
-Rounding differs between compiled loops and numpy; which of equal actions it favours is no answer.
-"""
-
 QUANTILE: Final = 1e-12
 """Relative slack with which a mass reaches a quantile's level.
 
@@ -184,16 +178,10 @@ def segment_minima(values: FloatArray, offsets: IntArray) -> FloatArray:
     return result
 
 
-def first_minimisers(
-    values: FloatArray, minima: FloatArray, offsets: IntArray, tied: float = 0.0
-) -> IntArray:
-    """Position, within each non-empty segment in turn, of the first value equal to its minimum.
-
-    Values within ``tied``, relative, of the minimum count as equal to it.
-    """
+def first_minimisers(values: FloatArray, minima: FloatArray, offsets: IntArray) -> IntArray:
+    """Position, within each non-empty segment in turn, of the first value equal to its minimum."""
     segment = segment_ids(offsets)
-    most = minima + tied * np.abs(minima) if tied else minima
-    attained = np.flatnonzero(values <= most[segment])
+    attained = np.flatnonzero(values <= minima[segment])
     return attained[np.flatnonzero(np.diff(segment[attained], prepend=-1))]
 
 

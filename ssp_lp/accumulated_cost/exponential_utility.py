@@ -14,8 +14,8 @@ import scipy.sparse as sp
 from ssp_lp.accumulated_cost.charges import TailValues
 from ssp_lp.arrays import FAILURE_FLOOR, BoolArray, FloatArray, segment_sums
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
-from ssp_lp.dynamic_programming.dynamics import Dynamics, approach_leaving, leaving_chain
-from ssp_lp.dynamic_programming.policy_iteration import first_of_equals, iterate_policy
+from ssp_lp.dynamic_programming.dynamics import Dynamics, approach_leaving
+from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.model import SSP
 from ssp_lp.processes.goal_reach import GoalReach, ReachPolicy
 from ssp_lp.processes.live_rows import costless_pairs, successor_means
@@ -48,15 +48,12 @@ def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> ReachP
     settled = iterate_policy(shrinking, gain[:, None], -_ONE, first)
     moment = settled.totals[:, 0]
     bound = -sub_solution(shrinking, -gain, -moment, floor=-1.0 - 1e-9)
-    equal = first_of_equals(shrinking, gain[:, None], settled.choice, settled.totals, settled.runs)
-    choice = np.where(moment > 0.0, equal, settled.choice)
-    chain, choice = leaving_chain(plain, choice, settled.choice)
-    reached = chain.solve(hit[choice])
+    reached = plain.chain(settled.choice).solve(hit[settled.choice])
     goal, moment, bound = (
         np.where(model.goal_mask, 1.0, quotient.lift(each)) for each in (reached, moment, bound)
     )
     values = TailValues(goal, 1.0 - goal, goal, cost=np.zeros_like(goal), moment=moment)
-    return ReachPolicy(quotient.pull_back(choice), values, bound)
+    return ReachPolicy(quotient.pull_back(settled.choice), values, bound)
 
 
 def pairs_keeping_goal(model: SSP, greatest: GoalReach) -> BoolArray:

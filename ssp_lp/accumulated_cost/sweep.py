@@ -23,7 +23,7 @@ import numpy as np
 
 from ssp_lp.accumulated_cost.process import AccumulatedCost, ChargedLayers, LayeredProcess
 from ssp_lp.accumulated_cost.totals import Totals, Window
-from ssp_lp.arrays import MACHINE_EPSILON, TIED, FloatArray, IntArray, least_integer_type, unsigned
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type, unsigned
 from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import STOPS, Stop, backward, check_time, end_with_incumbent, pieces
 from ssp_lp.dynamic_programming.bellman import (
@@ -219,7 +219,7 @@ class Sweep:
             nonlocal inner
             if self.is_acyclic:
                 pair_cost = cost(layer)[0]
-                backup = best_pairs(self.pair_offsets, base.later, pair_cost, ahead, tied=TIED)
+                backup = best_pairs(self.pair_offsets, base.later, pair_cost, ahead)
                 inner, least = backup.choice, backup.minima
             else:
                 onward = (cost(layer)[0].total + base.later @ ahead)[:, None]

@@ -33,7 +33,6 @@ class Column:
     tail_price: float = 0.0  # case S: the price by which tails beyond the cap are chosen
     policy: Policy | None = None  # the policy on the model, where it did not come from pricing
     totals: FloatArray | None = None  # [states, rewards] the same from each state, a warm start
-    runs: FloatArray | None = None  # [states] twice this is at least the expected number of steps
     found_at: float | None = None  # a price at which no policy of its process is worth less
     work: Work = field(default_factory=Work)  # what finding it took
     rows: tuple[float, ...] = ()  # what it takes of each row beside the failure row

@@ -38,7 +38,7 @@ from ssp_lp.dynamic_programming.dual_bound import DualBound
 from ssp_lp.dynamic_programming.dynamics import Dynamics, leaving_choice
 from ssp_lp.dynamic_programming.equations import DIRECT_STATES
 from ssp_lp.dynamic_programming.evaluation import EVALUATED, evaluate_policy
-from ssp_lp.dynamic_programming.policy_iteration import first_of_equals, iterate_policy, switched
+from ssp_lp.dynamic_programming.policy_iteration import iterate_policy, switched
 from ssp_lp.options import Partition
 from ssp_lp.policies.policy import Policy
 from ssp_lp.processes.explicit_process import (
@@ -152,8 +152,8 @@ class ExplicitPricing(PricingProblem):
         if smaller is None:
             rewards = self.rewards if self.partition is None else self._held
             settled = run(self.dynamics, rewards, weights, choice, guess)
-            kept = {"runs": settled.runs, "work": settled.work, "found_at": at}
-            return self._column(settled.choice, settled.totals, **kept)
+            found = settled.choice, settled.totals
+            return self._column(*found, work=settled.work, found_at=at)
         choice = smaller.begun(self.process, choice).astype(np.int32)
         priced = weighted(self.rewards, weights)[smaller.pairs, None]
         about = None if guess is None else smaller.least(weighted(guess, weights))[:, None]
@@ -217,8 +217,7 @@ class ExplicitPricing(PricingProblem):
         """
         rewards = self.rewards if self.partition is None else self._held
         totals = evaluate_policy(self.dynamics, choice, rewards)
-        kept = {"runs": totals.runs, "work": work + Work(1, 0), "found_at": found_at}
-        return self._column(choice, totals.values, **kept)
+        return self._column(choice, totals.values, work=work + Work(1, 0), found_at=found_at)
 
     def _column(self, choice: IntArray, totals: FloatArray, **more: Any) -> Column:
         """A column of explicit pricing from its choice and its totals."""
@@ -302,12 +301,8 @@ class ExplicitPricing(PricingProblem):
         return bound_of(process, self.contracted(counted), left, values, floor)
 
     def pulled_back(self, column: Column) -> Policy:
-        """The policy of a choice of explicit pricing, by the first of equal pairs."""
-        choice, process = required(column.choice), self.process
-        if column.totals is not None and column.runs is not None:
-            measured = column.totals, column.runs, process.start
-            choice = first_of_equals(process.dynamics, self.rewards, choice, *measured)
-        return self.augmented.policy(choice)
+        """The policy of a choice of explicit pricing."""
+        return self.augmented.policy(required(column.choice))
 
 
 def costs_less_earned(own: FloatArray, costs: FloatArray, earned: FloatArray) -> FloatArray:

@@ -19,13 +19,13 @@ Array = np.ndarray[Any, Any]
 @one_or_all_cores
 def back_up(
     offsets: Array, indptr: Array, begins: Array, indices: Array, data: Array, cost: Array,
-    slope: Array, factor: float, values: Array, held: Array, tied: float, minima: Array,
+    slope: Array, factor: float, values: Array, held: Array, minima: Array,
     choice: Array, here: Array,
 ) -> None:  # fmt: skip
-    """Compiled Bellman backup: least value, first tied pair and held pair's value of each state."""
+    """Compiled Bellman backup: least value, the first pair that attains it, held pair's value."""
     keeps = held.size > 0
     for s in prange(offsets.size - 1):
-        least, pick, kept, below = np.inf, offsets[s], np.inf, np.inf
+        least, pick, kept = np.inf, offsets[s], np.inf
         own = held[s] if keeps else offsets[s]
         for pair in range(offsets[s], offsets[s + 1]):
             total, first, begin = 0.0, indptr[pair], begins[pair]
@@ -36,9 +36,7 @@ def back_up(
                 stage += factor * slope[pair]
             total = stage + total
             if total < least:
-                least = total
-                if total < below:
-                    below, pick = total - tied * abs(total), pair
+                least, pick = total, pair
             if keeps and pair == own:
                 kept = total
         minima[s], choice[s] = least, pick

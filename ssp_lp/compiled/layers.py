@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import prange
 
-from ssp_lp.arrays import MACHINE_EPSILON, TIED
+from ssp_lp.arrays import MACHINE_EPSILON
 from ssp_lp.compiled.cores import compiled_loop, one_or_all_cores
 
 Array = np.ndarray[Any, Any]
@@ -54,10 +54,10 @@ class Layers(NamedTuple):
 
 @compiled_loop(inline="always")
 def _best_pair(
-    pick: Any, past: Any, layers: Layers, one: OneLayer, due: Array, values: Array, tied: float,
+    pick: Any, past: Any, layers: Layers, one: OneLayer, due: Array, values: Array,
 ) -> tuple[float, Any]:  # fmt: skip
-    """Compiled: least value of a node's pairs in a layer, and the first tied pair."""
-    least, below = np.inf, np.inf
+    """Compiled: least value of a node's pairs in a layer, and the first pair that attains it."""
+    least = np.inf
     for pair in range(pick, past):
         total = 0.0
         for k in range(layers.indptr[pair], layers.indptr[pair + 1]):
@@ -66,10 +66,8 @@ def _best_pair(
         if one.factor != 0.0:
             stage += one.weight * one.factor * layers.growth[pair]
         total = stage + total
-        edge = total - tied * abs(total)
-        least = min(least, total)
-        if total < below:
-            below, pick = edge, pair
+        if total < least:
+            least, pick = total, pair
     return least, pick
 
 
@@ -106,7 +104,7 @@ def _settle(
         for s in layers.order:
             first = np.uint64(layers.offsets[s])
             past = np.uint64(layers.offsets[s + 1])
-            least, pick = _best_pair(first, past, layers, one, due, values, TIED)
+            least, pick = _best_pair(first, past, layers, one, due, values)
             _measure_of(pick, layers, one, measured, here)
             values[row + s], picks[s] = least, pick - first
             measured[row + s] = here
@@ -118,7 +116,7 @@ def _settle(
             first = np.uint64(layers.offsets[s])
             pick = first if is_greedy else first + np.uint64(picks[s])
             past = np.uint64(layers.offsets[s + 1]) if is_greedy else pick + np.uint64(1)
-            least, pick = _best_pair(pick, past, layers, one, due, values, 0.0)
+            least, pick = _best_pair(pick, past, layers, one, due, values)
             change, scale = max(change, abs(least - values[row + s])), max(scale, abs(least))
             values[row + s], picks[s] = least, pick - first
         is_same = change <= ACCURATE * scale

@@ -24,7 +24,7 @@ _ROUNDS = 50
 
 @compiled_loop
 def improve_components(
-    rows: Rows, order: Array, components: Array, most: int, cost: Array, noise: float, tied: float,
+    rows: Rows, order: Array, components: Array, most: int, cost: Array, noise: float,
     choice: Array, values: Array,
 ) -> int:  # fmt: skip
     """Compiled policy improvement, component by component, ends first: least values.
@@ -39,7 +39,6 @@ def improve_components(
         most: states of the largest component.
         cost: [pairs].
         noise: relative gain up to which a pair is kept.
-        tied: relative distance to a state's least value at which its first pair is taken.
         choice: pairs of a policy that leaves, improved in place, [states].
         values: written, [states].
 
@@ -60,11 +59,11 @@ def improve_components(
                 return c
             continue
         s = order[begin]
-        pick, least, kept, _ = _best_pair(rows, cost, values, s, choice[s], tied)
+        pick, least, kept, _ = _best_pair(rows, cost, values, s, choice[s])
         if least == np.inf:
             return c
         values[s] = least
-        if tied > 0.0 or least < kept:  # else among equals the held one stays
+        if least < kept:  # else among equals the held one stays
             choice[s] = pick
     return -1
 
@@ -172,7 +171,7 @@ def improve_component(
         for i in range(size):
             s = states[i]
             held[i] = choice[s]
-            pick, least, kept, terms = _best_pair(rows, cost, values, s, choice[s], 0.0)
+            pick, least, kept, terms = _best_pair(rows, cost, values, s, choice[s])
             if least < kept - noise * terms - floor:
                 choice[s] = pick
                 now += 1
@@ -186,11 +185,11 @@ def improve_component(
 
 @compiled_loop
 def _best_pair(
-    rows: Rows, cost: Array, values: Array, s: int, held: int, tied: float
+    rows: Rows, cost: Array, values: Array, s: int, held: int
 ) -> tuple[int, float, float, float]:
     """Compiled: a state's first best pair, for policy improvement, and the least value."""
     offsets, indptr, indices, data, exits = rows
-    pick, least, kept, size, below = held, np.inf, np.inf, 0.0, np.inf
+    pick, least, kept, size = held, np.inf, np.inf, 0.0
     for pair in range(offsets[s], offsets[s + np.uint32(1)]):
         total, departs, whole = cost[pair], exits[pair], abs(cost[pair])
         for k in range(indptr[pair], indptr[pair + np.uint32(1)]):
@@ -203,9 +202,7 @@ def _best_pair(
             if pair == held:
                 kept, size = total, whole / departs
             if total < least:
-                least = total
-                if total < below:
-                    pick, below = pair, total - tied * abs(total)
+                pick, least = pair, total
     return pick, least, kept, size
 
 
@@ -264,7 +261,7 @@ def improve_blocks(
         s = order[begin]
         if not stale[s]:
             continue
-        pick, least, kept, terms = _best_pair(rows, cost, values, s, choice[s], 0.0)
+        pick, least, kept, terms = _best_pair(rows, cost, values, s, choice[s])
         old = values[s]
         if least < kept - noise * terms - floor:
             choice[s], values[s] = pick, least
@@ -380,49 +377,3 @@ def follow_reach(
         total *= 1.0 - (float(end - begin) + 5.0) * epsilon
         if total - values[s] > LEAST_RISE:
             values[s] = total
-
-
-@compiled_loop
-def take_first_of_equals(
-    rows: Rows, rewards: Array, totals: Array, slack: Array, runs: Array, nearer: float,
-    choice: Array,
-) -> None:  # fmt: skip
-    """Compiled: change a policy to each state's first pair that keeps all totals' equations.
-
-    Args:
-        rows: of the process.
-        rewards: [pairs, rewards].
-        totals: of the policy, [states, rewards].
-        slack: by how much the equations may be missed, [states, rewards].
-        runs: a super-solution of the run lengths, [states].
-        nearer: by how much a pair must come nearer to leaving, in steps.
-        choice: pair of each state, changed in place, [states].
-    """
-    offsets = rows[0]
-    for s in range(choice.size):
-        held = choice[s]
-        if held == offsets[s]:
-            continue
-        kept = rewards[held, 0] + _ahead(rows, totals[:, 0], held)
-        for pair in range(offsets[s], held):
-            is_alike = (
-                abs(rewards[pair, 0] + _ahead(rows, totals[:, 0], pair) - kept) <= slack[s, 0]
-            )
-            for j in range(1, totals.shape[1]):
-                if is_alike:
-                    here = rewards[pair, j] + _ahead(rows, totals[:, j], pair)
-                    own = rewards[held, j] + _ahead(rows, totals[:, j], held)
-                    is_alike = abs(here - own) <= slack[s, j]
-            if is_alike and runs[s] - _ahead(rows, runs, pair) >= nearer:
-                choice[s] = pair
-                break
-
-
-@compiled_loop
-def _ahead(rows: Rows, values: Array, pair: Any) -> float:
-    """Compiled: expected value after a pair, in policy improvement."""
-    _, indptr, indices, data, _ = rows
-    ahead = 0.0
-    for k in range(indptr[pair], indptr[pair + np.uint32(1)]):
-        ahead += data[k] * values[indices[k]]
-    return ahead

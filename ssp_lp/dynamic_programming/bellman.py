@@ -50,7 +50,7 @@ class Backup:
     """One application of the Bellman operator."""
 
     minima: FloatArray  # [states] infinite where a state has no pairs
-    choice: IntArray  # [states] the first pair that attains the minimum, or is tied with it
+    choice: IntArray  # [states] the first pair that attains the minimum
     here: FloatArray  # [states] value of the held pair; empty if none was given
 
 
@@ -82,7 +82,6 @@ def best_pairs(
     pair_cost: FloatArray | PairCost,
     values: FloatArray,
     held: IntArray | None = None,
-    tied: float = 0.0,
 ) -> Backup:
     """Bellman backup: minimise ``pair_cost + transitions @ values`` over the pairs of each state.
 
@@ -92,7 +91,6 @@ def best_pairs(
         pair_cost: [pairs].
         values: [columns].
         held: a pair of each state whose value is wanted beside the least one, [states].
-        tied: relative distance to the least value at which the first pair is taken.
     """
     check_time()
     cost = pair_cost if isinstance(pair_cost, PairCost) else PairCost(pair_cost)
@@ -101,7 +99,7 @@ def best_pairs(
         ahead = cost.total + transitions @ values
         minima = segment_minima(ahead, pair_offsets)
         choice = np.array(pair_offsets[:-1], dtype=np.int32)
-        choice[np.diff(pair_offsets) > 0] = first_minimisers(ahead, minima, pair_offsets, tied)
+        choice[np.diff(pair_offsets) > 0] = first_minimisers(ahead, minima, pair_offsets)
         return Backup(minima, choice, _NONE if held is None else ahead[held])
     from ssp_lp.compiled import backups as compiled
 
@@ -109,7 +107,7 @@ def best_pairs(
     here = np.empty(0 if held is None else n)
     own = _NOBODY if held is None else unsigned(held)
     compiled.back_up(len(transitions.indices))(
-        unsigned(pair_offsets), *row_parts(transitions), *cost.parts, values, own, tied,
+        unsigned(pair_offsets), *row_parts(transitions), *cost.parts, values, own,
         minima, choice.view(np.uint32), here,
     )  # fmt: skip
     return Backup(minima, choice, here)

@@ -23,11 +23,9 @@ import numpy as np
 from ssp_lp.arrays import (
     IMPROVEMENT,
     MACHINE_EPSILON,
-    TIED,
     BoolArray,
     FloatArray,
     IntArray,
-    expected,
     first_minimisers,
     segment_minima,
     unsigned,
@@ -47,7 +45,6 @@ from ssp_lp.dynamic_programming.equations import (
     chosen_components,
 )
 from ssp_lp.dynamic_programming.evaluation import (
-    EVALUATED,
     NEARLY,
     PRECISE,
     PROVED,
@@ -60,7 +57,6 @@ from ssp_lp.errors import SolverError
 _WORTHLESS = 1e-16
 """Worth of all gains, relative to the values, for which policies could go round in circles."""
 
-_NEARER = 0.25  # of a step: by so much at least each pair that is taken comes nearer to leaving
 MOST_ROUNDS = 10_000
 """Rounds that only a defect could need: every round improves what the last one left."""
 
@@ -370,14 +366,13 @@ def improve_backwards(
         SolverError: the policy does not leave.
     """
     values, choice = np.zeros(dynamics.n_states), choice.copy()
-    tied = TIED if dynamics.is_reused else 0.0
     if dynamics.is_compiled_backwards:
         from ssp_lp.compiled.policy_improvement import improve_components
 
         strong = dynamics.components
         stuck = improve_components(
             dynamics.rows, unsigned(strong.order), strong.offsets, max(strong.largest, 1),
-            pair_cost, IMPROVEMENT, tied, choice.view(np.uint32), values,
+            pair_cost, IMPROVEMENT, choice.view(np.uint32), values,
         )  # fmt: skip
         if stuck >= 0:
             raise SolverError(HOLDS_MASS)
@@ -387,7 +382,7 @@ def improve_backwards(
         ahead = np.full_like(total, np.inf)
         np.divide(total, departs, out=ahead, where=departs > 0.0)
         values[states] = segment_minima(ahead, offsets)
-        choice[states] = pairs[first_minimisers(ahead, values[states], offsets, tied)]
+        choice[states] = pairs[first_minimisers(ahead, values[states], offsets)]
     return choice, values
 
 
@@ -463,56 +458,3 @@ def switched(
     if follows.any():
         choice = leaving_chain(dynamics, choice, choices[0])[1]
     return choice, follows
-
-
-@with_twin
-def first_of_equals(
-    dynamics: Dynamics,
-    rewards: FloatArray,
-    choice: IntArray,
-    totals: FloatArray,
-    runs: FloatArray,
-    start: FloatArray | None = None,
-) -> IntArray:
-    """Policy iteration's optimal policy with each state's first pair of equal totals.
-
-    What rounding favoured among equals is not seen in it. No total needs to be worked out again:
-    a pair is taken where it keeps to the equations of all totals, up to ``TIED`` of the total
-    there, or of that at the start, and comes nearer to leaving, as run lengths measure it. So the
-    new policy leaves within four times the run length, and each of its steps moves a total by
-    ``TIED``, or by less in long runs: by no more than 1e-12 of it in all, which certificates let
-    pass.
-
-    Args:
-        dynamics: the process.
-        rewards: [pairs, rewards].
-        choice: the policy, which leaves, [states].
-        totals: its expected totals, [states, rewards].
-        runs: as ``Totals.runs``, [states].
-        start: where an episode begins, [states]; None: anywhere.
-
-    Returns:
-        [states].
-    """
-    slack = min(TIED, EVALUATED * _NEARER / float(runs.max(initial=1.0))) * np.abs(totals)
-    if start is not None:
-        longest = max(float(expected(start, runs)), 1.0)
-        slack = np.maximum(
-            slack, min(TIED, EVALUATED * _NEARER / longest) * np.abs(expected(start, totals))
-        )
-    transitions, first = dynamics.transitions, choice.astype(np.int32)
-    if accelerated(len(transitions.indices), "policy_improvement.take_first_of_equals"):
-        from ssp_lp.compiled.policy_improvement import take_first_of_equals
-
-        take_first_of_equals(
-            dynamics.rows, rewards, totals, slack, runs, _NEARER,
-            first.view(np.uint32),
-        )  # fmt: skip
-        return first
-    home = dynamics.pair_state
-    alike = runs[home] - transitions @ runs >= _NEARER
-    ahead = rewards + transitions @ totals
-    alike &= (np.abs(ahead - ahead[choice][home]) <= slack[home]).all(axis=1)
-    alike[choice] = True
-    pairs = np.flatnonzero(alike)
-    return pairs[np.flatnonzero(np.diff(home[pairs], prepend=-1))].astype(np.int32)

@@ -18,7 +18,7 @@ from ssp_lp.dynamic_programming.dual_bound import dual_bound
 from ssp_lp.dynamic_programming.dynamics import approach_leaving
 from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.dynamic_programming.extreme_reach import ExtremeReach, attaining_pairs, extreme_reach
-from ssp_lp.dynamic_programming.policy_iteration import first_of_equals, iterate_policy
+from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.model import SSP, graph
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
 from ssp_lp.processes.failure_semantics import Aim
@@ -181,14 +181,10 @@ def _extreme_reach(
     reach = extreme_reach(
         dynamics, hit, miss, greatest=greatest, start=begun, last_digits=last_digits
     )
-    first, totals = reach.choice, reach.totals
-    if totals is not None:
-        known = totals.values, totals.runs, begun
-        first = first_of_equals(dynamics, reach.both, first, *known)
     return GoalReach(
         goal=np.where(hit_states, 1.0, quotient.lift(reach.reach)),
         bound=np.where(hit_states, 1.0, quotient.lift(reach.bound)),
-        decision=quotient.pull_back(first),
+        decision=quotient.pull_back(reach.choice),
         surely=surely,
         solved=(quotient, reach),
     )
@@ -217,7 +213,6 @@ def cheapest_reach(model: SSP, reach: GoalReach, survival: float = 1.0) -> Reach
     rewards, only_cost = np.stack([pair_cost, gain, miss], axis=1), np.array([1.0, 0.0, 0.0])
     settled = iterate_policy(dynamics, rewards, only_cost, leaving)
     bound = dual_bound(dynamics, pair_cost, settled.totals[:, 0], choice=settled.choice).rounded
-    first = first_of_equals(dynamics, rewards, settled.choice, settled.totals, settled.runs)
     early_goal = np.clip(quotient.lift(settled.totals[:, 1]), 0.0, 1.0)
     surely = reach.goal == 1.0  # decided on the graph
     values = TailValues(
@@ -227,7 +222,7 @@ def cheapest_reach(model: SSP, reach: GoalReach, survival: float = 1.0) -> Reach
         cost=quotient.lift(settled.totals[:, 0]),
         moment=np.zeros(model.n_states),
     )
-    return ReachPolicy(quotient.pull_back(first), values, quotient.lift(bound))
+    return ReachPolicy(quotient.pull_back(settled.choice), values, quotient.lift(bound))
 
 
 def _failing_to_reach(
