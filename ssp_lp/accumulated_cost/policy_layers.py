@@ -372,14 +372,16 @@ def landed_chains(moves: LayerMoves, waiting: FloatArray) -> Iterator[tuple[Chai
         ModelError: a tail has no decision in a state that it reaches.
     """
     model, count = moves.model, moves.layers.count + np.arange(moves.room)
-    landed = waiting[count % moves.room]
+    rows = count % moves.room
+    held: BoolArray = np.any(waiting, axis=2)[rows]
     tail_at = np.stack([moves.layers.tail_at(layer) for layer in count.tolist()])
     for number, tail in enumerate(moves.layers.tails):
-        entering = np.where((tail_at == number)[:, :, None], landed, 0.0)
-        reached = entering.sum(axis=(0, 2)) > 0.0
+        own = held & (tail_at == number)
+        reached = own.any(axis=0)
         if reached.any():
             chain = policy_chain(model, DeterministicPolicy(model, tail), reached.astype(float))
-            yield chain, entering[:, chain.state]
+            entering = waiting[rows[:, None], chain.state]
+            yield chain, np.where(own[:, chain.state, None], entering, 0.0)
 
 
 LARGE = 300_000
