@@ -12,9 +12,12 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ssp_lp.accumulated_cost.cost_law import CostLaw as CostLaw
-    from ssp_lp.analysis.evaluation import Evaluation as Evaluation, evaluate as evaluate
+    from ssp_lp.analysis.evaluation import (
+        Evaluation as Evaluation,
+        evaluate as evaluate,
+        success_costs as success_costs,
+    )
     from ssp_lp.analysis.simulation import simulate as simulate
-    from ssp_lp.analysis.success_costs import success_costs as success_costs
     from ssp_lp.answers import Answers as Answers, solve_many as solve_many, sweep as sweep
     from ssp_lp.errors import (
         InfeasibleError as InfeasibleError,
@@ -120,9 +123,8 @@ __version__ = "0.1.0"
 
 _MODULES = {
     "accumulated_cost.cost_law": "CostLaw",
-    "analysis.evaluation": "Evaluation evaluate",
+    "analysis.evaluation": "Evaluation evaluate success_costs",
     "analysis.simulation": "simulate",
-    "analysis.success_costs": "success_costs",
     "answers": "Answers solve_many sweep",
     "errors": (
         "InfeasibleError MissingDependencyError ModelError ModelWarning OutOfTimeError "

@@ -413,20 +413,11 @@ class _InProduct(Policy):
         """Whether the policy restated on a problem's product declares failing."""
         return self.inner.goes_on
 
-    def after_giving_up(self, states: IntArray, memory: IntArray) -> IntArray:
-        """Memory after giving up of a policy restated on a problem's product, [episodes]."""
-        if not self.goes_on:
-            return super().after_giving_up(states, memory)
-        return self.inner.after_giving_up(self.model.original_state[states], memory)
-
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """Decisions of a policy restated on a problem's product, as pairs of that."""
-        product, here = self.model, self.model.original_state[states]
-        label = product.failure_label
-        if label is None:
-            branches = self.inner.branches(here, memory)
-        else:  # what another problem's policy does after giving up, it does here
-            branches, kept = self.inner.played(here, memory)
+        product, label = self.model, self.model.failure_label
+        branches = self.inner.branches(product.original_state[states], memory)
+        kept = branches.kept(memory)
         pair, there = np.maximum(branches.pair, 0), states[branches.situation]
         taken = product.placed(there, pair)
         if label is not None:
@@ -436,45 +427,32 @@ class _InProduct(Policy):
         if label is not None:  # it may have nothing to say there
             beyond = label.is_open[label.original_state] & (label.after | label.lost)
             pair = np.where(beyond[there] & (pair < 0), GIVE_UP_CODE, pair)
-        return Branches(branches.situation, pair, branches.probability)
+        return Branches(branches.situation, pair, branches.probability, kept)
 
     def remember(
         self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
     ) -> IntArray:
         """Memory after a step of a policy restated on a problem's product, [episodes]."""
-        product = self.model
-        here = product.original_state[product.pair_state[pairs]]
-        if (label := product.failure_label) is not None:
-            moved = self.inner.after_giving_up(here, memory)
-            memory = np.where(label.fails[pairs] & (moved >= 0), moved, memory)
-        there = product.original_state[successors]
-        return self.inner.remember(memory, product.original_pair[pairs], there, costs)
+        there, pair = self.model.original_state[successors], self.model.original_pair[pairs]
+        return self.inner.remember(memory, pair, there, costs)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _UntilFailing(Policy):
     """A policy that goes on after failing, where a problem counts nothing then."""
 
-    inner: Policy
+    carrier: Policy
 
     @property
     def model(self) -> SSP:  # type: ignore[override]
         """The model of a problem's policy that ends with failing."""
-        return self.inner.model
-
-    def start_memory(self, states: IntArray) -> IntArray:
-        """Start memory of a problem's policy that ends with failing, [episodes]."""
-        return self.inner.start_memory(states)
+        return self.carrier.model
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """Decisions of a problem's policy that ends with failing."""
-        return self.inner.branches(states, memory)
-
-    def remember(
-        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
-    ) -> IntArray:
-        """Memory after a step of a problem's policy that ends with failing, [episodes]."""
-        return self.inner.remember(memory, pairs, successors, costs)
+        branches = self.carrier.branches(states, memory)
+        pair = np.where(branches.gives_up(memory), GIVE_UP_CODE, branches.pair)
+        return Branches(branches.situation, pair, branches.probability)
 
 
 def until_failing(lottery: MixedPolicy) -> MixedPolicy:

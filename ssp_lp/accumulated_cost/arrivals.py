@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from heapq import heappop, heappush
@@ -35,7 +35,6 @@ from ssp_lp.arrays import (
     FloatArray,
     IntArray,
     concatenated_ranges,
-    read_only,
 )
 from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time
@@ -44,36 +43,6 @@ from ssp_lp.errors import ModelError
 from ssp_lp.policies.chain import Chain
 
 _FEW = 256  # nodes of which a table of all visits is kept
-
-
-@dataclass(frozen=True, eq=False)
-class ChainProspect:
-    """A policy's chain, and what is still to come from each of its nodes."""
-
-    chain: Chain
-    alive: BoolArray  # [nodes] before the goal, and able to reach it
-    goal: FloatArray  # [nodes] goal probability; 1 at goals
-    cost: FloatArray  # [nodes] E[cost from here on; goal]
-
-    @classmethod
-    def of(cls, chain: Chain) -> ChainProspect:
-        """Goal probability and E[cost; goal] to come at each node of a chain, by two solves."""
-        alive = chain.reaching(chain.goal > 0) & (chain.goal == 0)
-        goal = chain.accumulate(chain.per_node(chain.goal[chain.target]), alive) + chain.goal
-        paid = chain.per_node(goal[chain.target] * chain.cost)
-        return cls(chain, alive, read_only(goal), read_only(chain.accumulate(paid, alive)))
-
-    def exponential(self, rate: float) -> float:
-        """E[exp(rate * C); goal] of a chain, rate <= 0: a step's factor counts as giving up."""
-        chain = self.chain
-        lost = chain.per_node(-np.expm1(rate * chain.cost))
-        tilted = replace(
-            chain,
-            probability=chain.probability * np.exp(rate * chain.cost),
-            give_up=chain.give_up + lost,
-        )
-        arriving = tilted.per_node(chain.goal[chain.target])
-        return float(chain.start @ (tilted.accumulate(arriving, self.alive) + chain.goal))
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,13 +62,12 @@ class LiveChain:
     paid: FloatArray  # [moves] cost
 
     @classmethod
-    def of(cls, prospects: Sequence[ChainProspect], weights: FloatArray) -> LiveChain:
+    def of(cls, chains: Sequence[Chain], weights: FloatArray) -> LiveChain:
         """The live chain, able to arrive, of a lottery's members side by side."""
-        size = sum(int(p.alive.sum()) for p in prospects)
+        size = sum(int(chain.alive.sum()) for chain in chains)
         first, start, ahead, moves = 0, np.zeros(size + 1), np.zeros((3, size + 1)), []
-        for prospect, weight in zip(prospects, weights, strict=True):
-            chain, alive = prospect.chain, prospect.alive
-            reached = chain.goal > 0
+        for chain, weight in zip(chains, weights, strict=True):
+            alive, reached = chain.alive, chain.goal > 0
             own = slice(first, first + int(alive.sum()))
             number = np.full(chain.n_nodes, size, dtype=np.int64)
             number[alive] = np.arange(own.start, own.stop)
@@ -107,7 +75,8 @@ class LiveChain:
             start[size] += weight * float(chain.start[reached].sum())
             leaves = ~(alive | reached)[chain.target]
             lost = chain.give_up + chain.per_node(leaves.astype(np.float64))
-            ahead[:, own] = prospect.goal[alive], prospect.cost[alive], lost[alive]
+            goal, cost = chain.arriving()
+            ahead[:, own] = goal[alive], cost[alive], lost[alive]
             kept = alive[chain.source] & ~leaves
             moves.append((number[chain.source[kept]], number[chain.target[kept]],
                           chain.probability[kept], chain.cost[kept]))  # fmt: skip
@@ -145,8 +114,7 @@ class _FreeMoves:
         nodes = np.flatnonzero((entered & self._busy)[self._component])
         visits = inflow.copy()
         if nodes.size:
-            every = nodes.size == inflow.size
-            own = self._inside if every else sp.csr_array(self._inside[nodes][:, nodes])
+            own = sp.csr_array(self._inside[nodes][:, nodes])
             visits[nodes] = System(own, self._leaving[nodes]).solve_transposed(inflow[nodes])
         return visits
 
@@ -385,7 +353,7 @@ class Arrivals:
             ModelError: this would take too long.
         """
         yield self.settled
-        while not self.exhausted:
+        while not self.exhausted and (enough is None or self.settled < enough):
             ahead = max(2 * self.settled, self._first)
             self.settle(ahead if enough is None else min(ahead, enough))
             yield self.settled

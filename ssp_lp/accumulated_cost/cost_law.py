@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from math import inf, isfinite, isnan, nan
@@ -13,7 +13,6 @@ import numpy as np
 
 from ssp_lp.accumulated_cost.arrivals import (
     Arrivals,
-    ChainProspect,
     FollowedSums,
     LiveChain,
     TooManySumsError,
@@ -23,6 +22,7 @@ from ssp_lp.accumulated_cost.charges import Utility, utilities
 from ssp_lp.arrays import QUANTILE, FloatArray
 from ssp_lp.errors import ModelError, in_short, wrong_argument
 from ssp_lp.model.arguments import explained
+from ssp_lp.policies.chain import Chain
 from ssp_lp.processes.failure_semantics import as_percentage
 
 _NOTHING = 1e-17  # of a sum: less than its rounding
@@ -57,9 +57,9 @@ class CostLaw:
     that no total, quantile, excess or late arrival is understated and no utility overstated.
     """
 
-    _prospects: tuple[ChainProspect, ...]  # of the members of the lottery
+    _chains: tuple[Chain, ...]  # of the members of the lottery
     _weights: FloatArray  # [members]
-    _rounded: tuple[ChainProspect, ...] = ()  # of costs as the members round them up, if they do
+    _rounded: tuple[Chain, ...] = ()  # of costs as the members round them up, if they do
 
     @property
     def is_finer(self) -> bool:
@@ -69,12 +69,12 @@ class CostLaw:
     @cached_property
     def goal(self) -> float:
         """Mass of the cost law: the probability of reaching the goal."""
-        return self._mean(lambda p: float(p.chain.start @ p.goal))
+        return self._mean(lambda chain: float(chain.start @ chain.arriving()[0]))
 
     @cached_property
     def cost(self) -> float:
         """E[C; goal] of the cost law."""
-        return self._mean(lambda p: float(p.chain.start @ p.cost))
+        return self._mean(lambda chain: float(chain.start @ chain.arriving()[1]))
 
     @property
     def conditional_mean(self) -> float:
@@ -95,10 +95,8 @@ class CostLaw:
         def arrived(arrivals: Arrivals) -> float:
             """What arrives up to the bound."""
             last = arrivals.last_layer(bound)
-            for settled in arrivals.followed(last + 1):
-                if settled > last or arrivals.leaps:
-                    break
-                if arrivals.remaining()[0] <= _NOTHING * self.goal:
+            for _ in arrivals.followed(last + 1):
+                if arrivals.leaps or arrivals.remaining()[0] <= _NOTHING * self.goal:
                     break
             return arrivals.arrived(last + 1)
 
@@ -182,7 +180,16 @@ class CostLaw:
         """
         if not -inf < rate <= 0.0:
             raise ModelError(f"rate must be a number of at most 0, not {in_short(rate)}")
-        return self._mean(lambda p: p.exponential(rate))
+
+        def discounted(chain: Chain) -> float:
+            """The expectation for a member: a step's factor counts as giving up."""
+            lost, factor = chain.per_node(-np.expm1(rate * chain.cost)), np.exp(rate * chain.cost)
+            chance, give_up = chain.probability * factor, chain.give_up + lost
+            tilted = replace(chain, probability=chance, give_up=give_up)
+            hits = tilted.per_node(chain.goal[chain.target])
+            return float(chain.start @ (tilted.accumulate(hits, chain.alive) + chain.goal))
+
+        return self._mean(discounted)
 
     @explained
     def expectation(self, utility: Utility, at_infinity: float) -> float:
@@ -227,9 +234,8 @@ class CostLaw:
         def atoms(arrivals: Arrivals) -> Atoms:
             """The atoms up to the bound."""
             last = arrivals.last_layer(bound)
-            for settled in arrivals.followed(last + 1):
-                if settled > last:
-                    break
+            for _ in arrivals.followed(last + 1):
+                pass
             layers, masses = arrivals.atoms()
             within = np.asarray(layers <= last, dtype=np.bool_)
             return Atoms(arrivals.cost_of(layers[within]), masses[within])
@@ -258,9 +264,9 @@ class CostLaw:
 
         return self._answer(atoms)
 
-    def _mean(self, of: Callable[[ChainProspect], float]) -> float:
+    def _mean(self, of: Callable[[Chain], float]) -> float:
         """A lottery's mean, in the cost law, of a number of each member."""
-        numbers = zip(self._prospects, self._weights, strict=True)
+        numbers = zip(self._chains, self._weights, strict=True)
         return sum((float(w) * of(p) for p, w in numbers), start=0.0)
 
     def _answer(self, question: Callable[[Arrivals], _Answer]) -> _Answer:
@@ -296,7 +302,7 @@ class CostLaw:
     @cached_property
     def _live(self) -> LiveChain:
         """Live chains of the cost law's members, side by side."""
-        return LiveChain.of(self._prospects, self._weights)
+        return LiveChain.of(self._chains, self._weights)
 
     @cached_property
     def _layers(self) -> Arrivals | None:
@@ -335,7 +341,7 @@ class CostLaw:
     @property
     def _exact_costs(self) -> Mapping[float, Fraction]:
         """Fractions that costs of the law's model mean, by float."""
-        return self._prospects[0].chain.model.exact_costs
+        return self._chains[0].model.exact_costs
 
     def __repr__(self) -> str:
         """One line: the goal probability and the mean."""

@@ -322,20 +322,18 @@ def giving_up_where_lost(policy: MixedPolicy) -> MixedPolicy:
     acting = np.diff(policy.model.pair_offsets) > 0
     if not (attention_states(policy.model) & acting).any():
         return policy
-    return replace(policy, policies=tuple(_giving_up_layers(member) for member in policy.policies))
-
-
-def _giving_up_layers(policy: Policy) -> Policy:
-    """A member that gives up in the layers where it has lost the goal; others as they are."""
-    layers = policy.layers()
-    if not isinstance(policy, CostAwarePolicy) or layers is None:
-        return policy
-    moves, tails, decision = LayerMoves(policy.model, layers), layers.tails, layers.decision
-    hopeful, beyond = hopeful_layers(moves)
-    hopes = hopeful[: layers.count]
-    decision = np.where(moves.acting & (decision >= 0) & ~hopes, GIVE_UP_CODE, decision)
-    tails = np.where(moves.acting & (tails >= 0) & ~beyond, GIVE_UP_CODE, tails)
-    return replace(policy, decision=decision, tails=tails)
+    members = list(policy.policies)
+    for k, member in enumerate(members):
+        layers = member.layers()
+        if isinstance(member, CostAwarePolicy) and layers is not None:
+            moves = LayerMoves(member.model, layers)
+            lost = (~hopes for hopes in hopeful_layers(moves))
+            decision, tails = (
+                np.where(moves.acting & (taken >= 0) & there[: len(taken)], GIVE_UP_CODE, taken)
+                for taken, there in zip((layers.decision, layers.tails), lost, strict=True)
+            )
+            members[k] = replace(member, decision=decision, tails=tails)
+    return replace(policy, policies=tuple(members))
 
 
 def hopeful_layers(moves: LayerMoves) -> tuple[BoolArray, BoolArray]:
@@ -365,21 +363,25 @@ def hopeful_layers(moves: LayerMoves) -> tuple[BoolArray, BoolArray]:
 
 
 def landed_chains(moves: LayerMoves, waiting: FloatArray) -> Iterator[tuple[Chain, FloatArray]]:
-    """The tails' chains, and the mass that ``LayerMoves.follow`` left to each, [nodes, columns].
+    """The tails' chains, and the mass that ``LayerMoves.follow`` left to each.
+
+    Yields:
+        The chain, and what enters it in each layer from the last one on, [layers, nodes, columns].
 
     Raises:
         ModelError: a tail has no decision in a state that it reaches.
     """
-    model, layers = moves.model, moves.layers
-    for number, tail in enumerate(layers.tails):
-        entering = np.zeros(waiting.shape[1:])
-        for layer in range(layers.count, layers.count + moves.room):
-            own = layers.tail_at(layer) == number
-            entering[own] += waiting[layer % moves.room, own]
-        reached = np.asarray(np.where(entering.sum(axis=1) > 0.0, 1.0, 0.0))
+    model, count = moves.model, moves.layers.count + np.arange(moves.room)
+    rows = count % moves.room
+    held: BoolArray = np.any(waiting, axis=2)[rows]
+    tail_at = np.stack([moves.layers.tail_at(layer) for layer in count.tolist()])
+    for number, tail in enumerate(moves.layers.tails):
+        own = held & (tail_at == number)
+        reached = own.any(axis=0)
         if reached.any():
-            chain = policy_chain(model, DeterministicPolicy(model, tail), reached)
-            yield chain, entering[chain.state]
+            chain = policy_chain(model, DeterministicPolicy(model, tail), reached.astype(float))
+            entering = waiting[rows[:, None], chain.state]
+            yield chain, np.where(own[:, chain.state, None], entering, 0.0)
 
 
 LARGE = 300_000
@@ -409,9 +411,10 @@ def chain_of_law(
     """
     layers = policy.layers()
     if layers is not None and layers.count * model.n_states >= least_nodes:
-        law = _law_forwards(LayerMoves(model, layers), start)
+        moves = LayerMoves(model, layers)
+        law = _law_forwards(moves, start)
         if law is not None:
-            return _block_chain_of_law(model, layers, *law)
+            return _block_chain_of_law(moves, *law)
     return policy_chain(model, policy, start)
 
 
@@ -452,77 +455,57 @@ def _law_forwards(moves: LayerMoves, start: FloatArray) -> tuple[FloatArray, Flo
     not rounded up to one.
 
     Returns:
-        What arrives at the goal, [layers], those beyond the cap included; and what goes on there,
-        [layers beyond the cap, states].
+        What arrives at the goal below the cap, [layers]; and what goes on beyond it, as of
+        ``LayerMoves.follow``.
     """
-    layers, room, at_goal = moves.layers, moves.room, moves.model.goal_mask
-    exact = moves.model.exact_costs
+    layers, exact = moves.layers, moves.model.exact_costs
     if layers.unit is None:
         return None
     if not layers.rounds_up:
         unit, *costs = (exact_cost(cost, exact) for cost in (layers.unit, *layers.costs.tolist()))
         if any(c != k * unit for c, k in zip(costs, layers.leads(0).tolist(), strict=True)):
             return None
-    waiting, goal = np.zeros((room, len(start), 1)), np.zeros(layers.count + room)
+    waiting, goal = np.zeros((moves.room, len(start), 1)), np.zeros(layers.count)
     waiting[0, :, 0] = start
     for layer, here, pairs, visits in moves.follow(waiting):
         if (pairs == UNDECIDED).any():
             return None
-        goal[layer] = visits[at_goal[here], 0].sum()
-    landed = waiting[(layers.count + np.arange(room)) % room, :, 0]
-    goal[layers.count :] = landed[:, at_goal].sum(axis=1)
-    landed[:, ~moves.acting] = 0.0
-    return goal, landed
+        goal[layer] = visits[moves.model.goal_mask[here], 0].sum()
+    return goal, waiting
 
 
-def _block_chain_of_law(
-    model: SSP, layers: CostLayers, reached: FloatArray, landed: FloatArray
-) -> Chain:
+def _block_chain_of_law(moves: LayerMoves, arrived: FloatArray, waiting: FloatArray) -> Chain:
     """Chain of a layered policy's law: a node per block of layers, then the goal and the tails.
 
     A node goes on to the next block, or to the goal at the cost of each layer of its own; the last
     one to where the mass lands beyond the cap. Mass that fails below the cap never starts.
     """
-    block = len(landed)  # as many layers as a step may pass: no move is much longer
-    count, last, unit = -(-layers.count // block), (layers.count - 1) // block, layers.unit or 0.0
-    tail_at = np.stack([layers.tail_at(layers.count + k) for k in range(block)])
-    first, tails = count + 1, list[Chain]()
+    model, layers, block = moves.model, moves.layers, moves.room  # no move is much longer
+    count, unit = -(-layers.count // block), layers.unit or 0.0
+    own, tails, first = np.zeros(count + 1), list[Chain](), count + 1
+    reached = np.flatnonzero(arrived)
+    links = [(reached // block, np.full(reached.size, count), arrived[reached], reached)]
     ends = list[tuple[IntArray, IntArray]]()  # of the moves of each tail: source, target
-    moves = list[tuple[IntArray, IntArray, FloatArray, IntArray]]()  # from, to, mass, layer
-    for number, tail in enumerate(layers.tails):
-        entering = np.where(tail_at == number, landed, 0.0)
-        total = entering.sum(axis=0)
-        if not (total > 0.0).any():
-            continue
-        chain = policy_chain(model, DeterministicPolicy(model, tail), total)
+    for chain, entering in landed_chains(moves, waiting):
         if layers.rounds_up:
             passed = np.ceil(chain.cost / unit * (1.0 - SAME_TOTAL)).astype(np.int64)
             chain = replace(chain, cost=totals_of(passed, exact_cost(unit)))
-        place = np.full(model.n_states, -1, dtype=np.int64)
-        place[chain.state] = np.arange(first, first + chain.n_nodes)
-        ahead, state = np.nonzero(entering)
-        source = np.full(len(ahead), last)
-        moves.append((source, place[state], entering[ahead, state], layers.count + ahead))
+        ahead, node = np.nonzero(entering[:, :, 0])
+        last = np.full(ahead.size, count - 1)
+        links.append((last, first + node, entering[ahead, node, 0], layers.count + ahead))
         ends.append((chain.source + first, chain.target + first))
         tails.append(chain)
         first += chain.n_nodes
-    arriving = np.flatnonzero(reached[1:] > 0.0) + 1
-    source = np.minimum(arriving // block, last)
-    moves.append((source, np.full(len(arriving), count), reached[arriving], arriving))
-    taken = np.zeros(count)
-    for source, _, mass, _ in moves:
-        np.add.at(taken, source, mass)
-    left = np.cumsum(taken[::-1])[::-1]  # from each block on
-    every = np.arange(count - 1)
-    moves.append((every, every + 1, left[1:], (every + 1) * block))
-    source, target, mass, layer = (np.concatenate(part) for part in zip(*moves, strict=True))
-    kept = np.flatnonzero(mass > 0.0)
-    source, target, ahead = source[kept], target[kept], (layer - source * block)[kept]
+    taken = sum(np.bincount(link[0], weights=link[2], minlength=count) for link in links)
+    left = np.cumsum(np.asarray(taken)[::-1])[::-1]  # from each block on
+    onward = np.flatnonzero(left[1:])
+    links.append((onward, onward + 1, left[1:][onward], (onward + 1) * block))
+    source, target, mass, layer = (np.concatenate(part) for part in zip(*links, strict=True))
+    ahead = layer - source * block
     paid = totals_of(ahead, exact_cost(unit)) if layers.rounds_up else ahead * unit
-    state = np.concatenate([np.full(count, np.argmin(model.goal_mask)),
-                            [np.argmax(model.goal_mask)], *(c.state for c in tails)])  # fmt: skip
-    start, own = np.zeros(len(state)), np.zeros(count + 1)
-    start[0], start[count] = left[0], reached[0]
+    state = np.append(np.full(count, np.argmin(model.goal_mask)), np.argmax(model.goal_mask))
+    state, start = np.concatenate([state, *(c.state for c in tails)]), np.zeros(first)
+    start[0] = left[0]
     return Chain(
         model=model,
         state=read_only(state),
@@ -532,7 +515,7 @@ def _block_chain_of_law(
         dead=read_only(np.concatenate([own, *(c.dead for c in tails)])),
         source=np.concatenate([source, *(begin for begin, _ in ends)]),
         target=np.concatenate([target, *(end for _, end in ends)]),
-        probability=np.concatenate([mass[kept] / left[source], *(c.probability for c in tails)]),
+        probability=np.concatenate([mass / left[source], *(c.probability for c in tails)]),
         cost=np.concatenate([paid, *(c.cost for c in tails)]),
         outcome=_NOTHING,
         branch_node=_NOTHING,

@@ -1,13 +1,15 @@
-"""Exact evaluation of any policy under a problem's semantics, by sparse linear solves."""
+"""Exact evaluation of any policy under a problem's semantics, and the law of its total cost."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from math import fsum
+from typing import NamedTuple
 
 import numpy as np
 
+from ssp_lp.accumulated_cost.cost_law import CostLaw
 from ssp_lp.accumulated_cost.policy_layers import (
     LARGE,
     LayerMoves,
@@ -16,6 +18,7 @@ from ssp_lp.accumulated_cost.policy_layers import (
     landed_chains,
 )
 from ssp_lp.analysis.quantity_values import (
+    asked_quantities,
     check_giving_up,
     complement,
     cost_after_failing,
@@ -26,11 +29,9 @@ from ssp_lp.analysis.quantity_values import (
     state_give_up_charges,
     value_until_failure,
 )
-from ssp_lp.analysis.success_costs import measured_law
 from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray
 from ssp_lp.compiled.deadline import limited
 from ssp_lp.errors import ModelError, in_short
-from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import dead_ends, end_marks, stop_marks
 from ssp_lp.model.product import ProductSSP
@@ -38,11 +39,12 @@ from ssp_lp.model.report import ByName, Facts, Table
 from ssp_lp.policies import StochasticPolicy
 from ssp_lp.policies.chain import Chain, policy_chain, reached_table
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED, MixedPolicy, Policy
-from ssp_lp.policies.remembering import common_memory
+from ssp_lp.policies.remembering import JointMemory, common_memory
 from ssp_lp.problem import NEEDED, Problem, on_one_model
 from ssp_lp.processes.conditions import OBJECTIVE
 from ssp_lp.processes.failure_semantics import (
     Aim,
+    FailureSemantics,
     GiveUp,
     dead_end_charges,
     start_distribution,
@@ -156,55 +158,147 @@ def evaluate_each(
     each = [evaluation_of(member, problem) for member in members]
     if not semantics.counts_law:
         return evaluation, each
-    law = measured_law(chains, lottery.weights[lottery.weights > 0.0], semantics)
+    law = _measured_law(chains, lottery.weights[lottery.weights > 0.0], semantics)
     return replace(evaluation, objective=semantics.worth_of(law)), each
+
+
+@explained
+def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> CostLaw:
+    """The law of a policy's total cost on the runs that reach the goal.
+
+    Costs and probabilities are undiscounted, whatever the problem's discount. The law of a lottery
+    is the mixture of its members' laws, so that a quantile is the mixture's, never a mean of the
+    members' quantiles.
+
+    Args:
+        policy: any policy on the problem's model.
+        problem: says the start.
+
+    Raises:
+        ModelError: the policy is for another model, or undecided in a state that it reaches.
+
+    Example:
+        >>> from ssp_lp import S3P, SSP, DeterministicPolicy
+        >>> model = SSP.from_transitions(
+        ...     {"door": {"try": [(0.5, "out", 0.1), (0.5, "door", 0.1)]}}, goal={"out"})
+        >>> problem = S3P(model, start="door")
+        >>> law = success_costs(DeterministicPolicy.from_actions(model, {"door": "try"}), problem)
+        >>> law.within(0.3), law.quantile(0.95)
+        (0.875, 0.5)
+    """
+    lottery, problem = on_one_model(policy, problem, "success_costs")
+    return law_of_chains(_law_chains(lottery, problem), lottery.weights[lottery.weights > 0.0])
+
+
+def measured_costs(policy: MixedPolicy, problem: Problem) -> CostLaw:
+    """The cost law that a problem's measure goes by: of costs as the policy's members count them.
+
+    Members may round costs up. A measure that is one of the totals goes by costs as they are paid,
+    where such a law is soon followed.
+    """
+    chains = _law_chains(policy, problem, soon=True)
+    return _measured_law(chains, policy.weights[policy.weights > 0.0], problem.semantics)
+
+
+def _law_chains(
+    lottery: MixedPolicy, problem: Problem, *, soon: bool = False
+) -> list[tuple[Chain, Chain]]:
+    """Chains of a lottery's members with their cost laws: as paid, and as the members count."""
+    start = start_distribution(problem.model, problem.start)
+    return [
+        chains_of_law(problem.model, member, start, soon=soon)
+        for weight, member in lottery.weighted
+        if weight > 0.0
+    ]
+
+
+def _measured_law(
+    chains: Iterable[tuple[Chain, Chain]], weights: FloatArray, semantics: FailureSemantics
+) -> CostLaw:
+    """The cost law of :func:`measured_costs` from its members' chains, as :func:`law_of_chains`."""
+    if semantics.risk is not None and semantics.risk.is_a_total:
+        return law_of_chains(chains, weights)
+    return law_of_chains(((counted, counted) for _, counted in chains), weights)
+
+
+def law_of_chains(chains: Iterable[tuple[Chain, Chain]], weights: FloatArray) -> CostLaw:
+    """The cost law of a lottery from its members' chains.
+
+    Args:
+        chains: of the members, as costs are paid and as the members count them.
+        weights: of the members, > 0, [members].
+    """
+    paid, counted = zip(*chains, strict=True)
+    rounds = any(own is not other for own, other in zip(paid, counted, strict=True))
+    return CostLaw(paid, weights, counted if rounds else ())
+
+
+class _Measures(NamedTuple):
+    """Quantities of a policy that are linear in the start lottery."""
+
+    totals: FloatArray  # [discounts, 4] goal, failure, cost of success, cost until failure
+    ends: FloatArray  # [ways] as of ``end_marks``, then wandering
+    secondary: FloatArray  # [quantities] that the problem limits and minimises
+    later: FloatArray  # [1] cost after failing; [0] where runs are over by failing
+
+
+def mean_of(parts: list[_Measures], weights: FloatArray) -> _Measures:
+    """Mean of an evaluation's measures over a lottery; an infinite cost of weight 0 is left out."""
+    used = np.flatnonzero(weights > 0.0)
+    columns = zip(*(parts[k] for k in used), strict=True)
+    return _Measures(*(np.tensordot(weights[used], np.stack(c), axes=1) for c in columns))
 
 
 def evaluation_of(sums: _Measures, problem: Problem) -> Evaluation:
     """The evaluation of a policy from its measures."""
-    discounted = problem.discount is not None
-    failure, surrogate = sums.failure, sums.discounted_failure
-    objective = sums.discounted_cost
-    semantics = problem.semantics
+    semantics, discounted = problem.semantics, problem.discount is not None
+    goal, failure, success_cost, stopped = sums.totals[0].tolist()
+    kept, surrogate, *costs = sums.totals[-1].tolist()
+    objective = costs[0 if problem.ratio else 1]
     if semantics.aim is not Aim.LEAST_COST:
-        objective = sums.discounted_goal
+        objective = kept
     elif semantics.penalty > 0.0 and not semantics.forbids_failing:
         objective += semantics.penalty * surrogate
     if problem.ratio:
-        reached = sums.discounted_goal
-        objective = objective / reached if reached > 0 else float("nan")
-    secondary = dict(sums.secondary)
+        objective = objective / kept if kept > 0 else float("nan")
+    asked = asked_quantities(problem) if sums.secondary.size else ()
+    secondary = {one.name: value for one, value in zip(asked, sums.secondary.tolist(), strict=True)}
     if OBJECTIVE in secondary:  # a quantity is minimised in place of the cost
         objective = secondary.pop(OBJECTIVE)
+    ways = ["goal", *problem.model.state_labels, "dead_end", "gave_up", "wandering"]
     return Evaluation(
-        goal_probability=sums.goal,
+        goal_probability=goal,
         failure_probability=failure,
-        success_cost=sums.success_cost,
-        conditional_cost=sums.success_cost / sums.goal if sums.goal > 0 else float("nan"),
-        expected_cost=sums.expected_cost,
+        success_cost=success_cost,
+        conditional_cost=success_cost / goal if goal > 0 else float("nan"),
+        expected_cost=stopped,
         objective=objective,
         discounted_failure=surrogate if discounted else None,
-        discounted_goal=sums.discounted_goal if discounted else None,
-        ends=sums.ends,
+        discounted_goal=kept if discounted else None,
+        ends=dict(zip(ways, sums.ends.tolist(), strict=True)),
         secondary_costs=secondary,
-        cost_after_failing=sums.after_failing,
+        cost_after_failing=next(iter(sums.later.tolist()), None),
     )
 
 
 def evaluated_measures(chain: Chain, problem: Problem, *, declared: bool = False) -> _Measures:
     """Measures for a policy's evaluation, on its chain."""
-    hopeful = chain.reaching(chain.goal > 0)
-    counted = counted_nodes(chain, hopeful, problem, declared=declared)
-    check_giving_up(chain, problem.semantics, pairs_free_in_all_quantities(problem))
-    mass = np.zeros((chain.n_nodes, 3))
-    mass[:, 0] = chain.start
-    totals = [
-        _chain_totals(chain, hopeful, counted, problem, survival, mass)
-        for survival in _survivals(problem)
-    ]
-    secondary = quantity_values(chain, counted, problem)
-    measures = _measures_of(problem, totals, _evaluated_ends(chain, chain.start), secondary)
-    return replace(measures, after_failing=cost_after_failing(chain, counted))
+    mass = np.zeros((chain.n_nodes, 3 * len(_survivals(problem))))
+    mass[:, ::3] = chain.start[:, None]
+    counted = counted_nodes(chain, problem, declared=declared)
+    totals = _chain_totals(chain, counted, problem, mass)
+    measures = _measures_of(totals, _evaluated_ends(chain, chain.start))
+    values, later = quantity_values(chain, counted, problem), cost_after_failing(chain, counted)
+    return measures._replace(secondary=np.array(values), later=np.array(later))
+
+
+def _measures_of(totals: FloatArray, ends: FloatArray) -> _Measures:
+    """Measures of totals by discount, [discounts, 4], and of ways to end, [ways]."""
+    for row in totals:  # goal and failure within [0, 1]; 0 of either where the other is sure
+        goal, failure = row[[GOAL, FAILED]]
+        row[GOAL] = 1.0 if failure == 0.0 else min(goal, 1.0)
+        row[FAILED] = 1.0 if goal <= 0.0 < failure else min(failure, 1.0)
+    return _Measures(totals, np.append(ends, complement(float(ends.sum()))), *np.zeros((2, 0)))
 
 
 def _survivals(problem: Problem) -> list[float]:
@@ -212,41 +306,39 @@ def _survivals(problem: Problem) -> list[float]:
     return [1.0] if problem.discount is None else [1.0, problem.discount]
 
 
-GOAL, FAILED, SUCCESS_COST, STOPPED = range(4)
+GOAL, FAILED, STOPPED = 0, 1, 3
+"""Columns of the totals of an evaluation."""
 
 
 def _chain_totals(
-    chain: Chain,
-    hopeful: BoolArray,
-    counted: BoolArray,
-    problem: Problem,
-    survival: float,
-    mass: FloatArray,
-) -> list[float]:
-    """Goal, failure, cost of success and cost until failure under one discount, [4].
+    chain: Chain, counted: BoolArray, problem: Problem, mass: FloatArray
+) -> FloatArray:
+    """Goal, failure, cost of success and cost until failure, [discounts, 4].
 
     Args:
         chain: the chain.
-        hopeful: nodes from which the goal can be reached, [nodes].
         counted: nodes at which failure has not been declared, [nodes].
         problem: says the semantics.
-        survival: the discount.
-        mass: that enters, that times the cost paid before, and what has failed, [nodes, 3].
+        mass: that enters, that times the cost paid before, and what has failed, for each discount,
+            [nodes, 3 * discounts].
+
+    Raises:
+        ModelError: the policy gives up where it may not.
     """
-    entering, paid, lost = mass.T
-    alive = hopeful & (chain.goal == 0)
-    early = chain.accumulate(chain.per_node(chain.goal[chain.target]), alive, survival)
-    weight = np.where(chain.goal[chain.target] > 0, 1.0, survival * early[chain.target])
-    cost = chain.accumulate(chain.per_node(weight * chain.cost), alive, survival)
-    reached = survival * early + chain.goal
-    ended = (~alive & (chain.goal == 0.0)).astype(np.float64)
-    leaks = (1.0 - survival) + survival * (chain.ahead(ended) + chain.give_up)
-    failed = chain.accumulate(np.where(alive, leaks, 0.0), alive, survival) + ended
-    goes_on = problem.semantics.give_up is GiveUp.DEAD_ENDS
-    begins = entering + lost if goes_on else entering
-    stopped = value_until_failure(chain, counted, problem.semantics, survival, start=begins)
-    success = float(entering @ cost + paid @ reached / survival)
-    return [float(entering @ reached), float(entering @ failed), success, stopped]
+    semantics, totals = problem.semantics, []
+    check_giving_up(chain, semantics, pairs_free_in_all_quantities(problem))
+    alive = chain.alive
+    ended = np.where(alive | (chain.goal > 0), 0.0, 1.0)
+    for k, survival in enumerate(_survivals(problem)):
+        entering, paid, lost = mass[:, 3 * k : 3 * k + 3].T
+        reached, cost = chain.arriving(survival)
+        leaks = (1.0 - survival) + survival * (chain.ahead(ended) + chain.give_up)
+        failed = chain.accumulate(np.where(alive, leaks, 0.0), alive, survival) + ended
+        begins = entering + lost if semantics.give_up is GiveUp.DEAD_ENDS else entering
+        stopped = value_until_failure(chain, counted, semantics, survival, start=begins)
+        success = entering @ cost + paid @ reached / survival
+        totals.append([entering @ reached, entering @ failed, success, stopped])
+    return np.array(totals)
 
 
 def _evaluated_ends(chain: Chain, start: FloatArray) -> FloatArray:
@@ -260,46 +352,12 @@ def _evaluated_ends(chain: Chain, start: FloatArray) -> FloatArray:
     return np.asarray(start @ values)
 
 
-def _measures_of(
-    problem: Problem,
-    totals: Sequence[Sequence[float]],
-    ends: FloatArray,
-    secondary: Mapping[str, float],
-) -> _Measures:
-    """The measures of totals by discount, [discounts, 4], and of ways to end, [ways]."""
-    first, last = totals[0], totals[-1]
-    goal, failure = _both_measures(first[GOAL], first[FAILED])
-    kept, surrogate = _both_measures(last[GOAL], last[FAILED])
-    names = ["goal", *problem.model.state_labels, "dead_end", "gave_up"]
-    shares = dict(zip(names, ends.tolist(), strict=True))
-    return _Measures(
-        goal=goal,
-        failure=failure,
-        success_cost=first[SUCCESS_COST],
-        expected_cost=first[STOPPED],
-        discounted_goal=kept,
-        discounted_failure=surrogate,
-        discounted_cost=last[SUCCESS_COST if problem.ratio else STOPPED],
-        ends=shares | {"wandering": complement(sum(shares.values()))},
-        secondary=secondary,
-    )
-
-
 _ROUNDING = 64 * MACHINE_EPSILON
 """As little wandering as this is rounding: it is what the other ends leave of 1."""
 
 _FOLLOWED = 100_000  # nodes of a policy's chain among which the place of giving up is looked for
 
 _WORDS = {"dead_end": "dead-end", "gave_up": "gave up", "wandering": "wandering"}
-
-
-def ways_to_fail(ends: Mapping[str, float]) -> dict[str, float]:
-    """Ways to fail in a policy's evaluation, with their probabilities."""
-    return {
-        name: share
-        for name, share in ends.items()
-        if name != "goal" and share > (_ROUNDING if name == "wandering" else 0.0)
-    }
 
 
 def cost_in_words(cost: float) -> str:
@@ -309,7 +367,8 @@ def cost_in_words(cost: float) -> str:
 
 def failing_in_words(ends: Mapping[str, float]) -> str:
     """Evaluated ways to fail in a line: "crash 0.03, gave up 0.02"."""
-    ways = ways_to_fail(ends).items()
+    least = {"goal": np.inf, "wandering": _ROUNDING}
+    ways = ((name, share) for name, share in ends.items() if share > least.get(name, 0.0))
     return ", ".join(f"{_WORDS.get(name, name)} {share:.6g}" for name, share in ways)
 
 
@@ -321,31 +380,23 @@ def giving_up_in_words(policy: MixedPolicy, problem: Problem, share: float) -> s
         problem: says the start.
         share: probability of giving up.
     """
-    at_start = giving_up_at_start(policy, problem)
+    at_start, start = 0.0, start_distribution(problem.model, problem.start)
+    states = np.flatnonzero((start > 0.0) & (np.diff(problem.model.pair_offsets) > 0))
+    for weight, member in policy.weighted:
+        memory = member.start_memory(states)
+        branches = member.branches(states, memory)
+        begins = start[states[branches.situation]] * branches.probability
+        at_start += weight * float(begins[branches.gives_up(memory)].sum())
     if at_start > share - _ROUNDING:
         return "before the first step"
     if at_start > 0.0:
         return f"{at_start:.6g} of it before the first step"
     try:
-        start = start_distribution(problem.model, problem.start)
         rows = reached_table(policy, start, _FOLLOWED)
     except ModelError:  # too many nodes to look for the place
         return ""
     first = next((row.state for row in rows if row.action is GIVE_UP), None)
     return "" if first is None else f"first in {in_short(first)}"
-
-
-def giving_up_at_start(policy: MixedPolicy, problem: Problem) -> float:
-    """Evaluated probability that the policy gives up before its first step."""
-    start = start_distribution(problem.model, problem.start)
-    states = np.flatnonzero((start > 0.0) & (np.diff(problem.model.pair_offsets) > 0))
-    total = 0.0
-    for member, weight in zip(policy.policies, policy.weights, strict=True):
-        branches = member.branches(states, member.start_memory(states))
-        gives_up = branches.pair == GIVE_UP_CODE
-        share = start[states[branches.situation]] * branches.probability
-        total += float(weight) * float(share[gives_up].sum())
-    return total
 
 
 def expected_visits(chain: Chain, survival: float = 1.0) -> FloatArray:
@@ -405,51 +456,19 @@ def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> Stoch
     policy, problem = on_one_model(policy, problem, "equivalent_randomised_policy")
     model, start = problem.model, start_distribution(problem.model, problem.start)
     survival = survival_of(problem.discount)
-    memory = common_memory(policy)
+    keepers = common_memory(policy)
     keys, pairs, flows = [], [], []
     for member, weight in zip(policy.policies, policy.weights, strict=True):
-        lifted = member if memory is None else memory.followed_by(member)
+        lifted = JointMemory(keepers, member) if keepers else member
         chain = policy_chain(model, lifted, start)
         visits = expected_visits(chain, survival)
         flow = weight * visits[chain.branch_node] * chain.branch_probability
         keys.append((chain.memory * model.n_states + chain.state)[chain.branch_node])
         pairs.append(chain.branch_pair)
         flows.append(flow)
-    return StochasticPolicy.from_flows(
-        model, np.concatenate(keys), np.concatenate(pairs), np.concatenate(flows), memory
-    )
-
-
-@dataclass(frozen=True)
-class _Measures:
-    """Quantities of a policy that are linear in the start lottery."""
-
-    goal: float
-    failure: float  # 1 - goal, summed from its own exits
-    success_cost: float
-    expected_cost: float
-    discounted_goal: float  # E[gamma^T; goal]
-    discounted_failure: float  # 1 - that, likewise
-    discounted_cost: float  # case M: discounted E[r_tau]; case S: E[gamma^(T - 1) r_T; goal]
-    ends: Mapping[str, float]
-    secondary: Mapping[str, float]  # discounted like the cost
-    after_failing: float | None = None  # None: runs are over by failing
-
-
-def mean_of(parts: list[_Measures], weights: FloatArray) -> _Measures:
-    """Mean of an evaluation's measures over a lottery; an infinite cost of weight 0 is left out."""
-    used = [(p, float(w)) for p, w in zip(parts, weights, strict=True) if w > 0]
-    scalars = {
-        f.name: sum(w * getattr(p, f.name) for p, w in used)
-        for f in fields(_Measures)
-        if f.name not in ("ends", "secondary") and getattr(used[0][0], f.name) is not None
-    }
-    names = list(dict.fromkeys(name for p, _ in used for name in p.ends))
-    return _Measures(
-        **scalars,
-        ends={n: sum(w * p.ends.get(n, 0.0) for p, w in used) for n in names},
-        secondary={n: sum(w * p.secondary[n] for p, w in used) for n in used[0][0].secondary},
-    )
+    every = np.concatenate(keys), np.concatenate(pairs), np.concatenate(flows)
+    carrier = JointMemory(keepers, keepers[0]) if len(keepers) > 1 else next(iter(keepers), None)
+    return StochasticPolicy.from_flows(model, *every, carrier)
 
 
 def layered_measures(
@@ -473,96 +492,64 @@ def layered_measures(
     if problem.conditions or problem.objective_condition is not None:
         return None
     moves, survivals = LayerMoves(model, layers), _survivals(problem)
-    hopeful, costs = hopeful_layers(moves)[0], _LayerCosts.of(problem)
+    hopeful, (charge, layer_totals) = hopeful_layers(moves)[0], _layer_costs(problem)
     waiting = np.zeros((moves.room, model.n_states, 3 * len(survivals)))
     waiting[0, :, ::3] = start[:, None]
     stopped = np.zeros((2, model.n_states))  # what ends in each state, and what gives up there
-    ends, parts = np.zeros(len(model.state_labels) + 3), list[list[list[float]]]()
+    ends, parts = np.zeros(len(model.state_labels) + 3), list[FloatArray]()
     for layer, here, pairs, visits in moves.follow(waiting, survivals, hopeful):
         hopes, quits = hopeful[layer, here], pairs == GIVE_UP_CODE
-        if (quits & np.isinf(costs.charge[here])).any() or (pairs == UNDECIDED).any():
+        if (quits & np.isinf(charge[here])).any() or (pairs == UNDECIDED).any():
             return None
         stopped[quits.astype(np.int64), here] += np.where(hopes, visits[:, 0], visits[:, 2])
-        each = zip(np.split(visits, len(survivals), axis=1), survivals, strict=True)
-        parts.append(
-            [costs.totals(here, pairs, hopes, block, survival) for block, survival in each]
-        )
+        parts.append(layer_totals(here, pairs, hopes, visits))
     try:
         for tail, mass in landed_chains(moves, waiting):
-            parts.append(_landed_totals(tail, mass, problem))
-            ends += _evaluated_ends(tail, mass[:, 0] + mass[:, 2])
+            counted, entering = tail.alive | (tail.goal > 0), mass.sum(axis=0)
+            parts.append(_chain_totals(tail, counted, problem, entering))
+            ends += _evaluated_ends(tail, entering[:, 0] + entering[:, 2])
     except ModelError:
         return None
     marks = np.stack([end_marks(model), stop_marks(model)])
     over = marks >= 0
     ends += np.bincount(marks[over], weights=stopped[over], minlength=ends.size)
-    totals = np.apply_along_axis(fsum, 0, np.array(parts))
+    totals = np.apply_along_axis(fsum, 0, np.array(parts)).astype(np.float64)
     if problem.semantics.forbids_failing and totals[0, FAILED] > 0.0:
         totals[:, STOPPED] = np.inf
-    return _measures_of(problem, totals.tolist(), ends, {})
+    return _measures_of(totals, ends)
 
 
-def _landed_totals(chain: Chain, mass: FloatArray, problem: Problem) -> list[list[float]]:
-    """The totals of mass that goes on by a tail's chain, [discounts, 4].
+_LayerTotals = Callable[[IntArray, IntArray, BoolArray, FloatArray], FloatArray]
 
-    Raises:
-        ModelError: the tail gives up where it may not.
+
+def _layer_costs(problem: Problem) -> tuple[FloatArray, _LayerTotals]:
+    """Charge of giving up in a problem without limits, and the totals that a layer adds.
+
+    Returns:
+        [states], infinite where giving up is not allowed; and a function of a layer's states and
+        pairs, [k], of where the goal is in reach, [k], and of visits as ``LayerMoves.follow`` has
+        them, [k, 3 * discounts], to goal, failure, cost of success and cost until failure,
+        [discounts, 4].
     """
-    hopeful, survivals = chain.reaching(chain.goal > 0), _survivals(problem)
-    check_giving_up(chain, problem.semantics, pairs_free_in_all_quantities(problem))
-    return [
-        _chain_totals(chain, hopeful, hopeful, problem, survival, block)
-        for block, survival in zip(np.split(mass, len(survivals), axis=1), survivals, strict=True)
-    ]
+    model, semantics, dead = problem.model, problem.semantics, dead_ends(problem.model)
+    stage, charge = cost_means(model), state_give_up_charges(model, semantics)
+    entering = dead_end_charges(model, dead, semantics)
+    stopping = np.where(dead, entering, np.where(np.isinf(charge), 0.0, charge))
 
-
-@dataclass(frozen=True, eq=False)
-class _LayerCosts:
-    """What a layer of a policy that remembers its cost adds to its totals."""
-
-    model: SSP
-    stage: FloatArray  # [pairs]
-    charge: FloatArray  # [states] of giving up, infinite where that is not allowed
-    stopping: FloatArray  # [states] what failing there costs
-    goes_on: bool  # costs go on where the goal is lost, until a dead-end is entered
-
-    @classmethod
-    def of(cls, problem: Problem) -> _LayerCosts:
-        """What a problem without limits says."""
-        model, semantics, dead = problem.model, problem.semantics, dead_ends(problem.model)
-        charge = state_give_up_charges(model, semantics)
-        entering = dead_end_charges(model, dead, semantics)
-        stopping = np.where(dead, entering, np.where(np.isinf(charge), 0.0, charge))
-        goes_on = semantics.give_up is GiveUp.DEAD_ENDS
-        return cls(model, cost_means(model), charge, stopping, goes_on)
-
-    def totals(
-        self, here: IntArray, pairs: IntArray, hopes: BoolArray, visits: FloatArray, survival: float
-    ) -> list[float]:
-        """Goal, failure, cost of success and cost until failure under one discount, [4].
-
-        Args:
-            here: states, [k].
-            pairs: [k].
-            hopes: where the goal is in reach, [k].
-            visits: of one discount, as of ``LayerMoves.follow``, [k, 3].
-            survival: the discount.
-        """
-        mass, paid, lost = visits.T
-        at_goal, moving = self.model.goal_mask[here], pairs >= 0
-        cost = np.where(moving, self.stage[np.maximum(pairs, 0)], self.stopping[here])
+    def totals(here: IntArray, pairs: IntArray, hopes: BoolArray, visits: FloatArray) -> FloatArray:
+        """Totals of a layer of a policy that remembers its cost, [discounts, 4]."""
+        at_goal, moving, rows = model.goal_mask[here], pairs >= 0, []
+        cost = np.where(moving, stage[np.maximum(pairs, 0)], stopping[here])
         cost[at_goal] = 0.0
-        failed = mass[~hopes].sum() + (1.0 - survival) * mass[hopes & moving].sum()
         costly = ~hopes & (cost > 0.0)
-        after = (
-            lost[costly] @ cost[costly] if self.goes_on else mass @ (~hopes * self.stopping[here])
-        )
-        stopped = mass @ (hopes * cost) + after
-        return [mass[at_goal].sum(), failed, paid[at_goal].sum() / survival, stopped]
+        for k, survival in enumerate(_survivals(problem)):
+            mass, paid, lost = visits[:, 3 * k : 3 * k + 3].T
+            failed = mass[~hopes].sum() + (1.0 - survival) * mass[hopes & moving].sum()
+            after = mass @ (~hopes * stopping[here])
+            if semantics.give_up is GiveUp.DEAD_ENDS:  # costs go on where the goal is lost
+                after = lost[costly] @ cost[costly]
+            stopped = mass @ (hopes * cost) + after
+            rows.append([mass[at_goal].sum(), failed, paid[at_goal].sum() / survival, stopped])
+        return np.array(rows)
 
-
-def _both_measures(goal: float, failure: float) -> tuple[float, float]:
-    """Evaluated goal and failure within [0, 1]; 0 of either where the other is sure."""
-    if failure == 0.0:
-        return 1.0, 0.0
-    return min(goal, 1.0), 1.0 if goal <= 0.0 else min(failure, 1.0)
+    return charge, totals

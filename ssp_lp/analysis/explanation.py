@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -67,14 +67,6 @@ class Explanation(Report):
         ]
 
 
-class _Counted(NamedTuple):
-    """A quantity of the explained values."""
-
-    name: str
-    weight: float
-    coefficients: FloatArray  # [pairs] of the process
-
-
 def explanation(
     values: StateValues,
     prices: Mapping[str, float],
@@ -105,9 +97,9 @@ def explanation(
         some = [f"{label.state!r}{label.paid}" for label in labels.values()]
         there = f"; there is {' and '.join(dict.fromkeys(some[:_NAMED]))}" if some else ""
         raise ModelError(f"nothing is decided in {state!r} alone, at the cost {total}{there}")
-    counted = _counted_quantities(program, prices, ratio)
-    amounts = _following(values, counted)[:, columns]
-    worth = np.array([quantity.weight for quantity in counted]) @ amounts
+    names, weights, rewards = zip(*_counted_quantities(program, prices, ratio), strict=True)
+    amounts = _following(values, np.stack(rewards))[:, columns]
+    worth = np.array(weights) @ amounts
     excess = worth - worth.min()
     excess[excess <= _TIGHT * np.abs(worth).max()] = 0.0  # rounding
     shares = {
@@ -125,34 +117,28 @@ def explanation(
         )
         for k, column in enumerate(columns.tolist())
     ]
-    return Explanation(
-        state,
-        total,
-        tuple(quantity.name for quantity in counted),
-        tuple(quantity.weight for quantity in counted),
-        tuple(sorted(actions, key=lambda action: action.excess)),
-    )
+    best_first = tuple(sorted(actions, key=lambda action: action.excess))
+    return Explanation(state, total, names, weights, best_first)
 
 
 def _counted_quantities(
     program: OccupationProgram, prices: Mapping[str, float], ratio: float
-) -> list[_Counted]:
-    """The objective, the goal in case S, failing, and each row, with their weights."""
+) -> list[tuple[str, float, FloatArray]]:
+    """The objective, the goal in case S, failing, and each row: name, weight, [pairs]."""
     process = program.process
-    counted = [_Counted(program.objective, 1.0, process.cost)]
+    counted = [(program.objective, 1.0, process.cost)]
     if program.ratio:
-        counted.append(_Counted("goal", -ratio, process.goal))
+        counted.append(("goal", -ratio, process.goal))
     rows = {row.name: row.coefficients for row in program.rows}
     for name, coefficients in {"failure": process.failure, **rows}.items():
         if name != program.objective:
-            counted.append(_Counted(name, prices.get(name, 0.0), coefficients))
+            counted.append((name, prices.get(name, 0.0), coefficients))
     return counted
 
 
-def _following(values: StateValues, counted: Sequence[_Counted]) -> FloatArray:
+def _following(values: StateValues, rewards: FloatArray) -> FloatArray:
     """Amount of each explained quantity that follows each pair, [quantities, pairs]."""
     process, dynamics = values.program.process, values.program.process.dynamics
-    rewards = np.stack([quantity.coefficients for quantity in counted])
     scale = max(float(np.abs(values.states).max(initial=0.0)), 1.0)
     tight = values.reduced_costs <= _TIGHT * scale
     nearer = nearer_pairs(dynamics.graph, tight & (dynamics.exits > 0.0), tight)

@@ -15,7 +15,7 @@ from ssp_lp.model.graph import attention_states, dead_ends
 from ssp_lp.policies.chain import Chain, policy_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, Policy, as_lottery
 from ssp_lp.problem import Problem
-from ssp_lp.processes.conditions import StepTerm, Term
+from ssp_lp.processes.conditions import Condition, StepTerm, Term
 from ssp_lp.processes.failure_semantics import (
     FailureSemantics,
     GiveUp,
@@ -118,9 +118,7 @@ def entering_charges(model: SSP, semantics: FailureSemantics) -> FloatArray:
     return model.of_all_states(dead_end_charges(model, dead_ends(model), semantics))
 
 
-def counted_nodes(
-    chain: Chain, hopeful: BoolArray, problem: Problem, *, declared: bool = False
-) -> BoolArray:
+def counted_nodes(chain: Chain, problem: Problem, *, declared: bool = False) -> BoolArray:
     """Nodes of a policy's chain at which quantities still count: failing is not declared, [nodes].
 
     That is where the goal can still be reached; but where a constraint asks for another end, a
@@ -131,7 +129,6 @@ def counted_nodes(
 
     Args:
         chain: the policy's.
-        hopeful: nodes from which the goal is reached with positive probability, [nodes].
         problem: with what is asked.
         declared: whether the policy declares itself that it fails.
     """
@@ -142,7 +139,7 @@ def counted_nodes(
         over = (chain.goal > 0) | quits
         return chain.reaching(over | (chain.dead > 0) if declared else over)
     if problem.semantics.forbids_failing or not _asks_for_ends(problem):
-        return hopeful
+        return np.asarray(chain.alive | (chain.goal > 0))
     return chain.reaching((chain.goal > 0) | (chain.dead > 0) | (chain.give_up > 0))
 
 
@@ -171,44 +168,45 @@ def lost_nodes(chain: Chain, problem: Problem, *, declared: bool = False) -> Boo
         problem: with what is asked.
         declared: as of :func:`counted_nodes`.
     """
-    hopeful = chain.reaching(chain.goal > 0)
-    counted = counted_nodes(chain, hopeful, problem, declared=declared)
+    counted = counted_nodes(chain, problem, declared=declared)
     return np.asarray(~counted & (chain.dead == 0))
 
 
 def _asks_for_ends(problem: Problem) -> bool:
     """Whether some constraint or the objective asks for an end that is not the goal."""
+    return any(condition.wants_ends for condition in asked_quantities(problem))
+
+
+def asked_quantities(problem: Problem) -> tuple[Condition, ...]:
+    """Quantities whose values a problem asks for: those that it limits, and one minimised."""
     objective = problem.objective_condition
-    asked = problem.conditions + (() if objective is None else (objective,))
-    return any(condition.wants_ends for condition in asked)
+    return problem.conditions + (() if objective is None else (objective,))
 
 
-def cost_after_failing(chain: Chain, counted: BoolArray) -> float | None:
-    """Expected cost from failing until the run ends; None where runs are over with failing.
+def cost_after_failing(chain: Chain, counted: BoolArray) -> list[float]:
+    """Expected cost from failing until the run ends, [1]; [0] where runs are over with failing.
 
     Args:
         chain: the policy's.
         counted: nodes at which failure has not been declared, [nodes].
     """
     if (label := chain.model.failure_label) is None:
-        return None
+        return []
     failed = label.after[chain.state[chain.target]] | ~counted[chain.source]
     paid = label.original.costs[label.original_outcome[chain.outcome]]
     later = replace(chain, cost=np.where(failed, paid, 0.0))
     over = (chain.goal > 0) | (chain.dead > 0) | (chain.give_up > 0)
     unpaid = FailureSemantics(GiveUp.DEAD_ENDS)
-    return value_until_failure(later, chain.reaching(over), unpaid, 1.0)
+    return [value_until_failure(later, chain.reaching(over), unpaid, 1.0)]
 
 
-def quantity_values(chain: Chain, counted: BoolArray, problem: Problem) -> dict[str, float]:
-    """Value of each constrained quantity of a policy, and of a minimised one."""
-    objective = problem.objective_condition
-    conditions = problem.conditions + (() if objective is None else (objective,))
-    return {
-        condition.name: condition.constant
-        + sum(w * _quantity_value(chain, counted, problem, term) for w, term in condition.terms)
-        for condition in conditions
-    }
+def quantity_values(chain: Chain, counted: BoolArray, problem: Problem) -> list[float]:
+    """Value of each quantity that a problem asks for, [quantities]."""
+    return [
+        asked.constant
+        + sum(w * _quantity_value(chain, counted, problem, term) for w, term in asked.terms)
+        for asked in asked_quantities(problem)
+    ]
 
 
 def _quantity_value(chain: Chain, counted: BoolArray, problem: Problem, term: Term) -> float:

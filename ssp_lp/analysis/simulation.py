@@ -38,11 +38,7 @@ from ssp_lp.options import progress_shown
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import GIVE_UP_CODE, MOST_EPISODES, Randomness, as_lottery, generator_of
 from ssp_lp.problem import Problem, on_one_model
-from ssp_lp.processes.failure_semantics import (
-    GiveUp,
-    as_percentage,
-    start_distribution,
-)
+from ssp_lp.processes.failure_semantics import GiveUp, as_percentage, start_distribution
 
 _MOST_WORK = 300_000_000  # outcomes looked at for the dearest way, a few seconds
 
@@ -417,7 +413,10 @@ def _simulate_episodes(
         pair = players.decide(alive, state[alive])
         gave_up[alive[pair == GIVE_UP_CODE]] = True
         alive, pair = alive[pair != GIVE_UP_CODE], pair[pair != GIVE_UP_CODE]
-        moved, successor, paid = _checked_step(model, simulator.step(world[alive], pair, rng))
+        moved, successor, paid = simulator.step(world[alive], pair, rng)
+        _check_simulated_states(model, successor)
+        if not (np.isfinite(paid) & (np.asarray(paid) >= 0)).all():
+            raise ModelError("the simulator returned a cost that is negative or not finite")
         world[alive], state[alive] = moved, successor
         past = lost[alive]
         if label is not None:
@@ -435,17 +434,6 @@ def _simulate_episodes(
     paths = tuple(history[: int(steps[i]) + 1, i] for i in range(min(record, episodes)))
     ended = np.where(gave_up, charges[1][state], charges[0][state])
     return Played(mark, cost, np.where(lost, charge, ended), later, steps, paths)
-
-
-def _checked_step(
-    model: SSP, step: tuple[World, IntArray, FloatArray]
-) -> tuple[World, IntArray, FloatArray]:
-    """States and costs that a simulator's step handed back, if they can be."""
-    world, state, cost = step
-    _check_simulated_states(model, state)
-    if not (np.isfinite(cost) & (np.asarray(cost) >= 0)).all():
-        raise ModelError("the simulator returned a cost that is negative or not finite")
-    return world, state, cost
 
 
 def _check_simulated_states(model: SSP, state: IntArray) -> None:

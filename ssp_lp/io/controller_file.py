@@ -23,10 +23,8 @@ from ssp_lp.policies import MixedPolicy, Policy, StochasticPolicy
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, as_lottery
 from ssp_lp.policies.remembering import (
     CompletePolicy,
-    JointMemory,
     LabelledPolicy,
     RememberingPolicy,
-    memory_size,
 )
 
 _VERSION = 1
@@ -102,8 +100,6 @@ def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[st
             return None
         case StochasticPolicy(carrier=Policy() as carrier):
             return _controller_memory(carrier, codes)
-        case JointMemory(keepers=(keeper,)):
-            return _controller_memory(keeper, codes)
         case RememberingPolicy(inner=inner, product=product):
             place = {"place": product.table.T.tolist(), "inner": _controller_memory(inner, codes)}
             return _controller_numbers(product, codes) | place
@@ -185,7 +181,7 @@ def _controller_decisions(policy: Policy, codes: Mapping[Hashable, int]) -> list
     action = np.array([codes[name] for name in model.action_names] or [0])
     action = np.append(action[model.pair_action], 0)  # of a model without pairs, too
     decisions = []
-    for memory in range(memory_size(policy)):
+    for memory in range(policy.memory_size or 1):
         branches = policy.branches(np.arange(model.n_states), np.full(model.n_states, memory))
         choice = np.where(branches.pair < 0, branches.pair, action[np.maximum(branches.pair, 0)])
         # it gives up where it has no decision and all is over

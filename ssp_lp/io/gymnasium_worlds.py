@@ -735,7 +735,8 @@ class _Player:
         self, member: Policy, state: int, memory: int
     ) -> tuple[list[int], list[int], list[float]]:
         """The decisions of a member, the memories with which they are played, running sums."""
-        branches, kept = member.played(np.array([state]), np.array([memory]))
+        branches = member.branches(np.array([state]), np.array([memory]))
+        kept = branches.kept(np.array([memory]))
         if UNDECIDED in branches.pair:
             raise ModelError(
                 f"the policy has no decision in state {self.model.states[state]!r}: "

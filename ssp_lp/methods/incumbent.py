@@ -16,7 +16,6 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import csgraph
 
-from ssp_lp.accumulated_cost.arrivals import ChainProspect
 from ssp_lp.accumulated_cost.charges import TOTAL_COST
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.arrays import LEAST_BUDGET
@@ -182,9 +181,9 @@ def by_moments(policy: MixedPolicy, problem: Problem) -> Evaluation:
     start, squares = start_distribution(model, problem.start), 0.0
     for member, weight in zip(policy.policies, policy.weights.tolist(), strict=True):
         chain = policy_chain(model, member, start)
-        ahead = ChainProspect.of(chain)
-        later = chain.cost * ahead.goal[chain.target] + 2.0 * ahead.cost[chain.target]
-        square = chain.accumulate(chain.per_node(chain.cost * later), ahead.alive)
+        goal_ahead, cost_ahead = chain.arriving()
+        later = chain.cost * goal_ahead[chain.target] + 2.0 * cost_ahead[chain.target]
+        square = chain.accumulate(chain.per_node(chain.cost * later), chain.alive)
         squares += weight * float(chain.start @ square)
     goal, mean = evaluation.goal_probability, evaluation.conditional_cost
     if goal == 0.0:

@@ -19,9 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from ssp_lp.analysis.evaluation import Evaluation, evaluate, pair_visits
+from ssp_lp.analysis.evaluation import Evaluation, evaluate, pair_visits, success_costs
 from ssp_lp.analysis.simulation import simulate
-from ssp_lp.analysis.success_costs import success_costs
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_ids
 from ssp_lp.errors import ModelError, check_whole, in_short, optional_module
 from ssp_lp.methods.frontier import Frontier

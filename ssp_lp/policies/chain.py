@@ -69,6 +69,11 @@ class Chain:
         return self.model.goal_mask[self.state].astype(np.float64)
 
     @cached_property
+    def alive(self) -> BoolArray:
+        """Nodes before the goal from which the chain may come to it, [nodes]."""
+        return np.asarray(self.reaching(self.goal > 0) & (self.goal == 0))
+
+    @cached_property
     def matrix(self) -> sp.csr_array:
         """Transition matrix of the policy's chain, [nodes, nodes]; goals and dead-ends: empty."""
         n = self.n_nodes
@@ -108,6 +113,20 @@ class Chain:
             own = reward[nodes].reshape(nodes.size, -1)
             result[nodes] = evaluate_chain(system, own).values.reshape(reward[nodes].shape)
         return result
+
+    def arriving(self, survival: float = 1.0) -> tuple[FloatArray, FloatArray]:
+        """Goal probability and E[cost; goal] to come at each node of the chain, [nodes] each.
+
+        Args:
+            survival: factor of every move; the last one's factor is not on the cost.
+        """
+        if survival not in self._arriving:
+            hits = self.per_node(self.goal[self.target])
+            goal = survival * self.accumulate(hits, self.alive, survival) + self.goal
+            paid = self.per_node(goal[self.target] * self.cost)
+            cost = self.accumulate(paid, self.alive, survival)
+            self._arriving[survival] = read_only(goal), read_only(cost)
+        return self._arriving[survival]
 
     def push(self, inflow: FloatArray, survival: float = 1.0) -> FloatArray:
         """The chain's expected visits of each node, given what enters from outside, [nodes]."""
@@ -159,6 +178,11 @@ class Chain:
     @cached_property
     def _systems(self) -> dict[tuple[float, bytes], tuple[IntArray, System]]:
         """The equations of the chain that are kept."""
+        return {}
+
+    @cached_property
+    def _arriving(self) -> dict[float, tuple[FloatArray, FloatArray]]:
+        """What is to come at the chain's nodes, by survival."""
         return {}
 
 
@@ -217,9 +241,11 @@ def policy_chain(
             frontier = _reachable_nodes(model, policy, frontier, ended, size)
             frontier = frontier[~visited[frontier]]
         reached += frontier.size
-        if reached > most_nodes and not policy.is_stationary:
+        if reached > most_nodes and size != 1:
             raise ModelError(f"the policy's chain has more than {most_nodes:,} nodes")
         step = _expand_chain(model, policy, frontier, ended)
+        if (step[6] == UNDECIDED).any():
+            policy.check_decided(step[6], step[5] % model.n_states)
         waves.append(step)
         if (last := max(int(frontier[-1]), int(step[1].max(initial=0)))) >= _MOST_KEYS:
             raise ModelError("the policy's chain is too large: its memory does not settle")
@@ -275,21 +301,9 @@ def _reachable_nodes(
         ended: states in which an episode is over, [states].
         size: how many values its memory takes.
     """
-    acting = np.flatnonzero(~ended)
-    state, memory = np.tile(acting, size), np.repeat(np.arange(size), acting.size)
-    branch, kept = policy.played(state, memory)
-    moves = branch.pair >= 0
-    pair, situation = branch.pair[moves], branch.situation[moves]
-    outcome, count = entries_of(model.outcome_offsets, pair)
-    possible = model.probabilities[outcome] > 0.0
-    outcome = outcome[possible]
-    source = np.repeat(memory[situation] * model.n_states + state[situation], count)[possible]
-    target = model.successors[outcome]
-    if not policy.is_stationary:
-        kept, pair = (np.repeat(each, count)[possible] for each in (kept[moves], pair))
-        after = policy.remember(kept, pair, target, model.costs[outcome])
-        target = np.where(ended[target], 0, after) * model.n_states + target
-    offsets = offsets_of(np.bincount(source, minlength=size * model.n_states))
+    every = np.arange(size * model.n_states)
+    source, target = _expand_chain(model, policy, every, ended)[:2]
+    offsets = offsets_of(np.bincount(source, minlength=every.size))
     return np.flatnonzero(reached_along(target, offsets, start))
 
 
@@ -298,12 +312,10 @@ def _expand_chain(model: SSP, policy: Policy, keys: IntArray, ended: BoolArray) 
     memory, state = np.divmod(keys, model.n_states)
     acting = ~ended[state]
     keys, memory, state = keys[acting], memory[acting], state[acting]
-    branch, kept = policy.played(state, memory)
-    if (branch.pair == UNDECIDED).any():
-        where = int(branch.situation[int(np.argmax(branch.pair == UNDECIDED))])
-        raise ModelError(f"the policy has no decision in state {model.states[int(state[where])]!r}")
-    moves = branch.pair != GIVE_UP_CODE
-    pair, situation, kept = branch.pair[moves], branch.situation[moves], kept[moves]
+    branch = policy.branches(state, memory)
+    moves = branch.pair >= 0
+    situation, pair = branch.situation[moves], branch.pair[moves]
+    kept = memory[situation] if branch.memory is None else branch.memory[moves]
     outcome, count = entries_of(model.outcome_offsets, pair)
     chance = np.repeat(branch.probability[moves], count) * model.probabilities[outcome]
     situation, outcome = np.repeat(situation, count)[chance > 0], outcome[chance > 0]

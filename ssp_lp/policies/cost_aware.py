@@ -91,6 +91,14 @@ class CostAwarePolicy(Policy):
         return self.cap + len(self.tails)
 
     @property
+    def meaning(self) -> tuple[object, ...]:
+        """The layers, and the rule by which tails are chosen."""
+        rule = self.tail_threshold if self.tail_table is None else self.tail_table
+        levels = b"" if self.levels is None else self.levels.tobytes()
+        kept = self.cap, self.unit, self.rounds_up, len(self.tails)
+        return *kept, rule.tobytes(), levels
+
+    @property
     def remembers(self) -> str:
         """The cost-aware policy's memory, in words."""
         return "cost paid"
@@ -198,16 +206,8 @@ class CostAwarePolicy(Policy):
             beyond = np.searchsorted(edges, total, side="right")
             return np.where(nearest < cap, nearest, cap + beyond)
 
-        shares = costs / levels[1]
-        steady = np.where(moving, np.rint(shares), 1.0).astype(np.int64)
-        is_even = bool((np.abs(np.diff(levels) - levels[1]) <= _TIE * levels[1]).all())
-        is_even = is_even and bool((np.abs(shares % 1.0 - 0.5) > _TIE)[moving].all())
-        most = int(steady.max(initial=0))
-
         def leads(level: int) -> IntArray:
             """Layers that a step of each cost passes from a level, [costs]."""
-            if is_even and level + most < cap:
-                return steady
             return np.where(moving, reached(levels[level] + costs) - level, 1)
 
         leads_to = reached(levels[:cap] + costs[moving].max(initial=0.0))

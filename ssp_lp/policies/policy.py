@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Final, Literal, NamedTuple, get_args
+from typing import Any, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from ssp_lp.arrays import (
     FloatArray,
     IntArray,
     ReadOnlyCopies,
-    concatenated_ranges,
     entries_of,
     offsets_of,
     read_only,
@@ -85,6 +84,16 @@ class Branches(NamedTuple):
     situation: IntArray  # [branches] position among the situations asked about
     pair: IntArray  # [branches] pair of the model, or GIVE_UP_CODE
     probability: FloatArray  # [branches]
+    memory: IntArray | None = None  # [branches] after giving up, to go on with; None: as before
+
+    def kept(self, memory: IntArray) -> IntArray:
+        """Memory with which each decision is taken, given that of the situations, [branches]."""
+        return memory[self.situation] if self.memory is None else self.memory
+
+    def gives_up(self, memory: IntArray) -> BoolArray:
+        """Whether each decision gives up, even if the policy goes on, [branches]."""
+        changes = self.kept(memory) != memory[self.situation]
+        return np.asarray((self.pair == GIVE_UP_CODE) | changes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,14 +166,15 @@ class Playable(Report, ReadOnlyCopies, ABC):
             ModelError: no episodes, or a lottery without a generator.
         """
         check_whole("episodes", episodes, most=MOST_EPISODES)
-        drawn = None if seed is None else generator_of(seed)
-        return EpisodeBatch(*self.draw(episodes, drawn), drawn, world)
-
-    @abstractmethod
-    def draw(
-        self, episodes: int, rng: np.random.Generator | None
-    ) -> tuple[tuple[Policy, ...], IntArray]:
-        """Members of the policy's lottery, and the position of the one that plays each episode."""
+        rng = None if seed is None else generator_of(seed)
+        weights, members = zip(*self.weighted, strict=True)
+        if rng is not None:
+            drawn = rng.choice(len(members), size=episodes, p=weights)
+        elif len(members) > 1:
+            raise ModelError("a lottery over policies needs a seed or a generator: start(0)")
+        else:
+            drawn = np.zeros(episodes, dtype=np.int64)
+        return EpisodeBatch(members, drawn, rng, world)
 
     @property
     @abstractmethod
@@ -237,7 +247,7 @@ class Policy(Playable):
     """
 
     model: SSP
-    is_stationary: ClassVar[bool] = False  # whether there is no memory at all
+    carrier: Policy | None = None  # the policy whose memory this one has
 
     @property
     def goes_on(self) -> bool:
@@ -249,16 +259,15 @@ class Policy(Playable):
         """Whether the policy acts on states with the label of failing, which it sets itself."""
         return self.model.failure_label is not None
 
-    def draw(
-        self, episodes: int, rng: np.random.Generator | None
-    ) -> tuple[tuple[Policy, ...], IntArray]:
-        """The policy itself as the only member, for all episodes."""
-        return (self,), np.zeros(episodes, dtype=np.int64)
-
     @property
     def memory_size(self) -> int | None:
-        """How many values its memory takes, numbered from 0; None: nothing bounds them."""
-        return 1 if self.is_stationary else None
+        """Values that its memory takes, 0 .. size - 1, in every state; None: that is not known."""
+        return None if self.carrier is None else self.carrier.memory_size
+
+    @property
+    def meaning(self) -> tuple[object, ...]:
+        """What its memory means: equal for policies that understand each other's."""
+        return () if self.carrier is None else self.carrier.meaning
 
     @property
     def step_limit(self) -> int | None:
@@ -268,7 +277,7 @@ class Policy(Playable):
     @property
     def remembers(self) -> str:
         """What the policy remembers, in a word."""
-        return "memory"
+        return "memory" if self.carrier is None else self.carrier.remembers
 
     @property
     def weighted(self) -> tuple[tuple[float, Policy], ...]:
@@ -281,9 +290,11 @@ class Policy(Playable):
         Raises:
             ModelError: nothing bounds the memory.
         """
-        if self.memory_size is None:
+        if self.carrier is not None:
+            return self.carrier.memories()
+        if (size := self.memory_size) is None:
             raise ModelError(f"what a {type(self).__name__} remembers is not known")
-        return [(0, None)] if self.memory_size == 1 else [(k, k) for k in range(self.memory_size)]
+        return [(0, None)] if size == 1 else [(k, k) for k in range(size)]
 
     def listed_states(self, memory: int) -> IntArray:
         """States in which the policy may have a decision with this memory, [states]."""
@@ -293,15 +304,17 @@ class Policy(Playable):
         """The policy's decisions, a block for each value of its memory."""
         for code, _ in self.memories():
             states = self.listed_states(code)
-            branches = self.branches(states, np.full(len(states), code, dtype=np.int64))
-            kept = np.flatnonzero((branches.pair != UNDECIDED) & (branches.probability > 0.0))
-            here = states[branches.situation[kept]]
-            memory = np.full(len(kept), code)
-            yield Decisions(here, memory, branches.pair[kept], branches.probability[kept])
+            memory = np.full(len(states), code, dtype=np.int64)
+            branches = self.branches(states, memory)
+            pair = np.where(branches.gives_up(memory), GIVE_UP_CODE, branches.pair)
+            kept = np.flatnonzero((pair != UNDECIDED) & (branches.probability > 0.0))
+            here = branches.situation[kept]
+            yield Decisions(states[here], memory[here], pair[kept], branches.probability[kept])
 
     def start_memory(self, states: IntArray) -> IntArray:
         """The policy's memory at the start of episodes in these states, [episodes]."""
-        return np.zeros(len(states), dtype=np.int64)
+        nothing = np.zeros(len(states), dtype=np.int64)
+        return nothing if self.carrier is None else self.carrier.start_memory(states)
 
     def begins(self, states: IntArray) -> BoolArray:
         """Whether an episode of the policy may begin in these states, [episodes]."""
@@ -319,7 +332,8 @@ class Policy(Playable):
         self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
     ) -> IntArray:
         """The policy's memory after steps of pairs to successors at costs, [episodes]."""
-        return memory
+        step = memory, pairs, successors, costs
+        return memory if self.carrier is None else self.carrier.remember(*step)
 
     @property
     def ended(self) -> BoolArray:
@@ -332,59 +346,38 @@ class Policy(Playable):
 
         Where one may stay for ever without coming to what is limited, it does.
         """
-        return staying_policy(self.model)
-
-    def after_giving_up(self, states: IntArray, memory: IntArray) -> IntArray:
-        """The policy's memory after giving up in these states, -1: over, [episodes]."""
-        return np.full(len(states), -1)
-
-    def played(self, states: IntArray, memory: IntArray) -> tuple[Branches, IntArray]:
-        """The policy's decisions as they are played, with their memories, [branches].
-
-        Who gives up and goes on begins with what comes then, in the same state.
-        """
-        branches = self.branches(states, memory)
-        kept = np.asarray(memory)[branches.situation]
-        quits = np.flatnonzero(branches.pair == GIVE_UP_CODE)
-        moved = self.after_giving_up(states[branches.situation[quits]], kept[quits])
-        quits, moved = quits[moved >= 0], moved[moved >= 0]
-        if not quits.size:
-            return branches, kept
-        stays = np.ones(len(branches.pair), dtype=np.bool_)
-        stays[quits] = False
-        later = self.branches(states[branches.situation[quits]], moved)
-        share = branches.probability[quits][later.situation] * later.probability
-        situation = np.append(branches.situation[stays], branches.situation[quits][later.situation])
-        order = np.argsort(situation, kind="stable")
-        pair = np.append(branches.pair[stays], later.pair)
-        chance = np.append(branches.probability[stays], share)
-        kept = np.append(kept[stays], moved[later.situation])
-        return Branches(situation[order], pair[order], chance[order]), kept[order]
+        pairs = np.flatnonzero(attention_pairs(self.model, attention_states(self.model)))
+        states, first = np.unique(self.model.pair_state[pairs], return_index=True)
+        decision = np.full(self.model.n_states, UNDECIDED, dtype=np.int64)
+        decision[states] = pairs[first]
+        return decision
 
     def sample(
         self, states: IntArray, memory: IntArray, rng: np.random.Generator | None
-    ) -> IntArray:
-        """Draw one of the policy's decisions per episode: a pair or GIVE_UP_CODE, [episodes].
+    ) -> tuple[IntArray, IntArray]:
+        """Draw one decision per episode, and the memory with which it is taken, [episodes] each.
 
         Raises:
             ModelError: the policy has no decision in one of the states.
         """
         branches = self.branches(states, memory)
-        if len(branches.situation) == len(states):  # one branch each: nothing to draw
-            pairs = branches.pair
-        else:
+        drawn = np.arange(len(states))
+        if len(branches.situation) > len(states):  # else one branch each: nothing to draw
             if rng is None:
                 raise ModelError("a stochastic policy needs a seed or a generator: start(0)")
-            cumulative = np.cumsum(branches.probability)
-            first = np.searchsorted(branches.situation, np.arange(len(states)))
-            before = np.concatenate([[0.0], cumulative])[first]
-            last = np.concatenate([first[1:], [len(branches.situation)]]) - 1
-            drawn = np.searchsorted(cumulative, before + rng.random(len(states)), side="right")
-            pairs = branches.pair[np.clip(drawn, first, last)]
+            upto = np.append(0.0, np.cumsum(branches.probability))
+            first = np.searchsorted(branches.situation, drawn)
+            last = np.append(first[1:], len(branches.situation)) - 1
+            drawn = np.searchsorted(upto[1:], upto[first] + rng.random(len(states)), side="right")
+            drawn = np.clip(drawn, first, last)
+        self.check_decided(branches.pair[drawn], states)
+        return branches.pair[drawn], branches.kept(memory)[drawn]
+
+    def check_decided(self, pairs: IntArray, states: IntArray) -> None:
+        """Raise :class:`ModelError` where the policy decides nothing in one of the states."""
         if (pairs == UNDECIDED).any():
             state = self.model.states[int(states[int(np.argmax(pairs == UNDECIDED))])]
             raise ModelError(f"the policy has no decision in state {state!r}")
-        return pairs
 
 
 def check_policies(policies: Iterable[object]) -> None:
@@ -515,10 +508,6 @@ class EpisodeBatch:
         self.over[moved] = ~going
         self._is_observed = True
 
-    def staying(self) -> IntArray:
-        """Staying pairs of the only episode's policy: see ``Policy.staying``, [states]."""
-        return self._members[int(self._drawn[0])].staying
-
     def begin(self, states: IntArray, going: BoolArray) -> None:
         """Set the policies' memories of the episodes that do not end where they start."""
         for member, mine in self.shares(begun := np.flatnonzero(going)):
@@ -531,13 +520,10 @@ class EpisodeBatch:
         """
         pairs = np.empty(len(episodes), dtype=np.int64)
         for member, mine in self.shares(episodes):
-            pairs[mine] = member.sample(states[mine], self.memory[episodes[mine]], self._rng)
-            quits = mine[pairs[mine] == GIVE_UP_CODE]
-            memory = member.after_giving_up(states[quits], self.memory[episodes[quits]])
-            going, memory = quits[memory >= 0], memory[memory >= 0]
-            if going.size:
-                self.memory[episodes[going]], self.failed[episodes[going]] = memory, True
-                pairs[going] = member.sample(states[going], memory, self._rng)
+            own = episodes[mine]
+            pairs[mine], moved = member.sample(states[mine], self.memory[own], self._rng)
+            self.failed[own] |= moved != self.memory[own]
+            self.memory[own] = moved
         return pairs
 
     def remember(
@@ -624,17 +610,8 @@ class Episode:
 
     def continue_after_give_up(self) -> None:
         """From now on play the policy that stays in the attention states (it avoids the goal)."""
-        self._staying = self._alone.staying()
-
-
-def staying_policy(model: SSP) -> IntArray:
-    """Pair of a policy that surely avoids the goal in each state, else UNDECIDED, [states]."""
-    pairs = np.flatnonzero(attention_pairs(model, attention_states(model)))
-    states = model.pair_state[pairs]
-    first = np.flatnonzero(np.diff(states, prepend=-1))
-    decision = np.full(model.n_states, UNDECIDED, dtype=np.int64)
-    decision[states[first]] = pairs[first]
-    return decision
+        ((member, _),) = self._alone.shares(np.zeros(1, dtype=np.int64))
+        self._staying = member.staying
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -643,7 +620,6 @@ class DeterministicPolicy(Policy):
 
     model: SSP
     decision: IntArray  # [states] pair, GIVE_UP_CODE or UNDECIDED
-    is_stationary: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "decision", read_only(self.decision))
@@ -665,6 +641,11 @@ class DeterministicPolicy(Policy):
             s = model.index_of(state)
             decision[s] = _decided_pair(model, s, action)
         return cls(model, decision)
+
+    @property
+    def memory_size(self) -> int | None:
+        """One: there is no memory."""
+        return 1
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """The deterministic policy's one decision of each state."""
@@ -803,16 +784,7 @@ class StochasticPolicy(Policy):
     @property
     def memory_size(self) -> int | None:
         """Number of values of the carrier's memory."""
-        return 1 if self.carrier is None else self.carrier.memory_size
-
-    @property
-    def remembers(self) -> str:
-        """The word of the carrier."""
-        return super().remembers if self.carrier is None else self.carrier.remembers
-
-    def memories(self) -> list[tuple[int, Hashable]]:
-        """The memories of the carrier, in words."""
-        return [(0, None)] if self.carrier is None else self.carrier.memories()
+        return 1 if self.carrier is None else super().memory_size
 
     def listed_states(self, memory: int) -> IntArray:
         """States whose decisions are listed with this memory, [states]."""
@@ -820,37 +792,18 @@ class StochasticPolicy(Policy):
         first, last = np.searchsorted(self.situation_key, [memory * n, (memory + 1) * n])
         return np.asarray(self.situation_key[first:last] - memory * n)
 
-    def start_memory(self, states: IntArray) -> IntArray:
-        """Start memory of the stochastic policy's carrier, [episodes]."""
-        if self.carrier is None:
-            return super().start_memory(states)
-        return self.carrier.start_memory(states)
-
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """The stochastic policy's decisions with probabilities; UNDECIDED where none is listed."""
         key = np.asarray(memory, dtype=np.int64) * self.model.n_states + states
-        keys = np.append(self.situation_key, -1)  # a key that no situation has
         at = np.searchsorted(self.situation_key, key)
-        known = keys[at] == key
-        at = np.where(known, at, 0)
-        if not known.any():
-            nothing = np.full(len(states), UNDECIDED)
-            return Branches(np.arange(len(states)), nothing, np.ones(len(states)))
-        count = np.where(known, np.diff(self.offsets)[at], 1)
-        index = concatenated_ranges(np.where(known, self.offsets[at], 0), count)
-        listed = np.repeat(known, count)
+        listed = np.append(self.situation_key, -1)[at] == key  # -1: a key that no situation has
+        place = np.where(listed, at, len(self.situation_key))  # where nothing is decided
+        index, count = entries_of(np.append(self.offsets, len(self.pair) + 1), place)
         return Branches(
             np.repeat(np.arange(len(states)), count),
-            np.where(listed, self.pair[index], UNDECIDED),
-            np.where(listed, self.probability[index], 1.0),
+            np.append(self.pair, UNDECIDED)[index],
+            np.append(self.probability, 1.0)[index],
         )
-
-    def remember(
-        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
-    ) -> IntArray:
-        """Move the memory of the stochastic policy's carrier."""
-        step = memory, pairs, successors, costs
-        return memory if self.carrier is None else self.carrier.remember(*step)
 
     def __repr__(self) -> str:
         """One line: in how many situations it decides, and in how many at random."""
@@ -889,20 +842,6 @@ class MixedPolicy(Playable):
     def model(self) -> SSP:
         """The model that the mixed policy's members act on."""
         return self.policies[0].model
-
-    def draw(
-        self, episodes: int, rng: np.random.Generator | None
-    ) -> tuple[tuple[Policy, ...], IntArray]:
-        """The mixed policy's members, and the position of the one that plays, [episodes].
-
-        Raises:
-            ModelError: there are several members and no generator.
-        """
-        if rng is not None:
-            return self.policies, rng.choice(len(self.policies), size=episodes, p=self.weights)
-        if len(self.policies) > 1:
-            raise ModelError("a lottery over policies needs a seed or a generator: start(0)")
-        return self.policies[0].draw(episodes, rng)
 
     @property
     def weighted(self) -> tuple[tuple[float, Policy], ...]:

@@ -6,10 +6,13 @@ Such a policy acts on a product of model and memory, and is carried back to the 
 from __future__ import annotations
 
 import enum
+from abc import abstractmethod
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import product as every_choice
 from math import prod
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,7 +23,6 @@ from ssp_lp.model.arguments import explained, explained_class
 from ssp_lp.model.failure_product import FailureSSP, check_label
 from ssp_lp.model.graph import dead_ends
 from ssp_lp.model.product import HorizonSSP, ProductSSP, check_product
-from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import (
     GIVE_UP_CODE,
     UNDECIDED,
@@ -28,7 +30,6 @@ from ssp_lp.policies.policy import (
     DeterministicPolicy,
     MixedPolicy,
     Policy,
-    StochasticPolicy,
     as_lottery,
     check_costs,
     check_decisions,
@@ -36,13 +37,55 @@ from ssp_lp.policies.policy import (
 )
 
 
+class _Carried(Policy):
+    """A policy around another one: its memory is ``inner memory * digits + digit``."""
+
+    inner: Policy
+
+    @property
+    @abstractmethod
+    def digits(self) -> Sequence[Hashable]:
+        """Values of the digit, in words."""
+
+    @property
+    def model(self) -> SSP:  # type: ignore[override]
+        """The model of the inner policy."""
+        return self.inner.model
+
+    @property
+    def step_limit(self) -> int | None:
+        """The inner policy's."""
+        return self.inner.step_limit
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether the inner policy does."""
+        return self.inner.goes_on
+
+    def memories(self) -> list[tuple[int, Hashable]]:
+        """The digit, with the inner policy's memory where it has one."""
+        return [
+            (code * len(self.digits) + k, word if words is None else (word, words))
+            for k, word in enumerate(self.digits)
+            for code, words in self.inner.memories()
+        ]
+
+    def split(self, memory: IntArray) -> tuple[IntArray, IntArray]:
+        """The inner memory and the digit, [episodes] each."""
+        return np.divmod(memory, len(self.digits))
+
+    def joined(self, inner: IntArray, digit: IntArray | int) -> IntArray:
+        """The memory of an inner one and a digit, [episodes]."""
+        return np.asarray(inner * len(self.digits) + digit)
+
+
 @explained_class
 @dataclass(frozen=True, eq=False, repr=False)
-class TimedPolicy(Policy):
+class TimedPolicy(_Carried):
     """One policy for each time step, the last of them for good (paper, section 3.4).
 
-    The stages must share one memory: each must understand what any other remembers. The memory
-    of the whole is ``stage memory * number of stages + stage``.
+    The stages must share one memory: each must understand what any other remembers. The digit is
+    the stage.
 
     Raises:
         ModelError: no stages, or stages on different models.
@@ -59,43 +102,66 @@ class TimedPolicy(Policy):
             raise ModelError("the stages of a timed policy must act on one model")
 
     @property
-    def model(self) -> SSP:  # type: ignore[override]
-        """The model that the timed policy's stages act on."""
-        return self.stages[0].model
+    def inner(self) -> Policy:  # type: ignore[override]
+        """The first stage, whose memory is moved."""
+        return self.stages[0]
 
-    def memories(self) -> list[tuple[int, Hashable]]:
-        """The time step, with the memory that the stages share."""
-        return _with_last(range(len(self.stages)), self.stages[0].memories())
+    @property
+    def digits(self) -> Sequence[Hashable]:
+        """The stages by number."""
+        return range(len(self.stages))
+
+    @property
+    def memory_size(self) -> int | None:
+        """As many values as the first stage's memory has, for each stage."""
+        own = self.inner.memory_size
+        return None if own is None else own * len(self.stages)
+
+    @property
+    def meaning(self) -> tuple[object, ...]:
+        """The number of stages, and the meaning of their own memory."""
+        return len(self.stages), *self.inner.meaning
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """The timed policy's first stage and its start memory, [episodes]."""
-        return self.stages[0].start_memory(states) * len(self.stages)
+        """The first stage, [episodes]."""
+        return self.joined(self.inner.start_memory(states), 0)
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """The timed policy's decisions, those of each situation's stage."""
-        inner, stage = np.divmod(memory, len(self.stages))
-        nothing = np.zeros(0, dtype=np.int64)
-        parts = [(nothing, nothing, np.zeros(0))]
-        for number in np.unique(stage):
-            some = np.flatnonzero(stage == number)
-            branch = self.stages[number].branches(states[some], inner[some])
-            parts.append((some[branch.situation], branch.pair, branch.probability))
-        situation, pair, probability = (np.concatenate(part) for part in zip(*parts, strict=True))
-        order = np.argsort(situation, kind="stable")
-        return Branches(situation[order], pair[order], probability[order])
+        inner, stage = self.split(memory)
+        parts = []
+        for number in np.unique(np.append(stage, 0)):
+            own = asked(self.stages[number], np.flatnonzero(stage == number), states, inner)
+            parts.append(own._replace(memory=self.joined(own.kept(inner), number)))
+        return merged(memory, *parts)
 
     def remember(
         self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
     ) -> IntArray:
         """Move the memory that the timed policy's stages share, and go on to the next stage."""
-        count = len(self.stages)
-        inner, stage = np.divmod(memory, count)
-        inner = self.stages[0].remember(inner, pairs, successors, costs)
-        return np.asarray(inner * count + np.minimum(stage + 1, count - 1))
+        inner, stage = self.split(memory)
+        moved = self.inner.remember(inner, pairs, successors, costs)
+        return self.joined(moved, np.minimum(stage + 1, len(self.stages) - 1))
 
     def __repr__(self) -> str:
         """One line: the number of stages and the last one."""
         return f"TimedPolicy({len(self.stages):,} stages, then {self.stages[-1]!r})"
+
+
+def asked(policy: Policy, some: IntArray, states: IntArray, memory: IntArray) -> Branches:
+    """A policy's decisions in some of several situations, numbered as all of them are."""
+    branches = policy.branches(states[some], memory[some])
+    return branches._replace(situation=some[branches.situation])
+
+
+def merged(memory: IntArray, *parts: Branches) -> Branches:
+    """Decisions in different situations as one, by situation; of memories, [situations]."""
+    situation, pair, probability, kept = (
+        np.concatenate(part)
+        for part in zip(*((*part[:3], part.kept(memory)) for part in parts), strict=True)
+    )
+    order = np.argsort(situation, kind="stable")
+    return Branches(situation[order], pair[order], probability[order], kept[order])
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,130 +171,79 @@ class JointMemory(Policy):
     The memory is a mixed-radix number, the first policy's memory its leading digit.
     """
 
-    keepers: tuple[Policy, ...]  # one for each memory
+    keepers: tuple[Policy, ...]  # one for each memory, all of which are of known size
     decider: Policy  # remembers what one of the keepers does, or nothing
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "model", self.decider.model)
-
-    def followed_by(self, decider: Policy) -> JointMemory:
-        """The joint memory with another policy to decide."""
-        return JointMemory(self.keepers, decider)
+    @property
+    def model(self) -> SSP:  # type: ignore[override]
+        """The model of the policy that decides."""
+        return self.decider.model
 
     @property
-    def remembers(self) -> str:
-        """The word of a single keeper."""
-        return self.keepers[0].remembers if len(self.keepers) == 1 else super().remembers
+    def memory_size(self) -> int | None:
+        """Number of values of all memories together."""
+        return prod(self._sizes)
+
+    @property
+    def meaning(self) -> tuple[object, ...]:
+        """The meanings of the keepers' memories."""
+        return tuple(keeper.meaning for keeper in self.keepers)
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """The keepers' memories, a tuple if there are several keepers."""
-        if len(self.keepers) == 1:
-            return self.keepers[0].memories()
+        """Tuples of the keepers' memories."""
         parts = every_choice(*(keeper.memories() for keeper in self.keepers))
         joint = [tuple(zip(*some, strict=True)) for some in parts]
         return [(int(np.ravel_multi_index(codes, self._sizes)), words) for codes, words in joint]
 
     def start_memory(self, states: IntArray) -> IntArray:
         """Start of a joint memory: each keeper's, [episodes]."""
-        return self._joined([k.start_memory(states) for k in self.keepers])
+        parts: list[IntArray] = [keeper.start_memory(states) for keeper in self.keepers]
+        return np.asarray(np.ravel_multi_index(parts, self._sizes))
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """Decisions by a joint memory: the decider's, given its own part."""
-        meanings = [meaning_of(k) for k in self.keepers]
-        mine = meaning_of(self.decider)
-        if mine in meanings:
-            part = self._parts(memory)[meanings.index(mine)]
-        else:
-            part = self.decider.start_memory(states)
-        return self.decider.branches(states, part)
+        parts = zip(self.keepers, np.unravel_index(memory, self._sizes), strict=True)
+        mine: list[IntArray] = [
+            part for keeper, part in parts if keeper.meaning == self.decider.meaning
+        ]
+        own = (mine or [self.decider.start_memory(states)])[0]
+        return self.decider.branches(states, own)._replace(memory=None)
 
     def remember(
         self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
     ) -> IntArray:
         """Move each keeper's part of a joint memory."""
-        parts = zip(self.keepers, self._parts(memory), strict=True)
-        return self._joined([k.remember(part, pairs, successors, costs) for k, part in parts])
-
-    def _joined(self, parts: list[IntArray]) -> IntArray:
-        """The joint memory that the keepers' parts make."""
-        return np.asarray(np.ravel_multi_index(parts, self._sizes))
-
-    def _parts(self, memory: IntArray) -> tuple[IntArray, ...]:
-        """Each keeper's part of a joint memory."""
-        return np.unravel_index(memory, self._sizes)
+        parts = zip(self.keepers, np.unravel_index(memory, self._sizes), strict=True)
+        step = pairs, successors, costs
+        moved: list[IntArray] = [keeper.remember(part, *step) for keeper, part in parts]
+        return np.asarray(np.ravel_multi_index(moved, self._sizes))
 
     @property
     def _sizes(self) -> tuple[int, ...]:
         """Number of values of each keeper's part of a joint memory."""
-        return tuple(memory_size(keeper) for keeper in self.keepers)
+        return tuple(keeper.memory_size or 1 for keeper in self.keepers)
 
 
-def _with_last(
-    last: Sequence[Hashable], inner: list[tuple[int, Hashable]]
-) -> list[tuple[int, Hashable]]:
-    """Memories of two kinds in one number, of which ``last`` is the last digit, in words."""
-    return [
-        (code * len(last) + k, word if words is None else (word, words))
-        for k, word in enumerate(last)
-        for code, words in inner
-    ]
-
-
-def common_memory(policy: MixedPolicy) -> JointMemory | None:
-    """Joint memory of a lottery's members with the first to decide; None: they remember nothing.
+def common_memory(policy: MixedPolicy) -> tuple[Policy, ...]:
+    """Members of a lottery whose memories are all that its members remember.
 
     Raises:
         ModelError: a member is of a class whose memory is not known here.
     """
     keepers: dict[tuple[object, ...], Policy] = {}
     for member in policy.policies:
-        if memory_size(member) > 1:
-            keepers.setdefault(meaning_of(member), member)
-    return JointMemory(tuple(keepers.values()), policy.policies[0]) if keepers else None
-
-
-def memory_size(policy: Policy) -> int:
-    """Number of values that a policy's memory takes at most.
-
-    Raises:
-        ModelError: the policy is of a class whose memory is not known here.
-    """
-    match policy:
-        case TimedPolicy():
-            return len(policy.stages) * memory_size(policy.stages[0])
-        case CostAwarePolicy():
-            return policy.cap + len(policy.tails)
-        case JointMemory():
-            return prod(memory_size(keeper) for keeper in policy.keepers)
-        case StochasticPolicy():
-            return 1 if policy.carrier is None else memory_size(policy.carrier)
-        case DeterministicPolicy():
-            return 1
-    raise ModelError(f"what a {type(policy).__name__} remembers is not known")
-
-
-def meaning_of(policy: Policy) -> tuple[object, ...]:
-    """Meaning of a joint memory: equal for policies that understand each other's memory."""
-    match policy:
-        case TimedPolicy():
-            return len(policy.stages), *meaning_of(policy.stages[0])
-        case CostAwarePolicy():
-            rule = policy.tail_threshold if policy.tail_table is None else policy.tail_table
-            levels = b"" if policy.levels is None else policy.levels.tobytes()
-            kept = policy.cap, policy.unit, policy.rounds_up, len(policy.tails)
-            return *kept, rule.tobytes(), levels
-        case JointMemory():
-            return tuple(meaning_of(keeper) for keeper in policy.keepers)
-        case StochasticPolicy(carrier=Policy() as carrier):
-            return meaning_of(carrier)
-    return ()
+        if member.memory_size is None:
+            raise ModelError(f"what a {type(member).__name__} remembers is not known")
+        if member.memory_size > 1:
+            keepers.setdefault(member.meaning, member)
+    return tuple(keepers.values())
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RememberingPolicy(Policy):
+class RememberingPolicy(_Carried):
     """A policy of (state, memory) that acts on states and carries the memory itself.
 
-    Its own memory is the product's, and that of the policy besides: ``inner * memories + number``.
+    The digit is the product's memory.
     """
 
     inner: Policy  # on the product
@@ -252,9 +267,10 @@ class RememberingPolicy(Policy):
         own = self.product.steps if isinstance(self.product, HorizonSSP) else None
         return min((n for n in (own, self.inner.step_limit) if n is not None), default=None)
 
-    def memories(self) -> list[tuple[int, Hashable]]:
-        """The product's memory, with the inner policy's."""
-        return _with_last(self.product.memories, self.inner.memories())
+    @property
+    def digits(self) -> Sequence[Hashable]:
+        """The product's memories."""
+        return self.product.memories
 
     def listed_states(self, memory: int) -> IntArray:
         """States that the product has with this memory, [states]."""
@@ -268,15 +284,9 @@ class RememberingPolicy(Policy):
 
     def start_memory(self, states: IntArray) -> IntArray:
         """Start of the product's memory and of the inner policy's, remembered, [episodes]."""
-        product = self.product
-        first = product.memory_number[product.memory.start]
-        inner = self.inner.start_memory(self._at(states, np.full(len(states), first)))
-        return np.asarray(inner * len(product.memories) + first)
-
-    @property
-    def goes_on(self) -> bool:
-        """Whether the remembering policy's inner one goes on after failing."""
-        return self.inner.goes_on
+        first = self.product.memory_number[self.product.memory.start]
+        here = self._at(states, np.full(len(states), first))
+        return self.joined(self.inner.start_memory(here), first)
 
     @property
     def ended(self) -> BoolArray:
@@ -285,16 +295,9 @@ class RememberingPolicy(Policy):
         over[self.product.original_state[~self.inner.ended]] = False
         return over
 
-    def after_giving_up(self, states: IntArray, memory: IntArray) -> IntArray:
-        """Memory of a remembering policy after giving up, the inner one's, [episodes]."""
-        inner, number = np.divmod(memory, len(self.product.memories))
-        moved = self.inner.after_giving_up(self._at(states, number), inner)
-        return np.where(moved < 0, -1, moved * len(self.product.memories) + number)
-
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """Decisions of a remembering policy as pairs of the original; giving up where lost."""
-        product = self.product
-        inner, number = np.divmod(memory, len(product.memories))
+        product, (inner, number) = self.product, self.split(memory)
         here = self._at(states, number)
         inside = self.inner.branches(here, inner)
         shift = product.pair_offsets[here] - self.model.pair_offsets[states]
@@ -302,7 +305,9 @@ class RememberingPolicy(Policy):
         over = (np.diff(product.pair_offsets) == 0) & ~product.goal_mask
         lost = dead_ends(product)[here][inside.situation] & (inside.pair == UNDECIDED)
         pair = np.where(over[here][inside.situation] | lost, GIVE_UP_CODE, pair)
-        return Branches(inside.situation, pair, inside.probability)
+        moved = inside.kept(inner) if inside.memory is not None else None
+        kept = None if moved is None else self.joined(moved, number[inside.situation])
+        return Branches(inside.situation, pair, inside.probability, kept)
 
     def remember(
         self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
@@ -314,26 +319,25 @@ class RememberingPolicy(Policy):
                 product does not have.
         """
         check_costs(costs)
-        product, model = self.product, self.model
-        inner, begun = np.divmod(memory, len(product.memories))
-        steps = np.stack([begun, pairs, successors], axis=1).astype(np.float64)
-        distinct, back = np.unique(np.column_stack([steps, costs]), axis=0, return_inverse=True)
-        numbers = []
-        for number, pair, successor, cost in distinct.tolist():
-            state = model.states[int(model.pair_state[int(pair)])]
-            action, there = model.action_of(int(pair)), model.states[int(successor)]
-            kept = product.memory.update(product.memories[int(number)], state, action, there, cost)
-            if kept not in product.memory_number:
-                raise ModelError(
-                    f"the step from {state!r} by {action!r} to {there!r} at cost {cost:g} leads to "
-                    f"the memory {kept!r}, which the product does not have"
-                )
-            numbers.append(product.memory_number[kept])
-        after = np.array(numbers, dtype=np.int64)[np.ravel(back)]
+        product, model, (inner, begun) = self.product, self.model, self.split(memory)
+
+        @cache
+        def updated(number: int, pair: int, successor: int, cost: float) -> int:
+            """Number of the product's memory after a step."""
+            state, there = model.states[int(model.pair_state[pair])], model.states[successor]
+            step = product.memories[number], state, model.action_of(pair), there, cost
+            if (kept := product.memory.update(*step)) not in product.memory_number:
+                told = f"the step from {state!r} by {step[2]!r} to {there!r} at cost {cost:g}"
+                other = f"the memory {kept!r}, which the product does not have"
+                raise ModelError(f"{told} leads to {other}")
+            return product.memory_number[kept]
+
+        steps = (each.tolist() for each in (begun, pairs, successors, costs))
+        after = np.array(list(map(updated, *steps)), dtype=np.int64)
         here = self._at(model.pair_state[pairs], begun)
-        taken = pairs + product.pair_offsets[here] - model.pair_offsets[model.pair_state[pairs]]
+        taken = product.placed(here, pairs)
         moved = self.inner.remember(inner, taken, self._at(successors, after), costs)
-        return np.asarray(moved * len(product.memories) + after)
+        return self.joined(moved, after)
 
     def _at(self, states: IntArray, numbers: IntArray) -> IntArray:
         """States of the product by what is remembered.
@@ -355,31 +359,17 @@ class RememberingPolicy(Policy):
         return f"RememberingPolicy({len(self.product.memories):,} memories, {self.inner!r})"
 
 
-class _GoingOn(Policy):
-    """A policy that acts as an inner one does, and goes on where that ends."""
-
-    inner: Policy
-
-    @property
-    def step_limit(self) -> int | None:
-        """The inner policy's."""
-        return self.inner.step_limit
-
-    @property
-    def goes_on(self) -> bool:
-        """Yes."""
-        return True
-
-
 @dataclass(frozen=True, eq=False, repr=False)
-class LabelledPolicy(_GoingOn):
+class LabelledPolicy(_Carried):
     """A policy of (state, label of failing) that acts on states, also after failing.
 
-    It gives up as others do, and goes on with :meth:`after_giving_up`; in a dead-end from which its
-    problem counts what happens it acts on. Its memory is ``inner * 3 + label``.
+    It gives up by an action, with the memory of giving up; in a dead-end from which its problem
+    counts what happens it acts on. The digit is the label.
     """
 
     inner: Policy  # on the product with the label
+    goes_on: ClassVar[bool] = True
+    digits: ClassVar = "before failing", "giving up", "after failing"
 
     @property
     def product(self) -> FailureSSP:
@@ -403,34 +393,20 @@ class LabelledPolicy(_GoingOn):
         decision[self.model.pair_state[pairs]] = pairs
         return decision
 
-    def memories(self) -> list[tuple[int, Hashable]]:
-        """The label of failing in words, with the inner policy's memory."""
-        return _with_last(FAILING_WORDS, self.inner.memories())
-
     def listed_states(self, memory: int) -> IntArray:
         """States with decisions before failing, or after it, [states]."""
-        failed = memory % len(FAILING_WORDS) > 0
+        failed = memory % len(self.digits) > 0
         return np.flatnonzero(self.product.is_open if failed else ~self.ended)
 
     def start_memory(self, states: IntArray) -> IntArray:
         """Start memory of a policy that remembers failing, before it, [episodes]."""
-        return np.asarray(self.inner.start_memory(states) * len(_Label) + _Label.BEFORE)
-
-    def after_giving_up(self, states: IntArray, memory: IntArray) -> IntArray:
-        """Memory of a policy that remembers giving up now, -1: nothing counts on, [episodes]."""
-        inner, label = np.divmod(memory, len(_Label))
-        goes_on = (label == _Label.BEFORE) & self.product.is_open[states] & ~super().ended[states]
-        quits = np.zeros(len(states), dtype=np.bool_)
-        branches = self.inner.branches(states[goes_on], inner[goes_on])
-        taking = (branches.pair >= 0) & self.product.fails[branches.pair]
-        quits[np.flatnonzero(goes_on)[branches.situation[taking]]] = True
-        return np.where(quits, inner * len(_Label) + _Label.GIVING_UP, -1)
+        return self.joined(self.inner.start_memory(states), _Label.BEFORE)
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """Decisions of a policy that remembers failing, as the original's pairs or giving up."""
-        product, (inner, label) = self.product, np.divmod(memory, len(_Label))
+        product, (inner, label) = self.product, self.split(memory)
         here = states + product.n_original * (label == _Label.AFTER)
-        situation, pair, chance = self.inner.branches(here, inner)
+        situation, pair, chance, _ = self.inner.branches(here, inner)
         over = super().ended[states][situation] | (label[situation] == _Label.AFTER)
         pair = np.where(over & (pair == UNDECIDED), GIVE_UP_CODE, pair)
         taking = (pair >= 0) & product.fails[pair] & ~over
@@ -439,7 +415,8 @@ class LabelledPolicy(_GoingOn):
         total = np.bincount(situation, weights=chance, minlength=len(states))
         acting = np.where(pair >= 0, product.original_pair[pair], pair)
         quits = taking & (label[situation] == _Label.BEFORE)
-        return Branches(situation, np.where(quits, GIVE_UP_CODE, acting), chance / total[situation])
+        kept = memory[situation] + quits * (_Label.GIVING_UP - _Label.BEFORE)
+        return Branches(situation, acting, chance / total[situation], kept)
 
     def remember(
         self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
@@ -448,7 +425,7 @@ class LabelledPolicy(_GoingOn):
 
         What is paid after failing is none of the inner policy's costs.
         """
-        product, (inner, label) = self.product, np.divmod(memory, len(_Label))
+        product, (inner, label) = self.product, self.split(memory)
         here = self.model.pair_state[pairs] + product.n_original * (label == _Label.AFTER)
         taking = label == _Label.GIVING_UP
         taken = np.where(taking, product.giving_up_by(pairs), product.placed(here, pairs))
@@ -460,16 +437,12 @@ class LabelledPolicy(_GoingOn):
         charge = product.costs[product.outcome_offsets[taken]]
         paid = np.where(failed, charge, costs)
         inner = self.inner.remember(inner, taken, moved, paid)
-        return np.asarray(inner * len(_Label) + np.where(failed, _Label.AFTER, _Label.BEFORE))
+        return self.joined(inner, np.where(failed, _Label.AFTER, _Label.BEFORE))
 
     def __repr__(self) -> str:
         """One line: where it acts after failing, and the inner policy."""
         count = int(self.product.is_open.sum())
         return f"LabelledPolicy(goes on after failing in {count:,} states, {self.inner!r})"
-
-
-FAILING_WORDS = ("before failing", "giving up", "after failing")
-"""What a policy remembers of failing, in words."""
 
 
 class _Label(enum.IntEnum):
@@ -481,11 +454,11 @@ class _Label(enum.IntEnum):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CompletePolicy(_GoingOn):
+class CompletePolicy(_Carried):
     """A policy that acts wherever there is anything to do, as another one as far as that says.
 
-    Its memory is ``3 * inner``; one more from where on that policy is over, having given up or from
-    a dead-end on; two more from the start on where none of its episodes begins.
+    The digit is 0; 1 from where on that policy is over, having given up or from a dead-end on; 2
+    from the start on where none of its episodes begins.
 
     Raises:
         ModelError: a decision is no pair of its state.
@@ -494,16 +467,13 @@ class CompletePolicy(_GoingOn):
     inner: Policy
     otherwise: IntArray  # [states] pair where the inner policy has no decision, or UNDECIDED
     afterwards: IntArray  # [states] pair where it is over, or UNDECIDED
+    goes_on: ClassVar[bool] = True
+    digits: ClassVar = "", "over", "elsewhere"
 
     def __post_init__(self) -> None:
         for name in ("otherwise", "afterwards"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
             check_decisions(self.model, getattr(self, name))
-
-    @property
-    def model(self) -> SSP:  # type: ignore[override]
-        """The model of the inner policy."""
-        return self.inner.model
 
     @property
     def ended(self) -> BoolArray:
@@ -530,32 +500,26 @@ class CompletePolicy(_GoingOn):
         memory[begins] = 3 * self.inner.start_memory(states[begins])
         return memory
 
-    def after_giving_up(self, states: IntArray, memory: IntArray) -> IntArray:
-        """As the inner policy goes on, else by what is done afterwards, [episodes]."""
-        inner, alone = np.divmod(memory, 3)
-        moved = self.inner.after_giving_up(states, inner)
-        return np.where((alone == 0) & (moved >= 0), 3 * moved, 3 * inner + 1)
-
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """The inner policy's decisions, or what is done where it has none."""
-        inner, alone = np.divmod(memory, 3)
+        inner, alone = self.split(memory)
         over = (alone == 1) | self.inner.ended[states]
-        asked, silent = np.flatnonzero(~over & (alone == 0)), np.flatnonzero(over | (alone > 0))
-        found = self.inner.branches(states[asked], inner[asked])
-        here = states[asked][found.situation]
+        found = asked(self.inner, np.flatnonzero(~over & (alone == 0)), states, inner)
+        here, quits = states[found.situation], found.pair == GIVE_UP_CODE
         pair = np.where(found.pair == UNDECIDED, self.otherwise[here], found.pair)
+        pair = np.where(quits, self.afterwards[here], pair)
+        kept = self.joined(found.kept(inner), quits)
+        silent = np.flatnonzero(over | (alone > 0))
         rest = np.where(over, self.afterwards[states], self.otherwise[states])[silent]
-        situation = np.append(asked[found.situation], silent)
-        order, chance = np.argsort(situation, kind="stable"), np.ones(silent.size)
-        chance = np.append(found.probability, chance)[order]
-        return Branches(situation[order], np.append(pair, rest)[order], chance)
+        planned = Branches(found.situation, pair, found.probability, kept)
+        return merged(memory, planned, Branches(silent, rest, np.ones(silent.size)))
 
     def remember(
         self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
     ) -> IntArray:
         """The inner policy's, as long as it has something to say, [episodes]."""
         check_costs(costs)
-        inner, alone = np.divmod(memory, 3)
+        inner, alone = self.split(memory)
         ended = self.inner.ended[self.model.pair_state[pairs]]
         moved, going = np.where(ended, 3 * inner + 1, memory), np.flatnonzero((alone == 0) & ~ended)
         step = pairs[going], successors[going], costs[going]
@@ -597,12 +561,12 @@ def acting_everywhere(
     """
     lottery = as_lottery(policy)
     model = lottery.model
-    if isinstance(default, DeterministicPolicy) and default.model is not model:
-        raise ModelError("the default is a policy of another model")
+    if isinstance(default, Mapping):
+        default = DeterministicPolicy.from_actions(model, default)
     if isinstance(default, DeterministicPolicy):
+        if default.model is not model:
+            raise ModelError("the default is a policy of another model")
         preferred = default.decision
-    elif isinstance(default, Mapping):
-        preferred = DeterministicPolicy.from_actions(model, default).decision
     else:
         preferred = np.full(model.n_states, UNDECIDED, dtype=np.int64)
         named = np.array([name == default for name in model.action_names], dtype=np.bool_)

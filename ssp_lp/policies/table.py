@@ -109,12 +109,8 @@ class PolicyTable(Report, Sequence[PolicyRow]):
         several = len(self.members) > 1
         tables = [self._member_table(k, several) for k in range(min(len(self.members), _MEMBERS))]
         if several:
-            tables.insert(
-                0,
-                Table(
-                    [], title=f"lottery over {len(self.members)} policies, drawn once at the start"
-                ),
-            )
+            drawn = f"lottery over {len(self.members)} policies, drawn once at the start"
+            tables.insert(0, Table([], title=drawn))
         if (more := len(self.members) - _MEMBERS) > 0:
             tables.append(Table([], notes=[f"and {more:,} more policies"]))
         words = (memory for member in self.members for memory in member.words.values())

@@ -36,7 +36,7 @@ from ssp_lp.accumulated_cost.charges import (
     TotalCostCharge,
     WithinBound,
 )
-from ssp_lp.analysis.success_costs import success_costs
+from ssp_lp.analysis.evaluation import success_costs
 from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray
 from ssp_lp.errors import Argument, ModelError, SolverError
 from ssp_lp.formulation import Formulation

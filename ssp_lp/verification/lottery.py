@@ -82,7 +82,7 @@ def _pairs_by_node(model: Model, policy: Policy) -> Callable[[int, int], int]:
     if label is not None:
         states = np.flatnonzero(~label.goal_mask & ~label.ended)
     branches = policy.branches(states, np.zeros(states.size, dtype=np.int64))
-    if not policy.is_stationary or len(branches.situation) != states.size:
+    if policy.memory_size != 1 or len(branches.situation) != states.size:
         raise ModelError("no certificate of a policy that remembers or draws its actions")
     taken = dict(zip(states.tolist(), branches.pair.tolist(), strict=True))
     return lambda x, r: taken.get(x, UNDECIDED)

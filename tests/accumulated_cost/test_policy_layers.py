@@ -5,7 +5,7 @@ the costs that are paid.
 """
 
 from collections import defaultdict
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -27,8 +27,7 @@ from ssp_lp import (
 from ssp_lp.accumulated_cost import policy_layers
 from ssp_lp.accumulated_cost.policy_layers import chain_of_law
 from ssp_lp.analysis import evaluation
-from ssp_lp.analysis.evaluation import layered_measures
-from ssp_lp.analysis.success_costs import law_of_chains
+from ssp_lp.analysis.evaluation import evaluation_of, law_of_chains, layered_measures
 from ssp_lp.policies.chain import policy_chain
 from ssp_lp.policies.policy import UNDECIDED
 from ssp_lp.processes.failure_semantics import start_distribution
@@ -66,12 +65,9 @@ def test_layers_attain_what_the_written_out_chain_does(is_compiled, zero, discou
                 continue
             assert found is not None
             compared += 1
-            for name in (field.name for field in fields(truth)):
-                here, there = getattr(found, name), getattr(truth, name)
-                if there is None:  # nothing is paid after failing
-                    assert here is None, name
-                    continue
-                assert here == pytest.approx(there, rel=CLOSE, abs=CLOSE), name
+            for here, there in zip(found, truth, strict=True):
+                assert here == pytest.approx(there, rel=CLOSE, abs=CLOSE)
+            assert truth.later.size == 0  # nothing is paid after failing
     assert compared > 30
 
 
@@ -123,10 +119,12 @@ def test_failing_where_that_is_forbidden_costs_without_end():
         decision = np.full((2, 3), UNDECIDED)
         decision[:, x] = [0, dares]
         policy = CostAwarePolicy(problem.model, 1.0, decision, tails, np.full(3, 9.0))
-        found = layered_measures(policy, problem, start, 0)
-        truth = chain_measures(policy, problem, start)
-        assert found.expected_cost == pytest.approx(truth.expected_cost)
-        assert np.isinf(found.expected_cost) == (dares == 1)
+        found, truth = (
+            evaluation_of(of(policy, problem, start), problem).expected_cost
+            for of in (partial(layered_measures, least_nodes=0), chain_measures)
+        )
+        assert found == pytest.approx(truth)
+        assert np.isinf(found) == (dares == 1)
 
 
 @pytest.mark.parametrize("give_up", GIVE_UPS)
@@ -142,7 +140,9 @@ def test_free_loops_that_a_layer_never_leaves_fail_once_and_cost_nothing(give_up
         layered_measures(policy, problem, start, 0),
         chain_measures(policy, problem, start),
     ):
-        assert (found.goal, found.failure, found.expected_cost) == pytest.approx((0.5, 0.5, 1.0))
+        told = evaluation_of(found, problem)
+        assert told.goal_probability == told.failure_probability == pytest.approx(0.5)
+        assert told.expected_cost == pytest.approx(1.0)
 
 
 def test_a_lottery_is_evaluated_the_same_either_way(coarse_robot, monkeypatch):
@@ -297,7 +297,8 @@ def test_tails_begin_where_their_thresholds_say(seed):
     policy = CostAwarePolicy(model, float(levels[1]), decision, tails, threshold, levels=levels)
     law = paid_law(MixedPolicy((policy,), np.ones(1)), model, "r0")
     start = start_distribution(model, "r0")
-    reached = layered_measures(policy, S3P(model, "r0", 0.9), start, least_nodes=0)
-    assert reached.discounted_goal == pytest.approx(sum(law.values()), abs=1e-9)
+    problem = S3P(model, "r0", 0.9)
+    reached = evaluation_of(layered_measures(policy, problem, start, least_nodes=0), problem)
+    assert reached.goal_probability == pytest.approx(sum(law.values()), abs=1e-9)
     paid = sum(total * mass for total, mass in law.items())
-    assert reached.discounted_cost == pytest.approx(paid, rel=1e-8)
+    assert reached.success_cost == pytest.approx(paid, rel=1e-8)

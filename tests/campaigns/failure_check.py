@@ -562,10 +562,10 @@ def _played_moves(member: Any, model: SSP, node: tuple[int, int]) -> Iterator[tu
         yield 1.0, str(state)
         return
     found = member.branches(here, kept)
-    for pair, chance in zip(found.pair.tolist(), found.probability.tolist(), strict=True):
+    columns = found.pair, found.probability, found.kept(kept)
+    for pair, chance, own in zip(*(column.tolist() for column in columns), strict=True):
         if pair == -1:
-            after = int(member.after_giving_up(here, kept)[0])
-            yield chance, "gave_up" if after < 0 else (state, after)
+            yield chance, "gave_up"
             continue
         some = slice(int(model.outcome_offsets[pair]), int(model.outcome_offsets[pair + 1]))
         successors, costs = model.successors[some].astype(np.int64), model.costs[some]
@@ -573,7 +573,7 @@ def _played_moves(member: Any, model: SSP, node: tuple[int, int]) -> Iterator[tu
         over = member.ended[successors]
         moved = np.zeros(successors.size, dtype=np.int64)
         step = taken[~over], successors[~over], costs[~over]
-        moved[~over] = member.remember(np.full((~over).sum(), memory), *step)
+        moved[~over] = member.remember(np.full((~over).sum(), own), *step)
         chances = model.probabilities[some].tolist()
         for p, y, after in zip(chances, successors.tolist(), moved.tolist(), strict=True):
             yield chance * p, (y, after)

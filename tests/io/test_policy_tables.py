@@ -12,7 +12,7 @@ from refusing import refused
 from ssp_lp import GIVE_UP, MissingDependencyError
 from ssp_lp.policies.chain import policy_chain
 from ssp_lp.policies.policy import as_lottery
-from ssp_lp.policies.remembering import common_memory
+from ssp_lp.policies.remembering import JointMemory, common_memory
 from ssp_lp.processes.failure_semantics import start_distribution
 
 
@@ -55,7 +55,8 @@ def test_memories_in_words():
     assert told["timed"] == told["remembering"] == {0, 1, 2}
     assert told["carried"] <= aware
     timed = made()["timed"]
-    assert table_of(common_memory(as_lottery(timed)).followed_by(timed)) == table_of(timed)
+    joint = table_of(JointMemory(common_memory(as_lottery(timed)), timed))
+    assert {(k, s, memory[0], a): p for (k, s, memory, a), p in joint.items()} == table_of(timed)
 
 
 def test_a_frame_needs_pandas(monkeypatch):

@@ -127,7 +127,7 @@ def test_an_action_that_depends_on_more_than_the_state_is_refused_with_the_remed
 class Counting(DeterministicPolicy):
     """A policy of a class whose memory is not known."""
 
-    is_stationary = False
+    memory_size = None
 
 
 def test_a_policy_of_unknown_memory_prints_in_one_line():
