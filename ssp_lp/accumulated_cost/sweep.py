@@ -101,15 +101,19 @@ def at_price(
     with ``failing`` equal to the price this is ``charge + price * failure``; with 0 it is ``charge
     - price * goal``, where no digit is lost if failing is likely.
     """
-    base, earned = process.base, price - failing
-    ended = failing * base.start_failure, -earned * base.start_goal, process.start_charge
+    base, earned, measures = process.base, price - failing, _NONE
+    if bounds:
+        beyond = process.beyond_bound(price, failing)
+    else:
+        measures = process.measures_beyond(price)
+        beyond = measures[..., 0] + failing * measures[..., 1] - earned * measures[..., 2]
     return Priced(
         failing * base.failure,
         earned * base.survival * base.gain,
-        (process.beyond_bound if bounds else process.beyond_value)(price, failing),
-        _NONE if bounds else process.measures_beyond(price),
+        beyond,
+        measures,
         floor=-(earned - process.charge.lowest) * (1.0 + _BELOW_EVERY_VALUE),
-        at_start=ended,
+        at_start=(failing * base.start_failure, -earned * base.start_goal, process.start_charge),
         price=price,
     )
 
@@ -164,7 +168,7 @@ class Sweep:
         base = process.base
         return cls(process, np.stack([base.failure, base.survival * base.gain], axis=1))
 
-    @property
+    @cached_property
     def pair_offsets(self) -> IntArray:
         """Offsets of the pairs of each swept node in a layer, [nodes + 1]."""
         offsets = self.process.base.pair_offsets
@@ -172,7 +176,7 @@ class Sweep:
             return offsets
         return offsets[self.share.own.start : self.share.own.stop + 1]
 
-    @property
+    @cached_property
     def first_pairs(self) -> IntArray:
         """First pair of each swept node, [nodes]."""
         return self.pair_offsets[:-1]
@@ -188,10 +192,13 @@ class Sweep:
         start = self.process.base.start
         return start if self.share is None else start[self.share.own]
 
-    def charged(self, layer: int) -> PairCost:
+    @cached_property
+    def charged(self) -> Callable[[int], PairCost]:
         """What the pairs of a layer are charged in the sweep, [pairs]."""
-        charge = self.process.charged(layer)
-        return charge if self.on_top is None else replace(charge, fixed=charge.fixed + self.on_top)
+        charged, more = self.process.charged, self.on_top
+        if more is None:
+            return charged
+        return lambda layer: replace(charged(layer), fixed=charged(layer).fixed + more)
 
     def room_for_choice(self, layers: int | None = None) -> IntArray:
         """An array for the choice of a sweep over layers, in the smallest integers that hold it."""
@@ -466,7 +473,7 @@ class Sweep:
         for layer in backward(self.process.cap):
             swept = step(layer, *(window.flat for window in windows))
             for window, numbers in zip(windows, swept, strict=True):
-                window.push(self._told(numbers))
+                window.push(numbers if self.share is None else self._told(numbers))
             yield layer, swept
 
     def _all_told(self, layers: FloatArray) -> FloatArray:
