@@ -199,6 +199,23 @@ def weighted(columns: FloatArray, weights: FloatArray) -> FloatArray:
     return result
 
 
+def weighted_rounding(columns: FloatArray, weights: FloatArray) -> FloatArray:
+    """Rounding of weighted sums, relative to their terms' sizes; 0: a row's sum is exact, [rows].
+
+    Args:
+        columns: [rows, columns]; few columns.
+        weights: [columns].
+    """
+    terms, products = np.zeros(len(columns), dtype=np.int64), np.zeros(len(columns), dtype=np.bool_)
+    for column, weight in zip(columns.T, weights.tolist(), strict=True):
+        if weight != 0.0:
+            counted = column != 0.0
+            terms += counted
+            if abs(weight) != 1.0:
+                products |= counted & (np.abs(column) != 1.0)
+    return np.asarray(MACHINE_EPSILON * np.maximum(terms - 1, products))
+
+
 def expected(start: FloatArray, values: FloatArray) -> npt.NDArray[Any]:
     """``start @ values`` of arrays over states, for a start that is mostly zeros.
 

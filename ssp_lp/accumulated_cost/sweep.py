@@ -23,7 +23,15 @@ import numpy as np
 
 from ssp_lp.accumulated_cost.process import AccumulatedCost, ChargedLayers, LayeredProcess
 from ssp_lp.accumulated_cost.totals import Totals, Window
-from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type, unsigned
+from ssp_lp.arrays import (
+    MACHINE_EPSILON,
+    FloatArray,
+    IntArray,
+    least_integer_type,
+    unsigned,
+    weighted,
+    weighted_rounding,
+)
 from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import STOPS, Stop, backward, check_time, end_with_incumbent, pieces
 from ssp_lp.dynamic_programming.bellman import (
@@ -52,9 +60,6 @@ _BELOW_EVERY_VALUE = 1e-6
 KEPT_VALUES = 25_000_000
 """Largest table of checked values that is kept, nodes x layers: 0.2 GB. Of a larger one only the
 shape is: infinite values ask for the best that can be proved, which one more sweep gives."""
-
-_SAME = 1e-14
-"""Relative difference of values below which there is only rounding."""
 
 
 _MOST_CELLS = 8_000_000
@@ -90,41 +95,13 @@ class Priced(NamedTuple):
     price: float = 0.0  # of failure, where that alone is priced
 
 
-def at_price(
-    process: LayeredProcess, price: float, failing: float, *, bounds: bool = False
-) -> Priced:
-    """What a sweep is asked at a price of failure alone.
-
-    Beyond the cap lie the tails of that price, or, for bounds, what no policy is worth less than.
-
-    A run is worth its charge, ``failing`` where it fails and ``failing - price`` where it arrives:
-    with ``failing`` equal to the price this is ``charge + price * failure``; with 0 it is ``charge
-    - price * goal``, where no digit is lost if failing is likely.
-    """
-    base, earned, measures = process.base, price - failing, _NONE
-    if bounds:
-        beyond = process.beyond_bound(price, failing)
-    else:
-        measures = process.measures_beyond(price)
-        beyond = measures[..., 0] + failing * measures[..., 1] - earned * measures[..., 2]
-    return Priced(
-        failing * base.failure,
-        earned * base.survival * base.gain,
-        beyond,
-        measures,
-        floor=-(earned - process.charge.lowest) * (1.0 + _BELOW_EVERY_VALUE),
-        at_start=(failing * base.start_failure, -earned * base.start_goal, process.start_charge),
-        price=price,
-    )
-
-
 class PartOfSweep(NamedTuple):
     """Part of a sweep for the best choice that was done when it was stopped."""
 
     choice: IntArray  # [cap, nodes] of which the layers from ``layer`` on are written
     price: float  # of failure
     layer: int
-    measures: FloatArray | None  # [nodes, 3] from that layer on; None: a choice can be followed
+    measures: FloatArray | None  # [nodes, 1 + counted] from there on; None: can be followed
 
 
 class Neighbours(Protocol):
@@ -154,7 +131,8 @@ class Sweep:
     """The sweeps over the layers of one process, and what they share.
 
     A choice is the position of a pair among those of its node, [cap, nodes]. Its measures are what
-    it is charged, and what else is counted at its pairs.
+    it is charged, and what else is counted at its pairs: where steps are free, failing and the goal
+    alone.
     """
 
     process: ChargedLayers
@@ -290,12 +268,8 @@ class Sweep:
             The bound if an episode began in each layer, [cap]; and the values, [cap, nodes],
             infinite where they are too many to be kept.
         """
-        process, base, inner, floor = (
-            self.process,
-            self.process.base,
-            self._first_choice,
-            priced.floor,
-        )
+        process, base = self.process, self.process.base
+        inner, floor = self._first_choice, priced.floor
 
         def lower(layer: int, ahead: FloatArray) -> tuple[FloatArray]:
             """Lower bounds of a layer; within one with free steps its best choice is kept."""
@@ -336,7 +310,9 @@ class Sweep:
             if is_kept:
                 kept[some] = lowest
         ended = priced.at_start
-        terms = max(len(entries) + int(np.count_nonzero(ended)) - 1, 0)
+        terms = len(entries) + int(np.count_nonzero(ended))  # each a product, that is added
+        if terms == 1 and shares.sum() == 1.0:
+            terms = 0  # the value itself
         loss = terms * MACHINE_EPSILON * (sizes + float(np.abs(ended).sum()))
         return begun + sum(ended) - loss, kept
 
@@ -598,6 +574,53 @@ class Sweep:
             return self.first_pairs
         leaving = (base.gain > 0) | (base.failure > 0) | (np.diff(base.later.indptr) > 0)
         return approach_leaving(base.instant_dynamics, leaving)
+
+
+def at_weights(
+    sweep: Sweep,
+    weights: FloatArray,
+    beyond: FloatArray,
+    measures: FloatArray = _NONE,
+    *,
+    bounds: bool = False,
+) -> Priced:
+    """What a sweep is asked at weights of the charge and of what else is counted.
+
+    Args:
+        sweep: over the layers.
+        weights: [1 + counted].
+        beyond: values beyond the cap; for bounds, lower ones, [layers beyond, nodes].
+        measures: those there, [layers beyond, nodes, 1 + counted]; for bounds none.
+        bounds: what pairs are worth is rounded down.
+    """
+    parts = sweep.counted * weights[1:]
+    owed, saved = np.maximum(parts, 0.0).sum(axis=1), -np.minimum(parts, 0.0).sum(axis=1)
+    if bounds:
+        saved += weighted_rounding(sweep.counted, weights[1:]) * (owed + saved)
+    return Priced(owed, saved, beyond, measures, float(weights[0]))
+
+
+def at_price(sweep: Sweep, price: float, failing: float, *, bounds: bool = False) -> Priced:
+    """What a sweep that counts failing and the goal is asked at a price of failure alone.
+
+    A run is worth its charge, ``failing`` where it fails and ``failing - price`` where it arrives:
+    with ``failing`` equal to the price this is ``charge + price * failure``; with 0 it is ``charge
+    - price * goal``, where no digit is lost if failing is likely. Beyond the cap lie the tails of
+    that price, or, for bounds, what no policy is worth less than.
+    """
+    process, earned, measures = cast("LayeredProcess", sweep.process), price - failing, _NONE
+    weights = np.array([1.0, failing, -earned])
+    if bounds:
+        beyond = process.beyond_bound(price, failing)
+    else:
+        measures = process.measures_beyond(price)
+        beyond = weighted(measures.reshape(-1, 3), weights).reshape(measures.shape[:-1])
+    base = process.base
+    return at_weights(sweep, weights, beyond, measures, bounds=bounds)._replace(
+        floor=-(earned - process.charge.lowest) * (1.0 + _BELOW_EVERY_VALUE),
+        at_start=(failing * base.start_failure, -earned * base.start_goal, process.start_charge),
+        price=price,
+    )
 
 
 def _at_least(values: FloatArray, floor: float) -> FloatArray:

@@ -19,12 +19,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ssp_lp.accumulated_cost.written_out import LastLayer, OpenEnded
-from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, expected, weighted
+from ssp_lp.arrays import (
+    MACHINE_EPSILON,
+    FloatArray,
+    IntArray,
+    expected,
+    weighted,
+    weighted_rounding,
+)
 from ssp_lp.column_generation.column import (
     Column,
     PricingProblem,
@@ -37,7 +44,7 @@ from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.dynamic_programming.dual_bound import DualBound
 from ssp_lp.dynamic_programming.dynamics import Dynamics, leaving_choice
 from ssp_lp.dynamic_programming.equations import DIRECT_STATES
-from ssp_lp.dynamic_programming.evaluation import EVALUATED, evaluate_policy
+from ssp_lp.dynamic_programming.evaluation import evaluate_policy
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy, switched
 from ssp_lp.options import Partition
 from ssp_lp.policies.policy import Policy
@@ -77,6 +84,8 @@ class ExplicitPricing(PricingProblem):
     partition: Partition | None = None  # who shares the equations and backups of policy iteration
     by_goal: bool = False  # success, as minus the goal, is counted in place of failing
     _known: dict[bytes, Contraction | None] = field(default_factory=dict)  # by what is priced
+
+    no_gain: ClassVar[float] = 1e-14  # of a value, of another pair at a known policy: rounding
 
     @property
     def process(self) -> ExplicitProcess:
@@ -202,8 +211,8 @@ class ExplicitPricing(PricingProblem):
         values = weighted(required(column.totals), weights)
         cost, held = weighted(self.rewards, weights), required(column.choice)
         backup = self.dynamics.back_up(cost, values, held)
-        gain = float((backup.here - backup.minima).max(initial=0.0))
-        return gain <= EVALUATED * float(np.abs(values).max(initial=0.0))
+        gain = backup.here - backup.minima
+        return not self.precise and bool((gain <= self.no_gain * np.abs(backup.here)).all())
 
     def measure(
         self, choice: IntArray, work: Work = _NONE, found_at: float | None = None
@@ -266,7 +275,7 @@ class ExplicitPricing(PricingProblem):
         """
         priced = weighted(self.rewards, weights)
         size = weighted(np.abs(self.rewards), np.abs(weights))
-        priced -= pricing_rounding(self.rewards, weights) * size  # a bound rounds down
+        priced -= weighted_rounding(self.rewards, weights) * size  # a bound rounds down
         values = np.where(np.abs(values) <= LARGEST, values, 0.0)  # 0: a bound, if a poor one
         floor = least_constant(self.process, priced) if self.by_goal or self.rows else 0.0
         return bound_of(self.process, self.contracted(weights), priced, values, floor, choice)
@@ -336,15 +345,3 @@ def _noise(weights: FloatArray, columns: Sequence[Column | None]) -> float:
     if known is None or not (known.figures * weights < 0.0).any():
         return 0.0
     return LOST * float(np.abs(known.figures) @ np.abs(weights))
-
-
-def pricing_rounding(rewards: FloatArray, weights: FloatArray) -> FloatArray:
-    """Relative rounding of explicit pricing's weighted sums of terms >= 0; 0: exact, [pairs]."""
-    terms, products = np.zeros(len(rewards), dtype=np.int64), np.zeros(len(rewards), dtype=np.bool_)
-    for reward, weight in zip(rewards.T, weights.tolist(), strict=True):
-        if weight != 0.0:
-            counted = reward != 0.0
-            terms += counted
-            if weight != 1.0:
-                products |= counted & (reward != 1.0)
-    return np.asarray(MACHINE_EPSILON * np.maximum(terms - 1, products))

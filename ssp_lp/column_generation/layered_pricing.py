@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from ssp_lp.accumulated_cost.sweep import (
     Priced,
     Sweep,
     at_price,
+    at_weights,
 )
 from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import FloatArray, IntArray, weighted
@@ -38,7 +39,6 @@ from ssp_lp.column_generation.column import (
 )
 from ssp_lp.column_generation.explicit_pricing import (
     ExplicitPricing,
-    pricing_rounding,
     values_less_paid,
 )
 from ssp_lp.dynamic_programming import bellman
@@ -115,7 +115,7 @@ class LayeredPricing(PricingProblem):
         goal = tails.guess[1] if tails.guess else float(base.start @ tails.goal[0])
         # where no policy probably succeeds success is counted rather than failure
         failing = failure_price if goal + base.start_goal >= 0.5 else 0.0
-        measures = self.sweep.minimise(at_price(self.process, failure_price, failing), choice)
+        measures = self.sweep.minimise(at_price(self.sweep, failure_price, failing), choice)
         return self._column(measures, choice, failure_price, self.process.cap)
 
     def measure(self, choice: IntArray, tail_price: float) -> Column:
@@ -194,7 +194,7 @@ class LayeredPricing(PricingProblem):
             most = float((left[: len(lost)] * lost).sum())
             if most <= _SAME * abs(proof.bound):
                 return most
-        followed = at_price(process, price, failing)
+        followed = at_price(self.sweep, price, failing)
         reached = float(self.sweep.bound(followed, self.anything)[0][0])
         if proof is not None and reached <= proof.bound:
             return 0.0
@@ -204,7 +204,7 @@ class LayeredPricing(PricingProblem):
         self, price: float, failing: float, values: FloatArray, choice: IntArray | None = None
     ) -> Proof:
         """Lower values layer by layer, from the bound beyond the cap."""
-        priced = at_price(self.process, price, failing, bounds=True)
+        priced = at_price(self.sweep, price, failing, bounds=True)
         bounds, kept = self.sweep.bound(priced, values, choice)
         work = bellman.Work(self.process.cap, 0)
         return Proof(price, failing, float(bounds[0]), kept, work, choice, by_layer=bounds)
@@ -281,9 +281,9 @@ class OpenEndedPricing(PricingProblem):
     def _best_beyond(self, weights: FloatArray, *warm: Column | None) -> Column:
         """What is best beyond the cap at some weights: most often what was best before."""
         known = [c.beyond for c in warm if c is not None and c.beyond is not None]
-        for last in known:
+        for last in dict.fromkeys(known):
             if self._beyond.is_best(last, weights):
-                return last
+                return replace(last, work=bellman.Work())
         return self.tail(self._beyond.minimise(weights, *known))
 
     def tail(self, last: Column) -> Column:
@@ -306,7 +306,8 @@ class OpenEndedPricing(PricingProblem):
     def _proved(self, weights: FloatArray, values: FloatArray, best: Column | None) -> Proof:
         """Lower layered values to a proof; a policy that is best, or about, saves work."""
         last = self._beyond.lowered(weights, self._asked_beyond(values, weights, best)).rounded
-        priced, price = at_weights(self.sweep, weights, last), float(weights[1])
+        beyond, price = ahead_of(self.augmented, last), float(weights[1])
+        priced = at_weights(self.sweep, weights, beyond, bounds=True)
         floor, ended = -price if self.by_goal else 0.0, (weights * self._at_source).tolist()
         priced = priced._replace(floor=floor, at_start=tuple(ended))
         bound, kept = self._lowered(self.sweep, priced, values, last)
@@ -323,19 +324,18 @@ class OpenEndedPricing(PricingProblem):
         counted[1] += ratio
         beyond = self._asked_beyond(values, counted)
         last = self._beyond.lowered_less(weights, ratio, paid, beyond).rounded
-        priced = at_weights(self._without_top, weights, last)
+        every = np.append(weights, -ratio)
+        priced = at_weights(self._less_paid, every, ahead_of(layered, last), bounds=True)
         begun = layered.start_charge, *(weights[1:] * self._at_source[1:]).tolist()
-        priced = priced._replace(
-            saved=priced.saved + ratio * base.survival * base.gain,
-            floor=-paid,
-            at_start=(*begun, -ratio * base.start_goal),
-        )
-        return self._lowered(self._without_top, priced, values_less_paid(values, paid), last)[0]
+        priced = priced._replace(floor=-paid, at_start=(*begun, -ratio * base.start_goal))
+        return self._lowered(self._less_paid, priced, values_less_paid(values, paid), last)[0]
 
     @cached_property
-    def _without_top(self) -> Sweep:
-        """The sweeps of layered pricing less what every episode pays on ending."""
-        return self.sweep if self.sweep.on_top is None else replace(self.sweep, on_top=None)
+    def _less_paid(self) -> Sweep:
+        """The sweeps of layered pricing that count the goal, too, and nothing on top."""
+        goal = self.augmented.base.survival * self.augmented.base.gain
+        counted = np.append(self.sweep.counted, goal[:, None], axis=1)
+        return replace(self.sweep, counted=counted, on_top=None)
 
     def _asked_beyond(
         self, values: FloatArray, weights: FloatArray, best: Column | None = None
@@ -414,28 +414,7 @@ def swept(
     choice[-1 if weights is not None else slice(None)] = last
     if weights is None:
         return choice, sweep.measure(choice[:-1], measures)
-    priced = at_weights(sweep, weights, weighted(totals, weights), measures)
+    table = cast("OpenEnded", sweep.process)
+    beyond = ahead_of(table, weighted(totals, weights))
+    priced = at_weights(sweep, weights, beyond, measures)
     return choice, sweep.minimise(priced, choice[:-1])
-
-
-_FOR_BOUNDS = np.zeros(0)
-
-
-def at_weights(
-    sweep: Sweep, weights: FloatArray, beyond: FloatArray, measures: FloatArray = _FOR_BOUNDS
-) -> Priced:
-    """What a sweep over an open-ended table is asked at some weights.
-
-    Args:
-        sweep: over the layers.
-        weights: of the rewards, [rewards].
-        beyond: what all beyond the cap is worth, at least, [nodes].
-        measures: what is counted there, [layers beyond, nodes, rewards]; empty: bounds are asked
-            for, and what pairs cost is rounded down.
-    """
-    parts = sweep.counted * weights[1:]
-    owed, saved = np.maximum(parts, 0.0).sum(axis=1), -np.minimum(parts, 0.0).sum(axis=1)
-    if not measures.size:
-        saved += pricing_rounding(sweep.counted, weights[1:]) * (owed + saved)
-    table: Any = sweep.process
-    return Priced(owed, saved, ahead_of(table, beyond), measures, float(weights[0]))

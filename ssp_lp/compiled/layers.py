@@ -54,7 +54,7 @@ class Layers(NamedTuple):
 
 @compiled_loop(inline="always")
 def _best_pair(
-    pick: Any, past: Any, layers: Layers, one: OneLayer, due: Array, values: Array,
+    pick: Any, past: Any, layers: Layers, one: OneLayer, values: Array,
 ) -> tuple[float, Any]:  # fmt: skip
     """Compiled: least value of a node's pairs in a layer, and the first pair that attains it."""
     least = np.inf
@@ -62,7 +62,8 @@ def _best_pair(
         total = 0.0
         for k in range(layers.indptr[pair], layers.indptr[pair + 1]):
             total += layers.data[k] * values[one.begin[layers.classes[k]] + layers.nodes[k]]
-        stage = one.weight * one.charged[layers.column[pair]] + due[pair]
+        own = one.weight * one.charged[layers.column[pair]]
+        stage = own + one.owed[pair] - one.saved[pair]
         if one.factor != 0.0:
             stage += one.weight * one.factor * layers.growth[pair]
         total = stage + total
@@ -90,8 +91,8 @@ def _measure_of(
 
 @compiled_loop
 def _settle(
-    layers: Layers, one: OneLayer, due: Array,
-    row: Any, values: Array, picks: Array, measured: Array, here: Array,
+    layers: Layers, one: OneLayer, row: Any, values: Array, picks: Array, measured: Array,
+    here: Array,
 ) -> None:  # fmt: skip
     """Compiled: least values of a layer of cost, and the pairs that attain them, written.
 
@@ -104,7 +105,7 @@ def _settle(
         for s in layers.order:
             first = np.uint64(layers.offsets[s])
             past = np.uint64(layers.offsets[s + 1])
-            least, pick = _best_pair(first, past, layers, one, due, values)
+            least, pick = _best_pair(first, past, layers, one, values)
             _measure_of(pick, layers, one, measured, here)
             values[row + s], picks[s] = least, pick - first
             measured[row + s] = here
@@ -116,7 +117,7 @@ def _settle(
             first = np.uint64(layers.offsets[s])
             pick = first if is_greedy else first + np.uint64(picks[s])
             past = np.uint64(layers.offsets[s + 1]) if is_greedy else pick + np.uint64(1)
-            least, pick = _best_pair(pick, past, layers, one, due, values)
+            least, pick = _best_pair(pick, past, layers, one, values)
             change, scale = max(change, abs(least - values[row + s])), max(scale, abs(least))
             values[row + s], picks[s] = least, pick - first
         is_same = change <= ACCURATE * scale
@@ -209,7 +210,7 @@ def sweep_layers(
         given: what lower bounds are not to exceed, [layers, nodes]; empty: the least values
             themselves are asked for.
     """
-    n, due, is_bound = layers.order.size, owed - saved, given.size > 0
+    n, is_bound = layers.order.size, given.size > 0
     rows = max(values.size, measured.shape[0]) // n
     begin, unkept = np.empty(layers.leads.shape[1], np.uint64), np.empty(n, position.dtype)
     here = np.empty(measured.shape[1])
@@ -227,7 +228,7 @@ def sweep_layers(
         elif not keeps:
             if layers.turns > 1:
                 values[row : row + n] = values[later : later + n]
-            _settle(layers, one, due, row, values, picks, measured, here)
+            _settle(layers, one, row, values, picks, measured, here)
             if is_bound:
                 values[row : row + n] = np.minimum(values[row : row + n], given[layer])
         if is_bound:

@@ -24,7 +24,7 @@ import scipy.sparse as sp
 
 from ssp_lp.accumulated_cost.charges import Charge, TailValues
 from ssp_lp.accumulated_cost.process import AccumulatedCost, accumulate_cost
-from ssp_lp.accumulated_cost.sweep import OwnNodes, Priced
+from ssp_lp.accumulated_cost.sweep import OwnNodes, Priced, at_weights
 from ssp_lp.accumulated_cost.written_out import LastLayer, OpenEnded, first_cap, truncates
 from ssp_lp.arrays import (
     MACHINE_EPSILON,
@@ -39,7 +39,6 @@ from ssp_lp.column_generation.explicit_pricing import costs_less_earned
 from ssp_lp.column_generation.layered_pricing import (
     OpenEndedPricing,
     ahead_of,
-    at_weights,
     open_sweep,
     swept,
 )
@@ -264,7 +263,9 @@ class LayeredShare(Share):
             weights: of the rewards, >= 0, [rewards].
             lowest: of what lies beyond the cap, [own nodes].
         """
-        return self._lower(at_weights(self._sweep, weights, lowest))
+        return self._lower(
+            at_weights(self._sweep, weights, ahead_of(self._table, lowest), bounds=True)
+        )
 
     def lower_less(self, ratio: float) -> FloatArray:
         """Lower bounds of all policies' costs, less a ratio for success, as of :meth:`lower`.
@@ -433,7 +434,7 @@ class PartitionedLayers(OpenEndedPricing):
 def _summed(parts: FloatArray, at_source: Sequence[float]) -> float:
     """Lower bound of ranks' parts and of what ends before the first step, rounded down."""
     terms = [*parts[parts != 0.0].tolist(), *(value for value in at_source if value != 0.0)]
-    lost = max(len(terms) - 1, 0) * MACHINE_EPSILON * sum(map(abs, terms))
+    lost = len(terms) * MACHINE_EPSILON * sum(map(abs, terms))
     return float(sum(terms) - lost)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 from zipfile import BadZipFile
 
 import numpy as np
@@ -25,6 +25,7 @@ from ssp_lp.distributed.dynamics import PartitionedDynamics
 from ssp_lp.distributed.ranks import Ranks
 from ssp_lp.distributed.share import Share
 from ssp_lp.dynamic_programming.dual_bound import DualBound
+from ssp_lp.dynamic_programming.evaluation import EVALUATED
 from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.model import SSP
 from ssp_lp.policies.policy import Branches, Policy
@@ -194,6 +195,8 @@ class PartitionedPricing(ExplicitPricing):
 
     shared: PartitionedDynamics = field(kw_only=True)
     kept: Checkpoint = field(kw_only=True)
+
+    no_gain: ClassVar[float] = EVALUATED  # as finely as ranks evaluate
 
     @property
     def dynamics(self) -> PartitionedDynamics:

@@ -14,8 +14,14 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_sums, weighted
-from ssp_lp.column_generation.explicit_pricing import pricing_rounding
+from ssp_lp.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    segment_sums,
+    weighted,
+    weighted_rounding,
+)
 from ssp_lp.distributed.equations import Improved, OwnEquations
 from ssp_lp.distributed.graph_sweeps import approaching
 from ssp_lp.distributed.halo import Halo
@@ -310,7 +316,7 @@ class Share:
     def _cost_below(self, weights: FloatArray) -> FloatArray:
         """Cost of each own pair for a bound, which rounds down, [own pairs]."""
         cost = self._cost(weights)
-        cost -= pricing_rounding(self.rewards, weights) * np.abs(cost)
+        cost -= weighted_rounding(self.rewards, weights) * np.abs(cost)
         return cost
 
     @property

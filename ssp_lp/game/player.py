@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -334,36 +334,36 @@ class Player:
         scale = float(weights[0]) if weights[0] > 0.0 else float(weights[1]) / _DEAREST
         sweep, failing = Sweep.of_ends(process), 0.0 if self.origin else price
         choice = sweep.room_for_choice()
-        objective, failure, goal = sweep.minimise(
-            at_price(process, price, failing), choice
-        ).tolist()
-        bound = max(scale * self.lower_bounds(process, price, failing)[0][0],
+        priced = at_price(sweep, price, failing)
+        objective, failure, goal = sweep.minimise(priced, choice).tolist()
+        bound = max(scale * self.lower_bounds(sweep, price, failing)[0][0],
                     -weights[1] * self.origin)  # J_obj is never negative  # fmt: skip
         failed = -base.start_goal - goal if self.origin else base.start_failure + failure
         strategy = Strategy(choice[None], process.totals, process=process, price=price)
         return BestResponse(objective, failed, float(bound), strategy, 2 * process.cap, self.origin)
 
     def lower_bounds(
-        self, process: LayeredProcess, price: float, failing: float
+        self, sweep: Sweep, price: float, failing: float
     ) -> tuple[FloatArray, FloatArray]:
         """Lower bounds of J_obj and, at a price, J_cond: of every policy, or of those of the tail.
 
         Args:
-            process: cut at M.
+            sweep: over the process cut at M.
             price: of J_cond.
             failing: the price, or 0 where J_cond is counted from 1.
 
         Returns:
             If a run began in each layer, [layers]; and of each state, [layers, nodes].
         """
-        priced = at_price(process, price, failing, bounds=True)
+        process: Any = sweep.process
+        priced = at_price(sweep, price, failing, bounds=True)
         if self.tail is not None:
             charge, failure, goal = process.beyond(price)
             size = charge + failing * failure + (price - failing) * goal
             beyond = process.beyond_value(price, failing) - _ROUNDED * size
             priced = priced._replace(beyond=beyond)
         anything = np.broadcast_to(np.inf, (process.cap, process.base.n_nodes))
-        return Sweep.of_ends(process).bound(priced, anything)
+        return sweep.bound(priced, anything)
 
     def surplus(self, price: float, accuracy: float) -> float:
         """Lower bound of ``J_obj - price * (1 - J_cond)``, rounding counted.
@@ -372,7 +372,7 @@ class Player:
         the rounding of ``price``. The sign says whether ``J_obj / (1 - J_cond) >= price`` for all.
         """
         process = self.response(1.0, price, accuracy).strategy.process
-        return float(self.lower_bounds(process, price, 0.0)[0][0])
+        return float(self.lower_bounds(Sweep.of_ends(process), price, 0.0)[0][0])
 
     def value_function(self, price: float) -> FloatArray:
         """Checked lower bounds of ``J_obj + price * J_cond``.
@@ -657,7 +657,7 @@ class BayesPlayer(Player):
         elif weights[0] > 0.0:
             process = LayeredProcess(self.base, totals, stationary.tails)
             price = float(weights[1] / weights[0])
-            below = weights[0] * stationary.lower_bounds(process, price, price)[1]
+            below = weights[0] * stationary.lower_bounds(Sweep.of_ends(process), price, price)[1]
         bound[:cap] = np.maximum(bound[:cap], below)
         return np.asarray(bound.T)
 

@@ -174,10 +174,9 @@ class _Draft(checker.Model):
         self.is_checked = True
         self.charged: dict[tuple[float, float], Solution] = {}  # of thresholds between two
         self.rounded: dict[str, Fraction] = {}  # of rows that are kept but for rounding, by so much
-        sides = (row.get("at_most", row.get("at_least")) for row in self.question["rows"])
-        rows = self.rows[len(self.rows) - len(self.question["rows"]) :]
         self._stated = {
-            row.name: abs(checker.number(side)) for row, side in zip(rows, sides, strict=True)
+            str(row["name"]): abs(checker.number(row.get("at_most", row.get("at_least"))))
+            for row in self.question["rows"]
         }
 
     def attain(

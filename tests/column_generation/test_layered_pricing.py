@@ -251,3 +251,38 @@ def test_the_open_end_of_a_slow_walk_is_bounded_by_a_constant():
     solution = solve(S3P(model, "a", 0.5, constraints={"start": visits("a") <= 10.0}))
     assert solution.objective == pytest.approx(3.0, rel=1e-9)
     assert solution.gap <= 1e-9
+
+
+def test_a_tail_is_kept_beyond_the_cap_only_where_no_place_gains(monkeypatch):
+    """A place that nobody visits takes 1e13 of fuel: it hides no gain elsewhere.
+
+    Half of the runs go on beyond the bound, where a half is burnt safely or half fail: at most a
+    fifth may, and a quarter of the fuel lets them.
+    """
+    monkeypatch.setattr(compiled_problem, "_WORTH_SWEEPING", 0)
+    ways = {
+        "s": {"fast": [(0.5, "g", 1.0), (0.5, "t", 5.0)], "far": [(1.0, "z", 1.0)]},
+        "t": {"safe": [(1.0, "g", 1.0)], "risky": [(0.5, "g", 1.0), (0.5, "pit", 1.0)]},
+        "z": {"on": [(1.0, "g", 1.0)]},
+        "pit": {},
+    }
+    ways["s"]["slow"] = [(0.4, "g", 1.0), (0.6, "g", 5.0)]
+    fuel = secondary_cost({"t": {"safe": 1.0}, "z": {"on": 1e13}})
+    asked = CostBoundedReach(model_of(ways, "g"), "s", 2.0, 0.2, constraints={"fuel": fuel <= 0.25})
+    solution = solve(asked)
+    assert solution.objective == pytest.approx(0.5, abs=1e-12)
+    assert solution.gap <= 1e-9
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_one_product_is_not_taken_for_exact(compiled, accelerate):
+    """A bound of a single rounded product lies below the fraction that it stands for."""
+    accelerate(compiled)
+    rng = np.random.default_rng(0)
+    ways = {"s": {"go": [(0.3, "g", 0.0), (0.7, "pit", 1.0)]}, "pit": {}}
+    pricing = S3P(model_of(ways, "g"), "s", 0.9).compile().pricing()
+    failed = Fraction(float(pricing.process.base.failure[0]))
+    for price in rng.uniform(0.1, 5.0, 20).tolist():
+        assert Fraction(pricing.prove(price, slack=True).bound) <= -Fraction(price) * Fraction(0.3)
+        least = min(Fraction(price) * failed, Fraction(price))
+        assert Fraction(pricing.prove(price).bound) <= least
