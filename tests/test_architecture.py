@@ -245,9 +245,9 @@ def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -
 @pytest.mark.parametrize(
     ("measure", "most"),
     [
-        (house.lines_in_all, 33_895),
+        (house.lines_in_all, 33_925),
         (house.public_classes, 285),
-        (house.numeric_constants, 546),
+        (house.numeric_constants, 545),
         (house.questions_asked, 102),
         (house.written_past_freezing, 51),
     ],
@@ -271,12 +271,12 @@ def test_no_folder_grows() -> None:
 LINES = {
     "formulations": 458,
     "formulations/command_line": 924,
-    "ssp_lp": 2_066,
-    "ssp_lp/accumulated_cost": 2_687,
+    "ssp_lp": 2_075,
+    "ssp_lp/accumulated_cost": 2_708,
     "ssp_lp/analysis": 989,
-    "ssp_lp/column_generation": 2_106,
-    "ssp_lp/compiled": 1_729,
-    "ssp_lp/distributed": 2_667,
+    "ssp_lp/column_generation": 2_097,
+    "ssp_lp/compiled": 1_730,
+    "ssp_lp/distributed": 2_676,
     "ssp_lp/dynamic_programming": 2_053,
     "ssp_lp/game": 1_074,
     "ssp_lp/io": 3_064,
@@ -287,6 +287,6 @@ LINES = {
     "ssp_lp/policies": 1_391,
     "ssp_lp/processes": 1_845,
     "ssp_lp/programs": 1_325,
-    "ssp_lp/verification": 2_493,
+    "ssp_lp/verification": 2_492,
 }
 """Code lines of each folder."""

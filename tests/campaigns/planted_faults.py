@@ -172,8 +172,8 @@ FAULTS = (
     Fault(
         "timed policies: stages go round in a circle",
         "ssp_lp/policies/remembering.py",
-        "return np.asarray(inner * count + np.minimum(stage + 1, count - 1))",
-        "return np.asarray(inner * count + (stage + 1) % count)",
+        "return self.joined(moved, np.minimum(stage + 1, len(self.stages) - 1))",
+        "return self.joined(moved, (stage + 1) % len(self.stages))",
         "tests/policies/test_policies.py",
     ),
 )

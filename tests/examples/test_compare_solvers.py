@@ -105,7 +105,7 @@ def test_the_game_is_compared_where_there_is_a_discount(tmp_path):
 @pytest.mark.parametrize(
     ("given", "instances", "solvers", "limit"),
     [
-        ([], QUICK_INSTANCES, QUICK_SOLVERS, 10.0),
+        ([], QUICK_INSTANCES, QUICK_SOLVERS, 5.0),
         (["--full"], FULL_INSTANCES, solver_names(), 60.0),
         (["--instances", SMALL], (SMALL,), solver_names(), 60.0),
     ],

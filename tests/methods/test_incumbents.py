@@ -222,7 +222,7 @@ def test_a_law_that_takes_too_long_leaves_a_policy_with_a_bound(monkeypatch):
     def never(*asked):
         raise Stop
 
-    monkeypatch.setattr("ssp_lp.analysis.evaluation.measured_law", never)
+    monkeypatch.setattr("ssp_lp.analysis.evaluation._measured_law", never)
     monkeypatch.setattr(sys.modules["ssp_lp.solving"], "approach_to", never)
     found = solve(problem, time_limit=5.0)
     assert found.lower_bound <= exact.objective <= found.objective
