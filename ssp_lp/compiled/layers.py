@@ -77,7 +77,8 @@ def _measure_of(
     pick: Any, layers: Layers, one: OneLayer, measured: Array, here: Array,
 ) -> None:  # fmt: skip
     """Compiled: measures of a pair in a layer, written, [1 + counted]."""
-    here[:] = 0.0
+    for j in range(here.size):
+        here[j] = 0.0
     for k in range(layers.indptr[pick], layers.indptr[pick + 1]):
         place, share = one.begin[layers.classes[k]] + layers.nodes[k], layers.data[k]
         for j in range(here.size):
@@ -108,7 +109,8 @@ def _settle(
             least, pick = _best_pair(first, past, layers, one, values)
             _measure_of(pick, layers, one, measured, here)
             values[row + s], picks[s] = least, pick - first
-            measured[row + s] = here
+            for j in range(here.size):
+                measured[row + s, j] = here[j]
         return
     for turn in range(layers.turns):
         change, scale = 0.0, 0.0
@@ -345,8 +347,10 @@ def follow_layer(
         stage = charge[pair]
         if layer != 0.0:
             stage += layer * growth[pair]
-        terms[0], terms[1:] = stage, counted[pair]
-        for j in range(len(terms)):  # what a sum loses is kept beside it
+        terms[0] = stage
+        for j in range(1, terms.size):
+            terms[j] = counted[pair, j - 1]
+        for j in range(terms.size):  # what a sum loses is kept beside it
             term = mass[s] * terms[j]
             whole = sums[j, 0] + term
             if abs(sums[j, 0]) >= abs(term):
