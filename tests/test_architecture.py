@@ -245,7 +245,7 @@ def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -
 @pytest.mark.parametrize(
     ("measure", "most"),
     [
-        (house.lines_in_all, 33_929),
+        (house.lines_in_all, 33_940),
         (house.public_classes, 285),
         (house.numeric_constants, 545),
         (house.questions_asked, 102),
@@ -272,9 +272,9 @@ LINES = {
     "formulations": 458,
     "formulations/command_line": 924,
     "ssp_lp": 2_075,
-    "ssp_lp/accumulated_cost": 2_708,
+    "ssp_lp/accumulated_cost": 2_717,
     "ssp_lp/analysis": 989,
-    "ssp_lp/column_generation": 2_097,
+    "ssp_lp/column_generation": 2_099,
     "ssp_lp/compiled": 1_734,
     "ssp_lp/distributed": 2_676,
     "ssp_lp/dynamic_programming": 2_053,

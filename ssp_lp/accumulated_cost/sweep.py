@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import cached_property
 from math import fsum
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias, cast
@@ -91,7 +92,8 @@ class Priced(NamedTuple):
     measures: FloatArray = _NONE  # [layers beyond, nodes, 1 + counted] the same there
     charged: float = 1.0  # weight of the charge
     floor: float = 0.0  # no value lies below
-    at_start: tuple[float, ...] = ()  # worth of what ends before the first step, in parts
+    at_start: tuple[tuple[float, float], ...] = ()
+    """Worth of what ends before the first step: weights, and what each is of."""
     price: float = 0.0  # of failure, where that alone is priced
 
 
@@ -309,10 +311,14 @@ class Sweep:
             sizes[some] = np.abs(lowest[:, entries]) @ shares
             if is_kept:
                 kept[some] = lowest
-        ended = priced.at_start
+        ended = [weight * amount for weight, amount in priced.at_start]
         terms = len(entries) + int(np.count_nonzero(ended))  # each a product, that is added
-        if terms == 1 and shares.sum() == 1.0:
-            terms = 0  # the value itself
+        if terms == 1 and (
+            shares[0] == 1.0
+            if len(entries)
+            else all(Fraction(w) * Fraction(a) == Fraction(w * a) for w, a in priced.at_start)
+        ):
+            terms = 0  # one number, of which nothing was rounded
         loss = terms * MACHINE_EPSILON * (sizes + float(np.abs(ended).sum()))
         return begun + sum(ended) - loss, kept
 
@@ -618,7 +624,11 @@ def at_price(sweep: Sweep, price: float, failing: float, *, bounds: bool = False
     base = process.base
     return at_weights(sweep, weights, beyond, measures, bounds=bounds)._replace(
         floor=-(earned - process.charge.lowest) * (1.0 + _BELOW_EVERY_VALUE),
-        at_start=(failing * base.start_failure, -earned * base.start_goal, process.start_charge),
+        at_start=(
+            (failing, base.start_failure),
+            (-earned, base.start_goal),
+            (1.0, process.start_charge),
+        ),
         price=price,
     )
 

@@ -308,8 +308,9 @@ class OpenEndedPricing(PricingProblem):
         last = self._beyond.lowered(weights, self._asked_beyond(values, weights, best)).rounded
         beyond, price = ahead_of(self.augmented, last), float(weights[1])
         priced = at_weights(self.sweep, weights, beyond, bounds=True)
-        floor, ended = -price if self.by_goal else 0.0, (weights * self._at_source).tolist()
-        priced = priced._replace(floor=floor, at_start=tuple(ended))
+        floor = -price if self.by_goal else 0.0
+        ended = tuple(zip(weights.tolist(), self._at_source.tolist(), strict=True))
+        priced = priced._replace(floor=floor, at_start=ended)
         bound, kept = self._lowered(self.sweep, priced, values, last)
         return Proof(price, 0.0 if self.by_goal else price, bound, kept)
 
@@ -326,8 +327,9 @@ class OpenEndedPricing(PricingProblem):
         last = self._beyond.lowered_less(weights, ratio, paid, beyond).rounded
         every = np.append(weights, -ratio)
         priced = at_weights(self._less_paid, every, ahead_of(layered, last), bounds=True)
-        begun = layered.start_charge, *(weights[1:] * self._at_source[1:]).tolist()
-        priced = priced._replace(floor=-paid, at_start=(*begun, -ratio * base.start_goal))
+        amounts = [layered.start_charge, *self._at_source[1:].tolist(), base.start_goal]
+        ended = tuple(zip(every.tolist(), amounts, strict=True))
+        priced = priced._replace(floor=-paid, at_start=ended)
         return self._lowered(self._less_paid, priced, values_less_paid(values, paid), last)[0]
 
     @cached_property
