@@ -311,7 +311,7 @@ class Sweep:
             sizes[some] = np.abs(lowest[:, entries]) @ shares
             if is_kept:
                 kept[some] = lowest
-        ended = [weight * amount for weight, amount in priced.at_start]
+        ended = np.array(priced.at_start).reshape(-1, 2).prod(axis=1)
         terms = len(entries) + int(np.count_nonzero(ended))  # each a product, that is added
         if terms == 1 and (
             shares[0] == 1.0
@@ -320,7 +320,7 @@ class Sweep:
         ):
             terms = 0  # one number, of which nothing was rounded
         loss = terms * MACHINE_EPSILON * (sizes + float(np.abs(ended).sum()))
-        return begun + sum(ended) - loss, kept
+        return begun + sum(ended.tolist()) - loss, kept
 
     def follow(self, choice: IntArray, beyond: FloatArray) -> FloatArray:
         """Measures of a choice by a forward sweep of its mass, [1 + counted].
