@@ -178,7 +178,13 @@ class Sweep:
         charged, more = self.process.charged, self.on_top
         if more is None:
             return charged
-        return lambda layer: replace(charged(layer), fixed=charged(layer).fixed + more)
+
+        def and_more(layer: int) -> PairCost:
+            """With what is charged on top."""
+            charge = charged(layer)
+            return replace(charge, fixed=charge.fixed + more)
+
+        return and_more
 
     def room_for_choice(self, layers: int | None = None) -> IntArray:
         """An array for the choice of a sweep over layers, in the smallest integers that hold it."""

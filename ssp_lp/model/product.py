@@ -281,16 +281,12 @@ def product(
         state, kept = label
         here, actions = model.index_of(state), {}
         for pair in range(int(model.pair_offsets[here]), int(model.pair_offsets[here + 1])):
-            action, bounds = model.action_of(pair), model.outcome_offsets[pair : pair + 2].tolist()
-            arrays = (
-                a[slice(*bounds)] for a in (model.probabilities, model.successors, model.costs)
-            )
-            rows = zip(range(*bounds), *(array.tolist() for array in arrays), strict=True)
-            ends = [(p, model.states[to], cost, k) for k, p, to, cost in rows if p > 0.0]
-            actions[action] = [
-                (p, (to, memory.update(kept, state, action, to, cost)), float(k))
-                for p, to, cost, k in ends
-            ]
+            action, ends = model.action_of(pair), list[tuple[float, Label, float]]()
+            for k in range(*model.outcome_offsets[pair : pair + 2].tolist()):
+                if (p := float(model.probabilities[k])) > 0.0:
+                    to, cost = model.states[int(model.successors[k])], float(model.costs[k])
+                    ends.append((p, (to, memory.update(kept, state, action, to, cost)), float(k)))
+            actions[action] = ends
         return actions
 
     begin = model.states if start is None else no_lone_string(start, "start")

@@ -24,7 +24,7 @@ from ssp_lp.dynamic_programming.evaluation import evaluate_chain
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends, reached_along
-from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED, MixedPolicy, Policy
+from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, MixedPolicy, Policy
 from ssp_lp.policies.table import Decisions, Member, PolicyTable
 
 _Step = tuple[IntArray, IntArray, FloatArray, FloatArray, IntArray, IntArray, IntArray, FloatArray]
@@ -244,8 +244,7 @@ def policy_chain(
         if reached > most_nodes and size != 1:
             raise ModelError(f"the policy's chain has more than {most_nodes:,} nodes")
         step = _expand_chain(model, policy, frontier, ended)
-        if (step[6] == UNDECIDED).any():
-            policy.check_decided(step[6], step[5] % model.n_states)
+        policy.check_decided(step[6], step[5] % model.n_states)
         waves.append(step)
         if (last := max(int(frontier[-1]), int(step[1].max(initial=0)))) >= _MOST_KEYS:
             raise ModelError("the policy's chain is too large: its memory does not settle")
