@@ -266,6 +266,12 @@ class OpenEnded(ChargedLayers):
         going_on = self.base.quotient.node_of >= 0
         return self.step_cost(np.where(going_on, self.least_goal, 0.0))
 
+    def reaching(self, goal: FloatArray) -> FloatArray:
+        """Probability of succeeding from each state, [states], by that of each node."""
+        states = self.base.quotient.lift(goal)
+        states[self.base.quotient.model.goal_mask] = 1.0
+        return states
+
     def step_cost(self, goal: FloatArray) -> FloatArray:
         """Cost of a step to those of the open-ended table's runs that succeed after it, [pairs].
 

@@ -865,6 +865,7 @@ _MOST_SWEPT = 400_000_000
 _WORTH_SWEEPING = 400  # entries of a layer from which pricing by layers pays
 
 _ROOM = 6_000_000  # pairs of a process on levels, each of which is priced many times
+_CLEARLY = 1e-9  # share of a budget, or of the success that it demands: more than rounding
 _OWN = {"augmented", "explicit_pricing", "_pricing", "totals", "layers"}
 """What depends on the charge, the cap or the resolution."""
 
@@ -1011,20 +1012,31 @@ class CompiledExplicit(CompiledProblem):
         with limited(READING, "the least failure probability was worked out"):
             return max(1.0 - goal_reach.greatest_goal_from(self.model, self.start), 0.0)
 
-    def settled(self) -> CompiledExplicit:
+    @property
+    def limits_failure(self) -> bool:
+        """Whether the compiled problem has a failure budget that some policy may break."""
+        return self.budget is not None and self._demanded > 0.0
+
+    def settled(self, *known: Column) -> CompiledExplicit:
         """The compiled problem at least failure, where the budget does not exceed that.
+
+        Args:
+            known: columns, of which one may show that it does.
 
         Raises:
             InfeasibleError: the budget is below the least failure by more than rounding; case S,
                 and the goal cannot be reached; or failing is forbidden and cannot be avoided.
         """
         self.check_sure()
-        if self.ratio and self.greatest_goal <= 0.0:
+        if self.ratio and all(column.goal <= 0.0 for column in known) and self.greatest_goal <= 0.0:
             raise unreachable(self.model, self.start, self.budget, self.discount)
-        if self.budget is None or self._demanded == 0.0:
+        if self.budget is None or not self.limits_failure:
             return self
-        at_least = FailureRow(self.budget, self.ratio).spare(self.least.column) <= 0.0
-        return replace(self, budget=None) if at_least else self
+        row = FailureRow(self.budget, self.ratio)
+        room = _CLEARLY * min(self.budget, row.demanded)
+        if any(row.spare(column) > room for column in known):
+            return self
+        return replace(self, budget=None) if row.spare(self.least.column) <= 0.0 else self
 
     @cached_property
     def greatest_goal(self) -> float:
@@ -1100,10 +1112,13 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def _is_swept(self) -> bool:
-        """Whether the compiled problem prices layer by layer: large ones without free pairs."""
-        if self.charge is None or self.base.by_steps or self.base.instant.nnz > 0:
+        """Whether the compiled problem prices layer by layer: large ones that all policies leave.
+
+        Where free steps may go round for ever, what is free depends on the prices.
+        """
+        if self.charge is None or self.base.by_steps or self.base.later.nnz < _WORTH_SWEEPING:
             return False
-        return self.base.later.nnz >= _WORTH_SWEEPING
+        return self.base.leaves_soon
 
     @cached_property
     def explicit_pricing(self) -> ExplicitPricing:
@@ -1144,6 +1159,13 @@ class CompiledExplicit(CompiledProblem):
         safest = goal_reach.cheapest_reach(self.model, self.greatest, self.survival).values
         return float(self.start @ safest.cost) / max(float(self.start @ safest.goal), 1e-300)
 
+    @property
+    def _cost_of_a_way(self) -> float:
+        """Cost given success of a policy that goes for the goal, to size the first layers."""
+        directed = goal_reach.goal_directed(self.model, self.survival).values
+        cost, goal = float(self.start @ directed.cost), float(self.start @ directed.goal)
+        return cost / max(goal, 1e-300)
+
     @cached_property
     def layers(self) -> int:
         """Totals of the compiled problem; 1: none counted. ModelError: too many to write out."""
@@ -1151,11 +1173,26 @@ class CompiledExplicit(CompiledProblem):
             return 1
         layers = self.cap if self.totals is None else self.totals.size
         if layers is None:
-            layers = written_out.first_cap(
-                self.base, self.charge, self.typical_cost, self.fixed_cap
-            )
+            typical = self.typical_cost if self.budget is None else self._cost_of_a_way
+            layers = written_out.first_cap(self.base, self.charge, typical, self.fixed_cap)
         written_out.check_room(self.base, layers, self._most_pairs)
         return layers
+
+    @property
+    def is_trial(self) -> bool:
+        """Whether the compiled problem's number of layers is a guess, to learn the price from."""
+        guessed = self.cap is None and self.fixed_cap is None and self.charge is not None
+        return guessed and self.charge.slope > 0.0 and self.measures_beyond
+
+    @property
+    def measures_beyond(self) -> bool:
+        """Whether the compiled problem's columns are measured truly beyond the cap, too."""
+        return self._is_swept and self.partition is None
+
+    @property
+    def measures_truly(self) -> bool:
+        """Whether the compiled problem's columns have their true costs, with all their digits."""
+        return self.charge is None or (self.measures_beyond and self.sense.shift == 0.0)
 
     @property
     def _most_pairs(self) -> int:
@@ -1187,6 +1224,8 @@ class CompiledExplicit(CompiledProblem):
         here = self.layers
         lossless = int(np.ceil(_MARGIN * self.charge.lossless(price) / self.base.unit)) + 1
         wanted = min(lossless, _MOST_GROWTH * here) if lossless > here else 2 * here
+        if self.is_trial and lossless <= here:
+            return self._copy_with_results(replace(self, cap=here))
         if not cut or (wanted + 1) * len(self.base.gain) > self._most_pairs:
             return None
         return self._copy_with_results(replace(self, cap=wanted), *_OWN)

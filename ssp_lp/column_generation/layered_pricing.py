@@ -12,12 +12,13 @@ integers that hold it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar, cast
 
 import numpy as np
 
+from ssp_lp.accumulated_cost.charges import Charge, TailValues
 from ssp_lp.accumulated_cost.process import LayeredProcess
 from ssp_lp.accumulated_cost.sweep import (
     KEPT_VALUES,
@@ -28,7 +29,7 @@ from ssp_lp.accumulated_cost.sweep import (
     at_price,
     at_weights,
 )
-from ssp_lp.accumulated_cost.written_out import OpenEnded
+from ssp_lp.accumulated_cost.written_out import OpenEnded, truncates
 from ssp_lp.arrays import FloatArray, IntArray, weighted
 from ssp_lp.column_generation.column import (
     Column,
@@ -42,6 +43,7 @@ from ssp_lp.column_generation.explicit_pricing import (
     values_less_paid,
 )
 from ssp_lp.dynamic_programming import bellman
+from ssp_lp.dynamic_programming.evaluation import evaluate_policy
 from ssp_lp.policies.policy import DeterministicPolicy, Policy
 
 _SAME = 1e-14
@@ -215,6 +217,20 @@ class LayeredPricing(PricingProblem):
 
 
 @dataclass(frozen=True, eq=False)
+class TailColumn(Column):
+    """What is done beyond the cap; none of it is counted from the start."""
+
+    ahead: FloatArray = field(kw_only=True)  # [nodes] cost to those that succeed, where that counts
+
+    @classmethod
+    def of(cls, column: Column, ahead: FloatArray) -> TailColumn:
+        """A column of the open end as a tail."""
+        return cls(
+            **{part.name: getattr(column, part.name) for part in fields(Column)}, ahead=ahead
+        )
+
+
+@dataclass(frozen=True, eq=False)
 class OpenEndedPricing(PricingProblem):
     """Minimises weighted totals of cost, failure and rows; see :class:`ExplicitPricing`.
 
@@ -257,38 +273,61 @@ class OpenEndedPricing(PricingProblem):
 
     def first(self) -> Column:
         """The policy that leaves the open end, whatever has been paid: nearer to the goal."""
-        return self._swept(self._beyond.first(), None)
+        return self._first
+
+    @cached_property
+    def _first(self) -> Column:
+        """The first column, kept."""
+        return self._swept(self.tail(self._beyond.first()), None)
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
         """Layered pricing with rows: a column of least priced cost, measured exactly."""
         weights = pricing_weights(price)
         return self._swept(self._best_beyond(weights, *warm), weights)
 
-    def _swept(self, last: Column, weights: FloatArray | None) -> Column:
-        """A policy with its totals from the start, found layer by layer.
+    def _swept(self, last: TailColumn, weights: FloatArray | None) -> Column:
+        """A policy with its true totals from the start, found layer by layer.
 
         Args:
             last: what is done beyond the cap, with its totals.
             weights: at which the best is done in each layer, [rewards]; None: always the same.
         """
         totals, position = required(last.totals), required(last.choice) - self.sweep.first_pairs
-        measures = ahead_of(self.augmented, totals)
+        measures = measured_beyond(self.augmented, totals, last.ahead, by_goal=self.by_goal)
         choice, figures = swept(self.sweep, position, weights, totals, measures)
         figures, work = figures + self._at_source, last.work + bellman.Work(1, 1)
         kept: dict[str, Any] = {"work": work, "beyond": last}
         return Column.of_figures(figures, choice, by_goal=self.by_goal, **kept)
 
-    def _best_beyond(self, weights: FloatArray, *warm: Column | None) -> Column:
+    def _best_beyond(self, weights: FloatArray, *warm: Column | None) -> TailColumn:
         """What is best beyond the cap at some weights: most often what was best before."""
-        known = [c.beyond for c in warm if c is not None and c.beyond is not None]
+        known = [c.beyond for c in warm if c is not None and isinstance(c.beyond, TailColumn)]
         for last in dict.fromkeys(known):
             if self._beyond.is_best(last, weights):
                 return replace(last, work=bellman.Work())
         return self.tail(self._beyond.minimise(weights, *known))
 
-    def tail(self, last: Column) -> Column:
-        """What is done beyond the cap, with all that layered pricing needs to know of it."""
-        return last
+    def tail(self, last: Column) -> TailColumn:
+        """What is done beyond the cap, with what it costs those that succeed."""
+        choice, totals = required(last.choice), required(last.totals)
+        ahead = np.zeros(len(choice))
+        if self.augmented.charge.slope > 0.0:
+            goal = -totals[:, 1] if self.by_goal else 1.0 - totals[:, 1]
+            steps = self.augmented.step_cost(self.augmented.reaching(goal))[:, None]
+            ahead = evaluate_policy(self._beyond.dynamics, choice, steps).values[:, 0]
+        return TailColumn.of(last, ahead)
+
+    def extended(self, columns: Sequence[Column], near: Sequence[Column]) -> list[Column]:
+        """Columns of fewer layers: in those that are new each one's tail is followed."""
+        tails = dict.fromkeys(required(column.beyond) for column in near)
+        anew = {tail: self.tail(self._beyond.measure(required(tail.choice))) for tail in tails}
+        extended = list[Column]()
+        for column in columns:
+            choice, beyond = required(column.choice), anew.get(required(column.beyond))
+            size = self.augmented.cap + 1 - len(choice), choice.shape[1]
+            longer = np.concatenate([choice, np.broadcast_to(choice[-1], size)])
+            extended.append(replace(column, choice=longer, beyond=beyond))
+        return extended
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
         """Best lower bound that layered pricing's sweep with rows gives."""
@@ -394,6 +433,32 @@ def open_sweep(
 def ahead_of(table: OpenEnded, beyond: FloatArray) -> FloatArray:
     """What lies beyond a table's cap, in each layer that a step can reach, [layers, nodes, ...]."""
     return np.broadcast_to(beyond, (table.base.width - 1, *beyond.shape))
+
+
+def measured_beyond(
+    table: OpenEnded, totals: FloatArray, ahead: FloatArray, *, by_goal: bool
+) -> FloatArray:
+    """True measures of a policy beyond a table's cap, [layers beyond, nodes, rewards].
+
+    The open end counts too little: what a policy costs truly follows from what has been paid, and
+    from what its tail costs those that succeed. Of a charge that only comes near a line it is the
+    line: no reward is more certain.
+
+    Args:
+        table: the layers.
+        totals: what the open end counts, [nodes, rewards].
+        ahead: cost of the tail to those that succeed, [nodes].
+        by_goal: whether minus the goal is counted, in place of failing.
+    """
+    beyond = np.array(ahead_of(table, totals))
+    if truncates(table.charge, float(table.totals.values[-1])):
+        goal, failure = 1.0 - totals[:, 1], totals[:, 1]
+        if by_goal:
+            goal, failure = -totals[:, 1], 1.0 + totals[:, 1]
+        tail = TailValues(goal, failure, goal / table.base.survival, ahead, np.zeros_like(goal))
+        charged = Charge.beyond(table.charge, table.totals.beyond[:, None], tail)
+        beyond[:, :, 0] = charged + table.shift
+    return beyond
 
 
 def swept(

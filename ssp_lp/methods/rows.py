@@ -27,7 +27,14 @@ import numpy as np
 from ssp_lp.accumulated_cost.totals import Resolution
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.arrays import BELOW_RATIO, MACHINE_EPSILON, RELATIVE_GAP, FloatArray, read_only
-from ssp_lp.column_generation.column import Column, Proof, least_of, relative_gap, two_sided_gap
+from ssp_lp.column_generation.column import (
+    Column,
+    PricingProblem,
+    Proof,
+    least_of,
+    relative_gap,
+    two_sided_gap,
+)
 from ssp_lp.column_generation.compiled_problem import ATTAINABLE, CompiledExplicit
 from ssp_lp.column_generation.explicit_pricing import LARGEST
 from ssp_lp.column_generation.search import (
@@ -38,7 +45,7 @@ from ssp_lp.column_generation.search import (
     generate,
     without_negligible_prices,
 )
-from ssp_lp.compiled.deadline import Stop, WithIncumbent, closing, is_late
+from ssp_lp.compiled.deadline import Stop, WithIncumbent, closing, is_late, is_limited
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import Argument, InfeasibleError, ModelError, SolverError
 from ssp_lp.methods.full_program import ProgramOptimum, check_agreement, solve_program
@@ -61,6 +68,7 @@ _PATIENCE = 6  # refinements that need not even halve the gap
 _COARSE_TOTALS = 64  # of the grid that a search on totals begins with
 _COARSE_GAP = 1e-4  # and how exactly it is solved
 _COARSE = 0.5  # relative gap of a search that is only to find out whether there is an answer
+_TRIAL_TOLERANCE = 1e-2  # of a trial, which only learns the price that says the next cap
 _FINER = 1e-3  # of the tolerance, where a complement is minimised, which may be much larger
 
 
@@ -72,6 +80,7 @@ class _RowsOptimum(Answer):
     compiled: CompiledExplicit
     calls: int
     work: Work
+    search: Master  # how it ended
     program: str = ""
 
     @property
@@ -210,10 +219,10 @@ def _rows_attempts(
     stated: CompiledExplicit, options: SolveOptions, truth: Truth | None, guess: _RowsOptimum | None
 ) -> Iterator[_RowsOptimum]:
     """Attempts at the rows' optimum on finer totals, in the end in twice the precision."""
-    calls, work, gaps = 0, Work(), list[float]()
+    calls, work, gaps, begun = 0, Work(), list[float](), None
     while True:
         try:
-            optimum = _rows_attempt(stated, options.after(calls), truth, guess)
+            optimum = _rows_attempt(stated, options.after(calls), truth, guess, begun)
         except SolverError:
             if gaps and is_late():
                 return
@@ -223,6 +232,8 @@ def _rows_attempts(
         yield replace(optimum, calls=calls, work=work)
         stuck = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]
         finer = None if stuck or stated.charge is None else optimum.compiled.refined(optimum.kappa)
+        goes_on = finer is not None and options.program is None
+        begun = optimum.search if goes_on and optimum.compiled.measures_beyond else None
         if finer is None and not (stated.precise or optimum.compiled.is_rounded or options.program):
             finer = replace(stated, precise=True)
         if finer is None:
@@ -232,8 +243,25 @@ def _rows_attempts(
             guess = optimum
 
 
+def _continued(search: Master, pricing: PricingProblem) -> Master:
+    """The search within rows on a process of more layers: what is known is measured truly."""
+    return replace(
+        search,
+        pool=Pool(pricing, pricing.extended(search.pool.columns, search.lottery[0])),
+        bound=0.0,
+        last=None,
+        tried=None,
+        lottery=((), np.zeros(0)),
+        objective=np.inf,
+    )
+
+
 def _rows_attempt(
-    stated: CompiledExplicit, options: SolveOptions, truth: Truth | None, guess: _RowsOptimum | None
+    stated: CompiledExplicit,
+    options: SolveOptions,
+    truth: Truth | None,
+    guess: _RowsOptimum | None,
+    begun: Master | None = None,
 ) -> _RowsOptimum:
     """One search for the rows' optimum, in the precision that the compiled problem says.
 
@@ -241,8 +269,13 @@ def _rows_attempt(
     """
     finer = _FINER if stated.sense.constant else 1.0
     options = replace(options, tolerance=finer * options.tolerance)
-    compiled, program = stated.settled(), None
-    rule = phase_one(compiled, stated, options)
+    compiled, program = stated, None
+    if begun is None:
+        compiled, rule = opened(stated, options)
+    else:
+        rule = _continued(begun, compiled.pricing())
+    if compiled.is_trial:
+        options = replace(options, tolerance=max(options.tolerance, _TRIAL_TOLERANCE))
     if guess is not None:
         rule = search_begun_at(compiled, rule, guess.value, guess.prices)
     if options.program is not None:
@@ -257,9 +290,11 @@ def _rows_attempt(
         check_agreement(program, value)
     prices = without_negligible_prices(generated.prices, pool.sizes(rows), size)
     bound, values = 0.0, compiled.pricing().anything
-    with WithIncumbent(), closing():  # where no time is left the values ask for the best
-        bound, proof = rows_bound(compiled, rows, prices, pool.proved)
-        values = read_only(proof.values)
+    if not compiled.is_trial or is_limited():
+        least_goal = compiled.least_goal if compiled.is_trial else None
+        with WithIncumbent(), closing():  # where no time is left the values ask for the best
+            bound, proof = rows_bound(compiled, rows, prices, pool.proved, least_goal)
+            values = read_only(proof.values)
     policy, taken = generated.lottery(compiled.pricing()), generated.figures[rows.index].tolist()
     taken = dict(zip(names_of(compiled, rows), taken, strict=True))
     if truth is not None and compiled.is_rounded:
@@ -269,7 +304,7 @@ def _rows_attempt(
             repaired = true_lottery(compiled, rows, pool, rows.weights(prices), truth[1])
             if repaired is not None:
                 value, (policy, failure) = truth[0](repaired[0]), repaired
-    elif truth is not None:
+    elif truth is not None and not compiled.measures_truly:
         value = truth[0](policy)
     granted = {
         compiled.names[place]: float(bound)
@@ -292,6 +327,7 @@ def _rows_attempt(
         values=values,
         calls=pool.calls,
         work=pool.work,
+        search=rule,
         note=_remarks(compiled, stated, granted, generated.finished),
         granted=granted,
         taken=taken,
@@ -326,6 +362,7 @@ _STEEPER = (0.01, 0.1, 1.0, 100.0)  # shares of the prices that are added for fu
 _LUCK = 1e-12  # of the greatest goal probability: what the room for rounding of a limit may buy
 _TIGHTER = 1e-12  # share of a bound, far beyond its room for rounding
 _KEPT = 1e-12  # share of its own bound to which every row is kept
+_CLOSE = 1e-12  # relative gap of a bound that is not worth another proof
 
 
 Truth = tuple[Callable[[MixedPolicy], float], Callable[[Policy], FloatArray]]
@@ -444,6 +481,27 @@ def row_activities(stated: CompiledExplicit, evaluation: Evaluation) -> list[flo
     """Activity of a lottery's policy in each row beside failure."""
     spent = evaluation.secondary_costs
     return [row.activity(spent[row.condition.name]) for row in stated.side]
+
+
+def opened(stated: CompiledExplicit, options: SolveOptions) -> tuple[CompiledExplicit, Master]:
+    """The problem, at least failure where its budget is equal to that, and phase 1 of the search.
+
+    The least failure is not worked out where some policy of phase 1 fails less than the budget.
+    """
+    if not stated.limits_failure:
+        compiled = stated.settled()
+        return compiled, phase_one(compiled, stated, options)
+    try:
+        search = phase_one(stated, stated, options)
+    except (InfeasibleError, SolverError):
+        compiled = stated.settled()
+        if compiled is stated:
+            raise
+    else:
+        compiled = stated.settled(*search.pool.columns)
+        if compiled is stated:
+            return stated, search
+    return compiled, phase_one(compiled, stated, options)
 
 
 def phase_one(
@@ -702,9 +760,6 @@ def rows_bound(
         lowest = -1.0 if compiled.sense.constant == 0.0 and compiled.by_goal else 0.0
         return max(proved, lowest), proof  # else it is a sum of terms of at least 0
     proofs = []
-    for at in (rows, replace(rows, ratio=rows.ratio * BELOW_RATIO)):
-        proof = prove(at.weights(prices))
-        proofs.append((at.ratio, _excess_over_paid(compiled, at, prices, proof), proof))
 
     def best(goal: float) -> tuple[float, Proof]:
         """The best bound, where every lottery has a goal probability."""
@@ -712,7 +767,12 @@ def rows_bound(
         proved = [(max(r + min(beyond, 0.0) / goal, 0.0), proof) for r, beyond, proof in proofs]
         return max(proved, key=lambda pair: pair[0])
 
-    bound = best(least_goal or 0.0)
+    for ratio in (rows.ratio, rows.ratio * BELOW_RATIO):
+        at = replace(rows, ratio=ratio)
+        proof = prove(at.weights(prices))
+        proofs.append((ratio, _excess_over_paid(compiled, at, prices, proof), proof))
+        if relative_gap(rows.ratio, (bound := best(least_goal or 0.0))[0]) <= _CLOSE:
+            return bound
     if least_goal is None and relative_gap(rows.ratio, bound[0]) > RELATIVE_GAP:
         return best(least_goal_within(compiled, rows))
     return bound
@@ -725,10 +785,10 @@ def _excess_over_paid(
     paid, less = rows.ratio if compiled.ratio else compiled.sense.shift, -np.inf
     if compiled.by_goal and compiled.ratio:
         paid = 0.0  # success is counted, failing is not
-    if paid > 0.0:
+    beyond = lagrange_bound(proof.bound, prices, rows.bounds) - paid
+    if paid > 0.0 and beyond < -_CLOSE * paid:
         weights = replace(rows, ratio=0.0).weights(prices)
         less = compiled.pricing().check_less(weights, rows.ratio, paid, proof.values)
-    beyond = lagrange_bound(proof.bound, prices, rows.bounds) - paid
     return max(beyond, lagrange_bound(less, prices, rows.bounds))
 
 
