@@ -1108,7 +1108,7 @@ class CompiledExplicit(CompiledProblem):
             return self.explicit_pricing
         counting = layered.counting(self.semantics)
         rows = tuple(row.at(counting) for row in self.side)
-        return OpenEndedPricing(layered, self.precise, rows, self.by_goal)
+        return OpenEndedPricing(layered, self.precise, rows, self.by_goal, self.is_trial)
 
     @property
     def _is_swept(self) -> bool:

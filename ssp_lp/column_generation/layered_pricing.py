@@ -241,6 +241,7 @@ class OpenEndedPricing(PricingProblem):
     precise: bool  # compare pairs beyond the cap in twice the working precision
     rows: tuple[tuple[FloatArray, float], ...]  # what is counted besides: [pairs], and at the start
     by_goal: bool = False  # success, as minus the goal, is counted in place of failing
+    is_rough: bool = False  # beyond the cap one step from known policies will do
 
     @property
     def n_rewards(self) -> int:
@@ -301,11 +302,20 @@ class OpenEndedPricing(PricingProblem):
 
     def _best_beyond(self, weights: FloatArray, *warm: Column | None) -> TailColumn:
         """What is best beyond the cap at some weights: most often what was best before."""
-        known = [c.beyond for c in warm if c is not None and isinstance(c.beyond, TailColumn)]
-        for last in dict.fromkeys(known):
+        tails = (column.beyond for column in warm if column is not None)
+        known = [tail for tail in tails if isinstance(tail, TailColumn)]
+        known = list(dict.fromkeys([*known, self._cheapest_beyond]))
+        for last in known:
             if self._beyond.is_best(last, weights):
                 return replace(last, work=bellman.Work())
+        if self.is_rough:
+            return self.tail(self._beyond.better_of(weights, *known))
         return self.tail(self._beyond.minimise(weights, *known))
+
+    @cached_property
+    def _cheapest_beyond(self) -> TailColumn:
+        """What is cheapest beyond the cap, where failing costs nothing."""
+        return self.tail(self._beyond.minimise(np.eye(1, self.n_rewards)[0]))
 
     def tail(self, last: Column) -> TailColumn:
         """What is done beyond the cap, with what it costs those that succeed."""
