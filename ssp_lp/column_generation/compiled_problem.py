@@ -1181,8 +1181,9 @@ class CompiledExplicit(CompiledProblem):
     @property
     def is_trial(self) -> bool:
         """Whether the compiled problem's number of layers is a guess, to learn the price from."""
-        guessed = self.cap is None and self.fixed_cap is None and self.charge is not None
-        return guessed and self.charge.slope > 0.0 and self.measures_beyond
+        is_guess = self.cap is None and self.fixed_cap is None
+        grows = self.charge is not None and self.charge.slope > 0.0
+        return is_guess and grows and self.measures_beyond
 
     @property
     def measures_beyond(self) -> bool:

@@ -200,8 +200,8 @@ class ExplicitPricing(PricingProblem):
     def better_of(self, weights: FloatArray, *known: Column) -> Column:
         """A column that follows the best of known ones in each state, or one step better."""
         columns = [self._first, *known]
-        choices, totals = zip(*((required(c.choice), required(c.totals)) for c in columns))
-        values = [weighted(total, weights) for total in totals]
+        choices = [required(column.choice) for column in columns]
+        values = [weighted(required(column.totals), weights) for column in columns]
         return self.measure(switched(self.dynamics, choices, values)[0])
 
     def contracted(self, weights: FloatArray) -> Contraction | None:

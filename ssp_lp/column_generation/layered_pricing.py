@@ -1,9 +1,10 @@
 """The pricing problems of accumulated cost by layers: backward sweeps, nothing written out.
 
 :class:`LayeredPricing` limits failure alone; tails follow beyond the cap. :class:`OpenEndedPricing`
-has any rows: every step costs something, so that each layer follows from later ones, and beyond the
-cap lies one place with cycles of its own, where policy iteration says what is best; from there one
-sweep prices all layers, and measures what the choice takes of each row on the way.
+has any rows. Beyond the cap lies one place with cycles of its own, where policy iteration says what
+is best; from there one sweep prices all layers, and measures what the choice takes of each row on
+the way. Bounds are those of the process as it is cut; a column is measured as it is on the model,
+so that it stays what it is where the cap is raised.
 
 A choice is the position of a pair among those of its node, [layers, nodes], in the smallest
 integers that hold it.
@@ -234,7 +235,7 @@ class TailColumn(Column):
 class OpenEndedPricing(PricingProblem):
     """Minimises weighted totals of cost, failure and rows; see :class:`ExplicitPricing`.
 
-    Nothing in a layer is free, and totals are multiples of a unit.
+    Every policy leaves a layer after a few steps, and totals are multiples of a unit.
     """
 
     augmented: OpenEnded

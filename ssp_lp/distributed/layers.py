@@ -17,7 +17,7 @@ from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import count
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -423,8 +423,6 @@ class CompiledLayers(CompiledPartitioned):
     shared: PartitionedLayers = field(kw_only=True)  # type: ignore[assignment]
     own: OwnLayers = field(kw_only=True)  # of the first rank
 
-    is_whole: ClassVar[bool] = False
-
     @classmethod
     def begun(cls, ranks: Ranks, share: LayeredShare) -> CompiledLayers:
         """The compiled question with a first cap.
@@ -469,6 +467,11 @@ class CompiledLayers(CompiledPartitioned):
     def _is_swept(self) -> bool:
         """Always, of layers on ranks."""
         return True
+
+    @property
+    def measures_beyond(self) -> bool:
+        """False: a choice of fewer layers lies with the ranks, and is not taken on."""
+        return False
 
     def failure_at_least(self, discount: float | None) -> float:
         """The least failure of all policies on the partitioned layers, for an error."""

@@ -294,6 +294,8 @@ class CompiledPartitioned(CompiledExplicit):
 
     shared: PartitionedPricing = field(kw_only=True)
 
+    is_whole: ClassVar[bool] = False  # another question is labelled in place of this one
+
     @classmethod
     def of(
         cls, ranks: Ranks, compiled: CompiledExplicit, own: ExplicitPricing, kept: Checkpoint
@@ -355,7 +357,7 @@ class CompiledPartitioned(CompiledExplicit):
         pricing = replace(self.shared, shared=held, kept=kept, begun_from=None)
         return replace(self, discount=discount, shared=pricing).least_failure().column.failure
 
-    def settled(self) -> CompiledPartitioned:
+    def settled(self, *known: Column) -> CompiledPartitioned:
         """The compiled problem with the least failure as its budget, where that is no less.
 
         Raises:

@@ -4,7 +4,8 @@ Column generation with phase 1 and phase 2 (``column_generation.search``), or th
 program first, whose duals are then the prices to begin with. A cost given success is found by
 Dinkelbach's iteration: the least of ``cost + ratio * failure`` falls to the ratio itself at the
 optimum. Where accumulated cost is cut at a cap, the process bounds the optimum from below and the
-policy's own value from above; the cap is doubled until they meet.
+policy's own value from above. Where the first cap is a guess, a trial says by its prices which one
+loses nothing; policies that were measured beyond the cap, too, are taken on to the higher one.
 
 On a grid of totals the process bounds every policy from below. The policies that it finds remember
 the rounded total; what they cost and how they fail is evaluated with the true costs, and the
@@ -488,7 +489,7 @@ def opened(stated: CompiledExplicit, options: SolveOptions) -> tuple[CompiledExp
 
     The least failure is not worked out where some policy of phase 1 fails less than the budget.
     """
-    if not stated.limits_failure:
+    if not (stated.limits_failure and stated.is_whole):
         compiled = stated.settled()
         return compiled, phase_one(compiled, stated, options)
     try:
@@ -759,7 +760,7 @@ def rows_bound(
         proved = _excess_over_paid(compiled, rows, prices, proof) + compiled.sense.shift
         lowest = -1.0 if compiled.sense.constant == 0.0 and compiled.by_goal else 0.0
         return max(proved, lowest), proof  # else it is a sum of terms of at least 0
-    proofs = []
+    proofs: list[tuple[float, float, Proof]] = []
 
     def best(goal: float) -> tuple[float, Proof]:
         """The best bound, where every lottery has a goal probability."""
