@@ -330,11 +330,12 @@ class OpenEndedPricing(PricingProblem):
 
     def extended(self, columns: Sequence[Column], near: Sequence[Column]) -> list[Column]:
         """Columns of fewer layers: in those that are new each one's tail is followed."""
-        tails = dict.fromkeys(required(column.beyond) for column in near)
+        tails = dict.fromkeys(column.beyond for column in near if column.beyond is not None)
         anew = {tail: self.tail(self._beyond.measure(required(tail.choice))) for tail in tails}
         extended = list[Column]()
         for column in columns:
-            choice, beyond = required(column.choice), anew.get(required(column.beyond))
+            choice = required(column.choice)
+            beyond = None if column.beyond is None else anew.get(column.beyond)
             size = self.augmented.cap + 1 - len(choice), choice.shape[1]
             longer = np.concatenate([choice, np.broadcast_to(choice[-1], size)])
             extended.append(replace(column, choice=longer, beyond=beyond))
