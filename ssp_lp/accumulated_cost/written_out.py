@@ -252,8 +252,12 @@ class OpenEnded(ChargedLayers):
         charged = self.charged(layer).total
         if layer < self.cap or self.charge.slope == 0.0:
             return charged
-        counts = self.totals.values[-1] >= (self.charge.settled or 0.0)
-        return charged + self.charge.slope * self._step_beyond if counts else charged
+        return charged + self.charge.slope * self._step_beyond if self.is_settled else charged
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the open end's charge has become its line at the cap, or only comes near one."""
+        return bool(self.totals.values[-1] >= (self.charge.settled or 0.0))
 
     @cached_property
     def _step_beyond(self) -> FloatArray:

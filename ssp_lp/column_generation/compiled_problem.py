@@ -1193,7 +1193,10 @@ class CompiledExplicit(CompiledProblem):
     @property
     def measures_truly(self) -> bool:
         """Whether the compiled problem's columns have their true costs, with all their digits."""
-        return self.charge is None or (self.measures_beyond and self.sense.shift == 0.0)
+        layered = self.augmented
+        if not isinstance(layered, written_out.OpenEnded):
+            return True
+        return self.measures_beyond and layered.is_settled and self.sense.shift == 0.0
 
     @property
     def _most_pairs(self) -> int:

@@ -463,7 +463,7 @@ def measured_beyond(
         by_goal: whether minus the goal is counted, in place of failing.
     """
     beyond = np.array(ahead_of(table, totals))
-    if truncates(table.charge, float(table.totals.values[-1])):
+    if table.is_settled and truncates(table.charge, float(table.totals.values[-1])):
         goal, failure = 1.0 - totals[:, 1], totals[:, 1]
         if by_goal:
             goal, failure = -totals[:, 1], 1.0 + totals[:, 1]
