@@ -242,7 +242,7 @@ class OpenEndedPricing(PricingProblem):
     precise: bool  # compare pairs beyond the cap in twice the working precision
     rows: tuple[tuple[FloatArray, float], ...]  # what is counted besides: [pairs], and at the start
     by_goal: bool = False  # success, as minus the goal, is counted in place of failing
-    is_rough: bool = False  # beyond the cap one step from known policies will do
+    is_rough: bool = False  # beyond the cap columns follow the best of known policies
 
     @property
     def n_rewards(self) -> int:
@@ -285,7 +285,7 @@ class OpenEndedPricing(PricingProblem):
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
         """Layered pricing with rows: a column of least priced cost, measured exactly."""
         weights = pricing_weights(price)
-        return self._swept(self._best_beyond(weights, *warm), weights)
+        return self._swept(self._best_beyond(weights, *warm, is_rough=self.is_rough), weights)
 
     def _swept(self, last: TailColumn, weights: FloatArray | None) -> Column:
         """A policy with its true totals from the start, found layer by layer.
@@ -301,7 +301,9 @@ class OpenEndedPricing(PricingProblem):
         kept: dict[str, Any] = {"work": work, "beyond": last}
         return Column.of_figures(figures, choice, by_goal=self.by_goal, **kept)
 
-    def _best_beyond(self, weights: FloatArray, *warm: Column | None) -> TailColumn:
+    def _best_beyond(
+        self, weights: FloatArray, *warm: Column | None, is_rough: bool = False
+    ) -> TailColumn:
         """What is best beyond the cap at some weights: most often what was best before."""
         tails = (column.beyond for column in warm if column is not None)
         known = [tail for tail in tails if isinstance(tail, TailColumn)]
@@ -309,7 +311,7 @@ class OpenEndedPricing(PricingProblem):
         for last in known:
             if self._beyond.is_best(last, weights):
                 return replace(last, work=bellman.Work())
-        if self.is_rough:
+        if is_rough:
             return self.tail(self._beyond.better_of(weights, *known))
         return self.tail(self._beyond.minimise(weights, *known))
 

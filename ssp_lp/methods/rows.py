@@ -270,18 +270,17 @@ def _rows_attempt(
     """
     finer = _FINER if stated.sense.constant else 1.0
     options = replace(options, tolerance=finer * options.tolerance)
-    compiled, program = stated, None
     if begun is None:
         compiled, rule = opened(stated, options)
     else:
-        rule = _continued(begun, compiled.pricing())
-    if compiled.is_trial:
+        compiled, rule = stated, _continued(begun, stated.pricing())
+    is_trial = compiled.is_trial and options.program is None
+    if is_trial:
         options = replace(options, tolerance=max(options.tolerance, _TRIAL_TOLERANCE))
     if guess is not None:
         rule = search_begun_at(compiled, rule, guess.value, guess.prices)
+    program: ProgramOptimum | None = None
     if options.program is not None:
-        if compiled.ratio:  # whether any lottery within the rows succeeds is no solver's to say
-            best_lottery(compiled, rule, replace(options, tolerance=_COARSE))
         program, rule = search_begun_at_duals(compiled, rule, options)
     generated = best_lottery(compiled, rule, options)
     pool, rows, ratio = rule.pool, rule.rows, generated.ratio  # in case S with the ratio
@@ -291,11 +290,8 @@ def _rows_attempt(
         check_agreement(program, value)
     prices = without_negligible_prices(generated.prices, pool.sizes(rows), size)
     bound, values = 0.0, compiled.pricing().anything
-    if not compiled.is_trial or is_limited():
-        least_goal = compiled.least_goal if compiled.is_trial else None
-        with WithIncumbent(), closing():  # where no time is left the values ask for the best
-            bound, proof = rows_bound(compiled, rows, prices, pool.proved, least_goal)
-            values = read_only(proof.values)
+    if not is_trial or is_limited():
+        bound, values = _bound_in_time(compiled, rows, prices, pool, is_trial=is_trial)
     policy, taken = generated.lottery(compiled.pricing()), generated.figures[rows.index].tolist()
     taken = dict(zip(names_of(compiled, rows), taken, strict=True))
     if truth is not None and compiled.is_rounded:
@@ -307,15 +303,7 @@ def _rows_attempt(
                 value, (policy, failure) = truth[0](repaired[0]), repaired
     elif truth is not None and not compiled.measures_truly:
         value = truth[0](policy)
-    granted = {
-        compiled.names[place]: float(bound)
-        for place, bound in zip((rows.index - 1).tolist(), rows.bounds, strict=True)
-        if bound > compiled.bounds[place]
-    }
-    named = dict.fromkeys(compiled.names, 0.0)
-    named |= zip(names_of(compiled, rows), prices.tolist(), strict=True)
-    if compiled.budget is None:
-        del named[FAILURE_ROW]
+    granted, named = _granted(compiled, rows), _named_prices(compiled, rows, prices)
     paid = float(prices @ np.abs(rows.bounds))
     return _RowsOptimum(
         compiled=compiled,
@@ -334,6 +322,40 @@ def _rows_attempt(
         taken=taken,
         program="" if program is None else program.report,
     )
+
+
+def _granted(compiled: CompiledExplicit, rows: Rows) -> dict[str, float]:
+    """Bounds of the rows, by name, that were raised to what is attainable."""
+    places = (rows.index - 1).tolist()
+    return {
+        compiled.names[place]: float(most)
+        for place, most in zip(places, rows.bounds, strict=True)
+        if most > compiled.bounds[place]
+    }
+
+
+def _named_prices(compiled: CompiledExplicit, rows: Rows, prices: FloatArray) -> dict[str, float]:
+    """Prices of all rows by name, 0 where nothing is limited; none of failing at least failure."""
+    named = dict.fromkeys(compiled.names, 0.0)
+    named |= zip(names_of(compiled, rows), prices.tolist(), strict=True)
+    if compiled.budget is None:
+        del named[FAILURE_ROW]
+    return named
+
+
+def _bound_in_time(
+    compiled: CompiledExplicit, rows: Rows, prices: FloatArray, pool: Pool, *, is_trial: bool
+) -> tuple[float, FloatArray]:
+    """The bound within rows that prices prove, and its values; 0, and values that ask for the best.
+
+    The latter where no time is left. A trial's bound is one that needs no search of its own.
+    """
+    bound, values = 0.0, compiled.pricing().anything
+    least_goal = compiled.least_goal if is_trial else None
+    with WithIncumbent(), closing():
+        bound, proof = rows_bound(compiled, rows, prices, pool.proved, least_goal)
+        values = read_only(proof.values)
+    return bound, values
 
 
 def _remarks(
@@ -703,6 +725,8 @@ def search_begun_at_duals(
     compiled: CompiledExplicit, rule: Master, options: SolveOptions
 ) -> tuple[ProgramOptimum, Master]:
     """Full linear program's optimum with rows, and the search begun at its duals."""
+    if compiled.ratio:  # whether any lottery within the rows succeeds is no solver's to say
+        best_lottery(compiled, rule, replace(options, tolerance=_COARSE))
     pricing, rows = compiled.explicit_pricing, rule.rows
     limited = zip(names_of(compiled, rows), rows.index, rows.bounds.tolist(), strict=True)
     limits = {name: (pricing.rewards[:, index], bound) for name, index, bound in limited}
