@@ -231,7 +231,7 @@ CHUNK = 1 << 22
 """Entries that are worked on at a time: scratch arrays of some 32 MB."""
 
 
-class _Piece(NamedTuple):
+class Piece(NamedTuple):
     """Some segments in a row of a segmented array, and their entries."""
 
     segments: slice
@@ -261,10 +261,9 @@ def segment_chunks(offsets: IntArray) -> Iterator[slice]:
         begin = end
 
 
-def pieces_of_chunks(offsets: IntArray) -> Iterator[_Piece]:
+def pieces_of_chunks(offsets: IntArray) -> Iterator[Piece]:
     """Chunks of an array's segments, with what is needed to work on their entries."""
     for segments in segment_chunks(offsets):
         ends = offsets[segments.start : segments.stop + 1]
-        yield _Piece(
-            segments, slice(int(ends[0]), int(ends[-1])), ends[:-1] - ends[0], np.diff(ends)
-        )
+        entries = slice(int(ends[0]), int(ends[-1]))
+        yield Piece(segments, entries, ends[:-1] - ends[0], np.diff(ends))

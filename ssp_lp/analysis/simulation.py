@@ -30,9 +30,8 @@ from ssp_lp.errors import ModelError, check_between_0_and_1, check_whole
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.continuous_model import WorldSimulator
-from ssp_lp.model.failure_product import FailureSSP
 from ssp_lp.model.graph import attention_states, dead_ends, end_marks, stop_marks
-from ssp_lp.model.product import HorizonSSP, ProductSSP
+from ssp_lp.model.product import ProductSSP
 from ssp_lp.model.report import ByName, Facts, Table
 from ssp_lp.options import progress_shown
 from ssp_lp.policies import MixedPolicy, Policy
@@ -217,38 +216,27 @@ class _ProductSimulator:
     """A world of the original's states as one that counts steps, or labels failing."""
 
     inner: Simulator
-    product: HorizonSSP | FailureSSP
+    product: ProductSSP
 
     def reset(self, episodes: int, rng: np.random.Generator) -> tuple[World, IntArray]:
         """Begin episodes, no step taken, none of which has failed."""
         world, state = self.inner.reset(episodes, rng)
-        if isinstance(self.product, HorizonSSP):
-            state = self.product.table[state, 0]
-        return world, state
+        return world, self.product.table[state, 0]
 
     def step(
         self, world: World, pair: IntArray, rng: np.random.Generator
     ) -> tuple[World, IntArray, FloatArray]:
         """Take one step in the world, and count it, or move the label."""
-        product = self.product
-        moved, state, cost = self.inner.step(world, product.original_pair[pair], rng)
-        _check_simulated_states(product.original, state)
-        if isinstance(product, HorizonSSP):
-            there = product.stepped(product.pair_state[pair], state)
-        else:
-            there = product.moved(pair, state)
-        return moved, there, cost
+        moved, state, cost = self.inner.step(world, self.product.original_pair[pair], rng)
+        _check_simulated_states(self.product.original, state)
+        return moved, self.product.moved(pair, state, cost), cost
 
 
 def _on_products(simulator: Simulator, model: SSP, stated: SSP) -> Simulator:
     """A simulated world of the stated model's states as one of the model solved on."""
     if model is stated or not isinstance(model, ProductSSP):
         return simulator
-    inner = _on_products(simulator, model.original, stated)
-    product = model if model.failure_label is None else model.failure_label
-    if not isinstance(product, HorizonSSP | FailureSSP):
-        return inner
-    return _ProductSimulator(inner, product)
+    return _ProductSimulator(_on_products(simulator, model.original, stated), model)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -156,7 +156,7 @@ def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> d
             moves += [[*step, cost, then] for cost, then in by_cost.items()]
         elif (then := next(iter(by_cost.values()))) != step[0]:
             moves.append([*step, None, then])
-    return {"kind": "task", "start": product.memory_number[product.memory.start], "moves": moves}
+    return {"kind": "task", "start": 0, "moves": moves}
 
 
 def _labelled_codes(product: FailureSSP, codes: Mapping[Hashable, int]) -> dict[Hashable, int]:

@@ -9,7 +9,6 @@ import enum
 from abc import abstractmethod
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from itertools import product as every_choice
 from math import prod
 from typing import ClassVar
@@ -279,14 +278,12 @@ class RememberingPolicy(_Carried):
 
     def begins(self, states: IntArray) -> BoolArray:
         """Whether the product has these states with the memory's start, [episodes]."""
-        number = self.product.memory_number[self.product.memory.start]
-        return np.asarray(self.product.table[states, number] >= 0)
+        return np.asarray(self.product.table[states, 0] >= 0)
 
     def start_memory(self, states: IntArray) -> IntArray:
         """Start of the product's memory and of the inner policy's, remembered, [episodes]."""
-        first = self.product.memory_number[self.product.memory.start]
-        here = self._at(states, np.full(len(states), first))
-        return self.joined(self.inner.start_memory(here), first)
+        here = self.product.at(states, np.zeros(len(states), dtype=np.int64))
+        return self.joined(self.inner.start_memory(here), 0)
 
     @property
     def ended(self) -> BoolArray:
@@ -298,7 +295,7 @@ class RememberingPolicy(_Carried):
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """Decisions of a remembering policy as pairs of the original; giving up where lost."""
         product, (inner, number) = self.product, self.split(memory)
-        here = self._at(states, number)
+        here = product.at(states, number)
         inside = self.inner.branches(here, inner)
         shift = product.pair_offsets[here] - self.model.pair_offsets[states]
         pair = np.where(inside.pair >= 0, inside.pair - shift[inside.situation], inside.pair)
@@ -319,40 +316,11 @@ class RememberingPolicy(_Carried):
                 product does not have.
         """
         check_costs(costs)
-        product, model, (inner, begun) = self.product, self.model, self.split(memory)
-
-        @cache
-        def updated(number: int, pair: int, successor: int, cost: float) -> int:
-            """Number of the product's memory after a step."""
-            state, there = model.states[int(model.pair_state[pair])], model.states[successor]
-            step = product.memories[number], state, model.action_of(pair), there, cost
-            if (kept := product.memory.update(*step)) not in product.memory_number:
-                told = f"the step from {state!r} by {step[2]!r} to {there!r} at cost {cost:g}"
-                other = f"the memory {kept!r}, which the product does not have"
-                raise ModelError(f"{told} leads to {other}")
-            return product.memory_number[kept]
-
-        steps = (each.tolist() for each in (begun, pairs, successors, costs))
-        after = np.array(list(map(updated, *steps)), dtype=np.int64)
-        here = self._at(model.pair_state[pairs], begun)
-        taken = product.placed(here, pairs)
-        moved = self.inner.remember(inner, taken, self._at(successors, after), costs)
-        return self.joined(moved, after)
-
-    def _at(self, states: IntArray, numbers: IntArray) -> IntArray:
-        """States of the product by what is remembered.
-
-        Raises:
-            ModelError: a state and a memory that do not occur together.
-        """
-        places = self.product.table[states, numbers]
-        if (places < 0).any():
-            k = int(np.argmax(places < 0))
-            raise ModelError(
-                f"state {self.model.states[int(states[k])]!r} with the memory "
-                f"{self.product.memories[int(numbers[k])]!r} does not occur in the product"
-            )
-        return places
+        product, (inner, begun) = self.product, self.split(memory)
+        taken = product.placed(product.at(self.model.pair_state[pairs], begun), pairs)
+        there = product.moved(taken, successors, costs)
+        moved = self.inner.remember(inner, taken, there, costs)
+        return self.joined(moved, product.labels.number[there])
 
     def __repr__(self) -> str:
         """One line: how many memories there are, and the inner policy."""
@@ -432,7 +400,7 @@ class LabelledPolicy(_Carried):
         if (taken < 0).any():
             pair_words = self.model.describe_pair(int(pairs[int(np.argmax(taken < 0))]))
             raise ModelError(f"{pair_words} may lead to the goal: it is not taken after failing")
-        moved = product.moved(taken, successors)
+        moved = product.moved(taken, successors, costs)
         failed = product.after[moved]
         charge = product.costs[product.outcome_offsets[taken]]
         paid = np.where(failed, charge, costs)
