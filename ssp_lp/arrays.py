@@ -89,6 +89,12 @@ def read_only(array: npt.ArrayLike, dtype: npt.DTypeLike | None = None) -> npt.N
 class ReadOnlyCopies:
     """Mix-in of values whose arrays stay read-only in copies and pickles; numpy's own do not."""
 
+    def keep_read_only(self, *names: str, dtype: npt.DTypeLike | None = None) -> None:
+        """Make fields read-only arrays, where they are not None, while the value is made."""
+        for name in names:
+            if (array := vars(self)[name]) is not None:
+                object.__setattr__(self, name, read_only(array, dtype))
+
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take over what a copy is made of."""
         kept = {k: read_only(v) if isinstance(v, np.ndarray) else v for k, v in state.items()}
@@ -231,7 +237,7 @@ CHUNK = 1 << 22
 """Entries that are worked on at a time: scratch arrays of some 32 MB."""
 
 
-class Piece(NamedTuple):
+class _Piece(NamedTuple):
     """Some segments in a row of a segmented array, and their entries."""
 
     segments: slice
@@ -261,9 +267,9 @@ def segment_chunks(offsets: IntArray) -> Iterator[slice]:
         begin = end
 
 
-def pieces_of_chunks(offsets: IntArray) -> Iterator[Piece]:
+def pieces_of_chunks(offsets: IntArray) -> Iterator[_Piece]:
     """Chunks of an array's segments, with what is needed to work on their entries."""
     for segments in segment_chunks(offsets):
         ends = offsets[segments.start : segments.stop + 1]
         entries = slice(int(ends[0]), int(ends[-1]))
-        yield Piece(segments, entries, ends[:-1] - ends[0], np.diff(ends))
+        yield _Piece(segments, entries, ends[:-1] - ends[0], np.diff(ends))

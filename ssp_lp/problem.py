@@ -404,7 +404,7 @@ class _InProduct(Policy):
         return self.inner.start_memory(self.model.original_state[states])
 
     @property
-    def goes_on(self) -> bool:
+    def goes_on(self) -> bool:  # type: ignore[override]
         """Whether the inner policy goes on after failing, a problem's product having no label."""
         return self.inner.goes_on and self.model.failure_label is None
 

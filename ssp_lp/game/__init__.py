@@ -1,6 +1,6 @@
 """The paper's own construction as a second opinion: value iteration and a game, no LP anywhere."""
 
-from ssp_lp.game.equilibrium import DeltaMixture, Equilibrium, Game, delta_mixture, play
+from ssp_lp.game.equilibrium import Equilibrium, Game, Mixture, delta_mixture, play
 from ssp_lp.game.optimum import (
     GameSolution,
     bayes_adaptive,
@@ -13,10 +13,10 @@ from ssp_lp.game.optimum import (
 )
 
 __all__ = [
-    "DeltaMixture",
     "Equilibrium",
     "Game",
     "GameSolution",
+    "Mixture",
     "bayes_adaptive",
     "bayes_player",
     "belief_at",

@@ -180,12 +180,9 @@ def find_optimum(
     is_slack = best is not None and best.failing <= budget - best.origin
     if is_slack or not (best is None or is_least or best.ratio < lower):
         lower = _slack_bound_of_optimum(player, c, budget, tolerance)
-    if is_slack:
-        return GameSolution(problem, player, threshold, spent, c, lower, alpha=share, price=c)
-    return GameSolution(
-        problem, player, threshold, threshold.budget, c, lower,
-        alpha=threshold.game.alpha, price=threshold.failure_price,
-    )  # fmt: skip
+    alpha, price = (share, c) if is_slack else (threshold.game.alpha, threshold.failure_price)
+    spent = spent if is_slack else threshold.budget
+    return GameSolution(problem, player, threshold, spent, c, lower, alpha, price)
 
 
 def _slack_bound_of_optimum(player: Player, ratio: float, budget: float, tolerance: float) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON
 from ssp_lp.compiled.deadline import WithIncumbent, is_late
 from ssp_lp.game.best_response import BestResponse
-from ssp_lp.game.equilibrium import Equilibrium, Game, play, unplayed_game
+from ssp_lp.game.equilibrium import Equilibrium, Game, cheapest_crossing, play, unplayed_game
 from ssp_lp.game.player import Player
 from ssp_lp.options import Progress
 
@@ -94,7 +94,10 @@ def find_threshold(
     """
     accuracy = 0.1 * tolerance
     responses = [*previous, *_cheap_near_least_failure(player, budget, previous, accuracy)]
-    room = _attainable_threshold(responses, budget - responses[0].origin if room is None else room)
+    least_failure = min(r.failing for r in responses)
+    same = _SAME * (abs(least_failure) if responses[0].origin else 1.0)
+    attained = [r.failing for r in responses if r.failing <= least_failure + same]
+    room = max([budget - responses[0].origin if room is None else room, *attained])
     budget = responses[0].origin + room
     low, high = 0.0, cheapest_mixture(responses, room)[2] / share
     games = 0
@@ -132,13 +135,6 @@ def extremes(player: Player, accuracy: float) -> tuple[BestResponse, ...]:
     with WithIncumbent():
         return safest, player.response(1.0, 0.0, accuracy)
     return safest, safest
-
-
-def _attainable_threshold(responses: Sequence[BestResponse], room: float) -> float:
-    """Budget of the threshold, counted as responses count failing, or the least of that."""
-    least_failure = min(r.failing for r in responses)
-    same = _SAME * (abs(least_failure) if responses[0].origin else 1.0)
-    return max([room, *(r.failing for r in responses if r.failing <= least_failure + same)])
 
 
 def _cheap_near_least_failure(
@@ -183,21 +179,11 @@ def cheapest_mixture(
     Returns:
         The members, their weights, and the lottery's J_obj.
     """
-    failing = np.array([r.failing for r in responses])
-    objective = np.array([r.objective for r in responses])
-    safe = np.flatnonzero(failing <= room)
-    risky = np.flatnonzero(failing > room)
-    alone = safe[np.argmin(objective[safe])]
-    best: tuple[tuple[BestResponse, ...], tuple[float, ...], float] = (
-        (responses[alone],), (1.0,), float(objective[alone]),
-    )  # fmt: skip
-    if not risky.size:
-        return best
-    left = room - failing[safe][:, None]
-    weight = left / (failing[risky][None, :] - failing[safe][:, None])
-    cost = (1.0 - weight) * objective[safe][:, None] + weight * objective[risky][None, :]
-    i, j = np.unravel_index(int(np.argmin(cost)), cost.shape)
-    if not cost[i, j] < best[2]:
-        return best
-    share = float(weight[i, j])
-    return (responses[safe[i]], responses[risky[j]]), (1.0 - share, share), float(cost[i, j])
+    safe = [r for r in responses if r.failing <= room]
+    risky = [r for r in responses if r.failing > room]
+    alone = min(safe, key=lambda r: r.objective)
+    if risky:
+        *both, share, cost = cheapest_crossing(safe, risky, lambda r: r.failing - room)
+        if cost < alone.objective:
+            return (both[0], both[1]), (1.0 - share, share), cost
+    return (alone,), (1.0,), alone.objective

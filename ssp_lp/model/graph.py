@@ -20,7 +20,6 @@ from ssp_lp.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
-    Piece,
     entries_of,
     narrow,
     offsets_of,
@@ -115,7 +114,7 @@ def possible_steps(
     check_time()
     if kept.all():
         return np.asarray(outcome_offsets), successors
-    ends = offsets_of(kept)[outcome_offsets]
+    ends = offsets_of(kept.view(np.int8))[outcome_offsets]
     check_time()
     return ends, successors[kept]
 
@@ -229,22 +228,26 @@ def pairs_into(model: Graph, states: BoolArray) -> BoolArray:
     Args:
         states: [states].
     """
-    return _with_outcomes(model, lambda piece: states[model.successors[piece.entries]])
+    return _with_outcomes(model, lambda places, pairs, lengths: states[model.successors[places]])
 
 
-def _with_outcomes(model: Graph, wanted: Callable[[Piece], BoolArray]) -> BoolArray:
+def _with_outcomes(
+    model: Graph, wanted: Callable[[slice, slice, IntArray], BoolArray]
+) -> BoolArray:
     """Pairs of the graph with a wanted outcome of positive probability, [pairs].
 
     Args:
         model: the graph.
-        wanted: says of a piece's outcomes whether they are, [its outcomes].
+        wanted: whether outcomes are, given their places, those of their pairs, and how many each
+            of these has, [outcomes].
     """
     marked = np.zeros(model.n_pairs, dtype=np.bool_)
     for piece in pieces_of_chunks(model.outcome_offsets):
         check_time()
         filled = np.flatnonzero(piece.lengths)  # a pair of a process may have no outcome but an end
         if filled.size:
-            possible = wanted(piece) & (model.probabilities[piece.entries] > 0)
+            possible = wanted(piece.entries, piece.segments, piece.lengths)
+            possible &= model.probabilities[piece.entries] > 0
             some = np.logical_or.reduceat(possible, piece.firsts[filled])
             marked[piece.segments.start + filled] = some
     return marked
@@ -490,9 +493,8 @@ def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArra
         label[pending] = first[back[pending]]
         crossing = _with_outcomes(
             model,
-            lambda piece: (
-                label[model.successors[piece.entries]]
-                != np.repeat(label[model.pair_state[piece.segments]], piece.lengths)
+            lambda places, pairs, lengths: (
+                label[model.successors[places]] != label[model.pair_state[pairs]].repeat(lengths)
             ),
         )
         leaving = (links & crossing).nonzero()[0]

@@ -213,7 +213,7 @@ class ProductSSP(SSP):
         @cache
         def updated(pair: int, successor: int, cost: float) -> int:
             """Number of the product's memory after a step."""
-            (state, kept), there = self.states[int(self.pair_state[pair])], model.states[successor]
+            (state, kept), there = self.labels[int(self.pair_state[pair])], model.states[successor]
             step = kept, state, self.action_of(pair), there, cost
             if (after := update(*step)) not in self.memory_number:
                 told = f"the step from {state!r} by {step[2]!r} to {there!r} at cost {cost:g}"
@@ -330,7 +330,7 @@ def product(
             return {}
         state, kept = label
         here, actions = model.index_of(state), {}
-        for pair in range(int(model.pair_offsets[here]), int(model.pair_offsets[here + 1])):
+        for pair in model.pairs_of(here):
             action, ends = model.action_of(pair), list[tuple[float, Label, float]]()
             for k in range(*model.outcome_offsets[pair : pair + 2].tolist()):
                 if (p := float(model.probabilities[k])) > 0.0:

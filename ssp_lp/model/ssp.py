@@ -544,11 +544,24 @@ class SSP(Graph, ReadOnlyCopies):
             last = len(self.pair_action) - 1
             raise ModelError(f"{pair!r} is no pair of the model: they are 0 .. {last}") from error
 
+    def pairs_of(self, state: int) -> range:
+        """The model's pairs of a state."""
+        return range(int(self.pair_offsets[state]), int(self.pair_offsets[state + 1]))
+
+    def pair_of(self, state: int, action: Hashable) -> int:
+        """The model's pair of a state and an action's label.
+
+        Raises:
+            ModelError: the state does not have the action.
+        """
+        for pair in self.pairs_of(state):
+            if self.action_of(pair) == action:
+                return pair
+        raise ModelError(self.no_such_action(state, action))
+
     def no_such_action(self, state: int, action: Hashable) -> str:
         """Error text for an action that a state of the model lacks: the nearest one, or some."""
-        first, end = int(self.pair_offsets[state]), int(self.pair_offsets[state + 1])
-        actions = [self.action_of(pair) for pair in range(first, end)]
-        nearest = did_you_mean(action, actions, "it has")
+        nearest = did_you_mean(action, map(self.action_of, self.pairs_of(state)), "it has")
         return f"state {self.states[state]!r} has no action {action!r}{nearest}"
 
     def describe_pair(self, pair: int) -> str:

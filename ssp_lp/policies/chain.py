@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 
 import numpy as np
@@ -57,6 +57,10 @@ class Chain:
     branch_node: IntArray  # [branches]
     branch_pair: IntArray  # [branches] pair or GIVE_UP_CODE
     branch_probability: FloatArray  # [branches]
+    _systems: dict[tuple[float, bytes], tuple[IntArray, System]] = field(
+        default_factory=dict, init=False
+    )  # equations by survival and nodes
+    _arriving: dict[float, tuple[FloatArray, FloatArray]] = field(default_factory=dict, init=False)
 
     @property
     def n_nodes(self) -> int:
@@ -174,16 +178,6 @@ class Chain:
             self.branch_pair[order],
             self.branch_probability[order],
         )
-
-    @cached_property
-    def _systems(self) -> dict[tuple[float, bytes], tuple[IntArray, System]]:
-        """The equations of the chain that are kept."""
-        return {}
-
-    @cached_property
-    def _arriving(self) -> dict[float, tuple[FloatArray, FloatArray]]:
-        """What is to come at the chain's nodes, by survival."""
-        return {}
 
 
 def reached_table(

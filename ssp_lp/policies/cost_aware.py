@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray, IntArray, chunks, read_only
+from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray, IntArray, chunks
 from ssp_lp.errors import ModelError, check_flag, is_number, wrong_argument
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained_class
@@ -61,8 +61,9 @@ class CostAwarePolicy(Policy):
 
     def __post_init__(self) -> None:
         check_flag("rounds_up", self.rounds_up)
+        self.keep_read_only("decision", "tails", "tail_threshold", "tail_table")
+        self.keep_read_only("levels", dtype=np.float64)
         if self.levels is not None:
-            object.__setattr__(self, "levels", read_only(self.levels, np.float64))
             rising = len(self.levels) > 1 and bool((np.diff(self.levels) > 0.0).all())
             if not (rising and self.levels[0] == 0.0 and np.isfinite(self.levels[-1])):
                 raise ModelError("levels of accumulated cost must rise from 0 and be finite")
@@ -72,9 +73,6 @@ class CostAwarePolicy(Policy):
             raise wrong_argument("the unit of accumulated cost", "be > 0 and finite", self.unit)
         else:
             object.__setattr__(self, "unit", float(self.unit))
-        for name in ("decision", "tails", "tail_threshold", "tail_table"):
-            if (array := getattr(self, name)) is not None:
-                object.__setattr__(self, name, read_only(array))
         several, positions = max(_CHECKED // max(self.model.n_states, 1), 1), self.decision
         for first in range(0, self.cap, several):
             check_decisions(self.model, positions[first : first + several], as_positions=True)

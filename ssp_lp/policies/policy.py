@@ -22,7 +22,6 @@ from ssp_lp.arrays import (
     ReadOnlyCopies,
     entries_of,
     offsets_of,
-    read_only,
     segment_sums,
 )
 from ssp_lp.errors import ModelError, check_whole, in_short, wrong_argument
@@ -248,11 +247,8 @@ class Policy(Playable):
 
     model: SSP
     carrier: Policy | None = None  # the policy whose memory this one has
-
-    @property
-    def goes_on(self) -> bool:
-        """Whether the policy has decisions after failing."""
-        return False
+    goes_on: bool = False  # whether the policy has decisions after failing
+    step_limit: int | None = None  # within which it was made to reach the goal; None: not known
 
     @property
     def declares_failing(self) -> bool:
@@ -268,11 +264,6 @@ class Policy(Playable):
     def meaning(self) -> tuple[object, ...]:
         """What its memory means: equal for policies that understand each other's."""
         return () if self.carrier is None else self.carrier.meaning
-
-    @property
-    def step_limit(self) -> int | None:
-        """Steps within which the policy was made to reach the goal; None: no limit is known."""
-        return None
 
     @property
     def remembers(self) -> str:
@@ -622,7 +613,7 @@ class DeterministicPolicy(Policy):
     decision: IntArray  # [states] pair, GIVE_UP_CODE or UNDECIDED
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "decision", read_only(self.decision))
+        self.keep_read_only("decision")
         if self.decision.shape != (self.model.n_states,):
             raise ModelError(f"a decision is needed for each of {self.model.n_states} states")
         check_decisions(self.model, self.decision)
@@ -669,22 +660,10 @@ class DeterministicPolicy(Policy):
 
 def _decided_pair(model: SSP, state: int, action: Hashable) -> int:
     """Pair of a decision, GIVE_UP_CODE for ``GIVE_UP`` or, without such an action, "give up"."""
-    own = (model.action_of(p) for p in range(*model.pair_offsets[state : state + 2].tolist()))
+    own = map(model.action_of, model.pairs_of(state))
     if action is GIVE_UP or (action == GIVE_UP and action not in own):
         return GIVE_UP_CODE
-    return find_pair(model, state, action)
-
-
-def find_pair(model: SSP, state: int, action: Hashable) -> int:
-    """Index of a policy's pair (state, action).
-
-    Raises:
-        ModelError: the state does not have the action.
-    """
-    for pair in range(int(model.pair_offsets[state]), int(model.pair_offsets[state + 1])):
-        if model.action_of(pair) == action:
-            return pair
-    raise ModelError(model.no_such_action(state, action))
+    return model.pair_of(state, action)
 
 
 def check_decisions(model: SSP, decision: IntArray, *, as_positions: bool = False) -> None:
@@ -726,8 +705,7 @@ class StochasticPolicy(Policy):
     carrier: Policy | None = None
 
     def __post_init__(self) -> None:
-        for name in ("situation_key", "offsets", "pair", "probability"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        self.keep_read_only("situation_key", "offsets", "pair", "probability")
         sums = segment_sums(self.probability, self.offsets)
         if not ((self.probability >= 0).all() and (np.abs(sums - 1.0) <= 1e-9).all()):
             raise ModelError("the decisions of each state need probabilities that sum to one")
@@ -811,9 +789,6 @@ class StochasticPolicy(Policy):
         return f"StochasticPolicy({len(self.situation_key):,} situations, {random:,} at random)"
 
 
-_LISTED = 3  # members that a repr names
-
-
 @explained_class
 @dataclass(frozen=True, eq=False, repr=False)
 class MixedPolicy(Playable):
@@ -828,7 +803,7 @@ class MixedPolicy(Playable):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "policies", tuple(self.policies))
-        object.__setattr__(self, "weights", read_only(self.weights, np.float64))
+        self.keep_read_only("weights", dtype=np.float64)
         check_policies(self.policies)
         if not self.policies or self.weights.shape != (len(self.policies),):
             raise ModelError("a mixed policy needs one weight for each of its policies")
@@ -849,10 +824,9 @@ class MixedPolicy(Playable):
         return tuple(zip(self.weights.tolist(), self.policies, strict=True))
 
     def __repr__(self) -> str:
-        """One line: how many members there are, and the first of them with their weights."""
-        some = list(zip(self.weights, self.policies, strict=True))[:_LISTED]
-        parts = [f"{weight:.6g} x {policy!r}" for weight, policy in some]
-        parts += ["..."] if len(self.policies) > _LISTED else []
+        """One line: how many members there are, and the first three with their weights."""
+        parts = [f"{weight:.6g} x {policy!r}" for weight, policy in self.weighted[:3]]
+        parts += ["..."] * (len(self.policies) > len(parts))
         count = f"{len(self.policies)} member{'s' if len(self.policies) > 1 else ''}"
         return f"MixedPolicy({count}: {' + '.join(parts)})"
 

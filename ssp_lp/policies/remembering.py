@@ -15,7 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained, explained_class
@@ -52,12 +52,12 @@ class _Carried(Policy):
         return self.inner.model
 
     @property
-    def step_limit(self) -> int | None:
+    def step_limit(self) -> int | None:  # type: ignore[override]
         """The inner policy's."""
         return self.inner.step_limit
 
     @property
-    def goes_on(self) -> bool:
+    def goes_on(self) -> bool:  # type: ignore[override]
         """Whether the inner policy does."""
         return self.inner.goes_on
 
@@ -261,7 +261,7 @@ class RememberingPolicy(_Carried):
         return self.product.original
 
     @property
-    def step_limit(self) -> int | None:
+    def step_limit(self) -> int | None:  # type: ignore[override]
         """Step limit of a policy that remembers: the fewest of its products."""
         own = self.product.steps if isinstance(self.product, HorizonSSP) else None
         return min((n for n in (own, self.inner.step_limit) if n is not None), default=None)
@@ -336,7 +336,7 @@ class LabelledPolicy(_Carried):
     """
 
     inner: Policy  # on the product with the label
-    goes_on: ClassVar[bool] = True
+    goes_on = True
     digits: ClassVar = "before failing", "giving up", "after failing"
 
     @property
@@ -435,13 +435,13 @@ class CompletePolicy(_Carried):
     inner: Policy
     otherwise: IntArray  # [states] pair where the inner policy has no decision, or UNDECIDED
     afterwards: IntArray  # [states] pair where it is over, or UNDECIDED
-    goes_on: ClassVar[bool] = True
+    goes_on = True
     digits: ClassVar = "", "over", "elsewhere"
 
     def __post_init__(self) -> None:
-        for name in ("otherwise", "afterwards"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
-            check_decisions(self.model, getattr(self, name))
+        self.keep_read_only("otherwise", "afterwards")
+        for decision in (self.otherwise, self.afterwards):
+            check_decisions(self.model, decision)
 
     @property
     def ended(self) -> BoolArray:

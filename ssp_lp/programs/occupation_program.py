@@ -119,6 +119,11 @@ class OccupationProgram(Report):
         """The occupation program's process, whose pairs are the columns."""
         return self.augmented.process
 
+    @property
+    def bounds(self) -> dict[str, float]:
+        """Bound of each row of the occupation program, by name."""
+        return {row.name: row.bound for row in self.rows}
+
     def bounded_by(self, bounds: Mapping[str, float], *, anew: bool = True) -> OccupationProgram:
         """The occupation program with other bounds, by name of the row; see :meth:`row`.
 
@@ -134,7 +139,7 @@ class OccupationProgram(Report):
             InfeasibleError: the budget is below the least failure.
         """
         check_bounds(bounds)
-        now = {row.name: row.bound for row in self.rows}
+        now = self.bounds
         make = self.remade if anew and (self.at_least or self.augmented.copies > 1) else None
         unstated = {"failure"} if self.at_least and make is not None else set[str]()
         then = now | {n if n in unstated else self.row(n).name: b for n, b in bounds.items()}
@@ -176,7 +181,7 @@ class OccupationProgram(Report):
                 "the program is made for its start, and its rows were changed: make another from "
                 "there, replace(problem, start=...).program()"
             )
-        return make({row.name: row.bound for row in self.rows}, start=start)
+        return make(self.bounds, start=start)
 
     def spread_out(self) -> OccupationProgram:
         """The occupation program with a column for each pair of the model, nothing collapsed.
@@ -196,8 +201,12 @@ class OccupationProgram(Report):
     @cached_property
     def linear(self) -> LinearProgram:
         """Arrays of the occupation program for a solver."""
+        return self._stated_on(self.process, ratio=self.ratio)
+
+    def _stated_on(self, process: ExplicitProcess, *, ratio: bool) -> LinearProgram:
+        """Arrays of the occupation program with other costs, or without the ratio."""
         limits = {row.name: (row.coefficients, row.bound) for row in self.rows}
-        return rows_program(self.process, limits, self.ratio)
+        return rows_program(process, limits, ratio)
 
     def label(self, column: int) -> ColumnLabel:
         """State, action and cost paid that a column of the occupation program counts.
@@ -351,13 +360,13 @@ class OccupationProgram(Report):
         """The error that no visits satisfy all rows of the occupation program."""
         if self.remade is not None:
             try:  # names the least failure, or what contradicts what
-                self.remade({row.name: row.bound for row in self.rows})
+                self.remade(self.bounds)
             except InfeasibleError as error:
                 return error
         return InfeasibleError(
             "no expected visits satisfy all rows of the program; its conflict() names those that "
             "contradict each other",
-            failure_budget=next((r.bound for r in self.rows if r.name == "failure"), None),
+            failure_budget=self.bounds.get("failure"),
             least_failure=float("nan"),
         )
 
@@ -511,13 +520,11 @@ class OccupationProgram(Report):
     @cached_property
     def _least_goal(self) -> float:
         """Least goal probability of the measures within the occupation program's rows."""
-        budgets = [1.0 - row.bound for row in self.rows if row.name == "failure"]
-        priced = self.process.goal
-        least = max([priced_minimum(self.process, priced).bound, *budgets])
+        priced, budget = self.process.goal, self.bounds.get("failure", np.inf)
+        least = max(priced_minimum(self.process, priced).bound, 1.0 - budget)
         if least > 0.0:
             return least
-        limits = {row.name: (row.coefficients, row.bound) for row in self.rows}
-        reach = rows_program(replace(self.process, cost=priced), limits, ratio=False)
+        reach = self._stated_on(replace(self.process, cost=priced), ratio=False)
         name = backends_for(reach, None)[0]
         dual, paid = run_backend(reach, name, np.inf).dual, 0.0
         for row in self.rows:  # whatever a solver says, prices >= 0 prove what they prove

@@ -74,12 +74,7 @@ class ProgramRow:
     name: str
     coefficients: FloatArray  # [pairs]
     bound: float
-    told: str = ""  # what is bounded, in words; empty: the name
-
-    @property
-    def words(self) -> str:
-        """The program row's quantity in words."""
-        return self.told or self.name
+    words: str  # what is bounded
 
     @property
     def largest(self) -> float:
