@@ -166,6 +166,21 @@ def segment_ids(offsets: IntArray) -> npt.NDArray[np.int32]:
     return np.arange(len(offsets) - 1, dtype=np.int32).repeat(offsets[1:] - offsets[:-1])
 
 
+def drawn_entries(
+    sums: FloatArray, begins: IntArray, ends: IntArray, rng: np.random.Generator
+) -> IntArray:
+    """Draw an entry of each segment of an array with its share of the segment's sum, [segments].
+
+    Args:
+        sums: running sums of the array's entries, after a leading 0, [entries + 1].
+        begins: where each segment begins, [segments].
+        ends: where it ends, [segments].
+        rng: draws a number for each segment.
+    """
+    level = sums[begins] + rng.random(len(begins)) * (sums[ends] - sums[begins])
+    return np.clip(np.searchsorted(sums[1:], level, side="right"), begins, ends - 1)
+
+
 def segment_sums(values: FloatArray, offsets: IntArray) -> FloatArray:
     """Sum ``values`` over the segments ``offsets[k] : offsets[k + 1]``; empty segments give 0."""
     result = np.zeros(len(offsets) - 1)

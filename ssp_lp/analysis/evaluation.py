@@ -24,7 +24,6 @@ from ssp_lp.analysis.quantity_values import (
     cost_after_failing,
     counted_nodes,
     ending_values,
-    pairs_free_in_all_quantities,
     quantity_values,
     state_give_up_charges,
     value_until_failure,
@@ -326,7 +325,7 @@ def _chain_totals(
         ModelError: the policy gives up where it may not.
     """
     semantics, totals = problem.semantics, []
-    check_giving_up(chain, semantics, pairs_free_in_all_quantities(problem))
+    check_giving_up(chain, problem)
     alive = chain.alive
     ended = np.where(alive | (chain.goal > 0), 0.0, 1.0)
     for k, survival in enumerate(_survivals(problem)):
@@ -355,8 +354,6 @@ def _evaluated_ends(chain: Chain, start: FloatArray) -> FloatArray:
 _ROUNDING = 64 * MACHINE_EPSILON
 """As little wandering as this is rounding: it is what the other ends leave of 1."""
 
-_FOLLOWED = 100_000  # nodes of a policy's chain among which the place of giving up is looked for
-
 _WORDS = {"dead_end": "dead-end", "gave_up": "gave up", "wandering": "wandering"}
 
 
@@ -372,13 +369,16 @@ def failing_in_words(ends: Mapping[str, float]) -> str:
     return ", ".join(f"{_WORDS.get(name, name)} {share:.6g}" for name, share in ways)
 
 
-def giving_up_in_words(policy: MixedPolicy, problem: Problem, share: float) -> str:
+def giving_up_in_words(
+    policy: MixedPolicy, problem: Problem, share: float, most_nodes: int = 100_000
+) -> str:
     """Where the evaluated policy gives up first, and how often before the first step.
 
     Args:
         policy: of the problem.
         problem: says the start.
         share: probability of giving up.
+        most_nodes: of a member's chain among which the place is looked for.
     """
     at_start, start = 0.0, start_distribution(problem.model, problem.start)
     states = np.flatnonzero((start > 0.0) & (np.diff(problem.model.pair_offsets) > 0))
@@ -392,24 +392,11 @@ def giving_up_in_words(policy: MixedPolicy, problem: Problem, share: float) -> s
     if at_start > 0.0:
         return f"{at_start:.6g} of it before the first step"
     try:
-        rows = reached_table(policy, start, _FOLLOWED)
+        rows = reached_table(policy, start, most_nodes)
     except ModelError:  # too many nodes to look for the place
         return ""
     first = next((row.state for row in rows if row.action is GIVE_UP), None)
     return "" if first is None else f"first in {in_short(first)}"
-
-
-def expected_visits(chain: Chain, survival: float = 1.0) -> FloatArray:
-    """Evaluated policy's expected visits of each node, those at t weighted survival^t, [nodes].
-
-    Raises:
-        ModelError: the policy may wander for ever, so that visits are infinite.
-    """
-    if survival == 1.0:
-        ends = (chain.goal > 0) | (chain.dead > 0) | (chain.give_up > 0)
-        if not chain.reaching(ends).all():
-            raise ModelError("the policy may wander for ever: its expected visits are infinite")
-    return chain.push(chain.start, survival)
 
 
 def pair_visits(policy: Policy | MixedPolicy, problem: Problem) -> tuple[FloatArray, FloatArray]:
@@ -427,7 +414,7 @@ def pair_visits(policy: Policy | MixedPolicy, problem: Problem) -> tuple[FloatAr
     pairs, gave_up = np.zeros(model.n_pairs), np.zeros(model.n_states)
     for member, weight in zip(lottery.policies, lottery.weights, strict=True):
         chain = policy_chain(model, member, start)
-        visits = weight * expected_visits(chain)
+        visits = weight * chain.visits()
         flow, acts = visits[chain.branch_node] * chain.branch_probability, chain.branch_pair >= 0
         np.add.at(pairs, chain.branch_pair[acts], flow[acts])
         np.add.at(gave_up, chain.state, visits * chain.give_up)
@@ -461,8 +448,7 @@ def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> Stoch
     for member, weight in zip(policy.policies, policy.weights, strict=True):
         lifted = JointMemory(keepers, member) if keepers else member
         chain = policy_chain(model, lifted, start)
-        visits = expected_visits(chain, survival)
-        flow = weight * visits[chain.branch_node] * chain.branch_probability
+        flow = weight * chain.visits(survival)[chain.branch_node] * chain.branch_probability
         keys.append((chain.memory * model.n_states + chain.state)[chain.branch_node])
         pairs.append(chain.branch_pair)
         flows.append(flow)

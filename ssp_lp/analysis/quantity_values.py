@@ -38,17 +38,18 @@ def give_up_costs(
     return np.where(chain.give_up > 0, charge, 0.0)
 
 
-def check_giving_up(chain: Chain, semantics: FailureSemantics, free: BoolArray) -> None:
+def check_giving_up(chain: Chain, problem: Problem) -> None:
     """Check, for a quantity's value, that a policy gives up only where it may.
 
-    Args:
-        chain: the policy's.
-        semantics: where giving up is allowed.
-        free: pairs that are free in all that is minimised and limited, [pairs].
+    That is allowed among pairs that are free in all that the problem minimises and limits.
 
     Raises:
         ModelError: it does elsewhere.
     """
+    semantics, objective = problem.semantics, problem.objective_condition
+    limited = (row for condition in problem.conditions for row in condition.rows)
+    minimised = None if objective is None else objective.minimised()
+    free = free_pairs(problem.model, semantics.aim, limited, minimised)
     forbidden = np.isinf(give_up_costs(chain, semantics, free))
     if forbidden.any():
         state = chain.model.states[int(chain.state[int(np.argmax(forbidden))])]
@@ -140,7 +141,7 @@ def counted_nodes(chain: Chain, problem: Problem, *, declared: bool = False) -> 
         return chain.reaching(over | (chain.dead > 0) if declared else over)
     if problem.semantics.forbids_failing or not _asks_for_ends(problem):
         return np.asarray(chain.alive | (chain.goal > 0))
-    return chain.reaching((chain.goal > 0) | (chain.dead > 0) | (chain.give_up > 0))
+    return chain.settling
 
 
 def lost_situations(policy: Policy, problem: Problem) -> Callable[[IntArray, IntArray], BoolArray]:
@@ -195,9 +196,7 @@ def cost_after_failing(chain: Chain, counted: BoolArray) -> list[float]:
     failed = label.after[chain.state[chain.target]] | ~counted[chain.source]
     paid = label.original.costs[label.original_outcome[chain.outcome]]
     later = replace(chain, cost=np.where(failed, paid, 0.0))
-    over = (chain.goal > 0) | (chain.dead > 0) | (chain.give_up > 0)
-    unpaid = FailureSemantics(GiveUp.DEAD_ENDS)
-    return [value_until_failure(later, chain.reaching(over), unpaid, 1.0)]
+    return [value_until_failure(later, chain.settling, FailureSemantics(GiveUp.DEAD_ENDS), 1.0)]
 
 
 def quantity_values(chain: Chain, counted: BoolArray, problem: Problem) -> list[float]:
@@ -213,9 +212,7 @@ def _quantity_value(chain: Chain, counted: BoolArray, problem: Problem, term: Te
     """Value of one term of a quantity on a policy's chain: cost, visits, or way to end."""
     survival, semantics = survival_of(problem.discount), problem.semantics
     if term.through and chain.model.failure_label is not None:  # to the true end of the run
-        semantics = replace(semantics, give_up=GiveUp.DEAD_ENDS)
-        over = (chain.goal > 0) | (chain.dead > 0) | (chain.give_up > 0)
-        counted = chain.reaching(over)
+        semantics, counted = replace(semantics, give_up=GiveUp.DEAD_ENDS), chain.settling
     if isinstance(term, StepTerm):
         other = replace(chain, model=term.model, cost=term.model.costs[chain.outcome])
         return value_until_failure(other, counted, semantics, survival)
@@ -241,21 +238,9 @@ def ending_values(
         survival: the discount.
         at_stop: where giving up does, [nodes, ways].
     """
-    final = (chain.goal > 0) | (chain.dead > 0)
-    settling = chain.reaching(final | (chain.give_up > 0)) & ~final
+    settling = chain.settling & (chain.goal == 0) & (chain.dead == 0)
     hits = survival * chain.ahead(at_end) + chain.give_up[:, None] * at_stop
     return at_end + chain.accumulate(np.where(settling[:, None], hits, 0.0), settling, survival)
-
-
-def pairs_free_in_all_quantities(problem: Problem) -> BoolArray:
-    """Pairs free in all quantities that a problem minimises and limits, [pairs]."""
-    objective = problem.objective_condition
-    return free_pairs(
-        problem.model,
-        problem.semantics.aim,
-        (row for condition in problem.conditions for row in condition.rows),
-        None if objective is None else objective.minimised(),
-    )
 
 
 def value_until_failure(

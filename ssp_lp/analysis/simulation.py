@@ -22,6 +22,7 @@ from ssp_lp.arrays import (
     FloatArray,
     IntArray,
     ReadOnlyCopies,
+    drawn_entries,
     read_only,
     segment_ids,
     segment_minima,
@@ -38,8 +39,6 @@ from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import GIVE_UP_CODE, MOST_EPISODES, Randomness, as_lottery, generator_of
 from ssp_lp.problem import Problem, on_one_model
 from ssp_lp.processes.failure_semantics import GiveUp, as_percentage, start_distribution
-
-_MOST_WORK = 300_000_000  # outcomes looked at for the dearest way, a few seconds
 
 
 class Estimate(NamedTuple):
@@ -103,7 +102,9 @@ def mean_estimate(sample: FloatArray, confidence: float, most: float) -> Estimat
     return Estimate(mean, low, min(mean + spread + unseen * most, most), confidence, error)
 
 
-def greatest_total(model: SSP, steps: int, pairs: BoolArray | None = None) -> tuple[float, bool]:
+def greatest_total(
+    model: SSP, steps: int, pairs: BoolArray | None = None, most_work: int = 300_000_000
+) -> tuple[float, bool]:
     """Greatest total cost of a simulated episode of at most so many steps.
 
     Steps within a strong component may be repeated, others come once: they add up to the dearest
@@ -113,6 +114,8 @@ def greatest_total(model: SSP, steps: int, pairs: BoolArray | None = None) -> tu
         model: the model.
         steps: of an episode.
         pairs: those that the policy takes, [pairs]; None: any.
+        most_work: outcomes looked at for the dearest way, in a few seconds; beyond, each step
+            counts as the dearest.
 
     Returns:
         The total, and whether more steps would allow for more.
@@ -135,7 +138,7 @@ def greatest_total(model: SSP, steps: int, pairs: BoolArray | None = None) -> tu
         total = np.maximum(-segment_minima(-(paid + before[model.successors]), starts), 0.0)
         if (total == before).all():
             break
-        if sweep * model.n_outcomes > _MOST_WORK:
+        if sweep * model.n_outcomes > most_work:
             return dearest, True
     return min(dearest, repeated + float(total.max())), repeated > 0.0
 
@@ -196,19 +199,15 @@ class ModelSimulator:
         self, world: World, pair: IntArray, rng: np.random.Generator
     ) -> tuple[World, IntArray, FloatArray]:
         """Simulate one outcome of each pair by inversion."""
-        model = self.model
-        begin, end = model.outcome_offsets[pair], model.outcome_offsets[pair + 1]
-        cumulative = self._cumulative
-        before = np.where(begin > 0, cumulative[begin - 1], 0.0)
-        level = before + rng.random(len(pair)) * (cumulative[end - 1] - before)
-        outcome = np.clip(np.searchsorted(cumulative, level, side="right"), begin, end - 1)
+        model, offsets = self.model, self.model.outcome_offsets
+        outcome = drawn_entries(self._sums, offsets[pair], offsets[pair + 1], rng)
         successor = model.successors[outcome].astype(np.int64)
         return successor, successor, model.costs[outcome]
 
     @cached_property
-    def _cumulative(self) -> FloatArray:
-        """Running sums of probabilities, for the simulator's draws."""
-        return np.cumsum(self.model.probabilities)
+    def _sums(self) -> FloatArray:
+        """Running sums of probabilities after a leading 0, for the simulator's draws."""
+        return np.append(0.0, np.cumsum(self.model.probabilities))
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,11 +17,6 @@ from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.errors import wrong_argument
 
-_FIRST_SWEEPS = 16
-_MOST_SWEEPS = 1 << 14
-"""Policies are improved by their own values, so that sweeps beyond this only fight rounding."""
-
-_MOST_IMPROVEMENTS = 100
 _ROUNDED_SUCCESS = 1e-12
 """Success up to which it is rounding, where it is what J_cond leaves over."""
 
@@ -97,6 +92,8 @@ def iterate_values(
     watched: FloatArray,
     *,
     accuracy: float,
+    first_sweeps: int = 16,
+    most_sweeps: int = 1 << 14,
 ) -> Iterated:
     """Best response by value iteration, T_alpha of section 3.5: minimise ``weights @ costs``.
 
@@ -114,10 +111,12 @@ def iterate_values(
         weights: of the costs, non-negative, [costs].
         watched: how much each node counts when bounds are compared, [nodes].
         accuracy: relative distance of the two bounds to reach.
+        first_sweeps: before a policy is improved by its own values.
+        most_sweeps: beyond them sweeps only fight rounding.
     """
     pair_cost = costs @ weights
     values = np.zeros(dynamics.n_states)
-    best, block, sweeps = -np.inf, _FIRST_SWEEPS, 0
+    best, block, sweeps = -np.inf, first_sweeps, 0
     rounding = _ROUNDED / (1.0 - discount)
     choice: IntArray | None = None
     while True:
@@ -126,19 +125,23 @@ def iterate_values(
                 backup = best_pairs(dynamics.pair_offsets, dynamics.transitions, pair_cost, values)
                 values = np.maximum(values, backup.minima)
             choice, sweeps = backup.choice, sweeps + block
-        choice, totals, steps = _improved_response(dynamics, costs, weights, choice)
+        choice, totals, steps = improved_response(dynamics, costs, weights, choice)
         attained, sweeps = totals @ weights, sweeps + steps
         lifted = sub_solution(dynamics, pair_cost, attained)
         values = np.maximum(lifted, sub_solution(dynamics, pair_cost, values))
         below, above = float(watched @ values), float(watched @ attained)
         stuck = best > -np.inf and above - below <= rounding * above
-        if above - below <= accuracy * above or stuck or sweeps > _MOST_SWEEPS:
+        if above - below <= accuracy * above or stuck or sweeps > most_sweeps:
             return Iterated(values, choice, totals, sweeps)
-        best, block, choice = below, max(sweeps, _FIRST_SWEEPS), None
+        best, block, choice = below, max(sweeps, first_sweeps), None
 
 
-def _improved_response(
-    dynamics: Dynamics, costs: FloatArray, weights: FloatArray, choice: IntArray
+def improved_response(
+    dynamics: Dynamics,
+    costs: FloatArray,
+    weights: FloatArray,
+    choice: IntArray,
+    most_steps: float = 100,
 ) -> tuple[IntArray, FloatArray, int]:
     """A best response improved by its own values, its exact costs, and the backups that took."""
     pair_cost, steps = costs @ weights, 0
@@ -148,6 +151,6 @@ def _improved_response(
         steps += 1
         backup = best_pairs(offsets, transitions, pair_cost, totals @ weights, choice)
         better = backup.minima < backup.here - IMPROVEMENT * np.abs(backup.here)
-        if steps >= _MOST_IMPROVEMENTS or not better.any():
+        if steps >= most_steps or not better.any():
             return choice, totals, steps
         choice = np.where(better, backup.choice, choice)

@@ -83,23 +83,40 @@ class Mixture:
 
     @cached_property
     def weight(self) -> float:
-        """Weight of ``plus`` in the mixture."""
-        return matrix_game(self.game, self.minus, self.plus)
+        """Weight of ``plus``: the equilibrium of the 2 x 2 game of section 3.4, in closed form.
+
+        Rows are the two policies, columns the two MDPs; the payoffs are J_obj and (eta / epsilon)
+        J_cond. The worse of the two payoffs is convex in the weight, with a kink where the payoffs
+        are equal: it is least there, or at one of the two policies alone.
+        """
+        low, high = self.game.excess(self.minus), self.game.excess(self.plus)
+        weights = [0.0, 1.0] + ([low / (low - high)] if low * high < 0.0 else [])
+        return min(weights, key=lambda weight: self._worst(*self._costs(weight)))
+
+    def _costs(self, weight: float) -> tuple[float, float]:
+        """J_obj and J_cond of a mixture with this weight of ``plus``."""
+        minus, plus = self.minus, self.plus
+        objective = (1.0 - weight) * minus.objective + weight * plus.objective
+        return objective, (1.0 - weight) * minus.condition + weight * plus.condition
+
+    def _worst(self, objective: float, condition: float) -> float:
+        """What a mixture pays against the worse MDP for it."""
+        return max(objective, self.game.scale * condition)
 
     @property
     def objective(self) -> float:
         """J_obj(x'; z) of the mixture."""
-        return (1.0 - self.weight) * self.minus.objective + self.weight * self.plus.objective
+        return self._costs(self.weight)[0]
 
     @property
     def condition(self) -> float:
         """J_cond(x'; z) of the mixture."""
-        return (1.0 - self.weight) * self.minus.condition + self.weight * self.plus.condition
+        return self._costs(self.weight)[1]
 
     @property
     def value(self) -> float:
         """Worst payoff of the mixture over the two MDPs."""
-        return max(self.objective, self.game.scale * self.condition)
+        return self._worst(self.objective, self.condition)
 
     def policy(self, player: Player) -> MixedPolicy:
         """The mixture on the original states."""
@@ -145,25 +162,6 @@ class Equilibrium(Mixture):
         At c* lambda in case M, kappa in case S.
         """
         return self.game.scale * (1.0 - self.alpha) / self.alpha if self.alpha > 0.0 else np.inf
-
-
-def matrix_game(game: Game, minus: BestResponse, plus: BestResponse) -> float:
-    """Equilibrium of the 2 x 2 game of section 3.4, in closed form: the weight of ``plus``.
-
-    Rows are the two policies, columns the two MDPs; the payoffs are J_obj and (eta / epsilon)
-    J_cond. The worse of the two payoffs is convex in the weight, with a kink where the payoffs are
-    equal: it is least there, or at one of the two policies alone.
-    """
-    low, high = game.excess(minus), game.excess(plus)
-    weights = [0.0, 1.0] + ([low / (low - high)] if low * high < 0.0 else [])
-
-    def worst(weight: float) -> float:
-        """What the mixture pays against the worse MDP for it."""
-        objective = (1.0 - weight) * minus.objective + weight * plus.objective
-        condition = (1.0 - weight) * minus.condition + weight * plus.condition
-        return max(objective, game.scale * condition)
-
-    return min(weights, key=worst)
 
 
 def crossing(game: Game, minus: BestResponse, plus: BestResponse) -> float:

@@ -26,10 +26,14 @@ from ssp_lp.accumulated_cost.sweep import Sweep, at_price
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, StepClasses, Totals, step_costs, sums_in
 from ssp_lp.arrays import MACHINE_EPSILON, SAME_TOTAL, FloatArray, IntArray, least_integer_type
 from ssp_lp.compiled.deadline import backward
-from ssp_lp.dynamic_programming.bellman import best_pairs
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.errors import ModelError
-from ssp_lp.game.best_response import BestResponse, Iterated, iterate_values
+from ssp_lp.game.best_response import (
+    BestResponse,
+    Iterated,
+    improved_response,
+    iterate_values,
+)
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import attention_states, end_components, goal_pairs
 from ssp_lp.policies.policy import DeterministicPolicy, Policy
@@ -59,12 +63,11 @@ _RARE = 1e-3
 _STALLED = 1e-8
 """Relative distance below which one that more layers leave as it was is rounding."""
 
-_ACCURACY = 1e-13  # relative, of the tails' values
+_ACCURACY = 1e-13  # relative, of the tails' values, and of a sum of many products at best
 _SETTLED = 1e-10  # accuracy at which it is settled how many layers a value function has
 _TIGHT = 1e-12  # accuracy of a value function of one layer
 _ROUNDED = 8.0 * MACHINE_EPSILON  # relative, of what a tail is worth
 _DEAREST = 1e100  # a price of J_cond at which nothing else counts
-_GAIN = 1e-12  # relative improvement below which a pair is kept
 
 _FIRST_HORIZON = 32
 _SLOW = 0.9  # of the gap: a longer horizon that leaves more of it is not what was missing
@@ -74,8 +77,6 @@ _MOST_TIMED_ENTRIES = 100_000_000
 
 _ROUGH = 1e-6
 """Accuracy of a bound that only counts as far as a run lasts until the horizon."""
-
-_SMALLEST_ERROR = 1e-13  # relative, of a sum of many products
 
 
 def label_process(
@@ -480,13 +481,8 @@ class BayesPlayer(Player):
         dynamics = quotient.dynamics(1.0, departing=False)[0]
         choice = quotient.nearer(goal_pairs(quotient.model))
         choice = base.pair_offsets[:-1].copy() if choice is None else choice.astype(np.int32)
-        while True:
-            values = dynamics.chain(choice).solve(cost[choice])
-            backup = best_pairs(base.pair_offsets, dynamics.transitions, cost, values, choice)
-            better = backup.minima < backup.here * (1.0 - _GAIN)
-            if not better.any():
-                break
-            choice = np.where(better, backup.choice, choice)
+        choice, totals, _ = improved_response(dynamics, cost[:, None], np.ones(1), choice, np.inf)
+        values = totals[:, 0]
         failing = base.instant_dynamics.chain(choice).solve(base.failure[choice])
         nothing, every = np.zeros((1, base.n_nodes)), np.ones(base.n_nodes)
         tails = LayeredTails(
@@ -532,7 +528,7 @@ class BayesPlayer(Player):
             sweeps += response.sweeps
             pays = response.payoff(objective_weight, condition_weight)
             before, gap = gap, pays - response.bound
-            error = max(accuracy, _SMALLEST_ERROR) * pays
+            error = max(accuracy, _ACCURACY) * pays
             if not self.counts_total and error > 0.0:
                 enough = horizon_of(self.base.survival, condition_weight, error)
             if gap <= error or horizon >= enough:

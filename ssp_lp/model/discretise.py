@@ -248,9 +248,6 @@ TRIALS: Final = 1 << 19
 PAIRS: Final = 1 << 13
 """Pairs whose outcomes are copied at a time, likewise."""
 
-SPOT_CHECKS: Final = 30
-"""Pairs that are worked out once more where a user says that some are alike."""
-
 MIDPOINTS: Final = Quadrature()
 
 _SPREAD: Final = 4
@@ -450,14 +447,17 @@ def _repeated_rows(
     pairs: IntArray,
     distinct: IntArray,
     row_of_pair: IntArray,
+    most_checks: int = 30,
 ) -> list[Outcomes]:
     """The rows of discretised pairs, in parts, from those of the distinct ones.
+
+    Some of those that are said to be alike are worked out once more.
 
     Raises:
         ModelError: a pair that is worked out once more has other outcomes.
     """
     repeated = np.flatnonzero(distinct[row_of_pair] != pairs)
-    checks = min(SPOT_CHECKS, len(repeated)) if trials.repeatable else 0
+    checks = min(most_checks, len(repeated)) if trials.repeatable else 0
     for k in repeated[np.linspace(0, len(repeated) - 1, checks).astype(np.int64)]:
         own = _discretised_rows(world, trials, pairs[k, None])
         shared = found.rows(row_of_pair[k, None])

@@ -316,19 +316,17 @@ def product(
     if not isinstance(memory, Memory):
         raise ModelError(f"product takes a Memory after the model, not {memory!r}")
 
-    def is_at_goal(label: Label) -> bool:
-        """Whether a goal of the original is reached, and the memory does not fail."""
-        return bool(model.goal_mask[model.index_of(label[0])]) and not memory.fails(label[1])
-
     def is_goal(label: Label) -> bool:
-        """Whether the memory accepts it, too."""
-        return is_at_goal(label) and bool(memory.accepts(label[1]))
+        """Whether a goal of the original is reached, by a memory that accepts it."""
+        state, kept = label
+        at_goal = bool(model.goal_mask[model.index_of(state)])
+        return at_goal and not memory.fails(kept) and bool(memory.accepts(kept))
 
     def successors(label: Label) -> dict[Hashable, list[tuple[float, Label, float]]]:
         """Ends of each action of the original, with the number of the outcome as its cost."""
-        if is_at_goal(label) or memory.fails(label[1]):
-            return {}
         state, kept = label
+        if memory.fails(kept):
+            return {}
         here, actions = model.index_of(state), {}
         for pair in model.pairs_of(here):
             action, ends = model.action_of(pair), list[tuple[float, Label, float]]()
@@ -351,17 +349,16 @@ def product(
     memories = {kept: k for k, kept in enumerate(dict.fromkeys(kept for _, kept in labels))}
     state = np.array([model.index_of(name) for name, _ in labels])
     number = np.array([memories[kept] for _, kept in labels])
-    at_goal = np.array([is_at_goal(label) for label in labels])
-    own = {
-        MEMORY_FAILS: np.array([bool(memory.fails(kept)) for kept in memories])[number],
-        NOT_ACCEPTED: at_goal & ~plain.goal_mask,
-    }
+    fails = np.array([bool(memory.fails(kept)) for kept in memories])[number]
+    refused = model.goal_mask[state] & ~fails & ~plain.goal_mask
     fields = {name: getattr(plain, name) for name in SSP.__dataclass_fields__}
     copied = copied_parts(model, np.zeros(0, dtype=np.int64), plain.costs.astype(np.int64))
     fields |= {name: copied[name] for name in ("costs", "exact_costs", "named_costs", "original")}
     fields |= {
         "states": ProductStates(model.states, tuple(memories), read_only(state), read_only(number)),
-        "state_labels": _labels_in_product(model, state, own),
+        "state_labels": _labels_in_product(
+            model, state, {MEMORY_FAILS: fails, NOT_ACCEPTED: refused}
+        ),
     }
     return ProductSSP(**fields, memory=memory)
 

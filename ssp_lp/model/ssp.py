@@ -981,7 +981,7 @@ def _dead_end_members(model: SSP, dead_ends: DeadEnds) -> IntArray:
     return np.array(places, dtype=np.int64)
 
 
-def _warn_of_misspelled(idle: Iterable[Hashable], names: Iterable[Hashable]) -> None:
+def _warn_of_misspelled(idle: Iterable[Any], names: Iterable[Any]) -> None:
     """Warn if the name of a state without actions resembles the name of another state.
 
     Two names resemble each other if they become equal when one letter is left out of each, as a
@@ -991,13 +991,8 @@ def _warn_of_misspelled(idle: Iterable[Hashable], names: Iterable[Hashable]) -> 
         idle: names of states without actions that nobody has listed.
         names: names of the other states.
     """
-    known: dict[str, str] = {}
-    for name in idle:
-        if isinstance(name, str) and len(name) >= _LEAST_LETTERS:
-            known |= dict.fromkeys(_with_a_letter_less(name), name)
+    known = {part: name for name in idle for part in _with_a_letter_less(name)}
     for other in names if known else ():
-        if not isinstance(other, str) or len(other) < _LEAST_LETTERS:
-            continue
         near = next((known[part] for part in _with_a_letter_less(other) if part in known), None)
         if near is not None and near.translate(_NO_DIGITS) != other.translate(_NO_DIGITS):
             warnings.warn(
@@ -1009,12 +1004,16 @@ def _warn_of_misspelled(idle: Iterable[Hashable], names: Iterable[Hashable]) -> 
             return
 
 
-_LEAST_LETTERS = 4  # of a name that may be misspelled: shorter ones resemble each other anyway
 _NO_DIGITS = str.maketrans("", "", "0123456789")
 
 
-def _with_a_letter_less(name: str) -> set[str]:
-    """A state's name without one of its letters, each in turn, and as it stands."""
+def _with_a_letter_less(name: Any, least: int = 4) -> set[str]:
+    """A state's name without one of its letters, each in turn, and as it stands.
+
+    Nothing for what is no name, or so short that it resembles others anyway.
+    """
+    if not isinstance(name, str) or len(name) < least:
+        return set()
     return {name, *(name[:k] + name[k + 1 :] for k in range(len(name)))}
 
 

@@ -78,6 +78,11 @@ class Chain:
         return np.asarray(self.reaching(self.goal > 0) & (self.goal == 0))
 
     @cached_property
+    def settling(self) -> BoolArray:
+        """Nodes from which the chain may end: at goals, dead-ends, or by giving up, [nodes]."""
+        return self.reaching((self.goal > 0) | (self.dead > 0) | (self.give_up > 0))
+
+    @cached_property
     def matrix(self) -> sp.csr_array:
         """Transition matrix of the policy's chain, [nodes, nodes]; goals and dead-ends: empty."""
         n = self.n_nodes
@@ -132,10 +137,16 @@ class Chain:
             self._arriving[survival] = read_only(goal), read_only(cost)
         return self._arriving[survival]
 
-    def push(self, inflow: FloatArray, survival: float = 1.0) -> FloatArray:
-        """The chain's expected visits of each node, given what enters from outside, [nodes]."""
+    def visits(self, survival: float = 1.0) -> FloatArray:
+        """The chain's expected visits of each node, those at t weighted survival^t, [nodes].
+
+        Raises:
+            ModelError: the policy may wander for ever, so that visits are infinite.
+        """
+        if survival == 1.0 and not self.settling.all():
+            raise ModelError("the policy may wander for ever: its expected visits are infinite")
         everywhere = np.ones(self.n_nodes, dtype=np.bool_)
-        return self._system(everywhere, survival)[1].solve_transposed(inflow)
+        return self._system(everywhere, survival)[1].solve_transposed(self.start)
 
     def _system(self, inside: BoolArray, survival: float) -> tuple[IntArray, System]:
         """Equations of the chain's moves within some nodes, kept for further rewards."""

@@ -24,8 +24,7 @@ _MOST_BEYOND = 4_000_000  # states times layers beyond the last level, which are
 _FAR = 1e15  # layers: no step passes more
 _MOST_PASSED = 20_000_000  # states times layers that one step passes, where costs are rounded up
 _CHECKED = 1_000_000  # decisions looked at together
-_TIE = 1e-6  # of a level: so far from the middle between two a total is nearer to one of them
-_OFF_LATTICE = 1e-6  # of a layer: far above the rounding of a sum of costs, far below a step
+_NEAR = 1e-6  # of a layer or a level: far above the rounding of a sum of costs, far below a step
 
 
 @explained_class
@@ -176,7 +175,7 @@ class CostAwarePolicy(Policy):
             passed = np.minimum(np.ceil(units * (1.0 - SAME_TOTAL)), _FAR)
             return passed, np.zeros(units.shape, dtype=np.bool_)
         steps = np.rint(units)
-        return steps, ~(np.abs(units - steps) <= _OFF_LATTICE)
+        return steps, ~(np.abs(units - steps) <= _NEAR)
 
     def _level_layers(self, levels: FloatArray) -> CostLayers | None:
         """The cost-aware policy by level of cost; beyond the last a layer for each tail.
@@ -229,12 +228,12 @@ class CostAwarePolicy(Policy):
         near = levels[:-1][levels[:-1] >= levels[-2] - costs.max(initial=0.0)]
         last = levels[-2] + costs.max(initial=0.0)
         edges, end = np.unique(self.tail_threshold), 0.5 * (levels[-2] + levels[-1])
-        edges = edges[(edges > (1.0 - _TIE) * end) & (edges <= last)]
+        edges = edges[(edges > (1.0 - _NEAR) * end) & (edges <= last)]
         if edges.size * near.size > _CHECKED * 10:  # too many to compare
             return np.asarray(edges)
         room = edges[:, None] - near
         below, upto = (
-            np.searchsorted(costs, room + side * _TIE * last).sum(axis=1) for side in (-1.0, 1.0)
+            np.searchsorted(costs, room + side * _NEAR * last).sum(axis=1) for side in (-1.0, 1.0)
         )
         is_apart = np.append(True, upto[1:] != below[:-1])
         return np.asarray(edges[is_apart[: len(edges)]])

@@ -20,6 +20,7 @@ from ssp_lp.arrays import (
     FloatArray,
     IntArray,
     ReadOnlyCopies,
+    drawn_entries,
     entries_of,
     offsets_of,
     segment_sums,
@@ -352,15 +353,13 @@ class Policy(Playable):
             ModelError: the policy has no decision in one of the states.
         """
         branches = self.branches(states, memory)
-        drawn = np.arange(len(states))
+        drawn: IntArray = np.arange(len(states))
         if len(branches.situation) > len(states):  # else one branch each: nothing to draw
             if rng is None:
                 raise ModelError("a stochastic policy needs a seed or a generator: start(0)")
-            upto = np.append(0.0, np.cumsum(branches.probability))
-            first = np.searchsorted(branches.situation, drawn)
-            last = np.append(first[1:], len(branches.situation)) - 1
-            drawn = np.searchsorted(upto[1:], upto[first] + rng.random(len(states)), side="right")
-            drawn = np.clip(drawn, first, last)
+            offsets = np.searchsorted(branches.situation, np.arange(len(states) + 1))
+            sums = np.append(0.0, np.cumsum(branches.probability))
+            drawn = drawn_entries(sums, offsets[:-1], offsets[1:], rng)
         self.check_decided(branches.pair[drawn], states)
         return branches.pair[drawn], branches.kept(memory)[drawn]
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.arrays import BELOW_RATIO, FloatArray
+from ssp_lp.arrays import BELOW_RATIO, RESIDUAL, FloatArray
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, is_number, wrong_argument
 from ssp_lp.linear_programming.backends import answers_in_turn, backends_for, run_backend
 from ssp_lp.linear_programming.linear_program import (
@@ -46,7 +46,6 @@ from ssp_lp.programs.program_rows import ProgramRow, rows_program
 if TYPE_CHECKING:
     from ssp_lp.programs.convex_program import Conflict, ConvexProgram
 
-_ACCEPTED = 1e-6  # relative gap and residual of an answer that is taken
 _TRIFLE = 1e-13  # of the greatest cost: a row worth less counts as nothing, as rounding of a 0
 _RATIOS = 4  # steps of Dinkelbach's iteration, which begins at a solver's optimum
 
@@ -348,7 +347,7 @@ class OccupationProgram(Report):
                 except SolverError as error:
                     report += f", {error}"
                 else:
-                    if measure.gap <= _ACCEPTED and measure.residual <= _ACCEPTED:
+                    if measure.gap <= RESIDUAL and measure.residual <= RESIDUAL:
                         return measure
                     report += f", gap {measure.gap:.1e}, residual {measure.residual:.1e}"
             tried.append(report)
