@@ -16,7 +16,7 @@ import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.sparse import csgraph
 
-from ssp_lp.analysis.quantity_values import entering_charges, lost_situations, state_give_up_charges
+from ssp_lp.analysis.evaluation import entering_charges, lost_situations, state_give_up_charges
 from ssp_lp.arrays import (
     BoolArray,
     FloatArray,

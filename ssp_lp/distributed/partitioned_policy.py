@@ -21,8 +21,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ssp_lp.analysis.counted_draws import counted_words, drawn_entries, drawn_outcomes
-from ssp_lp.analysis.evaluation import Evaluation, evaluated_measures, evaluation_of, mean_of
-from ssp_lp.analysis.quantity_values import lost_nodes
+from ssp_lp.analysis.evaluation import (
+    Evaluation,
+    evaluated_measures,
+    evaluation_of,
+    lost_nodes,
+    mean_of,
+)
 from ssp_lp.analysis.simulation import (
     Played,
     SimulationReport,

@@ -15,8 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from ssp_lp.errors import ModelError, check_between_0_and_1, wrong_argument
-from ssp_lp.game.best_response import BestResponse, check_alpha
-from ssp_lp.game.player import Player
+from ssp_lp.game.player import BestResponse, Player, check_alpha
 from ssp_lp.model.arguments import explained
 from ssp_lp.policies import MixedPolicy
 

@@ -27,9 +27,8 @@ from ssp_lp.errors import (
     check_between_0_and_1,
     wrong_argument,
 )
-from ssp_lp.game.best_response import BestResponse, check_alpha
 from ssp_lp.game.equilibrium import Equilibrium, Game, cheapest_crossing, play, unplayed_game
-from ssp_lp.game.player import BayesPlayer, Player, label_process
+from ssp_lp.game.player import BayesPlayer, BestResponse, Player, check_alpha, label_process
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import dead_ends
 from ssp_lp.model.report import Facts, Table

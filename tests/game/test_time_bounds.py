@@ -16,7 +16,6 @@ from small_models import model_of
 from ssp_lp import InfeasibleError, ModelError
 from ssp_lp.compiled.deadline import until
 from ssp_lp.game import Equilibrium, Game, bayes_adaptive, player as players, thresholds
-from ssp_lp.game.best_response import BestResponse
 from ssp_lp.game.optimum import (
     _slack_bound_of_optimum,
     _threshold_from_game_value,
@@ -25,6 +24,7 @@ from ssp_lp.game.optimum import (
     find_threshold,
     stationary_player,
 )
+from ssp_lp.game.player import BestResponse
 from strategies import often, problems
 
 
