@@ -9,10 +9,9 @@ import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.sparse import csgraph
 
@@ -30,7 +29,7 @@ from ssp_lp.arrays import (
 from ssp_lp.errors import ModelError, check_between_0_and_1, check_whole
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.continuous_model import WorldSimulator
+from ssp_lp.model.continuous_model import Moved, World, WorldSimulator
 from ssp_lp.model.graph import attention_states, dead_ends, end_marks, stop_marks
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.model.report import ByName, Facts, Table
@@ -158,8 +157,6 @@ def pairs_taken(policy: MixedPolicy, model: SSP) -> BoolArray | None:
 
 _LOG = logging.getLogger("ssp_lp.simulation")
 
-World = npt.NDArray[Any]
-
 
 class Simulator(Protocol):
     """A world in which episodes are played, many at a time."""
@@ -168,9 +165,7 @@ class Simulator(Protocol):
         """Begin simulated episodes: their worlds, [episodes, ...], and states, [episodes]."""
         ...
 
-    def step(
-        self, world: World, pair: IntArray, rng: np.random.Generator
-    ) -> tuple[World, IntArray, FloatArray]:
+    def step(self, world: World, pair: IntArray, rng: np.random.Generator) -> Moved:
         """Take one step in each of k simulated episodes.
 
         Args:
@@ -195,9 +190,7 @@ class ModelSimulator:
         state = rng.choice(self.model.n_states, size=episodes, p=self.start)
         return state, state
 
-    def step(
-        self, world: World, pair: IntArray, rng: np.random.Generator
-    ) -> tuple[World, IntArray, FloatArray]:
+    def step(self, world: World, pair: IntArray, rng: np.random.Generator) -> Moved:
         """Simulate one outcome of each pair by inversion."""
         model, offsets = self.model, self.model.outcome_offsets
         outcome = drawn_entries(self._sums, offsets[pair], offsets[pair + 1], rng)
@@ -222,9 +215,7 @@ class _ProductSimulator:
         world, state = self.inner.reset(episodes, rng)
         return world, self.product.table[state, 0]
 
-    def step(
-        self, world: World, pair: IntArray, rng: np.random.Generator
-    ) -> tuple[World, IntArray, FloatArray]:
+    def step(self, world: World, pair: IntArray, rng: np.random.Generator) -> Moved:
         """Take one step in the world, and count it, or move the label."""
         moved, state, cost = self.inner.step(world, self.product.original_pair[pair], rng)
         _check_simulated_states(self.product.original, state)

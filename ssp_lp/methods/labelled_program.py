@@ -21,8 +21,7 @@ from ssp_lp.processes.failure_label import label_failure
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.processes.live_rows import cost_means
 from ssp_lp.programs.augmented import Augmented, LabelledModel, LayeredModel
-from ssp_lp.programs.occupation_program import OccupationProgram
-from ssp_lp.programs.program_rows import ProgramRow
+from ssp_lp.programs.occupation_program import OccupationProgram, ProgramRow
 
 
 def program_of(

@@ -16,6 +16,7 @@ from ssp_lp.policies.policy import (
     Branches,
     CostLayers,
     Policy,
+    Step,
     check_costs,
     check_decisions,
 )
@@ -144,15 +145,14 @@ class CostAwarePolicy(Policy):
         pair[~below] = self.tails[memory[~below] - self.cap, states[~below]]
         return Branches(np.arange(len(states)), pair, np.ones(len(states)))
 
-    def remember(
-        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
-    ) -> IntArray:
+    def remember(self, memory: IntArray, *step: *Step) -> IntArray:
         """Add a cost to the cost-aware policy's memory; at the cap switch to a tail.
 
         Raises:
             ModelError: a cost is negative or not finite, or no whole number of layers where nothing
                 says how to round it.
         """
+        _, successors, costs = step
         check_costs(costs)
         cap, acting = self.cap, (self.tails[0, successors] != UNDECIDED) & (memory < self.cap)
         if self.levels is not None:

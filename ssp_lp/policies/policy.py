@@ -74,6 +74,9 @@ _BY_EPISODE = ": play an episode, episode = policy.start(seed=0), and ask episod
 MOST_EPISODES: Final = 100_000_000
 """Played side by side: some ten gigabytes."""
 
+Step = tuple[IntArray, IntArray, FloatArray]
+"""Steps of episodes: pairs of the model, where they led to, and what they cost, [episodes] each."""
+
 World = Literal["model", "other"]
 """Where episodes are played: in the policy's model, or in another world that it stands for."""
 
@@ -320,12 +323,9 @@ class Policy(Playable):
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """The policy's decisions with probabilities in each (state, memory), [situations]."""
 
-    def remember(
-        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
-    ) -> IntArray:
+    def remember(self, memory: IntArray, *step: *Step) -> IntArray:
         """The policy's memory after steps of pairs to successors at costs, [episodes]."""
-        step = memory, pairs, successors, costs
-        return memory if self.carrier is None else self.carrier.remember(*step)
+        return memory if self.carrier is None else self.carrier.remember(memory, *step)
 
     @property
     def ended(self) -> BoolArray:
@@ -516,13 +516,12 @@ class EpisodeBatch:
             self.memory[own] = moved
         return pairs
 
-    def remember(
-        self, episodes: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
-    ) -> None:
+    def remember(self, episodes: IntArray, *step: *Step) -> None:
         """Move the policies' memories of the given episodes."""
+        pairs, successors, costs = step
         for member, mine in self.shares(episodes):
-            kept, step = self.memory[episodes[mine]], (pairs[mine], successors[mine], costs[mine])
-            self.memory[episodes[mine]] = member.remember(kept, *step)
+            own, taken = episodes[mine], (pairs[mine], successors[mine], costs[mine])
+            self.memory[own] = member.remember(self.memory[own], *taken)
 
     def shares(self, episodes: IntArray) -> Iterator[tuple[Policy, IntArray]]:
         """Each member with the positions of the episodes that it plays."""

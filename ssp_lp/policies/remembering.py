@@ -15,7 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.arrays import BoolArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained, explained_class
@@ -29,6 +29,7 @@ from ssp_lp.policies.policy import (
     DeterministicPolicy,
     MixedPolicy,
     Policy,
+    Step,
     as_lottery,
     check_costs,
     check_decisions,
@@ -134,12 +135,10 @@ class TimedPolicy(_Carried):
             parts.append(own._replace(memory=self.joined(own.kept(inner), number)))
         return merged(memory, *parts)
 
-    def remember(
-        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
-    ) -> IntArray:
+    def remember(self, memory: IntArray, *step: *Step) -> IntArray:
         """Move the memory that the timed policy's stages share, and go on to the next stage."""
         inner, stage = self.split(memory)
-        moved = self.inner.remember(inner, pairs, successors, costs)
+        moved = self.inner.remember(inner, *step)
         return self.joined(moved, np.minimum(stage + 1, len(self.stages) - 1))
 
     def __repr__(self) -> str:
@@ -208,12 +207,9 @@ class JointMemory(Policy):
         own = (mine or [self.decider.start_memory(states)])[0]
         return self.decider.branches(states, own)._replace(memory=None)
 
-    def remember(
-        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
-    ) -> IntArray:
+    def remember(self, memory: IntArray, *step: *Step) -> IntArray:
         """Move each keeper's part of a joint memory."""
         parts = zip(self.keepers, np.unravel_index(memory, self._sizes), strict=True)
-        step = pairs, successors, costs
         moved: list[IntArray] = [keeper.remember(part, *step) for keeper, part in parts]
         return np.asarray(np.ravel_multi_index(moved, self._sizes))
 
@@ -306,15 +302,14 @@ class RememberingPolicy(_Carried):
         kept = None if moved is None else self.joined(moved, number[inside.situation])
         return Branches(inside.situation, pair, inside.probability, kept)
 
-    def remember(
-        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
-    ) -> IntArray:
+    def remember(self, memory: IntArray, *step: *Step) -> IntArray:
         """Update the remembered memory with each step, and the inner policy's, [episodes].
 
         Raises:
             ModelError: a cost is negative or not finite, or a step leads to a memory that the
                 product does not have.
         """
+        pairs, successors, costs = step
         check_costs(costs)
         product, (inner, begun) = self.product, self.split(memory)
         taken = product.placed(product.at(self.model.pair_state[pairs], begun), pairs)
@@ -386,13 +381,12 @@ class LabelledPolicy(_Carried):
         kept = memory[situation] + quits * (_Label.GIVING_UP - _Label.BEFORE)
         return Branches(situation, acting, chance / total[situation], kept)
 
-    def remember(
-        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
-    ) -> IntArray:
+    def remember(self, memory: IntArray, *step: *Step) -> IntArray:
         """Move the remembered label of failing, and the inner policy's memory, [episodes].
 
         What is paid after failing is none of the inner policy's costs.
         """
+        pairs, successors, costs = step
         product, (inner, label) = self.product, self.split(memory)
         here = self.model.pair_state[pairs] + product.n_original * (label == _Label.AFTER)
         taking = label == _Label.GIVING_UP
@@ -482,16 +476,15 @@ class CompletePolicy(_Carried):
         planned = Branches(found.situation, pair, found.probability, kept)
         return merged(memory, planned, Branches(silent, rest, np.ones(silent.size)))
 
-    def remember(
-        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
-    ) -> IntArray:
+    def remember(self, memory: IntArray, *step: *Step) -> IntArray:
         """The inner policy's, as long as it has something to say, [episodes]."""
+        pairs, _, costs = step
         check_costs(costs)
         inner, alone = self.split(memory)
         ended = self.inner.ended[self.model.pair_state[pairs]]
         moved, going = np.where(ended, 3 * inner + 1, memory), np.flatnonzero((alone == 0) & ~ended)
-        step = pairs[going], successors[going], costs[going]
-        moved[going] = 3 * self.inner.remember(inner[going], *step)
+        own = pairs[going], step[1][going], costs[going]
+        moved[going] = 3 * self.inner.remember(inner[going], *own)
         return np.asarray(moved)
 
     def __repr__(self) -> str:
