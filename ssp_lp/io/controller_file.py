@@ -117,7 +117,6 @@ def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[st
                 "inner": _controller_memory(inner, _labelled_codes(product, codes)),
             }
         case policies.CostAwarePolicy():
-            table = policy.tail_table
             return {
                 "kind": "layers",
                 "unit": float(policy.unit),
@@ -128,7 +127,6 @@ def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[st
                     max(layer, 0.0) if layer < np.inf else None
                     for layer in policy.tail_threshold.tolist()
                 ],
-                "table": None if table is None else table.tolist(),
                 "levels": None if policy.levels is None else policy.levels.tolist(),
                 "acting": (policy.tails[0] != UNDECIDED).astype(np.int64).tolist(),
             }

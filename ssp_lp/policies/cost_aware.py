@@ -36,7 +36,7 @@ class CostAwarePolicy(Policy):
     Costs are counted in layers of ``unit``. Memory below ``cap`` is the layer. At the cap the
     policy switches for good to one of its stationary tails: to the last one (which fails where it
     can, the paper's pi'_or of section 3.5) where the layer has reached ``tail_threshold`` of the
-    state, else to the first, or as ``tail_table`` says; memory is then ``cap + tail``.
+    state, else to the first; memory is then ``cap + tail``.
 
     Where it ``rounds_up`` a step passes the next whole number of layers: the cost paid is at most
     what the memory says, so that a law of rounded costs overstates no success.
@@ -55,13 +55,12 @@ class CostAwarePolicy(Policy):
     decision: IntArray  # [cap, states] position in the state's pairs, GIVE_UP_CODE or UNDECIDED
     tails: IntArray  # [tails, states] pair, GIVE_UP_CODE or UNDECIDED
     tail_threshold: FloatArray  # [states] layer from which the last tail is followed
-    tail_table: IntArray | None = None  # [layers from the cap on, states] tail, for any other rule
     levels: FloatArray | None = None  # [cap + 1] totals, the first of which is 0; None: multiples
     rounds_up: bool = False  # costs that are no whole number of layers
 
     def __post_init__(self) -> None:
         check_flag("rounds_up", self.rounds_up)
-        self.keep_read_only("decision", "tails", "tail_threshold", "tail_table")
+        self.keep_read_only("decision", "tails", "tail_threshold")
         self.keep_read_only("levels", dtype=np.float64)
         if self.levels is not None:
             rising = len(self.levels) > 1 and bool((np.diff(self.levels) > 0.0).all())
@@ -91,10 +90,9 @@ class CostAwarePolicy(Policy):
     @property
     def meaning(self) -> tuple[object, ...]:
         """The layers, and the rule by which tails are chosen."""
-        rule = self.tail_threshold if self.tail_table is None else self.tail_table
         levels = b"" if self.levels is None else self.levels.tobytes()
         kept = self.cap, self.unit, self.rounds_up, len(self.tails)
-        return *kept, rule.tobytes(), levels
+        return *kept, self.tail_threshold.tobytes(), levels
 
     @property
     def remembers(self) -> str:
@@ -181,10 +179,8 @@ class CostAwarePolicy(Policy):
         """The cost-aware policy by level of cost; beyond the last a layer for each tail.
 
         Steps that only end episodes lead to the next layer, where that makes no difference. None
-        where the layers beyond are too many, or tails are chosen by a table.
+        where the layers beyond are too many.
         """
-        if self.tail_table is not None:
-            return None
         cap, costs, last = self.cap, np.unique(self.model.costs), len(self.tails) - 1
         goes_on, paid = self.tails[0] != UNDECIDED, [np.zeros(0)]
         for some in chunks(self.model.n_outcomes):
@@ -240,12 +236,7 @@ class CostAwarePolicy(Policy):
 
     def _memory_at(self, layer: IntArray, states: IntArray) -> IntArray:
         """The memory of a cost-aware policy at a layer, or of its tail."""
-        last = len(self.tails) - 1
-        if self.tail_table is None:
-            tail = np.where(layer >= self.tail_threshold[states], last, 0)
-        else:
-            beyond = np.clip(layer - self.cap, 0, len(self.tail_table) - 1)
-            tail = self.tail_table[beyond, states].astype(np.int64)
+        tail = np.where(layer >= self.tail_threshold[states], len(self.tails) - 1, 0)
         return np.where(layer < self.cap, layer, self.cap + tail)
 
     def __repr__(self) -> str:
