@@ -108,7 +108,7 @@ class CostAwarePolicy(Policy):
     def start_memory(self, states: IntArray) -> IntArray:
         """The cost-aware policy's memory at the start: layer 0, [episodes]."""
         nothing = np.zeros(len(states), dtype=np.int64)
-        return nothing if self.levels is not None else self._memory_at(nothing, states)
+        return self._memory_at(nothing, self.tail_threshold[states] <= 0.0)
 
     def layers(self) -> CostLayers | None:
         """The cost-aware policy by layer; None: a cost is no whole number of them, or too large."""
@@ -121,11 +121,11 @@ class CostAwarePolicy(Policy):
             return None
         if self.rounds_up and steps.max(initial=0.0) * self.model.n_states > _MOST_PASSED:
             return None
-        passed, states = steps.astype(np.int64), np.arange(self.model.n_states)
+        passed = steps.astype(np.int64)
         return CostLayers(
             decision=self.decision,
             tails=self.tails,
-            tail_at=lambda layer: self._memory_at(np.full(len(states), layer), states) - self.cap,
+            tail_at=lambda layer: np.where(layer >= self.tail_threshold, len(self.tails) - 1, 0),
             costs=costs,
             leads=lambda layer: passed,
             unit=self.unit,
@@ -152,20 +152,20 @@ class CostAwarePolicy(Policy):
         """
         _, successors, costs = step
         check_costs(costs)
-        cap, acting = self.cap, (self.tails[0, successors] != UNDECIDED) & (memory < self.cap)
+        cap, threshold = self.cap, self.tail_threshold[successors]
+        acting = (self.tails[0, successors] != UNDECIDED) & (memory < cap)
         if self.levels is not None:
             total = self.levels[np.minimum(memory, cap)] + costs
-            nearest = _nearest_cost_level(self.levels, total)
-            late = total >= self.tail_threshold[successors]
-            tail = cap + np.where(late, len(self.tails) - 1, 0)
-            return np.where(acting, np.where(nearest < cap, nearest, tail), memory)
-        steps, off = self._passed(np.asarray(costs / self.unit))
-        off = acting & (off | (steps > _FAR))
-        if off.any():
-            cost = float(costs[int(np.argmax(off))])
-            raise ModelError(f"observed cost {cost!r} is no whole number of units {self.unit!r}")
-        layer = memory + np.where(acting, steps, 0.0).astype(np.int64)
-        return np.where(acting, self._memory_at(layer, successors), memory)
+            layer, is_late = _nearest_cost_level(self.levels, total), total >= threshold
+        else:
+            steps, off = self._passed(np.asarray(costs / self.unit))
+            off = acting & (off | (steps > _FAR))
+            if off.any():
+                unit, cost = self.unit, float(costs[int(np.argmax(off))])
+                raise ModelError(f"observed cost {cost!r} is no whole number of units {unit!r}")
+            layer = memory + np.where(acting, steps, 0.0).astype(np.int64)
+            is_late = layer >= threshold
+        return np.where(acting, self._memory_at(layer, is_late), memory)
 
     def _passed(self, units: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Whole layers of the cost-aware policy that costs pass, and which have none."""
@@ -234,9 +234,9 @@ class CostAwarePolicy(Policy):
         is_apart = np.append(True, upto[1:] != below[:-1])
         return np.asarray(edges[is_apart[: len(edges)]])
 
-    def _memory_at(self, layer: IntArray, states: IntArray) -> IntArray:
-        """The memory of a cost-aware policy at a layer, or of its tail."""
-        tail = np.where(layer >= self.tail_threshold[states], len(self.tails) - 1, 0)
+    def _memory_at(self, layer: IntArray, is_late: BoolArray) -> IntArray:
+        """The memory of a cost-aware policy at a layer, or of its tail, the last one if late."""
+        tail = np.where(is_late, len(self.tails) - 1, 0)
         return np.where(layer < self.cap, layer, self.cap + tail)
 
     def __repr__(self) -> str:
