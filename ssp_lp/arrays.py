@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from copy import copy
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -166,7 +166,7 @@ def segment_ids(offsets: IntArray) -> npt.NDArray[np.int32]:
     return np.arange(len(offsets) - 1, dtype=np.int32).repeat(offsets[1:] - offsets[:-1])
 
 
-def drawn_entries(
+def drawn_in_segments(
     sums: FloatArray, begins: IntArray, ends: IntArray, rng: np.random.Generator
 ) -> IntArray:
     """Draw an entry of each segment of an array with its share of the segment's sum, [segments].
@@ -252,15 +252,6 @@ CHUNK = 1 << 22
 """Entries that are worked on at a time: scratch arrays of some 32 MB."""
 
 
-class _Piece(NamedTuple):
-    """Some segments in a row of a segmented array, and their entries."""
-
-    segments: slice
-    entries: slice
-    firsts: IntArray  # [segments] where each begins, counted from the piece's first entry
-    lengths: IntArray  # [segments]
-
-
 def chunks(length: int) -> Iterator[slice]:
     """Slices of at most ``CHUNK`` entries that cover ``0 .. length - 1`` in turn."""
     for begin in range(0, length, CHUNK):
@@ -280,11 +271,3 @@ def segment_chunks(offsets: IntArray) -> Iterator[slice]:
         end = min(max(last, begin + 1), n_segments)
         yield slice(begin, end)
         begin = end
-
-
-def pieces_of_chunks(offsets: IntArray) -> Iterator[_Piece]:
-    """Chunks of an array's segments, with what is needed to work on their entries."""
-    for segments in segment_chunks(offsets):
-        ends = offsets[segments.start : segments.stop + 1]
-        entries = slice(int(ends[0]), int(ends[-1]))
-        yield _Piece(segments, entries, ends[:-1] - ends[0], np.diff(ends))

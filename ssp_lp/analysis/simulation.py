@@ -21,7 +21,7 @@ from ssp_lp.arrays import (
     FloatArray,
     IntArray,
     ReadOnlyCopies,
-    drawn_entries,
+    drawn_in_segments,
     read_only,
     segment_ids,
     segment_minima,
@@ -193,7 +193,7 @@ class ModelSimulator:
     def step(self, world: World, pair: IntArray, rng: np.random.Generator) -> Moved:
         """Simulate one outcome of each pair by inversion."""
         model, offsets = self.model, self.model.outcome_offsets
-        outcome = drawn_entries(self._sums, offsets[pair], offsets[pair + 1], rng)
+        outcome = drawn_in_segments(self._sums, offsets[pair], offsets[pair + 1], rng)
         successor = model.successors[outcome].astype(np.int64)
         return successor, successor, model.costs[outcome]
 

@@ -41,7 +41,6 @@ from ssp_lp.arrays import (
     ReadOnlyCopies,
     entries_of,
     offsets_of,
-    read_only,
 )
 from ssp_lp.cargo import Cargo
 from ssp_lp.distributed.dynamics import PartitionedDynamics, PartitionedSystem
@@ -102,8 +101,8 @@ class PartitionedPolicy(ReadOnlyCopies):
     unit: float = 1.0  # cost of a layer
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "weights", read_only(self.weights, np.float64))
-        object.__setattr__(self, "positions", read_only(self.positions))
+        self.keep_read_only("weights", dtype=np.float64)
+        self.keep_read_only("positions")
 
     def check(self) -> None:
         """Check this rank's part of the partitioned policy.

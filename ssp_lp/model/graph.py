@@ -23,7 +23,6 @@ from ssp_lp.arrays import (
     entries_of,
     narrow,
     offsets_of,
-    pieces_of_chunks,
     read_only,
     segment_chunks,
     segment_ids,
@@ -108,15 +107,13 @@ def possible_steps(
         For each pair the end of its entries, after a leading 0, [pairs + 1]; and the successors,
         [entries].
     """
+    check_time()
     kept = probabilities > 0
     if chosen is not None:
         kept &= np.repeat(chosen, np.diff(outcome_offsets))
-    check_time()
     if kept.all():
         return np.asarray(outcome_offsets), successors
-    ends = offsets_of(kept.view(np.int8))[outcome_offsets]
-    check_time()
-    return ends, successors[kept]
+    return offsets_of(kept.view(np.int8))[outcome_offsets], successors[kept]
 
 
 def kept(find: Callable[[SSP], Fact]) -> Callable[[SSP], Fact]:
@@ -228,29 +225,24 @@ def pairs_into(model: Graph, states: BoolArray) -> BoolArray:
     Args:
         states: [states].
     """
-    return _with_outcomes(model, lambda places, pairs, lengths: states[model.successors[places]])
+    return _with_outcomes(model, states[model.successors])
 
 
-def _with_outcomes(
-    model: Graph, wanted: Callable[[slice, slice, IntArray], BoolArray]
-) -> BoolArray:
-    """Pairs of the graph with a wanted outcome of positive probability, [pairs].
+def _with_outcomes(model: Graph, marked: BoolArray) -> BoolArray:
+    """Pairs of the graph with a marked outcome of positive probability, [pairs].
 
     Args:
         model: the graph.
-        wanted: whether outcomes are, given their places, those of their pairs, and how many each
-            of these has, [outcomes].
+        marked: [outcomes].
     """
-    marked = np.zeros(model.n_pairs, dtype=np.bool_)
-    for piece in pieces_of_chunks(model.outcome_offsets):
-        check_time()
-        filled = np.flatnonzero(piece.lengths)  # a pair of a process may have no outcome but an end
-        if filled.size:
-            possible = wanted(piece.entries, piece.segments, piece.lengths)
-            possible &= model.probabilities[piece.entries] > 0
-            some = np.logical_or.reduceat(possible, piece.firsts[filled])
-            marked[piece.segments.start + filled] = some
-    return marked
+    check_time()
+    having = np.zeros(model.n_pairs, dtype=np.bool_)
+    # a pair of a process may have no outcome but an end
+    filled = (model.outcome_offsets[1:] > model.outcome_offsets[:-1]).nonzero()[0]
+    if filled.size:
+        possible = marked & (model.probabilities > 0)
+        having[filled] = np.logical_or.reduceat(possible, model.outcome_offsets[filled])
+    return having
 
 
 def attention_pairs(model: SSP, attention: BoolArray) -> BoolArray:
@@ -491,12 +483,8 @@ def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArra
         )[1]
         _, first, back = np.unique(strong, return_index=True, return_inverse=True)
         label[pending] = first[back[pending]]
-        crossing = _with_outcomes(
-            model,
-            lambda places, pairs, lengths: (
-                label[model.successors[places]] != label[model.pair_state[pairs]].repeat(lengths)
-            ),
-        )
+        here = label[model.pair_state].repeat(np.diff(model.outcome_offsets))
+        crossing = _with_outcomes(model, label[model.successors] != here)
         leaving = (links & crossing).nonzero()[0]
         torn = np.zeros_like(pending)
         torn[label[model.pair_state[leaving]]] = True

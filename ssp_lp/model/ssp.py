@@ -28,9 +28,8 @@ from ssp_lp.arrays import (
     FloatArray,
     IntArray,
     ReadOnlyCopies,
-    chunks,
-    pieces_of_chunks,
     read_only,
+    segment_sums,
 )
 from ssp_lp.errors import Argument, ModelError, ModelWarning, check_whole, did_you_mean, in_short
 from ssp_lp.model.arguments import explained
@@ -410,8 +409,8 @@ class SSP(Graph, ReadOnlyCopies):
             state_labels={},
             exact_costs=dict(exact_costs or {}),
         )
-        refused = "has a successor that is no state"
-        _refuse_outcomes(draft, target, lambda s: (s < 0) | (s >= n_states), refused)
+        strange = (target < 0) | (target >= n_states)
+        _refuse_outcomes(draft, strange, "has a successor that is no state")
         _check_numbers(draft, chance, "probability")
         _check_costs(draft, draft.costs)
         named = {name: _costs_of_outcomes(c, outcomes) for name, c in (named_costs or {}).items()}
@@ -840,20 +839,15 @@ def _check_costs(model: SSP, costs: FloatArray, name: str = "") -> None:
 
 def _check_numbers(model: SSP, numbers: FloatArray, what: str, remedy: str = "") -> None:
     """Raise :class:`ModelError` for a number of a model's outcome that is not finite and >= 0."""
-    _refuse_outcomes(model, numbers, np.isnan, f"has a {what} that is NaN")
-    _refuse_outcomes(model, numbers, lambda x: x < 0, f"has a negative {what}{remedy}")
-    _refuse_outcomes(model, numbers, np.isinf, f"has an infinite {what}")
+    _refuse_outcomes(model, np.isnan(numbers), f"has a {what} that is NaN")
+    _refuse_outcomes(model, numbers < 0, f"has a negative {what}{remedy}")
+    _refuse_outcomes(model, np.isinf(numbers), f"has an infinite {what}")
 
 
-def _refuse_outcomes(
-    model: SSP, values: npt.NDArray[Any], is_broken: Callable[[Any], BoolArray], complaint: str
-) -> None:
+def _refuse_outcomes(model: SSP, broken: BoolArray, complaint: str) -> None:
     """Raise :class:`ModelError` for the first outcome of a model whose value is broken."""
-    for some in chunks(values.size):
-        broken = is_broken(values[some])
-        if broken.any():
-            outcome = some.start + int(np.argmax(broken))
-            raise ModelError(f"{model._describe_outcome(outcome)} {complaint}")
+    if broken.any():
+        raise ModelError(f"{model._describe_outcome(int(np.argmax(broken)))} {complaint}")
 
 
 def _with_unit_sums(model: SSP, normalise: bool) -> FloatArray:
@@ -870,9 +864,7 @@ def _with_unit_sums(model: SSP, normalise: bool) -> FloatArray:
     empty = offsets[1:] == offsets[:-1]
     if empty.any():
         raise ModelError(f"{model.describe_pair(int(np.argmax(empty)))} has no outcomes")
-    sums = np.empty(empty.size)
-    for piece in pieces_of_chunks(offsets):
-        sums[piece.segments] = np.add.reduceat(chances[piece.entries], piece.firsts)
+    sums = segment_sums(chances, offsets)
     off = np.abs(sums - 1.0)
     wrong = off > (SINGLE_PRECISION_SUM if normalise else PROBABILITY_SUM)
     if wrong.any():
@@ -883,11 +875,7 @@ def _with_unit_sums(model: SSP, normalise: bool) -> FloatArray:
         raise ModelError(complaint)
     if np.all(sums == 1.0):
         return chances
-    shared = np.empty_like(chances)
-    for piece in pieces_of_chunks(offsets):
-        by = np.repeat(sums[piece.segments], piece.lengths)
-        np.divide(chances[piece.entries], by, out=shared[piece.entries])
-    return read_only(shared)
+    return read_only(chances / np.repeat(sums, np.diff(offsets)))
 
 
 def _indices(name: str, indices: npt.ArrayLike) -> IntArray:
@@ -1045,12 +1033,10 @@ def _action_table(
     """Distinct action labels of a model and, per pair, the position of its label."""
     n_pairs = int(pair_offsets[-1])
     if actions is None:
-        most = int(np.diff(pair_offsets).max(initial=0))
-        position = np.empty(n_pairs, dtype=np.min_scalar_type(most))
-        for piece in pieces_of_chunks(pair_offsets):
-            first = np.repeat(piece.firsts, piece.lengths)
-            position[piece.entries] = np.arange(first.size) - first
-        return range(most), position
+        counts = np.diff(pair_offsets)
+        most = int(counts.max(initial=0))
+        position = np.arange(n_pairs) - np.repeat(pair_offsets[:-1], counts)
+        return range(most), position.astype(np.min_scalar_type(most))
     if len(actions) != n_pairs:
         raise ModelError(f"{len(actions)} action labels given for {n_pairs} pairs")
     table = {action: k for k, action in enumerate(dict.fromkeys(actions))}

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray, IntArray, chunks
+from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray, IntArray
 from ssp_lp.errors import ModelError, check_flag, is_number, wrong_argument
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained_class
@@ -182,10 +182,8 @@ class CostAwarePolicy(Policy):
         where the layers beyond are too many.
         """
         cap, costs, last = self.cap, np.unique(self.model.costs), len(self.tails) - 1
-        goes_on, paid = self.tails[0] != UNDECIDED, [np.zeros(0)]
-        for some in chunks(self.model.n_outcomes):
-            paid.append(np.unique(self.model.costs[some][goes_on[self.model.successors[some]]]))
-        moving = np.isin(costs, np.concatenate(paid))  # after which an episode may go on
+        goes_on = (self.tails[0] != UNDECIDED)[self.model.successors]
+        moving = np.isin(costs, self.model.costs[goes_on])  # after which an episode may go on
         edges = self._told_apart(levels, costs[moving])
         if len(edges) * self.model.n_states > _MOST_BEYOND:
             return None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import enum
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, Literal, NamedTuple, get_args
@@ -20,7 +20,7 @@ from ssp_lp.arrays import (
     FloatArray,
     IntArray,
     ReadOnlyCopies,
-    drawn_entries,
+    drawn_in_segments,
     entries_of,
     offsets_of,
     segment_sums,
@@ -359,7 +359,7 @@ class Policy(Playable):
                 raise ModelError("a stochastic policy needs a seed or a generator: start(0)")
             offsets = np.searchsorted(branches.situation, np.arange(len(states) + 1))
             sums = np.append(0.0, np.cumsum(branches.probability))
-            drawn = drawn_entries(sums, offsets[:-1], offsets[1:], rng)
+            drawn = drawn_in_segments(sums, offsets[:-1], offsets[1:], rng)
         self.check_decided(branches.pair[drawn], states)
         return branches.pair[drawn], branches.kept(memory)[drawn]
 
@@ -370,12 +370,14 @@ class Policy(Playable):
             raise ModelError(f"the policy has no decision in state {state!r}")
 
 
-def check_policies(policies: Iterable[object]) -> None:
-    """Raise :class:`ModelError` unless all arguments are policies; a solution has one."""
+def check_policies(policies: Sequence[Any], parts: str) -> None:
+    """Raise :class:`ModelError` unless all parts are policies on one model; a solution has one."""
     for one in policies:
         if not isinstance(one, Policy):
             hint = "; pass solution.policy" if hasattr(one, "policy") else ""
             raise ModelError(f"a policy is needed, not {in_short(one)}{hint}")
+        if one.model is not policies[0].model:
+            raise ModelError(f"the {parts} must act on one model")
 
 
 def check_costs(costs: FloatArray | float) -> None:
@@ -802,14 +804,12 @@ class MixedPolicy(Playable):
     def __post_init__(self) -> None:
         object.__setattr__(self, "policies", tuple(self.policies))
         self.keep_read_only("weights", dtype=np.float64)
-        check_policies(self.policies)
+        check_policies(self.policies, "members of a mixed policy")
         if not self.policies or self.weights.shape != (len(self.policies),):
             raise ModelError("a mixed policy needs one weight for each of its policies")
         weights = self.weights.tolist()
         if not (min(weights) >= 0.0 and abs(sum(weights) - 1.0) <= 1e-9):
             raise ModelError(f"weights must form a distribution, not {weights}")
-        if any(p.model is not self.model for p in self.policies):
-            raise ModelError("the members of a mixed policy must act on one model")
 
     @property
     def model(self) -> SSP:

@@ -97,9 +97,7 @@ class TimedPolicy(_Carried):
         object.__setattr__(self, "stages", tuple(self.stages))
         if not self.stages:
             raise ModelError("a timed policy needs at least one stage")
-        check_policies(self.stages)
-        if any(p.model is not self.stages[0].model for p in self.stages):
-            raise ModelError("the stages of a timed policy must act on one model")
+        check_policies(self.stages, "stages of a timed policy")
 
     @property
     def inner(self) -> Policy:  # type: ignore[override]
