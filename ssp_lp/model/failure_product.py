@@ -9,7 +9,6 @@ its actions and the same actions with giving up, as far as these avoid the goal.
 
 from __future__ import annotations
 
-from collections.abc import Hashable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final
@@ -129,13 +128,6 @@ class FailureSSP(ProductSSP):
     def staying_after(self) -> IntArray:
         """Pairs of the original that may stay for ever after failing, [pairs]."""
         return self.original_pair[self._staying & self.after[self.pair_state]]
-
-    def having(self, states: IntArray, action: Hashable) -> IntArray:
-        """States of the failure product with an action; all of them where none has it."""
-        number = [name == action for name in self.action_names]
-        pairs = np.asarray(number, dtype=np.bool_)[self.pair_action].nonzero()[0]
-        acting = states[np.isin(states, self.pair_state[pairs])]
-        return acting if acting.size else states
 
     def placed(self, states: IntArray, pairs: IntArray) -> IntArray:
         """Pairs of the failure product that are the original's, -1 where there is none, [entries].

@@ -16,6 +16,7 @@ import scipy.sparse as sp
 from ssp_lp.accumulated_cost.process import AccumulatedCost, spread_layer
 from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.policies.cost_aware import CostAwarePolicy
@@ -157,18 +158,22 @@ class Augmented(ABC):
 
         Args:
             states: of the model.
-            action: an action that each of them has, ``GIVE_UP``, ``STAY``, or None for all.
+            action: an action that one of them has, ``GIVE_UP``, ``STAY``, or None for all.
+
+        Raises:
+            ModelError: none has the action.
         """
         quotient, live = self.quotient, states[self.quotient.node_of[states] >= 0]
         inner = np.isin(quotient.pair_node, quotient.node_of[live])
         if action is GIVE_UP or action == STAY:
             inner &= quotient.gives_up
         elif action is not None:
-            acts = np.diff(self.model.pair_offsets)[states] > 0  # none has a copy out of time
-            acting = states[acts] if isinstance(self.model, ProductSSP) else states
-            if (label := self.model.failure_label) is not None:  # some are not there after failing
-                acting = label.having(acting, action)
-            taken = [self.model.pair_of(state, action) for state in acting]
+            model = self.model
+            named = np.array([name == action for name in model.action_names], dtype=np.bool_)
+            taken = np.flatnonzero(np.isin(model.pair_state, states) & named[model.pair_action])
+            acts = np.diff(model.pair_offsets)[states] > 0  # no copy that is out of time does
+            if not taken.size and (acts.any() or not isinstance(model, ProductSSP)):
+                raise ModelError(model.no_such_action(int(states[np.argmax(acts)]), action))
             inner &= np.isin(quotient.pair_at, taken)
         return np.flatnonzero(self._of_copies(inner))
 

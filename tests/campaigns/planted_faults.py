@@ -158,8 +158,8 @@ FAULTS = (
     Fault(
         "policy: at its threshold the first tail is still followed",
         "ssp_lp/policies/cost_aware.py",
-        "late = total >= self.tail_threshold[successors]",
-        "late = total > self.tail_threshold[successors]",
+        "layer, is_late = _nearest_cost_level(self.levels, total), total >= threshold",
+        "layer, is_late = _nearest_cost_level(self.levels, total), total > threshold",
         "tests/io/test_controller.py",
     ),
     Fault(
