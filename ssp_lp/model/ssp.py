@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
-from itertools import zip_longest
+from itertools import compress, zip_longest
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Self, cast
 
@@ -145,7 +145,7 @@ class SSP(Graph, ReadOnlyCopies):
             if nearest := did_you_mean(state, (s for s in flat.states if s not in goals)):
                 raise ModelError(f"no action leads to the goal {state!r}{nearest}")
         if dead_ends is None:
-            _warn_of_misspelled(flat.states[n_listed:], flat.states[:n_listed])
+            _warn_of_misspelled(flat.states, np.arange(len(flat.states)) >= n_listed)
         return cls.from_arrays(
             **flat.arrays,
             state_labels=state_labels,
@@ -212,8 +212,9 @@ class SSP(Graph, ReadOnlyCopies):
                 progress(count)
         _EXPLORING.info("%d states found", len(flat.states))
         if dead_ends is None:
-            idle = flat.idle()
-            _warn_of_misspelled(idle, (s for s in flat.states if s not in idle))
+            idle = np.diff(flat.arrays["pair_offsets"]) == 0
+            idle[flat.arrays["goal_states"]] = False
+            _warn_of_misspelled(flat.states, idle)
         return cls.from_arrays(
             **flat.arrays,
             state_labels=state_labels,
@@ -706,15 +707,6 @@ class _FlatModel:
             flat["goal_states"].append(len(flat["pair_offsets"]) - 1)
         flat["pair_offsets"].append(len(flat["actions"]))
 
-    def idle(self) -> set[Hashable]:
-        """States without actions that are not goals."""
-        offsets, goals = self.arrays["pair_offsets"], set(self.arrays["goal_states"])
-        return {
-            state
-            for place, state in enumerate(self.states)
-            if offsets[place] == offsets[place + 1] and place not in goals
-        }
-
     def _paid(self, cost: Any, state: Hashable, action: Hashable) -> float:
         """A cost as a float; a fraction is remembered."""
         paid = _number(cost, "cost", state, action)
@@ -936,7 +928,7 @@ def _check_idle_states(model: SSP, dead_ends: DeadEnds | None, *, accept: bool) 
     if idle.any():
         place = int(np.argmax(idle))
         state, entering = model.states[place], np.flatnonzero(model.successors == place)
-        others = (s for s, i in zip(model.states, idle, strict=True) if not i)
+        others = compress(model.states, ~idle)
         words = map(model._describe_outcome, entering[:1].tolist())
         led = "".join(f", where {outcome} leads," for outcome in words)
         nearest = did_you_mean(state, others) or "; list all dead-ends, dead_ends={...}"
@@ -969,18 +961,18 @@ def _dead_end_members(model: SSP, dead_ends: DeadEnds) -> IntArray:
     return np.array(places, dtype=np.int64)
 
 
-def _warn_of_misspelled(idle: Iterable[Any], names: Iterable[Any]) -> None:
+def _warn_of_misspelled(states: Sequence[Any], idle: BoolArray) -> None:
     """Warn if the name of a state without actions resembles the name of another state.
 
     Two names resemble each other if they become equal when one letter is left out of each, as a
     transposed, a missing or a wrong letter makes them; names that differ in digits do not.
 
     Args:
-        idle: names of states without actions that nobody has listed.
-        names: names of the other states.
+        states: names of the states.
+        idle: those without actions that nobody has listed, [states].
     """
-    known = {part: name for name in idle for part in _with_a_letter_less(name)}
-    for other in names if known else ():
+    known = {part: name for name in compress(states, idle) for part in _with_a_letter_less(name)}
+    for other in compress(states, ~idle) if known else ():
         near = next((known[part] for part in _with_a_letter_less(other) if part in known), None)
         if near is not None and near.translate(_NO_DIGITS) != other.translate(_NO_DIGITS):
             warnings.warn(
