@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from copy import copy
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -89,6 +89,12 @@ def read_only(array: npt.ArrayLike, dtype: npt.DTypeLike | None = None) -> npt.N
 class ReadOnlyCopies:
     """Mix-in of values whose arrays stay read-only in copies and pickles; numpy's own do not."""
 
+    def keep_read_only(self, *names: str, dtype: npt.DTypeLike | None = None) -> None:
+        """Make fields read-only arrays, where they are not None, while the value is made."""
+        for name in names:
+            if (array := vars(self)[name]) is not None:
+                object.__setattr__(self, name, read_only(array, dtype))
+
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take over what a copy is made of."""
         kept = {k: read_only(v) if isinstance(v, np.ndarray) else v for k, v in state.items()}
@@ -158,6 +164,21 @@ def sorted_unique(values: IntArray) -> IntArray:
 def segment_ids(offsets: IntArray) -> npt.NDArray[np.int32]:
     """The segment ``offsets[k] : offsets[k + 1]`` that each entry lies in, [entries]."""
     return np.arange(len(offsets) - 1, dtype=np.int32).repeat(offsets[1:] - offsets[:-1])
+
+
+def drawn_in_segments(
+    sums: FloatArray, begins: IntArray, ends: IntArray, rng: np.random.Generator
+) -> IntArray:
+    """Draw an entry of each segment of an array with its share of the segment's sum, [segments].
+
+    Args:
+        sums: running sums of the array's entries, after a leading 0, [entries + 1].
+        begins: where each segment begins, [segments].
+        ends: where it ends, [segments].
+        rng: draws a number for each segment.
+    """
+    level = sums[begins] + rng.random(len(begins)) * (sums[ends] - sums[begins])
+    return np.clip(np.searchsorted(sums[1:], level, side="right"), begins, ends - 1)
 
 
 def segment_sums(values: FloatArray, offsets: IntArray) -> FloatArray:
@@ -231,15 +252,6 @@ CHUNK = 1 << 22
 """Entries that are worked on at a time: scratch arrays of some 32 MB."""
 
 
-class _Piece(NamedTuple):
-    """Some segments in a row of a segmented array, and their entries."""
-
-    segments: slice
-    entries: slice
-    firsts: IntArray  # [segments] where each begins, counted from the piece's first entry
-    lengths: IntArray  # [segments]
-
-
 def chunks(length: int) -> Iterator[slice]:
     """Slices of at most ``CHUNK`` entries that cover ``0 .. length - 1`` in turn."""
     for begin in range(0, length, CHUNK):
@@ -259,12 +271,3 @@ def segment_chunks(offsets: IntArray) -> Iterator[slice]:
         end = min(max(last, begin + 1), n_segments)
         yield slice(begin, end)
         begin = end
-
-
-def pieces_of_chunks(offsets: IntArray) -> Iterator[_Piece]:
-    """Chunks of an array's segments, with what is needed to work on their entries."""
-    for segments in segment_chunks(offsets):
-        ends = offsets[segments.start : segments.stop + 1]
-        yield _Piece(
-            segments, slice(int(ends[0]), int(ends[-1])), ends[:-1] - ends[0], np.diff(ends)
-        )

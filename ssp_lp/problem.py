@@ -13,7 +13,7 @@ import numpy as np
 
 from ssp_lp.accumulated_cost.charges import TOTAL_COST, ExponentialUtility
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, Resolution, resolution_for, sums_in
-from ssp_lp.arrays import FloatArray, IntArray, ReadOnlyCopies
+from ssp_lp.arrays import IntArray, ReadOnlyCopies
 from ssp_lp.column_generation.compiled_problem import (
     CompiledArrivalCost,
     CompiledExplicit,
@@ -23,7 +23,7 @@ from ssp_lp.compiled.deadline import READING, is_within_call, limited
 from ssp_lp.errors import InfeasibleError, ModelError, in_short, is_number, wrong_argument
 from ssp_lp.model import SSP
 from ssp_lp.model.product import ProductSSP, check_product
-from ssp_lp.policies.policy import GIVE_UP_CODE, Branches, MixedPolicy, Policy, as_lottery
+from ssp_lp.policies.policy import GIVE_UP_CODE, Branches, MixedPolicy, Policy, Step, as_lottery
 from ssp_lp.policies.remembering import (
     CompletePolicy,
     LabelledPolicy,
@@ -404,7 +404,7 @@ class _InProduct(Policy):
         return self.inner.start_memory(self.model.original_state[states])
 
     @property
-    def goes_on(self) -> bool:
+    def goes_on(self) -> bool:  # type: ignore[override]
         """Whether the inner policy goes on after failing, a problem's product having no label."""
         return self.inner.goes_on and self.model.failure_label is None
 
@@ -429,10 +429,9 @@ class _InProduct(Policy):
             pair = np.where(beyond[there] & (pair < 0), GIVE_UP_CODE, pair)
         return Branches(branches.situation, pair, branches.probability, kept)
 
-    def remember(
-        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
-    ) -> IntArray:
+    def remember(self, memory: IntArray, *step: *Step) -> IntArray:
         """Memory after a step of a policy restated on a problem's product, [episodes]."""
+        pairs, successors, costs = step
         there, pair = self.model.original_state[successors], self.model.original_pair[pairs]
         return self.inner.remember(memory, pair, there, costs)
 

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram
 
 _TIGHT = 1e-9  # reduced cost, relative to the greatest value, of an action that is as good as any
-_NAMED = 3  # places that an error names
 
 
 class ActionValue(NamedTuple):
@@ -95,7 +94,7 @@ def explanation(
     columns = np.array([k for k, label in labels.items() if label.cost == total], dtype=np.int64)
     if len(np.unique(process.pair_state[columns])) != 1:
         some = [f"{label.state!r}{label.paid}" for label in labels.values()]
-        there = f"; there is {' and '.join(dict.fromkeys(some[:_NAMED]))}" if some else ""
+        there = f"; there is {' and '.join(dict.fromkeys(some[:3]))}" if some else ""
         raise ModelError(f"nothing is decided in {state!r} alone, at the cost {total}{there}")
     names, weights, rewards = zip(*_counted_quantities(program, prices, ratio), strict=True)
     amounts = _following(values, np.stack(rewards))[:, columns]

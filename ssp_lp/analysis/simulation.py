@@ -9,19 +9,19 @@ import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.sparse import csgraph
 
-from ssp_lp.analysis.quantity_values import entering_charges, lost_situations, state_give_up_charges
+from ssp_lp.analysis.evaluation import entering_charges, lost_situations, state_give_up_charges
 from ssp_lp.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
     ReadOnlyCopies,
+    drawn_in_segments,
     read_only,
     segment_ids,
     segment_minima,
@@ -29,18 +29,15 @@ from ssp_lp.arrays import (
 from ssp_lp.errors import ModelError, check_between_0_and_1, check_whole
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.continuous_model import WorldSimulator
-from ssp_lp.model.failure_product import FailureSSP
+from ssp_lp.model.continuous_model import Moved, World, WorldSimulator
 from ssp_lp.model.graph import attention_states, dead_ends, end_marks, stop_marks
-from ssp_lp.model.product import HorizonSSP, ProductSSP
+from ssp_lp.model.product import ProductSSP
 from ssp_lp.model.report import ByName, Facts, Table
 from ssp_lp.options import progress_shown
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import GIVE_UP_CODE, MOST_EPISODES, Randomness, as_lottery, generator_of
 from ssp_lp.problem import Problem, on_one_model
 from ssp_lp.processes.failure_semantics import GiveUp, as_percentage, start_distribution
-
-_MOST_WORK = 300_000_000  # outcomes looked at for the dearest way, a few seconds
 
 
 class Estimate(NamedTuple):
@@ -104,7 +101,9 @@ def mean_estimate(sample: FloatArray, confidence: float, most: float) -> Estimat
     return Estimate(mean, low, min(mean + spread + unseen * most, most), confidence, error)
 
 
-def greatest_total(model: SSP, steps: int, pairs: BoolArray | None = None) -> tuple[float, bool]:
+def greatest_total(
+    model: SSP, steps: int, pairs: BoolArray | None = None, most_work: int = 300_000_000
+) -> tuple[float, bool]:
     """Greatest total cost of a simulated episode of at most so many steps.
 
     Steps within a strong component may be repeated, others come once: they add up to the dearest
@@ -114,6 +113,8 @@ def greatest_total(model: SSP, steps: int, pairs: BoolArray | None = None) -> tu
         model: the model.
         steps: of an episode.
         pairs: those that the policy takes, [pairs]; None: any.
+        most_work: outcomes looked at for the dearest way, in a few seconds; beyond, each step
+            counts as the dearest.
 
     Returns:
         The total, and whether more steps would allow for more.
@@ -136,7 +137,7 @@ def greatest_total(model: SSP, steps: int, pairs: BoolArray | None = None) -> tu
         total = np.maximum(-segment_minima(-(paid + before[model.successors]), starts), 0.0)
         if (total == before).all():
             break
-        if sweep * model.n_outcomes > _MOST_WORK:
+        if sweep * model.n_outcomes > most_work:
             return dearest, True
     return min(dearest, repeated + float(total.max())), repeated > 0.0
 
@@ -156,8 +157,6 @@ def pairs_taken(policy: MixedPolicy, model: SSP) -> BoolArray | None:
 
 _LOG = logging.getLogger("ssp_lp.simulation")
 
-World = npt.NDArray[Any]
-
 
 class Simulator(Protocol):
     """A world in which episodes are played, many at a time."""
@@ -166,9 +165,7 @@ class Simulator(Protocol):
         """Begin simulated episodes: their worlds, [episodes, ...], and states, [episodes]."""
         ...
 
-    def step(
-        self, world: World, pair: IntArray, rng: np.random.Generator
-    ) -> tuple[World, IntArray, FloatArray]:
+    def step(self, world: World, pair: IntArray, rng: np.random.Generator) -> Moved:
         """Take one step in each of k simulated episodes.
 
         Args:
@@ -193,23 +190,17 @@ class ModelSimulator:
         state = rng.choice(self.model.n_states, size=episodes, p=self.start)
         return state, state
 
-    def step(
-        self, world: World, pair: IntArray, rng: np.random.Generator
-    ) -> tuple[World, IntArray, FloatArray]:
+    def step(self, world: World, pair: IntArray, rng: np.random.Generator) -> Moved:
         """Simulate one outcome of each pair by inversion."""
-        model = self.model
-        begin, end = model.outcome_offsets[pair], model.outcome_offsets[pair + 1]
-        cumulative = self._cumulative
-        before = np.where(begin > 0, cumulative[begin - 1], 0.0)
-        level = before + rng.random(len(pair)) * (cumulative[end - 1] - before)
-        outcome = np.clip(np.searchsorted(cumulative, level, side="right"), begin, end - 1)
+        model, offsets = self.model, self.model.outcome_offsets
+        outcome = drawn_in_segments(self._sums, offsets[pair], offsets[pair + 1], rng)
         successor = model.successors[outcome].astype(np.int64)
         return successor, successor, model.costs[outcome]
 
     @cached_property
-    def _cumulative(self) -> FloatArray:
-        """Running sums of probabilities, for the simulator's draws."""
-        return np.cumsum(self.model.probabilities)
+    def _sums(self) -> FloatArray:
+        """Running sums of probabilities after a leading 0, for the simulator's draws."""
+        return np.append(0.0, np.cumsum(self.model.probabilities))
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,38 +208,25 @@ class _ProductSimulator:
     """A world of the original's states as one that counts steps, or labels failing."""
 
     inner: Simulator
-    product: HorizonSSP | FailureSSP
+    product: ProductSSP
 
     def reset(self, episodes: int, rng: np.random.Generator) -> tuple[World, IntArray]:
         """Begin episodes, no step taken, none of which has failed."""
         world, state = self.inner.reset(episodes, rng)
-        if isinstance(self.product, HorizonSSP):
-            state = self.product.table[state, 0]
-        return world, state
+        return world, self.product.table[state, 0]
 
-    def step(
-        self, world: World, pair: IntArray, rng: np.random.Generator
-    ) -> tuple[World, IntArray, FloatArray]:
+    def step(self, world: World, pair: IntArray, rng: np.random.Generator) -> Moved:
         """Take one step in the world, and count it, or move the label."""
-        product = self.product
-        moved, state, cost = self.inner.step(world, product.original_pair[pair], rng)
-        _check_simulated_states(product.original, state)
-        if isinstance(product, HorizonSSP):
-            there = product.stepped(product.pair_state[pair], state)
-        else:
-            there = product.moved(pair, state)
-        return moved, there, cost
+        moved, state, cost = self.inner.step(world, self.product.original_pair[pair], rng)
+        _check_simulated_states(self.product.original, state)
+        return moved, self.product.moved(pair, state, cost), cost
 
 
 def _on_products(simulator: Simulator, model: SSP, stated: SSP) -> Simulator:
     """A simulated world of the stated model's states as one of the model solved on."""
     if model is stated or not isinstance(model, ProductSSP):
         return simulator
-    inner = _on_products(simulator, model.original, stated)
-    product = model if model.failure_label is None else model.failure_label
-    if not isinstance(product, HorizonSSP | FailureSSP):
-        return inner
-    return _ProductSimulator(inner, product)
+    return _ProductSimulator(_on_products(simulator, model.original, stated), model)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

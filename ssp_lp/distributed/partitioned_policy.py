@@ -21,8 +21,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ssp_lp.analysis.counted_draws import counted_words, drawn_entries, drawn_outcomes
-from ssp_lp.analysis.evaluation import Evaluation, evaluated_measures, evaluation_of, mean_of
-from ssp_lp.analysis.quantity_values import lost_nodes
+from ssp_lp.analysis.evaluation import (
+    Evaluation,
+    evaluated_measures,
+    evaluation_of,
+    lost_nodes,
+    mean_of,
+)
 from ssp_lp.analysis.simulation import (
     Played,
     SimulationReport,
@@ -36,7 +41,6 @@ from ssp_lp.arrays import (
     ReadOnlyCopies,
     entries_of,
     offsets_of,
-    read_only,
 )
 from ssp_lp.cargo import Cargo
 from ssp_lp.distributed.dynamics import PartitionedDynamics, PartitionedSystem
@@ -97,8 +101,8 @@ class PartitionedPolicy(ReadOnlyCopies):
     unit: float = 1.0  # cost of a layer
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "weights", read_only(self.weights, np.float64))
-        object.__setattr__(self, "positions", read_only(self.positions))
+        self.keep_read_only("weights", dtype=np.float64)
+        self.keep_read_only("positions")
 
     def check(self) -> None:
         """Check this rank's part of the partitioned policy.

@@ -1,29 +1,19 @@
 """The paper's own construction as a second opinion: value iteration and a game, no LP anywhere."""
 
-from ssp_lp.game.equilibrium import DeltaMixture, Equilibrium, Game, delta_mixture, play
-from ssp_lp.game.optimum import (
-    GameSolution,
-    bayes_adaptive,
-    bayes_player,
-    belief_at,
-    posterior,
-    stationary_game,
-    stationary_player,
-    thresholds,
+from ssp_lp.game.equilibrium import (
+    Equilibrium as Equilibrium,
+    Game as Game,
+    Mixture as Mixture,
+    delta_mixture as delta_mixture,
+    play as play,
 )
-
-__all__ = [
-    "DeltaMixture",
-    "Equilibrium",
-    "Game",
-    "GameSolution",
-    "bayes_adaptive",
-    "bayes_player",
-    "belief_at",
-    "delta_mixture",
-    "play",
-    "posterior",
-    "stationary_game",
-    "stationary_player",
-    "thresholds",
-]
+from ssp_lp.game.optimum import (
+    GameSolution as GameSolution,
+    bayes_adaptive as bayes_adaptive,
+    bayes_player as bayes_player,
+    belief_at as belief_at,
+    posterior as posterior,
+    stationary_game as stationary_game,
+    stationary_player as stationary_player,
+    thresholds as thresholds,
+)

@@ -8,15 +8,14 @@ where the line of a policy that fails less crosses that of a policy that costs l
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from ssp_lp.errors import ModelError, check_between_0_and_1, wrong_argument
-from ssp_lp.game.best_response import BestResponse, check_alpha
-from ssp_lp.game.player import Player
+from ssp_lp.game.player import BestResponse, Player, check_alpha
 from ssp_lp.model.arguments import explained
 from ssp_lp.policies import MixedPolicy
 
@@ -83,23 +82,40 @@ class Mixture:
 
     @cached_property
     def weight(self) -> float:
-        """Weight of ``plus`` in the mixture."""
-        return matrix_game(self.game, self.minus, self.plus)
+        """Weight of ``plus``: the equilibrium of the 2 x 2 game of section 3.4, in closed form.
+
+        Rows are the two policies, columns the two MDPs; the payoffs are J_obj and (eta / epsilon)
+        J_cond. The worse of the two payoffs is convex in the weight, with a kink where the payoffs
+        are equal: it is least there, or at one of the two policies alone.
+        """
+        low, high = self.game.excess(self.minus), self.game.excess(self.plus)
+        weights = [0.0, 1.0] + ([low / (low - high)] if low * high < 0.0 else [])
+        return min(weights, key=lambda weight: self._worst(*self._costs(weight)))
+
+    def _costs(self, weight: float) -> tuple[float, float]:
+        """J_obj and J_cond of a mixture with this weight of ``plus``."""
+        minus, plus = self.minus, self.plus
+        objective = (1.0 - weight) * minus.objective + weight * plus.objective
+        return objective, (1.0 - weight) * minus.condition + weight * plus.condition
+
+    def _worst(self, objective: float, condition: float) -> float:
+        """What a mixture pays against the worse MDP for it."""
+        return max(objective, self.game.scale * condition)
 
     @property
     def objective(self) -> float:
         """J_obj(x'; z) of the mixture."""
-        return (1.0 - self.weight) * self.minus.objective + self.weight * self.plus.objective
+        return self._costs(self.weight)[0]
 
     @property
     def condition(self) -> float:
         """J_cond(x'; z) of the mixture."""
-        return (1.0 - self.weight) * self.minus.condition + self.weight * self.plus.condition
+        return self._costs(self.weight)[1]
 
     @property
     def value(self) -> float:
         """Worst payoff of the mixture over the two MDPs."""
-        return max(self.objective, self.game.scale * self.condition)
+        return self._worst(self.objective, self.condition)
 
     def policy(self, player: Player) -> MixedPolicy:
         """The mixture on the original states."""
@@ -147,25 +163,6 @@ class Equilibrium(Mixture):
         return self.game.scale * (1.0 - self.alpha) / self.alpha if self.alpha > 0.0 else np.inf
 
 
-def matrix_game(game: Game, minus: BestResponse, plus: BestResponse) -> float:
-    """Equilibrium of the 2 x 2 game of section 3.4, in closed form: the weight of ``plus``.
-
-    Rows are the two policies, columns the two MDPs; the payoffs are J_obj and (eta / epsilon)
-    J_cond. The worse of the two payoffs is convex in the weight, with a kink where the payoffs are
-    equal: it is least there, or at one of the two policies alone.
-    """
-    low, high = game.excess(minus), game.excess(plus)
-    weights = [0.0, 1.0] + ([low / (low - high)] if low * high < 0.0 else [])
-
-    def worst(weight: float) -> float:
-        """What the mixture pays against the worse MDP for it."""
-        objective = (1.0 - weight) * minus.objective + weight * plus.objective
-        condition = (1.0 - weight) * minus.condition + weight * plus.condition
-        return max(objective, game.scale * condition)
-
-    return min(weights, key=worst)
-
-
 def crossing(game: Game, minus: BestResponse, plus: BestResponse) -> float:
     """The equilibrium of two policies: the alpha in [0, 1] at which they pay the same.
 
@@ -204,12 +201,12 @@ def play(
         minus = game.best_response(player, 0.0, accuracy)
         responses.append(minus)
         if not game.rises(minus):
-            return _pure_equilibrium(game, 0.0, minus, responses)
+            return _met(game, 0.0, (minus, minus), minus.bound, responses)
     if plus is None:
         plus = game.best_response(player, 1.0, accuracy)
         responses.append(plus)
         if game.rises(plus):
-            return _pure_equilibrium(game, 1.0, plus, responses)
+            return _met(game, 1.0, (plus, plus), plus.bound, responses)
     while True:  # cut off the peak between two lines until no response lies below it
         alpha = crossing(game, minus, plus)
         upper = min(game.payoff(alpha, minus), game.payoff(alpha, plus))
@@ -219,8 +216,7 @@ def play(
         done = upper - response.bound <= accuracy * size
         stalled = game.payoff(alpha, response) >= upper - 1e-15 * size
         if done or stalled or len(responses) > _MOST_ROUNDS:
-            bound = min(response.bound, upper)
-            return Equilibrium(game, minus, plus, alpha, bound, upper, tuple(responses))
+            return _met(game, alpha, (minus, plus), response.bound, responses)
         if game.rises(response):
             minus = response
         else:
@@ -233,17 +229,27 @@ def unplayed_game(game: Game, responses: Sequence[BestResponse]) -> Equilibrium:
     if minus is None or plus is None:
         minus = plus = minus or plus or responses[0]
     alpha = crossing(game, minus, plus) if minus is not plus else 1.0
-    upper = min(game.payoff(alpha, minus), game.payoff(alpha, plus))
-    return Equilibrium(game, minus, plus, alpha, -np.inf, upper, tuple(responses))
+    return _met(game, alpha, (minus, plus), -np.inf, responses)
 
 
-def _pure_equilibrium(
-    game: Game, alpha: float, response: BestResponse, responses: list[BestResponse]
+def _met(
+    game: Game,
+    alpha: float,
+    sides: tuple[BestResponse, BestResponse],
+    bound: float,
+    responses: Sequence[BestResponse],
 ) -> Equilibrium:
-    """Pure equilibrium: one policy is optimal and the adversary plays one MDP for sure."""
-    upper = game.payoff(alpha, response)
-    bound = min(response.bound, upper)
-    return Equilibrium(game, response, response, alpha, bound, upper, tuple(responses))
+    """Equilibrium at an alpha where two policies meet; of one twice, the adversary is sure of it.
+
+    Args:
+        game: the game.
+        alpha: the adversary's weight.
+        sides: the policies just below and above it.
+        bound: no policy pays less.
+        responses: every policy met on the way.
+    """
+    upper = min(game.payoff(alpha, side) for side in sides)
+    return Equilibrium(game, *sides, alpha, min(bound, upper), upper, tuple(responses))
 
 
 def _closest_to_equilibrium(
@@ -254,36 +260,45 @@ def _closest_to_equilibrium(
     A point is (J_obj, (eta / epsilon) J_cond); the mixture that pays equally against both MDPs
     lies where the segment between two points meets the diagonal.
     """
-    excess = np.array([game.excess(r) for r in responses])
-    rising = np.array([game.rises(r) for r in responses], dtype=np.bool_)
-    left, right = np.flatnonzero(rising), np.flatnonzero(~rising)
-    if not left.size or not right.size:
-        at = responses[left[0]] if left.size else None
-        return at, (responses[right[0]] if right.size else None)
-    objective = np.array([r.objective for r in responses])
-    share = excess[left][:, None] / (excess[left][:, None] - excess[right][None, :])
-    pays = (1.0 - share) * objective[left][:, None] + share * objective[right][None, :]
-    i, j = np.unravel_index(int(np.argmin(pays)), pays.shape)
-    return responses[left[i]], responses[right[j]]
+    rising = [r for r in responses if game.rises(r)]
+    falling = [r for r in responses if not game.rises(r)]
+    if not rising or not falling:
+        return next(iter(rising), None), next(iter(falling), None)
+    minus, plus, *_ = cheapest_crossing(rising, falling, lambda r: -game.excess(r))
+    return minus, plus
 
 
-@dataclass(frozen=True, eq=False)
-class DeltaMixture(Mixture):
-    """A lottery over the best responses to alpha* - delta and alpha* + delta (Theorem 3-4).
+def cheapest_crossing(
+    left: Sequence[BestResponse],
+    right: Sequence[BestResponse],
+    position: Callable[[BestResponse], float],
+) -> tuple[BestResponse, BestResponse, float, float]:
+    """The lottery over two policies on either side of an equilibrium that costs least.
 
-    Its worst payoff tends to the game's value as delta goes to 0.
+    Args:
+        left: policies at positions that are not above 0, or hardly.
+        right: policies at positions above 0.
+        position: of a policy; that of the lottery is 0.
+
+    Returns:
+        The policy on each side, the weight of the second, and the lottery's J_obj.
     """
+    at, beyond = (np.array([position(r) for r in side]) for side in (left, right))
+    share = -at[:, None] / (beyond - at[:, None])
+    costs, further = (np.array([r.objective for r in side]) for side in (left, right))
+    pays = (1.0 - share) * costs[:, None] + share * further
+    i, j = divmod(int(np.argmin(pays)), len(right))
+    return left[i], right[j], float(share[i, j]), float(pays[i, j])
 
-    delta: float
 
+def delta_mixture(player: Player, game: Game, alpha: float, delta: float) -> Mixture:
+    """Mix the best responses to alpha* - delta and alpha* + delta (Theorem 3-4).
 
-def delta_mixture(player: Player, game: Game, alpha: float, delta: float) -> DeltaMixture:
-    """Mix the best responses on the two sides of the equilibrium's alpha*.
-
-    Where no other kink of ``J*(alpha)`` lies within delta of alpha*, the two are the policies that
-    meet there and the mixture is optimal. Otherwise each pays at alpha* at most delta times its
-    slope more than the game is worth, and so does the mixture, which pays at worst what both pay
-    where they cross (the proof of Theorem 3-4 allows 2 delta times the steepest slope).
+    The mixture's worst payoff tends to the equilibrium's value as delta goes to 0. Where no other
+    kink of ``J*(alpha)`` lies within delta of alpha*, the two are the policies that meet there and
+    the mixture is optimal. Otherwise each pays at alpha* at most delta times its slope more than
+    the game is worth, and so does the mixture, which pays at worst what both pay where they cross
+    (the proof of Theorem 3-4 allows 2 delta times the steepest slope).
 
     Args:
         player: finds best responses.
@@ -299,4 +314,4 @@ def delta_mixture(player: Player, game: Game, alpha: float, delta: float) -> Del
         raise wrong_argument("delta", "be above 0", delta)
     minus = game.best_response(player, max(alpha - delta, 0.0), _ACCURACY)
     plus = game.best_response(player, min(alpha + delta, 1.0), _ACCURACY)
-    return DeltaMixture(game, minus, plus, delta)
+    return Mixture(game, minus, plus)

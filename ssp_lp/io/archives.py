@@ -380,7 +380,8 @@ def _policy_in(
     for record in records:
         kind = _CLASSES[record.pop("kind")]
         on_model = {"model": model} if any(part.name == "model" for part in fields(kind)) else {}
-        made.append(kind(**{name: meant(value) for name, value in record.items()}, **on_model))
+        stated = {name: meant(value) for name, value in record.items() if value is not None}
+        made.append(kind(**stated, **on_model))
     return made[-1]
 
 

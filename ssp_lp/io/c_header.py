@@ -82,12 +82,8 @@ static inline int NAME_action(NAME_episode *episode, int state, double total, do
                 total = (double)(long long)(total + 0.5);
             first = total >= last ? last : (int)total;
         }
-        if (first >= last && member->table) {
-            last = total - last >= member->rows ? member->rows - 1 : (int)(total - last);
-            episode->tail = member->table[(long)last * NAME_states + state];
-        } else if (first >= last) {
+        if (first >= last)
             episode->tail = total >= member->threshold[state] ? member->tails - 1 : 0;
-        }
     }
     if (episode->tail < 0)
         code = member->decision[(long)first * NAME_states + state];
@@ -109,11 +105,10 @@ static inline int NAME_action(NAME_episode *episode, int state, double total, do
 
 _MEMBER = """typedef struct {
     double upto; /* probability of this member and those before it */
-    int layers, tails, rows;
+    int layers, tails;
     const NAME_code *decision; /* [layers][states] number of an action, or a code */
     const NAME_code *tail; /* [tails][states] */
     const double *threshold; /* [states] total from which the last tail is followed */
-    const NAME_code *table; /* [rows][states] tail, in place of thresholds */
     const double *levels; /* [layers + 1] totals, in place of multiples of a unit */
     const int *offsets; /* of decisions that are drawn, [states + 1] */
     const NAME_code *action;
@@ -205,8 +200,8 @@ def _member_fields(policy: Policy) -> dict[str, object]:
         return np.where(pairs < 0, pairs, action[np.maximum(pairs, 0)])
 
     fields: dict[str, object] = dict.fromkeys(
-        ("layers", "tails", "rows", "decision", "tail", "threshold", "table", "levels", "offsets",
-         "action", "share", "ends", "otherwise", "afterwards"), 0)  # fmt: skip
+        ("layers", "tails", "decision", "tail", "threshold", "levels", "offsets", "action", "share",
+         "ends", "otherwise", "afterwards"), 0)  # fmt: skip
     fields |= {"tails": 1, "threshold": np.full(model.n_states, _NEVER)}
     if isinstance(plan, CostAwarePolicy):
         pairs = np.where(plan.decision < 0, plan.decision, model.pair_offsets[:-1] + plan.decision)
@@ -217,8 +212,6 @@ def _member_fields(policy: Policy) -> dict[str, object]:
             fields["decision"] = action_codes(pairs)
         if plan.levels is not None:
             fields["levels"] = plan.levels
-        elif plan.tail_table is not None:
-            fields |= {"rows": len(plan.tail_table), "table": plan.tail_table}
     elif isinstance(plan, DeterministicPolicy) or (
         isinstance(plan, StochasticPolicy) and plan.carrier is None
     ):

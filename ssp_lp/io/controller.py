@@ -346,12 +346,7 @@ def _counted_by_controller(
 
 def _controller_layer(memory: dict[str, Any], layer: int, state: int) -> int:
     """The controller's layer below the cap, then the tail."""
-    cap, table = int(memory["cap"]), memory["table"]
-    if layer < cap:
-        return layer
-    if table is not None:
-        return cap + int(table[min(layer - cap, len(table) - 1)][state])
-    return _controller_tail(memory, layer, state)
+    return layer if layer < int(memory["cap"]) else _controller_tail(memory, layer, state)
 
 
 def _controller_tail(memory: dict[str, Any], reached: float, state: int) -> int:

@@ -117,7 +117,6 @@ def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[st
                 "inner": _controller_memory(inner, _labelled_codes(product, codes)),
             }
         case policies.CostAwarePolicy():
-            table = policy.tail_table
             return {
                 "kind": "layers",
                 "unit": float(policy.unit),
@@ -128,7 +127,6 @@ def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[st
                     max(layer, 0.0) if layer < np.inf else None
                     for layer in policy.tail_threshold.tolist()
                 ],
-                "table": None if table is None else table.tolist(),
                 "levels": None if policy.levels is None else policy.levels.tolist(),
                 "acting": (policy.tails[0] != UNDECIDED).astype(np.int64).tolist(),
             }
@@ -156,7 +154,7 @@ def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> d
             moves += [[*step, cost, then] for cost, then in by_cost.items()]
         elif (then := next(iter(by_cost.values()))) != step[0]:
             moves.append([*step, None, then])
-    return {"kind": "task", "start": product.memory_number[product.memory.start], "moves": moves}
+    return {"kind": "task", "start": 0, "moves": moves}
 
 
 def _labelled_codes(product: FailureSSP, codes: Mapping[Hashable, int]) -> dict[Hashable, int]:

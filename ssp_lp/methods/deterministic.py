@@ -63,7 +63,7 @@ from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.explicit_process import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled
 from ssp_lp.processes.quotient import Quotient
-from ssp_lp.programs.program_rows import rows_program
+from ssp_lp.programs.occupation_program import rows_program
 from ssp_lp.solution import Answer, Solution
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from ssp_lp.errors import SolverError
 from ssp_lp.linear_programming.backends import first_accepted
 from ssp_lp.options import SolveOptions
 from ssp_lp.processes.explicit_process import ExplicitProcess
-from ssp_lp.programs.program_rows import rows_program
+from ssp_lp.programs.occupation_program import rows_program
 
 _AGREEMENT = 1e-6
 

@@ -21,8 +21,7 @@ from ssp_lp.processes.failure_label import label_failure
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.processes.live_rows import cost_means
 from ssp_lp.programs.augmented import Augmented, LabelledModel, LayeredModel
-from ssp_lp.programs.occupation_program import OccupationProgram
-from ssp_lp.programs.program_rows import ProgramRow
+from ssp_lp.programs.occupation_program import OccupationProgram, ProgramRow
 
 
 def program_of(
@@ -83,7 +82,7 @@ def program_of(
             cost = np.ascontiguousarray(compiled.explicit_pricing.rewards[:, 0])
             labelled = replace(inside, process=replace(inside.process, cost=cost))
             setting = compiled.start, compiled.semantics, compiled.discount
-            augmented = LabelledModel(labelled, *setting)
+            augmented = LabelledModel.of(labelled, *setting)
         limits = compiled.bounds
         if compiled.budget is not None and inner.semantics.aim is Aim.LEAST_COST:
             limits[0] = compiled.budget  # a row even where it limits nothing: sweeps begin there
@@ -93,7 +92,9 @@ def program_of(
         bounded = zip(compiled.names, limits, compiled.told, taken, strict=True)
         for name, bound, words, each in bounded:
             if np.isfinite(bound):
-                rows.append(ProgramRow(name, np.ascontiguousarray(each), float(bound), words))
+                rows.append(
+                    ProgramRow(name, np.ascontiguousarray(each), float(bound), words or name)
+                )
     asked = "least failure" if budget is None else f"failure budget {budget:g}"
     discount = "" if inner.discount is None else f", discount {inner.discount:g}"
     within = "" if horizon is None else f", within {horizon:,} steps"
@@ -122,7 +123,7 @@ def _cost_given_success(compiled: CompiledExplicit) -> LabelledModel:
     cost = labelled.quotient.at_pairs(cost_means(model, chance)) / labelled.departs
     cost = np.append(cost, np.zeros(process.n_pairs - cost.size))
     labelled = replace(labelled, process=replace(process, cost=cost))
-    return LabelledModel(labelled, start, compiled.semantics, compiled.discount)
+    return LabelledModel.of(labelled, start, compiled.semantics, compiled.discount)
 
 
 def _objective_word(problem: Problem, compiled: CompiledExplicit) -> str:

@@ -47,8 +47,7 @@ import numpy as np
 from ssp_lp.accumulated_cost.charges import CostQuantileOf, ExcessCharge, LateCharge, TailMeanOf
 from ssp_lp.accumulated_cost.cost_law import CostLaw
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, last_steps, room_of, step_costs, sums_in
-from ssp_lp.analysis.evaluation import Evaluation, evaluate, success_costs
-from ssp_lp.analysis.quantity_values import complement
+from ssp_lp.analysis.evaluation import Evaluation, complement, evaluate, success_costs
 from ssp_lp.arrays import QUANTILE, FloatArray
 from ssp_lp.column_generation.column import FailureRow, Proof, required
 from ssp_lp.column_generation.compiled_problem import (

@@ -29,7 +29,6 @@ class _Numbers:
 
 _NUMPY = SimpleNamespace(ArrayLike=_Numbers, NDArray=npt.NDArray, DTypeLike=Any)
 
-_LOOKED_AT = 10_000  # entries of a table or a list
 _WORDS: dict[Any, tuple[str, str]] = {
     int: ("a whole number", "whole numbers"),
     float: ("a number", "numbers"),
@@ -155,8 +154,11 @@ def _misfit_among(annotated: Any, values: Mapping[str, Any]) -> str | None:
     return None
 
 
-def _misfit(place: str, value: Any, hint: Any) -> str | None:
-    """Error text for an argument's value that misfits its hint: which part, and the remedy."""
+def _misfit(place: str, value: Any, hint: Any, *, most: int = 10_000) -> str | None:
+    """Error text for an argument's value that misfits its hint: which part, and the remedy.
+
+    Of a table or a list so many entries are looked at at most.
+    """
     kind, parts = get_origin(hint) or hint, get_args(hint)
     wrong = f"{place} must be {_in_words(hint)}, not {in_short(value)}"
     if kind in (Union, UnionType):
@@ -180,7 +182,7 @@ def _misfit(place: str, value: Any, hint: Any) -> str | None:
         return f"{place} must have {len(parts)} entries, not {in_short(value)}"
     hints = parts if is_fixed else repeat(parts[0] if kind is tuple else parts[-1])
     entries = value.items() if is_table else enumerate(value)
-    within = islice(zip(entries, hints, strict=False), _LOOKED_AT)
+    within = islice(zip(entries, hints, strict=False), most)
     inside = (_misfit(f"{place}[{key!r}]", one, of) for (key, one), of in within)
     return next(filter(None, inside), None)
 

@@ -36,6 +36,12 @@ MOST_STATES: Final = 2**31 - 1
 Coordinates = tuple[FloatArray, ...]
 """One array for each axis; they broadcast against each other."""
 
+World = npt.NDArray[Any]
+"""Where simulated episodes stand in a world, [episodes, ...]."""
+
+Moved = tuple[World, IntArray, FloatArray]
+"""What a step in a world came to: the worlds, the model's states, the costs, [episodes] each."""
+
 
 @explained_class
 @dataclass(frozen=True)
@@ -565,9 +571,7 @@ class WorldSimulator:
         world = np.stack(columns, axis=1)
         return world, self.world.grid.cell_of(world)
 
-    def step(
-        self, world: FloatArray, pair: IntArray, rng: np.random.Generator
-    ) -> tuple[FloatArray, IntArray, FloatArray]:
+    def step(self, world: FloatArray, pair: IntArray, rng: np.random.Generator) -> Moved:
         """Take a step in the continuous world from coordinates, [k, axes], by pairs, [k].
 
         Returns:

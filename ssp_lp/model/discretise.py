@@ -10,7 +10,6 @@ from functools import reduce
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ssp_lp.arrays import (
     FloatArray,
@@ -226,51 +225,21 @@ def tally_outcomes(states: IntArray, weights: FloatArray | None, costs: FloatArr
     return Outcomes(offsets_of(lengths), successors, mass / share.sum(), paid)
 
 
-_ROOM: Final = 1 << 16  # outcomes
-_GROWTH: Final = 8  # by an eighth: large arrays grow without being copied
-
-
-class _OutcomeStore:
-    """A growing list of rows; their costs are one number as long as they are all the same."""
-
-    def __init__(self, room: int = _ROOM) -> None:
-        """Begin without rows, with room for some outcomes."""
-        self._lengths: list[IntArray] = []
-        self._size = 0
-        self._successors = np.empty(room, dtype=np.int32)
-        self._probabilities = np.empty(room)
-        self._costs = np.asarray(0.0)
-
-    def append(self, rows: Outcomes) -> None:
-        """Add the outcomes of more pairs."""
-        begin, end = self._size, self._size + len(rows.successors)
-        # make room for so many outcomes
-        room = len(self._successors)
-        if end > room:
-            for array in self._grown():
-                array.resize(max(end, room + room // _GROWTH), refcheck=False)
-        self._lengths.append(np.diff(rows.outcome_offsets))
-        self._successors[begin:end] = rows.successors
-        self._probabilities[begin:end] = rows.probabilities
-        if self._costs.ndim == 0 and (rows.costs.ndim or (begin and rows.costs != self._costs)):
-            self._costs = np.full(len(self._successors), self._costs)
-        if self._costs.ndim:
-            self._costs[begin:end] = rows.costs
-        else:
-            self._costs = rows.costs
-        self._size = end
-
-    def outcomes(self) -> Outcomes:
-        """All of them; nothing can be added afterwards."""
-        for array in self._grown():
-            array.resize(self._size, refcheck=False)
-        offsets = np.concatenate([[0], *self._lengths])
-        np.cumsum(offsets, out=offsets)
-        return Outcomes(offsets, self._successors, self._probabilities, self._costs)
-
-    def _grown(self) -> list[npt.NDArray[Any]]:
-        """The arrays of outcomes that grow."""
-        return [a for a in (self._successors, self._probabilities, self._costs) if a.ndim]
+def _joined(parts: list[Outcomes]) -> Outcomes:
+    """Rows of discretised pairs one part after another; a cost that all share stays one number."""
+    costs = [rows.costs for rows in parts] or [np.asarray(0.0)]
+    if any(each.ndim or each != costs[0] for each in costs):
+        costs = [np.broadcast_to(rows.costs, rows.successors.shape) for rows in parts]
+    paid = np.concatenate(costs) if costs[0].ndim else costs[0]
+    lengths, successors, chances = (
+        np.concatenate([np.zeros(0, kind), *each])
+        for kind, each in (
+            (np.int64, (np.diff(rows.outcome_offsets) for rows in parts)),
+            (np.int32, (rows.successors for rows in parts)),
+            (np.float64, (rows.probabilities for rows in parts)),
+        )
+    )
+    return Outcomes(offsets_of(lengths), successors, chances, paid)
 
 
 TRIALS: Final = 1 << 19
@@ -278,9 +247,6 @@ TRIALS: Final = 1 << 19
 
 PAIRS: Final = 1 << 13
 """Pairs whose outcomes are copied at a time, likewise."""
-
-SPOT_CHECKS: Final = 30
-"""Pairs that are worked out once more where a user says that some are alike."""
 
 MIDPOINTS: Final = Quadrature()
 
@@ -370,15 +336,15 @@ def discretised_rows(
         actions = np.full(behind - begin, n_actions)
     else:
         actions = np.bincount(pairs // n_actions - begin, minlength=behind - begin)
-    store = _rows_of_pairs(world, trials, pairs, progress)
+    parts = _rows_of_pairs(world, trials, pairs, progress)
 
     # the ends: nothing is done at the goal, dead-ends stay where they are
     goal, ends = world.end_state("goal"), np.arange(max(first, n_cells), max(end, n_cells))
     dead_ends = list(world.dead_ends.values())
     for state in ends[ends > goal].tolist():
         cost = np.asarray(float(dead_ends[state - goal - 1]))
-        store.append(Outcomes(np.array([0, 1]), np.array([state]), np.ones(1), cost))
-    return np.append(actions, ends > goal), store.outcomes()
+        parts.append(Outcomes(np.array([0, 1]), np.array([state], np.int32), np.ones(1), cost))
+    return np.append(actions, ends > goal), _joined(parts)
 
 
 def _rows_of_pairs(
@@ -386,20 +352,20 @@ def _rows_of_pairs(
     trials: Trials,
     pairs: IntArray,
     progress: Callable[[int, int], None] | None,
-) -> _OutcomeStore:
-    """Discretised outcomes of pairs in increasing order; of those that are alike once."""
+) -> list[Outcomes]:
+    """Discretised outcomes of pairs in increasing order, in parts; of those that are alike once."""
     distinct, row_of_pair = _distinct_pairs(world, pairs)
-    store, size = _OutcomeStore(), max(1, TRIALS // math.prod(trials.shape))
+    parts, size = list[Outcomes](), max(1, TRIALS // math.prod(trials.shape))
     for begin in range(0, len(distinct), size):
-        store.append(_discretised_rows(world, trials, distinct[begin : begin + size]))
+        parts.append(_discretised_rows(world, trials, distinct[begin : begin + size]))
         done = min(begin + size, len(distinct))
         share = {"share": done / len(distinct)}
         _BUILDING.debug("%d of %d pairs tried", done, len(distinct), extra=share)
         if progress is not None:
             progress(done, len(distinct))
     if row_of_pair is None:
-        return store
-    return _repeated_rows(world, trials, store.outcomes(), pairs, distinct, row_of_pair)
+        return parts
+    return _repeated_rows(world, trials, _joined(parts), pairs, distinct, row_of_pair)
 
 
 class _Tried(NamedTuple):
@@ -481,29 +447,27 @@ def _repeated_rows(
     pairs: IntArray,
     distinct: IntArray,
     row_of_pair: IntArray,
-) -> _OutcomeStore:
-    """The rows of discretised pairs, from those of the distinct ones.
+    most_checks: int = 30,
+) -> list[Outcomes]:
+    """The rows of discretised pairs, in parts, from those of the distinct ones.
+
+    Some of those that are said to be alike are worked out once more.
 
     Raises:
         ModelError: a pair that is worked out once more has other outcomes.
     """
     repeated = np.flatnonzero(distinct[row_of_pair] != pairs)
-    checks = min(SPOT_CHECKS, len(repeated)) if trials.repeatable else 0
+    checks = min(most_checks, len(repeated)) if trials.repeatable else 0
     for k in repeated[np.linspace(0, len(repeated) - 1, checks).astype(np.int64)]:
         own = _discretised_rows(world, trials, pairs[k, None])
         shared = found.rows(row_of_pair[k, None])
-        same = np.array_equal(own.successors, shared.successors) and all(
-            np.allclose(getattr(own, name), getattr(shared, name), rtol=1e-9, atol=1e-9)
-            for name in ("probabilities", "costs")
-        )
-        if not same:
+        if not np.array_equal(own.successors, shared.successors) or not all(
+            np.allclose(*numbers, rtol=1e-9, atol=1e-9)
+            for numbers in zip(own[2:], shared[2:], strict=True)
+        ):
             cell, action = divmod(int(pairs[k]), len(world.actions))
             raise ModelError(
                 f"alike says that action {world.actions[action]!r} in cell {cell} has the outcomes "
                 "of another pair; it has others"
             )
-    lengths = np.diff(found.outcome_offsets)
-    store = _OutcomeStore(int(lengths[row_of_pair].sum()) + len(world.dead_ends))
-    for begin in range(0, len(pairs), PAIRS):
-        store.append(found.rows(row_of_pair[begin : begin + PAIRS]))
-    return store
+    return [found.rows(row_of_pair[begin : begin + PAIRS]) for begin in range(0, len(pairs), PAIRS)]

@@ -9,17 +9,16 @@ its actions and the same actions with giving up, as far as these avoid the goal.
 
 from __future__ import annotations
 
-from collections.abc import Hashable
 from dataclasses import dataclass, field
-from functools import cached_property, partial
-from typing import Any, Final
+from functools import cached_property
+from typing import Final
 
 import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, entries_of, offsets_of, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model.graph import dead_ends, end_components, end_marks, pairs_into, surely_ending
-from ssp_lp.model.product import Memory, ProductSSP, ProductStates, copied_parts
+from ssp_lp.model.product import ProductSSP, ProductStates, copied_parts
 from ssp_lp.model.ssp import SSP
 
 BEFORE: Final = "before failing"
@@ -30,14 +29,6 @@ AFTER: Final = "after failing"
 
 GIVING_UP: Final = "give up"
 """First part of the name of an action that is taken with giving up: ("give up", action)."""
-
-
-def _label_after(
-    model: SSP, fails: BoolArray, label: str, state: Any, action: Any, successor: Any, cost: float
-) -> str:
-    """Label of failing after a step: AFTER once it is, on giving up, and from dead-ends on."""
-    gives_up = isinstance(action, tuple) and action[:1] == (GIVING_UP,)
-    return AFTER if label == AFTER or gives_up or fails[model.index_of(state)] else BEFORE
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -138,13 +129,6 @@ class FailureSSP(ProductSSP):
         """Pairs of the original that may stay for ever after failing, [pairs]."""
         return self.original_pair[self._staying & self.after[self.pair_state]]
 
-    def having(self, states: IntArray, action: Hashable) -> IntArray:
-        """States of the failure product with an action; all of them where none has it."""
-        number = [name == action for name in self.action_names]
-        pairs = np.asarray(number, dtype=np.bool_)[self.pair_action].nonzero()[0]
-        acting = states[np.isin(states, self.pair_state[pairs])]
-        return acting if acting.size else states
-
     def placed(self, states: IntArray, pairs: IntArray) -> IntArray:
         """Pairs of the failure product that are the original's, -1 where there is none, [entries].
 
@@ -169,7 +153,7 @@ class FailureSSP(ProductSSP):
         places[kind, self.original_pair] = np.arange(self.n_pairs)
         return places
 
-    def moved(self, pairs: IntArray, successors: IntArray) -> IntArray:
+    def moved(self, pairs: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
         """States of the failure product after steps of these pairs, [episodes]."""
         failed = self.fails[pairs] | self.after[self.pair_state[pairs]]
         return np.asarray(successors + self.n_original * failed)
@@ -238,7 +222,6 @@ def label_failing(
             name: read_only(np.append(members, members + n))
             for name, members in model.state_labels.items()
         },
-        memory=Memory(BEFORE, partial(_label_after, model, dead_ends(model) & is_open)),
         is_hidden=True,
         open_pairs=read_only(open_pairs),
         stops=read_only(np.append(stops, np.zeros(n, dtype=np.bool_))),

@@ -23,7 +23,6 @@ from ssp_lp.arrays import (
     entries_of,
     narrow,
     offsets_of,
-    pieces_of_chunks,
     read_only,
     segment_chunks,
     segment_ids,
@@ -108,20 +107,13 @@ def possible_steps(
         For each pair the end of its entries, after a leading 0, [pairs + 1]; and the successors,
         [entries].
     """
-    counts = np.zeros(len(outcome_offsets), dtype=np.int64)
-    targets = [successors[:0]]
-    for piece in pieces_of_chunks(outcome_offsets):
-        check_time()
-        kept = probabilities[piece.entries] > 0
-        if chosen is not None:
-            kept &= np.repeat(chosen[piece.segments], piece.lengths)
-        some = successors[piece.entries]
-        targets.append(some if kept.all() else some[kept])
-        filled = np.flatnonzero(piece.lengths)
-        sums = np.add.reduceat(kept, piece.firsts[filled], dtype=np.int64) if filled.size else 0
-        counts[1:][piece.segments][filled] = sums
-    ends = np.cumsum(counts, out=counts)
-    return ends, successors if ends[-1] == len(successors) else np.concatenate(targets)
+    check_time()
+    kept = probabilities > 0
+    if chosen is not None:
+        kept &= np.repeat(chosen, np.diff(outcome_offsets))
+    if kept.all():
+        return np.asarray(outcome_offsets), successors
+    return offsets_of(kept.view(np.int8))[outcome_offsets], successors[kept]
 
 
 def kept(find: Callable[[SSP], Fact]) -> Callable[[SSP], Fact]:
@@ -233,16 +225,24 @@ def pairs_into(model: Graph, states: BoolArray) -> BoolArray:
     Args:
         states: [states].
     """
-    leads = np.zeros(model.n_pairs, dtype=np.bool_)
-    for piece in pieces_of_chunks(model.outcome_offsets):
-        check_time()
-        successors, chances = model.successors[piece.entries], model.probabilities[piece.entries]
-        entering = states[successors] & (chances > 0)
-        filled = np.flatnonzero(piece.lengths)  # a pair of a process may have no outcome but an end
-        if filled.size:
-            reached = np.logical_or.reduceat(entering, piece.firsts[filled])
-            leads[piece.segments.start + filled] = reached
-    return leads
+    return _with_outcomes(model, states[model.successors])
+
+
+def _with_outcomes(model: Graph, marked: BoolArray) -> BoolArray:
+    """Pairs of the graph with a marked outcome of positive probability, [pairs].
+
+    Args:
+        model: the graph.
+        marked: [outcomes].
+    """
+    check_time()
+    having = np.zeros(model.n_pairs, dtype=np.bool_)
+    # a pair of a process may have no outcome but an end
+    filled = (model.outcome_offsets[1:] > model.outcome_offsets[:-1]).nonzero()[0]
+    if filled.size:
+        possible = marked & (model.probabilities > 0)
+        having[filled] = np.logical_or.reduceat(possible, model.outcome_offsets[filled])
+    return having
 
 
 def attention_pairs(model: SSP, attention: BoolArray) -> BoolArray:
@@ -483,7 +483,9 @@ def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArra
         )[1]
         _, first, back = np.unique(strong, return_index=True, return_inverse=True)
         label[pending] = first[back[pending]]
-        leaving = _crossing_end_components(model, inside, pending, label).nonzero()[0]
+        here = label[model.pair_state].repeat(np.diff(model.outcome_offsets))
+        crossing = _with_outcomes(model, label[model.successors] != here)
+        leaving = (links & crossing).nonzero()[0]
         torn = np.zeros_like(pending)
         torn[label[model.pair_state[leaving]]] = True
         closed = close_pairs(model, inside, counts, leaving)
@@ -491,20 +493,3 @@ def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArra
     members = counts > 0
     component[members] = np.unique(label[members], return_inverse=True)[1]
     return component, inside
-
-
-def _crossing_end_components(
-    model: Graph, inside: BoolArray, pending: BoolArray, label: IntArray
-) -> BoolArray:
-    """Pairs that may cross between candidate end components of the graph, [pairs]."""
-    candidates = inside & pending[model.pair_state]
-    for piece in pieces_of_chunks(model.outcome_offsets):
-        check_time()
-        successors, chances = model.successors[piece.entries], model.probabilities[piece.entries]
-        here = np.repeat(label[model.pair_state[piece.segments]], piece.lengths)
-        other = (label[successors] != here) & (chances > 0)
-        filled = piece.lengths > 0  # a pair of a process may have no outcome but an end
-        crosses = np.zeros(len(piece.lengths), dtype=np.bool_)
-        crosses[filled] = np.logical_or.reduceat(other, piece.firsts[filled])
-        candidates[piece.segments] &= crosses
-    return candidates

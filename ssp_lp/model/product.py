@@ -10,13 +10,14 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cache, cached_property
 from typing import Any, Final, cast
 
 import numpy as np
 
 from ssp_lp.arrays import (
     BoolArray,
+    FloatArray,
     IntArray,
     concatenated_ranges,
     entries_of,
@@ -28,7 +29,7 @@ from ssp_lp.arrays import (
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import Argument, ModelError, check_whole, did_you_mean, wrong_argument
 from ssp_lp.model.arguments import check_fields, explained, explained_class
-from ssp_lp.model.graph import dead_ends
+from ssp_lp.model.graph import dead_ends, goal_approach
 from ssp_lp.model.ssp import SSP, check_model, no_lone_string
 
 MEMORY_FAILS = "memory fails"
@@ -114,7 +115,7 @@ class ProductSSP(SSP):
     """
 
     original: SSP = field(kw_only=True)
-    memory: Memory = field(kw_only=True)
+    memory: Memory | None = field(kw_only=True, default=None)  # None: ``moved`` knows it by itself
     is_hidden: bool = field(kw_only=True, default=False)  # behind a problem that states another
 
     def start(self, start: Hashable | Mapping[Hashable, float]) -> dict[Hashable, float]:
@@ -128,7 +129,7 @@ class ProductSSP(SSP):
         """
         shares = start if isinstance(start, Mapping) else {start: 1.0}
         distribution: dict[Hashable, float] = {
-            (state, self.memory.start): float(share) for state, share in shares.items()
+            (state, self.memories[0]): float(share) for state, share in shares.items()
         }
         for state in shares:
             self.original.index_of(state, "start")
@@ -148,7 +149,10 @@ class ProductSSP(SSP):
 
     @property
     def memories(self) -> tuple[Hashable, ...]:
-        """Memories that occur in the product: those of a horizon are counts, and :data:`LATE`."""
+        """Memories that occur in the product, the one at the start first.
+
+        Those of a horizon are counts, and :data:`LATE`.
+        """
         return self.labels.memories
 
     @cached_property
@@ -173,6 +177,52 @@ class ProductSSP(SSP):
         """
         shift = self.pair_offsets[states] - self.original.pair_offsets[self.original_state[states]]
         return np.asarray(pairs + shift)
+
+    def at(self, states: IntArray, numbers: IntArray) -> IntArray:
+        """States of the product by what is remembered, [entries].
+
+        Args:
+            states: of the original, [entries].
+            numbers: of the memories, [entries].
+
+        Raises:
+            ModelError: a state and a memory that do not occur together.
+        """
+        places = self.table[states, numbers]
+        if (places < 0).any():
+            k = int(np.argmax(places < 0))
+            raise ModelError(
+                f"state {self.original.states[int(states[k])]!r} with the memory "
+                f"{self.memories[int(numbers[k])]!r} does not occur in the product"
+            )
+        return places
+
+    def moved(self, pairs: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
+        """States of the product after steps, [episodes].
+
+        Args:
+            pairs: of the product, [episodes].
+            successors: of the original, [episodes].
+            costs: of the steps, [episodes].
+
+        Raises:
+            ModelError: a step leads to a memory that the product does not have.
+        """
+        model, update = self.original, cast("Memory", self.memory).update
+
+        @cache
+        def updated(pair: int, successor: int, cost: float) -> int:
+            """Number of the product's memory after a step."""
+            (state, kept), there = self.labels[int(self.pair_state[pair])], model.states[successor]
+            step = kept, state, self.action_of(pair), there, cost
+            if (after := update(*step)) not in self.memory_number:
+                told = f"the step from {state!r} by {step[2]!r} to {there!r} at cost {cost:g}"
+                other = f"the memory {after!r}, which the product does not have"
+                raise ModelError(f"{told} leads to {other}")
+            return self.memory_number[after]
+
+        steps = (each.tolist() for each in (pairs, successors, costs))
+        return self.at(successors, np.array(list(map(updated, *steps)), dtype=np.int64))
 
     def places_of(self, state: Hashable) -> IntArray:
         """State of the product with this label, or all for a state of the original.
@@ -266,21 +316,19 @@ def product(
     if not isinstance(memory, Memory):
         raise ModelError(f"product takes a Memory after the model, not {memory!r}")
 
-    def is_at_goal(label: Label) -> bool:
-        """Whether a goal of the original is reached, and the memory does not fail."""
-        return bool(model.goal_mask[model.index_of(label[0])]) and not memory.fails(label[1])
-
     def is_goal(label: Label) -> bool:
-        """Whether the memory accepts it, too."""
-        return is_at_goal(label) and bool(memory.accepts(label[1]))
+        """Whether a goal of the original is reached, by a memory that accepts it."""
+        state, kept = label
+        at_goal = bool(model.goal_mask[model.index_of(state)])
+        return at_goal and not memory.fails(kept) and bool(memory.accepts(kept))
 
     def successors(label: Label) -> dict[Hashable, list[tuple[float, Label, float]]]:
         """Ends of each action of the original, with the number of the outcome as its cost."""
-        if is_at_goal(label) or memory.fails(label[1]):
-            return {}
         state, kept = label
+        if memory.fails(kept):
+            return {}
         here, actions = model.index_of(state), {}
-        for pair in range(int(model.pair_offsets[here]), int(model.pair_offsets[here + 1])):
+        for pair in model.pairs_of(here):
             action, ends = model.action_of(pair), list[tuple[float, Label, float]]()
             for k in range(*model.outcome_offsets[pair : pair + 2].tolist()):
                 if (p := float(model.probabilities[k])) > 0.0:
@@ -301,17 +349,16 @@ def product(
     memories = {kept: k for k, kept in enumerate(dict.fromkeys(kept for _, kept in labels))}
     state = np.array([model.index_of(name) for name, _ in labels])
     number = np.array([memories[kept] for _, kept in labels])
-    at_goal = np.array([is_at_goal(label) for label in labels])
-    own = {
-        MEMORY_FAILS: np.array([bool(memory.fails(kept)) for kept in memories])[number],
-        NOT_ACCEPTED: at_goal & ~plain.goal_mask,
-    }
+    fails = np.array([bool(memory.fails(kept)) for kept in memories])[number]
+    refused = model.goal_mask[state] & ~fails & ~plain.goal_mask
     fields = {name: getattr(plain, name) for name in SSP.__dataclass_fields__}
     copied = copied_parts(model, np.zeros(0, dtype=np.int64), plain.costs.astype(np.int64))
     fields |= {name: copied[name] for name in ("costs", "exact_costs", "named_costs", "original")}
     fields |= {
         "states": ProductStates(model.states, tuple(memories), read_only(state), read_only(number)),
-        "state_labels": _labels_in_product(model, state, own),
+        "state_labels": _labels_in_product(
+            model, state, {MEMORY_FAILS: fails, NOT_ACCEPTED: refused}
+        ),
     }
     return ProductSSP(**fields, memory=memory)
 
@@ -352,20 +399,6 @@ LATE: Final = "out of time"
 """The memory of an episode that has used up its steps, and the label of the states it ends in."""
 
 
-def _steps_after(
-    model: SSP, steps: int, count: int, state: Any, action: Any, successor: Any, cost: float
-) -> Hashable:
-    """Steps counted by the product: one more, or :data:`LATE` after the last."""
-    there = model.index_of(successor)
-    goes_on = model.pair_offsets[there] < model.pair_offsets[there + 1]
-    return LATE if goes_on and count + 1 >= steps else count + 1
-
-
-def _is_late(memory: Hashable) -> bool:
-    """Whether the product's count of steps is used up."""
-    return memory == LATE
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class HorizonSSP(ProductSSP):
     """A model whose states are (state, steps taken); see :func:`within_steps`."""
@@ -373,16 +406,15 @@ class HorizonSSP(ProductSSP):
     steps: int = field(kw_only=True)
     survive: tuple[str, ...] | None = field(kw_only=True, default=None)  # :func:`within_steps`
 
-    def stepped(self, states: IntArray, successors: IntArray) -> IntArray:
-        """States of the horizon's product after steps to the original's, -1: none, [episodes].
+    def moved(self, pairs: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
+        """States after steps: one more is taken, and after the last one it is late, [episodes].
 
-        Args:
-            states: of this model, in which the steps began, [episodes].
-            successors: of the original, in which they ended, [episodes].
+        Raises:
+            ModelError: a step leads to a state that does not occur then.
         """
-        count = self.labels.number[states].astype(np.int64) + 1
+        count = self.labels.number[self.pair_state[pairs]].astype(np.int64) + 1
         over = (count == self.steps) & (np.diff(self.original.pair_offsets)[successors] > 0)
-        return np.asarray(self.table[successors, np.where(over, self.steps + 1, count)])
+        return self.at(successors, np.where(over, self.steps + 1, count))
 
 
 @explained
@@ -480,7 +512,11 @@ def unroll_steps(
 
     over = (step == steps) & (np.diff(model.pair_offsets)[state] > 0)
     count = np.where(over, steps + 1, step).astype(least_integer_type(steps + 1))
-    late = {} if survive is not None else {LATE: _steps_needed(model, steps)[state] > steps - step}
+    late = dict[str, BoolArray]()
+    if survive is None:  # label where more steps are needed than are left
+        nearer, needed = goal_approach(model)
+        needed = np.where((nearer >= 0) | model.goal_mask, needed, steps + 1)
+        late[LATE] = np.where(dead_ends(model), -1, needed)[state] > steps - step
     lost = np.concatenate([[], *(model.state_labels[name] for name in survive or ())])
     survived = over & ~np.isin(state, lost) & (survive is not None)
     check_time()
@@ -492,11 +528,6 @@ def unroll_steps(
         successors=read_only(successors, np.int32),
         goal_mask=read_only(model.goal_mask[state] | survived),
         state_labels=_labels_in_product(model, state, late),
-        memory=Memory(
-            start=0,
-            update=partial(_steps_after, model, steps),
-            fails=_is_late if survive is None else _never_in_product,
-        ),
         steps=steps,
         survive=survive,
     )
@@ -516,32 +547,12 @@ def _reached_within_steps(model: SSP, begin: Sequence[int] | None, steps: int) -
             Argument("horizon", None),
             ", or make the model smaller",
         )
-    source, target = _possible_steps(model)
+    possible = model.probabilities > 0.0
+    source = model.pair_state[segment_ids(model.outcome_offsets)][possible]
+    target = model.successors[possible]
     reached = np.zeros((steps + 1, model.n_states), dtype=np.bool_)
     reached[0, slice(None) if begin is None else begin] = True
     for step in range(steps):
         check_time()
         reached[step + 1][target[reached[step][source]]] = True
     return reached
-
-
-def _possible_steps(model: SSP) -> tuple[IntArray, IntArray]:
-    """From which state to which one every possible outcome leads, [possible outcomes] each."""
-    possible = model.probabilities > 0.0
-    return model.pair_state[segment_ids(model.outcome_offsets)][possible], model.successors[
-        possible
-    ]
-
-
-def _steps_needed(model: SSP, steps: int) -> IntArray:
-    """Fewest steps to a goal within a product's horizon, -1: none, [states]."""
-    source, target = _possible_steps(model)
-    needed = np.where(dead_ends(model), -1, np.where(model.goal_mask, 0, steps + 1))
-    for step in range(1, steps + 1):
-        check_time()
-        nearer = source[needed[target] == step - 1]
-        nearer = nearer[needed[nearer] > step]
-        if nearer.size == 0:
-            break
-        needed[nearer] = step
-    return needed

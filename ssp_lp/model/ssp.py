@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
-from itertools import zip_longest
+from itertools import compress, zip_longest
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Self, cast
 
@@ -28,9 +28,8 @@ from ssp_lp.arrays import (
     FloatArray,
     IntArray,
     ReadOnlyCopies,
-    chunks,
-    pieces_of_chunks,
     read_only,
+    segment_sums,
 )
 from ssp_lp.errors import Argument, ModelError, ModelWarning, check_whole, did_you_mean, in_short
 from ssp_lp.model.arguments import explained
@@ -146,7 +145,7 @@ class SSP(Graph, ReadOnlyCopies):
             if nearest := did_you_mean(state, (s for s in flat.states if s not in goals)):
                 raise ModelError(f"no action leads to the goal {state!r}{nearest}")
         if dead_ends is None:
-            _warn_of_misspelled(flat.states[n_listed:], flat.states[:n_listed])
+            _warn_of_misspelled(flat.states, np.arange(len(flat.states)) >= n_listed)
         return cls.from_arrays(
             **flat.arrays,
             state_labels=state_labels,
@@ -213,8 +212,9 @@ class SSP(Graph, ReadOnlyCopies):
                 progress(count)
         _EXPLORING.info("%d states found", len(flat.states))
         if dead_ends is None:
-            idle = flat.idle()
-            _warn_of_misspelled(idle, (s for s in flat.states if s not in idle))
+            idle = np.diff(flat.arrays["pair_offsets"]) == 0
+            idle[flat.arrays["goal_states"]] = False
+            _warn_of_misspelled(flat.states, idle)
         return cls.from_arrays(
             **flat.arrays,
             state_labels=state_labels,
@@ -410,8 +410,8 @@ class SSP(Graph, ReadOnlyCopies):
             state_labels={},
             exact_costs=dict(exact_costs or {}),
         )
-        refused = "has a successor that is no state"
-        _refuse_outcomes(draft, target, lambda s: (s < 0) | (s >= n_states), refused)
+        strange = (target < 0) | (target >= n_states)
+        _refuse_outcomes(draft, strange, "has a successor that is no state")
         _check_numbers(draft, chance, "probability")
         _check_costs(draft, draft.costs)
         named = {name: _costs_of_outcomes(c, outcomes) for name, c in (named_costs or {}).items()}
@@ -544,11 +544,24 @@ class SSP(Graph, ReadOnlyCopies):
             last = len(self.pair_action) - 1
             raise ModelError(f"{pair!r} is no pair of the model: they are 0 .. {last}") from error
 
+    def pairs_of(self, state: int) -> range:
+        """The model's pairs of a state."""
+        return range(int(self.pair_offsets[state]), int(self.pair_offsets[state + 1]))
+
+    def pair_of(self, state: int, action: Hashable) -> int:
+        """The model's pair of a state and an action's label.
+
+        Raises:
+            ModelError: the state does not have the action.
+        """
+        for pair in self.pairs_of(state):
+            if self.action_of(pair) == action:
+                return pair
+        raise ModelError(self.no_such_action(state, action))
+
     def no_such_action(self, state: int, action: Hashable) -> str:
         """Error text for an action that a state of the model lacks: the nearest one, or some."""
-        first, end = int(self.pair_offsets[state]), int(self.pair_offsets[state + 1])
-        actions = [self.action_of(pair) for pair in range(first, end)]
-        nearest = did_you_mean(action, actions, "it has")
+        nearest = did_you_mean(action, map(self.action_of, self.pairs_of(state)), "it has")
         return f"state {self.states[state]!r} has no action {action!r}{nearest}"
 
     def describe_pair(self, pair: int) -> str:
@@ -694,15 +707,6 @@ class _FlatModel:
             flat["goal_states"].append(len(flat["pair_offsets"]) - 1)
         flat["pair_offsets"].append(len(flat["actions"]))
 
-    def idle(self) -> set[Hashable]:
-        """States without actions that are not goals."""
-        offsets, goals = self.arrays["pair_offsets"], set(self.arrays["goal_states"])
-        return {
-            state
-            for place, state in enumerate(self.states)
-            if offsets[place] == offsets[place + 1] and place not in goals
-        }
-
     def _paid(self, cost: Any, state: Hashable, action: Hashable) -> float:
         """A cost as a float; a fraction is remembered."""
         paid = _number(cost, "cost", state, action)
@@ -827,20 +831,15 @@ def _check_costs(model: SSP, costs: FloatArray, name: str = "") -> None:
 
 def _check_numbers(model: SSP, numbers: FloatArray, what: str, remedy: str = "") -> None:
     """Raise :class:`ModelError` for a number of a model's outcome that is not finite and >= 0."""
-    _refuse_outcomes(model, numbers, np.isnan, f"has a {what} that is NaN")
-    _refuse_outcomes(model, numbers, lambda x: x < 0, f"has a negative {what}{remedy}")
-    _refuse_outcomes(model, numbers, np.isinf, f"has an infinite {what}")
+    _refuse_outcomes(model, np.isnan(numbers), f"has a {what} that is NaN")
+    _refuse_outcomes(model, numbers < 0, f"has a negative {what}{remedy}")
+    _refuse_outcomes(model, np.isinf(numbers), f"has an infinite {what}")
 
 
-def _refuse_outcomes(
-    model: SSP, values: npt.NDArray[Any], is_broken: Callable[[Any], BoolArray], complaint: str
-) -> None:
+def _refuse_outcomes(model: SSP, broken: BoolArray, complaint: str) -> None:
     """Raise :class:`ModelError` for the first outcome of a model whose value is broken."""
-    for some in chunks(values.size):
-        broken = is_broken(values[some])
-        if broken.any():
-            outcome = some.start + int(np.argmax(broken))
-            raise ModelError(f"{model._describe_outcome(outcome)} {complaint}")
+    if broken.any():
+        raise ModelError(f"{model._describe_outcome(int(np.argmax(broken)))} {complaint}")
 
 
 def _with_unit_sums(model: SSP, normalise: bool) -> FloatArray:
@@ -857,9 +856,7 @@ def _with_unit_sums(model: SSP, normalise: bool) -> FloatArray:
     empty = offsets[1:] == offsets[:-1]
     if empty.any():
         raise ModelError(f"{model.describe_pair(int(np.argmax(empty)))} has no outcomes")
-    sums = np.empty(empty.size)
-    for piece in pieces_of_chunks(offsets):
-        sums[piece.segments] = np.add.reduceat(chances[piece.entries], piece.firsts)
+    sums = segment_sums(chances, offsets)
     off = np.abs(sums - 1.0)
     wrong = off > (SINGLE_PRECISION_SUM if normalise else PROBABILITY_SUM)
     if wrong.any():
@@ -870,11 +867,7 @@ def _with_unit_sums(model: SSP, normalise: bool) -> FloatArray:
         raise ModelError(complaint)
     if np.all(sums == 1.0):
         return chances
-    shared = np.empty_like(chances)
-    for piece in pieces_of_chunks(offsets):
-        by = np.repeat(sums[piece.segments], piece.lengths)
-        np.divide(chances[piece.entries], by, out=shared[piece.entries])
-    return read_only(shared)
+    return read_only(chances / np.repeat(sums, np.diff(offsets)))
 
 
 def _indices(name: str, indices: npt.ArrayLike) -> IntArray:
@@ -935,7 +928,7 @@ def _check_idle_states(model: SSP, dead_ends: DeadEnds | None, *, accept: bool) 
     if idle.any():
         place = int(np.argmax(idle))
         state, entering = model.states[place], np.flatnonzero(model.successors == place)
-        others = (s for s, i in zip(model.states, idle, strict=True) if not i)
+        others = compress(model.states, ~idle)
         words = map(model._describe_outcome, entering[:1].tolist())
         led = "".join(f", where {outcome} leads," for outcome in words)
         nearest = did_you_mean(state, others) or "; list all dead-ends, dead_ends={...}"
@@ -968,23 +961,18 @@ def _dead_end_members(model: SSP, dead_ends: DeadEnds) -> IntArray:
     return np.array(places, dtype=np.int64)
 
 
-def _warn_of_misspelled(idle: Iterable[Hashable], names: Iterable[Hashable]) -> None:
+def _warn_of_misspelled(states: Sequence[Any], idle: BoolArray) -> None:
     """Warn if the name of a state without actions resembles the name of another state.
 
     Two names resemble each other if they become equal when one letter is left out of each, as a
     transposed, a missing or a wrong letter makes them; names that differ in digits do not.
 
     Args:
-        idle: names of states without actions that nobody has listed.
-        names: names of the other states.
+        states: names of the states.
+        idle: those without actions that nobody has listed, [states].
     """
-    known: dict[str, str] = {}
-    for name in idle:
-        if isinstance(name, str) and len(name) >= _LEAST_LETTERS:
-            known |= dict.fromkeys(_with_a_letter_less(name), name)
-    for other in names if known else ():
-        if not isinstance(other, str) or len(other) < _LEAST_LETTERS:
-            continue
+    known = {part: name for name in compress(states, idle) for part in _with_a_letter_less(name)}
+    for other in compress(states, ~idle) if known else ():
         near = next((known[part] for part in _with_a_letter_less(other) if part in known), None)
         if near is not None and near.translate(_NO_DIGITS) != other.translate(_NO_DIGITS):
             warnings.warn(
@@ -996,12 +984,16 @@ def _warn_of_misspelled(idle: Iterable[Hashable], names: Iterable[Hashable]) -> 
             return
 
 
-_LEAST_LETTERS = 4  # of a name that may be misspelled: shorter ones resemble each other anyway
 _NO_DIGITS = str.maketrans("", "", "0123456789")
 
 
-def _with_a_letter_less(name: str) -> set[str]:
-    """A state's name without one of its letters, each in turn, and as it stands."""
+def _with_a_letter_less(name: Any, least: int = 4) -> set[str]:
+    """A state's name without one of its letters, each in turn, and as it stands.
+
+    Nothing for what is no name, or so short that it resembles others anyway.
+    """
+    if not isinstance(name, str) or len(name) < least:
+        return set()
     return {name, *(name[:k] + name[k + 1 :] for k in range(len(name)))}
 
 
@@ -1033,12 +1025,10 @@ def _action_table(
     """Distinct action labels of a model and, per pair, the position of its label."""
     n_pairs = int(pair_offsets[-1])
     if actions is None:
-        most = int(np.diff(pair_offsets).max(initial=0))
-        position = np.empty(n_pairs, dtype=np.min_scalar_type(most))
-        for piece in pieces_of_chunks(pair_offsets):
-            first = np.repeat(piece.firsts, piece.lengths)
-            position[piece.entries] = np.arange(first.size) - first
-        return range(most), position
+        counts = np.diff(pair_offsets)
+        most = int(counts.max(initial=0))
+        position = np.arange(n_pairs) - np.repeat(pair_offsets[:-1], counts)
+        return range(most), position.astype(np.min_scalar_type(most))
     if len(actions) != n_pairs:
         raise ModelError(f"{len(actions)} action labels given for {n_pairs} pairs")
     table = {action: k for k, action in enumerate(dict.fromkeys(actions))}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 
 import numpy as np
@@ -57,6 +57,10 @@ class Chain:
     branch_node: IntArray  # [branches]
     branch_pair: IntArray  # [branches] pair or GIVE_UP_CODE
     branch_probability: FloatArray  # [branches]
+    _systems: dict[tuple[float, bytes], tuple[IntArray, System]] = field(
+        default_factory=dict, init=False
+    )  # equations by survival and nodes
+    _arriving: dict[float, tuple[FloatArray, FloatArray]] = field(default_factory=dict, init=False)
 
     @property
     def n_nodes(self) -> int:
@@ -72,6 +76,11 @@ class Chain:
     def alive(self) -> BoolArray:
         """Nodes before the goal from which the chain may come to it, [nodes]."""
         return np.asarray(self.reaching(self.goal > 0) & (self.goal == 0))
+
+    @cached_property
+    def settling(self) -> BoolArray:
+        """Nodes from which the chain may end: at goals, dead-ends, or by giving up, [nodes]."""
+        return self.reaching((self.goal > 0) | (self.dead > 0) | (self.give_up > 0))
 
     @cached_property
     def matrix(self) -> sp.csr_array:
@@ -128,10 +137,16 @@ class Chain:
             self._arriving[survival] = read_only(goal), read_only(cost)
         return self._arriving[survival]
 
-    def push(self, inflow: FloatArray, survival: float = 1.0) -> FloatArray:
-        """The chain's expected visits of each node, given what enters from outside, [nodes]."""
+    def visits(self, survival: float = 1.0) -> FloatArray:
+        """The chain's expected visits of each node, those at t weighted survival^t, [nodes].
+
+        Raises:
+            ModelError: the policy may wander for ever, so that visits are infinite.
+        """
+        if survival == 1.0 and not self.settling.all():
+            raise ModelError("the policy may wander for ever: its expected visits are infinite")
         everywhere = np.ones(self.n_nodes, dtype=np.bool_)
-        return self._system(everywhere, survival)[1].solve_transposed(inflow)
+        return self._system(everywhere, survival)[1].solve_transposed(self.start)
 
     def _system(self, inside: BoolArray, survival: float) -> tuple[IntArray, System]:
         """Equations of the chain's moves within some nodes, kept for further rewards."""
@@ -174,16 +189,6 @@ class Chain:
             self.branch_pair[order],
             self.branch_probability[order],
         )
-
-    @cached_property
-    def _systems(self) -> dict[tuple[float, bytes], tuple[IntArray, System]]:
-        """The equations of the chain that are kept."""
-        return {}
-
-    @cached_property
-    def _arriving(self) -> dict[float, tuple[FloatArray, FloatArray]]:
-        """What is to come at the chain's nodes, by survival."""
-        return {}
 
 
 def reached_table(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray, IntArray, chunks, read_only
+from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray, IntArray
 from ssp_lp.errors import ModelError, check_flag, is_number, wrong_argument
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained_class
@@ -16,6 +16,7 @@ from ssp_lp.policies.policy import (
     Branches,
     CostLayers,
     Policy,
+    Step,
     check_costs,
     check_decisions,
 )
@@ -24,8 +25,7 @@ _MOST_BEYOND = 4_000_000  # states times layers beyond the last level, which are
 _FAR = 1e15  # layers: no step passes more
 _MOST_PASSED = 20_000_000  # states times layers that one step passes, where costs are rounded up
 _CHECKED = 1_000_000  # decisions looked at together
-_TIE = 1e-6  # of a level: so far from the middle between two a total is nearer to one of them
-_OFF_LATTICE = 1e-6  # of a layer: far above the rounding of a sum of costs, far below a step
+_NEAR = 1e-6  # of a layer or a level: far above the rounding of a sum of costs, far below a step
 
 
 @explained_class
@@ -36,7 +36,7 @@ class CostAwarePolicy(Policy):
     Costs are counted in layers of ``unit``. Memory below ``cap`` is the layer. At the cap the
     policy switches for good to one of its stationary tails: to the last one (which fails where it
     can, the paper's pi'_or of section 3.5) where the layer has reached ``tail_threshold`` of the
-    state, else to the first, or as ``tail_table`` says; memory is then ``cap + tail``.
+    state, else to the first; memory is then ``cap + tail``.
 
     Where it ``rounds_up`` a step passes the next whole number of layers: the cost paid is at most
     what the memory says, so that a law of rounded costs overstates no success.
@@ -55,14 +55,14 @@ class CostAwarePolicy(Policy):
     decision: IntArray  # [cap, states] position in the state's pairs, GIVE_UP_CODE or UNDECIDED
     tails: IntArray  # [tails, states] pair, GIVE_UP_CODE or UNDECIDED
     tail_threshold: FloatArray  # [states] layer from which the last tail is followed
-    tail_table: IntArray | None = None  # [layers from the cap on, states] tail, for any other rule
     levels: FloatArray | None = None  # [cap + 1] totals, the first of which is 0; None: multiples
     rounds_up: bool = False  # costs that are no whole number of layers
 
     def __post_init__(self) -> None:
         check_flag("rounds_up", self.rounds_up)
+        self.keep_read_only("decision", "tails", "tail_threshold")
+        self.keep_read_only("levels", dtype=np.float64)
         if self.levels is not None:
-            object.__setattr__(self, "levels", read_only(self.levels, np.float64))
             rising = len(self.levels) > 1 and bool((np.diff(self.levels) > 0.0).all())
             if not (rising and self.levels[0] == 0.0 and np.isfinite(self.levels[-1])):
                 raise ModelError("levels of accumulated cost must rise from 0 and be finite")
@@ -72,9 +72,6 @@ class CostAwarePolicy(Policy):
             raise wrong_argument("the unit of accumulated cost", "be > 0 and finite", self.unit)
         else:
             object.__setattr__(self, "unit", float(self.unit))
-        for name in ("decision", "tails", "tail_threshold", "tail_table"):
-            if (array := getattr(self, name)) is not None:
-                object.__setattr__(self, name, read_only(array))
         several, positions = max(_CHECKED // max(self.model.n_states, 1), 1), self.decision
         for first in range(0, self.cap, several):
             check_decisions(self.model, positions[first : first + several], as_positions=True)
@@ -93,10 +90,9 @@ class CostAwarePolicy(Policy):
     @property
     def meaning(self) -> tuple[object, ...]:
         """The layers, and the rule by which tails are chosen."""
-        rule = self.tail_threshold if self.tail_table is None else self.tail_table
         levels = b"" if self.levels is None else self.levels.tobytes()
         kept = self.cap, self.unit, self.rounds_up, len(self.tails)
-        return *kept, rule.tobytes(), levels
+        return *kept, self.tail_threshold.tobytes(), levels
 
     @property
     def remembers(self) -> str:
@@ -112,7 +108,7 @@ class CostAwarePolicy(Policy):
     def start_memory(self, states: IntArray) -> IntArray:
         """The cost-aware policy's memory at the start: layer 0, [episodes]."""
         nothing = np.zeros(len(states), dtype=np.int64)
-        return nothing if self.levels is not None else self._memory_at(nothing, states)
+        return self._memory_at(nothing, self.tail_threshold[states] <= 0.0)
 
     def layers(self) -> CostLayers | None:
         """The cost-aware policy by layer; None: a cost is no whole number of them, or too large."""
@@ -125,11 +121,11 @@ class CostAwarePolicy(Policy):
             return None
         if self.rounds_up and steps.max(initial=0.0) * self.model.n_states > _MOST_PASSED:
             return None
-        passed, states = steps.astype(np.int64), np.arange(self.model.n_states)
+        passed = steps.astype(np.int64)
         return CostLayers(
             decision=self.decision,
             tails=self.tails,
-            tail_at=lambda layer: self._memory_at(np.full(len(states), layer), states) - self.cap,
+            tail_at=lambda layer: np.where(layer >= self.tail_threshold, len(self.tails) - 1, 0),
             costs=costs,
             leads=lambda layer: passed,
             unit=self.unit,
@@ -147,30 +143,29 @@ class CostAwarePolicy(Policy):
         pair[~below] = self.tails[memory[~below] - self.cap, states[~below]]
         return Branches(np.arange(len(states)), pair, np.ones(len(states)))
 
-    def remember(
-        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
-    ) -> IntArray:
+    def remember(self, memory: IntArray, *step: *Step) -> IntArray:
         """Add a cost to the cost-aware policy's memory; at the cap switch to a tail.
 
         Raises:
             ModelError: a cost is negative or not finite, or no whole number of layers where nothing
                 says how to round it.
         """
+        _, successors, costs = step
         check_costs(costs)
-        cap, acting = self.cap, (self.tails[0, successors] != UNDECIDED) & (memory < self.cap)
+        cap, threshold = self.cap, self.tail_threshold[successors]
+        acting = (self.tails[0, successors] != UNDECIDED) & (memory < cap)
         if self.levels is not None:
             total = self.levels[np.minimum(memory, cap)] + costs
-            nearest = _nearest_cost_level(self.levels, total)
-            late = total >= self.tail_threshold[successors]
-            tail = cap + np.where(late, len(self.tails) - 1, 0)
-            return np.where(acting, np.where(nearest < cap, nearest, tail), memory)
-        steps, off = self._passed(np.asarray(costs / self.unit))
-        off = acting & (off | (steps > _FAR))
-        if off.any():
-            cost = float(costs[int(np.argmax(off))])
-            raise ModelError(f"observed cost {cost!r} is no whole number of units {self.unit!r}")
-        layer = memory + np.where(acting, steps, 0.0).astype(np.int64)
-        return np.where(acting, self._memory_at(layer, successors), memory)
+            layer, is_late = _nearest_cost_level(self.levels, total), total >= threshold
+        else:
+            steps, off = self._passed(np.asarray(costs / self.unit))
+            off = acting & (off | (steps > _FAR))
+            if off.any():
+                unit, cost = self.unit, float(costs[int(np.argmax(off))])
+                raise ModelError(f"observed cost {cost!r} is no whole number of units {unit!r}")
+            layer = memory + np.where(acting, steps, 0.0).astype(np.int64)
+            is_late = layer >= threshold
+        return np.where(acting, self._memory_at(layer, is_late), memory)
 
     def _passed(self, units: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Whole layers of the cost-aware policy that costs pass, and which have none."""
@@ -178,21 +173,17 @@ class CostAwarePolicy(Policy):
             passed = np.minimum(np.ceil(units * (1.0 - SAME_TOTAL)), _FAR)
             return passed, np.zeros(units.shape, dtype=np.bool_)
         steps = np.rint(units)
-        return steps, ~(np.abs(units - steps) <= _OFF_LATTICE)
+        return steps, ~(np.abs(units - steps) <= _NEAR)
 
     def _level_layers(self, levels: FloatArray) -> CostLayers | None:
         """The cost-aware policy by level of cost; beyond the last a layer for each tail.
 
         Steps that only end episodes lead to the next layer, where that makes no difference. None
-        where the layers beyond are too many, or tails are chosen by a table.
+        where the layers beyond are too many.
         """
-        if self.tail_table is not None:
-            return None
         cap, costs, last = self.cap, np.unique(self.model.costs), len(self.tails) - 1
-        goes_on, paid = self.tails[0] != UNDECIDED, [np.zeros(0)]
-        for some in chunks(self.model.n_outcomes):
-            paid.append(np.unique(self.model.costs[some][goes_on[self.model.successors[some]]]))
-        moving = np.isin(costs, np.concatenate(paid))  # after which an episode may go on
+        goes_on = (self.tails[0] != UNDECIDED)[self.model.successors]
+        moving = np.isin(costs, self.model.costs[goes_on])  # after which an episode may go on
         edges = self._told_apart(levels, costs[moving])
         if len(edges) * self.model.n_states > _MOST_BEYOND:
             return None
@@ -231,24 +222,19 @@ class CostAwarePolicy(Policy):
         near = levels[:-1][levels[:-1] >= levels[-2] - costs.max(initial=0.0)]
         last = levels[-2] + costs.max(initial=0.0)
         edges, end = np.unique(self.tail_threshold), 0.5 * (levels[-2] + levels[-1])
-        edges = edges[(edges > (1.0 - _TIE) * end) & (edges <= last)]
+        edges = edges[(edges > (1.0 - _NEAR) * end) & (edges <= last)]
         if edges.size * near.size > _CHECKED * 10:  # too many to compare
             return np.asarray(edges)
         room = edges[:, None] - near
         below, upto = (
-            np.searchsorted(costs, room + side * _TIE * last).sum(axis=1) for side in (-1.0, 1.0)
+            np.searchsorted(costs, room + side * _NEAR * last).sum(axis=1) for side in (-1.0, 1.0)
         )
         is_apart = np.append(True, upto[1:] != below[:-1])
         return np.asarray(edges[is_apart[: len(edges)]])
 
-    def _memory_at(self, layer: IntArray, states: IntArray) -> IntArray:
-        """The memory of a cost-aware policy at a layer, or of its tail."""
-        last = len(self.tails) - 1
-        if self.tail_table is None:
-            tail = np.where(layer >= self.tail_threshold[states], last, 0)
-        else:
-            beyond = np.clip(layer - self.cap, 0, len(self.tail_table) - 1)
-            tail = self.tail_table[beyond, states].astype(np.int64)
+    def _memory_at(self, layer: IntArray, is_late: BoolArray) -> IntArray:
+        """The memory of a cost-aware policy at a layer, or of its tail, the last one if late."""
+        tail = np.where(is_late, len(self.tails) - 1, 0)
         return np.where(layer < self.cap, layer, self.cap + tail)
 
     def __repr__(self) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import enum
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, Literal, NamedTuple, get_args
@@ -20,9 +20,9 @@ from ssp_lp.arrays import (
     FloatArray,
     IntArray,
     ReadOnlyCopies,
+    drawn_in_segments,
     entries_of,
     offsets_of,
-    read_only,
     segment_sums,
 )
 from ssp_lp.errors import ModelError, check_whole, in_short, wrong_argument
@@ -73,6 +73,9 @@ _BY_EPISODE = ": play an episode, episode = policy.start(seed=0), and ask episod
 
 MOST_EPISODES: Final = 100_000_000
 """Played side by side: some ten gigabytes."""
+
+Step = tuple[IntArray, IntArray, FloatArray]
+"""Steps of episodes: pairs of the model, where they led to, and what they cost, [episodes] each."""
 
 World = Literal["model", "other"]
 """Where episodes are played: in the policy's model, or in another world that it stands for."""
@@ -248,11 +251,8 @@ class Policy(Playable):
 
     model: SSP
     carrier: Policy | None = None  # the policy whose memory this one has
-
-    @property
-    def goes_on(self) -> bool:
-        """Whether the policy has decisions after failing."""
-        return False
+    goes_on: bool = False  # whether the policy has decisions after failing
+    step_limit: int | None = None  # within which it was made to reach the goal; None: not known
 
     @property
     def declares_failing(self) -> bool:
@@ -268,11 +268,6 @@ class Policy(Playable):
     def meaning(self) -> tuple[object, ...]:
         """What its memory means: equal for policies that understand each other's."""
         return () if self.carrier is None else self.carrier.meaning
-
-    @property
-    def step_limit(self) -> int | None:
-        """Steps within which the policy was made to reach the goal; None: no limit is known."""
-        return None
 
     @property
     def remembers(self) -> str:
@@ -328,12 +323,9 @@ class Policy(Playable):
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """The policy's decisions with probabilities in each (state, memory), [situations]."""
 
-    def remember(
-        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
-    ) -> IntArray:
+    def remember(self, memory: IntArray, *step: *Step) -> IntArray:
         """The policy's memory after steps of pairs to successors at costs, [episodes]."""
-        step = memory, pairs, successors, costs
-        return memory if self.carrier is None else self.carrier.remember(*step)
+        return memory if self.carrier is None else self.carrier.remember(memory, *step)
 
     @property
     def ended(self) -> BoolArray:
@@ -361,15 +353,13 @@ class Policy(Playable):
             ModelError: the policy has no decision in one of the states.
         """
         branches = self.branches(states, memory)
-        drawn = np.arange(len(states))
+        drawn: IntArray = np.arange(len(states))
         if len(branches.situation) > len(states):  # else one branch each: nothing to draw
             if rng is None:
                 raise ModelError("a stochastic policy needs a seed or a generator: start(0)")
-            upto = np.append(0.0, np.cumsum(branches.probability))
-            first = np.searchsorted(branches.situation, drawn)
-            last = np.append(first[1:], len(branches.situation)) - 1
-            drawn = np.searchsorted(upto[1:], upto[first] + rng.random(len(states)), side="right")
-            drawn = np.clip(drawn, first, last)
+            offsets = np.searchsorted(branches.situation, np.arange(len(states) + 1))
+            sums = np.append(0.0, np.cumsum(branches.probability))
+            drawn = drawn_in_segments(sums, offsets[:-1], offsets[1:], rng)
         self.check_decided(branches.pair[drawn], states)
         return branches.pair[drawn], branches.kept(memory)[drawn]
 
@@ -380,12 +370,14 @@ class Policy(Playable):
             raise ModelError(f"the policy has no decision in state {state!r}")
 
 
-def check_policies(policies: Iterable[object]) -> None:
-    """Raise :class:`ModelError` unless all arguments are policies; a solution has one."""
+def check_policies(policies: Sequence[Any], parts: str) -> None:
+    """Raise :class:`ModelError` unless all parts are policies on one model; a solution has one."""
     for one in policies:
         if not isinstance(one, Policy):
             hint = "; pass solution.policy" if hasattr(one, "policy") else ""
             raise ModelError(f"a policy is needed, not {in_short(one)}{hint}")
+        if one.model is not policies[0].model:
+            raise ModelError(f"the {parts} must act on one model")
 
 
 def check_costs(costs: FloatArray | float) -> None:
@@ -526,13 +518,12 @@ class EpisodeBatch:
             self.memory[own] = moved
         return pairs
 
-    def remember(
-        self, episodes: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
-    ) -> None:
+    def remember(self, episodes: IntArray, *step: *Step) -> None:
         """Move the policies' memories of the given episodes."""
+        pairs, successors, costs = step
         for member, mine in self.shares(episodes):
-            kept, step = self.memory[episodes[mine]], (pairs[mine], successors[mine], costs[mine])
-            self.memory[episodes[mine]] = member.remember(kept, *step)
+            own, taken = episodes[mine], (pairs[mine], successors[mine], costs[mine])
+            self.memory[own] = member.remember(self.memory[own], *taken)
 
     def shares(self, episodes: IntArray) -> Iterator[tuple[Policy, IntArray]]:
         """Each member with the positions of the episodes that it plays."""
@@ -622,7 +613,7 @@ class DeterministicPolicy(Policy):
     decision: IntArray  # [states] pair, GIVE_UP_CODE or UNDECIDED
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "decision", read_only(self.decision))
+        self.keep_read_only("decision")
         if self.decision.shape != (self.model.n_states,):
             raise ModelError(f"a decision is needed for each of {self.model.n_states} states")
         check_decisions(self.model, self.decision)
@@ -669,22 +660,10 @@ class DeterministicPolicy(Policy):
 
 def _decided_pair(model: SSP, state: int, action: Hashable) -> int:
     """Pair of a decision, GIVE_UP_CODE for ``GIVE_UP`` or, without such an action, "give up"."""
-    own = (model.action_of(p) for p in range(*model.pair_offsets[state : state + 2].tolist()))
+    own = map(model.action_of, model.pairs_of(state))
     if action is GIVE_UP or (action == GIVE_UP and action not in own):
         return GIVE_UP_CODE
-    return find_pair(model, state, action)
-
-
-def find_pair(model: SSP, state: int, action: Hashable) -> int:
-    """Index of a policy's pair (state, action).
-
-    Raises:
-        ModelError: the state does not have the action.
-    """
-    for pair in range(int(model.pair_offsets[state]), int(model.pair_offsets[state + 1])):
-        if model.action_of(pair) == action:
-            return pair
-    raise ModelError(model.no_such_action(state, action))
+    return model.pair_of(state, action)
 
 
 def check_decisions(model: SSP, decision: IntArray, *, as_positions: bool = False) -> None:
@@ -726,8 +705,7 @@ class StochasticPolicy(Policy):
     carrier: Policy | None = None
 
     def __post_init__(self) -> None:
-        for name in ("situation_key", "offsets", "pair", "probability"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        self.keep_read_only("situation_key", "offsets", "pair", "probability")
         sums = segment_sums(self.probability, self.offsets)
         if not ((self.probability >= 0).all() and (np.abs(sums - 1.0) <= 1e-9).all()):
             raise ModelError("the decisions of each state need probabilities that sum to one")
@@ -811,9 +789,6 @@ class StochasticPolicy(Policy):
         return f"StochasticPolicy({len(self.situation_key):,} situations, {random:,} at random)"
 
 
-_LISTED = 3  # members that a repr names
-
-
 @explained_class
 @dataclass(frozen=True, eq=False, repr=False)
 class MixedPolicy(Playable):
@@ -828,15 +803,13 @@ class MixedPolicy(Playable):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "policies", tuple(self.policies))
-        object.__setattr__(self, "weights", read_only(self.weights, np.float64))
-        check_policies(self.policies)
+        self.keep_read_only("weights", dtype=np.float64)
+        check_policies(self.policies, "members of a mixed policy")
         if not self.policies or self.weights.shape != (len(self.policies),):
             raise ModelError("a mixed policy needs one weight for each of its policies")
         weights = self.weights.tolist()
         if not (min(weights) >= 0.0 and abs(sum(weights) - 1.0) <= 1e-9):
             raise ModelError(f"weights must form a distribution, not {weights}")
-        if any(p.model is not self.model for p in self.policies):
-            raise ModelError("the members of a mixed policy must act on one model")
 
     @property
     def model(self) -> SSP:
@@ -849,10 +822,9 @@ class MixedPolicy(Playable):
         return tuple(zip(self.weights.tolist(), self.policies, strict=True))
 
     def __repr__(self) -> str:
-        """One line: how many members there are, and the first of them with their weights."""
-        some = list(zip(self.weights, self.policies, strict=True))[:_LISTED]
-        parts = [f"{weight:.6g} x {policy!r}" for weight, policy in some]
-        parts += ["..."] if len(self.policies) > _LISTED else []
+        """One line: how many members there are, and the first three with their weights."""
+        parts = [f"{weight:.6g} x {policy!r}" for weight, policy in self.weighted[:3]]
+        parts += ["..."] * (len(self.policies) > len(parts))
         count = f"{len(self.policies)} member{'s' if len(self.policies) > 1 else ''}"
         return f"MixedPolicy({count}: {' + '.join(parts)})"
 

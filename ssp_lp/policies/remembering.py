@@ -9,14 +9,13 @@ import enum
 from abc import abstractmethod
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from itertools import product as every_choice
 from math import prod
 from typing import ClassVar
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
+from ssp_lp.arrays import BoolArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained, explained_class
@@ -30,6 +29,7 @@ from ssp_lp.policies.policy import (
     DeterministicPolicy,
     MixedPolicy,
     Policy,
+    Step,
     as_lottery,
     check_costs,
     check_decisions,
@@ -53,12 +53,12 @@ class _Carried(Policy):
         return self.inner.model
 
     @property
-    def step_limit(self) -> int | None:
+    def step_limit(self) -> int | None:  # type: ignore[override]
         """The inner policy's."""
         return self.inner.step_limit
 
     @property
-    def goes_on(self) -> bool:
+    def goes_on(self) -> bool:  # type: ignore[override]
         """Whether the inner policy does."""
         return self.inner.goes_on
 
@@ -97,9 +97,7 @@ class TimedPolicy(_Carried):
         object.__setattr__(self, "stages", tuple(self.stages))
         if not self.stages:
             raise ModelError("a timed policy needs at least one stage")
-        check_policies(self.stages)
-        if any(p.model is not self.stages[0].model for p in self.stages):
-            raise ModelError("the stages of a timed policy must act on one model")
+        check_policies(self.stages, "stages of a timed policy")
 
     @property
     def inner(self) -> Policy:  # type: ignore[override]
@@ -135,12 +133,10 @@ class TimedPolicy(_Carried):
             parts.append(own._replace(memory=self.joined(own.kept(inner), number)))
         return merged(memory, *parts)
 
-    def remember(
-        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
-    ) -> IntArray:
+    def remember(self, memory: IntArray, *step: *Step) -> IntArray:
         """Move the memory that the timed policy's stages share, and go on to the next stage."""
         inner, stage = self.split(memory)
-        moved = self.inner.remember(inner, pairs, successors, costs)
+        moved = self.inner.remember(inner, *step)
         return self.joined(moved, np.minimum(stage + 1, len(self.stages) - 1))
 
     def __repr__(self) -> str:
@@ -209,12 +205,9 @@ class JointMemory(Policy):
         own = (mine or [self.decider.start_memory(states)])[0]
         return self.decider.branches(states, own)._replace(memory=None)
 
-    def remember(
-        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
-    ) -> IntArray:
+    def remember(self, memory: IntArray, *step: *Step) -> IntArray:
         """Move each keeper's part of a joint memory."""
         parts = zip(self.keepers, np.unravel_index(memory, self._sizes), strict=True)
-        step = pairs, successors, costs
         moved: list[IntArray] = [keeper.remember(part, *step) for keeper, part in parts]
         return np.asarray(np.ravel_multi_index(moved, self._sizes))
 
@@ -262,7 +255,7 @@ class RememberingPolicy(_Carried):
         return self.product.original
 
     @property
-    def step_limit(self) -> int | None:
+    def step_limit(self) -> int | None:  # type: ignore[override]
         """Step limit of a policy that remembers: the fewest of its products."""
         own = self.product.steps if isinstance(self.product, HorizonSSP) else None
         return min((n for n in (own, self.inner.step_limit) if n is not None), default=None)
@@ -279,14 +272,12 @@ class RememberingPolicy(_Carried):
 
     def begins(self, states: IntArray) -> BoolArray:
         """Whether the product has these states with the memory's start, [episodes]."""
-        number = self.product.memory_number[self.product.memory.start]
-        return np.asarray(self.product.table[states, number] >= 0)
+        return np.asarray(self.product.table[states, 0] >= 0)
 
     def start_memory(self, states: IntArray) -> IntArray:
         """Start of the product's memory and of the inner policy's, remembered, [episodes]."""
-        first = self.product.memory_number[self.product.memory.start]
-        here = self._at(states, np.full(len(states), first))
-        return self.joined(self.inner.start_memory(here), first)
+        here = self.product.at(states, np.zeros(len(states), dtype=np.int64))
+        return self.joined(self.inner.start_memory(here), 0)
 
     @property
     def ended(self) -> BoolArray:
@@ -298,7 +289,7 @@ class RememberingPolicy(_Carried):
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """Decisions of a remembering policy as pairs of the original; giving up where lost."""
         product, (inner, number) = self.product, self.split(memory)
-        here = self._at(states, number)
+        here = product.at(states, number)
         inside = self.inner.branches(here, inner)
         shift = product.pair_offsets[here] - self.model.pair_offsets[states]
         pair = np.where(inside.pair >= 0, inside.pair - shift[inside.situation], inside.pair)
@@ -309,50 +300,20 @@ class RememberingPolicy(_Carried):
         kept = None if moved is None else self.joined(moved, number[inside.situation])
         return Branches(inside.situation, pair, inside.probability, kept)
 
-    def remember(
-        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
-    ) -> IntArray:
+    def remember(self, memory: IntArray, *step: *Step) -> IntArray:
         """Update the remembered memory with each step, and the inner policy's, [episodes].
 
         Raises:
             ModelError: a cost is negative or not finite, or a step leads to a memory that the
                 product does not have.
         """
+        pairs, successors, costs = step
         check_costs(costs)
-        product, model, (inner, begun) = self.product, self.model, self.split(memory)
-
-        @cache
-        def updated(number: int, pair: int, successor: int, cost: float) -> int:
-            """Number of the product's memory after a step."""
-            state, there = model.states[int(model.pair_state[pair])], model.states[successor]
-            step = product.memories[number], state, model.action_of(pair), there, cost
-            if (kept := product.memory.update(*step)) not in product.memory_number:
-                told = f"the step from {state!r} by {step[2]!r} to {there!r} at cost {cost:g}"
-                other = f"the memory {kept!r}, which the product does not have"
-                raise ModelError(f"{told} leads to {other}")
-            return product.memory_number[kept]
-
-        steps = (each.tolist() for each in (begun, pairs, successors, costs))
-        after = np.array(list(map(updated, *steps)), dtype=np.int64)
-        here = self._at(model.pair_state[pairs], begun)
-        taken = product.placed(here, pairs)
-        moved = self.inner.remember(inner, taken, self._at(successors, after), costs)
-        return self.joined(moved, after)
-
-    def _at(self, states: IntArray, numbers: IntArray) -> IntArray:
-        """States of the product by what is remembered.
-
-        Raises:
-            ModelError: a state and a memory that do not occur together.
-        """
-        places = self.product.table[states, numbers]
-        if (places < 0).any():
-            k = int(np.argmax(places < 0))
-            raise ModelError(
-                f"state {self.model.states[int(states[k])]!r} with the memory "
-                f"{self.product.memories[int(numbers[k])]!r} does not occur in the product"
-            )
-        return places
+        product, (inner, begun) = self.product, self.split(memory)
+        taken = product.placed(product.at(self.model.pair_state[pairs], begun), pairs)
+        there = product.moved(taken, successors, costs)
+        moved = self.inner.remember(inner, taken, there, costs)
+        return self.joined(moved, product.labels.number[there])
 
     def __repr__(self) -> str:
         """One line: how many memories there are, and the inner policy."""
@@ -368,7 +329,7 @@ class LabelledPolicy(_Carried):
     """
 
     inner: Policy  # on the product with the label
-    goes_on: ClassVar[bool] = True
+    goes_on = True
     digits: ClassVar = "before failing", "giving up", "after failing"
 
     @property
@@ -418,13 +379,12 @@ class LabelledPolicy(_Carried):
         kept = memory[situation] + quits * (_Label.GIVING_UP - _Label.BEFORE)
         return Branches(situation, acting, chance / total[situation], kept)
 
-    def remember(
-        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
-    ) -> IntArray:
+    def remember(self, memory: IntArray, *step: *Step) -> IntArray:
         """Move the remembered label of failing, and the inner policy's memory, [episodes].
 
         What is paid after failing is none of the inner policy's costs.
         """
+        pairs, successors, costs = step
         product, (inner, label) = self.product, self.split(memory)
         here = self.model.pair_state[pairs] + product.n_original * (label == _Label.AFTER)
         taking = label == _Label.GIVING_UP
@@ -432,7 +392,7 @@ class LabelledPolicy(_Carried):
         if (taken < 0).any():
             pair_words = self.model.describe_pair(int(pairs[int(np.argmax(taken < 0))]))
             raise ModelError(f"{pair_words} may lead to the goal: it is not taken after failing")
-        moved = product.moved(taken, successors)
+        moved = product.moved(taken, successors, costs)
         failed = product.after[moved]
         charge = product.costs[product.outcome_offsets[taken]]
         paid = np.where(failed, charge, costs)
@@ -467,13 +427,13 @@ class CompletePolicy(_Carried):
     inner: Policy
     otherwise: IntArray  # [states] pair where the inner policy has no decision, or UNDECIDED
     afterwards: IntArray  # [states] pair where it is over, or UNDECIDED
-    goes_on: ClassVar[bool] = True
+    goes_on = True
     digits: ClassVar = "", "over", "elsewhere"
 
     def __post_init__(self) -> None:
-        for name in ("otherwise", "afterwards"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
-            check_decisions(self.model, getattr(self, name))
+        self.keep_read_only("otherwise", "afterwards")
+        for decision in (self.otherwise, self.afterwards):
+            check_decisions(self.model, decision)
 
     @property
     def ended(self) -> BoolArray:
@@ -514,16 +474,15 @@ class CompletePolicy(_Carried):
         planned = Branches(found.situation, pair, found.probability, kept)
         return merged(memory, planned, Branches(silent, rest, np.ones(silent.size)))
 
-    def remember(
-        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
-    ) -> IntArray:
+    def remember(self, memory: IntArray, *step: *Step) -> IntArray:
         """The inner policy's, as long as it has something to say, [episodes]."""
+        pairs, _, costs = step
         check_costs(costs)
         inner, alone = self.split(memory)
         ended = self.inner.ended[self.model.pair_state[pairs]]
         moved, going = np.where(ended, 3 * inner + 1, memory), np.flatnonzero((alone == 0) & ~ended)
-        step = pairs[going], successors[going], costs[going]
-        moved[going] = 3 * self.inner.remember(inner[going], *step)
+        own = pairs[going], step[1][going], costs[going]
+        moved[going] = 3 * self.inner.remember(inner[going], *own)
         return np.asarray(moved)
 
     def __repr__(self) -> str:

@@ -433,8 +433,7 @@ def _listed_costs(model: SSP, cost: NestedCosts) -> FloatArray:
             _listed_costs(model.original, {state: actions})  # nobody acts there: a check only
             continue
         for place in acting or places.tolist():
-            begin, end = model.pair_offsets[place : place + 2].tolist()
-            pair_of = {model.action_of(pair): pair for pair in range(begin, end)}
+            pair_of = {model.action_of(pair): pair for pair in model.pairs_of(place)}
             for action, value in actions.items():
                 if action not in pair_of:
                     raise ModelError(model.no_such_action(place, action))

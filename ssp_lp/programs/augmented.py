@@ -8,7 +8,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -17,10 +16,11 @@ import scipy.sparse as sp
 from ssp_lp.accumulated_cost.process import AccumulatedCost, spread_layer
 from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.policies.cost_aware import CostAwarePolicy
-from ssp_lp.policies.policy import GIVE_UP, DeterministicPolicy, StochasticPolicy, find_pair
+from ssp_lp.policies.policy import GIVE_UP, DeterministicPolicy, StochasticPolicy
 from ssp_lp.processes.conditions import Term
 from ssp_lp.processes.explicit_process import ExplicitProcess, ReachablePart
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of
@@ -60,6 +60,7 @@ STAY = "stay for ever"
 """Action of the column by which a policy wanders for ever, at no cost, from one of its states."""
 
 
+@dataclass(frozen=True, eq=False)
 class Augmented(ABC):
     """A process written out, with its way back to the model.
 
@@ -70,11 +71,7 @@ class Augmented(ABC):
     inner: FailureLabelled | OpenEnded  # what is written out
     start: FloatArray  # [states] distribution
     semantics: FailureSemantics  # who may give up
-
-    @property
-    @abstractmethod
-    def part(self) -> ReachablePart:
-        """The augmented process, with the numbers of its states and pairs."""
+    part: ReachablePart  # the process, with the numbers of its states and pairs
 
     @property
     def process(self) -> ExplicitProcess:
@@ -161,18 +158,22 @@ class Augmented(ABC):
 
         Args:
             states: of the model.
-            action: an action that each of them has, ``GIVE_UP``, ``STAY``, or None for all.
+            action: an action that one of them has, ``GIVE_UP``, ``STAY``, or None for all.
+
+        Raises:
+            ModelError: none has the action.
         """
         quotient, live = self.quotient, states[self.quotient.node_of[states] >= 0]
         inner = np.isin(quotient.pair_node, quotient.node_of[live])
         if action is GIVE_UP or action == STAY:
             inner &= quotient.gives_up
         elif action is not None:
-            acts = np.diff(self.model.pair_offsets)[states] > 0  # none has a copy out of time
-            acting = states[acts] if isinstance(self.model, ProductSSP) else states
-            if (label := self.model.failure_label) is not None:  # some are not there after failing
-                acting = label.having(acting, action)
-            taken = [find_pair(self.model, state, action) for state in acting]
+            model = self.model
+            named = np.array([name == action for name in model.action_names], dtype=np.bool_)
+            taken = np.flatnonzero(np.isin(model.pair_state, states) & named[model.pair_action])
+            acts = np.diff(model.pair_offsets)[states] > 0  # no copy that is out of time does
+            if not taken.size and (acts.any() or not isinstance(model, ProductSSP)):
+                raise ModelError(model.no_such_action(int(states[np.argmax(acts)]), action))
             inner &= np.isin(quotient.pair_at, taken)
         return np.flatnonzero(self._of_copies(inner))
 
@@ -206,20 +207,31 @@ class LabelledModel(Augmented):
     """The states that have not failed yet; what fails leaves the process."""
 
     inner: FailureLabelled
-    start: FloatArray  # [states]
-    semantics: FailureSemantics
     discount: float | None
+
+    @classmethod
+    def of(
+        cls,
+        inner: FailureLabelled,
+        start: FloatArray,
+        semantics: FailureSemantics,
+        discount: float | None,
+    ) -> LabelledModel:
+        """The augmented model of labelled states, all of them.
+
+        Args:
+            inner: the labelled states.
+            start: distribution over states, [states].
+            semantics: who may give up.
+            discount: None: none.
+        """
+        every = np.arange(inner.process.n_states), np.arange(inner.process.n_pairs)
+        return cls(inner, start, semantics, ReachablePart(inner.process, *every), discount)
 
     @property
     def live(self) -> FailureLabelled:
         """The labelled states, the augmented model's live part where no cost counts."""
         return self.inner
-
-    @cached_property
-    def part(self) -> ReachablePart:
-        """The whole process of the augmented model with labels."""
-        process = self.inner.process
-        return ReachablePart(process, np.arange(process.n_states), np.arange(process.n_pairs))
 
     def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
         """The augmented model's one flow with labels."""
@@ -246,7 +258,8 @@ class LabelledModel(Augmented):
         )
         whole = ExplicitProcess(offsets, rows, start, cost, failure, goal)
         ones = np.ones(len(single.pair_at))
-        return replace(self, inner=FailureLabelled(whole, single, ones))
+        labelled = FailureLabelled(whole, single, ones)
+        return LabelledModel.of(labelled, self.start, self.semantics, self.discount)
 
     def started(self, start: FloatArray) -> LabelledModel | None:
         """The augmented model from another start; None: an episode may end where it begins."""
@@ -254,7 +267,8 @@ class LabelledModel(Augmented):
         if start[ends].any() or self.start[ends].any():
             return None
         process = replace(self.process, start=self.quotient.gather(start))
-        return replace(self, inner=replace(self.inner, process=process), start=start)
+        labelled = replace(self.inner, process=process)
+        return LabelledModel.of(labelled, start, self.semantics, self.discount)
 
     def counted(self, term: Term) -> FloatArray:
         """Coefficient of a quantity in the augmented model with labels, [process pairs]."""
@@ -270,9 +284,6 @@ class LayeredModel(Augmented):
     """
 
     inner: OpenEnded
-    start: FloatArray  # [states]
-    semantics: FailureSemantics
-    reached: ReachablePart  # of the table written out
 
     @classmethod
     def of(cls, inner: OpenEnded, start: FloatArray, semantics: FailureSemantics) -> LayeredModel:
@@ -284,11 +295,6 @@ class LayeredModel(Augmented):
             semantics: who may give up.
         """
         return cls(replace(inner), start, semantics, inner.reachable_part())
-
-    @property
-    def part(self) -> ReachablePart:
-        """The totals of the augmented model that a run can come to."""
-        return self.reached
 
     @property
     def live(self) -> AccumulatedCost:

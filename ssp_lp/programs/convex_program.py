@@ -386,7 +386,8 @@ class ConvexProgram:
     @property
     def _minimised(self) -> Any:
         """The convex program's objective as a cvxpy expression."""
-        return getattr(self.objective, "scaled", self.objective)
+        own = self.objective
+        return own.scaled if isinstance(own, ScaledExpression) else own
 
     @property
     def _minimises_cost(self) -> bool:
@@ -492,8 +493,10 @@ class ConvexProgram:
 
     def _price(self, name: str, sign: float = 1.0) -> float:
         """Multiplier of a row of the convex program from cvxpy; 0 where it has none."""
-        value = getattr(self.constraints.get(name), "dual_value", None)
-        return 0.0 if value is None else max(sign * float(np.ravel(value)[0]), 0.0)
+        row = self.constraints.get(name)
+        if row is None or row.dual_value is None:
+            return 0.0
+        return max(sign * float(np.ravel(row.dual_value)[0]), 0.0)
 
 
 def stated_problem(objective: Any, constraints: Mapping[str, Any]) -> Any:

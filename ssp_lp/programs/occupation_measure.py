@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import (
+    RESIDUAL,
     BoolArray,
     FloatArray,
     IntArray,
@@ -37,14 +38,12 @@ _LEVELS = (1e-8, 1e-7, 1e-6)
 NOISES = ((_SEEN, 0.0), *((level, 0.0) for level in _LEVELS), *zip(_LEVELS, _LEVELS, strict=True))
 """Visits of states, and shares of them, that interior points leave where there are none."""
 
-_DUST = 1e-12  # of a state's visits: less is rounding
+_DUST = 1e-12  # of a state's visits, or of all weight: less is rounding
 _ROUNDED = 1e-15  # of them: what subtracting leaves
-_REST = 1e-12  # weight that is not worth a member of its own
 _ABOVE = 10.0  # times rounding: visits that count
 _WRONG = 1e-8  # of a state's visits: what members may have too many
 _USED_UP = 1e-9  # share of a pair's visits that rounding may leave of it
 _BALANCED = 1e-13  # imbalance of visits that are taken as a policy's own
-_KEPT = 1e-6  # of a row's bound: what a lottery may break of it, as a solver's answer may
 _LISTED = 20  # rows that are printed
 _BEYOND = 1e-9  # probability of passing the last total from which it is told
 
@@ -220,7 +219,7 @@ class OccupationMeasure:
                 refusal = refusal or str(error)
                 continue
             over = {r.violation(float(r.coefficients @ followed)): r for r in self.program.rows}
-            if (worst := max(over, default=0.0)) <= max(self.residual, _KEPT):
+            if (worst := max(over, default=0.0)) <= max(self.residual, RESIDUAL):
                 return MixedPolicy(tuple(map(self.program.augmented.policy, choices)), weights)
             refusal = (
                 f"without what may be noise, the lottery of these visits breaks "
@@ -433,7 +432,7 @@ def decomposed(
         if not visited.any():
             break
         weight = min(float((left[choice[visited]] / own[visited]).min()), remaining)
-        weight = remaining if remaining - weight <= _REST else weight
+        weight = remaining if remaining - weight <= _DUST else weight
         members.append(choice)
         weights.append(weight)
         spent = np.zeros_like(left)

@@ -1,10 +1,16 @@
 """The occupation-measure program of a problem: labelled, readable, and open to every solver.
 
     minimise    <cost, x>                     (case S: <cost, x> / <goal, x>)
-    subject to  outflow(x) - inflow(x) = start,  named rows,  x >= 0
+    subject to  outflow(x) - inflow(x) = start
+                <failure, x> <= budget
+                <row_k, x> <= bound_k                 (any number of secondary costs, by name)
+                x >= 0
 
 x counts the expected visits of each pair of the augmented process (paper, eq. JMCMP_def and
-JS3P_def; mathematics, section 3).
+JS3P_def; mathematics, section 3). The ratio of case S becomes linear by Charnes and Cooper's
+scaling: x and the start are scaled by t >= 0 so that <goal, x> = 1, and the failure row becomes
+<failure, x> - budget * t <= 0, every other one likewise. The normalising row then has the only
+nonzero right side, so that its dual is c*.
 """
 
 from __future__ import annotations
@@ -17,8 +23,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse as sp
 
-from ssp_lp.arrays import BELOW_RATIO, FloatArray
+from ssp_lp.arrays import BELOW_RATIO, RESIDUAL, FloatArray
+from ssp_lp.compiled.deadline import check_time, pieces
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, is_number, wrong_argument
 from ssp_lp.linear_programming.backends import answers_in_turn, backends_for, run_backend
 from ssp_lp.linear_programming.linear_program import (
@@ -41,14 +49,80 @@ from ssp_lp.processes.quantities import Quantity, objective_of
 from ssp_lp.processes.quotient import Spread, spread_out
 from ssp_lp.programs.augmented import START, STAY, Augmented, ColumnLabel, LabelledModel
 from ssp_lp.programs.occupation_measure import OccupationMeasure, StateValues, balanced_visits
-from ssp_lp.programs.program_rows import ProgramRow, rows_program
 
 if TYPE_CHECKING:
     from ssp_lp.programs.convex_program import Conflict, ConvexProgram
 
-_ACCEPTED = 1e-6  # relative gap and residual of an answer that is taken
 _TRIFLE = 1e-13  # of the greatest cost: a row worth less counts as nothing, as rounding of a 0
 _RATIOS = 4  # steps of Dinkelbach's iteration, which begins at a solver's optimum
+_ROUNDING = 1e-9  # of the greatest coefficient: a solver's tolerance
+
+
+@dataclass(frozen=True, eq=False)
+class ProgramRow:
+    """``<coefficients, x> <= bound``: a quantity of the visits and how much of it is allowed."""
+
+    name: str
+    coefficients: FloatArray  # [pairs]
+    bound: float
+    words: str  # what is bounded
+
+    @property
+    def largest(self) -> float:
+        """Size of the program row's greatest coefficient."""
+        return float(np.abs(self.coefficients).max(initial=0.0))
+
+    @property
+    def scale(self) -> float:
+        """Scale of a program row: its bound, or its greatest coefficient."""
+        return max(abs(self.bound), self.largest)
+
+    def violation(self, activity: float) -> float:
+        """Violation of a program row by an activity, relative to the bound; 0 if kept.
+
+        What is nothing beside the coefficients is excused.
+        """
+        excused = _ROUNDING * self.largest
+        left = max(activity - self.bound - excused, 0.0)
+        return left / max(abs(self.bound), excused, 1e-300) if left else 0.0
+
+
+def rows_program(
+    process: ExplicitProcess, limits: Mapping[str, tuple[FloatArray, float]], ratio: bool
+) -> LinearProgram:
+    """The occupation program of a process with any named program rows.
+
+    Args:
+        process: the substochastic process.
+        limits: name -> (coefficient of each pair, [pairs], and bound).
+        ratio: case S, the objective <cost, x> / <goal, x>; the last column is then t.
+    """
+    n_states, n_pairs, n_limits = process.n_states, process.n_pairs, len(limits)
+    bounds, free = np.array([bound for _, bound in limits.values()]), np.full(n_limits, -np.inf)
+    cost, upper = process.cost, np.concatenate([process.start, bounds])
+    lower = np.concatenate([process.start, free])
+    places = {name: slice(n_states + k, n_states + k + 1) for k, name in enumerate(limits)}
+    rows = {"balance": slice(0, n_states)} | places
+    taken = [row for row, _ in limits.values()]
+    if ratio:
+        taken, last = [*taken, process.goal], n_states + n_limits
+        rows["normaliser"] = slice(last, last + 1)
+    # a column of the program for each pair, gathered as rows of the transposed matrix
+    columns = list[sp.csr_array]()
+    for some in pieces(n_pairs, process.transitions.nnz):
+        count = some.stop - some.start
+        place = np.ones(count), process.pair_state[some], np.arange(count + 1)
+        balance = sp.csr_array(place, shape=(count, n_states)) - process.transitions[some]
+        each = [sp.csr_array(row[some, None]) for row in taken]
+        columns.append(sp.csr_array(sp.hstack([balance, *each])) if each else balance)
+    if ratio:
+        columns.append(sp.csr_array(np.append(-upper, 0.0)[None, :]))
+        cost = np.append(cost, 0.0)
+        upper = np.append(np.zeros(last), 1.0)
+        lower = np.concatenate([np.zeros(n_states), free, [1.0]])
+    check_time()
+    matrix = sp.csc_array(sp.csr_array(sp.vstack(columns)).T)
+    return LinearProgram(cost, matrix, lower, upper, rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +193,11 @@ class OccupationProgram(Report):
         """The occupation program's process, whose pairs are the columns."""
         return self.augmented.process
 
+    @property
+    def bounds(self) -> dict[str, float]:
+        """Bound of each row of the occupation program, by name."""
+        return {row.name: row.bound for row in self.rows}
+
     def bounded_by(self, bounds: Mapping[str, float], *, anew: bool = True) -> OccupationProgram:
         """The occupation program with other bounds, by name of the row; see :meth:`row`.
 
@@ -134,7 +213,7 @@ class OccupationProgram(Report):
             InfeasibleError: the budget is below the least failure.
         """
         check_bounds(bounds)
-        now = {row.name: row.bound for row in self.rows}
+        now = self.bounds
         make = self.remade if anew and (self.at_least or self.augmented.copies > 1) else None
         unstated = {"failure"} if self.at_least and make is not None else set[str]()
         then = now | {n if n in unstated else self.row(n).name: b for n, b in bounds.items()}
@@ -176,7 +255,7 @@ class OccupationProgram(Report):
                 "the program is made for its start, and its rows were changed: make another from "
                 "there, replace(problem, start=...).program()"
             )
-        return make({row.name: row.bound for row in self.rows}, start=start)
+        return make(self.bounds, start=start)
 
     def spread_out(self) -> OccupationProgram:
         """The occupation program with a column for each pair of the model, nothing collapsed.
@@ -196,8 +275,12 @@ class OccupationProgram(Report):
     @cached_property
     def linear(self) -> LinearProgram:
         """Arrays of the occupation program for a solver."""
+        return self._stated_on(self.process, ratio=self.ratio)
+
+    def _stated_on(self, process: ExplicitProcess, *, ratio: bool) -> LinearProgram:
+        """Arrays of the occupation program with other costs, or without the ratio."""
         limits = {row.name: (row.coefficients, row.bound) for row in self.rows}
-        return rows_program(self.process, limits, self.ratio)
+        return rows_program(process, limits, ratio)
 
     def label(self, column: int) -> ColumnLabel:
         """State, action and cost paid that a column of the occupation program counts.
@@ -339,7 +422,7 @@ class OccupationProgram(Report):
                 except SolverError as error:
                     report += f", {error}"
                 else:
-                    if measure.gap <= _ACCEPTED and measure.residual <= _ACCEPTED:
+                    if measure.gap <= RESIDUAL and measure.residual <= RESIDUAL:
                         return measure
                     report += f", gap {measure.gap:.1e}, residual {measure.residual:.1e}"
             tried.append(report)
@@ -351,13 +434,13 @@ class OccupationProgram(Report):
         """The error that no visits satisfy all rows of the occupation program."""
         if self.remade is not None:
             try:  # names the least failure, or what contradicts what
-                self.remade({row.name: row.bound for row in self.rows})
+                self.remade(self.bounds)
             except InfeasibleError as error:
                 return error
         return InfeasibleError(
             "no expected visits satisfy all rows of the program; its conflict() names those that "
             "contradict each other",
-            failure_budget=next((r.bound for r in self.rows if r.name == "failure"), None),
+            failure_budget=self.bounds.get("failure"),
             least_failure=float("nan"),
         )
 
@@ -511,13 +594,11 @@ class OccupationProgram(Report):
     @cached_property
     def _least_goal(self) -> float:
         """Least goal probability of the measures within the occupation program's rows."""
-        budgets = [1.0 - row.bound for row in self.rows if row.name == "failure"]
-        priced = self.process.goal
-        least = max([priced_minimum(self.process, priced).bound, *budgets])
+        priced, budget = self.process.goal, self.bounds.get("failure", np.inf)
+        least = max(priced_minimum(self.process, priced).bound, 1.0 - budget)
         if least > 0.0:
             return least
-        limits = {row.name: (row.coefficients, row.bound) for row in self.rows}
-        reach = rows_program(replace(self.process, cost=priced), limits, ratio=False)
+        reach = self._stated_on(replace(self.process, cost=priced), ratio=False)
         name = backends_for(reach, None)[0]
         dual, paid = run_backend(reach, name, np.inf).dual, 0.0
         for row in self.rows:  # whatever a solver says, prices >= 0 prove what they prove

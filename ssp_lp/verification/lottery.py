@@ -71,8 +71,6 @@ def _pairs_by_node(model: Model, policy: Policy) -> Callable[[int, int], int]:
                 taken = policy.decision[layer].astype(np.int64)
                 return list(np.where(taken < 0, taken, offsets + taken).tolist())
             tail = np.where(place >= policy.tail_threshold, len(policy.tails) - 1, 0)
-            if policy.tail_table is not None:
-                tail = policy.tail_table[min(layer - policy.cap, len(policy.tail_table) - 1)]
             states = np.arange(len(offsets))
             return list(policy.tails[tail.astype(np.int64), states].tolist())
 

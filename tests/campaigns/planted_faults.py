@@ -41,14 +41,14 @@ GAME = "tests/game/test_time_bounds.py tests/game tests/theorems/test_game_lemma
 FAULTS = (
     Fault(
         "threshold: what is owed is multiplied by the budget",
-        "ssp_lp/game/threshold.py",
+        "ssp_lp/game/optimum.py",
         "owed = played.game.owed(played.alpha, played.origin)",
         "owed = played.game.budget * played.game.owed(played.alpha, played.origin)",
         GAME,
     ),
     Fault(
         "threshold: a game's value proves nothing of rounding",
-        "ssp_lp/game/threshold.py",
+        "ssp_lp/game/optimum.py",
         "return (played.least - owed - rounding) / played.alpha",
         "return (played.least - owed + rounding) / played.alpha",
         GAME,
@@ -158,8 +158,8 @@ FAULTS = (
     Fault(
         "policy: at its threshold the first tail is still followed",
         "ssp_lp/policies/cost_aware.py",
-        "late = total >= self.tail_threshold[successors]",
-        "late = total > self.tail_threshold[successors]",
+        "layer, is_late = _nearest_cost_level(self.levels, total), total >= threshold",
+        "layer, is_late = _nearest_cost_level(self.levels, total), total > threshold",
         "tests/io/test_controller.py",
     ),
     Fault(

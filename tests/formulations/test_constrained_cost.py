@@ -37,7 +37,7 @@ from ssp_lp.methods.rows import phase_one
 from ssp_lp.options import SolveOptions
 from ssp_lp.problem import compiled_constrained
 from ssp_lp.processes.explicit_process import ExplicitProcess
-from ssp_lp.programs.program_rows import rows_program
+from ssp_lp.programs.occupation_program import rows_program
 from strategies import discounts, often, problems, semantics
 
 each_bound = pytest.mark.parametrize("bound", [1e-9, 1e-12, 1e-15])

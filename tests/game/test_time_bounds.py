@@ -16,9 +16,15 @@ from small_models import model_of
 from ssp_lp import InfeasibleError, ModelError
 from ssp_lp.compiled.deadline import until
 from ssp_lp.game import Equilibrium, Game, bayes_adaptive, player as players, thresholds
-from ssp_lp.game.best_response import BestResponse
-from ssp_lp.game.optimum import _slack_bound_of_optimum, bayes_player, stationary_player
-from ssp_lp.game.threshold import _threshold_from_game_value, extremes, find_threshold
+from ssp_lp.game.optimum import (
+    _slack_bound_of_optimum,
+    _threshold_from_game_value,
+    bayes_player,
+    extremes,
+    find_threshold,
+    stationary_player,
+)
+from ssp_lp.game.player import BestResponse
 from strategies import often, problems
 
 

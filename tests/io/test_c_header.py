@@ -133,7 +133,7 @@ def test_every_published_model(name: str, tmp_path: Path) -> None:
 @needs_gcc
 def test_policies_of_every_kind(tmp_path: Path) -> None:
     made = policies(hall())
-    names = ("deterministic", "gives up", "cost aware", "tail table", "mixed", "solution")
+    names = ("deterministic", "gives up", "cost aware", "mixed", "solution")
     named = {name.replace(" ", "_"): made[name] for name in names}
     named["quits"] = acting_everywhere(made["gives up"])
     check(named, hall().index_of(START), tmp_path, 200)

@@ -59,9 +59,7 @@ def acts_the_same(policy, tmp_path, start=START, episodes=60, surprise=20.0):
             controller.observe(state, cost)
 
 
-@pytest.mark.parametrize(
-    "name", ["deterministic", "gives up", "tail table", "solution", "levels", "remembering"]
-)
+@pytest.mark.parametrize("name", ["deterministic", "gives up", "solution", "levels", "remembering"])
 def test_every_member_of_a_policy_acts_the_same(name, tmp_path):
     for member in as_lottery(made()[name]).policies:
         acts_the_same(member, tmp_path, start_of(name))
@@ -77,9 +75,8 @@ def test_every_memory_of_a_cost_aware_policy(tmp_path):
     drawn, tails = (np.where(count > 0, choice, -2) for choice in (drawn, tails))
     thresholds = np.where(rng.random(model.n_states) < 0.5, 7.0, np.inf)
     policy = CostAwarePolicy(model, 0.5, drawn, tails, thresholds)
-    table = replace(policy, tail_table=rng.integers(0, 2, size=(4, model.n_states)))
     only_tails = replace(policy, decision=np.zeros((0, model.n_states), dtype=np.int64))
-    for some in (policy, table, only_tails):
+    for some in (policy, only_tails):
         acts_the_same(some, tmp_path, episodes=300)
 
 
@@ -261,7 +258,7 @@ def test_policies_that_remember_having_failed(criterion, horizon, name, tmp_path
             acts_the_same(member, tmp_path, start, 20, surprise=0.0)
 
 
-@pytest.mark.parametrize("name", ["deterministic", "gives up", "cost aware", "tail table"])
+@pytest.mark.parametrize("name", ["deterministic", "gives up", "cost aware"])
 def test_policies_that_act_everywhere(name, tmp_path):
     policy = acting_everywhere(made()[name])
     for start in policy.model.states:

@@ -16,7 +16,7 @@ from ssp_lp.compiled.deadline import Deadline
 from ssp_lp.model import graph
 from ssp_lp.model.product import unroll_steps
 from ssp_lp.processes.explicit_process import ExplicitProcess
-from ssp_lp.programs.program_rows import rows_program
+from ssp_lp.programs.occupation_program import rows_program
 
 
 class Counting(Deadline):

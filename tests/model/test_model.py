@@ -9,7 +9,7 @@ from formulations import MCMP, S3P
 from refusing import refused
 from small_models import model_of
 from ssp_lp import SSP, ModelError, solve
-from ssp_lp.arrays import chunks, pieces_of_chunks
+from ssp_lp.arrays import chunks, segment_chunks
 from ssp_lp.io import from_matrices
 
 CHAIN = {
@@ -223,15 +223,10 @@ def test_offsets_that_fall_and_pairs_without_outcomes(chunk):
 
 def test_pieces_cover_every_segment_once(chunk):
     offsets = np.array([0, 0, 3, 3, 4, 11, 11], dtype=np.int32)
-    found = list(pieces_of_chunks(offsets))
-    segments = [k for piece in found for k in range(piece.segments.start, piece.segments.stop)]
-    assert segments == list(range(6))
-    for piece in found:
-        size = piece.entries.stop - piece.entries.start
-        assert size <= chunk or piece.segments.stop - piece.segments.start == 1
-        assert piece.lengths.sum() == size
-        begins = offsets[:-1][piece.segments] - piece.entries.start
-        assert piece.firsts.tolist() == begins.tolist()
+    found = list(segment_chunks(offsets))
+    assert [k for some in found for k in range(some.start, some.stop)] == list(range(6))
+    for some in found:
+        assert offsets[some.stop] - offsets[some.start] <= chunk or some.stop - some.start == 1
     covered = [k for some in chunks(11) for k in range(some.start, some.stop)]
     assert covered == list(range(11))
 

@@ -186,7 +186,15 @@ def by_name(model):
 @pytest.mark.parametrize("steps", [1, 2, 5])
 def test_a_horizon_is_the_product_with_its_memory(steps, start):
     fast = within_steps(MODEL, steps, start=start)
-    slow = product(MODEL, fast.memory, start=start)
+    acting = {state for state in MODEL.states if np.diff(MODEL.pair_offsets)[MODEL.index_of(state)]}
+    counting = Memory(
+        start=0,
+        update=lambda count, state, action, successor, cost: (
+            LATE if successor in acting and count + 1 >= steps else count + 1
+        ),
+        fails=lambda count: count == LATE,
+    )
+    slow = product(MODEL, counting, start=start)
     assert isinstance(fast, HorizonSSP)
     assert by_name(fast) == by_name(slow)
     lost = {label for label, over in zip(fast.states, dead_ends(fast), strict=True) if over}

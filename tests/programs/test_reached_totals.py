@@ -10,7 +10,7 @@ from formulations import S3P
 from ssp_lp import InfeasibleError, evaluate, solve, visits
 from ssp_lp.linear_programming.backends import run_backend
 from ssp_lp.policies.policy import GIVE_UP
-from ssp_lp.programs.program_rows import rows_program
+from ssp_lp.programs.occupation_program import rows_program
 
 STARTS = ("a", {"b": 0.5, "d": 0.5}, {"a": 0.75, "b": 0.125, "g": 0.125})
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from formulations import MCMP, S3P
@@ -74,7 +72,6 @@ def policies(model: SSP) -> dict[str, object]:
     fast, slow = everywhere(model, "fast"), everywhere(model, ("slow", 1))
     cautious = solve(S3P(model, START, failure_budget=0.2))
     aware = cautious.policy.policies[0]
-    table = np.tile(np.arange(3)[:, None] % len(aware.tails), (1, model.n_states))
     toss = {
         ("hall", 0): {"fast": 0.25, ("slow", 1): 0.75},
         ("hall", 1): {"fast": 0.5, GIVE_UP: 0.5},
@@ -87,7 +84,6 @@ def policies(model: SSP) -> dict[str, object]:
         ),
         "stochastic": StochasticPolicy.from_actions(model, toss),
         "cost aware": aware,
-        "tail table": replace(aware, tail_table=table.astype(np.int8)),
         "carried": cautious.randomised_policy,
         "timed": TimedPolicy((slow, fast, slow)),
         "mixed": MixedPolicy((fast, slow), np.array([0.25, 0.75])),

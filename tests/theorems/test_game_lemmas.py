@@ -22,8 +22,7 @@ from references import s3p
 from references.chain import plain_model
 from ssp_lp import InfeasibleError, evaluate
 from ssp_lp.game import bayes_adaptive, play, stationary_game, thresholds
-from ssp_lp.game.optimum import bayes_player, stationary_player
-from ssp_lp.game.threshold import extremes, find_threshold
+from ssp_lp.game.optimum import bayes_player, extremes, find_threshold, stationary_player
 from strategies import often, problems
 
 few = often(30)

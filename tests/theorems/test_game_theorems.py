@@ -30,9 +30,9 @@ from references.frontier import constrained_ratio
 from small_models import TWO_MOVES, model_of
 from ssp_lp import evaluate, solve
 from ssp_lp.game import Game, play, stationary_game, thresholds
-from ssp_lp.game.best_response import BestResponse
 from ssp_lp.game.equilibrium import crossing
 from ssp_lp.game.optimum import stationary_player
+from ssp_lp.game.player import BestResponse
 from strategies import Draw, acyclic_problems, often, problems
 
 few = often(30)

@@ -1,6 +1,6 @@
 """HiGHS called directly on the occupation program: its interior points and first-order methods.
 
-The program is the one of `ssp_lp.programs.program_rows`. Interior points run without
+The program is the one of `ssp_lp.programs.occupation_program`. Interior points run without
 crossover, since only the value is asked for; threads and tolerances are left as they are.
 """
 
@@ -15,7 +15,7 @@ from examples.solver_comparison.solvers.catalogue import Order
 from examples.solver_comparison.solvers.explicit import describe, size_of, written_out
 from ssp_lp.linear_programming.highs import highs_lp
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer, answer_faults
-from ssp_lp.programs.program_rows import rows_program
+from ssp_lp.programs.occupation_program import rows_program
 
 
 def prepare(ready: ReadyInstance, order: Order, *, method: str) -> Prepared:

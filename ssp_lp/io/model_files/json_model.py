@@ -276,7 +276,7 @@ def model_in_json(
     numbers = model.probabilities, model.successors, *by_name.values()
     for state, name in enumerate(names):
         rows: dict[str, list[list[Any]]] = {}
-        for pair in range(int(model.pair_offsets[state]), int(model.pair_offsets[state + 1])):
+        for pair in model.pairs_of(state):
             action = str(model.action_names[int(model.pair_action[pair])])
             if action in rows:
                 raise ModelError(f"two actions of state {name!r} read {action!r} as words")
