@@ -229,8 +229,8 @@ def _cost_of_another_kind(word: str, of: _CommandModel) -> Any:
     try:
         return of.model_with_cost(word).costs
     except ModelError as error:
-        names = {*_PLAIN, *(f"{name}(...)" for name in _OF_STATES), *of.model.named_costs}
-        nearest = did_you_mean(word, sorted(names), "quantities are")
+        names = [*_PLAIN, *(f"{name}(...)" for name in _OF_STATES), *of.model.named_costs]
+        nearest = did_you_mean(word, dict.fromkeys(names), "quantities are")
         raise ModelError(f"{word!r} is no quantity of this model{nearest}") from error
 
 
