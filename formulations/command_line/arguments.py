@@ -429,12 +429,5 @@ VERBS = {
   ssp-lp convert roads.json roads.drn --goal home --start depot
   ssp-lp convert gym:FrozenLake-v1 - --horizon 20 | ssp-lp info -""",
     ),
-    "compile": Verb(
-        "compile all inner loops at once, a minute or two with the extra fast (numba)",
-        {},
-        """\
-  ssp-lp compile""",
-        takes_model=False,
-    ),
 }
 """Every command of the command line, by its name."""
