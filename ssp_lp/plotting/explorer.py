@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import html
 import json
-from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.resources import files
@@ -18,6 +17,8 @@ from string import Template
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
+from scipy.sparse import csgraph
 
 from ssp_lp.analysis.evaluation import Evaluation, evaluate, pair_visits, success_costs
 from ssp_lp.analysis.simulation import simulate
@@ -27,6 +28,7 @@ from ssp_lp.methods.frontier import Frontier
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import end_marks
+from ssp_lp.plotting.curves import bounds_along
 from ssp_lp.plotting.plane import Places, Point, cells_of, points_of, squares_of
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
@@ -37,7 +39,6 @@ LARGEST = 3_000_000
 
 _FEW, _BARS = 12, 60  # of the law of the total cost, least and most
 _UNSEEN = 1e-2  # share of the successes that are costlier than what is drawn
-_BUDGETS = 200  # of the band between bounds
 _MOST_DRAWN = 40  # states of a model that is drawn as a graph
 _LONGEST = 300  # steps of a run that are drawn
 _NEVER = 1e-12  # a probability that is the rounding of none
@@ -242,18 +243,16 @@ def _placed(points: FloatArray) -> BoolArray:
 
 def _layout(problem: Problem) -> FloatArray:
     """States of a small model by how many steps they are from the start, [states, 2]."""
-    model, begun = problem.model, start_distribution(problem.model, problem.start) > 0.0
-    steps = np.where(begun, 0, -1)
-    queue = deque(np.flatnonzero(begun).tolist())
-    ends, pairs = model.outcome_offsets, model.pair_offsets
-    while queue:
-        state = queue.popleft()
-        for after in model.successors[ends[pairs[state]] : ends[pairs[state + 1]]].tolist():
-            if steps[after] < 0:
-                steps[after] = steps[state] + 1
-                queue.append(after)
+    model = problem.model
+    begun = np.flatnonzero(start_distribution(model, problem.start) > 0.0)
+    rows = model.successors, model.outcome_offsets[model.pair_offsets]
+    leads = (array.astype(np.int32) for array in rows)  # all that SciPy took before version 1.15
+    graph = sp.csr_array((np.ones(model.n_outcomes), *leads), shape=2 * (model.n_states,))
+    steps: FloatArray = csgraph.dijkstra(  # type: ignore[call-overload]
+        graph, indices=begun, unweighted=True, min_only=True
+    )
     points = np.full((model.n_states, 2), np.nan)
-    for step in range(int(steps.max()) + 1):
+    for step in range(int(steps[np.isfinite(steps)].max()) + 1):
         here = np.flatnonzero(steps == step)
         points[here, 0] = 1.6 * step
         points[here, 1] = 0.5 * (len(here) - 1) - np.arange(len(here)) + 0.15 * (step % 2)
@@ -354,11 +353,7 @@ def _runs(
 
 def _curve(frontier: Frontier) -> dict[str, Any]:
     """The frontier as it is drawn: the bounds at many budgets, and the turning points."""
-    budgets = np.linspace(frontier.spent[0], frontier.spent[-1], _BUDGETS)
-    budgets = np.union1d(
-        np.union1d(budgets, frontier.spent), np.linspace(*frontier.region, _BUDGETS)
-    )
-    low, high = np.array([frontier.bounds_at(float(b)) for b in budgets]).T
+    budgets, low, high = bounds_along(frontier)
     return {
         "budgets": budgets.tolist(),
         "low": low.tolist(),
