@@ -245,12 +245,10 @@ def _layout(problem: Problem) -> FloatArray:
     """States of a small model by how many steps they are from the start, [states, 2]."""
     model = problem.model
     begun = np.flatnonzero(start_distribution(model, problem.start) > 0.0)
-    rows = model.successors, model.outcome_offsets[model.pair_offsets]
-    leads = (array.astype(np.int32) for array in rows)  # all that SciPy took before version 1.15
-    graph = sp.csr_array((np.ones(model.n_outcomes), *leads), shape=2 * (model.n_states,))
-    steps: FloatArray = csgraph.dijkstra(  # type: ignore[call-overload]
-        graph, indices=begun, unweighted=True, min_only=True
-    )
+    rows = segment_ids(model.pair_offsets)[segment_ids(model.outcome_offsets)]
+    shape = model.n_states, model.n_states
+    links = sp.csr_array((np.ones(model.n_outcomes), (rows, model.successors)), shape=shape)
+    steps: FloatArray = csgraph.dijkstra(links, indices=begun, unweighted=True, min_only=True)
     points = np.full((model.n_states, 2), np.nan)
     for step in range(int(steps[np.isfinite(steps)].max()) + 1):
         here = np.flatnonzero(steps == step)
