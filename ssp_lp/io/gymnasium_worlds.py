@@ -306,26 +306,23 @@ def continuous_from_gymnasium(
     first = int(getattr(bare.action_space, "start", 0))
     kind = np.asarray(state).dtype
 
-    def taken(point: tuple[float, ...], action: int) -> tuple[list[float], float, int]:
-        """One step from one point: the next one, its cost and its end."""
-        bare.state = np.array(point, dtype=kind)
-        _, reward, terminated, *_ = bare.step(action)
-        after = [float(value) for value in bare.state]
-        paid = 1.0 if cost is None else float(cost(point, action, tuple(after), float(reward)))
-        if terminated:
-            bare.reset()  # some count the steps that are taken after an end
-        return after, paid, (1 if goal(tuple(after)) else 2) if terminated else 0
-
     def step(point: Coordinates, action: Hashable, noise: Coordinates) -> Any:
-        """Many points, one after the other."""
+        """One step from each of many points, one after the other: points, costs and ends."""
         places = np.broadcast_arrays(*point)
-        steps = [
-            taken(p, cast("int", action)) for p in zip(*(each.flat for each in places), strict=True)
-        ]
-        shape = places[0].shape
-        after = np.array([s[0] for s in steps]).T.reshape(len(grid.axes), *shape)
-        paid, ends = np.array([s[1] for s in steps]), np.array([s[2] for s in steps])
-        return tuple(after), paid.reshape(shape), ends.reshape(shape)
+        after = np.empty((len(places), *places[0].shape))
+        paid, ends = np.ones(places[0].shape), np.zeros(places[0].shape, dtype=np.int64)
+        for at in np.ndindex(places[0].shape):
+            here = tuple(float(each[at]) for each in places)
+            bare.state = np.array(here, dtype=kind)
+            _, reward, terminated, *_ = bare.step(action)
+            there = tuple(map(float, bare.state))
+            after[:, *at] = there
+            if cost is not None:
+                paid[at] = cost(here, action, there, float(reward))
+            if terminated:
+                ends[at] = 1 if goal(there) else 2
+                bare.reset()  # some count the steps that are taken after an end
+        return tuple(after), paid, ends
 
     return ContinuousModel(
         grid,
