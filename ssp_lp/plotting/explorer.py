@@ -271,15 +271,16 @@ def _plane(
     place = np.full(model.n_states, -1)
     place[known] = inverse.reshape(-1)
     owner, outcome_pair = segment_ids(model.pair_offsets), segment_ids(model.outcome_offsets)
-    if is_graph:  # an arrow for each action's way from state to state, else one for each action
-        source, to = owner[outcome_pair], place[model.successors]
-        aim, share = points[model.successors] - points[source], model.probabilities
+    source = owner[outcome_pair]
+    # an arrow for each action's way from state to state in a graph, else one for each action, as
+    # told or where it leads in the mean
+    to = place[model.successors] if is_graph else place[source]
+    if moves is None or is_graph:
+        aim = points[model.successors] - points[source]
     else:
-        aim, source = _aims(model, points, moves), owner
-        outcome_pair = np.arange(model.n_pairs, dtype=outcome_pair.dtype)
-        share, to = np.ones(model.n_pairs), place[source]
-    length = np.hypot(*aim.T)
-    drawn = np.flatnonzero((place[source] >= 0) & (length > 1e-9))
+        aim = points_of(model.action_names, moves)[model.pair_action][outcome_pair]
+    aim = np.nan_to_num(aim) * model.probabilities[:, None]
+    drawn = np.flatnonzero(place[source] >= 0)
     keys = np.stack([place[source], to, model.pair_action[outcome_pair]], axis=1)
     arrows, arrow = np.unique(keys[drawn], axis=0, return_inverse=True)
     arrow = arrow.reshape(-1)
@@ -288,10 +289,10 @@ def _plane(
         pairs, gave_up = pair_visits(policy, problem)
         of_state = gave_up + np.bincount(owner, pairs, model.n_states)
         visits[k] = np.bincount(inverse.reshape(-1), of_state[known], len(middles))
-        flows[k] = np.bincount(arrow, (pairs[outcome_pair] * share)[drawn], len(arrows))
-    mean = np.stack(
-        [np.bincount(arrow, aim[drawn, axis], len(arrows)) for axis in range(2)], axis=1
-    )
+        taken = (pairs[outcome_pair] * model.probabilities)[drawn]
+        flows[k] = np.bincount(arrow, taken, len(arrows))
+    mean = np.zeros((len(arrows), 2))
+    np.add.at(mean, arrow, aim[drawn])
     used = (flows.max(axis=0, initial=0.0) > 1e-9) & (np.hypot(*mean.T) > 1e-9)
     mean, arrows = mean[used], arrows[used]
     toward = mean / np.hypot(*mean.T)[:, None]
@@ -314,16 +315,6 @@ def _plane(
         "visits": [_short(row) for row in visits],
         "flow": [_short(row) for row in flows[:, used]],
     }
-
-
-def _aims(model: SSP, points: FloatArray, moves: Places | None) -> FloatArray:
-    """Where the action of each pair aims, [pairs, 2]: as told, or where it leads in the mean."""
-    if moves is not None:
-        return np.nan_to_num(points_of(model.action_names, moves))[model.pair_action]
-    pair = segment_ids(model.outcome_offsets)
-    step = points[model.successors] - points[segment_ids(model.pair_offsets)[pair]]
-    step = np.nan_to_num(step) * model.probabilities[:, None]
-    return np.stack([np.bincount(pair, step[:, axis], model.n_pairs) for axis in range(2)], axis=1)
 
 
 def _runs(
