@@ -303,7 +303,7 @@ _SOLVE: dict[str, Options] = {
     "the question": _QUESTION,
     "the search": {
         "--method": _taken(", ".join(_METHODS), "NAME", choices=_METHODS),
-        "--tolerance": _taken("relative gap; 1e-9", "GAP", float),
+        "--tolerance": _taken("relative gap; 1e-9", "GAP", float, default=1e-9),
         "--time-limit": _taken("then the best so far", "SECONDS", float),
     },
     "the answer": {
@@ -325,7 +325,7 @@ _TRACE: Options = {
         "the limit to trace, by its words: failure if left out; other limits are kept", "NAME",
         default="failure",
     ),
-    "--gap": _taken("how near; 1e-9", "GAP", float),
+    "--gap": _taken("how near; 1e-9", "GAP", float, default=1e-9),
     "--point-limit": _taken("at most so many turning points", "N", int),
     "--time-limit": _taken("then what is there", "SECONDS", float),
 }  # fmt: skip

@@ -373,11 +373,11 @@ def figure_for(path: str | None) -> Figure | None:
     return figure
 
 
-_WRITERS: dict[str, Callable[[Solution, str], object]] = {
-    ".npz": lambda solution, path: io.save_policy(solution.policy, path),
-    ".json": lambda solution, path: io.write_controller(solution.policy, path),
-    ".h": lambda solution, path: io.write_c_header(solution.policy, path),
-    ".csv": lambda solution, path: _csv_answer(path, solution.policy.table().all_rows()),
+_WRITERS: dict[str, Callable[[Any, str], object]] = {
+    ".npz": io.save_policy,
+    ".json": io.write_controller,
+    ".h": io.write_c_header,
+    ".csv": lambda policy, path: _csv_answer(path, policy.table().all_rows()),
 }
 """Writers of policies, by the ending of a file's name."""
 
@@ -389,14 +389,13 @@ def _solve_command(asked: Namespace) -> Iterable[str]:
     if out is not None and write is None:  # before anything is solved
         raise ModelError(f"a policy is written as {', '.join(_WRITERS)}, not {out!r}")
     of = command_model(asked)
-    tolerance = {} if asked.tolerance is None else {"tolerance": asked.tolerance}
+    search = {"tolerance": asked.tolerance, "time_limit": asked.time_limit}
     if isinstance(budgets := vars(asked).get("failure_budget"), list):
-        return _several_answers(asked, of, budgets, tolerance)
+        return _several_answers(asked, of, budgets, search)
     problem = problem_of(asked, of)
-    solution = ssp_lp.solve(problem, asked.method, time_limit=asked.time_limit, **tolerance)
+    solution = ssp_lp.solve(problem, asked.method, **search)
     if write is not None:
-        policy = solution.policy_everywhere() if asked.everywhere else solution.policy
-        write(replace(solution, policy=policy), out)
+        write(solution.policy_everywhere() if asked.everywhere else solution.policy, out)
     if asked.certificate_out is not None:
         ssp_lp.write_certificate(solution, asked.certificate_out)
     if figure is not None:
@@ -412,7 +411,7 @@ _WORTH_PROCESSES = 100_000  # outcomes of a model from which answers take longer
 
 
 def _several_answers(
-    asked: Namespace, of: _CommandModel, budgets: Sequence[float | None], tolerance: dict[str, Any]
+    asked: Namespace, of: _CommandModel, budgets: Sequence[float | None], search: Mapping[str, Any]
 ) -> Iterable[str]:
     """The command ``solve`` for several failure budgets, side by side: a table.
 
@@ -424,9 +423,7 @@ def _several_answers(
             raise ModelError(f"{option(name)} is of one answer: give one --failure-budget")
     problems = [problem_of(_asking(asked, failure_budget=budget), of) for budget in budgets]
     executor = ThreadPoolExecutor(1) if of.model.n_outcomes < _WORTH_PROCESSES else None
-    answers = ssp_lp.solve_many(
-        problems, asked.method, executor=executor, time_limit=asked.time_limit, **tolerance
-    )
+    answers = ssp_lp.solve_many(problems, asked.method, executor=executor, **search)
     for error in answers.errors.values():
         error.args = (with_options(error),)
     if not asked.json:
@@ -487,9 +484,8 @@ _LISTED = 8  # actions that ``info`` names
 
 def _traced_frontier(asked: Namespace, of: _CommandModel) -> ssp_lp.Frontier:
     """The frontier that a command asks for."""
-    gap = {} if asked.gap is None else {"gap": asked.gap}
-    limits = {"point_limit": asked.point_limit, "time_limit": asked.time_limit}
-    return ssp_lp.trace_frontier(problem_of(asked, of), asked.over, **limits, **gap)
+    limits = {name: getattr(asked, name) for name in ("gap", "point_limit", "time_limit")}
+    return ssp_lp.trace_frontier(problem_of(asked, of), asked.over, **limits)
 
 
 def _explore_command(asked: Namespace) -> Iterable[str]:
