@@ -245,10 +245,10 @@ def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -
 @pytest.mark.parametrize(
     ("measure", "most"),
     [
-        (house.lines_in_all, 33_562),
+        (house.lines_in_all, 33_545),
         (house.public_classes, 285),
         (house.numeric_constants, 541),
-        (house.questions_asked, 98),
+        (house.questions_asked, 99),
         (house.written_past_freezing, 49),
     ],
     ids=lambda one: one.__name__ if callable(one) else "",
@@ -270,7 +270,7 @@ def test_no_folder_grows() -> None:
 
 LINES = {
     "formulations": 458,
-    "formulations/command_line": 797,
+    "formulations/command_line": 791,
     "ssp_lp": 2_075,
     "ssp_lp/accumulated_cost": 2_720,
     "ssp_lp/analysis": 989,
@@ -283,7 +283,7 @@ LINES = {
     "ssp_lp/linear_programming": 423,
     "ssp_lp/methods": 3_252,
     "ssp_lp/model": 2_421,
-    "ssp_lp/plotting": 795,
+    "ssp_lp/plotting": 784,
     "ssp_lp/policies": 1_390,
     "ssp_lp/processes": 1_845,
     "ssp_lp/programs": 1_325,

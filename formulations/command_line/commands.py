@@ -80,14 +80,6 @@ class _CommandModel:
         counting = ssp_lp.within_steps(self.model, self.horizon, start=begin)
         return counting, counting.start(begin)
 
-    def model_with_cost(self, name: str) -> SSP:
-        """A command's model with another of its costs.
-
-        Raises:
-            ModelError: it has no such cost.
-        """
-        return command_model(_asking(self.asked, cost=name)).model
-
 
 def command_model(asked: Namespace) -> _CommandModel:
     """Read the model that a command names.
@@ -227,7 +219,7 @@ def _cost_of_another_kind(word: str, of: _CommandModel) -> Any:
         ModelError: there are none of this name.
     """
     try:
-        return of.model_with_cost(word).costs
+        return command_model(_asking(of.asked, cost=word)).model.costs
     except ModelError as error:
         names = [*_PLAIN, *(f"{name}(...)" for name in _OF_STATES), *of.model.named_costs]
         nearest = did_you_mean(word, dict.fromkeys(names), "quantities are")

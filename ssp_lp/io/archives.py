@@ -223,43 +223,40 @@ def load_model(path: FilePath) -> SSP:
         OSError: the file cannot be opened.
     """
     with opened_archive(path, "model") as (header, arrays):
-        return _model_in_archive(header, arrays)
-
-
-def _model_in_archive(texts: Mapping[str, Any], arrays: Mapping[str, Array]) -> SSP:
-    """The model that an archive's texts and arrays state, checked."""
-    for name, kind in _ARRAYS.items():
-        if arrays[name].ndim != 1 or arrays[name].dtype != kind:
-            raise ModelError(_OTHER_ARRAY.format(name))
-    n_states, labels = arrays["pair_offsets"].size - 1, arrays["label_offsets"]
-    states, actions = (
-        None if texts[name] is None else [controller_label(part) for part in texts[name]]
-        for name in ("states", "actions")
-    )
-    if states is not None and len(states) != n_states:
-        raise ModelError("the names of states are not one for each")
-    if actions is not None:
-        actions = _named_in_archive(actions, arrays["pair_action"], "actions")
-    known = range(n_states) if states is None else states
-    members = _named_in_archive(known, arrays["label_members"], "members of labels")
-    check_offsets("label_offsets", labels, len(members))
-    marked = [members[begin:end] for begin, end in pairwise(labels.tolist())]
-    for _, text in texts["exact_costs"]:
-        if not _FRACTION.fullmatch(text):  # digits are counted before they are read
-            raise ModelError(f"the exact cost {text[:60]!r} is no fraction")
-    names = ("pair_offsets", "outcome_offsets", "successors", "probabilities", "goal_states")
-    plain: dict[str, Any] = {name: arrays[name] for name in names}
-    model = SSP.from_arrays(
-        **plain,
-        costs=arrays["costs"][0] if arrays["costs"].size == 1 else arrays["costs"],
-        states=states,
-        actions=actions,
-        state_labels=dict(zip(texts["state_labels"], marked, strict=True)),
-        exact_costs={float(cost): Fraction(text) for cost, text in texts["exact_costs"]},
-        named_costs={name: arrays[f"costs {k}"] for k, name in enumerate(texts["named_costs"])},
-        treat_actionless_as_dead_ends=True,
-    )
-    return replace(model, probabilities=read_only(arrays["probabilities"]))  # not rounded again
+        for name, kind in _ARRAYS.items():
+            if arrays[name].ndim != 1 or arrays[name].dtype != kind:
+                raise ModelError(_OTHER_ARRAY.format(name))
+        n_states, labels = arrays["pair_offsets"].size - 1, arrays["label_offsets"]
+        states, actions = (
+            None if header[name] is None else [controller_label(part) for part in header[name]]
+            for name in ("states", "actions")
+        )
+        if states is not None and len(states) != n_states:
+            raise ModelError("the names of states are not one for each")
+        if actions is not None:
+            actions = _named_in_archive(actions, arrays["pair_action"], "actions")
+        known = range(n_states) if states is None else states
+        members = _named_in_archive(known, arrays["label_members"], "members of labels")
+        check_offsets("label_offsets", labels, len(members))
+        marked = [members[begin:end] for begin, end in pairwise(labels.tolist())]
+        for _, text in header["exact_costs"]:
+            if not _FRACTION.fullmatch(text):  # digits are counted before they are read
+                raise ModelError(f"the exact cost {text[:60]!r} is no fraction")
+        names = ("pair_offsets", "outcome_offsets", "successors", "probabilities", "goal_states")
+        plain: dict[str, Any] = {name: arrays[name] for name in names}
+        model = SSP.from_arrays(
+            **plain,
+            costs=arrays["costs"][0] if arrays["costs"].size == 1 else arrays["costs"],
+            states=states,
+            actions=actions,
+            state_labels=dict(zip(header["state_labels"], marked, strict=True)),
+            exact_costs={float(cost): Fraction(text) for cost, text in header["exact_costs"]},
+            named_costs={
+                name: arrays[f"costs {k}"] for k, name in enumerate(header["named_costs"])
+            },
+            treat_actionless_as_dead_ends=True,
+        )
+        return replace(model, probabilities=read_only(arrays["probabilities"]))  # not rounded again
 
 
 def _named_in_archive(names: Sequence[Hashable], numbers: Array, what: str) -> list[Hashable]:

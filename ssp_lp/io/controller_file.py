@@ -161,10 +161,10 @@ def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> d
         after.setdefault(tuple(step), {})[cost] = then
     moves: list[list[Any]] = []
     for step, by_cost in after.items():
-        if len(set(by_cost.values())) > 1:
+        if len(ends := set(by_cost.values())) > 1:
             moves += [[*step, cost, then] for cost, then in by_cost.items()]
-        elif (then := next(iter(by_cost.values()))) != step[0]:
-            moves.append([*step, None, then])
+        elif ends != {step[0]}:
+            moves.append([*step, None, *ends])
     return {"kind": "task", "start": product.memory_number[product.memory.start], "moves": moves}
 
 
