@@ -43,14 +43,12 @@ def _run_command(asked: Namespace) -> int:
     from ssp_lp.errors import InfeasibleError, MissingDependencyError, SolverError, SSPError
 
     from .commands import COMMANDS, with_options
-    from .compiling import compile_loops
 
-    commands = {**COMMANDS, "compile": compile_loops}
     try:
         shown = asked.verbose or (sys.stderr.isatty() and not asked.quiet)
         with warnings.catch_warnings(), progress_shown(shown, lasting=asked.verbose):
             warnings.showwarning = _warn_on_command_line
-            for line in commands[asked.command](asked):
+            for line in COMMANDS[asked.command](asked):
                 print(line)
         sys.stdout.flush()
     except BrokenPipeError:

@@ -12,7 +12,7 @@ from argparse import (
     BooleanOptionalAction,
     RawDescriptionHelpFormatter,
 )
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any, NamedTuple, NoReturn
 
@@ -25,10 +25,8 @@ CRITERIA = {
 }
 """The criteria by their names in a shell, which are those of their pages."""
 
-_SHELLS = ("bash", "zsh", "tcsh")
 _FILES = {"bash": "_shtab_compgen_files", "zsh": "_files", "tcsh": "f"}
 """What completes the name of a file, as shtab's ``FILE`` has it."""
-_NO_PROGRAM = {"cost-quantile", "cvar"}
 
 
 class Parameter(NamedTuple):
@@ -100,9 +98,10 @@ def option(name: str, value: object = ...) -> str:
 
 PARAMETERS = {
     "failure_budget": Parameter(
-        "largest failure probability, or none: the least; left out mostly the least",
-        _number_or_none,
-        "P",
+        "largest failure probability, or none: the least; left out mostly the least; several, "
+        "0.01,0.05, make a table of solve",
+        _budgets_argument,
+        "P[,P]",
     ),
     "reach_fraction": Parameter(
         "share of the greatest goal probability to keep", _float_argument, "SHARE"
@@ -121,8 +120,6 @@ PARAMETERS = {
     "cost_levels": Parameter("tell so many costs apart", int, "N"),
 }
 """The arguments of criteria, by name; which of them one takes and needs, its class says."""
-
-_JSON = "for other programs"
 
 _MODEL_HELP = """\
 MODEL is a file (.json, .csv, .drn, .umb, .npz, through Storm .prism, .nm, .pm, .jani; also
@@ -164,9 +161,14 @@ class _OneLineParser(ArgumentParser):
         if unknown:
             if unknown[0][:1] != "-":
                 self.error(f"{unknown[0]!r} is one word too many: options begin with --")
+            from ssp_lp.errors import meant_argument
+
             word = unknown[0].partition("=")[0]
-            flags = [flag for flag in self._option_string_actions if flag[:2] == "--"]
-            self.error(f"there is no {word}{_flag_meant(word, flags)}")
+            known = (flag for flag in self._option_string_actions if flag[:2] == "--")
+            flags = {_as_name(flag): flag for flag in known}
+            meant = meant_argument(_as_name(word), flags)
+            nearest = "" if meant is None else f"; did you mean {flags[meant]}?"
+            self.error(f"there is no {word}{nearest}")
         return asked, unknown
 
     def _check_value(self, action: Action, value: Any) -> None:
@@ -183,13 +185,9 @@ class _OneLineParser(ArgumentParser):
         self.exit(2, f"{self.prog}: {message} ({self.prog} --help)\n")
 
 
-def _flag_meant(word: str, flags: Sequence[str]) -> str:
-    """For an error: a clause for the command-line argument that is meant by an unknown one."""
-    from ssp_lp.errors import meant_argument
-
-    names = {flag.lstrip("-").replace("-", "_"): flag for flag in flags}
-    meant = meant_argument(word.lstrip("-").replace("-", "_"), names)
-    return "" if meant is None else f"; did you mean {names[meant]}?"
+def _as_name(flag: str) -> str:
+    """The Python argument of a command-line argument."""
+    return flag.lstrip("-").replace("-", "_")
 
 
 def argument_parser() -> ArgumentParser:
@@ -202,11 +200,7 @@ def argument_parser() -> ArgumentParser:
         + "\n".join(verb.examples.splitlines()[0] for verb in VERBS.values())
         + "\n\nexit codes: 0 done, 1 a method failed, 2 wrong arguments or model, 3 infeasible",
     )
-    whole.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
-    whole.add_argument(
-        "--print-completion", action=_Completion, choices=_SHELLS, metavar="SHELL",
-        help=f"print what makes {', '.join(_SHELLS)} complete the command",
-    )  # fmt: skip
+    _add_all(whole, _ALONE)
     commands = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, verb in VERBS.items():
         purpose = f"{verb.purpose[0].upper()}{verb.purpose[1:]}."
@@ -219,182 +213,156 @@ def argument_parser() -> ArgumentParser:
         )
         one.set_defaults(verbose=False, quiet=not verb.takes_model)
         if verb.takes_model:
-            _add_file(one, "model", metavar="MODEL", help="see above")
-        verb.add(one)
+            _add_all(one, {"model": _taken("see above", "MODEL")})
+        for title, options in verb.takes.items():
+            _add_all(one.add_argument_group(title) if title else one, options)
+        if verb.forms:
+            _add_all(one.add_mutually_exclusive_group(), verb.forms)
         if verb.takes_model:
-            said = one.add_mutually_exclusive_group()
-            said.add_argument(
-                "--verbose", action="store_true", help="each phase, in lines that stay"
-            )
-            said.add_argument("--quiet", action="store_true", help="say nothing on the way")
-            _add_model(one)
+            _add_all(one.add_mutually_exclusive_group(), _TOLD)
+            _add_all(one.add_argument_group("the model"), _MODEL)
     return whole
 
 
-def _add_file(one: Any, *names: str, **told: Any) -> None:
-    """Add an argument that shells complete by the names of files."""
-    one.add_argument(*names, **told).complete = _FILES
+Options = dict[str, dict[str, Any]]
+"""Arguments of the command line by name, each with its settings in argparse's words."""
 
 
-def _add_model(one: ArgumentParser) -> None:
-    """Add the command-line arguments that name a model."""
-    model = one.add_argument_group("the model")
-    model.add_argument(
-        "--goal", nargs="+", default=[], metavar="STATE", help="goal states, or their label"
-    )
-    model.add_argument(
-        "--dead-ends", nargs="+", metavar="STATE",
-        help="states (or their label) that may lack actions; any other one is then an error",
-    )  # fmt: skip
-    model.add_argument("--start", metavar="STATE", help="where an episode begins")
-    model.add_argument("--cost", metavar="NAME", help="which of the model's costs counts")
-    model.add_argument("--constants", metavar="N=5,...", help="what a program leaves open")
-    model.add_argument(
-        "--horizon",
-        type=_steps_argument,
-        default="env",
-        metavar="N",
-        help="reach the goal within N steps; an environment's own limit if left out, or none",
-    )
+def _add_all(place: Any, options: Options) -> None:
+    """Add arguments to a parser or a group of it; shells complete those that are files by name."""
+    for name, settings in options.items():
+        added = place.add_argument(name, **settings)
+        if settings.get("metavar") in ("MODEL", "FILE"):
+            added.complete = _FILES
 
 
-def _add_question(one: ArgumentParser, criteria: list[str], **own: Parameter) -> None:
-    """Add the command-line arguments that ask a criterion, some of them the command's own."""
-    question = one.add_argument_group("the question")
-    question.add_argument(
-        "--criterion", type=_criterion_argument, choices=criteria, default="mcmp", metavar="NAME",
-        help=f"mcmp if left out; or {', '.join(c for c in criteria if c != 'mcmp')}",
-    )  # fmt: skip
-    question.add_argument(
-        "--property", metavar="WORDS",
-        help='the same in PRISM\'s words: multi(R{"time"}min=? [F "ok"], P>=0.95 [F "ok"])',
-    )  # fmt: skip
-    for name, parameter in (PARAMETERS | own).items():
-        settings: dict[str, Any] = {"help": parameter.help, "default": SUPPRESS}
-        if parameter.type is bool:
-            question.add_argument(option(name), action=BooleanOptionalAction, **settings)
-        else:
-            settings |= {"type": parameter.type, "metavar": parameter.metavar}
-            question.add_argument(option(name), **settings)
-    question.add_argument(
-        "--limit", action="append", default=[], metavar="WORDS",
-        help='such as "fuel <= 3", "visits(ward) <= 2", "end(crash) <= 0.01", "goal >= 0.9", '
+def _taken(said: str, metavar: str, kind: Callable[[str], Any] = str, **more: Any) -> Any:
+    """Settings of an argument of the command line that takes a word."""
+    return {"help": said, "metavar": metavar, "type": kind, **more}
+
+
+def _switch(said: str, **more: Any) -> Any:
+    """Settings of an argument of the command line that is there or not."""
+    return {"help": said, "action": "store_true", **more}
+
+
+_QUESTION: Options = {
+    "--criterion": _taken(
+        f"mcmp if left out; or {', '.join(name for name in CRITERIA if name != 'mcmp')}", "NAME",
+        _criterion_argument, choices=CRITERIA, default="mcmp",
+    ),
+    "--property": _taken(
+        'the same in PRISM\'s words: multi(R{"time"}min=? [F "ok"], P>=0.95 [F "ok"])', "WORDS"
+    ),
+    **{
+        option(name): _switch(each.help, action=BooleanOptionalAction, default=SUPPRESS)
+        if each.type is bool
+        else _taken(each.help, each.metavar, each.type, default=SUPPRESS)
+        for name, each in PARAMETERS.items()
+    },
+    "--limit": _taken(
+        'such as "fuel <= 3", "visits(ward) <= 2", "end(crash) <= 0.01", "goal >= 0.9", '
         '"cost + 2 * fuel <= 9": quantities are cost, goal, failure, visits(STATE), end(LABEL) and '
         "the model's other costs by name; may be given again",
-    )  # fmt: skip
+        "WORDS", action="append", default=[],
+    ),
+}  # fmt: skip
 
+_JSON: Options = {"--json": _switch("for other programs")}
 
-def _add_solve(one: ArgumentParser) -> None:
-    """Add the command-line arguments of ``solve``, which takes several budgets."""
-    budgets = PARAMETERS["failure_budget"]
-    told = f"{budgets.help}; several, 0.01,0.05, make a table"
-    _add_question(one, list(CRITERIA), failure_budget=Parameter(told, _budgets_argument, "P[,P]"))
-    search = one.add_argument_group("the search")
-    methods = ("columns", "lp", "game", "deterministic")
-    search.add_argument("--method", choices=methods, metavar="NAME", help=", ".join(methods))
-    search.add_argument("--tolerance", type=float, metavar="GAP", help="relative gap; 1e-9")
-    search.add_argument("--time-limit", type=float, metavar="SECONDS", help="then the best so far")
-    answer = one.add_argument_group("the answer")
-    _add_file(
-        answer, "--policy-out", metavar="FILE",
-        help="write the policy: .npz to load again, .json for a controller, .h for C, .csv",
-    )  # fmt: skip
-    shown = "print what the policy does, where it comes to from the start"
-    answer.add_argument("--show-policy", action="store_true", help=shown)
-    answer.add_argument(
-        "--everywhere", action="store_true",
-        help="the policy that is written acts in every state, planned or not, failed or not",
-    )  # fmt: skip
-    told = "write a proof of the answer, for ssp-lp check"
-    _add_file(answer, "--certificate-out", metavar="FILE", help=told)
-    _add_file(answer, "--plot", metavar="FILE", help="draw the law of the total cost")
-    answer.add_argument("--json", action="store_true", help=_JSON)
+_ALONE: Options = {
+    "--version": {"action": _Version, "nargs": 0, "help": "print the version and exit"},
+    "--print-completion": _taken(
+        "print what makes bash, zsh or tcsh complete the command", "SHELL", action=_Completion,
+        choices=[*_FILES],
+    ),
+}  # fmt: skip
 
+_TOLD: Options = {
+    "--verbose": _switch("each phase, in lines that stay"),
+    "--quiet": _switch("say nothing on the way"),
+}
 
-def _add_tracing(one: ArgumentParser, points: int | None = None) -> None:
-    """Add the arguments of whatever traces a frontier."""
-    _add_question(one, [name for name in CRITERIA if name not in _NO_PROGRAM])
-    said = "the limit to trace, by its words: failure if left out; other limits are kept"
-    one.add_argument("--over", metavar="NAME", default="failure", help=said)
-    one.add_argument("--gap", type=float, metavar="GAP", help="how near; 1e-9")
-    many = "at most so many turning points" + ("" if points is None else f"; {points}")
-    one.add_argument("--point-limit", type=int, metavar="N", default=points, help=many)
-    one.add_argument("--time-limit", type=float, metavar="SECONDS", help="then what is there")
+_MODEL: Options = {
+    "--goal": _taken("goal states, or their label", "STATE", nargs="+", default=[]),
+    "--dead-ends": _taken(
+        "states (or their label) that may lack actions; any other one is then an error", "STATE",
+        nargs="+",
+    ),
+    "--start": _taken("where an episode begins", "STATE"),
+    "--cost": _taken("which of the model's costs counts", "NAME"),
+    "--constants": _taken("what a program leaves open", "N=5,..."),
+    "--horizon": _taken(
+        "reach the goal within N steps; an environment's own limit if left out, or none", "N",
+        _steps_argument, default="env",
+    ),
+}  # fmt: skip
 
+_METHODS = ("columns", "lp", "game", "deterministic")
+_SOLVE: dict[str, Options] = {
+    "the question": _QUESTION,
+    "the search": {
+        "--method": _taken(", ".join(_METHODS), "NAME", choices=_METHODS),
+        "--tolerance": _taken("relative gap; 1e-9", "GAP", float, default=1e-9),
+        "--time-limit": _taken("then the best so far", "SECONDS", float),
+    },
+    "the answer": {
+        "--policy-out": _taken(
+            "write the policy: .npz to load again, .json for a controller, .h for C, .csv", "FILE"
+        ),
+        "--show-policy": _switch("print what the policy does, where it comes to from the start"),
+        "--everywhere": _switch(
+            "the policy that is written acts in every state, planned or not, failed or not"
+        ),
+        "--certificate-out": _taken("write a proof of the answer, for ssp-lp check", "FILE"),
+        "--plot": _taken("draw the law of the total cost", "FILE"),
+    }
+    | _JSON,
+}
 
-def _add_explore(one: ArgumentParser) -> None:
-    """Add the arguments of ``explore``."""
-    _add_tracing(one, 50)
-    _add_file(one, "--out", required=True, metavar="FILE", help="the page: .html")
-    one.add_argument("--seed", type=int, default=0, metavar="N", help="of the sample runs; 0")
+_TRACE: Options = {
+    "--over": _taken(
+        "the limit to trace, by its words: failure if left out; other limits are kept", "NAME",
+        default="failure",
+    ),
+    "--gap": _taken("how near; 1e-9", "GAP", float, default=1e-9),
+    "--point-limit": _taken("at most so many turning points", "N", int),
+    "--time-limit": _taken("then what is there", "SECONDS", float),
+}  # fmt: skip
 
+_EXPLORE: Options = {
+    "--point-limit": _taken("at most so many turning points; 50", "N", int, default=50),
+    "--out": _taken("the page: .html", "FILE", required=True),
+    "--seed": _taken("of the sample runs; 0", "N", int, default=0),
+}
 
-def _add_frontier(one: ArgumentParser) -> None:
-    """Add the command-line arguments of ``frontier``."""
-    _add_tracing(one)
-    _add_forms(one)
-    _add_file(one, "--plot", metavar="FILE", help="draw it, with the budget and its tangent")
-
-
-def _add_forms(one: ArgumentParser) -> None:
-    """Add ``--json`` and ``--csv``, printed or in a file, of which there may be one."""
-    form = one.add_mutually_exclusive_group()
-    form.add_argument("--json", action="store_true", help=_JSON)
-    _add_file(form, "--csv", nargs="?", const="-", metavar="FILE", help="for tables; into a file")
-
-
-def _add_simulate(one: ArgumentParser) -> None:
-    """Add the command-line arguments of ``simulate``."""
-    _add_file(one, "--policy", required=True, metavar="FILE", help="of solve --policy-out")
-    one.add_argument("--episodes", type=int, default=10_000, metavar="N", help="10,000")
-    one.add_argument("--seed", type=int, default=0, metavar="N", help="0")
-    one.add_argument("--max-steps", type=int, default=10_000, metavar="N", help="10,000")
-    one.add_argument("--confidence", type=float, default=0.95, metavar="P", help="0.95")
-    one.add_argument(
-        "--check", action=BooleanOptionalAction, default=True,
-        help="whether the policy must be of this very model, the default",
-    )  # fmt: skip
-    one.add_argument("--json", action="store_true", help=_JSON)
-
-
-def _add_program(one: ArgumentParser) -> None:
-    """Add the command-line arguments of ``program``."""
-    _add_question(one, [name for name in CRITERIA if name not in _NO_PROGRAM])
-    _add_file(one, "--out", metavar="FILE", help="write it: .mps or .lp")
-
-
-def _add_convert(one: ArgumentParser) -> None:
-    """Add the command-line argument of ``convert``."""
-    one.add_argument("target", metavar="TARGET", help="a file, or - for JSON to read on")
-
-
-def _add_info(one: ArgumentParser) -> None:
-    """Add the command-line argument of ``info``."""
-    one.add_argument("--json", action="store_true", help=_JSON)
-
-
-def _add_check(one: ArgumentParser) -> None:
-    """Add the command-line argument of ``check``."""
-    _add_file(one, "certificate", metavar="FILE", help="of solve --certificate-out")
-
-
-def _add_compile(one: ArgumentParser) -> None:
-    """``compile`` takes no arguments of the command line."""
+_SIMULATE: Options = {
+    "--policy": _taken("of solve --policy-out", "FILE", required=True),
+    "--episodes": _taken("10,000", "N", int, default=10_000),
+    "--seed": _taken("0", "N", int, default=0),
+    "--max-steps": _taken("10,000", "N", int, default=10_000),
+    "--confidence": _taken("0.95", "P", float, default=0.95),
+    "--check": _switch(
+        "whether the policy must be of this very model, the default", default=True,
+        action=BooleanOptionalAction,
+    ),
+}  # fmt: skip
 
 
 class Verb(NamedTuple):
     """A command of the command line: what it is for, what it takes, and how it is used."""
 
     purpose: str
-    add: Callable[[ArgumentParser], None]  # adds its own arguments
+    takes: dict[str, Options]  # by the title of their group; "": without one
     examples: str  # run as they stand, given the file roads.json of the page on the command line
     takes_model: bool = True
+    forms: Options = {}  # of the answer, of which there may be one
 
 
 VERBS = {
     "solve": Verb(
         "the best policy within a failure budget, and its proof",
-        _add_solve,
+        _SOLVE,
         """\
   ssp-lp solve roads.json --goal home --start depot --failure-budget 0.05
   ssp-lp solve roads.json --goal home --start depot --criterion cvar --level 0.9 --json
@@ -406,7 +374,7 @@ VERBS = {
     ),
     "check": Verb(
         "check a certificate by exact inequalities: between which fractions the optimum lies",
-        _add_check,
+        {"": {"certificate": _taken("of solve --certificate-out", "FILE")}},
         """\
   ssp-lp solve roads.json --goal home --start depot --certificate-out roads.cert
   ssp-lp check roads.cert""",
@@ -414,30 +382,34 @@ VERBS = {
     ),
     "frontier": Verb(
         "the least cost for every failure budget at once",
-        _add_frontier,
+        {
+            "the question": _QUESTION,
+            "": _TRACE | {"--plot": _taken("draw it, with the budget and its tangent", "FILE")},
+        },
         """\
   ssp-lp frontier roads.json --goal home --start depot
   ssp-lp frontier roads.json --goal home --start depot --criterion s3p --csv frontier.csv
   ssp-lp frontier roads.json --goal home --start depot --failure-budget 0.05 --plot frontier.png
   ssp-lp frontier roads.json --goal home --start depot --limit "cost <= 9" --over cost""",
+        forms=_JSON | {"--csv": _taken("for tables; into a file", "FILE", nargs="?", const="-")},
     ),
     "explore": Verb(
         "a page of HTML with a slider along the frontier",
-        _add_explore,
+        {"the question": _QUESTION, "": _TRACE | _EXPLORE},
         """\
   ssp-lp explore roads.json --goal home --start depot --failure-budget 0.05 --out roads.html
   ssp-lp explore gym:FrozenLake-v1 --horizon none --out lake.html""",
     ),
     "program": Verb(
         "the linear program of a criterion, shown or written",
-        _add_program,
+        {"the question": _QUESTION, "": {"--out": _taken("write it: .mps or .lp", "FILE")}},
         """\
   ssp-lp program roads.json --goal home --start depot --failure-budget 0.05
   ssp-lp program roads.json --goal home --start depot --failure-budget 0.05 --out roads.mps""",
     ),
     "simulate": Verb(
         "play a saved policy, with confidence intervals",
-        _add_simulate,
+        {"": _SIMULATE | _JSON},
         """\
   ssp-lp simulate roads.json --goal home --start depot --policy policy.npz --seed 7
   ssp-lp solve gym:FrozenLake-v1 --policy-out lake.npz
@@ -445,24 +417,17 @@ VERBS = {
     ),
     "info": Verb(
         "what a model holds, and how little can fail in it",
-        _add_info,
+        {"": _JSON},
         """\
   ssp-lp info roads.json --goal home --start depot
   ssp-lp info gym:FrozenLake-v1 --horizon none --json""",
     ),
     "convert": Verb(
         "a model from one format into another",
-        _add_convert,
+        {"": {"target": _taken("a file, or - for JSON to read on", "TARGET")}},
         """\
   ssp-lp convert roads.json roads.drn --goal home --start depot
   ssp-lp convert gym:FrozenLake-v1 - --horizon 20 | ssp-lp info -""",
-    ),
-    "compile": Verb(
-        "compile all inner loops at once, a minute or two with the extra fast (numba)",
-        _add_compile,
-        """\
-  ssp-lp compile""",
-        takes_model=False,
     ),
 }
 """Every command of the command line, by its name."""

@@ -41,6 +41,11 @@ ENVIRONMENT = "gym:"
 Start = Hashable | Mapping[Hashable, float]
 
 
+def _asking(asked: Namespace, **others: Any) -> Namespace:
+    """What a command asks, with other arguments in place of some."""
+    return Namespace(**{**vars(asked), **others})
+
+
 @dataclass(frozen=True)
 class _CommandModel:
     """A model, where it begins, and the environment that it is of, if it is of one."""
@@ -75,14 +80,6 @@ class _CommandModel:
         counting = ssp_lp.within_steps(self.model, self.horizon, start=begin)
         return counting, counting.start(begin)
 
-    def model_with_cost(self, name: str) -> SSP:
-        """A command's model with another of its costs.
-
-        Raises:
-            ModelError: it has no such cost.
-        """
-        return command_model(Namespace(**{**vars(self.asked), "cost": name})).model
-
 
 def command_model(asked: Namespace) -> _CommandModel:
     """Read the model that a command names.
@@ -98,12 +95,12 @@ def command_model(asked: Namespace) -> _CommandModel:
     if cost is None and asked.command in ("info", "convert"):  # which minimise none
         cost = FIRST_COST
     if asked.model == "-":
-        stated = parse_json(_model_from_standard_input(), "standard input", asked.goal, cost, ends)
+        text = _model_from_standard_input()
+        model, start = parse_json(text, "standard input", asked.goal, cost, ends)
     else:
-        stated = io.read_any(asked.model, asked.goal, cost, asked.constants, ends)
-    model, start = stated
+        model, start = io.read_any(asked.model, asked.goal, cost, asked.constants, ends)
     if asked.start is not None:
-        start = state_named(model, asked.start)
+        start = _state_named(model, asked.start)
     return _CommandModel(asked, model, start, None if asked.horizon == "env" else asked.horizon)
 
 
@@ -142,7 +139,7 @@ def _value_for_model(word: str) -> Any:
     return word
 
 
-def state_named(model: SSP, word: str) -> Hashable:
+def _state_named(model: SSP, word: str) -> Hashable:
     """The state that a word of a command names; the word itself where there is none."""
     return next((state for state in model.states if str(state) == word), word)
 
@@ -181,23 +178,14 @@ def problem_of(asked: Namespace, of: _CommandModel) -> Problem:
         given["quantity"] = _problem_quantity(given["quantity"], of)
     limits: dict[str, ssp_lp.Constraint] = {}
     for words in asked.limit:
-        name, constraint = _problem_limit(words, of)
+        match = _LIMIT.fullmatch(words.strip())
+        if match is None:
+            raise ModelError(f'a limit is a quantity, <=, >= or ==, and a number, not "{words}"')
+        name, compared = match["words"], _SIGNS[match["sign"]]
+        constraint = compared(_problem_quantity(name, of), _problem_number(match["bound"], words))
         limits[words if name in {"failure", *limits} else name] = constraint
     asked_for = {**given, "constraints": limits, "horizon": of.horizon}
     return cast("Problem", criterion(of.model, of.start, **asked_for))
-
-
-def _problem_limit(words: str, of: _CommandModel) -> tuple[str, ssp_lp.Constraint]:
-    """A limit in a command's words, by its name: a quantity and a bound.
-
-    Raises:
-        ModelError: no quantity, sign and number.
-    """
-    match = _LIMIT.fullmatch(words.strip())
-    if match is None:
-        raise ModelError(f'a limit is a quantity, <=, >= or ==, and a number, not "{words}"')
-    measured, bound = _problem_quantity(match["words"], of), _problem_number(match["bound"], words)
-    return match["words"], _SIGNS[match["sign"]](measured, bound)
 
 
 def _problem_quantity(words: str, of: _CommandModel) -> ssp_lp.Quantity:
@@ -206,27 +194,22 @@ def _problem_quantity(words: str, of: _CommandModel) -> ssp_lp.Quantity:
     Raises:
         ModelError: what is no quantity of this model.
     """
-    terms = [_problem_term(one.strip(), words, of) for one in words.split(" + ")]
+    terms = []
+    for one in words.split(" + "):
+        match = _TERM.fullmatch(one.strip())
+        if match is None:
+            raise ModelError(f'"{words}" is no sum of quantities: cost + 2 * visits(ward)')
+        factor, word, states = match.groups()
+        if word in _OF_STATES and states:
+            is_label = states in of.model.state_labels
+            measured = _OF_STATES[word](states if is_label else _state_named(of.model, states))
+        elif word in _PLAIN:
+            measured = _PLAIN[word]()
+        else:
+            is_own = word in of.model.named_costs
+            measured = ssp_lp.secondary_cost(word if is_own else _cost_of_another_kind(word, of))
+        terms.append(measured if factor is None else _problem_number(factor, words) * measured)
     return sum(terms[1:], start=terms[0])
-
-
-def _problem_term(words: str, whole: str, of: _CommandModel) -> ssp_lp.Quantity:
-    """A term in a command's words of a sum of quantities."""
-    match = _TERM.fullmatch(words)
-    if match is None:
-        raise ModelError(f'"{whole}" is no sum of quantities: cost + 2 * visits(ward)')
-    word, states = match["word"], match["of"]
-    if word in _OF_STATES and states:
-        is_label = states in of.model.state_labels
-        measured = _OF_STATES[word](states if is_label else state_named(of.model, states))
-    elif word in _PLAIN:
-        measured = _PLAIN[word]()
-    elif word in of.model.named_costs:
-        measured = ssp_lp.secondary_cost(word)
-    else:
-        measured = ssp_lp.secondary_cost(_cost_of_another_kind(word, of))
-    factor = match["factor"]
-    return measured if factor is None else _problem_number(factor, whole) * measured
 
 
 def _cost_of_another_kind(word: str, of: _CommandModel) -> Any:
@@ -236,7 +219,7 @@ def _cost_of_another_kind(word: str, of: _CommandModel) -> Any:
         ModelError: there are none of this name.
     """
     try:
-        return of.model_with_cost(word).costs
+        return command_model(_asking(of.asked, cost=word)).model.costs
     except ModelError as error:
         names = [*_PLAIN, *(f"{name}(...)" for name in _OF_STATES), *of.model.named_costs]
         nearest = did_you_mean(word, dict.fromkeys(names), "quantities are")
@@ -253,9 +236,8 @@ def _problem_number(word: str, whole: str) -> float:
 
 _OPERATOR = re.compile(
     r'\s*(?P<measure>[PR])\s*(?:\{\s*"(?P<cost>[^"]*)"\s*\})?\s*'
-    r"(?P<relation>max\s*=\s*\?|min\s*=\s*\?|>=|<=)\s*(?P<bound>[^\s\[]*)\s*"
-    r'\[\s*(?:(?P<total>C)|F\s*(?:<=\s*(?P<steps>\d+)\s*)?(?:"(?P<label>[^"]+)"|\(?(?P<condition>[^\]]+?)\)?))'
-    r"\s*\]\s*"
+    r"(?P<relation>max\s*=\s*\?|min\s*=\s*\?|>=|<=)\s*(?P<bound>[^\s\[]*)\s*\[\s*(?:C|F\s*"
+    r'(?:<=\s*(?P<steps>\d+)\s*)?\(?(?P<target>"[^"]+"|[^\]]+?)\)?)\s*\]\s*'
 )
 _TAKEN = 'such as multi(R{"time"}min=? [F "ok"], P>=0.95 [F "ok"], P<=0.01 [F "crash"])'
 
@@ -268,8 +250,8 @@ class _Operator(NamedTuple):
     cost: str | None
     relation: str  # max=?, min=?, >= or <=
     bound: str
+    steps: str | None  # within which something is reached
     target: str | None  # what is reached; None: [C], the total
-    steps: str | None  # within which it is reached
 
 
 def with_property(asked: Namespace) -> Namespace:
@@ -282,7 +264,7 @@ def with_property(asked: Namespace) -> Namespace:
     Raises:
         ModelError: another property, or one that contradicts the other arguments.
     """
-    if getattr(asked, "property", None) is None:
+    if asked.property is None:
         return asked
     operators = _operators_in(asked.property)
     objectives = [one for one in operators if one.relation.endswith("?")]
@@ -318,7 +300,7 @@ def with_property(asked: Namespace) -> Namespace:
     for name in ("goal", "cost"):
         if getattr(asked, name) and name in told and getattr(asked, name) != told[name]:
             raise ModelError(f"--{name} says something else than the property {asked.property}")
-    return Namespace(**{**vars(asked), **{k: v for k, v in told.items() if v is not None}})
+    return _asking(asked, **{name: word for name, word in told.items() if word is not None})
 
 
 def _operators_in(words: str) -> list[_Operator]:
@@ -333,18 +315,17 @@ def _operators_in(words: str) -> list[_Operator]:
         found = _OPERATOR.fullmatch(one)
         if found is None:
             raise ModelError(f"{one.strip()!r} is no property that is understood, {_TAKEN}")
-        relation, bound = re.sub(r"\s", "", found["relation"]), found["bound"]
+        named = _Operator(one.strip(), *found.groups())
+        relation, target = re.sub(r"\s", "", named.relation), named.target
         try:
-            number_argument(bound or "0")
+            number_argument(named.bound or "0")
         except ArgumentTypeError as error:
-            raise ModelError(f"{one.strip()}: {error}") from error
-        if relation.endswith("?") == bool(bound):
-            raise ModelError(f"{one.strip()}: a number goes with >= and <= alone")
-        target = None if found["total"] else found["label"] or found["condition"]
-        if found["measure"] == "P" and target is None:
-            raise ModelError(f"{one.strip()}: a probability is one of reaching something, F")
-        parts = found["measure"], found["cost"], relation, bound, target, found["steps"]
-        operators.append(_Operator(one.strip(), *parts))
+            raise ModelError(f"{named.words}: {error}") from error
+        if relation.endswith("?") == bool(named.bound):
+            raise ModelError(f"{named.words}: a number goes with >= and <= alone")
+        if named.measure == "P" and target is None:
+            raise ModelError(f"{named.words}: a probability is one of reaching something, F")
+        operators.append(named._replace(relation=relation, target=target and target.strip('"')))
     return operators
 
 
@@ -384,44 +365,29 @@ def figure_for(path: str | None) -> Figure | None:
     return figure
 
 
-PolicyWriter = Callable[[Solution, str], object]
-
-
-def policy_writer(path: str | None) -> PolicyWriter | None:
-    """Writer of a command's policy by the file name's ending, known before anything is solved.
-
-    Raises:
-        ModelError: another ending.
-    """
-    if path is None:
-        return None
-    for ending, write in _WRITERS.items():
-        if path.endswith(ending):
-            return write
-    raise ModelError(f"a policy is written as {', '.join(_WRITERS)}, not {path!r}")
-
-
-_WRITERS: dict[str, PolicyWriter] = {
-    ".npz": lambda solution, path: io.save_policy(solution.policy, path),
-    ".json": lambda solution, path: io.write_controller(solution.policy, path),
-    ".h": lambda solution, path: io.write_c_header(solution.policy, path),
-    ".csv": lambda solution, path: _csv_answer(path, solution.policy.table().all_rows()),
+_WRITERS: dict[str, Callable[[Any, str], object]] = {
+    ".npz": io.save_policy,
+    ".json": io.write_controller,
+    ".h": io.write_c_header,
+    ".csv": lambda policy, path: _csv_answer(path, policy.table().all_rows()),
 }
+"""Writers of policies, by the ending of a file's name."""
 
 
 def _solve_command(asked: Namespace) -> Iterable[str]:
     """The command ``solve``."""
-    write, figure = policy_writer(asked.policy_out), figure_for(asked.plot)
-    asked = with_property(asked)
+    figure, asked, out = figure_for(asked.plot), with_property(asked), asked.policy_out
+    write = None if out is None else _WRITERS.get(Path(out).suffix)
+    if out is not None and write is None:  # before anything is solved
+        raise ModelError(f"a policy is written as {', '.join(_WRITERS)}, not {out!r}")
     of = command_model(asked)
-    tolerance = {} if asked.tolerance is None else {"tolerance": asked.tolerance}
+    search = {"tolerance": asked.tolerance, "time_limit": asked.time_limit}
     if isinstance(budgets := vars(asked).get("failure_budget"), list):
-        return _several_answers(asked, of, budgets, tolerance)
+        return _several_answers(asked, of, budgets, search)
     problem = problem_of(asked, of)
-    solution = ssp_lp.solve(problem, asked.method, time_limit=asked.time_limit, **tolerance)
+    solution = ssp_lp.solve(problem, asked.method, **search)
     if write is not None:
-        policy = solution.policy_everywhere() if asked.everywhere else solution.policy
-        write(replace(solution, policy=policy), asked.policy_out)
+        write(solution.policy_everywhere() if asked.everywhere else solution.policy, out)
     if asked.certificate_out is not None:
         ssp_lp.write_certificate(solution, asked.certificate_out)
     if figure is not None:
@@ -437,7 +403,7 @@ _WORTH_PROCESSES = 100_000  # outcomes of a model from which answers take longer
 
 
 def _several_answers(
-    asked: Namespace, of: _CommandModel, budgets: Sequence[float | None], tolerance: dict[str, Any]
+    asked: Namespace, of: _CommandModel, budgets: Sequence[float | None], search: Mapping[str, Any]
 ) -> Iterable[str]:
     """The command ``solve`` for several failure budgets, side by side: a table.
 
@@ -446,28 +412,21 @@ def _several_answers(
     """
     for name in ("policy_out", "certificate_out", "plot"):
         if getattr(asked, name) is not None:
-            raise ModelError(
-                f"{option(name)} is of one answer: give one {option('failure_budget')}"
-            )
-    each = [Namespace(**{**vars(asked), "failure_budget": budget}) for budget in budgets]
-    problems = [problem_of(one, of) for one in each]
-    is_small = of.model.n_outcomes < _WORTH_PROCESSES
-    executor = ThreadPoolExecutor(1) if is_small else None
-    answers = ssp_lp.solve_many(
-        problems, asked.method, executor=executor, time_limit=asked.time_limit, **tolerance
-    )
+            raise ModelError(f"{option(name)} is of one answer: give one --failure-budget")
+    problems = [problem_of(_asking(asked, failure_budget=budget), of) for budget in budgets]
+    executor = ThreadPoolExecutor(1) if of.model.n_outcomes < _WORTH_PROCESSES else None
+    answers = ssp_lp.solve_many(problems, asked.method, executor=executor, **search)
     for error in answers.errors.values():
         error.args = (with_options(error),)
     if not asked.json:
         return [answers.summary()]
-    tables = [
-        _solution_table_of_command(answer)
-        if isinstance(answer, Solution)
-        else {"error": str(answer)}
-        for answer in answers
-    ]
-    listed = zip(budgets, tables, strict=True)
-    return json_answer([{"failure_budget": budget, **table} for budget, table in listed])
+    rows: list[dict[str, Any]] = [{"failure_budget": budget} for budget in budgets]
+    for row, answer in zip(rows, answers, strict=True):
+        if isinstance(answer, Solution):
+            row |= _solution_table_of_command(answer)
+        else:
+            row["error"] = str(answer)
+    return json_answer(rows)
 
 
 def _check_command(asked: Namespace) -> Iterable[str]:
@@ -517,9 +476,8 @@ _LISTED = 8  # actions that ``info`` names
 
 def _traced_frontier(asked: Namespace, of: _CommandModel) -> ssp_lp.Frontier:
     """The frontier that a command asks for."""
-    gap = {} if asked.gap is None else {"gap": asked.gap}
-    limits = {"point_limit": asked.point_limit, "time_limit": asked.time_limit}
-    return ssp_lp.trace_frontier(problem_of(asked, of), asked.over, **limits, **gap)
+    limits = {name: getattr(asked, name) for name in ("gap", "point_limit", "time_limit")}
+    return ssp_lp.trace_frontier(problem_of(asked, of), asked.over, **limits)
 
 
 def _explore_command(asked: Namespace) -> Iterable[str]:

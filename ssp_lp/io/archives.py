@@ -75,75 +75,61 @@ def write_archive(
         np.savez_compressed(file, **named)
 
 
-class _Arrays(Mapping[str, Array]):
+class _Arrays(dict[str, Array]):
     """Arrays of an archive, each unpacked when it is first asked for; others never are."""
 
     def __init__(self, archive: Any) -> None:
         """Take an archive that numpy has opened."""
-        self._archive, self._unpacked = archive, dict[str, Array]()
+        self._archive = archive
 
-    def __getitem__(self, name: str) -> Array:
+    def __missing__(self, name: str) -> Array:
         """An array in the machine's own byte order.
 
         Raises:
-            ModelError: the array is damaged.
-            KeyError: there is none of this name.
+            ModelError: the array is damaged or missing.
         """
-        if name not in self:
-            raise KeyError(name)
-        if name not in self._unpacked:
-            try:
-                array = self._archive[name]
-            except (ValueError, MemoryError) as error:
-                other = f"the array {name} has another type or size than it should"
-                raise ModelError(other) from error
-            except Exception as error:  # zipfile, zlib and numpy raise a dozen kinds for damage
-                raise ModelError(f"the array {name} is damaged: {error}") from error
-            self._unpacked[name] = array.astype(array.dtype.newbyteorder("="), copy=False)
-        return self._unpacked[name]
+        try:
+            array = self._archive[name]
+        except KeyError as error:
+            raise ModelError(f"the array {name} is missing") from error
+        except (ValueError, MemoryError) as error:
+            raise ModelError(_OTHER_ARRAY.format(name)) from error
+        except Exception as error:  # zipfile, zlib and numpy raise a dozen kinds for damage
+            raise ModelError(f"the array {name} is damaged: {error}") from error
+        self[name] = array.astype(array.dtype.newbyteorder("="), copy=False)
+        return self[name]
 
-    def __contains__(self, name: object) -> bool:
-        """Whether there is an array of this name; it is not unpacked."""
-        return name in self._archive.files
 
-    def __iter__(self) -> Iterator[str]:
-        """Names of all arrays."""
-        return iter(self._archive.files)
-
-    def __len__(self) -> int:
-        """How many arrays there are."""
-        return len(self._archive.files)
+_OTHER_ARRAY = "the array {} has another type or size than it should"
 
 
 def _header_of(archive: Any, path: FilePath, kind: str) -> Any:
     """Header of an archive that numpy has opened.
 
     Raises:
-        ModelError: naming the file: its header is too large, of another kind of file, or of a later
-            version than this library knows.
+        ModelError: it is too large, of another kind of file, or of a later version than this
+            library knows.
     """
     header: Any = None
     if _HEADER in archive.files:
         if (size := archive.zip.getinfo(f"{_HEADER}.npy").file_size) > _LARGEST_HEADER:
-            most = f"more than {_LARGEST_HEADER:,}"
-            raise ModelError(f"{path} is no ssp-lp {kind} file: a header of {size:,} bytes, {most}")
+            raise ModelError(f"a header of {size:,} bytes, more than {_LARGEST_HEADER:,}")
         header = json.loads(archive[_HEADER].tobytes())
-    found = header.get("format", "") if isinstance(header, dict) else None
-    if found != f"ssp-lp {kind}":
-        what = "it was not written by ssp-lp" if found is None else f"it says {str(found)[:60]!r}"
-        raise ModelError(f"{path} is no ssp-lp {kind} file: {what}")
+    if not isinstance(header, dict):
+        raise ModelError("it was not written by ssp-lp")
+    if (found := header.get("format", "")) != f"ssp-lp {kind}":
+        raise ModelError(f"it says {str(found)[:60]!r}")
     version = header.get("version")
     if type(version) is not int or not 1 <= version <= _VERSION:
         newer = type(version) is int and version > _VERSION
         remedy = "install a newer ssp-lp" if newer else f"write the {kind} anew with this one"
-        raise ModelError(
-            f"{path} has version {version!r}, this ssp-lp reads up to {_VERSION}: {remedy}"
-        )
+        told = f"it has version {version!r}, this ssp-lp reads up to {_VERSION}: {remedy}"
+        raise ModelError(told)
     return header
 
 
 @contextmanager
-def opened_archive(path: FilePath, kind: str) -> Iterator[tuple[Any, Mapping[str, Array]]]:
+def opened_archive(path: FilePath, kind: str) -> Iterator[tuple[Any, dict[str, Array]]]:
     """Header and arrays of an archive, which is open meanwhile; nothing in it is executed.
 
     Raises:
@@ -155,13 +141,10 @@ def opened_archive(path: FilePath, kind: str) -> Iterator[tuple[Any, Mapping[str
         stream = opened.enter_context(Path(path).open("rb"))
         try:
             if stream.read(2) != _PACKED:
-                remedy = f"save_{kind} of ssp_lp.io writes one"
-                raise ModelError(f"{path} is no ssp-lp {kind} file, but another kind: {remedy}")
+                raise ModelError(f"save_{kind} of ssp_lp.io writes one")
             stream.seek(0)
             archive = opened.enter_context(np.load(stream, allow_pickle=False))
             header = _header_of(archive, path, kind)
-        except ModelError:
-            raise
         except Exception as error:  # zipfile, zlib and numpy raise a dozen kinds for damage
             raise ModelError(f"{path} is no ssp-lp {kind} file: {error}") from error
         try:
@@ -240,42 +223,40 @@ def load_model(path: FilePath) -> SSP:
         OSError: the file cannot be opened.
     """
     with opened_archive(path, "model") as (header, arrays):
-        return _model_in_archive(header, arrays)
-
-
-def _model_in_archive(texts: Mapping[str, Any], arrays: Mapping[str, Array]) -> SSP:
-    """The model that an archive's texts and arrays state, checked."""
-    for name, kind in _ARRAYS.items():
-        if name not in arrays:
-            raise ModelError(f"the array {name} is missing")
-        if arrays[name].ndim != 1 or arrays[name].dtype != kind:
-            raise ModelError(f"the array {name} has another type or size than it should")
-    n_states, labels = arrays["pair_offsets"].size - 1, arrays["label_offsets"]
-    states, actions = (
-        None if texts[name] is None else [controller_label(part) for part in texts[name]]
-        for name in ("states", "actions")
-    )
-    if states is not None and len(states) != n_states:
-        raise ModelError("the names of states are not one for each")
-    if actions is not None:
-        actions = _named_in_archive(actions, arrays["pair_action"], "actions")
-    known = range(n_states) if states is None else states
-    members = _named_in_archive(known, arrays["label_members"], "members of labels")
-    check_offsets("label_offsets", labels, len(members))
-    marked = [members[begin:end] for begin, end in pairwise(labels.tolist())]
-    names = ("pair_offsets", "outcome_offsets", "successors", "probabilities", "goal_states")
-    plain: dict[str, Any] = {name: arrays[name] for name in names}
-    model = SSP.from_arrays(
-        **plain,
-        costs=arrays["costs"][0] if arrays["costs"].size == 1 else arrays["costs"],
-        states=states,
-        actions=actions,
-        state_labels=dict(zip(texts["state_labels"], marked, strict=True)),
-        exact_costs=_exact_costs_in_archive(texts["exact_costs"]),
-        named_costs={name: arrays[f"costs {k}"] for k, name in enumerate(texts["named_costs"])},
-        treat_actionless_as_dead_ends=True,
-    )
-    return replace(model, probabilities=read_only(arrays["probabilities"]))  # not rounded again
+        for name, kind in _ARRAYS.items():
+            if arrays[name].ndim != 1 or arrays[name].dtype != kind:
+                raise ModelError(_OTHER_ARRAY.format(name))
+        n_states, labels = arrays["pair_offsets"].size - 1, arrays["label_offsets"]
+        states, actions = (
+            None if header[name] is None else [controller_label(part) for part in header[name]]
+            for name in ("states", "actions")
+        )
+        if states is not None and len(states) != n_states:
+            raise ModelError("the names of states are not one for each")
+        if actions is not None:
+            actions = _named_in_archive(actions, arrays["pair_action"], "actions")
+        known = range(n_states) if states is None else states
+        members = _named_in_archive(known, arrays["label_members"], "members of labels")
+        check_offsets("label_offsets", labels, len(members))
+        marked = [members[begin:end] for begin, end in pairwise(labels.tolist())]
+        for _, text in header["exact_costs"]:
+            if not _FRACTION.fullmatch(text):  # digits are counted before they are read
+                raise ModelError(f"the exact cost {text[:60]!r} is no fraction")
+        names = ("pair_offsets", "outcome_offsets", "successors", "probabilities", "goal_states")
+        plain: dict[str, Any] = {name: arrays[name] for name in names}
+        model = SSP.from_arrays(
+            **plain,
+            costs=arrays["costs"][0] if arrays["costs"].size == 1 else arrays["costs"],
+            states=states,
+            actions=actions,
+            state_labels=dict(zip(header["state_labels"], marked, strict=True)),
+            exact_costs={float(cost): Fraction(text) for cost, text in header["exact_costs"]},
+            named_costs={
+                name: arrays[f"costs {k}"] for k, name in enumerate(header["named_costs"])
+            },
+            treat_actionless_as_dead_ends=True,
+        )
+        return replace(model, probabilities=read_only(arrays["probabilities"]))  # not rounded again
 
 
 def _named_in_archive(names: Sequence[Hashable], numbers: Array, what: str) -> list[Hashable]:
@@ -283,14 +264,6 @@ def _named_in_archive(names: Sequence[Hashable], numbers: Array, what: str) -> l
     if ((numbers < 0) | (numbers >= len(names))).any():
         raise ModelError(f"there are {what} without a name")
     return [names[k] for k in numbers.tolist()]
-
-
-def _exact_costs_in_archive(listed: Sequence[tuple[float, str]]) -> Mapping[float, Fraction]:
-    """An archive's costs that are fractions; digits are counted before they are read."""
-    for _, text in listed:
-        if not _FRACTION.fullmatch(text):
-            raise ModelError(f"the exact cost {text[:60]!r} is no fraction")
-    return {float(number): Fraction(text) for number, text in listed}
 
 
 @explained
@@ -604,11 +577,25 @@ def fingerprint(model: SSP) -> str:
     digest = sha256(_FINGERPRINT_VERSION.encode())
     for name in ("pair_offsets", "outcome_offsets", "successors", "pair_action", "goal_mask"):
         _fingerprint_array(digest.update, name, getattr(model, name), "<i8")
-    for name in ("probabilities", "costs"):
-        _fingerprint_array(digest.update, name, getattr(model, name), "<f8")
-    for name, costs in model.named_costs.items():
-        _fingerprint_array(digest.update, f"cost {name!r}", costs, "<f8")
-    for name, value in _fingerprint_words(model):
+    costs = {f"cost {name!r}": costs for name, costs in model.named_costs.items()}
+    numbers = {"probabilities": model.probabilities, "costs": model.costs, **costs}
+    for name, array in numbers.items():
+        _fingerprint_array(digest.update, name, array, "<f8")
+    states, actions = (  # their number if they are 0, 1, ...
+        len(names) if are_numbers_in_turn(names) else [stated_value(label) for label in names]
+        for names in (model.states, model.action_names)
+    )
+    exact = [[float(k).hex(), str(v)] for k, v in sorted(model.exact_costs.items())]
+    labels = {name: found.tolist() for name, found in model.state_labels.items()}
+    words: dict[str, Any] = {
+        "states": states,
+        "actions": actions,
+        "state_labels": labels,
+        "exact_costs": exact,
+    }
+    if isinstance(model, ProductSSP):
+        words["original"] = fingerprint(model.original)
+    for name, value in words.items():
         content = json.dumps(value, sort_keys=True, separators=(",", ":")).encode()
         digest.update(f"\n{name} {len(content)}\n".encode() + content)
     return digest.hexdigest()
@@ -630,23 +617,6 @@ def _fingerprint_array(
     for first in range(0, len(array), _PIECE):
         # adding zero turns -0.0 into 0.0
         update((array[first : first + _PIECE] + np.zeros(1, kind)).astype(kind).tobytes())
-
-
-def _fingerprint_words(model: SSP) -> Iterator[tuple[str, object]]:
-    """Words that a model's fingerprint takes in besides its numbers, by name."""
-    yield "states", _fingerprint_labels(model.states)
-    yield "actions", _fingerprint_labels(model.action_names)
-    yield "state_labels", {name: found.tolist() for name, found in model.state_labels.items()}
-    yield "exact_costs", [[float(k).hex(), str(v)] for k, v in sorted(model.exact_costs.items())]
-    if isinstance(model, ProductSSP):
-        yield "original", fingerprint(model.original)
-
-
-def _fingerprint_labels(labels: Sequence[Hashable]) -> object:
-    """Labels in a model's fingerprint as JSON; their number if they are 0, 1, ..."""
-    if are_numbers_in_turn(labels):
-        return len(labels)
-    return [stated_value(label) for label in labels]
 
 
 def label_value(label: Hashable) -> Any:

@@ -7,21 +7,19 @@ it follows beyond the cap, whether it has given up, and the level to which a tot
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from itertools import accumulate
+from typing import Any
+
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray, offsets_of
 from ssp_lp.errors import ModelError
 from ssp_lp.io.archives import fingerprint
+from ssp_lp.io.controller_file import controller_member
 from ssp_lp.io.model_files.raw_model import FilePath, write_text
 from ssp_lp.model.arguments import explained
-from ssp_lp.policies import (
-    CompletePolicy,
-    CostAwarePolicy,
-    DeterministicPolicy,
-    MixedPolicy,
-    Policy,
-    StochasticPolicy,
-)
+from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import as_lottery
 
 _NEVER = 1e308
@@ -141,29 +139,31 @@ def write_c_header(policy: Policy | MixedPolicy, path: FilePath, *, name: str = 
     model, members = lottery.model, lottery.policies
     if not (name.isascii() and name.isidentifier()):
         raise ModelError(f"name must be a name in C, not {name!r}")
-    plans = [m.inner if isinstance(m, CompletePolicy) else m for m in members]
-    units = {
-        plan.unit for plan in plans if isinstance(plan, CostAwarePolicy) and plan.levels is None
-    }
-    if len(units) > 1 or (
-        units and any(getattr(plan, "levels", None) is not None for plan in plans)
-    ):
+    fields, units = list[dict[str, Any]](), set[float | None]()
+    for member in members:
+        stated = controller_member(member)
+        if (memory := stated["memory"]) and "unit" in memory:
+            units |= {None if memory["levels"] else memory["unit"]}
+        fields.append(_member_fields(stated, member))
+    if len(units) > 1:
         raise ModelError("the members of the lottery count costs in different units")
     tables, rows, largest = list[str](), list[str](), 0
     upto = np.minimum(np.cumsum(lottery.weights), 1.0)
-    for k, (member, share) in enumerate(zip(members, upto.tolist(), strict=True)):
-        fields = _member_fields(member)
-        told = {key: value for key, value in fields.items() if isinstance(value, np.ndarray)}
+    for k, (told, share) in enumerate(zip(fields, upto.tolist(), strict=True)):
+        entries = [repr(share)]
         for key, value in told.items():
-            largest = max(largest, int(np.abs(value).max())) if key not in _OTHERS else largest
-            tables.append(_c_table(f"{name}_{key}_{k}", _OTHERS.get(key, f"{name}_code"), value))
-        entries = (f"{name}_{key}_{k}" if key in told else str(v) for key, v in fields.items())
-        rows.append(f"    {{{share!r}, {', '.join(entries)}}},")
+            if isinstance(value, int):
+                entries.append(str(value))
+                continue
+            table, entry = np.asarray(value), f"{name}_{key}_{k}"
+            largest = max(largest, int(np.abs(table).max())) if key not in _OTHERS else largest
+            tables.append(_c_table(entry, _OTHERS.get(key, f"{name}_code"), table))
+            entries.append(entry)
+        rows.append(f"    {{{', '.join(entries)}}},")
     code_type = next(kind for kind, most in _KINDS.items() if largest <= most)
-    words = {"NAME": name, "DRAWN": str(_DRAWN)}
-    type_, code = _MEMBER, _CODE
-    for word, meant in words.items():
-        type_, code = type_.replace(word, meant), code.replace(word, meant)
+    type_, code = (
+        text.replace("NAME", name).replace("DRAWN", str(_DRAWN)) for text in (_MEMBER, _CODE)
+    )
     states = (f"   {k}: {_c_comment(state)}" for k, state in enumerate(model.states))
     actions = ", ".join(_c_string(str(action)) for action in model.action_names)
     lines = [
@@ -174,7 +174,7 @@ def write_c_header(policy: Policy | MixedPolicy, path: FilePath, *, name: str = 
         f"#ifndef {name.upper()}_H",
         f"#define {name.upper()}_H",
         f"enum {{ {name}_states = {model.n_states}, {name}_count = {len(members)} }};",
-        f"static const double {name}_unit = {float(next(iter(units), 1.0))!r};",
+        f"static const double {name}_unit = {next(filter(None, units), 1.0)!r};",
         f"static const char *const {name}_actions[] = {{{actions or '0'}}};",
         f"typedef {code_type} {name}_code;",
         type_,
@@ -189,48 +189,42 @@ def write_c_header(policy: Policy | MixedPolicy, path: FilePath, *, name: str = 
     write_text(path, ["\n".join(lines)])
 
 
-def _member_fields(policy: Policy) -> dict[str, object]:
-    """The fields of a member's struct but the first, by name; arrays are tables of their own."""
-    plan = policy.inner if isinstance(policy, CompletePolicy) else policy
-    model, states = plan.model, np.arange(plan.model.n_states)
+def _member_fields(stated: Mapping[str, Any], policy: Policy) -> dict[str, Any]:
+    """The fields of a member's struct but the first, by name; lists are tables of their own.
 
-    def action_codes(pairs: IntArray) -> IntArray:
-        """The numbers of the pairs' actions; codes stay."""
-        action = np.append(model.pair_action, 0).astype(np.int64)
-        return np.where(pairs < 0, pairs, action[np.maximum(pairs, 0)])
+    Args:
+        stated: the member as a controller's file states it.
+        policy: the member.
 
-    fields: dict[str, object] = dict.fromkeys(
+    Raises:
+        ModelError: it has a memory that the struct does not.
+    """
+    memory, decision = stated["memory"], stated["decision"]
+    cap = 0 if memory is None else memory.get("cap", -1)
+    tails, drawn = decision[cap:], any(type(one) is list for row in decision for one in row)
+    if cap < 0 or (drawn and memory):
+        raise ModelError(f"a header of C cannot hold a {type(policy).__name__}")
+    fields: dict[str, Any] = dict.fromkeys(
         ("layers", "tails", "decision", "tail", "threshold", "levels", "offsets", "action", "share",
          "ends", "otherwise", "afterwards"), 0)  # fmt: skip
-    fields |= {"tails": 1, "threshold": np.full(model.n_states, _NEVER)}
-    if isinstance(plan, CostAwarePolicy):
-        pairs = np.where(plan.decision < 0, plan.decision, model.pair_offsets[:-1] + plan.decision)
-        fields |= {"layers": plan.cap, "tails": len(plan.tails)}
-        fields["tail"] = action_codes(plan.tails)
-        fields["threshold"] = np.clip(plan.tail_threshold, -1.0, _NEVER)
-        if plan.cap:
-            fields["decision"] = action_codes(pairs)
-        if plan.levels is not None:
-            fields["levels"] = plan.levels
-    elif isinstance(plan, DeterministicPolicy) or (
-        isinstance(plan, StochasticPolicy) and plan.carrier is None
-    ):
-        found = plan.branches(states, np.zeros_like(states))
-        codes = action_codes(found.pair)
-        offsets = offsets_of(np.bincount(found.situation, minlength=model.n_states))
-        fields["tail"] = codes[offsets[:-1]]
-        drawn = np.diff(offsets) > 1
-        if drawn.any():
-            shares = np.cumsum(found.probability)
-            shares -= np.repeat(np.append(0.0, shares)[offsets[:-1]], np.diff(offsets))
-            fields |= {"offsets": offsets, "action": codes, "share": shares}
-            fields["tail"] = np.where(drawn, _DRAWN - states, codes[offsets[:-1]])
-    else:
-        raise ModelError(f"a header of C cannot hold a {type(plan).__name__}")
-    if isinstance(policy, CompletePolicy):
-        fields["ends"] = plan.ended.astype(np.uint8)
-        for name in ("otherwise", "afterwards"):
-            fields[name] = action_codes(getattr(policy, name))
+    fields |= {"layers": cap, "tails": len(tails), "decision": decision[:cap] or 0}
+    never = [None] * policy.model.n_states
+    layers = never if memory is None else memory["threshold"]
+    fields["threshold"] = [_NEVER if layer is None else layer for layer in layers]
+    if memory is not None and memory["levels"] is not None:
+        fields["levels"] = memory["levels"]
+    if drawn:
+        (tail,) = tails
+        listed = [one if type(one) is list else [(one, 1.0)] for one in tail]
+        fields["offsets"] = offsets_of(np.array([*map(len, listed)]))
+        fields["action"] = [code for some in listed for code, _ in some]
+        fields["share"] = [upto for some in listed for upto in accumulate(p for _, p in some)]
+        tails = [_DRAWN - k if type(one) is list else one for k, one in enumerate(tail)]
+    fields["tail"] = tails
+    if "otherwise" in stated:
+        ends = np.zeros(policy.model.n_states, dtype=np.int64)
+        ends[stated["ends"]] = 1
+        fields |= {"ends": ends, **{name: stated[name] for name in ("otherwise", "afterwards")}}
     return fields
 
 

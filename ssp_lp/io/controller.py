@@ -15,11 +15,10 @@ writes the files that it reads:
   - ``memory``: null, or an object whose ``kind`` is
 
     - "layers": the cost paid in whole numbers of ``unit``, other costs rounded up to them where it
-      ``rounds_up``; from ``cap`` on one of ``tails`` tails:
-      the last one where the layer has reached the state's ``threshold`` (null: never), else the
-      first; or by ``table``, from the cap on, [layer][state]. With ``levels``, totals, the layer is
-      the one nearest to the last level plus the cost of the step, the last of them the cap, and a
-      threshold is a total; ``acting``: for each state 1 where the memory moves, else 0;
+      ``rounds_up``; from ``cap`` on one of ``tails`` tails: the last one where the layer has
+      reached the state's ``threshold`` (null: never), else the first. With ``levels``, totals, the
+      layer is the one nearest to the last level plus the cost of the step, the last of them the
+      cap, and a threshold is a total; ``acting``: for each state 1 where the memory moves, else 0;
     - "steps": how many were taken, of ``steps``, and one more where they are used up in a state
       that is ``acting``, 1 or 0 for each;
     - "task": a number, at first ``start``; ``moves``: [number, state, action, successor, cost, next

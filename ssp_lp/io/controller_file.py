@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from ssp_lp import policies
-from ssp_lp.arrays import segment_ids
+from ssp_lp.arrays import IntArray, segment_ids
 from ssp_lp.errors import ModelError
 from ssp_lp.io.archives import are_numbers_in_turn, fingerprint, label_value
 from ssp_lp.io.controller import GIVE_UP as GIVE_UP_WORD, controller_checksum
 from ssp_lp.io.model_files.raw_model import FilePath
+from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.failure_product import FailureSSP
 from ssp_lp.model.graph import dead_ends
@@ -51,7 +52,6 @@ def write_controller(policy: Policy | MixedPolicy, path: FilePath) -> None:
     model = lottery.model
     if GIVE_UP_WORD in model.action_names:
         raise ModelError(f"an action is called {GIVE_UP_WORD!r}, which says that a policy gives up")
-    codes = {name: k for k, name in enumerate(model.action_names)}
     content = {
         "format": "ssp-lp controller",
         "version": _VERSION,
@@ -63,7 +63,7 @@ def write_controller(policy: Policy | MixedPolicy, path: FilePath) -> None:
         "goals": np.flatnonzero(model.goal_mask).tolist(),
         "dead_ends": np.flatnonzero(dead_ends(model)).tolist(),
         "members": [
-            {"weight": weight, **_controller_member(member, codes)}
+            {"weight": weight, **controller_member(member)}
             for member, weight in zip(lottery.policies, lottery.weights.tolist(), strict=True)
         ],
     }
@@ -72,21 +72,30 @@ def write_controller(policy: Policy | MixedPolicy, path: FilePath) -> None:
     Path(path).write_text(text + "\n", encoding="utf-8")
 
 
-def _controller_member(policy: Policy, codes: Mapping[Hashable, int]) -> dict[str, Any]:
-    """A member of a lottery, as the controller reads it."""
-    if isinstance(policy, CompletePolicy):
-        action = np.array([codes[name] for name in policy.model.action_names], dtype=np.int64)
-        action = np.append(action[policy.model.pair_action], 0)  # of a model without pairs, too
-        chosen = {
-            name: np.where(pairs < 0, pairs, action[np.maximum(pairs, 0)]).tolist()
-            for name, pairs in (("otherwise", policy.otherwise), ("afterwards", policy.afterwards))
-        }
-        return _controller_member(policy.inner, codes) | chosen
-    return {
-        "memory": _controller_memory(policy, codes),
-        "decision": _controller_decisions(policy, codes),
-        "ends": np.flatnonzero(policy.ended).tolist(),
+def controller_member(policy: Policy) -> dict[str, Any]:
+    """A member of a lottery, as the controller reads it.
+
+    Raises:
+        ModelError: the controller does not know its memory.
+    """
+    codes = {name: k for k, name in enumerate(policy.model.action_names)}
+    inner = policy.inner if isinstance(policy, CompletePolicy) else policy
+    stated = {
+        "memory": _controller_memory(inner, codes),
+        "decision": _controller_decisions(inner, codes),
+        "ends": np.flatnonzero(inner.ended).tolist(),
     }
+    if isinstance(policy, CompletePolicy):
+        for name, pairs in (("otherwise", policy.otherwise), ("afterwards", policy.afterwards)):
+            stated[name] = _positions(policy.model, codes, pairs).tolist()
+    return stated
+
+
+def _positions(model: SSP, codes: Mapping[Hashable, int], pairs: IntArray) -> IntArray:
+    """The numbers of the actions of some exported pairs; codes stay."""
+    action = np.array([codes[name] for name in model.action_names] or [0])
+    action = np.append(action[model.pair_action], 0)  # of a model without pairs, too
+    return np.where(pairs < 0, pairs, action[np.maximum(pairs, 0)])
 
 
 def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[str, Any] | None:
@@ -150,11 +159,17 @@ def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> d
         after.setdefault(tuple(step), {})[cost] = then
     moves: list[list[Any]] = []
     for step, by_cost in after.items():
-        if len(set(by_cost.values())) > 1:
+        if len(ends := set(by_cost.values())) > 1:
             moves += [[*step, cost, then] for cost, then in by_cost.items()]
+<<<<<<< HEAD
         elif (then := next(iter(by_cost.values()))) != step[0]:
             moves.append([*step, None, then])
     return {"kind": "task", "start": 0, "moves": moves}
+=======
+        elif ends != {step[0]}:
+            moves.append([*step, None, *ends])
+    return {"kind": "task", "start": product.memory_number[product.memory.start], "moves": moves}
+>>>>>>> w-edge
 
 
 def _labelled_codes(product: FailureSSP, codes: Mapping[Hashable, int]) -> dict[Hashable, int]:
@@ -176,12 +191,10 @@ def _controller_decisions(policy: Policy, codes: Mapping[Hashable, int]) -> list
         idle = (np.diff(product.pair_offsets) == 0) & ~product.goal_mask
         over = idle | np.where(dead_ends(product), True, over[product.original_state])
     model = policy.model
-    action = np.array([codes[name] for name in model.action_names] or [0])
-    action = np.append(action[model.pair_action], 0)  # of a model without pairs, too
     decisions = []
     for memory in range(policy.memory_size or 1):
         branches = policy.branches(np.arange(model.n_states), np.full(model.n_states, memory))
-        choice = np.where(branches.pair < 0, branches.pair, action[np.maximum(branches.pair, 0)])
+        choice = _positions(model, codes, branches.pair)
         # it gives up where it has no decision and all is over
         choice = np.where(over[branches.situation] & (choice == UNDECIDED), GIVE_UP_CODE, choice)
         listed: list[list[list[Any]]] = [[] for _ in range(model.n_states)]

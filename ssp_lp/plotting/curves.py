@@ -145,13 +145,7 @@ def _show_region(ax: Axes, frontier: Frontier, budget: float | None) -> None:
 
 def _draw_frontier(ax: Axes, frontier: Frontier, look: _Look, label: str) -> None:
     """Draw the frontier's curve, its turning points, and the band of its bounds."""
-    # budgets along every segment
-    spent = frontier.spent
-    each = max(_SAMPLES // len(spent), 4)
-    segments = zip(spent[:-1].tolist(), spent[1:].tolist(), strict=True)
-    all_budgets = [spent, *(_budgets_between(begin, end, each) for begin, end in segments)]
-    budgets = np.unique(np.concatenate(all_budgets))
-    low, high = np.array([frontier.bounds_at(float(b)) for b in budgets]).T
+    spent, (budgets, low, high) = frontier.spent, bounds_along(frontier)
     many = len(spent) > _MANY
     attained = low if frontier.maximises else high
     ax.plot(budgets, attained, color=look.colour, linestyle=look.line, linewidth=2, label=label)
@@ -161,6 +155,17 @@ def _draw_frontier(ax: Axes, frontier: Frontier, look: _Look, label: str) -> Non
         band = None if _BAND in ax.get_legend_handles_labels()[1] else _BAND
         ax.fill_between(budgets, low, high, facecolor="none", edgecolor=look.colour,
                         hatch=look.hatch, linewidth=0.6, label=band)  # fmt: skip
+
+
+def bounds_along(frontier: Frontier) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Budgets along a frontier's curve, turning points included, with the optimum's bounds."""
+    spent = frontier.spent
+    each = max(_SAMPLES // len(spent), 4)
+    segments = zip(spent[:-1].tolist(), spent[1:].tolist(), strict=True)
+    all_budgets = [spent, *(_budgets_between(begin, end, each) for begin, end in segments)]
+    budgets = np.unique(np.concatenate(all_budgets))
+    low, high = np.array([frontier.bounds_at(float(b)) for b in budgets]).T
+    return budgets, low, high
 
 
 def _budgets_between(begin: float, end: float, count: int) -> FloatArray:

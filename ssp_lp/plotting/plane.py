@@ -246,7 +246,18 @@ def _draw_visited_cells(
 ) -> Any:
     """Draw a policy's cells in the plane with a legend; what a scale of shades needs."""
     draw_ground(ax, problem, seen.points, walls)
-    shades = _draw_visits(ax, seen, most)
+    names = ("collections", "colors", "patches")
+    collections, colors, patches = (optional_module(f"matplotlib.{name}", "plot") for name in names)
+    some = seen.visits > 0.0
+    corners = (seen.middles[some] - 0.5).tolist()
+    shades = collections.PatchCollection(
+        [patches.Rectangle(tuple(corner), 1.0, 1.0) for corner in corners],
+        cmap=colors.LinearSegmentedColormap.from_list("visits", _SHADES),
+        norm=colors.Normalize(0.0, max(most, _UNSEEN)),
+        zorder=1,
+    )
+    shades.set_array(seen.visits[some])
+    ax.add_collection(shades)
     _draw_decisions(ax, seen, points_of(problem.model.action_names, moves))
     add_legend(ax)
     return shades
@@ -304,23 +315,6 @@ def _visits_on_grid(policy: Policy | MixedPolicy, problem: Problem, cells: Place
         flows[:-1], visits[:, None], where=visits[:, None] > 0.0, out=flows[:-1] * 0.0
     )
     return _Seen(points, middles, visits, shares)
-
-
-def _draw_visits(ax: Axes, seen: _Seen, most: float) -> Any:
-    """Shade the plane's cells by their visits; what a scale of shades needs."""
-    names = ("collections", "colors", "patches")
-    collections, colors, patches = (optional_module(f"matplotlib.{name}", "plot") for name in names)
-    some = seen.visits > 0.0
-    corners = (seen.middles[some] - 0.5).tolist()
-    shades = collections.PatchCollection(
-        [patches.Rectangle(tuple(corner), 1.0, 1.0) for corner in corners],
-        cmap=colors.LinearSegmentedColormap.from_list("visits", _SHADES),
-        norm=colors.Normalize(0.0, max(most, _UNSEEN)),
-        zorder=1,
-    )
-    shades.set_array(seen.visits[some])
-    ax.add_collection(shades)
-    return shades
 
 
 def _draw_scale(axes: list[Axes], shades: Any) -> None:

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import ssp_lp
-from formulations.command_line import compiling, main
 from ssp_lp.compiled import accelerator
 from ssp_lp.compiled.accelerator import NotCompiledError, accelerated, with_twin
 from ssp_lp.compiled.deadline import until
@@ -198,20 +197,3 @@ def test_the_index_of_an_older_source_does_not_count(loops):
     os.utime(index, (0, 0))
     assert accelerator.cached_loops() == {"backups.back_up"}
     assert not loops.cached
-
-
-def test_the_command_compiles_and_counts(monkeypatch, capsys):
-    """What is compiled by then, and where; the environment is as before."""
-    wish = os.environ.get(accelerator.SWITCH)
-    wishes = []
-
-    def problem():
-        wishes.append((os.environ[accelerator.SWITCH], cores.many_entries.get() == 0))
-
-    monkeypatch.setattr(compiling, "_problems", lambda: iter([problem]))
-    assert main(["compile"]) == 0
-    printed = capsys.readouterr().out.splitlines()
-    assert printed[0].startswith("loops compiled    0 in ")
-    assert [line.split()[0] for line in printed] == ["loops", "loops", "cache"]
-    assert wishes == [("numba", False), ("numba", True)]
-    assert os.environ.get(accelerator.SWITCH) == wish

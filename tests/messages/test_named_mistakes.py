@@ -234,7 +234,7 @@ def test_a_policy_of_another_environment_says_so():
         ("solve {} --criterion least-quantity --quantity fuel", "'fuel' is no quantity of this"),
         ("solve {} --failure_budget 0.1", "did you mean --failure-budget?"),
         ("solve {} --dead-ends wrek", "did you mean 'wreck'?"),
-        ("program {} --criterion cvar", "choose from alpha-mcmp"),
+        ("program {} --criterion cvar --level 0.9", "CVaR is no linear program but a search"),
     ],
 )
 def test_a_mistake_in_a_shell_is_named(words, told, tmp_path, capsys):

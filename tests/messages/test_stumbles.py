@@ -120,7 +120,6 @@ def test_the_command_line_prints_programs_and_the_path_of_a_page(tmp_path, capsy
     printed = capsys.readouterr().out
     assert "alley" in printed
     assert "balance" in printed
-    pytest.importorskip("bokeh")
     assert main(["explore", *words, "--out", "page.html"]) == 0
     assert str(tmp_path / "page.html") in capsys.readouterr().out
 

@@ -44,8 +44,6 @@ _SECTIONS = {
 their own below their names."""
 
 _ENTRY = re.compile(r"(state|action)\s+([^\s\[]+)\s*(?:\[([^\]]*)\])?\s*(.*)")
-_MOVES = re.compile(r"(?:[0-9]{1,18}[ \t]*:[ \t]*[^\s:]+\n?)*", re.ASCII)
-_AT_ONCE = 10_000  # transitions
 _LABEL = re.compile(r'"([^"]*)"|(\S+)')
 _NO_NAME = "__NOLABEL__"
 
@@ -125,8 +123,6 @@ class _Entries:
     probabilities: array[float] = field(default_factory=lambda: array("d"))  # [outcomes]
     names: list[str] = field(default_factory=list)  # [actions]
     labels: dict[str, list[int]] = field(default_factory=dict)
-    waiting: list[str] = field(default_factory=list)  # lines of transitions, not yet numbers
-    numbers: array[int] = field(default_factory=lambda: array("q"))  # of those lines
     states_read: int = 0
     is_rewarded: bool = False
 
@@ -139,52 +135,19 @@ class _Entries:
         if line[:1].isdigit():
             if not self.is_action or not self.is_action[-1]:
                 raise self.file.fault("it stands before any state or action that it belongs to")
+            to, _, chance = (part.strip() for part in line.partition(":"))
+            if not chance or " " in chance:
+                raise self.file.fault("a transition is written 'successor : probability'")
+            successor = self.file.integer(to)
+            if successor >= self.n_states:
+                raise self.file.fault(f"there is no state {successor}")
             self.n_outcomes[-1] += 1
-            self.waiting.append(line)
-            self.numbers.append(self.file.number)
-            if len(self.waiting) >= _AT_ONCE:
-                self.convert()
+            self.successors.append(successor)
+            self.probabilities.append(self.file.float(chance))
         elif (match := _ENTRY.fullmatch(line)) is not None:
             self._add_entry(*match.groups())
         elif line:
             raise self.file.fault("neither a state nor an action nor a transition")
-
-    def convert(self) -> None:
-        """Convert the transitions that are waiting: many at once, or line by line if in doubt.
-
-        Raises:
-            ModelError: naming the line at fault.
-        """
-        text = "\n".join(self.waiting)
-        words = text.replace(":", " ").split()
-        try:
-            if not _MOVES.fullmatch(text) or "_" in text:
-                raise ValueError
-            successors, chances = array("q", map(int, words[::2])), array("d")
-            chances.extend(map(float, words[1::2]))
-            if max(successors, default=0) >= self.n_states:
-                raise ValueError
-        except (ValueError, OverflowError):
-            last = self.file.number
-            for number, line in zip(self.numbers, self.waiting, strict=True):
-                self.file.number = number
-                self._add_transition(line)
-            self.file.number = last
-        else:
-            self.successors += successors
-            self.probabilities += chances
-        self.waiting, self.numbers = [], array("q")
-
-    def _add_transition(self, line: str) -> None:
-        """Add the line of a transition, however it is written."""
-        to, _, chance = (part.strip() for part in line.partition(":"))
-        if not chance or " " in chance:
-            raise self.file.fault("a transition is written 'successor : probability'")
-        successor = self.file.integer(to)
-        if successor >= self.n_states:
-            raise self.file.fault(f"there is no state {successor}")
-        self.successors.append(successor)
-        self.probabilities.append(self.file.float(chance))
 
     def _add_entry(self, kind: str, name: str, listed: str | None, rest: str) -> None:
         """Add the line of a state or an action."""
@@ -228,7 +191,6 @@ def _drn_body(
     read = _Entries(file, len(rewards), n_states)
     for line in lines:
         read.add(line)
-    read.convert()
     if n_states != read.states_read or n_choices not in (-1, len(read.names)):
         stated = f"{n_states} states" + f" and {n_choices} choices" * (n_choices >= 0)
         there = f"{read.states_read} and {len(read.names)}"

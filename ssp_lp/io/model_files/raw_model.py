@@ -12,11 +12,11 @@ import re
 import tarfile
 import zipfile
 import zlib
-from collections import Counter
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -151,12 +151,9 @@ class TextFile:
 def write_text(path: FilePath, pieces: Iterable[str]) -> None:
     """Write a model's text file piece by piece; gzip where the name ends in .gz."""
     place = Path(path)
-    if place.suffix == ".gz":
-        with gzip.open(place, "wt", _GZIP_LEVEL, encoding="utf-8", newline="\n") as packed:
-            packed.writelines(pieces)
-    else:
-        with place.open("w", encoding="utf-8", newline="\n") as plain:
-            plain.writelines(pieces)
+    opener: Any = partial(gzip.open, compresslevel=_GZIP_LEVEL) if place.suffix == ".gz" else open
+    with opener(place, "wt", encoding="utf-8", newline="\n") as file:
+        file.writelines(pieces)
 
 
 def write_archive(path: FilePath, pieces: Iterable[str]) -> None:
@@ -175,9 +172,8 @@ def write_archive(path: FilePath, pieces: Iterable[str]) -> None:
 
 def write_tar(path: FilePath, files: Mapping[str, IO[bytes]], packing: str) -> None:
     """Write the files of a model by their names as a tar archive, packed by ".gz" or ".xz"."""
-    is_gzip = packing == ".gz"
     with (
-        gzip.open(path, "wb", _GZIP_LEVEL) if is_gzip else lzma.open(path, "wb") as packed,
+        gzip.open(path, "wb", _GZIP_LEVEL) if packing == ".gz" else lzma.open(path, "wb") as packed,
         tarfile.open(fileobj=packed, mode="w:") as archive,
     ):
         for name, file in files.items():
@@ -407,21 +403,15 @@ def distinct_actions(names: Sequence[str], pair_offsets: IntArray) -> Sequence[s
     One without a name is called by its position in the state; a repeat gets a number.
     """
     state = segment_ids(pair_offsets)
-    position = (np.arange(state.size) - pair_offsets[state]).tolist()
-    names = [name or str(k) for name, k in zip(names, position, strict=True)]
-    taken, counts = set(zip(state.tolist(), names, strict=True)), Counter[tuple[int, str]]()
-    if len(taken) == len(names):
-        return names
-    distinct = []
-    for owner, name in zip(state.tolist(), names, strict=True):
-        counts[owner, name] += 1
-        own = name
-        while counts[owner, name] > 1 and (owner, own) in taken:
-            own = f"{name}#{counts[owner, name]}"
-            counts[owner, name] += (owner, own) in taken
-        taken.add((owner, own))
-        distinct.append(own)
-    return distinct
+    position = np.arange(state.size) - pair_offsets[state]
+    taken = dict[tuple[int, str], None]()
+    for owner, place, given in zip(state.tolist(), position.tolist(), names, strict=True):
+        name, count = given or str(place), 1
+        while (owner, name) in taken:
+            count += 1
+            name = f"{given or place}#{count}"
+        taken[owner, name] = None
+    return [name for _, name in taken]
 
 
 GOAL = "goal"
