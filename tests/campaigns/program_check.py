@@ -1,25 +1,30 @@
 """Occupation programs of random models beside linear programs written from the definitions.
 
     python tests/campaigns/program_check.py --count 3000 --seed 0
+    python tests/campaigns/program_check.py --count 1500 --after-failing
+    python tests/campaigns/program_check.py --count 2000 --rounded
 
 Models have 2 to 30 states with self-loops, free loops, dead-ends, one start or several, and
 outcomes that share a successor; problems are of 15 criteria, with a discount, a horizon, a memory
-and up to four limits. In the reference (`tests/references/combined.py`, plain dictionaries) x
-counts expected visits of states, and of accumulated costs where these count; nothing is shared with
-the library.
+and up to four limits, on request of fuel, visits and ends that come after failing. In the reference
+(`tests/references/combined.py`, plain dictionaries) x counts expected visits of states, and of
+accumulated costs where these count; nothing is shared with the library.
 
 Of each draw are compared: the optimum, and what the duals prove of it; what each method that
 answers such a problem says, and its certificate; every dual with finite differences of the
 reference; one bound moved up and one down; the visits with the exact chain of the randomised
 policy, and both policies with rows and objective. Each draw has one change besides: a linear row on
 visits, a quadratic, entropy or norm objective, or one action for each state (whole numbers; every
-choice of actions on small models). Prints what differs, and a table of counts.
+choice of actions on small models). Where few levels of the total cost are told apart, the truth
+must lie between the two bounds. Prints what differs, and a table of counts.
 """
 
+import argparse
 import itertools
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any, NamedTuple
 
@@ -84,6 +89,7 @@ FEW = 24  # choices of actions that are enumerated
 PALETTES = (
     (Fraction("0.1"), Fraction("0.7"), Fraction("2.2")),  # 0.1 + 0.7 + 2.2 = 3
     (Fraction(2.0**0.5), Fraction(3.0**0.5), Fraction(np.pi)),
+    (Fraction(1e-9), Fraction(2.0**0.5 * 1e-9), Fraction(3.3)),
 )
 """Costs in the place of 1, 2 and 3, in every fourth turn."""
 
@@ -234,6 +240,10 @@ LAWS = {
 """Criteria of the law of the total cost, each the best of programs: one for every total."""
 
 ALL = CRITERIA | LAWS
+ROUNDED = ("S3P", "CostBoundedReach", "GUBS", "CVaR", "CostQuantile")
+"""Criteria of the total cost, which is rounded where few levels of it are told apart."""
+MOST_LEVELS = 5
+BETWEEN = 1e-9  # by which the truth may miss the bounds of a rounded answer; relative, of 1 + |it|
 METHODS = ("columns", "lp", "game")
 
 
@@ -281,6 +291,20 @@ def drawn_task(rng: np.random.Generator, *, loops: bool) -> Task:
     return Task(choices, GOAL, start, fuel, limits, budget)
 
 
+def going_on(task: Task, rng: np.random.Generator) -> Task:
+    """The task with a dead-end in which steps go on and cost, and limits of what happens then."""
+    ditch = {"roll": [(1.0, "ditch", 2)], "sink": [(0.5, "bog", 1), (0.5, "wall", 3)]}
+    bog = {"rest": [(1.0, "bog", 0)]}
+    kinds = "fuel through", "visits wall through", "visits ditch through", "end wall", "end ditch"
+    parts = rng.choice(kinds, size=rng.integers(1, 3), replace=False).tolist()
+    limits = [Limit({part: 1.0}, "<=", float(rng.choice([0.05, 0.2, 1.0, 2.5]))) for part in parts]
+    return task._replace(
+        choices={**task.choices, "ditch": ditch, "bog": bog},
+        fuel={**task.fuel, "ditch": {"roll": 1.0, "sink": 2.0}},
+        limits=(*task.limits[:2], *limits),
+    )
+
+
 def drawn_limit(rng: np.random.Generator) -> Limit:
     """One limit of any kind, that may or may not be kept."""
 
@@ -308,13 +332,14 @@ def quantity_of(task: Task, weights: dict[str, float]) -> Quantity:
     """The quantity that a limit's parts make."""
     result = Quantity(())
     for part, weight in weights.items():
-        kind, _, state = part.partition(" ")
+        kind, _, state = part.removesuffix(" through").partition(" ")
+        through = part.endswith(" through")
         made = {
-            "fuel": lambda: secondary_cost(task.fuel),
+            "fuel": lambda through=through: secondary_cost(task.fuel, through_failure=through),
             "cost": expected_cost,
             "goal": goal_probability,
             "failure": failure_probability,
-            "visits": lambda state=state: visits(state),
+            "visits": lambda state=state, on=through: visits(state, through_failure=on),
             "end": lambda state=state: end_probability(state),
         }
         result = result + weight * made[kind]()
@@ -349,13 +374,17 @@ class Draw(NamedTuple):
         return -found if found is not None and self.criterion.maximised else found
 
 
-def drawn(seed: int, names: Sequence[str] = tuple(CRITERIA)) -> Draw:
+def drawn(
+    seed: int, names: Sequence[str] = tuple(CRITERIA), *, after_failing: bool = False
+) -> Draw:
     """One draw, of one of some criteria."""
-    return posed(*drawn_case(seed, names))
+    return posed(*drawn_case(seed, names, after_failing=after_failing))
 
 
-def drawn_case(seed: int, names: Sequence[str] = tuple(CRITERIA)) -> tuple[Task, Setting]:
-    """A model, and what is asked of it."""
+def drawn_case(
+    seed: int, names: Sequence[str] = tuple(CRITERIA), *, after_failing: bool = False
+) -> tuple[Task, Setting]:
+    """A model, and what is asked of it; limits of what happens after failing where these count."""
     rng = np.random.default_rng([seed, 3000])
     name = names[seed % len(names)]
     criterion = ALL[name]
@@ -374,6 +403,8 @@ def drawn_case(seed: int, names: Sequence[str] = tuple(CRITERIA)) -> tuple[Task,
     remembers = rng.random() < 0.2
     if seed // len(names) % 4 == 3:
         task = with_costs(task, PALETTES[int(rng.integers(len(PALETTES)))])
+    if after_failing:
+        task = going_on(task, rng)
     return task, Setting(name, asked, horizon, remembers)
 
 
@@ -427,6 +458,38 @@ def posed(task: Task, setting: Setting) -> Draw:
     )  # fmt: skip
     objective = criterion.objective(told, written, asked)
     return Draw(name, problem, told, written, objective, criterion, task, setting)
+
+
+def rounded_case(seed: int) -> tuple[Task, Setting]:
+    """A model of real costs, and a criterion of the total cost."""
+    task, setting = drawn_case(seed, ROUNDED)
+    task = task._replace(limits=task.limits[:1], most_failure=0.5)
+    return with_costs(task, PALETTES[seed // len(ROUNDED) % len(PALETTES)]), setting
+
+
+def wrong_rounded(draw: Draw, seed: int, tally: Counter[str]) -> Iterator[str]:
+    """Whether the truth lies between the bounds of an answer on few levels of the total cost."""
+    rng = np.random.default_rng([seed, 3002])
+    known = optimum_of_law(draw) if draw.name in LAWS else draw.optimum(draw.task)
+    levels = int(rng.integers(2, MOST_LEVELS + 1))
+    capped = {"cost_cap": None} if draw.name == "S3P" else {}
+    try:
+        solution = solve(replace(draw.problem, cost_levels=levels, **capped))
+    except InfeasibleError:
+        tally["infeasible"] += 1
+        if known is not None:
+            yield f"refused as infeasible, the reference has {known!r}"
+        return
+    tally["rounded" if solution.gap > BETWEEN else "not rounded"] += 1
+    if known is None:
+        yield f"{solution.objective!r}, the reference has nothing"
+        return
+    low, high = solution.lower_bound, solution.objective
+    if solution.upper_bound is not None:
+        low, high = solution.objective, solution.upper_bound
+    room = BETWEEN * (1.0 + abs(known))
+    if not low - room <= known <= high + room:
+        yield f"{known!r} does not lie in [{low!r}, {high!r}]; {solution.note}"
 
 
 def optimum_of_law(draw: Draw) -> float | None:
@@ -563,6 +626,7 @@ def wrong_methods(draw: Draw, known: float, tally: Counter[str]) -> Iterator[str
                 yield f"refused: {error}"
             continue
         tally[f"solved by {method}"] += 1
+        tally["priced"] += any(p > 0.0 for n, p in solution.prices.items() if n != "failure")
         ends = solution.lower_bound, solution.objective
         if solution.upper_bound is not None:
             ends = solution.objective, solution.upper_bound
@@ -911,7 +975,9 @@ CHANGED: tuple[Callable[..., Iterator[str]], ...] = (
 )  # fmt: skip
 
 
-def told(draw: Draw, seed: int, tally: Counter[str]) -> list[str]:
+def told(
+    draw: Draw, seed: int, tally: Counter[str], compare: Callable = compared_draw
+) -> list[str]:
     """What differs of a draw; an error of the library, too."""
     real = any(
         c != int(c) for us in draw.model.choices.values() for o in us.values() for *_, c in o
@@ -925,34 +991,42 @@ def told(draw: Draw, seed: int, tally: Counter[str]) -> list[str]:
              "discount": discount, "memory": memory}  # fmt: skip
     tally["with " + (", ".join(name for name, there in asked.items() if there) or "nothing")] += 1
     try:
-        return [f"{draw.name}: {said}" for said in compared_draw(draw, seed, tally)]
+        return [f"{draw.name}: {said}" for said in compare(draw, seed, tally)]
     except SSPError as error:
         return [f"{draw.name}: {type(error).__name__}: {error}"]
 
 
-def shrunk(seed: int, names: Sequence[str] = tuple(CRITERIA)) -> str:
-    """The smallest problem of which something differs as of the draw of a seed."""
-
-    def fails(case: tuple[Task, Setting]) -> bool:
-        try:
-            return bool(told(posed(*case), seed, Counter()))
-        except SSPError:
-            return False  # it says what is wrong with the question
-
-    task, setting = smallest(drawn_case(seed, names), smaller, fails)
-    return f"{task}\n{setting}"
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Check draws from the command line; 1 if anything differs."""
+
+    def options(parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("--criteria", nargs="+", choices=ALL, default=list(CRITERIA))
+        parser.add_argument("--after-failing", action="store_true", help="limit what comes then")
+        parser.add_argument("--rounded", action="store_true", help="few levels of the total cost")
+
+    def case(seed: int, asked: argparse.Namespace) -> tuple[Task, Setting]:
+        if asked.rounded:
+            return rounded_case(seed)
+        return drawn_case(seed, asked.criteria, after_failing=asked.after_failing)
+
+    def wrong(
+        one: tuple[Task, Setting], seed: int, tally: Counter[str], asked: argparse.Namespace
+    ) -> list[str]:
+        return told(posed(*one), seed, tally, wrong_rounded if asked.rounded else compared_draw)
+
+    def shrunk(seed: int, asked: argparse.Namespace) -> str:
+        def fails(one: tuple[Task, Setting]) -> bool:
+            try:
+                return bool(wrong(one, seed, Counter(), asked))
+            except SSPError:
+                return False  # it says what is wrong with the question
+
+        return "\n".join(map(str, smallest(case(seed, asked), smaller, fails)))
+
     return run(
         __doc__,
-        lambda seed, tally, asked: told(drawn(seed, asked.criteria), seed, tally),
-        arguments, count=300,
-        options=lambda parser: parser.add_argument(
-            "--criteria", nargs="+", choices=ALL, default=list(CRITERIA)
-        ),
-        shrink=lambda seed, asked: shrunk(seed, asked.criteria),
+        lambda seed, tally, asked: wrong(case(seed, asked), seed, tally, asked),
+        arguments, count=300, options=options, shrink=shrunk,
     )  # fmt: skip
 
 

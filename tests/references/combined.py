@@ -33,7 +33,8 @@ LEAST_ROOM = 1e-11  # beyond the least failure, where that is asked for
 class Limit(NamedTuple):
     """A weighted sum of parts and a constant, and a bound of it.
 
-    A part is "fuel", "cost", "goal", "failure", "visits" of a state, or the "end" in one of them.
+    A part is "fuel", "cost", "goal", "failure", "visits" of a state, or the "end" in one of them;
+    fuel and visits count after failing, too, as "fuel through" and "visits s through".
     """
 
     weights: Mapping[str, float]
@@ -146,8 +147,9 @@ def program(
     ends = {s for s in dead if not task.choices[s] or f"end {named(s)}" in asked}
     place = places(task, horizon, live, (avoids | dead) - ends)
     names = sorted({named(state) for state in task.choices})
-    every = ["goal", "failure", "cost", "fuel"]
-    every += [f"{part} {name}" for part in ("visits", "end") for name in names] + [OVER]
+    every = ["goal", "failure", "cost", "fuel", "fuel through", OVER]
+    every += [f"visits {name}{how}" for name in names for how in ("", " through")]
+    every += [f"end {name}" for name in names]
     rows, columns, entries = [], [], []
     taken_by_column: list[Mapping[str, float]] = []
     arrivals: list[list[tuple[float, Number]]] = []
@@ -182,6 +184,7 @@ def program(
         for p, to, cost in outs:
             over = to in task.goals or to in ends
             taken[f"end {named(to)}"] += survival * p * over
+            taken[f"visits {named(to)} through"] += survival * p
             if paid == FAILED:
                 taken[OVER] += p * over
             else:
@@ -190,6 +193,8 @@ def program(
                 taken["failure"] += survival * p * (to in dead)
                 for part, charge in entering.get(to, {}).items():
                     taken[part] += survival * p * charge
+                if to in ends:  # elsewhere it is paid by going on
+                    taken["fuel through"] += survival * p * entering[to].get("fuel", 0.0)
             if to in task.goals:
                 taken["goal"] += survival * p
                 here.append((p, min(paid + cost, horizon)))
@@ -199,18 +204,24 @@ def program(
                 steps[there] += survival * p
         return taken, steps, here
 
+    def fuel_of(state: str, action: str) -> float:
+        return task.fuel.get(named(state), {}).get(action, 0.0)
+
     for state, paid in place:
         if paid == FAILED:
             for action, outs in task.choices[state].items():
                 if state in dead or stays(outs, avoids | dead):
-                    add((state, paid), *step(paid, outs, discount), action)
+                    taken, steps, here = step(paid, outs, discount)
+                    taken["fuel through"] += fuel_of(state, action)
+                    add((state, paid), taken, steps, here, action)
             continue
         begins = [(share, s, 0) for s, share in task.start.items()]
         actions = {"begin": begins} if state == SOURCE else task.choices[state]
         for action, outs in actions.items():
             survival = 1.0 if state == SOURCE else discount
             taken, steps, here = step(paid, outs, survival)
-            taken["fuel"] += task.fuel.get(named(state), {}).get(action, 0.0)
+            for part in ("fuel", "fuel through"):
+                taken[part] += fuel_of(state, action)
             taken["failure"] += 1.0 - survival
             add((state, paid), taken, steps, here, action)
         allowed = {"anywhere": True, "attention": state in avoids, "dead_ends": False}
@@ -218,8 +229,11 @@ def program(
             staying = [a for a, outs in actions.items()
                        if give_up == "anywhere" or stays(outs, avoids | dead)]  # fmt: skip
             paid_once = least_paid(task, state, staying) if charged else {}
+            taken = {"failure": 1.0} | paid_once
             onward = {place[state, FAILED]: 1.0} if state in avoids else {}
-            add((state, paid), {"failure": 1.0} | paid_once, onward)
+            if not onward:
+                taken["fuel through"] = taken.get("fuel", 0.0)
+            add((state, paid), taken, onward)
     counted = {part for limit in task.limits for part in limit.weights} | set(minimised)
     counted -= {part for part in every if part.startswith("end") or part in ("goal", "failure")}
     inside = list(place.values())[1:]  # nobody wanders before the start
