@@ -85,7 +85,7 @@ def test_ends_and_costs_of_a_lottery(formulation, discount, budget):
         assert close_to_estimate(report.expected_cost, evaluation.expected_cost)
 
 
-@often(40)
+@often(13)
 @given(problems(most_live=3), st.sampled_from([MCMP, S3P]), budgets)
 def test_drawn_problems(drawn, formulation, place):
     """The goal is reached as often as the evaluation says, and at that cost."""

@@ -432,7 +432,7 @@ bonuses = st.sampled_from([0.3, 0.0, 1.0, 20.0])
 
 
 @pytest.mark.slow
-@often(80)
+@often(26)
 @given(problems(), st.sampled_from([-0.5, -0.1, -2.0]), bonuses)
 def test_exponential_utility(drawn, rate, bonus):
     """EGUBS up to a cost at which exp(rate * cost) has vanished."""
@@ -441,7 +441,7 @@ def test_exponential_utility(drawn, rate, bonus):
 
 
 @pytest.mark.slow
-@often(60)
+@often(20)
 @given(problems(), st.sampled_from(sorted(UTILITIES)), bonuses, st.sampled_from([0.0, -0.5]))
 def test_expected_utility(drawn, name, bonus, at_infinity):
     """GUBS for utilities of any shape; failing may be worth less than any cost."""
@@ -464,7 +464,7 @@ def test_what_cancels_to_rounding_is_no_gap(back):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("criterion", [CostBoundedReach, CostQuantile, CVaR])
-@often(120)
+@often(40)
 @given(drawn=drawn_problems, share=shares, level=levels, bound=bounds)
 def test_within_a_budget_and_at_least_failure(criterion, drawn, share, level, bound):
     """A level that is met exactly is met; at least failure no success is given up for it."""
@@ -493,7 +493,7 @@ def test_within_a_budget_and_at_least_failure(criterion, drawn, share, level, bo
 
 
 @pytest.mark.slow
-@often(40)
+@often(13)
 @given(problems())
 def test_budgets_below_the_least_failure(drawn):
     """Refused, with the least failure; a budget of exactly that is kept by least failure."""

@@ -63,7 +63,7 @@ def check_all(problem, value):
 
 
 @pytest.mark.slow
-@often(100)
+@often(33)
 @given(problems())
 def test_extreme_probabilities_and_the_plain_problem(drawn):
     """By enumeration, for every kind of start: MAXPROB, MINPROB, the cheapest proper policy."""
@@ -88,7 +88,7 @@ def test_extreme_probabilities_and_the_plain_problem(drawn):
 
 
 @pytest.mark.slow
-@often(40)
+@often(13)
 @given(problems(), st.sampled_from([0.5, 0.9, 1.0]))
 def test_s3p_and_isspude(drawn, share):
     """At least failure S3P is iSSPUDE, and a share is a budget."""
@@ -105,7 +105,7 @@ def test_s3p_and_isspude(drawn, share):
     assert solve(problem).objective == pytest.approx(solve(same).objective, **CLOSE)
 
 
-@often(40)
+@often(13)
 @given(problems(), semantics)
 def test_penalties_run_along_the_frontier(drawn, meaning):
     """The optimum at penalty D is where the frontier's tangent of slope -D meets failure 0.

@@ -40,7 +40,7 @@ def check_same(drawn, changed, place, setting, scale=1.0):
 
 
 @pytest.mark.slow
-@often(50)
+@often(16)
 @given(PROBLEM, budgets, SETTING, st.randoms(use_true_random=False))
 def test_relabelled_and_reordered_with_split_outcomes(drawn, place, setting, random):
     """States renamed and listed in another order, actions too; outcomes in two halves."""
@@ -63,7 +63,7 @@ def test_relabelled_and_reordered_with_split_outcomes(drawn, place, setting, ran
 
 
 @pytest.mark.slow
-@often(50)
+@often(16)
 @given(PROBLEM, budgets, SETTING, st.sampled_from([0.1, 0.25, 3, 1000]))
 def test_scaled_costs_with_dominated_actions_and_states_that_nobody_visits(
     drawn, place, setting, scale
@@ -85,7 +85,7 @@ def test_scaled_costs_with_dominated_actions_and_states_that_nobody_visits(
 
 
 @pytest.mark.slow
-@often(50)
+@often(16)
 @given(PROBLEM, SETTING)
 def test_a_larger_budget_costs_no_more(drawn, setting):
     """The optimum falls with the budget, and case M is convex in it."""
