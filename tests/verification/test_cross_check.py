@@ -240,7 +240,7 @@ def check_at(criterion, model, start, discount, share, **meaning):
 
 
 @pytest.mark.slow
-@often(93)
+@often(45)
 @given(problems(), semantics, discounts, shares)
 def test_three_roads_agree_on_mcmp(drawn, meaning, discount, share):
     """Ties, free cycles, sure failure, every semantics, starts on goals and dead-ends."""
