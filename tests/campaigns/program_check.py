@@ -77,6 +77,7 @@ from ssp_lp.programs.occupation_measure import OccupationMeasure
 from tests.campaigns.campaign import run, smaller_tables, smallest
 from tests.references import combined
 from tests.references.combined import Limit, Program, Task
+from tests.support.own_criteria import Lateness
 
 FAR = 10**12  # beyond all totals
 LONGEST = 12  # steps of a horizon of costs, which the models that count them keep to
@@ -91,6 +92,7 @@ PALETTES = (
     (Fraction("0.1"), Fraction("0.7"), Fraction("2.2")),  # 0.1 + 0.7 + 2.2 = 3
     (Fraction(2.0**0.5), Fraction(3.0**0.5), Fraction(np.pi)),
     (Fraction(1e-9), Fraction(2.0**0.5 * 1e-9), Fraction(3.3)),
+    (Fraction(1, 3), Fraction(1, 7), Fraction("2.5")),
 )
 """Costs in the place of 1, 2 and 3, in every fourth turn."""
 
@@ -239,6 +241,20 @@ LAWS = {
     ),
 }  # fmt: skip
 """Criteria of the law of the total cost, each the best of programs: one for every total."""
+OWN = {
+    "LeastFuel": Criterion(
+        lambda m, t, n, **k: LeastQuantity(
+            m, t.start, secondary_cost(t.fuel), t.most_failure, n.discount, n.give_up, n.charged,
+            **k,
+        ),
+        parts(fuel=1), ("fuel",), charges=True, discounts=True,
+    ),
+    "Lateness": Criterion(
+        lambda m, t, n, **k: Lateness(m, t.start, n.bound, t.most_failure, **k),
+        worth(lambda c, n: max(float(c) - n.bound, 0.0)), None, ratio=True, gives_up="attention",
+    ),
+}  # fmt: skip
+"""A quantity that may be discounted, and a criterion of a user's own."""
 
 
 def given_success(task: Task, program: Program, asked: Asked) -> np.ndarray:
@@ -291,7 +307,7 @@ EQUAL = Fraction(2, 10**10)  # of a limit's bound: what lies so near counts as e
 KEPT = 1e-12  # of the bound itself: how far a limit may be exceeded
 WIDE = 1e-8  # gap of an answer without a note
 
-ALL = CRITERIA | LAWS | HARD | TINY | SHARES
+ALL = CRITERIA | LAWS | OWN | HARD | TINY | SHARES
 ROUNDED = ("S3P", "CostBoundedReach", "GUBS", "CVaR", "CostQuantile")
 """Criteria of the total cost, which is rounded where few levels of it are told apart."""
 MOST_LEVELS = 5
@@ -418,6 +434,11 @@ class Draw(NamedTuple):
     criterion: Criterion
     model: Task  # as it was drawn
     setting: Setting
+
+    @property
+    def known(self) -> float | None:
+        """The reference's optimum."""
+        return optimum_of_law(self) if self.name in LAWS else self.optimum(self.task)
 
     def optimum(self, task: Task, objective: np.ndarray | None = None) -> float | None:
         """The reference's optimum within the limits of a task, as the library states it."""
@@ -698,7 +719,7 @@ def rounded_case(seed: int) -> tuple[Task, Setting]:
 def wrong_rounded(draw: Draw, seed: int, tally: Counter[str]) -> Iterator[str]:
     """Whether the truth lies between the bounds of an answer on few levels of the total cost."""
     rng = np.random.default_rng([seed, 3002])
-    known = optimum_of_law(draw) if draw.name in LAWS else draw.optimum(draw.task)
+    known = draw.known
     levels = int(rng.integers(2, MOST_LEVELS + 1))
     capped = {"cost_cap": None} if draw.name == "S3P" else {}
     try:
