@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import given
 
 from checks import CLOSE, GAP, check_certificate, check_evaluation, library_model, plain
 from formulations import (
@@ -85,24 +85,6 @@ def test_extreme_probabilities_and_the_plain_problem(drawn):
         with pytest.raises(InfeasibleError, match="surely from state") as caught:
             solve(problem, method)
         assert caught.value.least_failure == pytest.approx(least_failure(points), abs=1e-12)
-
-
-@pytest.mark.slow
-@often(13)
-@given(problems(), st.sampled_from([0.5, 0.9, 1.0]))
-def test_s3p_and_isspude(drawn, share):
-    """At least failure S3P is iSSPUDE, and a share is a budget."""
-    model, begin = library_model(drawn), drawn.start
-    least, cost = s3p.at_least_failure(plain(drawn), begin)
-    if least >= 1 - 1e-12:
-        with pytest.raises(InfeasibleError):
-            solve(ISSPUDE(model, begin))
-        return
-    check_all(ISSPUDE(model, begin), cost)
-    assert solve(S3P(model, begin)).objective == pytest.approx(cost, **CLOSE)
-    problem = S3P(model, begin, reach_fraction=share)
-    same = S3P(model, begin, failure_budget=1.0 - share * (1.0 - least))
-    assert solve(problem).objective == pytest.approx(solve(same).objective, **CLOSE)
 
 
 @often(13)
