@@ -161,15 +161,9 @@ def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> d
     for step, by_cost in after.items():
         if len(ends := set(by_cost.values())) > 1:
             moves += [[*step, cost, then] for cost, then in by_cost.items()]
-<<<<<<< HEAD
-        elif (then := next(iter(by_cost.values()))) != step[0]:
-            moves.append([*step, None, then])
-    return {"kind": "task", "start": 0, "moves": moves}
-=======
         elif ends != {step[0]}:
             moves.append([*step, None, *ends])
-    return {"kind": "task", "start": product.memory_number[product.memory.start], "moves": moves}
->>>>>>> w-edge
+    return {"kind": "task", "start": 0, "moves": moves}
 
 
 def _labelled_codes(product: FailureSSP, codes: Mapping[Hashable, int]) -> dict[Hashable, int]:

@@ -16,7 +16,7 @@ from ssp_lp.policies import DeterministicPolicy, MixedPolicy
 from strategies import often, problems
 from written_models import written
 
-few = often(20)
+few = often(12)
 
 
 def _distributions(policy, problem, steps):

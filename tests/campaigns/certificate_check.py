@@ -44,7 +44,6 @@ from formulations import (
 from ssp_lp import SSP, InfeasibleError, ModelError, SSPError, solve
 from ssp_lp.verification.certificate_file import write_certificate
 from ssp_lp.verification.checker import Checked, check_certificate
-from tests.campaigns import failure_check, program_check
 from tests.campaigns.campaign import run, smallest
 from tests.campaigns.program_check import (
     CRITERIA,
@@ -54,6 +53,7 @@ from tests.campaigns.program_check import (
     drawn_case,
     drawn_task,
     posed,
+    smaller,
 )
 from tests.references.combined import Task
 from tests.references.stated import optimum
@@ -97,21 +97,20 @@ KINDS = (
     *(f"{name}, looping" for name in TOTALS),
     *("CVaR", "CostQuantile"),
     *(f"{name}{ALONE}" for name in SINGLE),
-    *(f"{name}{FAILED}" for name in failure_check.CRITERIA),
+    *(f"{name}{FAILED}" for name in CRITERIA),
 )
 """Problems, one kind after the other by their seeds."""
 
-Case = tuple[Task, Setting] | failure_check.Drawn
+Case = tuple[Task, Setting]
 
 
 def case_of(seed: int) -> Case:
     """A model and what is asked of it: as in `program_check.py`, or the total cost in loops."""
-    kind = seed % len(KINDS)
-    if kind < len(CRITERIA):
-        return drawn_case(seed // len(KINDS) * len(CRITERIA) + kind)
-    if KINDS[kind].endswith(FAILED):
-        return failure_check.drawn(seed, KINDS[kind].removesuffix(FAILED))
-    rng, name = np.random.default_rng([seed, 2800]), KINDS[kind]
+    turn, name = seed // len(KINDS), KINDS[seed % len(KINDS)]
+    if name.removesuffix(FAILED) in CRITERIA:
+        place = list(CRITERIA).index(name.removesuffix(FAILED))
+        return drawn_case(turn * len(CRITERIA) + place, after_failing=name.endswith(FAILED))
+    rng = np.random.default_rng([seed, 2800])
     loops = bool(rng.integers(2)) if name.endswith(ALONE) else name.endswith("looping")
     task, level = drawn_task(rng, loops=loops), float(rng.choice([0.3, 0.5, 0.8, 0.95]))
     where = str(rng.choice(["anywhere", "attention", "dead_ends"]))
@@ -119,24 +118,8 @@ def case_of(seed: int) -> Case:
     return task, Setting(name, asked, None, False)
 
 
-def name_of(case: Case) -> str:
-    """The kind of a problem."""
-    if isinstance(case, failure_check.Drawn):
-        return case.criterion + FAILED
-    return case[1].criterion
-
-
-def smaller(case: Case) -> Iterator[Case]:
-    """Smaller problems of the same kind."""
-    if isinstance(case, failure_check.Drawn):
-        return failure_check.smaller(case)
-    return program_check.smaller(case)
-
-
 def question(case: Case) -> tuple[Any, Callable[[], float | None]]:
     """A problem, and its optimum by a program of its own; not a number where there is none."""
-    if isinstance(case, failure_check.Drawn):
-        return failure_check.stated(case), lambda: failure_check.reference(case)
     task, setting = case
     if setting.criterion in CRITERIA:
         draw = posed(task, setting)
@@ -417,7 +400,7 @@ def check_changed(
 
 def told(case: Case, seed: int, changes: int, tally: Counter[str]) -> Iterator[str]:
     """One problem: its certificate, and changed ones; yield what is not as it should be."""
-    (problem, optimum_of_draw), name = question(case), name_of(case)
+    (problem, optimum_of_draw), name = question(case), case[1].criterion
     try:
         solution = solve(problem, "deterministic" if name.endswith(ALONE) else None)
     except InfeasibleError:
@@ -470,8 +453,7 @@ def shrunk(seed: int, asked: argparse.Namespace) -> str:
         except SSPError:
             return False  # it says what is wrong with the question
 
-    found = smallest(case_of(seed), smaller, fails)
-    return "\n".join(map(str, found)) if isinstance(found, tuple) else str(found)
+    return "\n".join(map(str, smallest(case_of(seed), smaller, fails)))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -89,8 +89,9 @@ Relation = Callable[[Stated, np.random.Generator], Stated]
 
 
 def in_other_units(one: Stated, rng: np.random.Generator) -> Stated:
-    """Costs times 4, without rounding."""
-    return one._replace(cost=4.0 * one.cost, unit=4.0)
+    """Costs times a number."""
+    unit = float(rng.choice([0.25, 3.0, 1000.0]))
+    return one._replace(cost=unit * one.cost, unit=unit)
 
 
 def in_another_order(one: Stated, rng: np.random.Generator) -> Stated:
@@ -108,17 +109,18 @@ def in_another_order(one: Stated, rng: np.random.Generator) -> Stated:
 
 
 def with_actions_twice(one: Stated, rng: np.random.Generator) -> Stated:
-    """Three in ten actions twice, under another name."""
+    """Three in ten actions twice, under another name, some of them dearer."""
     again = np.flatnonzero(rng.random(len(one.home)) < 0.3)
     number = np.full(len(one.home), -1)
     number[again] = len(one.home) + np.arange(len(again))
     more = np.flatnonzero(number[one.pair] >= 0)
+    dearer = rng.integers(2, size=len(one.home))[one.pair[more]]
     return one._replace(
         home=np.append(one.home, one.home[again]),
         pair=np.append(one.pair, number[one.pair[more]]),
         to=np.append(one.to, one.to[more]),
         chance=np.append(one.chance, one.chance[more]),
-        cost=np.append(one.cost, one.cost[more]),
+        cost=np.append(one.cost, one.cost[more] + dearer),
     )
 
 

@@ -1,25 +1,30 @@
 """Occupation programs of random models beside linear programs written from the definitions.
 
     python tests/campaigns/program_check.py --count 3000 --seed 0
+    python tests/campaigns/program_check.py --count 1500 --of after-failing
+    python tests/campaigns/program_check.py --count 2000 --of rounded    (hard, tiny, shares)
 
 Models have 2 to 30 states with self-loops, free loops, dead-ends, one start or several, and
 outcomes that share a successor; problems are of 15 criteria, with a discount, a horizon, a memory
-and up to four limits. In the reference (`tests/references/combined.py`, plain dictionaries) x
-counts expected visits of states, and of accumulated costs where these count; nothing is shared with
-the library.
+and up to four limits, on request of fuel, visits and ends that come after failing. In the reference
+(`tests/references/combined.py`, plain dictionaries) x counts expected visits of states, and of
+accumulated costs where these count; nothing is shared with the library.
 
 Of each draw are compared: the optimum, and what the duals prove of it; what each method that
 answers such a problem says, and its certificate; every dual with finite differences of the
 reference; one bound moved up and one down; the visits with the exact chain of the randomised
 policy, and both policies with rows and objective. Each draw has one change besides: a linear row on
 visits, a quadratic, entropy or norm objective, or one action for each state (whole numbers; every
-choice of actions on small models). Prints what differs, and a table of counts.
+choice of actions on small models). Where few levels of the total cost are told apart, the truth
+must lie between the two bounds. Prints what differs, and a table of counts.
 """
 
+import argparse
 import itertools
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any, NamedTuple
 
@@ -72,7 +77,9 @@ from ssp_lp.programs.occupation_measure import OccupationMeasure
 from tests.campaigns.campaign import run, smaller_tables, smallest
 from tests.references import combined
 from tests.references.combined import Limit, Program, Task
+from tests.support.own_criteria import Lateness
 
+FAR = 10**12  # beyond all totals
 LONGEST = 12  # steps of a horizon of costs, which the models that count them keep to
 ENDS = ("home", "wall", "ditch")
 GOAL = frozenset({"home"})
@@ -84,6 +91,8 @@ FEW = 24  # choices of actions that are enumerated
 PALETTES = (
     (Fraction("0.1"), Fraction("0.7"), Fraction("2.2")),  # 0.1 + 0.7 + 2.2 = 3
     (Fraction(2.0**0.5), Fraction(3.0**0.5), Fraction(np.pi)),
+    (Fraction(1e-9), Fraction(2.0**0.5 * 1e-9), Fraction(3.3)),
+    (Fraction(1, 3), Fraction(1, 7), Fraction("2.5")),
 )
 """Costs in the place of 1, 2 and 3, in every fourth turn."""
 
@@ -136,7 +145,7 @@ def least_failure(task: Task, asked: Asked) -> float:
     """The failure that no policy goes below."""
     written = combined.program(task, 0, give_up="attention")
     found = combined.solved(written, written.parts["failure"], [], ratio=False)
-    return found or 0.0  # there always is one
+    return found or 0  # there always is one
 
 
 def costly(model: SSP, task: Task, asked: Asked, **beside: Any) -> ConstrainedCost:
@@ -149,7 +158,7 @@ def costly(model: SSP, task: Task, asked: Asked, **beside: Any) -> ConstrainedCo
 
 
 UNLIMITED: Callable[[Task, Asked], float] = lambda task, asked: 1.0  # noqa: E731
-COST = parts(cost=1.0)
+COST = parts(cost=1)
 CRITERIA = {
     "MCMP": Criterion(
         lambda m, t, n, **k: MCMP(
@@ -163,12 +172,12 @@ CRITERIA = {
     ),
     "AlphaMCMP": Criterion(
         lambda m, t, n, **k: AlphaMCMP(m, t.start, n.level, n.give_up, n.charged, **k),
-        COST, ("cost",), lambda t, n: 1.0 - n.level * (1.0 - least_failure(t, n)), charges=True,
+        COST, ("cost",), lambda t, n: 1 - n.level * (1 - least_failure(t, n)), charges=True,
     ),
     "ConstrainedCost": Criterion(costly, COST, ("cost",), charges=True, discounts=True),
     "CostBudgetedMaxProb": Criterion(
         lambda m, t, n, **k: CostBudgetedMaxProb(m, t.start, n.bound / 2, n.give_up, **k),
-        parts(goal=-1.0), ("cost",), UNLIMITED, maximised=True,
+        parts(goal=-1), ("cost",), UNLIMITED, maximised=True,
     ),
     "MinCost": Criterion(
         lambda m, t, n, **k: MinCost(m, t.start, **k),
@@ -183,11 +192,11 @@ CRITERIA = {
     ),
     "MaxProb": Criterion(
         lambda m, t, n, **k: MaxProb(m, t.start, **k),
-        parts(goal=-1.0), (), UNLIMITED, maximised=True, gives_up="attention",
+        parts(goal=-1), (), UNLIMITED, maximised=True, gives_up="attention",
     ),
     "MinProb": Criterion(
         lambda m, t, n, **k: MinProb(m, t.start, **k),
-        parts(goal=1.0), (), UNLIMITED, gives_up="attention",
+        parts(goal=1), (), UNLIMITED, gives_up="attention",
     ),
     "LeastQuantity": Criterion(
         lambda m, t, n, **k: LeastQuantity(
@@ -232,8 +241,77 @@ LAWS = {
     ),
 }  # fmt: skip
 """Criteria of the law of the total cost, each the best of programs: one for every total."""
+OWN = {
+    "LeastFuel": Criterion(
+        lambda m, t, n, **k: LeastQuantity(
+            m, t.start, secondary_cost(t.fuel), t.most_failure, n.discount, n.give_up, n.charged,
+            **k,
+        ),
+        parts(fuel=1), ("fuel",), charges=True, discounts=True,
+    ),
+    "Lateness": Criterion(
+        lambda m, t, n, **k: Lateness(m, t.start, n.bound, t.most_failure, **k),
+        worth(lambda c, n: max(float(c) - n.bound, 0.0)), None, ratio=True, gives_up="attention",
+    ),
+}  # fmt: skip
+"""A quantity that may be discounted, and a criterion of a user's own."""
 
-ALL = CRITERIA | LAWS
+
+def given_success(task: Task, program: Program, asked: Asked) -> np.ndarray:
+    """E[cost; goal] of policies of least failure: what a step costs, times what it leaves."""
+    reach: dict[str, Any] = dict.fromkeys(task.goals, Fraction(1))
+    for state in task.choices.keys() - task.goals:
+        alone = combined.program(task._replace(start={state: Fraction(1)}), 0)
+        reach[state] = -combined.solved(alone, -alone.parts["goal"], [], ratio=False)
+    steps = [task.choices.get(state, {}).get(action, []) for state, action in program.labels]
+    worth = [sum(p * cost * reach[to] for p, to, cost in outs) for outs in steps]
+    return np.array(worth, dtype=object) * ~program.failed
+
+
+HARD = {
+    name: CRITERIA[name]
+    for name in ("MCMP", "MCMP, least", "AlphaMCMP", "ConstrainedCost", "CostBudgetedMaxProb",
+                 "MinCost", "FinitePenalty", "MaxProb", "MinProb")
+} | {
+    "S3P, least": Criterion(
+        lambda m, t, n, **k: S3P(m, t.start, **k),
+        given_success, (), lambda t, n: None, ratio=True, gives_up="attention",
+    ),
+}  # fmt: skip
+"""Criteria in fractions, on loops that are hardly left."""
+TINY = {name: CRITERIA[name] for name in ("MaxProb", "MCMP", "MinCost")} | {
+    "S3P, within": CRITERIA["S3P"]._replace(
+        pose=lambda m, t, n, **k: S3P(m, t.start, t.most_failure, **k),
+        objective=worth(lambda c, n: c),
+    ),
+}
+"""Criteria in fractions, within limits of 1e-12 to 1e-6."""
+SHARES = {
+    "AlphaMCMP": CRITERIA["AlphaMCMP"],
+    "MCMP, share": CRITERIA["AlphaMCMP"]._replace(
+        pose=lambda m, t, n, **k: MCMP(
+            m, t.start, give_up=n.give_up, charge_failing_step=n.charged,
+            reach_fraction=n.level, **k,
+        ),
+    ),
+    "S3P, share": TINY["S3P, within"]._replace(
+        pose=lambda m, t, n, **k: S3P(m, t.start, reach_fraction=n.level, **k),
+        budget=CRITERIA["AlphaMCMP"].budget,
+    ),
+}  # fmt: skip
+"""Criteria in fractions that demand a share of a goal that is hardly ever reached."""
+EXACT, SMALLEST = 1e-9, 1e-3  # of max(SMALLEST, |value|): the distance from an optimum in fractions
+NEAR = Fraction(1, 10**11)  # of the goal's share: policies that are so near the least failure tie
+ROUNDING = Fraction(1, 10**14), Fraction(2, 10**15)  # of a budget: relative and absolute
+EQUAL = Fraction(2, 10**10)  # of a limit's bound: what lies so near counts as equal to it
+KEPT = 1e-12  # of the bound itself: how far a limit may be exceeded
+WIDE = 1e-8  # gap of an answer without a note
+
+ALL = CRITERIA | LAWS | OWN | HARD | TINY | SHARES
+ROUNDED = ("S3P", "CostBoundedReach", "GUBS", "CVaR", "CostQuantile")
+"""Criteria of the total cost, which is rounded where few levels of it are told apart."""
+MOST_LEVELS = 5
+BETWEEN = 1e-9  # by which the truth may miss the bounds of a rounded answer; relative, of 1 + |it|
 METHODS = ("columns", "lp", "game")
 
 
@@ -281,6 +359,20 @@ def drawn_task(rng: np.random.Generator, *, loops: bool) -> Task:
     return Task(choices, GOAL, start, fuel, limits, budget)
 
 
+def going_on(task: Task, rng: np.random.Generator) -> Task:
+    """The task with a dead-end in which steps go on and cost, and limits of what happens then."""
+    ditch = {"roll": [(1.0, "ditch", 2)], "sink": [(0.5, "bog", 1), (0.5, "wall", 3)]}
+    bog = {"rest": [(1.0, "bog", 0)]}
+    kinds = "fuel through", "visits wall through", "visits ditch through", "end wall", "end ditch"
+    parts = rng.choice(kinds, size=rng.integers(1, 3), replace=False).tolist()
+    limits = [Limit({part: 1.0}, "<=", float(rng.choice([0.05, 0.2, 1.0, 2.5]))) for part in parts]
+    return task._replace(
+        choices={**task.choices, "ditch": ditch, "bog": bog},
+        fuel={**task.fuel, "ditch": {"roll": 1.0, "sink": 2.0}},
+        limits=(*task.limits[:2], *limits),
+    )
+
+
 def drawn_limit(rng: np.random.Generator) -> Limit:
     """One limit of any kind, that may or may not be kept."""
 
@@ -308,13 +400,14 @@ def quantity_of(task: Task, weights: dict[str, float]) -> Quantity:
     """The quantity that a limit's parts make."""
     result = Quantity(())
     for part, weight in weights.items():
-        kind, _, state = part.partition(" ")
+        kind, _, state = part.removesuffix(" through").partition(" ")
+        through = part.endswith(" through")
         made = {
-            "fuel": lambda: secondary_cost(task.fuel),
+            "fuel": lambda through=through: secondary_cost(task.fuel, through_failure=through),
             "cost": expected_cost,
             "goal": goal_probability,
             "failure": failure_probability,
-            "visits": lambda state=state: visits(state),
+            "visits": lambda state=state, on=through: visits(state, through_failure=on),
             "end": lambda state=state: end_probability(state),
         }
         result = result + weight * made[kind]()
@@ -342,6 +435,11 @@ class Draw(NamedTuple):
     model: Task  # as it was drawn
     setting: Setting
 
+    @property
+    def known(self) -> float | None:
+        """The reference's optimum."""
+        return optimum_of_law(self) if self.name in LAWS else self.optimum(self.task)
+
     def optimum(self, task: Task, objective: np.ndarray | None = None) -> float | None:
         """The reference's optimum within the limits of a task, as the library states it."""
         objective = self.objective if objective is None else objective
@@ -349,13 +447,17 @@ class Draw(NamedTuple):
         return -found if found is not None and self.criterion.maximised else found
 
 
-def drawn(seed: int, names: Sequence[str] = tuple(CRITERIA)) -> Draw:
+def drawn(
+    seed: int, names: Sequence[str] = tuple(CRITERIA), *, after_failing: bool = False
+) -> Draw:
     """One draw, of one of some criteria."""
-    return posed(*drawn_case(seed, names))
+    return posed(*drawn_case(seed, names, after_failing=after_failing))
 
 
-def drawn_case(seed: int, names: Sequence[str] = tuple(CRITERIA)) -> tuple[Task, Setting]:
-    """A model, and what is asked of it."""
+def drawn_case(
+    seed: int, names: Sequence[str] = tuple(CRITERIA), *, after_failing: bool = False
+) -> tuple[Task, Setting]:
+    """A model, and what is asked of it; limits of what happens after failing where these count."""
     rng = np.random.default_rng([seed, 3000])
     name = names[seed % len(names)]
     criterion = ALL[name]
@@ -374,6 +476,8 @@ def drawn_case(seed: int, names: Sequence[str] = tuple(CRITERIA)) -> tuple[Task,
     remembers = rng.random() < 0.2
     if seed // len(names) % 4 == 3:
         task = with_costs(task, PALETTES[int(rng.integers(len(PALETTES)))])
+    if after_failing:
+        task = going_on(task, rng)
     return task, Setting(name, asked, horizon, remembers)
 
 
@@ -389,8 +493,8 @@ def with_costs(task: Task, palette: Sequence[Fraction]) -> Task:
     return task._replace(choices=choices)
 
 
-def posed(task: Task, setting: Setting) -> Draw:
-    """The problem that a setting asks of a model, and its reference."""
+def posed(task: Task, setting: Setting, *, exact: bool = False) -> Draw:
+    """The problem that a setting asks of a model, and its reference; in fractions on request."""
     name, asked, horizon, remembers = setting
     criterion, start = ALL[name], task.start
     choices = {
@@ -419,14 +523,222 @@ def posed(task: Task, setting: Setting) -> Draw:
         own = (Limit({"cost": 1.0}, "<=", asked.bound / 2),)
     if name == "ConstrainedCost":
         own = (Limit({"fuel": 1.0}, "<=", asked.penalty),)
+    if exact:
+        task = exactly(task)
+        asked = Asked(*(Fraction(v) if isinstance(v, float) else v for v in asked))
     told = task if horizon is None else combined.within_steps(task, horizon)
     told = told._replace(limits=task.limits + own, most_failure=criterion.budget(told, asked))
+    horizon = FAR if exact else LONGEST
     written = combined.program(
-        told, LONGEST if criterion.minimised is None else 0, give_up=asked.give_up,
-        charged=asked.charged, minimised=criterion.minimised or (), discount=asked.discount or 1.0,
+        told, horizon if criterion.minimised is None else 0, give_up=asked.give_up,
+        charged=asked.charged, minimised=criterion.minimised or (), discount=asked.discount or 1,
     )  # fmt: skip
     objective = criterion.objective(told, written, asked)
     return Draw(name, problem, told, written, objective, criterion, task, setting)
+
+
+def exactly(task: Task) -> Task:
+    """The task in fractions: probabilities divided by their sum."""
+    choices: dict[str, dict[str, list]] = {}
+    for state, actions in task.choices.items():
+        choices[state] = {}
+        for action, outs in actions.items():
+            whole = sum(Fraction(p) for p, _, _ in outs)
+            choices[state][action] = [(Fraction(p) / whole, to, Fraction(c)) for p, to, c in outs]
+    return task._replace(
+        choices=choices,
+        start={state: Fraction(share) for state, share in task.start.items()},
+        fuel={s: {a: Fraction(paid) for a, paid in us.items()} for s, us in task.fuel.items()},
+        limits=tuple(limit._replace(bound=Fraction(limit.bound)) for limit in task.limits),
+        most_failure=None if task.most_failure is None else Fraction(task.most_failure),
+    )
+
+
+def hard_case(seed: int) -> tuple[Task, Setting]:
+    """Loops of two to five states that are left with 1e-3 to 1e-12 a step, with ties."""
+    rng, name = np.random.default_rng([seed, 3003]), list(HARD)[seed % len(HARD)]
+    live = [f"s{k}" for k in range(int(rng.choice([2, 2, 3, 3, 3, 4, 4, 5])))]
+    choices: dict[str, dict[str, list]] = {}
+    for state, ahead in zip(live, [*live[1:], live[0]], strict=True):
+        actions = [hard_action(rng, live, state, ahead) for _ in range(int(rng.integers(1, 4)))]
+        if rng.random() < 0.35:  # a tie, or the same exits at another speed
+            (stay, *leave), speed = actions[0], 2.0 ** -int(rng.integers(0, 12))
+            slower = [(p * speed, to, cost) for p, to, cost in leave]
+            actions.append([(1.0 - sum(p for p, _, _ in slower), *stay[1:]), *slower])
+        choices[state] = {f"a{k}": outs for k, outs in enumerate(actions)}
+    choices["s0"]["go"] = [(0.5, "home", 2.0), (0.5, "wall", 1.0)]
+    fuel = {s: {a: float(rng.integers(0, 3)) for a in us} for s, us in choices.items()}
+    choices |= {end: {} for end in ENDS}
+    spent = Limit({"fuel": 1}, "<=", float(rng.choice([1.0, 2.0, 1e3, 1e6, 1e12])))
+    budget = float(rng.choice([0.1, 0.5, 0.5 + 1e-6, 1.0]))
+    task = Task(choices, GOAL, {"s0": 1.0}, fuel, (spent,) * bool(rng.random() < 0.4), budget)
+    criterion = HARD[name]
+    where = criterion.gives_up or str(rng.choice(["anywhere", "attention", "dead_ends"]))
+    charged = criterion.charges and bool(rng.random() < 0.5)
+    asked = Asked(0.5, 4, float(rng.choice([0.5, 10.0, 1e3])), where, charged, None)
+    return task, Setting(name, asked, None, False)
+
+
+def tiny_case(seed: int) -> tuple[Task, Setting]:
+    """Limits of 1e-12 to 1e-6 on fuel that spans 15 powers of ten, and on ends."""
+    rng, name = np.random.default_rng([seed, 3004]), list(TINY)[seed % len(TINY)]
+    task = drawn_task(rng, loops=name != "S3P, within")
+    fuel = {
+        s: {a: float(a != "go") * float(10.0 ** rng.uniform(-10.0, 5.0)) for a in actions}
+        for s, actions in task.choices.items()
+    }
+    kinds = [("fuel", "<="), ("goal", ">="), ("end ditch", "<="), ("end wall", ">="),
+             ("end ditch", "==")]  # fmt: skip
+    chosen = [kinds[0], *(kinds[k] for k in rng.integers(0, 5, size=rng.integers(3)))]
+    limits = [
+        Limit({part: 1}, sense, float(10.0 ** rng.uniform(-12.0, -6.0))) for part, sense in chosen
+    ]
+    choices = dict(task.choices)
+    if name == "MinCost":  # where every end is home, the goal is reached surely
+        limits = limits[:1]
+        choices = {
+            s: {a: [(p, "home" if to in ENDS else to, c) for p, to, c in outs]
+                for a, outs in actions.items()}
+            for s, actions in choices.items()
+        }  # fmt: skip
+    where = TINY[name].gives_up or str(rng.choice(["anywhere", "dead_ends"]))
+    budget = float(rng.choice([0.5, 0.9, 1.0]))
+    task = Task(choices, GOAL, {"s0": 1.0}, fuel, tuple(limits), budget)
+    return task, Setting(name, Asked(0.5, 1, 1.0, where, False, None), None, False)
+
+
+def ladder_case(seed: int) -> tuple[Task, Setting]:
+    """Rungs with two or three ways up of chance 1e-5 to 0.5, and a share of the greatest chance."""
+    rng, name = np.random.default_rng([seed, 3005]), list(SHARES)[seed % len(SHARES)]
+    rungs = [f"s{k}" for k in range(int(rng.integers(1, 7)))]
+    choices: dict[str, dict[str, list]] = {end: {} for end in ENDS}
+    for rung, above in zip(rungs, [*rungs[1:], "home"], strict=True):
+        choices[rung] = {}
+        for way in range(int(rng.integers(2, 4))):
+            up, cost = float(10.0 ** -rng.uniform(0.3, 5.0)), float(rng.integers(1, 6))
+            stays = 0.0 if name == "S3P, share" else float(rng.choice([0.0, 0.0, 0.3]))
+            outs = [(up, above, cost), (1.0 - up - stays, "wall", cost), (stays, rung, cost)]
+            choices[rung][f"a{way}"] = outs if stays else outs[:2]
+    fuel = {s: {a: float(10.0 ** rng.uniform(-3.0, 3.0)) for a in choices[s]} for s in rungs}
+    most = float(len(rungs) * 10.0 ** rng.uniform(-1.0, 3.0))
+    limits = (Limit({"fuel": 1}, "<=", most),) * bool(rng.random() < 0.4)
+    where = SHARES[name].gives_up or str(rng.choice(["anywhere", "dead_ends"]))
+    asked = Asked(float(rng.uniform(0.01, 0.99)), 1, 1.0, where, bool(rng.integers(2)), None)
+    return Task(choices, GOAL, {"s0": 1.0}, fuel, limits), Setting(name, asked, None, False)
+
+
+def hard_action(rng: np.random.Generator, live: Sequence[str], state: str, ahead: str) -> list:
+    """What stays, and rare exits; now and then a sure step or a coin."""
+    kind, cost = rng.random(), float(rng.choice([0.0, 0.1, 0.3, 1.0, 2.0]))
+    if kind < 0.12:
+        return [(1.0, str(rng.choice([ahead, "home"])), cost)]
+    if kind < 0.27:
+        return [(0.5, str(rng.choice([*live, *ENDS])), cost) for _ in range(2)]
+    ends = (["home"], ["wall"], ["home", "wall"], ["home", "ditch"], [live[-1]])
+    exits = [
+        (float(10.0 ** -rng.uniform(3.0, 12.0)), end, cost) for end in ends[rng.integers(len(ends))]
+    ]
+    return [
+        (1.0 - sum(p for p, _, _ in exits), str(rng.choice([state, state, ahead])), cost),
+        *exits,
+    ]
+
+
+def eased(draw: Draw) -> Task:
+    """The task of a draw with all limits wider by what counts as equal to them."""
+    budget, (relative, absolute) = draw.task.most_failure, ROUNDING
+    if budget is None:
+        failure = draw.written.parts["failure"]
+        least = combined.solved(draw.written, failure, [], ratio=False)
+        budget = least + NEAR * (1 - least)
+    limits = tuple(
+        each._replace(bound=each.bound * (1 + (EQUAL if each.sense == "<=" else -EQUAL)))
+        for each in draw.task.limits
+    )
+    wider = budget * (1 + relative) + absolute
+    if draw.name in SHARES:
+        wider = 1 - (1 - budget) * (1 - Fraction(KEPT))
+    budget = min(wider, Fraction(1))
+    return draw.task._replace(limits=limits, most_failure=budget)
+
+
+def wrong_hard(draw: Draw, seed: int, tally: Counter[str]) -> Iterator[str]:
+    """What differs from the optimum in fractions, by more than rounding of a limit explains."""
+    known, easy = draw.optimum(draw.task), draw.optimum(eased(draw))
+    try:
+        solution = solve(draw.problem)
+    except InfeasibleError as error:
+        tally["infeasible"] += 1
+        if known is not None:
+            yield f"refused as infeasible ({error}), the reference has {float(known)!r}"
+        return
+    if easy is None:
+        yield f"{solution.objective!r}, the reference has none"
+        return
+    if known is None:
+        tally["within rounding of a limit"] += 1
+        return
+    tally["optima"] += 1
+    certificate = certify(solution)
+    if not certificate.accepted:
+        yield f"refused, {certificate.reason}"
+    low, high = sorted((float(known), float(easy)))
+    room = EXACT * max(SMALLEST, abs(high))
+    told = solution.lower_bound, solution.objective
+    if solution.upper_bound is not None:
+        told = solution.objective, solution.upper_bound
+    noted = bool(solution.note)
+    if not (told[0] - room <= high and low <= told[1] + room):
+        yield f"the truth {float(known)!r} does not lie in {told!r}"
+    if not (low - room <= solution.objective <= high + room or noted):
+        yield f"{solution.objective!r} for {float(known)!r}"
+    if solution.gap > WIDE and not noted:
+        yield f"gap {solution.gap:.1e} without a note"
+    demanded = 0.0 if draw.task.most_failure is None else float(1 - draw.task.most_failure)
+    if solution.evaluation.limited_goal < demanded * (1.0 - KEPT):
+        yield f"reaches the goal with {solution.evaluation.limited_goal!r} of {demanded!r}"
+    for condition in draw.problem.conditions:
+        for row in condition.rows:
+            spent = row.activity(solution.secondary_costs[condition.name])
+            if spent > row.bound + KEPT * abs(row.bound):
+                yield f"{row.name} is {spent!r} for {row.bound!r}"
+    if (
+        not 0.0 <= solution.goal_probability <= 1.0
+        or not 0.0 <= solution.failure_probability <= 1.0
+    ):
+        yield f"no probabilities: {solution.goal_probability!r}, {solution.failure_probability!r}"
+
+
+def rounded_case(seed: int) -> tuple[Task, Setting]:
+    """A model of real costs, and a criterion of the total cost."""
+    task, setting = drawn_case(seed, ROUNDED)
+    task = task._replace(limits=task.limits[:1], most_failure=0.5)
+    return with_costs(task, PALETTES[seed // len(ROUNDED) % len(PALETTES)]), setting
+
+
+def wrong_rounded(draw: Draw, seed: int, tally: Counter[str]) -> Iterator[str]:
+    """Whether the truth lies between the bounds of an answer on few levels of the total cost."""
+    rng = np.random.default_rng([seed, 3002])
+    known = draw.known
+    levels = int(rng.integers(2, MOST_LEVELS + 1))
+    capped = {"cost_cap": None} if draw.name == "S3P" else {}
+    try:
+        solution = solve(replace(draw.problem, cost_levels=levels, **capped))
+    except InfeasibleError:
+        tally["infeasible"] += 1
+        if known is not None:
+            yield f"refused as infeasible, the reference has {known!r}"
+        return
+    tally["rounded" if solution.gap > BETWEEN else "not rounded"] += 1
+    if known is None:
+        yield f"{solution.objective!r}, the reference has nothing"
+        return
+    low, high = solution.lower_bound, solution.objective
+    if solution.upper_bound is not None:
+        low, high = solution.objective, solution.upper_bound
+    room = BETWEEN * (1.0 + abs(known))
+    if not low - room <= known <= high + room:
+        yield f"{known!r} does not lie in [{low!r}, {high!r}]; {solution.note}"
 
 
 def optimum_of_law(draw: Draw) -> float | None:
@@ -563,6 +875,7 @@ def wrong_methods(draw: Draw, known: float, tally: Counter[str]) -> Iterator[str
                 yield f"refused: {error}"
             continue
         tally[f"solved by {method}"] += 1
+        tally["priced"] += any(p > 0.0 for n, p in solution.prices.items() if n != "failure")
         ends = solution.lower_bound, solution.objective
         if solution.upper_bound is not None:
             ends = solution.objective, solution.upper_bound
@@ -911,7 +1224,9 @@ CHANGED: tuple[Callable[..., Iterator[str]], ...] = (
 )  # fmt: skip
 
 
-def told(draw: Draw, seed: int, tally: Counter[str]) -> list[str]:
+def told(
+    draw: Draw, seed: int, tally: Counter[str], compare: Callable = compared_draw
+) -> list[str]:
     """What differs of a draw; an error of the library, too."""
     real = any(
         c != int(c) for us in draw.model.choices.values() for o in us.values() for *_, c in o
@@ -925,34 +1240,59 @@ def told(draw: Draw, seed: int, tally: Counter[str]) -> list[str]:
              "discount": discount, "memory": memory}  # fmt: skip
     tally["with " + (", ".join(name for name, there in asked.items() if there) or "nothing")] += 1
     try:
-        return [f"{draw.name}: {said}" for said in compared_draw(draw, seed, tally)]
+        return [f"{draw.name}: {said}" for said in compare(draw, seed, tally)]
     except SSPError as error:
         return [f"{draw.name}: {type(error).__name__}: {error}"]
 
 
-def shrunk(seed: int, names: Sequence[str] = tuple(CRITERIA)) -> str:
-    """The smallest problem of which something differs as of the draw of a seed."""
+KINDS = {
+    "answers": compared_draw,
+    "after-failing": compared_draw,
+    "rounded": wrong_rounded,
+    "hard": wrong_hard,
+    "tiny": wrong_hard,
+    "shares": wrong_hard,
+}
+"""What a campaign draws, and how it is compared."""
+DRAWS = {"rounded": rounded_case, "hard": hard_case, "tiny": tiny_case, "shares": ladder_case}
+EXACTLY = ("hard", "tiny", "shares")
 
-    def fails(case: tuple[Task, Setting]) -> bool:
-        try:
-            return bool(told(posed(*case), seed, Counter()))
-        except SSPError:
-            return False  # it says what is wrong with the question
 
-    task, setting = smallest(drawn_case(seed, names), smaller, fails)
-    return f"{task}\n{setting}"
+def wrong_of(kind: str, seed: int, tally: Counter[str]) -> list[str]:
+    """What differs of a draw of a kind with draws of its own."""
+    return told(posed(*DRAWS[kind](seed), exact=kind in EXACTLY), seed, tally, KINDS[kind])
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Check draws from the command line; 1 if anything differs."""
+
+    def options(parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("--criteria", nargs="+", choices=CRITERIA | LAWS, default=[*CRITERIA])
+        parser.add_argument("--of", choices=KINDS, default="answers", help="what is drawn")
+
+    def case(seed: int, asked: argparse.Namespace) -> tuple[Task, Setting]:
+        if asked.of in DRAWS:
+            return DRAWS[asked.of](seed)
+        return drawn_case(seed, asked.criteria, after_failing=asked.of == "after-failing")
+
+    def wrong(
+        one: tuple[Task, Setting], seed: int, tally: Counter[str], asked: argparse.Namespace
+    ) -> list[str]:
+        return told(posed(*one, exact=asked.of in EXACTLY), seed, tally, KINDS[asked.of])
+
+    def shrunk(seed: int, asked: argparse.Namespace) -> str:
+        def fails(one: tuple[Task, Setting]) -> bool:
+            try:
+                return bool(wrong(one, seed, Counter(), asked))
+            except SSPError:
+                return False  # it says what is wrong with the question
+
+        return "\n".join(map(str, smallest(case(seed, asked), smaller, fails)))
+
     return run(
         __doc__,
-        lambda seed, tally, asked: told(drawn(seed, asked.criteria), seed, tally),
-        arguments, count=300,
-        options=lambda parser: parser.add_argument(
-            "--criteria", nargs="+", choices=ALL, default=list(CRITERIA)
-        ),
-        shrink=lambda seed, asked: shrunk(seed, asked.criteria),
+        lambda seed, tally, asked: wrong(case(seed, asked), seed, tally, asked),
+        arguments, count=300, options=options, shrink=shrunk,
     )  # fmt: skip
 
 

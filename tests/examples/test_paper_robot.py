@@ -223,8 +223,9 @@ def test_answers_are_certified_and_one_randomised_policy_does_as_much(robot, cri
 
 
 @pytest.mark.slow
-def test_the_full_linear_program_agrees_in_case_m(robot):
-    columns = solved(MCMP, *robot)
+def test_the_full_linear_program_agrees_in_case_m():
+    grid = RobotGrid(segments=12, headings=8, quadrature=3)
+    columns = solved(MCMP, grid_model(grid), start_state(grid))
     program = solve(columns.problem, "lp")
     assert (columns.method, program.method) == ("columns", "lp")
     assert program.objective == pytest.approx(columns.objective, rel=1e-7)

@@ -36,13 +36,13 @@ from ssp_lp.game import (
 from ssp_lp.game.optimum import stationary_player
 from strategies import Draw, acyclic_problems, often, problems
 
-few = often(30)
+few = often(12)
 
 
 @given(
     st.floats(0.0, 1.0, exclude_min=True), st.floats(0.1, 1.0, exclude_max=True), st.integers(0, 50)
 )
-@often(100)
+@often(33)
 def test_the_belief_follows_one_trajectory(alpha, gamma, time):
     """Section 3.3: nu^t(alpha) = alpha / (alpha + gamma^t (1 - alpha)), whatever was observed."""
     belief = alpha

@@ -17,7 +17,7 @@ from ssp_lp.game.optimum import bayes_player, stationary_player
 from strategies import Draw, often, problems
 from written_models import drawn_table, written
 
-few = often(25)
+few = often(12)
 alphas = st.sampled_from([0.5, 0.1, 0.9, 0.99])
 scales = st.sampled_from([4.0, 1.0, 20.0])
 
@@ -176,7 +176,7 @@ def minprob_rules(model, gamma=None):
 
 
 @pytest.mark.slow
-@often(40)
+@often(13)
 @given(draws_of_s, st.sampled_from([0.5, 0.9, 0.99]), alphas, scales)
 def test_the_operator_of_case_s_at_a_fixed_cap(drawn, gamma, alpha, scale):
     """T_alpha of 3.5.1 as printed: a rule of Pi_{d,or}, undiscounted beyond M, at every M.

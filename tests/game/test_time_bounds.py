@@ -121,7 +121,7 @@ def test_a_surplus_over_sure_failure_is_as_near_as_asked(haste, price, accuracy)
     assert best - 2.0 * accuracy * float((cost + price * failure).min()) <= told <= best + 1e-13
 
 
-@often(40)
+@often(13)
 @given(problems(most_live=3), st.sampled_from([0.5, 0.9, 0.99]))
 def test_tails_know_the_greatest_and_the_least_success(drawn, gamma):
     """E[gamma^T; goal] of the two tails from every state, beside an enumeration of policies."""

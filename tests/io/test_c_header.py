@@ -118,8 +118,8 @@ def check(named: dict[str, object], start: int, folder: Path, episodes: int = 40
 
 
 @needs_gcc
-@pytest.mark.parametrize("name", WITH_GOALS)
-def test_every_published_model(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", WITH_GOALS[::3])
+def test_published_models(name: str, tmp_path: Path) -> None:
     """Stationary, mixed and cost-aware policies, as planned and acting everywhere."""
     model, start = published(name, COSTS.get(name, "unit"))
     budget = min(solve(MaxProb(model, start)).failure_probability + 0.1, 1.0)

@@ -252,10 +252,10 @@ def test_policies_that_remember_having_failed(criterion, horizon, name, tmp_path
     problem = criterion(CLIFF, "a", 0.1, constraints=limits, horizon=horizon)
     solution = solve(problem)
     for member in solution.policy.policies:
-        acts_the_same(member, tmp_path, "a", 200, surprise=0.0)
+        acts_the_same(member, tmp_path, "a", 60, surprise=0.0)
     for member in solution.policy_everywhere({"cave": "sit"}).policies:
         for start in CLIFF.states:
-            acts_the_same(member, tmp_path, start, 20, surprise=0.0)
+            acts_the_same(member, tmp_path, start, 6, surprise=0.0)
 
 
 @pytest.mark.parametrize("name", ["deterministic", "gives up", "cost aware"])

@@ -32,7 +32,7 @@ def check(problem, backend):
 
 
 @every_backend
-@often(15)
+@often(12)
 @given(problems(), discounts, shares)
 def test_mcmp(backend, drawn, discount, share):
     budget = budget_of(share, mcmp.points(plain(drawn), drawn.start, discount=discount))
@@ -40,7 +40,7 @@ def test_mcmp(backend, drawn, discount, share):
 
 
 @every_backend
-@often(15)
+@often(12)
 @given(problems(most_live=3, attention=True), discounts, shares)
 def test_s3p(backend, drawn, discount, share):
     points = s3p.stationary_points(plain(drawn), drawn.start, discount)

@@ -8,21 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from formulations import GUBS, MCMP, S3P, AlphaMCMP, CostQuantile, CVaR, compare_criteria
+from formulations import MCMP, AlphaMCMP, compare_criteria
 from small_models import model_of
 from ssp_lp import (
     SSP,
     DeterministicPolicy,
     Memory,
-    MixedPolicy,
     ModelError,
-    StochasticPolicy,
-    TimedPolicy,
-    certify,
     cross_check,
     end_probability,
     evaluate,
-    on_original,
     product,
     secondary_cost,
     simulate,
@@ -30,9 +25,7 @@ from ssp_lp import (
     success_costs,
     trace_frontier,
     visits,
-    within_steps,
 )
-from ssp_lp.io import load_policy, save_model, save_policy, save_solution
 from ssp_lp.policies.policy import generator_of
 
 ROAD: dict[Any, Any] = {
@@ -195,62 +188,6 @@ def test_a_seed_is_a_generator() -> None:
     for wrong in (-1, 0.5, "0", True, None):
         with pytest.raises(ModelError, match="seed must be a number such as 0"):
             generator_of(wrong)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("said", "words"),
-    [
-        (lambda: MCMP(PROBLEM), "MCMP takes an SSP first"),
-        (lambda: MCMP(SOLUTION, "depot"), "MCMP takes an SSP first"),
-        (lambda: MCMP(model=ROAD, start="depot"), "model must be an SSP"),
-        (lambda: MCMP(MODEL, 0.05, "depot"), "failure_budget must be a number"),
-        (lambda: MCMP(MODEL, "depot", failure_budget=True), "must be a number or None, not True"),
-        (lambda: MCMP(MODEL, {"depot": "all"}), "'depot' is no number"),
-        (lambda: MCMP(MODEL, np.array([1.0])), "must be a state or"),
-        (lambda: S3P(MODEL, "depot", 0.2, cost_cap="much"), "cost_cap must be a number"),
-        (lambda: GUBS(MODEL, "depot", 3.0, 1.0), "utility must be a function"),
-        (lambda: CostQuantile(MODEL, "depot", 95), r"did you mean 0\.95"),
-        (lambda: CVaR(MODEL, "depot", 95), r"did you mean 0\.95"),
-        (lambda: evaluate(SOLUTION), r"pass solution\.policy and its problem"),
-        (lambda: evaluate(SOLUTION.policy), "takes a problem"),
-        (lambda: evaluate(PROBLEM, SOLUTION.policy), "takes a problem"),
-        (lambda: certify(PROBLEM), r"takes a solution, such as solve\(problem\)"),
-        (lambda: save_solution(SOLUTION.policy, "nowhere"), "takes a solution"),
-        (lambda: save_policy(SOLUTION, "nowhere"), "cannot be saved"),
-        (lambda: load_policy("nowhere", PROBLEM), r"it has one: \.model"),
-        (lambda: save_model(PROBLEM, "nowhere"), r"it has one: \.model"),
-        (lambda: on_original(SOLUTION), r"pass solution\.policy"),
-        (lambda: MixedPolicy((SOLUTION,), [1.0]), r"pass solution\.policy"),
-        (lambda: TimedPolicy((SOLUTION,)), r"pass solution\.policy"),
-        (lambda: DeterministicPolicy.from_actions(PROBLEM, {}), r"takes an SSP.*\.model"),
-        (lambda: StochasticPolicy.from_actions({}, MODEL), "takes an SSP"),
-        (lambda: product(Memory(0, lambda *step: 0), MODEL), "product takes an SSP"),
-        (lambda: product(MODEL, {"key": False}), "takes a Memory after the model"),
-        (lambda: within_steps(3, MODEL), "within_steps takes an SSP"),
-        (lambda: within_steps(MODEL, 3, start="depot"), "start must be a set of states"),
-        (lambda: SSP.from_transitions([1], goal={"home"}), "a model is told as"),
-        (lambda: SSP.from_transitions(ROAD, goal=lambda state: True), "goal must be a set"),
-        (lambda: visits(["crash"]), "names one by one"),
-        (lambda: end_probability(["crash"]), "names one by one"),
-        (lambda: PROBLEM.program().bounded_by({"failur": 0.1}), "no row is named 'failur'"),
-        (lambda: solve(PROBLEM, tolerance="fine"), "tolerance must lie"),
-        (lambda: trace_frontier(PROBLEM, gap="fine"), "gap must lie"),
-        (lambda: trace_frontier(PROBLEM, point_limit=2.5), "point_limit must be"),
-        (lambda: trace_frontier(PROBLEM, time_limit="long"), "time_limit must be"),
-        (lambda: trace_frontier(PROBLEM, steepest_price="high"), "steepest_price must be"),
-        (lambda: trace_frontier(PROBLEM).objective_at(5), r"did you mean 0\.05"),
-        (
-            lambda: simulate(SOLUTION.policy, PROBLEM, seed=0, episodes=1e4),
-            "episodes must be a who",
-        ),
-        (lambda: simulate(SOLUTION.policy, PROBLEM, seed=0, record=-1), "record must be a whole"),
-        (lambda: simulate(SOLUTION.policy, PROBLEM, seed=0, confidence=95), r"did you mean 0\.95"),
-        (lambda: success_costs(SOLUTION.policy, PROBLEM).quantile(95), r"did you mean 0\.95"),
-    ],
-)
-def test_what_was_mixed_up_is_told(said: Any, words: str) -> None:
-    with pytest.raises(ModelError, match=words):
-        said()
 
 
 def test_values_by_name_have_a_nearest_name() -> None:

@@ -1,74 +1,56 @@
 """Calls, words and files that do not fit are answered with their place and what to write."""
 
 import pickle
-import re
 
 import numpy as np
 import pytest
 
 import ssp_lp
-from formulations import MCMP, CostQuantile, CVaR, MaxProb
-from formulations.command_line import main
+from formulations import GUBS, MCMP, S3P, CostQuantile, CVaR, MaxProb
 from refusing import refused
+from small_models import ROUTES
 from ssp_lp import (
     SSP,
     Axis,
     ColumnGeneration,
     CostLimit,
     DeterministicPolicies,
+    DeterministicPolicy,
     LinearProgramming,
     Memory,
+    MixedPolicy,
+    StochasticPolicy,
+    TimedPolicy,
+    certify,
     check_certificate,
+    end_probability,
     evaluate,
+    on_original,
     product,
     secondary_cost,
     simulate,
     solve,
+    success_costs,
     trace_frontier,
     visits,
     within_steps,
     write_certificate,
 )
-from ssp_lp.io import from_gymnasium, load_policy, read_any, rollout
+from ssp_lp.io import (
+    from_gymnasium,
+    load_policy,
+    read_any,
+    rollout,
+    save_model,
+    save_policy,
+    save_solution,
+)
 from ssp_lp.plotting import explore, plot_cost_law, plot_frontier
 
-ROUTES = {
-    "alley": [(0.90, "home", 4.0), (0.10, "wreck", 2.0)],
-    "road": [(0.99, "home", 9.0), (0.01, "wreck", 5.0)],
-}
 MODEL = SSP.from_transitions({"depot": ROUTES}, goal={"home"}, dead_ends={"wreck"})
 PROBLEM = MCMP(MODEL, "depot", failure_budget=0.05)
 SOLUTION = solve(PROBLEM)
 TRIPS = product(MODEL, Memory(0, lambda memory, *step: memory))
-ROADS = """{"depot": {"alley": [[0.9, "home", 4], [0.1, "wreck", 2]]}}"""
-
-
-@pytest.mark.parametrize(
-    ("call", "told"),
-    [
-        (lambda: MCMP(MODEL), r"MCMP needs 'start': write MCMP\(model, start\)"),
-        (lambda: MCMP(), r"MCMP needs 'model', 'start'"),
-        (lambda: CVaR(MODEL, "depot"), r"CVaR needs 'level': write CVaR\(model, start, level\)"),
-        (lambda: MCMP(MODEL, "depot", start="depot"), "is given 'start' twice"),
-        (lambda: solve(), r"solve needs 'problem': write solve\(problem\)"),
-        (lambda: solve(PROBLEM, "lp", 1e-9), r"takes \(problem, method\) by place; .*tolerance="),
-        (lambda: SSP.from_transitions({}), "from_transitions needs 'goal'"),
-        (lambda: SSP.from_arrays(costs=1.0), "needs 'pair_offsets', .*pair_offsets=..."),
-        (lambda: secondary_cost(), "secondary_cost needs 'cost'"),
-        (lambda: visits("depot", through_failure=1), "through_failure must be True or False"),
-        (lambda: Axis(0, 1), r"Axis needs 'cells': write Axis\(low, high, cells\)"),
-        (lambda: Axis(0, 1, n_cells=3), "Axis has no argument 'n_cells'; did you mean 'cells'"),
-        (lambda: Memory(0), "Memory needs 'update'"),
-        (lambda: within_steps(MODEL), "within_steps needs 'steps'"),
-        (lambda: simulate(SOLUTION.policy), "simulate needs 'problem'"),
-        (lambda: SOLUTION.explain(), r"Solution.explain needs 'state'"),
-        (lambda: SOLUTION.policy.action(), "MixedPolicy.action needs 'state'"),
-        (lambda: SOLUTION.policy.start(0, 0), r"MixedPolicy.start takes \(seed\) by place"),
-        (lambda: load_policy(), r"load_policy needs 'path', 'model'"),
-    ],
-)
-def test_an_argument_that_is_missing_or_one_too_many_is_named(call, told):
-    refused(told, call)
 
 
 def test_a_problem_is_pickled_by_what_it_holds():
@@ -139,44 +121,76 @@ def test_a_policy_that_never_succeeds_has_no_cost_given_success():
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        ("slove roads.json", "there is no 'slove'; did you mean 'solve'?"),
-        ("solve roads.json --criterion mcpm", "did you mean 'mcmp'?"),
-        ("solve roads.json --criterion xyz", "choose from alpha-mcmp, .*, s3p"),
-        ("solve roads.json --budget 0.05", "no --budget; did you mean --failure-budget?"),
-        ("solve roads.json --epsilon=0.05", "no --epsilon; did you mean --failure-budget?"),
-        ("solve roads.json --gamma 0.9", "did you mean --discount?"),
-        ("solve roads.json --metod lp", "did you mean --method?"),
-        ("simulate roads.json --policy p.npz --runs 3", "did you mean --episodes?"),
-        ("solve roads.json home", "'home' is one word too many"),
-    ],
-)
-def test_words_of_a_shell_that_there_are_not(words, told, capsys):
-    with pytest.raises(SystemExit) as stopped:
-        main(words.split())
-    assert stopped.value.code == 2
-    assert re.search(told.replace("?", r"\?"), capsys.readouterr().err)
-
-
-def test_a_limit_of_a_shell_on_a_cost_that_there_is_not(tmp_path, capsys):
-    path = tmp_path / "roads.json"
-    path.write_text(ROADS)
-    words = ["solve", str(path), "--goal", "home", "--start", "depot"]
-    for limit, told in (
-        ("fuel <= 3", "'fuel' is no quantity of this model; quantities are 'cost', 'goal'"),
-        ("costs <= 3", "did you mean 'cost'?"),
-        ("visit(depot) <= 3", "did you mean 'visits(...)'?"),
-    ):
-        assert main([*words, "--limit", limit]) == 2
-        assert told in capsys.readouterr().err
-    assert main([*words, "--cost", "fuel"]) == 2
-    assert "leave out --cost" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
     ("mistake", "told"),
     [
+        (lambda: MCMP(MODEL), r"MCMP needs 'start': write MCMP\(model, start\)"),
+        (lambda: MCMP(), r"MCMP needs 'model', 'start'"),
+        (lambda: CVaR(MODEL, "depot"), r"CVaR needs 'level': write CVaR\(model, start, level\)"),
+        (lambda: MCMP(MODEL, "depot", start="depot"), "is given 'start' twice"),
+        (lambda: solve(), r"solve needs 'problem': write solve\(problem\)"),
+        (lambda: solve(PROBLEM, "lp", 1e-9), r"takes \(problem, method\) by place; .*tolerance="),
+        (lambda: SSP.from_transitions({}), "from_transitions needs 'goal'"),
+        (lambda: SSP.from_arrays(costs=1.0), "needs 'pair_offsets', .*pair_offsets=..."),
+        (lambda: secondary_cost(), "secondary_cost needs 'cost'"),
+        (lambda: visits("depot", through_failure=1), "through_failure must be True or False"),
+        (lambda: Axis(0, 1), r"Axis needs 'cells': write Axis\(low, high, cells\)"),
+        (lambda: Axis(0, 1, n_cells=3), "Axis has no argument 'n_cells'; did you mean 'cells'"),
+        (lambda: Memory(0), "Memory needs 'update'"),
+        (lambda: within_steps(MODEL), "within_steps needs 'steps'"),
+        (lambda: simulate(SOLUTION.policy), "simulate needs 'problem'"),
+        (lambda: SOLUTION.explain(), r"Solution.explain needs 'state'"),
+        (lambda: SOLUTION.policy.action(), "MixedPolicy.action needs 'state'"),
+        (lambda: SOLUTION.policy.start(0, 0), r"MixedPolicy.start takes \(seed\) by place"),
+        (lambda: load_policy(), r"load_policy needs 'path', 'model'"),
+        (lambda: MCMP(PROBLEM), "MCMP takes an SSP first"),
+        (lambda: MCMP(SOLUTION, "depot"), "MCMP takes an SSP first"),
+        (lambda: MCMP(model={"depot": ROUTES}, start="depot"), "model must be an SSP"),
+        (lambda: MCMP(MODEL, 0.05, "depot"), "failure_budget must be a number"),
+        (lambda: MCMP(MODEL, "depot", failure_budget=True), "must be a number or None, not True"),
+        (lambda: MCMP(MODEL, {"depot": "all"}), "'depot' is no number"),
+        (lambda: MCMP(MODEL, np.array([1.0])), "must be a state or"),
+        (lambda: S3P(MODEL, "depot", 0.2, cost_cap="much"), "cost_cap must be a number"),
+        (lambda: GUBS(MODEL, "depot", 3.0, 1.0), "utility must be a function"),
+        (lambda: CostQuantile(MODEL, "depot", 95), r"did you mean 0\.95"),
+        (lambda: CVaR(MODEL, "depot", 95), r"did you mean 0\.95"),
+        (lambda: evaluate(SOLUTION), r"pass solution\.policy and its problem"),
+        (lambda: evaluate(SOLUTION.policy), "takes a problem"),
+        (lambda: evaluate(PROBLEM, SOLUTION.policy), "takes a problem"),
+        (lambda: certify(PROBLEM), r"takes a solution, such as solve\(problem\)"),
+        (lambda: save_solution(SOLUTION.policy, "nowhere"), "takes a solution"),
+        (lambda: save_policy(SOLUTION, "nowhere"), "cannot be saved"),
+        (lambda: load_policy("nowhere", PROBLEM), r"it has one: \.model"),
+        (lambda: save_model(PROBLEM, "nowhere"), r"it has one: \.model"),
+        (lambda: on_original(SOLUTION), r"pass solution\.policy"),
+        (lambda: MixedPolicy((SOLUTION,), [1.0]), r"pass solution\.policy"),
+        (lambda: TimedPolicy((SOLUTION,)), r"pass solution\.policy"),
+        (lambda: DeterministicPolicy.from_actions(PROBLEM, {}), r"takes an SSP.*\.model"),
+        (lambda: StochasticPolicy.from_actions({}, MODEL), "takes an SSP"),
+        (lambda: product(Memory(0, lambda *step: 0), MODEL), "product takes an SSP"),
+        (lambda: product(MODEL, {"key": False}), "takes a Memory after the model"),
+        (lambda: within_steps(3, MODEL), "within_steps takes an SSP"),
+        (lambda: within_steps(MODEL, 3, start="depot"), "start must be a set of states"),
+        (lambda: SSP.from_transitions([1], goal={"home"}), "a model is told as"),
+        (
+            lambda: SSP.from_transitions({"depot": ROUTES}, goal=lambda state: True),
+            "goal must be a set",
+        ),
+        (lambda: visits(["crash"]), "names one by one"),
+        (lambda: end_probability(["crash"]), "names one by one"),
+        (lambda: PROBLEM.program().bounded_by({"failur": 0.1}), "no row is named 'failur'"),
+        (lambda: solve(PROBLEM, tolerance="fine"), "tolerance must lie"),
+        (lambda: trace_frontier(PROBLEM, gap="fine"), "gap must lie"),
+        (lambda: trace_frontier(PROBLEM, point_limit=2.5), "point_limit must be"),
+        (lambda: trace_frontier(PROBLEM, time_limit="long"), "time_limit must be"),
+        (lambda: trace_frontier(PROBLEM, steepest_price="high"), "steepest_price must be"),
+        (lambda: trace_frontier(PROBLEM).objective_at(5), r"did you mean 0\.05"),
+        (
+            lambda: simulate(SOLUTION.policy, PROBLEM, seed=0, episodes=1e4),
+            "episodes must be a who",
+        ),
+        (lambda: simulate(SOLUTION.policy, PROBLEM, seed=0, record=-1), "record must be a whole"),
+        (lambda: simulate(SOLUTION.policy, PROBLEM, seed=0, confidence=95), r"did you mean 0\.95"),
+        (lambda: success_costs(SOLUTION.policy, PROBLEM).quantile(95), r"did you mean 0\.95"),
         (lambda: LinearProgramming(solver="highs"), "no argument 'solver'; did you mean 'backend'"),
         (lambda: ColumnGeneration(1, 2), r"takes \(pricing\) by place"),
         (lambda: DeterministicPolicies(relaxation="game"), "relaxation must be 'columns' or 'lp'"),
@@ -202,6 +216,7 @@ def test_a_limit_of_a_shell_on_a_cost_that_there_is_not(tmp_path, capsys):
     ],
 )
 def test_a_mistake_is_named_with_its_remedy(mistake, told):
+    """What is missing, one too many or mixed up."""
     refused(told, mistake)
 
 
@@ -225,26 +240,3 @@ def test_a_policy_of_another_environment_says_so():
     other = gym.make("CliffWalking-v1")
     told = "observed in the environment, of which the policy's model may not be: 36"
     refused(told, rollout, other, policy, episodes=1, seed=0)
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        ("explore {} --out page.png", "a page is written as .html"),
-        ("solve {} --criterion least-quantity --quantity fuel", "'fuel' is no quantity of this"),
-        ("solve {} --failure_budget 0.1", "did you mean --failure-budget?"),
-        ("solve {} --dead-ends wrek", "did you mean 'wreck'?"),
-        ("program {} --criterion cvar --level 0.9", "CVaR is no linear program but a search"),
-    ],
-)
-def test_a_mistake_in_a_shell_is_named(words, told, tmp_path, capsys):
-    path = tmp_path / "roads.json"
-    path.write_text(ROADS)
-    try:
-        code = main(words.format(f"{path} --goal home --start depot").split())
-    except SystemExit as ended:
-        code = ended.code
-    printed = capsys.readouterr()
-    assert (code, printed.out) == (2, "")
-    assert told in printed.err
-    assert printed.err.count("\n") == 1

@@ -7,6 +7,7 @@ import pytest
 
 from formulations import MCMP, S3P, CVaR, MaxProb
 from refusing import refused
+from small_models import ROUTES
 from ssp_lp import (
     SSP,
     MixedPolicy,
@@ -23,10 +24,6 @@ from ssp_lp import (
     visits,
 )
 
-ROUTES = {
-    "alley": [(0.90, "home", 4.0), (0.10, "wreck", 2.0)],
-    "road": [(0.99, "home", 9.0), (0.01, "wreck", 5.0)],
-}
 DEPOT = SSP.from_transitions({"depot": ROUTES}, goal={"home"}, dead_ends={"wreck"})
 PROBLEM = MCMP(DEPOT, "depot", failure_budget=0.05)
 MISSPELLED = {**ROUTES, "alley": [(0.90, "hoem", 4.0), (0.10, "wreck", 2.0)]}

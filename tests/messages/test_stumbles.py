@@ -8,16 +8,13 @@ import pytest
 from formulations import MCMP, MinCost, compare_criteria
 from formulations.command_line import main
 from refusing import refused
+from small_models import ROUTES
 from ssp_lp import SSP, Axis, Grid, check_certificate, evaluate, simulate, solve, write_certificate
 from ssp_lp.compiled import accelerator
 from ssp_lp.compiled.deadline import Stop, until
 from ssp_lp.io import fingerprint, from_gymnasium, load_policy, read_any, rollout, save_policy
 from ssp_lp.methods.labelled_program import program_of
 
-ROUTES = {
-    "alley": [(0.90, "home", 4.0), (0.10, "wreck", 2.0)],
-    "road": [(0.99, "home", 9.0), (0.01, "wreck", 5.0)],
-}
 MODEL = SSP.from_transitions({"depot": ROUTES}, goal={"home"}, dead_ends={"wreck"})
 PROBLEM = MCMP(MODEL, "depot", failure_budget=0.05)
 CSV = """state,action,successor,probability,time,fuel

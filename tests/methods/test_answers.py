@@ -285,7 +285,7 @@ def test_functions_and_classes_of_a_script_go_along(tmp_path) -> None:
 
 def test_models_are_sent_once() -> None:
     """Whatever their size, problems take some hundred bytes and answers their own arrays."""
-    n = 4_000
+    n = 800
     line = SSP.from_arrays(
         pair_offsets=[*range(n), n - 1],
         outcome_offsets=range(n),

@@ -115,7 +115,7 @@ def ratios(points):
 
 
 @pytest.mark.slow
-@often(120)
+@often(40)
 @given(problems(), semantics, discounts, budgets)
 def test_mcmp_against_all_deterministic_policies(drawn, meaning, discount, place):
     points = mcmp.points(plain(drawn), drawn.start, discount=discount, **meaning)
@@ -124,7 +124,7 @@ def test_mcmp_against_all_deterministic_policies(drawn, meaning, discount, place
 
 
 @pytest.mark.slow
-@often(40)
+@often(13)
 @given(acyclic_problems(most_live=2, most_actions=2), discounts, budgets)
 def test_s3p_against_all_policies_of_state_and_cost(drawn, discount, place):
     """Acyclic models: the product with accumulated cost is finite."""
@@ -134,7 +134,7 @@ def test_s3p_against_all_policies_of_state_and_cost(drawn, discount, place):
 
 
 @pytest.mark.slow
-@often(60)
+@often(20)
 @given(problems(most_live=3), discounts, budgets)
 def test_s3p_with_cycles_has_honest_bounds(drawn, discount, place):
     """Policies that look at states only are among those that count: the bound is below them."""

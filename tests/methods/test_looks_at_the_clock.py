@@ -115,7 +115,7 @@ def test_whichever_look_finds_the_time_over_the_call_ends_by_name(kind, monkeypa
     solve(make(corridor(12)), method, time_limit=1e5)
     total = looks[0]
     assert total > 10
-    for over[0] in range(0, total, max(total // 12, 1)):
+    for over[0] in range(0, total, max(total // 6, 1)):
         looks[0] = 0
         try:
             answer = solve(make(corridor(12)), method, time_limit=1e5)

@@ -53,7 +53,7 @@ def checked(problem, method, budget):
 
 
 @pytest.mark.slow
-@often(200)
+@often(66)
 @given(problems(), semantics, discounts, budgets | st.sampled_from([1e-9, 1e-6]))
 def test_mcmp_is_the_best_lottery_over_all_policies(drawn, meaning, discount, place):
     """Both methods meet the enumerated optimum, its price and its infeasibility."""
@@ -77,7 +77,7 @@ def test_mcmp_is_the_best_lottery_over_all_policies(drawn, meaning, discount, pl
 
 
 @pytest.mark.slow
-@often(80)
+@often(26)
 @given(problems(), semantics)
 def test_least_failure_and_then_least_cost(drawn, meaning):
     """Without a budget, in both cases."""
@@ -100,7 +100,7 @@ def test_least_failure_and_then_least_cost(drawn, meaning):
 
 
 @pytest.mark.slow
-@often(100)
+@often(33)
 @given(problems())
 def test_goal_probabilities(drawn):
     """MAXPROB and MINPROB of every state, by enumeration."""
@@ -157,7 +157,7 @@ def check_s3p_price(reference, start, budget, solution, discount):
 
 
 @pytest.mark.slow
-@often(80)
+@often(26)
 @given(problems(most_live=3, attention=True), discounts, budgets)
 def test_s3p_where_every_state_can_wait(drawn, discount, place):
     """Every live state is an attention state: layers up to kappa are exact."""
@@ -165,7 +165,7 @@ def test_s3p_where_every_state_can_wait(drawn, discount, place):
 
 
 @pytest.mark.slow
-@often(60)
+@often(20)
 @given(acyclic_problems(), discounts, budgets)
 def test_s3p_where_every_run_ends(drawn, discount, place):
     """Acyclic models: the layers are finitely many."""
@@ -173,7 +173,7 @@ def test_s3p_where_every_run_ends(drawn, discount, place):
 
 
 @pytest.mark.slow
-@often(80)
+@often(26)
 @given(problems(most_live=3), discounts, budgets)
 def test_s3p_with_cycles_that_cannot_be_left(drawn, discount, place):
     """Cycles outside the attention states: the library's tail against growing horizons."""

@@ -45,7 +45,7 @@ def test_what_is_best_depends_on_what_is_left(model, start, budget, on, accelera
     question = question_of(CostQuantile(model, start, 0.5, budget))
     for guess in (_Guess(0.3, {}), _Guess(0.6, {}, slack=True), _Guess(5.0, {})):
         shares = question.late_shares(30, guess)
-        for number in range(31):
+        for number in range(0, 31, 3):
             charge = LateCharge(question.thresholds.total(number))
             alone = question.refuted_below(charge, guess)
             assert shares(number) == pytest.approx(alone, rel=1e-12, abs=1e-13)
@@ -71,12 +71,12 @@ def test_no_lesser_bound_is_kept_by_any_policy(level, budget):
 
 @pytest.mark.slow
 def test_a_corridor_of_many_layers_takes_few_bounds():
-    """A walk of thousands of steps: every trial's prices refute nearly all that is too low."""
-    problem = CostQuantile(corridor(50), 0, 0.9, 0.01)
+    """A walk of a thousand steps: every trial's prices refute nearly all that is too low."""
+    problem = CostQuantile(corridor(30), 0, 0.9, 0.01)
     solution = solve(problem)
     assert solution.gap == 0.0
     assert int(solution.run.reason.split()[0]) <= 6
-    assert evaluate(solution.policy, problem).objective == solution.objective > 2_000
+    assert evaluate(solution.policy, problem).objective == solution.objective > 1_000
 
 
 def test_layers_settled_together_or_one_by_one_are_the_same_law(accelerate):

@@ -1,12 +1,13 @@
 """Limits so small that rounding might decide, and shares of goals that are hardly ever reached."""
 
 import math
+from collections import Counter
 
 import pytest
 
 from formulations import MCMP, S3P, AlphaMCMP, CVaR, MaxProb
 from ssp_lp import SSP, certify, goal_probability, secondary_cost, solve
-from tests.campaigns import goal_shares, tiny_limits
+from tests.campaigns import program_check
 
 PERILOUS = SSP.from_transitions(
     {
@@ -58,11 +59,6 @@ def test_a_greatest_probability_as_small_as_its_limit():
     assert solution.goal_probability == pytest.approx(1e-12, rel=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(60))
-def test_drawn_limits_against_fractions(seed):
-    assert list(tiny_limits.wrong(tiny_limits.drawn(seed))) == []
-
-
 def ladder(n, up=(0.1, 0.2)):
     """Each rung: 0.1 up at cost 1, or 0.2 up at cost 5, else down."""
     rungs = {
@@ -110,9 +106,10 @@ def test_a_share_is_kept_beside_a_limit_and_with_a_discount():
     assert discounted.gap <= 1e-9
 
 
-@pytest.mark.parametrize("seed", range(45))
-def test_drawn_shares_against_fractions(seed):
-    assert list(goal_shares.wrong(seed)) == []
+@pytest.mark.parametrize("seed", range(16))
+@pytest.mark.parametrize("kind", ["tiny", "shares"])
+def test_drawn_limits_and_shares_against_fractions(kind, seed):
+    assert program_check.wrong_of(kind, seed, Counter()) == []
 
 
 def test_a_tail_mean_without_failing_fails_with_nothing():

@@ -107,7 +107,7 @@ def test_no_optimum_lies_outside_the_bounds(case, over, gap):
     assert frontier.gap <= gap * (1.0 + 1e-12)
     first, last = float(frontier.spent[0]), float(frontier.spent[-1])
     assert len(frontier.spent) > 2
-    count = 30 if gap == FINE else 8  # given success each bound takes a search of its own
+    count = 10 if gap == FINE else 4  # given success each bound takes a search of its own
     for bound in np.linspace(first + 1e-9, min(1.05 * last, last + 0.01), count).tolist():
         optimum = solve(stated(bound)).objective
         low, high = frontier.bounds_at(bound)

@@ -108,7 +108,7 @@ def test_its_policy_plays_on_the_original_model(memory):
     solution = solve(S3P(made, made.start("hall"), failure_budget=least + 0.2 * (1.0 - least)))
     policy, rng = on_original(solution.policy), np.random.default_rng(1)
     assert policy.model is MODEL
-    wins, episodes = 0, 1_000
+    wins, episodes = 0, 300
     for _ in range(episodes):
         episode = policy.start(rng)
         state, kept = "hall", memory.start

@@ -7,6 +7,7 @@ import pytest
 
 from formulations import MCMP, S3P, CVaR, MaxProb
 from refusing import refused
+from small_models import ROUTES
 from ssp_lp import (
     GIVE_UP,
     SSP,
@@ -20,10 +21,6 @@ from ssp_lp import (
 )
 from ssp_lp.policies.policy import Policy
 
-ROUTES = {
-    "alley": [(0.90, "home", 4.0), (0.10, "wreck", 2.0)],
-    "road": [(0.99, "home", 9.0), (0.01, "wreck", 5.0)],
-}
 DEPOT = SSP.from_transitions(
     {"depot": ROUTES, "wreck": {}}, goal={"home"}, treat_actionless_as_dead_ends=True
 )

@@ -4,7 +4,8 @@ States are (state, cost paid), the cost counted one by one up to a horizon of co
 gives up where that is allowed, or stays for ever among steps that add nothing to what is minimised
 and limited. After failing, in a dead-end or by giving up, it moves on at no cost, where it cannot
 reach the goal, to an end that is asked for or has no steps. Everything is plain dictionaries and
-one call of scipy: nothing is shared with the library.
+one call of scipy: nothing is shared with the library. Where all numbers of a task are fractions, so
+is the program, and its optimum is that of a simplex method in fractions.
 """
 
 from collections import defaultdict
@@ -19,6 +20,7 @@ from scipy.sparse.csgraph import connected_components
 
 from .chain import plain_model
 from .linear_program import SHARP
+from .simplex import simplex
 
 Number = int | Fraction
 
@@ -33,7 +35,8 @@ LEAST_ROOM = 1e-11  # beyond the least failure, where that is asked for
 class Limit(NamedTuple):
     """A weighted sum of parts and a constant, and a bound of it.
 
-    A part is "fuel", "cost", "goal", "failure", "visits" of a state, or the "end" in one of them.
+    A part is "fuel", "cost", "goal", "failure", "visits" of a state, or the "end" in one of them;
+    fuel and visits count after failing, too, as "fuel through" and "visits s through".
     """
 
     weights: Mapping[str, float]
@@ -82,7 +85,7 @@ def stays(outs: list[tuple[float, str, Number]], states: set[str]) -> bool:
 class Program(NamedTuple):
     """Columns of the visits program with what each takes of every part."""
 
-    balance: csr_array
+    balance: np.ndarray
     start: np.ndarray
     parts: dict[str, np.ndarray]
     arrivals: list[list[tuple[float, Number]]]  # per column: probability and total cost at the goal
@@ -115,8 +118,8 @@ def least_paid(task: Task, state: str, actions: Iterable[str]) -> dict[str, floa
     """The least that some actions of a state take of each cost; nothing where there are none."""
     costs = [
         (
-            sum(p * float(cost) for p, _, cost in task.choices[state][action]),
-            task.fuel.get(named(state), {}).get(action, 0.0),
+            sum(p * cost for p, _, cost in task.choices[state][action]),
+            task.fuel.get(named(state), {}).get(action, 0),
         )
         for action in actions
     ]
@@ -133,7 +136,7 @@ def program(
     give_up: str = "attention",
     charged: bool = False,
     minimised: Iterable[str] = (),
-    discount: float = 1.0,
+    discount: float = 1,
 ) -> Program:
     """Write the program out, costs told apart below the horizon (0: not at all).
 
@@ -146,8 +149,9 @@ def program(
     ends = {s for s in dead if not task.choices[s] or f"end {named(s)}" in asked}
     place = places(task, horizon, live, (avoids | dead) - ends)
     names = sorted({named(state) for state in task.choices})
-    every = ["goal", "failure", "cost", "fuel"]
-    every += [f"{part} {name}" for part in ("visits", "end") for name in names] + [OVER]
+    every = ["goal", "failure", "cost", "fuel", "fuel through", OVER]
+    every += [f"visits {name}{how}" for name in names for how in ("", " through")]
+    every += [f"end {name}" for name in names]
     rows, columns, entries = [], [], []
     taken_by_column: list[Mapping[str, float]] = []
     arrivals: list[list[tuple[float, Number]]] = []
@@ -169,27 +173,30 @@ def program(
         labels.append((named(where[0]), action))
         failed.append(where[1] == FAILED)
         led = {t: (t == row) - p for t, p in (steps or {}).items()}
-        for at, entry in ({row: 1.0} | led).items():
+        for at, entry in ({row: 1} | led).items():
             rows.append(at), columns.append(len(arrivals)), entries.append(entry)
         taken_by_column.append(taken)
         arrivals.append(list(here))
 
     def step(paid: Number | str, outs: list, survival: float) -> tuple[dict, dict, list]:
         """What a step takes of every part, where it leads, and what arrives at the goal."""
-        taken: dict[str, float] = defaultdict(float)
-        steps: dict[int, float] = defaultdict(float)
+        taken: dict[str, float] = defaultdict(int)
+        steps: dict[int, float] = defaultdict(int)
         here = []
         for p, to, cost in outs:
             over = to in task.goals or to in ends
             taken[f"end {named(to)}"] += survival * p * over
+            taken[f"visits {named(to)} through"] += survival * p
             if paid == FAILED:
                 taken[OVER] += p * over
             else:
-                taken["cost"] += p * float(cost)
+                taken["cost"] += p * cost
                 taken[f"visits {named(to)}"] += survival * p
                 taken["failure"] += survival * p * (to in dead)
                 for part, charge in entering.get(to, {}).items():
                     taken[part] += survival * p * charge
+                if to in ends:  # elsewhere it is paid by going on
+                    taken["fuel through"] += survival * p * entering[to].get("fuel", 0)
             if to in task.goals:
                 taken["goal"] += survival * p
                 here.append((p, min(paid + cost, horizon)))
@@ -199,38 +206,47 @@ def program(
                 steps[there] += survival * p
         return taken, steps, here
 
+    def fuel_of(state: str, action: str) -> float:
+        return task.fuel.get(named(state), {}).get(action, 0)
+
     for state, paid in place:
         if paid == FAILED:
             for action, outs in task.choices[state].items():
                 if state in dead or stays(outs, avoids | dead):
-                    add((state, paid), *step(paid, outs, discount), action)
+                    taken, steps, here = step(paid, outs, discount)
+                    taken["fuel through"] += fuel_of(state, action)
+                    add((state, paid), taken, steps, here, action)
             continue
         begins = [(share, s, 0) for s, share in task.start.items()]
         actions = {"begin": begins} if state == SOURCE else task.choices[state]
         for action, outs in actions.items():
-            survival = 1.0 if state == SOURCE else discount
+            survival = 1 if state == SOURCE else discount
             taken, steps, here = step(paid, outs, survival)
-            taken["fuel"] += task.fuel.get(named(state), {}).get(action, 0.0)
-            taken["failure"] += 1.0 - survival
+            for part in ("fuel", "fuel through"):
+                taken[part] += fuel_of(state, action)
+            taken["failure"] += 1 - survival
             add((state, paid), taken, steps, here, action)
         allowed = {"anywhere": True, "attention": state in avoids, "dead_ends": False}
         if state != SOURCE and allowed[give_up]:
             staying = [a for a, outs in actions.items()
                        if give_up == "anywhere" or stays(outs, avoids | dead)]  # fmt: skip
             paid_once = least_paid(task, state, staying) if charged else {}
-            onward = {place[state, FAILED]: 1.0} if state in avoids else {}
-            add((state, paid), {"failure": 1.0} | paid_once, onward)
+            taken = {"failure": 1} | paid_once
+            onward = {place[state, FAILED]: 1} if state in avoids else {}
+            if not onward:
+                taken["fuel through"] = taken.get("fuel", 0)
+            add((state, paid), taken, onward)
     counted = {part for limit in task.limits for part in limit.weights} | set(minimised)
     counted -= {part for part in every if part.startswith("end") or part in ("goal", "failure")}
     inside = list(place.values())[1:]  # nobody wanders before the start
     for row in wandering(inside, rows, columns, taken_by_column, counted):
         where = list(place)[row]
-        add(where, {"failure": float(where[1] != FAILED)})
-    parts = {name: np.array([t.get(name, 0.0) for t in taken_by_column]) for name in every}
-    start = np.zeros(len(place))
-    start[0] = 1.0
-    shape = len(place), len(arrivals)
-    balance = csr_array((entries, (rows, columns)), shape)
+        add(where, {"failure": int(where[1] != FAILED)})
+    parts = {name: _array(t.get(name, 0) for t in taken_by_column) for name in every}
+    start = np.zeros(len(place), dtype=int)
+    start[0] = 1
+    balance = np.zeros((len(place), len(arrivals)), dtype=_array(entries).dtype)
+    np.add.at(balance, (rows, columns), entries)
     return Program(balance, start, parts, arrivals, labels, np.array(failed))
 
 
@@ -270,7 +286,7 @@ def wandering(
 
 def charged(written: Program, charge: Callable[[Number], float]) -> np.ndarray:
     """E[charge of the total cost; goal] of each column."""
-    return np.array([sum(p * charge(c) for p, c in here) for here in written.arrivals], float)
+    return _array(sum(p * charge(c) for p, c in here) for here in written.arrivals)
 
 
 def least(task: Task, written: Program, objective: np.ndarray, *, ratio: bool) -> float | None:
@@ -278,18 +294,30 @@ def least(task: Task, written: Program, objective: np.ndarray, *, ratio: bool) -
     limits = []
     if task.most_failure is None:
         failure = solved(written, written.parts["failure"], [], ratio=False)
-        limits.append((written.parts["failure"], failure + LEAST_ROOM))
+        room = 0 if isinstance(failure, Fraction) else LEAST_ROOM
+        limits.append((written.parts["failure"], failure + room))
     elif task.most_failure < 1.0:
         limits.append((written.parts["failure"], task.most_failure))
     for limit in task.limits:
         counted = [weight * written.parts[part] for part, weight in limit.weights.items()]
-        row = np.sum([np.zeros(objective.size), *counted], axis=0)
+        row = sum(counted, np.zeros(objective.size, dtype=int))
         bound = limit.bound - limit.constant
         if limit.sense != ">=":
             limits.append((row, bound))
         if limit.sense != "<=":
             limits.append((-row, -bound))
     return solved(written, objective, limits, ratio=ratio)
+
+
+def _array(numbers: Iterable[float]) -> np.ndarray:
+    """Numbers as an array; of fractions if one of them is one, else of floats."""
+    every = list(numbers)
+    exact = any(isinstance(number, Fraction) for number in every)
+    return np.array(every, dtype=object if exact else float)
+
+
+def _exact(numbers: Iterable[float]) -> list[Fraction]:
+    return [each if isinstance(each, Fraction) else Fraction(float(each)) for each in numbers]
 
 
 def solved(
@@ -300,14 +328,22 @@ def solved(
     ratio: bool,
 ) -> float | None:
     """The optimum of the program with further rows; None: there is none."""
-    upper = np.array([row for row, _ in limits]) if limits else np.zeros((0, objective.size))
+    upper = np.array([row for row, _ in limits]).reshape(-1, objective.size)
     bounds = np.array([bound for _, bound in limits])
-    equal, right = written.balance.toarray(), written.start
+    equal, right = written.balance, written.start
     if ratio:  # Charnes and Cooper: visits times t, with goal probability times t equal to 1
-        objective = np.append(objective, 0.0)
-        upper, bounds = np.hstack([upper, -bounds[:, None]]), np.zeros(len(bounds))
-        equal = np.block([[equal, -right[:, None]], [written.parts["goal"], 0.0]])
-        right = np.append(np.zeros(len(right)), 1.0)
+        objective = np.append(objective, 0)
+        upper, bounds = np.hstack([upper, -bounds[:, None]]), np.zeros(len(bounds), dtype=int)
+        equal = np.vstack(
+            [np.hstack([equal, -right[:, None]]), np.append(written.parts["goal"], 0)]
+        )
+        right = np.append(np.zeros(len(right), dtype=int), 1)
+    if written.balance.dtype == object:
+        slack = np.eye(len(bounds), dtype=int)
+        equal = np.hstack([equal, np.zeros((len(equal), len(bounds)), dtype=int)])
+        rows = [*equal.tolist(), *np.hstack([upper, slack]).tolist()]
+        aim = np.append(objective, np.zeros(len(bounds), dtype=int))
+        return simplex(_exact(aim), [*map(_exact, rows)], _exact([*right, *bounds]))
     for presolve in (True, False):  # HiGHS 1.8 takes some bounded programs for unbounded
         options = SHARP | {"presolve": presolve}
         answer = linprog(objective, upper, bounds, equal, right, method="highs-ds", options=options)

@@ -179,7 +179,7 @@ shares = st.sampled_from([0.01, 0.1, 0.25, 0.5, 0.75, 0.95])
 CLOSE = {"rel": 1e-7, "abs": 1e-8}
 
 
-@often(60)
+@often(20)
 @given(problems(), semantics, discounts, shares)
 def test_pairs_and_hull_and_program_give_one_frontier(drawn, meaning, discount, share):
     """The best lottery over two policies lies on the lower hull, and has a price there."""
@@ -196,7 +196,7 @@ def test_pairs_and_hull_and_program_give_one_frontier(drawn, meaning, discount, 
     assert mcmp_program.least_cost(data, budget) == pytest.approx(value, **CLOSE)
 
 
-@often(60)
+@often(20)
 @given(problems(), st.booleans())
 def test_meanings_of_giving_up_agree_at_least_failure(drawn, charge):
     """Below it they are ordered: the freer the choice to stop, the lower the cost."""
@@ -213,7 +213,7 @@ def test_meanings_of_giving_up_agree_at_least_failure(drawn, charge):
     assert values[1] <= values[2] + 1e-9
 
 
-@often(40)
+@often(13)
 @given(acyclic_problems(), shares, discounts)
 def test_product_by_enumeration_and_by_program(drawn, share, discount):
     """Runs of acyclic models end within ten layers: enumeration of the product is exact."""
@@ -227,7 +227,7 @@ def test_product_by_enumeration_and_by_program(drawn, share, discount):
     assert bounds == pytest.approx([constrained_ratio(points, budget)] * 2, rel=1e-7)
 
 
-@often(60)
+@often(20)
 @given(st.one_of(problems(most_live=3), problems(most_live=3, attention=True)), shares, discounts)
 def test_memory_of_the_cost_never_hurts(drawn, share, discount):
     """The product's optimum is at most the best lottery over policies that see states only."""

@@ -16,7 +16,7 @@ from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.remembering import TimedPolicy
 from strategies import often, problems
 
-few = often(30)
+few = often(12)
 
 
 def _check(drawn, model, policy):

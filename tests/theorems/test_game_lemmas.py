@@ -25,7 +25,7 @@ from ssp_lp.game import bayes_adaptive, play, stationary_game, thresholds
 from ssp_lp.game.optimum import bayes_player, extremes, find_threshold, stationary_player
 from strategies import often, problems
 
-few = often(30)
+few = often(12)
 shares = st.sampled_from([0.25, 0.1, 0.5, 0.02])
 ALPHAS = np.linspace(0.0, 1.0, 21)
 

@@ -35,8 +35,8 @@ from ssp_lp.game.optimum import stationary_player
 from ssp_lp.game.player import BestResponse
 from strategies import Draw, acyclic_problems, often, problems
 
-few = often(30)
-some = often(50)
+few = often(12)
+some = often(16)
 NEAR_ONE = [0.9, 0.99, 0.999, 1 - 1e-4, 1 - 1e-5, 1 - 1e-6]
 
 

@@ -11,7 +11,7 @@ from references.chain import long_run_average, mean, start_distribution
 from ssp_lp import evaluate
 from strategies import discounts, meanings, often, problems
 
-drawn_settings = often(100)
+drawn_settings = often(33)
 
 
 @drawn_settings

@@ -240,7 +240,7 @@ def check_at(criterion, model, start, discount, share, **meaning):
 
 
 @pytest.mark.slow
-@often(280)
+@often(45)
 @given(problems(), semantics, discounts, shares)
 def test_three_roads_agree_on_mcmp(drawn, meaning, discount, share):
     """Ties, free cycles, sure failure, every semantics, starts on goals and dead-ends."""
@@ -253,7 +253,7 @@ layered = [problems(most_live=3, attention=True), acyclic_problems(), problems(m
 
 @pytest.mark.slow
 @pytest.mark.parametrize("drawing", layered, ids=["waiting", "acyclic", "cycles"])
-@often(80)
+@often(26)
 @given(data=st.data(), discount=discounts, share=shares)
 def test_three_roads_agree_on_s3p(drawing, data, discount, share):
     drawn = data.draw(drawing)
@@ -261,7 +261,7 @@ def test_three_roads_agree_on_s3p(drawing, data, discount, share):
 
 
 @pytest.mark.slow
-@often(40)
+@often(13)
 @given(problems(), discounts, st.sampled_from([0.5, 0.9, 0.999]), st.sampled_from([MCMP, S3P]))
 def test_three_roads_agree_that_nothing_is_feasible(drawn, discount, part, criterion):
     """A budget clearly below the least discounted failure."""
@@ -272,7 +272,7 @@ def test_three_roads_agree_that_nothing_is_feasible(drawn, discount, part, crite
 
 
 @pytest.mark.slow
-@often(40)
+@often(13)
 @given(problems(most_live=3), discounts, st.sampled_from([MCMP, S3P]))
 def test_three_roads_agree_at_the_least_failure(drawn, discount, criterion):
     """The budget equal to the least discounted failure: the cheapest policy of least failure."""

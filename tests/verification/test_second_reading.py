@@ -22,7 +22,7 @@ WAITING = model_of(
 )
 
 
-@often(60)
+@often(20)
 @given(drawn=problems(), meaning=semantics, discount=discounts)
 def test_drawn_models_are_read_alike(drawn, meaning, discount):
     model = library_model(drawn)

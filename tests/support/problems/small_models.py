@@ -33,17 +33,11 @@ FREE_PAIR = {
 PAYING_LOOP = {"x": {"loop": [(1.0, "x", 2)], "out": [(1.0, "g", 5)]}}
 TWO_MOVES = {"x": {"slow": [(1.0, "g", 2)], "fast": [(0.95, "g", 1), (0.05, "d", 1)]}, "d": {}}
 
-FIRST = model_of(
-    {
-        "depot": {
-            "alley": [(0.90, "home", 4.0), (0.10, "wreck", 2.0)],
-            "road": [(0.99, "home", 9.0), (0.01, "wreck", 5.0)],
-        },
-        "wreck": {},
-    },
-    "home",
-    {"crash": ["wreck"]},
-)
+ROUTES = {
+    "alley": [(0.90, "home", 4.0), (0.10, "wreck", 2.0)],
+    "road": [(0.99, "home", 9.0), (0.01, "wreck", 5.0)],
+}
+FIRST = model_of({"depot": ROUTES, "wreck": {}}, "home", {"crash": ["wreck"]})
 """The first problem of the README."""
 
 TRIES = model_of(

@@ -1,1 +1,0 @@
-"""Small random models solved in exact fractions, by enumeration of their policies."""
