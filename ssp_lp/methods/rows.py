@@ -385,7 +385,7 @@ _STEEPER = (0.01, 0.1, 1.0, 100.0)  # shares of the prices that are added for fu
 _LUCK = 1e-12  # of the greatest goal probability: what the room for rounding of a limit may buy
 _TIGHTER = 1e-12  # share of a bound, far beyond its room for rounding
 _KEPT = 1e-12  # share of its own bound to which every row is kept
-_CLOSE = 1e-12  # relative gap of a bound that is not worth another proof
+_CLOSE = 1e-12  # relative gap of a bound: not worth another proof
 
 
 Truth = tuple[Callable[[MixedPolicy], float], Callable[[Policy], FloatArray]]
@@ -811,7 +811,7 @@ def _excess_over_paid(
     if compiled.by_goal and compiled.ratio:
         paid = 0.0  # success is counted, failing is not
     beyond = lagrange_bound(proof.bound, prices, rows.bounds) - paid
-    if paid > 0.0 and beyond < -_CLOSE * paid:
+    if paid > 0.0 and beyond < 0.0:
         weights = replace(rows, ratio=0.0).weights(prices)
         less = compiled.pricing().check_less(weights, rows.ratio, paid, proof.values)
     return max(beyond, lagrange_bound(less, prices, rows.bounds))
