@@ -191,6 +191,9 @@ def _controller_decisions(policy: Policy, codes: Mapping[Hashable, int]) -> list
         choice = _positions(model, codes, branches.pair)
         # it gives up where it has no decision and all is over
         choice = np.where(over[branches.situation] & (choice == UNDECIDED), GIVE_UP_CODE, choice)
+        if len(choice) == model.n_states:  # nothing is drawn
+            decisions.append(choice.tolist())
+            continue
         listed: list[list[list[Any]]] = [[] for _ in range(model.n_states)]
         columns = branches.situation, choice, branches.probability
         for state, code, share in zip(*(column.tolist() for column in columns), strict=True):

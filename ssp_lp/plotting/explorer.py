@@ -125,7 +125,15 @@ def explore(
     problem = frontier.problem
     policies = [frontier.policy_at(float(spent)) for spent in frontier.spent]
     data = _numbers(frontier, [evaluate(policy, problem) for policy in policies])
-    data["curve"] = _curve(frontier)
+    budgets, low, high = bounds_along(frontier)
+    data["curve"] = {
+        "budgets": budgets.tolist(),
+        "low": low.tolist(),
+        "high": high.tolist(),
+        "objective": frontier.objective.tolist(),
+        "is_open": bool(frontier.open_segments),
+        "maximises": frontier.maximises,
+    }
     data["law"] = _laws(policies, problem, frontier.spent <= frontier.region[1])
     points, is_graph = _places(problem, cells), cells is None and not _are_points(problem.model)
     if points is not None:
@@ -338,19 +346,6 @@ def _runs(
     aside = np.random.default_rng(seed).uniform(-_SPREAD, _SPREAD, (episodes, 2))
     where = np.where(placed[:, None], points, 0.0)
     return {"runs": runs, "points": where.tolist(), "aside": aside.tolist()}
-
-
-def _curve(frontier: Frontier) -> dict[str, Any]:
-    """The frontier as it is drawn: the bounds at many budgets, and the turning points."""
-    budgets, low, high = bounds_along(frontier)
-    return {
-        "budgets": budgets.tolist(),
-        "low": low.tolist(),
-        "high": high.tolist(),
-        "objective": frontier.objective.tolist(),
-        "is_open": bool(frontier.open_segments),
-        "maximises": frontier.maximises,
-    }
 
 
 def _ground(

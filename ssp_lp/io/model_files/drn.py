@@ -185,7 +185,10 @@ def _drn_body(
     Raises:
         ModelError: naming the line at fault, or no cost of this name.
     """
-    rewards = _drn_reward_names(header.get("@reward_models", ""))
+    # Storm writes a blank behind each name, and one name may be ""
+    listed = re.split("[ \t]", header.get("@reward_models", "").removesuffix(" "))
+    rewards = [word.strip('"') for word in listed]
+    rewards = rewards if rewards.count("") == 1 < len(rewards) else [*filter(None, rewards)]
     place = chosen_reward(file.path, rewards, cost)
     n_states, n_choices = int(header["@nr_states"]), int(header.get("@nr_choices", -1))
     read = _Entries(file, len(rewards), n_states)
@@ -215,12 +218,6 @@ def _drn_body(
         actions=distinct_actions(read.names, offsets),
         labels={name: np.array(at, dtype=np.int64) for name, at in read.labels.items()},
     )
-
-
-def _drn_reward_names(listed: str) -> list[str]:
-    """Names of reward models, each with a blank behind it as Storm writes them: one may be ""."""
-    names = [word.strip('"') for word in re.split("[ \t]", listed.removesuffix(" "))]
-    return names if names.count("") == 1 < len(names) else list(filter(None, names))
 
 
 @explained
