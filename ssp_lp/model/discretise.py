@@ -245,9 +245,6 @@ def _joined(parts: list[Outcomes]) -> Outcomes:
 TRIALS: Final = 1 << 19
 """Trials that are worked on at a time: scratch arrays of some tens of megabytes."""
 
-PAIRS: Final = 1 << 13
-"""Pairs whose outcomes are copied at a time, likewise."""
-
 MIDPOINTS: Final = Quadrature()
 
 _SPREAD: Final = 4
@@ -365,7 +362,7 @@ def _rows_of_pairs(
             progress(done, len(distinct))
     if row_of_pair is None:
         return parts
-    return _repeated_rows(world, trials, _joined(parts), pairs, distinct, row_of_pair)
+    return [_repeated_rows(world, trials, _joined(parts), pairs, distinct, row_of_pair)]
 
 
 class _Tried(NamedTuple):
@@ -448,8 +445,8 @@ def _repeated_rows(
     distinct: IntArray,
     row_of_pair: IntArray,
     most_checks: int = 30,
-) -> list[Outcomes]:
-    """The rows of discretised pairs, in parts, from those of the distinct ones.
+) -> Outcomes:
+    """The rows of discretised pairs, from those of the distinct ones.
 
     Some of those that are said to be alike are worked out once more.
 
@@ -470,4 +467,4 @@ def _repeated_rows(
                 f"alike says that action {world.actions[action]!r} in cell {cell} has the outcomes "
                 "of another pair; it has others"
             )
-    return [found.rows(row_of_pair[begin : begin + PAIRS]) for begin in range(0, len(pairs), PAIRS)]
+    return found.rows(row_of_pair)

@@ -24,7 +24,6 @@ from ssp_lp.arrays import (
     narrow,
     offsets_of,
     read_only,
-    segment_chunks,
     segment_ids,
     sorted_unique,
 )
@@ -362,12 +361,8 @@ def drain(
         if closed_states.size < _FEW:
             closed_states = _drain_one_by_one(model, open_pairs, open_counts, closed_states)
             continue
-        entering = [before.pairs[:0]]
-        lengths = before.offsets[closed_states + 1] - before.offsets[closed_states]
-        for some in segment_chunks(offsets_of(lengths)):
-            pairs = before.pairs[entries_of(before.offsets, closed_states[some])[0]]
-            entering.append(pairs[open_pairs[pairs]])
-        pairs = sorted_unique(np.concatenate(entering))
+        pairs = before.pairs[entries_of(before.offsets, closed_states)[0]]
+        pairs = sorted_unique(pairs[open_pairs[pairs]])
         closed_states = close_pairs(model, open_pairs, open_counts, pairs)
 
 

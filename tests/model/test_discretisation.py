@@ -123,7 +123,6 @@ def test_pieces_change_nothing(monkeypatch):
     robot = continuous_robot(RobotGrid(segments=5, headings=4, quadrature=2))
     shared = discretise(robot, Quadrature(2))
     monkeypatch.setattr(building, "TRIALS", 200)
-    monkeypatch.setattr(building, "PAIRS", 3)
     told = []
     again = discretise(drift(), Quadrature(3), progress=lambda *done: told.append(done))
     assert fingerprint(again) == whole
