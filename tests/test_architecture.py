@@ -225,13 +225,13 @@ CALLS: dict[str, Callable[[], object]] = {
 @pytest.mark.parametrize(
     ("name", "most"),
     [
-        ("MCMP", Way(33, 241, 723, 514)),
-        ("MCMP, lp", Way(39, 293, 1270, 888)),
-        ("S3P", Way(38, 332, 2503, 1596)),
-        ("CVaR", Way(43, 463, 23311, 15105)),
-        ("limits", Way(35, 313, 1726, 1159)),
-        ("certify", Way(35, 208, 816, 501)),
-        ("program", Way(47, 509, 3789, 2539)),
+        ("MCMP", Way(33, 241, 718, 513)),
+        ("MCMP, lp", Way(39, 293, 1259, 884)),
+        ("S3P", Way(38, 331, 2496, 1594)),
+        ("CVaR", Way(42, 461, 23278, 15095)),
+        ("limits", Way(33, 289, 1189, 785)),
+        ("certify", Way(34, 205, 805, 488)),
+        ("program", Way(45, 515, 3325, 2208)),
     ],
 )
 def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -> None:
