@@ -1,11 +1,10 @@
-"""When loops are compiled, loaded and shared among cores."""
+"""Each compiled loop is judged by its own cache, by what was passed over, and by the time left."""
 
 import json
 import os
 import re
 import subprocess
 import sys
-import textwrap
 import time
 from pathlib import Path
 
@@ -13,16 +12,10 @@ import numpy as np
 import pytest
 
 import ssp_lp
-from formulations import MCMP
 from formulations.command_line import compiling, main
-from small_models import FIRST
-from ssp_lp import solve
 from ssp_lp.compiled import accelerator
 from ssp_lp.compiled.accelerator import NotCompiledError, accelerated, with_twin
 from ssp_lp.compiled.deadline import until
-
-# Each compiled loop is judged by its own cache, by what was passed over, and by the time left.
-
 
 pytest.importorskip("numba")
 
@@ -222,180 +215,3 @@ def test_the_command_compiles_and_counts(monkeypatch, capsys):
     assert [line.split()[0] for line in printed] == ["loops", "loops", "cache"]
     assert wishes == [("numba", False), ("numba", True)]
     assert os.environ.get(accelerator.SWITCH) == wish
-
-
-# Ctrl-C while numba is loaded leaves a process that goes on solving.
-
-
-pytest.importorskip("numba")
-
-INTERRUPTED = """
-import os, signal, sys, threading
-
-import ssp_lp.compiled.accelerator as accelerator
-from formulations import MCMP
-from ssp_lp import SSP, solve
-
-signal.signal(signal.SIGINT, signal.default_int_handler)  # what runs in the background ignores it
-
-class AtModule:
-    def find_spec(self, name, path=None, target=None):
-        if name == sys.argv[1]:  # about to be loaded
-            sys.meta_path.remove(self)
-            print("interrupted in", name)
-            os.kill(os.getpid(), signal.SIGINT)
-
-sys.meta_path.insert(0, AtModule())
-os.environ[accelerator.SWITCH] = "numba"  # every loop runs compiled
-model = SSP.from_transitions(
-    {"x": {"go": [(0.5, "g", 1.0), (0.25, "d", 1.0), (0.25, "x", 2.0)],
-           "safe": [(0.9, "g", 5.0), (0.1, "d", 1.0)]}, "d": {}},
-    goal={"g"}, treat_actionless_as_dead_ends=True)
-for attempt in range(3):
-    try:
-        if sys.argv[2] == "load":
-            print("loaded", accelerator.has_accelerator())
-        else:
-            solution = solve(MCMP(model, "x", failure_budget=0.2))
-            print("solved", round(solution.objective, 9), solution.status.name)
-    except KeyboardInterrupt:
-        print("ended by Ctrl-C")
-import numba
-assert numba.njit(lambda number: number + 1)(1) == 2
-assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-
-def count():
-    print("counted", numba.njit(lambda number: number + 2)(1))
-
-beside = threading.Thread(target=count)
-beside.start()
-beside.join()
-"""
-
-
-def told(*asked):
-    code = textwrap.dedent(INTERRUPTED)
-    command = [sys.executable, "-c", code, *asked]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=300)  # noqa: S603
-    assert run.returncode == 0, run.stderr
-    return run.stdout.splitlines()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("module", ["numba", "numba.np.arraymath"])
-def test_loading_is_ended_before_ctrl_c_is_heard(module):
-    """At the begin and where registries are filled; in the middle: the next test."""
-    assert told(module, "load") == [
-        f"interrupted in {module}",
-        "ended by Ctrl-C",
-        "loaded True",
-        "loaded True",
-        "counted 3",
-    ]
-
-
-@pytest.mark.slow
-def test_a_solve_that_was_interrupted_while_numba_was_loaded_is_followed_by_others():
-    lines = told("numba.core.typing", "solve")
-    assert lines[0] == "interrupted in numba.core.typing"
-    assert lines[2:] == [f"solved {117 / 35:.9f} OPTIMAL"] * 2 + ["counted 3"]
-
-
-@pytest.mark.slow
-def test_another_thread_loads_it_without_signals():
-    code = (
-        "import threading, ssp_lp.compiled.accelerator as a\n"
-        "t = threading.Thread(target=lambda: print(a.has_accelerator()))\n"
-        "t.start(); t.join()"
-    )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)  # noqa: S603
-    assert run.stdout == "True\n", run.stderr
-
-
-# An exception from outside that ends numba's compiler leaves a process that goes on in numpy.
-
-
-numba = pytest.importorskip("numba")
-codegen = pytest.importorskip("numba.core.codegen")
-
-
-class AlarmError(Exception):
-    """Such as pytest-timeout raises from the handler of a signal."""
-
-
-@pytest.fixture(autouse=True)
-def fresh(monkeypatch):
-    """Every loop is worth compiling, and nothing has been given up."""
-    monkeypatch.setenv(accelerator.SWITCH, "numba")
-    monkeypatch.setattr(accelerator._loops, "is_given_up", False)
-    assert accelerator.accelerated(1, "backups.back_up")
-
-
-def loops():
-    """A loop that calls another one, neither of them compiled yet."""
-    inner = numba.njit(lambda number: number + 1.0)
-    return numba.njit(lambda numbers: inner(numbers[0]))
-
-
-@pytest.mark.parametrize("error", [AlarmError, KeyboardInterrupt])
-@pytest.mark.parametrize("stage", ["finalize", "add_ir_module"])
-def test_after_an_alarm_in_the_compiler_loops_run_in_numpy(monkeypatch, stage, error):
-    def ring(*_):
-        monkeypatch.delattr(codegen.CPUCodeLibrary, stage)
-        raise error
-
-    monkeypatch.setattr(codegen.CPUCodeLibrary, stage, ring)
-    with pytest.raises(error):
-        loops()(np.zeros(1))
-    assert not accelerator.has_accelerator()
-    assert not accelerator.accelerated(10**9, "backups.back_up")
-    assert solve(MCMP(FIRST, "depot", failure_budget=0.05)).objective == pytest.approx(20 / 3)
-
-
-def test_a_loop_compiled_while_an_error_is_handled_is_no_half_compiled_one():
-    try:
-        raise AlarmError
-    except AlarmError:
-        assert loops()(np.zeros(1)) == 1.0
-    assert accelerator.accelerated(1, "backups.back_up")
-
-
-def test_an_alarm_while_numba_is_loaded_leaves_numpy(monkeypatch):
-    def ring(name):
-        raise AlarmError(name)
-
-    accelerator._load.cache_clear()
-    with monkeypatch.context() as interrupted:
-        interrupted.setattr(accelerator.importlib, "import_module", ring)
-        with pytest.raises(AlarmError):
-            accelerator.has_accelerator()
-    assert not accelerator.has_accelerator()
-
-
-# Which of its two versions a compiled loop runs in: on one core, or on all that are idle.
-
-
-from ssp_lp.compiled.accelerator import SWITCH  # noqa: E402
-
-
-@pytest.mark.parametrize(
-    ("load", "others"), [(0.0, True), (0.9, True), (1.1, False), (50.0, False)]
-)
-def test_all_cores_are_woken_where_some_are_idle(load, others, monkeypatch):
-    """Long loops alone, unless they are to be compiled; where no load is known, all."""
-
-    def nothing(count):
-        for _ in numba.prange(count):
-            pass
-
-    monkeypatch.setenv(SWITCH, "numba")
-    loop = cores.one_or_all_cores(nothing)
-    monkeypatch.setattr(os, "getloadavg", lambda: (os.cpu_count() + load, 0.0, 0.0), raising=False)
-    many = cores.many_entries.get()
-    single = loop(many - 1)
-    with cores.on_all_cores():
-        everywhere = loop(1)
-    assert single is not everywhere
-    assert loop(many) is (everywhere if others else single)
-    monkeypatch.delattr(os, "getloadavg")
-    assert loop(many) is everywhere
