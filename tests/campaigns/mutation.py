@@ -45,11 +45,11 @@ ROOMS = {
     "-k 'not grids and not CVaR and not cannot_grow'",
     "column_generation": "layered_pricing structures steep_frontiers rare_goals",
     "dynamic_programming": "equations numerics rows_and_nodes",
-    "game": "time_bounds operators game_lemmas game_edge_cases bayes_adaptive "
+    "game": "operators game_theorems game_edge_cases bayes_adaptive "
     "-k 'not robot and not feasible'",
     "methods": "numerics frontier deterministic quantiles incumbents cost_law_criteria rounding "
     "constraints_edges "
-    "-k 'not no_search_ends and not gap_that and not within_a_budget and not symmetries "
+    "-k 'not no_search_ends and not gap_that and not within_a_budget "
     "and not utility and not finer and not safest'",
     "policies": "policies episodes drawn_laws controller -k 'not distribution'",
     "processes": "rows_and_nodes semantics goal_reach "

@@ -37,7 +37,7 @@ class Fault:
     tests: str  # arguments of pytest
 
 
-GAME = "tests/game/test_time_bounds.py tests/game tests/theorems/test_game_lemmas.py"
+GAME = "tests/game tests/theorems/test_game_theorems.py"
 FAULTS = (
     Fault(
         "threshold: what is owed is multiplied by the budget",

@@ -1,5 +1,7 @@
 """Drawn problems, solved by every method and by enumeration or explicit programs: one answer."""
 
+from itertools import pairwise
+
 import pytest
 from hypothesis import given, strategies as st
 
@@ -22,7 +24,10 @@ from references.frontier import constrained_optimum, least_failure, price_interv
 from small_models import each_meaning
 from ssp_lp import InfeasibleError, solve
 from ssp_lp.processes import goal_reach
-from strategies import acyclic_problems, budgets, discounts, often, problems, semantics
+from strategies import acyclic_problems, budgets, discounts, meanings, often, problems, semantics
+
+# Drawn problems, solved by every method and by enumeration or explicit programs: one answer.
+
 
 METHODS = ("lp", "columns")
 NEAR_LEAST = 1e-9
@@ -231,3 +236,39 @@ def test_least_failure_of_case_s_by_enumeration_of_six_states(seed, method):
     solution = solve(S3P(model, start="s0", failure_budget=None), method=method)
     assert solution.failure_probability == pytest.approx(failure, abs=1e-12)
     assert solution.objective == pytest.approx(value, rel=1e-9)
+
+
+# Changes of a problem that change its answer in a known way, or not at all.
+
+
+PROBLEM = problems(most_live=3)
+SETTING = st.fixed_dictionaries({"discount": discounts, "give_up": meanings})
+
+
+def answers(drawn, budget, setting):
+    """The optimum of both cases, or the least failure where the budget is too small."""
+    model, found = library_model(drawn), []
+    discounted = {"failure_budget": budget, "discount": setting["discount"]}
+    for problem in (MCMP(model, drawn.start, budget, **setting),
+                    S3P(model, drawn.start, **discounted)):  # fmt: skip
+        try:
+            found.append(("optimum", solve(problem).objective))
+        except InfeasibleError as error:
+            found.append(("infeasible", error.least_failure))
+    return found
+
+
+@pytest.mark.slow
+@often(16)
+@given(PROBLEM, SETTING)
+def test_a_larger_budget_costs_no_more(drawn, setting):
+    """The optimum falls with the budget, and case M is convex in it."""
+    points = mcmp.points(plain(drawn), drawn.start, **setting)
+    grid = [budget_of(share, points) for share in (0.0, 0.25, 0.5, 0.75)]
+    for case, row in enumerate(zip(*(answers(drawn, b, setting) for b in grid), strict=True)):
+        column = [value for kind, value in row if kind == "optimum"]
+        room = 1e-7 * (1 + max(column, default=0.0))
+        assert all(a >= b - room for a, b in pairwise(column))
+        if case == 0 and len(column) == 4:
+            assert column[1] <= (column[0] + column[2]) / 2 + room
+            assert column[2] <= (column[1] + column[3]) / 2 + room

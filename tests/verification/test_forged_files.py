@@ -1,10 +1,32 @@
-"""Files forged by hand, some of which were once accepted: each is refused by what is wrong."""
+"""Files that claim too much, or are strange, are refused by name."""
 
+from __future__ import annotations
+
+import gzip
+import json
+import tracemalloc
 from fractions import Fraction
+from itertools import combinations
+from time import process_time
 
 import pytest
 
 from forged import AWAY, COST, DEAD, GOAL, state, verdict
+from formulations import MCMP, AlphaMCMP, FinitePenalty, LeastQuantity, MaxProb, MinCost
+from mazes import MAZE
+from small_models import FIRST, FREE_LOOP, FREE_PAIR, PAYING_LOOP, TRIES, model_of
+from ssp_lp import (
+    check_certificate,
+    end_probability,
+    goal_probability,
+    solve,
+    visits,
+    write_certificate,
+)
+from ssp_lp.verification import checker
+
+# Files forged by hand, some of which were once accepted: each is refused by what is wrong.
+
 
 ENDED = {"v": "0", "slope": "0", "members": [None]}
 SPENT = [["0", "0", "0", "1"]]  # a total is charged itself
@@ -360,3 +382,296 @@ def test_what_follows_failing_is_read_in_one_way(v, members, rest, reason, tmp_p
     told = skidding(tmp_path / "x", v, members, **rest)
     assert not told.accepted
     assert told.reason.startswith(reason), told.reason
+
+
+# No proof claims more than is true: proofs are pushed as far as the checker lets them.
+
+
+STEPS = [Fraction(4) ** power for power in range(4, -6, -1)]
+NEAR = 20 * STEPS[-1]
+LOW = Fraction(-300)
+ROUNDING = Fraction(1, 10**9)  # of an optimum that solve says
+ROUNDS = 8  # of a step, as numbers that say nothing can be moved for ever
+
+STAYS = model_of({"x": {"stay": [(1.0, "x", 4.0)], "go": [(0.5, "g", 1.0), (0.5, "x", 1.0)]}})
+PITS = model_of(
+    {
+        "x": {"fast": [(0.5, "g", 1.0), (0.5, "pit", 1.0)], "slow": [(1.0, "g", 5.0)]},
+        "pit": {"a": [(0.5, "pit", 6.0), (0.5, "hole", 2.0)], "b": [(1.0, "hole", 9.0)]},
+        "hole": {},
+    }
+)
+RING = model_of(
+    {
+        "x": {"on": [(1.0, "y", 0.0)], "out": [(0.5, "g", 3.0), (0.5, "d", 3.0)]},
+        "y": {"back": [(1.0, "x", 0.0)], "out": [(1.0, "g", 8.0)]},
+        "d": {},
+    },
+    labels={"y": ["y"]},
+)
+HURT = {"hurt": end_probability("hurt") <= 0.06}
+
+PROBLEMS = {
+    "budget": MCMP(FIRST, "depot", 0.05),
+    "least failure": MCMP(FIRST, "depot"),
+    "maze": MCMP(MAZE, "start", 0.07),
+    "maze to its end": MCMP(MAZE, "start", 0.1, give_up="dead_ends", constraints=HURT),
+    "maze, by the way": LeastQuantity(MAZE, "start", visits("town") + 2.0 * goal_probability()),
+    "most": MaxProb(MAZE, "start"),
+    "discount": FinitePenalty(PITS, "x", 10.0, 0.9, charge_failing_step=True),
+    "charges": MCMP(PITS, "x", 0.25),
+    "sure": MinCost(TRIES, "door"),
+    "loop that is left": MCMP(STAYS, "x", 0.5),
+    "free loop": FinitePenalty(model_of(FREE_LOOP), "x", 3.0, give_up="dead_ends"),
+    "free loop of no use": FinitePenalty(model_of(FREE_LOOP), "x", 10.0, give_up="dead_ends"),
+    "paying loop": FinitePenalty(model_of(PAYING_LOOP), "x", 3.0, give_up="dead_ends"),
+    "free pair": MCMP(model_of(FREE_PAIR), "x", 0.25),
+    "ring": MCMP(RING, "x", 0.25, give_up="dead_ends"),
+    "ring of no use": FinitePenalty(RING, "x", 100.0, give_up="dead_ends"),
+    "ring that counts": MCMP(
+        RING, "x", 0.5, give_up="dead_ends", constraints={"n": visits("y") <= 2.0}
+    ),
+    "share": AlphaMCMP(MAZE, "start", 0.93),
+    "share of a ring": AlphaMCMP(RING, "x", 0.75, give_up="dead_ends"),
+}
+
+
+def accepted(lines):
+    """What the checker says of these lines; None: it refuses them."""
+    try:
+        return checker.check_lines(
+            [json.dumps(line, separators=(",", ":")).encode() for line in lines]
+        )
+    except checker.RefusedError:
+        return None
+
+
+def pushed(lines, places, towards, sizes):
+    """The lines with sets of the numbers at some places moved while they are accepted.
+
+    Args:
+        lines: contents of an accepted file.
+        places: (container, key) of numbers that may be moved.
+        towards: 1 or -1.
+        sizes: of the sets that are moved together.
+    """
+    groups = [group for size in sizes for group in combinations(places, size)]
+    for step in STEPS:
+        for _ in range(ROUNDS):
+            moves = False
+            for group in groups:
+                before = [inside[key] for inside, key in group]
+                for inside, key in group:
+                    inside[key] = str(Fraction(inside[key]) + towards * step)
+                if accepted(lines):
+                    moves = True
+                else:
+                    for (inside, key), text in zip(group, before, strict=True):
+                        inside[key] = text
+            if not moves:
+                break
+    return accepted(lines)
+
+
+@pytest.fixture(scope="module", params=PROBLEMS)
+def certified(request, tmp_path_factory):
+    """The optimum, as of a quantity that is to be small; a certificate; states, and who acts."""
+    path = tmp_path_factory.mktemp("certificate") / "one"
+    solution = solve(PROBLEMS[request.param])
+    assert write_certificate(solution, path, tolerance=1e9).accepted
+    lines = [json.loads(line) for line in checker.gzip.decompress(path.read_bytes()).splitlines()]
+    n = len(lines) // 2 - 1
+    best = Fraction(solution.objective) * (-1 if lines[0]["greatest"] else 1)
+    return best, lines, n, [x for x in range(n) if lines[1 + x]["actions"]]
+
+
+def of_members(lines, n):
+    """The same lines with values that prove nothing and keep nothing from being accepted."""
+    lines = json.loads(json.dumps(lines))
+    for line in lines[n + 2 :]:
+        line["v"] = str(LOW)
+    return lines
+
+
+def ends(checked, lines):
+    """What values prove, and what members attain, as of a quantity that is to be small."""
+    greatest = lines[0]["greatest"]
+    return (-checked.upper, -checked.lower) if greatest else (checked.lower, checked.upper)
+
+
+@pytest.mark.parametrize("name", ["v", "w"])
+def test_values_prove_no_more_than_the_optimum(certified, name):
+    """Raised, v from far below, alone and together, they end below it, and near it."""
+    optimum, lines, n, acting = certified
+    if name not in lines[n + 2]:
+        return
+    lines = json.loads(json.dumps(lines))
+    places = [(lines[n + 2 + x], name) for x in acting]
+    for inside, key in places:
+        inside[key] = str(LOW) if name == "v" else inside[key]
+    best = pushed(lines, places, 1, sorted({1, 2, len(places)}))
+    proved, attained = ends(best, lines)
+    assert proved <= optimum + ROUNDING
+    assert attained >= optimum - ROUNDING
+    near = NEAR * (1 + sum(map(Fraction, lines[n + 1]["prices"])))
+    assert name == "w" or proved >= optimum - near
+
+
+def test_members_attain_no_less_than_the_optimum(certified):
+    """Vectors of steps, the objective and rows lowered, alone and together."""
+    optimum, lines, n, _ = certified
+    lines = of_members(lines, n)
+    for j in range(len(lines[0]["rows"]) + 3):
+        entries = [entry for line in lines[n + 2 :] for entry in line["members"] if entry]
+        places = [(entry, 1 + j) for entry in entries if 1 + j < len(entry)]
+        if places:
+            _, attained = ends(pushed(lines, places, -1, (1, 2)), lines)
+            assert optimum - ROUNDING <= attained <= optimum + ROUNDING
+
+
+@pytest.mark.parametrize("decision", ["stop", 0, 1, 2, 3])
+def test_other_decisions_attain_no_less_than_the_optimum(certified, decision):
+    """Stopping, loops and other actions, for which all but the objective is said to be little."""
+    optimum, lines, n, acting = certified
+    for some in [*combinations(acting, 1), *combinations(acting, 2)]:
+        for taken in ("0", "1"):
+            changed = of_members(lines, n)
+            entries = []
+            for members in (changed[n + 2 + x]["members"] for x in some):
+                for m, entry in enumerate(members):
+                    if entry:
+                        members[m] = [decision, "1000", "1000", *[taken] * (len(entry) - 3)]
+                        entries.append((members[m], 2))
+            if entries and accepted(changed):
+                best = pushed(changed, entries, -1, sorted({1, len(entries)}))
+                assert ends(best, changed)[1] >= optimum - ROUNDING
+
+
+# Certificates that are small and unpack to much, that name things strangely, or have many rows.
+
+
+STRANGE = "r\x1b[2J\r\n  at most   0\u202e\u2066\u2028\x00\x9b"
+MANY = 3000
+SECONDS = 15.0  # of the processor; all of these take less than one where nothing else runs
+
+
+@pytest.mark.parametrize(
+    ("head", "unit", "times", "reason"),
+    [
+        (b"", b"\0", 150 << 20, "a line has more than 16,777,216 bytes"),
+        (b"[", b"[],", 8 << 20, "a line has more than 16,777,216 bytes"),
+        (b'{"format":"', b"a", 1 << 24, "a line has more than 16,777,216 bytes"),
+        (b"", b"\n", 20 << 20, "the file is damaged: JSONDecodeError"),
+        (b"", b"0\n", 20 << 20, "the file is damaged: TypeError"),
+    ],
+)
+def test_a_small_file_is_not_unpacked_to_a_large_one(head, unit, times, reason, tmp_path):
+    (tmp_path / "x").write_bytes(gzip.compress(head + unit * times, 1))
+    tracemalloc.start()
+    said = check_certificate(tmp_path / "x")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert said.reason.startswith(reason)
+    assert peak < 80 << 20
+
+
+def test_lines_in_all_are_limited_by_the_size_of_the_file(tmp_path, monkeypatch):
+    monkeypatch.setattr(checker, "LINE", 1 << 12)
+    proof = [{"v": "1", "members": [[0, "1", "1"]]}, AWAY, *[AWAY] * MANY]
+    states = [STEP, GOAL, *[DEAD] * MANY]
+    said = verdict(tmp_path / "x", states, {"prices": []}, proof, objective=COST)
+    most = (1 << 12) + checker.TIMES * (tmp_path / "x").stat().st_size
+    assert said.reason == f"the lines have more than {most:,} bytes"
+
+
+def strange(path, *, objective="1", budget="1", states=None, taken="0", **asked):
+    """A file of one step all of whose names are strange, with a row that is so called."""
+    step = {"name": STRANGE, "sets": [STRANGE], "actions": [[STRANGE, [["1", 1]], ["1"]]]}
+    row = {"constant": "0", "terms": [["1", "cost", 0]]}
+    asked = {
+        "rows": [{"name": STRANGE, "quantity": row, "at_most": budget}], "sets": [STRANGE],
+        "asked": STRANGE, "objective": COST, **asked,
+    }  # fmt: skip
+    proof = [{"v": objective, "members": [[0, "1", "1", taken]]}, AWAY]
+    return verdict(path, states or [step, GOAL], {"prices": ["0"]}, proof, **asked)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"objective": "2"},  # the inequality at the state
+        {"taken": "0.5"},  # that of the row
+        {"taken": "1", "budget": "0.5"},  # the row's bound
+        {"start": [[STRANGE, 0]]},
+        {"states": [state(**{STRANGE: ([["0", 1]], ["1"])}), GOAL], "sets": [STRANGE]},
+        {"states": [state(**{STRANGE: ([["1", 1]], STRANGE)}), GOAL]},
+        {"states": [{**STEP, "sets": [f"{STRANGE} not"]}, GOAL]},
+        {"give_up": STRANGE},
+        {"failure": STRANGE},
+        {"discount": STRANGE},
+        {STRANGE: STRANGE},
+        {"objective": "1", "charge": [[STRANGE] * 4]},
+    ],
+)  # fmt: skip
+def test_names_in_a_refusal_are_shown_letter_by_letter(change, tmp_path):
+    objective = {k: v for k, v in change.items() if k != "objective"}
+    said = strange(tmp_path / "x", objective=change.get("objective", "1"), **objective)
+    assert not said.accepted
+    assert said.reason.isprintable(), said.reason
+    assert str(said).isprintable()
+
+
+def test_names_in_a_verdict_are_shown_letter_by_letter(tmp_path):
+    said = strange(tmp_path / "x", taken="1", budget=f"0.{30 * '9'}")
+    assert (said.reason, list(said.exceeded)) == ("", [STRANGE])
+    lines = str(said).split("\n")
+    assert all(line.isprintable() for line in lines)
+    starts = ["accepted: ", "  SHA-256 ", "  at least ", "  at most ", "  width ", "  the lottery "]
+    assert [line[: len(start)] for line, start in zip(lines, starts, strict=True)] == starts
+
+
+def test_a_reason_is_no_longer_than_can_be_read(tmp_path):
+    long = "a" * 10**6
+    keys = {f"{long} {k}": k for k in range(20)}
+    (tmp_path / "x").write_bytes(gzip.compress(json.dumps(keys).encode()))
+    assert len(check_certificate(tmp_path / "x").reason) <= 10 * checker.SHOWN
+
+
+@pytest.mark.parametrize(
+    ("terms", "taken"),
+    [
+        ([], "0"),
+        ([["0", "visits", "goal"]], "0"),
+        ([["1", "visits", "all"]], "2"),
+        ([["2", "visits", "all"], ["-1", "visits", "some"]], "2"),
+        ([["1", "end", "dead"]], "0"),
+        ([["-1", "end", "goal"]], "0"),
+        ([["1", "cost", 0]], "1"),
+    ],
+)
+def test_many_rows_of_many_states_take_the_time_of_their_sum(terms, taken, tmp_path):
+    """A file of some 10 kB, which is true: rows count in sets of states, of which few are met."""
+    states = [{**STEP, "sets": ["all"]}, {**GOAL, "sets": ["goal", "all"]}]
+    states += [{**DEAD, "sets": ["all", "dead"]}] * MANY
+    rows = [
+        {"name": f"r{k}", "at_most": "4", "quantity": {"constant": "0", "terms": terms}}
+        for k in range(MANY)
+    ]
+    own = {"v": "1", "members": [[0, "1", "1", *[taken] * MANY]]}
+    asked = {"rows": rows, "sets": ["all", "some", "dead"], "objective": COST}
+    head, began = {"prices": ["0"] * MANY}, process_time()
+    said = verdict(tmp_path / "x", states, head, [own, AWAY, *[AWAY] * MANY], **asked)
+    assert (said.reason, said.lower, said.upper) == ("", 1, 1)
+    assert process_time() - began < SECONDS
+    assert (tmp_path / "x").stat().st_size < 16_000
+
+
+def test_a_long_way_of_risks_takes_the_time_of_its_length(tmp_path):
+    """From state k one comes to the goal or to k - 1, from state 0 to a dead-end: none is sure."""
+    leads = [[["1", k - 1 if k else MANY], ["1", MANY + 1]] for k in range(MANY)]
+    chain = [state(go=(outcomes, ["1"])) for outcomes in leads]
+    states, began = [*chain, DEAD, GOAL], process_time()
+    asked = {"objective": COST, "start": [["1", MANY + 1]]}
+    said = verdict(tmp_path / "x", states, {"prices": []}, [AWAY] * (MANY + 2), **asked)
+    assert (said.reason, said.lower, said.upper) == ("", 0, 0)
+    assert process_time() - began < SECONDS

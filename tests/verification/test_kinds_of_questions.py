@@ -1,4 +1,4 @@
-"""A certificate of every kind of question; questions without a meaning are refused."""
+"""Every kind of question is read by the checker, from the words of its file alone."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from hashlib import sha256
 
 import numpy as np
 import pytest
+from hypothesis import given
 
+from checks import library_model
 from formulations import (
     EGUBS,
     GUBS,
@@ -27,9 +29,11 @@ from formulations import (
     MinProb,
 )
 from mazes import MAZE
+from references.stated import optimum
 from small_models import FIRST, FREE_LOOP, FREE_PAIR, PAYING_LOOP, TRIES, model_of
 from ssp_lp import (
     check_certificate,
+    cross_check,
     end_probability,
     expected_cost,
     goal_probability,
@@ -37,6 +41,16 @@ from ssp_lp import (
     visits,
     write_certificate,
 )
+from ssp_lp.processes import failure_semantics
+from ssp_lp.verification import checker, cross_check as reading
+from ssp_lp.verification.certificate_file import Statement
+from ssp_lp.verification.decision_cases import cases_of_decisions
+from ssp_lp.verification.exact_values import proved_bound, values_below
+from ssp_lp.verification.lottery import graph_of
+from strategies import discounts, often, problems, semantics
+
+# A certificate of every kind of question; questions without a meaning are refused.
+
 
 PITS = model_of(
     {
@@ -213,3 +227,128 @@ def test_many_digits_and_many_states(tmp_path):
     write_certificate(solve(MinCost(model, "s1")), tmp_path / "line")
     checked = check_certificate(tmp_path / "line")
     assert checked.lower <= known <= checked.upper < checked.lower + Fraction(1, 10**20)
+
+
+# Trees of cases: whichever way decisions are told apart, no more is proved than the optimum.
+
+
+LOOPS = model_of(
+    {
+        "x": {
+            "rest": [(1.0, "y", 0.0)],
+            "dare": [(0.6, "g", 2.0), (0.4, "d", 1.0)],
+            "ask": [(0.8, "y", 1.0), (0.2, "g", 0.0)],
+        },
+        "y": {"back": [(1.0, "x", 0.0)], "climb": [(0.9, "g", 4.0), (0.1, "d", 0.0)]},
+        "d": {},
+    }
+)
+ALONE = [
+    MCMP(model, start, budget, give_up=give_up)
+    for model, start in ((MAZE, "start"), (LOOPS, "x"))
+    for budget in (0.15, 0.45)
+    for give_up in ("attention", "dead_ends")
+]
+
+
+def told_apart(model, rng, only, depth):
+    """Cases of a random tree: decisions of a state in two parts, which may overlap."""
+    x = int(rng.choice(sorted(model.live)))
+    left = rng.permutation(sorted(only.get(x, {-1, *model.of[x]}))).tolist()
+    if depth == 0:
+        prices = [Fraction(int(rng.integers(0, 12))) for _ in model.rows]
+        yield checker.Case(prices, None, only)
+        return
+    cut, again = rng.integers(0, len(left) + 1, size=2).tolist()
+    for part in (set(left[:cut]), set(left[min(cut, again) :])):
+        yield from told_apart(model, rng, {**only, x: part}, depth - 1)
+
+
+@pytest.mark.parametrize("problem", ALONE, ids=range(len(ALONE)))
+def test_no_tree_proves_more_than_the_optimum(problem):
+    lines = list(Statement(problem, "", is_single=True).lines())
+    model = checker.Model(json.loads(lines[0]), list(map(checker.read_state, lines[1:])))
+    model.spread({}, [])
+    best, rng = optimum(lines), np.random.default_rng(28)
+    for depth in (0, 1, 2, 3, 3, 3):
+        bounds = []
+        for case in told_apart(model, rng, {}, depth):
+            c = model.priced(case)
+            v, _ = values_below(model, graph_of(model), c, [], only=case.only)
+            bounds.append(model.below(v, c, only=case.only))
+            assert bounds[-1] == proved_bound(model, c, v)
+        assert float(min(bounds)) <= best + 1e-9
+
+
+@pytest.mark.parametrize("problem", ALONE, ids=range(len(ALONE)))
+def test_branch_and_bound_closes(problem):
+    lines = list(Statement(problem, "", is_single=True).lines())
+    model = checker.Model(json.loads(lines[0]), list(map(checker.read_state, lines[1:])))
+    model.spread({}, [])
+    solution = solve(problem, "deterministic")
+    upper = Fraction(solution.objective)
+    proved = cases_of_decisions(model, problem.model, [], [], upper)
+    assert float(proved.bound) == pytest.approx(solution.objective, rel=1e-9)
+    assert not proved.is_cut
+    assert optimum(lines) == pytest.approx(solution.objective, rel=1e-8)
+
+
+# The model read twice: the rooms that all methods share beside plain loops over fractions.
+
+
+WAITING = model_of(
+    {
+        "a": {"go": [(0.5, "g", 2.0), (0.5, "swamp", 1.0)], "wait": [(1.0, "a", 0.0)]},
+        "swamp": {"swim": [(1.0, "swamp", 3.0)], "float": [(1.0, "swamp", 1.0)]},
+        "g": {},
+    },
+    "g",
+)
+
+
+@often(20)
+@given(drawn=problems(), meaning=semantics, discount=discounts)
+def test_drawn_models_are_read_alike(drawn, meaning, discount):
+    model = library_model(drawn)
+    for criterion, said in ((MCMP, meaning), (S3P, {})):
+        stated = criterion(model, drawn.start, failure_budget=0.5, discount=discount, **said)
+        assert reading.second_reading(stated).faults == ()
+
+
+@pytest.mark.parametrize("criterion", [MCMP, S3P])
+def test_what_it_counts(criterion):
+    """The swamp is a dead-end, and waiting in a is free: giving up there as well."""
+    found = reading.second_reading(criterion(WAITING, "a", failure_budget=0.7))
+    assert (found.dead_ends, found.giving_up, found.free, found.faults) == (1, 1, 1, ())
+    assert str(found).startswith("read twice: 1 dead-ends, 1 states to give up in, 1 where")
+
+
+@pytest.mark.parametrize(
+    ("room", "wrong", "told"),
+    [
+        ("dead_end_charges", lambda right: 2.0 * right, "failing in 'swamp' charges 2, by the sec"),
+        ("give_up_charges", lambda right: right + 1.0, "failing in 'a' charges 1, by the second"),
+        ("attention_states", np.logical_not, "is not a state to give up in"),
+        ("hopeless_states", np.zeros_like, "'swamp' is not a dead-end"),
+    ],
+)
+def test_a_misread_model_is_named(monkeypatch, room, wrong, told):
+    """Where all methods start from the same mistake they agree; the comparison does not."""
+    right = getattr(reading, room)
+    monkeypatch.setattr(reading, room, lambda *given: wrong(right(*given)))
+    found = cross_check(MCMP(WAITING, "a", failure_budget=0.7, charge_failing_step=True))
+    assert not found.disagreeing
+    assert not found.agrees
+    assert any(told in each for each in found.reading.faults)
+    assert found.summary().splitlines()[-1].startswith("THE MODEL IS MISREAD: ")
+
+
+def test_a_large_model_is_not_read_again(monkeypatch):
+    monkeypatch.setattr(reading, "MOST_OUTCOMES", 3)
+    found = cross_check(MCMP(FIRST, "depot", failure_budget=0.05))
+    assert found.reading is None
+    assert found.agrees
+
+
+def test_charges_come_from_one_room():
+    assert reading.dead_end_charges is failure_semantics.dead_end_charges
