@@ -381,7 +381,6 @@ IN_A_SHELL = [
     ("simulate roads.json --policy p.npz --runs 3", "did you mean --episodes?"),
     ("solve roads.json home", "'home' is one word too many"),
     ("solve roads.json --failure_budget 0.1", "did you mean --failure-budget?"),
-    ("program roads.json --criterion cvar --level 0.9", "CVaR is no linear program but a search"),
     *(
         (f"{verb} roads.json --goal home --start depot {words}", told)
         for verb, words, told in (
@@ -390,6 +389,7 @@ IN_A_SHELL = [
             ("solve", "--limit 'visit(depot) <= 3'", "did you mean 'visits(...)'?"),
             ("solve", "--cost fuel", "leave out --cost"),
             ("explore", "--out page.png", "a page is written as .html"),
+            ("program", "--criterion cvar --level 0.9", "CVaR is no linear program but a search"),
             ("solve", "--criterion least-quantity --quantity fuel", "'fuel' is no quantity of"),
             ("solve", "--dead-ends wrek", "did you mean 'wreck'?"),
         )
