@@ -122,6 +122,8 @@ def iterate_policy(
     """
     check_time()
     choice = np.array(choice, dtype=np.int32)
+    if choice.min(initial=0) < 0:  # compiled loops do not look whether a pair is one
+        raise SolverError("policy iteration needs a pair of each state to begin with")
     work, left, latest = Work(1, 0), 0.0, [choice]
     try:
         one_pass = (

@@ -203,6 +203,8 @@ def cheapest_reach(model: SSP, reach: GoalReach, survival: float = 1.0) -> Reach
     free = costless_pairs(model, weight) & ~exits[model.pair_state] if survival == 1.0 else None
     usable = reach.usable & ~exits[model.pair_state]
     hopeless = graph.hopeless_states(model)
+    if model.failure_label is not None:  # the only ways to the goal may never end after failing
+        hopeless = hopeless | (reach.goal == 0.0) & ~exits
     quotient = build_quotient(model, usable=usable, free=free, exits=exits, ended=hopeless)
     dynamics, departs = quotient.dynamics(survival, departing=survival == 1.0)
     gain = quotient.at_pairs(successor_means(model, model.goal_mask)) / departs

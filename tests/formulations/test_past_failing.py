@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from formulations import MCMP, S3P, CostQuantile, CVaR, LeastQuantity, MaxProb, MinCost
+from formulations import GUBS, MCMP, S3P, CostQuantile, CVaR, LeastQuantity, MaxProb, MinCost
 from ssp_lp import (
     GIVE_UP,
     SSP,
@@ -30,6 +30,7 @@ from ssp_lp.io import (
     save_solution,
     write_controller,
 )
+from ssp_lp.problem import compiled_constrained
 
 CONFIDENCE = 0.9999
 
@@ -316,3 +317,26 @@ def test_files_hold_what_is_done_after_failing(horizon, tmp_path) -> None:
     randomised = solution.randomised_policy
     assert randomised.model is SKID
     assert evaluate(randomised, problem).objective == pytest.approx(8.2, rel=1e-9)
+
+
+def test_a_way_to_the_goal_that_may_never_end_after_failing_is_none():
+    """What falls into the bog stays there, so that only what cannot fall into it may be done."""
+    fork = {"risk": [(0.5, "ditch", 1.0), (0.5, "home", 1.0)], "stop": [(1.0, "wall", 1.0)]}
+    model = model_of(
+        {
+            "start": {"go": [(0.8, "home", 1.0), (0.2, "fork", 1.0)]},
+            "fork": fork,
+            "ditch": {"sink": [(1.0, "bog", 1.0)]},
+            "bog": {"rest": [(1.0, "bog", 1.0)]},
+            "wall": {},
+        }
+    )
+    dry = {"dry": visits("bog", through_failure=True) <= 0.2}
+    for budget in (None, 0.5, 1.0):
+        solution = solve(S3P(model, "start", budget, constraints=dry))
+        assert solution.objective == pytest.approx(1.0, rel=1e-12)
+        assert solution.failure_probability == pytest.approx(0.2, rel=1e-12)
+        assert certify(solution).gap <= 1e-9
+    worth = solve(GUBS(model, "start", lambda cost: np.exp(-cost), 0.5, constraints=dry))
+    assert worth.objective == pytest.approx(0.8 * (np.exp(-1.0) + 0.5), rel=1e-9)
+    assert compiled_constrained(worth.problem.unrolled).typical_cost == pytest.approx(1.0)
