@@ -49,7 +49,6 @@ from ssp_lp.processes.quotient import Quotient, Spread, build_quotient
 
 _MOST_TURNS = 300  # to bound the steps within a layer
 _LAST_STEP = 0.4  # what another one adds by then; a half would do but for rounding
-_MOST_WITHIN = 20.0  # steps within a layer; with more of them its equations are solved instead
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,13 +126,6 @@ class AccumulatedCost:
                 return 2.0 * steps
             steps = more
         return None
-
-    @cached_property
-    def leaves_soon(self) -> bool:
-        """Whether every policy of the process leaves a layer after a few steps."""
-        if self.instant.nnz == 0:
-            return True
-        return self.steps_within is not None and bool(self.steps_within.max() <= _MOST_WITHIN)
 
     @property
     def steps(self) -> sp.csr_array:

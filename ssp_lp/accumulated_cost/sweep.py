@@ -69,6 +69,9 @@ _MOST_CELLS = 8_000_000
 _MOST_ENTRIES = 30_000
 """Entries of a layer without free steps from which calling a loop for each is next to nothing."""
 
+_MOST_WITHIN = 20.0
+"""Steps within a layer, of any policy: with more of them its equations are solved instead."""
+
 _TURNS_A_STEP = 40.0  # that a policy takes within a layer: e^-40 of what was missing is left
 
 _MOST_CHARGES = 20_000_000
@@ -130,21 +133,20 @@ class Sweep:
     """The sweeps over the layers of one process, and what they share.
 
     A choice is the position of a pair among those of its node, [cap, nodes]. Its measures are what
-    it is charged, and what else is counted at its pairs.
+    it is charged, and what else is counted at its pairs: where steps are free, failing and the goal
+    alone.
     """
 
     process: ChargedLayers
     counted: FloatArray  # [pairs, counted] beside the charge
     on_top: FloatArray | None = None  # [pairs] charged besides, whatever has been paid
     share: OwnNodes | None = None  # of a rank; None: all nodes are swept
-    counts_ends: bool = False  # failing and reaching the goal, and nothing else
 
     @classmethod
     def of_ends(cls, process: ChargedLayers) -> Sweep:
         """The sweeps that count failing and reaching the goal."""
         base = process.base
-        ends = np.stack([base.failure, base.survival * base.gain], axis=1)
-        return cls(process, ends, counts_ends=True)
+        return cls(process, np.stack([base.failure, base.survival * base.gain], axis=1))
 
     @cached_property
     def pair_offsets(self) -> IntArray:
@@ -490,10 +492,9 @@ class Sweep:
         if not self.is_acyclic:
             chain = base.instant_dynamics.chain(chosen)
             solved = chain.solve(measures)
-            if self.counts_ends:  # whatever fails not reaches the goal
-                missing = np.abs(solved[:, 1:].sum(axis=1) - 1.0)
-                if missing.max(initial=0.0) <= _ALL_ENDS:
-                    return solved
+            missing = np.abs(solved[:, 1:].sum(axis=1) - 1.0)  # whatever fails not reaches the goal
+            if missing.max(initial=0.0) <= _ALL_ENDS:
+                return solved
             measures = evaluate_chain(chain, measures).values
         return measures
 
@@ -550,7 +551,7 @@ class Sweep:
             )
             order = unsigned(order)
             if n_components < base.n_nodes or (instant.indices == owner).any():  # they go round
-                if base.steps_within is None or not base.leaves_soon:
+                if base.steps_within is None or base.steps_within.max() > _MOST_WITHIN:
                     return None
                 within = base.steps_within
                 turns = int(np.ceil(_TURNS_A_STEP * within.max()))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
 from ssp_lp.dynamic_programming.bellman import Work
@@ -16,7 +16,7 @@ from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.policies.policy import Policy
 from ssp_lp.processes.failure_semantics import RARE_GOAL, GoalShare
 
-_Part = TypeVar("_Part")
+_Array = TypeVar("_Array", bound=npt.NDArray[Any])
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +80,8 @@ class Proof:
     by_layer: FloatArray | None = None  # [layers] the bound if an episode began in each
 
 
-def required(part: _Part | None) -> _Part:
-    """The choice, the totals or the tail of a column that its pricing problem must have made.
+def required(part: _Array | None) -> _Array:
+    """The choice or totals of a column that its pricing problem must have made.
 
     Raises:
         ModelError: the column came from elsewhere.
@@ -133,15 +133,6 @@ class PricingProblem(ABC):
         Raises:
             Stop: the time ended, with a policy that may do where one was known.
         """
-
-    def extended(self, columns: Sequence[Column], near: Sequence[Column]) -> list[Column]:
-        """Columns of a process of fewer layers as this pricing problem's.
-
-        Args:
-            columns: all of them.
-            near: those from which the next one is thought to differ least.
-        """
-        return list(columns)
 
     def aligned(self, column: Column, price: float) -> Column:
         """A column with its tails, where it has any, chosen by this price; measured again."""

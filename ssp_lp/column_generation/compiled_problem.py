@@ -1108,17 +1108,14 @@ class CompiledExplicit(CompiledProblem):
             return self.explicit_pricing
         counting = layered.counting(self.semantics)
         rows = tuple(row.at(counting) for row in self.side)
-        return OpenEndedPricing(layered, self.precise, rows, self.by_goal, self.is_trial)
+        return OpenEndedPricing(layered, self.precise, rows, self.by_goal)
 
     @property
     def _is_swept(self) -> bool:
-        """Whether the compiled problem prices layer by layer: large ones that all policies leave.
-
-        Where free steps may go round for ever, what is free depends on the prices.
-        """
-        if self.charge is None or self.base.by_steps or self.base.later.nnz < _WORTH_SWEEPING:
+        """Whether the compiled problem prices layer by layer: large ones without free pairs."""
+        if self.charge is None or self.base.by_steps or self.base.instant.nnz > 0:
             return False
-        return self.base.leaves_soon
+        return self.base.later.nnz >= _WORTH_SWEEPING
 
     @cached_property
     def explicit_pricing(self) -> ExplicitPricing:
@@ -1159,13 +1156,6 @@ class CompiledExplicit(CompiledProblem):
         safest = goal_reach.cheapest_reach(self.model, self.greatest, self.survival).values
         return float(self.start @ safest.cost) / max(float(self.start @ safest.goal), 1e-300)
 
-    @property
-    def _cost_of_a_way(self) -> float:
-        """Cost given success of a policy that goes for the goal, to size the first layers."""
-        directed = goal_reach.goal_directed(self.model, self.survival).values
-        cost, goal = float(self.start @ directed.cost), float(self.start @ directed.goal)
-        return cost / max(goal, 1e-300)
-
     @cached_property
     def layers(self) -> int:
         """Totals of the compiled problem; 1: none counted. ModelError: too many to write out."""
@@ -1173,30 +1163,11 @@ class CompiledExplicit(CompiledProblem):
             return 1
         layers = self.cap if self.totals is None else self.totals.size
         if layers is None:
-            typical = self.typical_cost if self.budget is None else self._cost_of_a_way
-            layers = written_out.first_cap(self.base, self.charge, typical, self.fixed_cap)
+            layers = written_out.first_cap(
+                self.base, self.charge, self.typical_cost, self.fixed_cap
+            )
         written_out.check_room(self.base, layers, self._most_pairs)
         return layers
-
-    @property
-    def is_trial(self) -> bool:
-        """Whether the compiled problem's number of layers is a guess, to learn the price from."""
-        is_guess = self.cap is None and self.fixed_cap is None
-        grows = self.charge is not None and self.charge.slope > 0.0
-        return is_guess and grows and self.measures_beyond
-
-    @property
-    def measures_beyond(self) -> bool:
-        """Whether the compiled problem's columns are measured truly beyond the cap, too."""
-        return self._is_swept and self.partition is None
-
-    @property
-    def measures_truly(self) -> bool:
-        """Whether the compiled problem's columns have their true costs, with all their digits."""
-        layered = self.augmented
-        if not isinstance(layered, written_out.OpenEnded):
-            return True
-        return self.measures_beyond and layered.is_settled and self.sense.shift == 0.0
 
     @property
     def _most_pairs(self) -> int:
@@ -1228,8 +1199,6 @@ class CompiledExplicit(CompiledProblem):
         here = self.layers
         lossless = int(np.ceil(_MARGIN * self.charge.lossless(price) / self.base.unit)) + 1
         wanted = min(lossless, _MOST_GROWTH * here) if lossless > here else 2 * here
-        if self.is_trial and lossless <= here:
-            return self._copy_with_results(replace(self, cap=here))
         if not cut or (wanted + 1) * len(self.base.gain) > self._most_pairs:
             return None
         return self._copy_with_results(replace(self, cap=wanted), *_OWN)

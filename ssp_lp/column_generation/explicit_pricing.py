@@ -197,13 +197,6 @@ class ExplicitPricing(PricingProblem):
             return choice, totals[0]
         return choice, np.stack(totals)[follows, np.arange(len(choice))]
 
-    def better_of(self, weights: FloatArray, *known: Column) -> Column:
-        """A column that follows the best of known ones in each state, or one step better."""
-        columns = [self._first, *known]
-        choices = [required(column.choice) for column in columns]
-        values = [weighted(required(column.totals), weights) for column in columns]
-        return self.measure(switched(self.dynamics, choices, values)[0])
-
     def contracted(self, weights: FloatArray) -> Contraction | None:
         """The explicit process without what is free at the weights, kept; None: nothing is."""
         priced = weights != 0.0

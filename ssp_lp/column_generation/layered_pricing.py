@@ -1,10 +1,9 @@
 """The pricing problems of accumulated cost by layers: backward sweeps, nothing written out.
 
 :class:`LayeredPricing` limits failure alone; tails follow beyond the cap. :class:`OpenEndedPricing`
-has any rows. Beyond the cap lies one place with cycles of its own, where policy iteration says what
-is best; from there one sweep prices all layers, and measures what the choice takes of each row on
-the way. Bounds are those of the process as it is cut; a column is measured as it is on the model,
-so that it stays what it is where the cap is raised.
+has any rows: every step costs something, so that each layer follows from later ones, and beyond the
+cap lies one place with cycles of its own, where policy iteration says what is best; from there one
+sweep prices all layers, and measures what the choice takes of each row on the way.
 
 A choice is the position of a pair among those of its node, [layers, nodes], in the smallest
 integers that hold it.
@@ -13,13 +12,12 @@ integers that hold it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, cast
 
 import numpy as np
 
-from ssp_lp.accumulated_cost.charges import Charge, TailValues
 from ssp_lp.accumulated_cost.process import LayeredProcess
 from ssp_lp.accumulated_cost.sweep import (
     KEPT_VALUES,
@@ -30,7 +28,7 @@ from ssp_lp.accumulated_cost.sweep import (
     at_price,
     at_weights,
 )
-from ssp_lp.accumulated_cost.written_out import OpenEnded, truncates
+from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import FloatArray, IntArray, weighted
 from ssp_lp.column_generation.column import (
     Column,
@@ -44,7 +42,6 @@ from ssp_lp.column_generation.explicit_pricing import (
     values_less_paid,
 )
 from ssp_lp.dynamic_programming import bellman
-from ssp_lp.dynamic_programming.evaluation import evaluate_policy
 from ssp_lp.policies.policy import DeterministicPolicy, Policy
 
 _SAME = 1e-14
@@ -218,31 +215,16 @@ class LayeredPricing(PricingProblem):
 
 
 @dataclass(frozen=True, eq=False)
-class TailColumn(Column):
-    """What is done beyond the cap; none of it is counted from the start."""
-
-    ahead: FloatArray = field(kw_only=True)  # [nodes] cost to those that succeed, where that counts
-
-    @classmethod
-    def of(cls, column: Column, ahead: FloatArray) -> TailColumn:
-        """A column of the open end as a tail."""
-        return cls(
-            **{part.name: getattr(column, part.name) for part in fields(Column)}, ahead=ahead
-        )
-
-
-@dataclass(frozen=True, eq=False)
 class OpenEndedPricing(PricingProblem):
     """Minimises weighted totals of cost, failure and rows; see :class:`ExplicitPricing`.
 
-    Every policy leaves a layer after a few steps, and totals are multiples of a unit.
+    Nothing in a layer is free, and totals are multiples of a unit.
     """
 
     augmented: OpenEnded
     precise: bool  # compare pairs beyond the cap in twice the working precision
     rows: tuple[tuple[FloatArray, float], ...]  # what is counted besides: [pairs], and at the start
     by_goal: bool = False  # success, as minus the goal, is counted in place of failing
-    is_rough: bool = False  # beyond the cap columns follow the best of known policies
 
     @property
     def n_rewards(self) -> int:
@@ -280,68 +262,43 @@ class OpenEndedPricing(PricingProblem):
     @cached_property
     def _first(self) -> Column:
         """The first column, kept."""
-        return self._swept(self.tail(self._beyond.first()), None)
+        return self._swept(self._beyond.first(), None)
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
         """Layered pricing with rows: a column of least priced cost, measured exactly."""
         weights = pricing_weights(price)
-        return self._swept(self._best_beyond(weights, *warm, is_rough=self.is_rough), weights)
+        return self._swept(self._best_beyond(weights, *warm), weights)
 
-    def _swept(self, last: TailColumn, weights: FloatArray | None) -> Column:
-        """A policy with its true totals from the start, found layer by layer.
+    def _swept(self, last: Column, weights: FloatArray | None) -> Column:
+        """A policy with its totals from the start, found layer by layer.
 
         Args:
             last: what is done beyond the cap, with its totals.
             weights: at which the best is done in each layer, [rewards]; None: always the same.
         """
         totals, position = required(last.totals), required(last.choice) - self.sweep.first_pairs
-        measures = measured_beyond(self.augmented, totals, last.ahead, by_goal=self.by_goal)
+        measures = ahead_of(self.augmented, totals)
         choice, figures = swept(self.sweep, position, weights, totals, measures)
         figures, work = figures + self._at_source, last.work + bellman.Work(1, 1)
         kept: dict[str, Any] = {"work": work, "beyond": last}
         return Column.of_figures(figures, choice, by_goal=self.by_goal, **kept)
 
-    def _best_beyond(
-        self, weights: FloatArray, *warm: Column | None, is_rough: bool = False
-    ) -> TailColumn:
+    def _best_beyond(self, weights: FloatArray, *warm: Column | None) -> Column:
         """What is best beyond the cap at some weights: most often what was best before."""
-        tails = (column.beyond for column in warm if column is not None)
-        known = [tail for tail in tails if isinstance(tail, TailColumn)]
-        known = list(dict.fromkeys([*known, self._cheapest_beyond]))
-        for last in known:
+        known = [c.beyond for c in warm if c is not None and c.beyond is not None]
+        for last in dict.fromkeys([*known, self._cheapest_beyond]):
             if self._beyond.is_best(last, weights):
                 return replace(last, work=bellman.Work())
-        if is_rough:
-            return self.tail(self._beyond.better_of(weights, *known))
         return self.tail(self._beyond.minimise(weights, *known))
 
     @cached_property
-    def _cheapest_beyond(self) -> TailColumn:
+    def _cheapest_beyond(self) -> Column:
         """What is cheapest beyond the cap, where failing costs nothing."""
         return self.tail(self._beyond.minimise(np.eye(1, self.n_rewards)[0]))
 
-    def tail(self, last: Column) -> TailColumn:
-        """What is done beyond the cap, with what it costs those that succeed."""
-        choice, totals = required(last.choice), required(last.totals)
-        ahead = np.zeros(len(choice))
-        if self.augmented.charge.slope > 0.0:
-            goal = -totals[:, 1] if self.by_goal else 1.0 - totals[:, 1]
-            steps = self.augmented.step_cost(self.augmented.reaching(goal))[:, None]
-            ahead = evaluate_policy(self._beyond.dynamics, choice, steps).values[:, 0]
-        return TailColumn.of(last, ahead)
-
-    def extended(self, columns: Sequence[Column], near: Sequence[Column]) -> list[Column]:
-        """Columns of fewer layers: in those that are new each one's tail is followed."""
-        tails = dict.fromkeys(column.beyond for column in near if column.beyond is not None)
-        anew = {tail: self.tail(self._beyond.measure(required(tail.choice))) for tail in tails}
-        extended = list[Column]()
-        for column in columns:
-            choice = required(column.choice)
-            beyond = None if column.beyond is None else anew.get(column.beyond)
-            size = self.augmented.cap + 1 - len(choice), choice.shape[1]
-            longer = np.concatenate([choice, np.broadcast_to(choice[-1], size)])
-            extended.append(replace(column, choice=longer, beyond=beyond))
-        return extended
+    def tail(self, last: Column) -> Column:
+        """What is done beyond the cap, with all that layered pricing needs to know of it."""
+        return last
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
         """Best lower bound that layered pricing's sweep with rows gives."""
@@ -447,32 +404,6 @@ def open_sweep(
 def ahead_of(table: OpenEnded, beyond: FloatArray) -> FloatArray:
     """What lies beyond a table's cap, in each layer that a step can reach, [layers, nodes, ...]."""
     return np.broadcast_to(beyond, (table.base.width - 1, *beyond.shape))
-
-
-def measured_beyond(
-    table: OpenEnded, totals: FloatArray, ahead: FloatArray, *, by_goal: bool
-) -> FloatArray:
-    """True measures of a policy beyond a table's cap, [layers beyond, nodes, rewards].
-
-    The open end counts too little: what a policy costs truly follows from what has been paid, and
-    from what its tail costs those that succeed. Of a charge that only comes near a line it is the
-    line: no reward is more certain.
-
-    Args:
-        table: the layers.
-        totals: what the open end counts, [nodes, rewards].
-        ahead: cost of the tail to those that succeed, [nodes].
-        by_goal: whether minus the goal is counted, in place of failing.
-    """
-    beyond = np.array(ahead_of(table, totals))
-    if table.is_settled and truncates(table.charge, float(table.totals.values[-1])):
-        goal, failure = 1.0 - totals[:, 1], totals[:, 1]
-        if by_goal:
-            goal, failure = -totals[:, 1], 1.0 + totals[:, 1]
-        tail = TailValues(goal, failure, goal / table.base.survival, ahead, np.zeros_like(goal))
-        charged = Charge.beyond(table.charge, table.totals.beyond[:, None], tail)
-        beyond[:, :, 0] = charged + table.shift
-    return beyond
 
 
 def swept(

@@ -17,14 +17,15 @@ from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import count
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import scipy.sparse as sp
 
+from ssp_lp.accumulated_cost.charges import Charge, TailValues
 from ssp_lp.accumulated_cost.process import AccumulatedCost, accumulate_cost
 from ssp_lp.accumulated_cost.sweep import OwnNodes, Priced, at_weights
-from ssp_lp.accumulated_cost.written_out import LastLayer, OpenEnded, first_cap
+from ssp_lp.accumulated_cost.written_out import LastLayer, OpenEnded, first_cap, truncates
 from ssp_lp.arrays import (
     MACHINE_EPSILON,
     FloatArray,
@@ -37,9 +38,7 @@ from ssp_lp.column_generation.compiled_problem import CompiledExplicit, unreacha
 from ssp_lp.column_generation.explicit_pricing import costs_less_earned
 from ssp_lp.column_generation.layered_pricing import (
     OpenEndedPricing,
-    TailColumn,
     ahead_of,
-    measured_beyond,
     open_sweep,
     swept,
 )
@@ -218,7 +217,10 @@ class LayeredShare(Share):
             goal: probability of succeeding from each node on, [nodes].
             choice: [own nodes].
         """
-        return self._table.step_cost(self._table.reaching(goal))[choice]
+        quotient = self.layers.base.quotient
+        states = quotient.lift(goal)
+        states[quotient.model.goal_mask] = 1.0
+        return self._table.step_cost(states)[choice]
 
     def sweep(
         self,
@@ -240,8 +242,16 @@ class LayeredShare(Share):
         Returns:
             Its true totals, [rewards].
         """
-        sweep = self._sweep
-        beyond = measured_beyond(self._table, totals, tail_cost, by_goal=False)
+        sweep, table = self._sweep, self._table
+        beyond = np.array(ahead_of(table, totals))
+        if truncates(table.charge, float(table.totals.values[-1])):
+            paid, failure = table.totals.beyond[:, None], totals[:, 1]
+            goal = 1.0 - failure
+            tail = TailValues(
+                goal, failure, goal / table.base.survival, tail_cost, np.zeros_like(goal)
+            )
+            # of an exponential the line to which it falls: no reward is more certain
+            beyond[:, :, 0] = Charge.beyond(table.charge, paid, tail) + table.shift
         position = choice - sweep.first_pairs
         self.layers.choices[number], figures = swept(sweep, position, weights, totals, beyond)
         return figures
@@ -282,6 +292,13 @@ class LayeredShare(Share):
         """
         anything = np.broadcast_to(np.inf, (self._table.cap, self._sweep.n_nodes))
         return self._sweep.bound(priced, anything, keeps=False)[0][:1]
+
+
+@dataclass(frozen=True, eq=False)
+class TailColumn(Column):
+    """What is done beyond the cap on ranks; none of it is counted from the start."""
+
+    ahead: FloatArray = field(kw_only=True)  # [nodes] cost to those that succeed, where that counts
 
 
 @dataclass(frozen=True, eq=False)
@@ -359,18 +376,23 @@ class PartitionedLayers(OpenEndedPricing):
             own = [(pairs,) for pairs in dynamics.own_pairs(choice)]
             steps = np.concatenate(dynamics.order("step_costs", (goal,), own))
             ahead = dynamics.chain(choice).solve(steps)
-        return TailColumn.of(last, ahead)
+        stated = {part.name: getattr(last, part.name) for part in fields(Column)}
+        return TailColumn(**stated, ahead=ahead)
 
-    def _swept(self, last: TailColumn, weights: FloatArray | None) -> Column:
+    def first(self) -> Column:
+        """The policy that leaves the ranks' open end, whatever has been paid."""
+        return self._swept(self.tail(self._beyond.first()), None)
+
+    def _swept(self, last: Column, weights: FloatArray | None) -> Column:
         """A policy with its true totals from the start, found by all ranks layer by layer."""
-        dynamics, number = self.end.shared, next(self.numbers)
-        choice, totals = required(last.choice), required(last.totals)
+        dynamics, number, tail = self.end.shared, next(self.numbers), cast("TailColumn", last)
+        choice, totals = required(tail.choice), required(tail.totals)
         cut = dynamics.by_state
-        vectors = dynamics.own_pairs(choice), cut(totals), cut(last.ahead)
+        vectors = dynamics.own_pairs(choice), cut(totals), cut(tail.ahead)
         parts = dynamics.order("sweep", (number, weights), list(zip(*vectors, strict=True)))
         figures = np.sum(parts, axis=0) + self._at_source
         work = last.work + Work(1, 1)
-        return PartitionedColumn.of_figures(figures, choice, number=number, beyond=last, work=work)
+        return PartitionedColumn.of_figures(figures, choice, number=number, beyond=tail, work=work)
 
     def _proved(self, weights: FloatArray, values: FloatArray, best: Column | None) -> Proof:
         """Best lower bound of layered pricing that the ranks' sweep gives."""
@@ -467,11 +489,6 @@ class CompiledLayers(CompiledPartitioned):
     def _is_swept(self) -> bool:
         """Always, of layers on ranks."""
         return True
-
-    @property
-    def measures_beyond(self) -> bool:
-        """False: a choice of fewer layers lies with the ranks, and is not taken on."""
-        return False
 
     def failure_at_least(self, discount: float | None) -> float:
         """The least failure of all policies on the partitioned layers, for an error."""

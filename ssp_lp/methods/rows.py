@@ -4,8 +4,7 @@ Column generation with phase 1 and phase 2 (``column_generation.search``), or th
 program first, whose duals are then the prices to begin with. A cost given success is found by
 Dinkelbach's iteration: the least of ``cost + ratio * failure`` falls to the ratio itself at the
 optimum. Where accumulated cost is cut at a cap, the process bounds the optimum from below and the
-policy's own value from above. Where the first cap is a guess, a trial says by its prices which one
-loses nothing; policies that were measured beyond the cap, too, are taken on to the higher one.
+policy's own value from above; the cap is doubled until they meet.
 
 On a grid of totals the process bounds every policy from below. The policies that it finds remember
 the rounded total; what they cost and how they fail is evaluated with the true costs, and the
@@ -28,14 +27,7 @@ import numpy as np
 from ssp_lp.accumulated_cost.totals import Resolution
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.arrays import BELOW_RATIO, MACHINE_EPSILON, RELATIVE_GAP, FloatArray, read_only
-from ssp_lp.column_generation.column import (
-    Column,
-    PricingProblem,
-    Proof,
-    least_of,
-    relative_gap,
-    two_sided_gap,
-)
+from ssp_lp.column_generation.column import Column, Proof, least_of, relative_gap, two_sided_gap
 from ssp_lp.column_generation.compiled_problem import ATTAINABLE, CompiledExplicit
 from ssp_lp.column_generation.explicit_pricing import LARGEST
 from ssp_lp.column_generation.search import (
@@ -46,7 +38,7 @@ from ssp_lp.column_generation.search import (
     generate,
     without_negligible_prices,
 )
-from ssp_lp.compiled.deadline import Stop, WithIncumbent, closing, is_late, is_limited
+from ssp_lp.compiled.deadline import Stop, WithIncumbent, closing, is_late
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import Argument, InfeasibleError, ModelError, SolverError
 from ssp_lp.methods.full_program import ProgramOptimum, check_agreement, solve_program
@@ -69,7 +61,6 @@ _PATIENCE = 6  # refinements that need not even halve the gap
 _COARSE_TOTALS = 64  # of the grid that a search on totals begins with
 _COARSE_GAP = 1e-4  # and how exactly it is solved
 _COARSE = 0.5  # relative gap of a search that is only to find out whether there is an answer
-_TRIAL_TOLERANCE = 1e-2  # of a trial, which only learns the price that says the next cap
 _FINER = 1e-3  # of the tolerance, where a complement is minimised, which may be much larger
 
 
@@ -81,7 +72,6 @@ class _RowsOptimum(Answer):
     compiled: CompiledExplicit
     calls: int
     work: Work
-    search: Master  # how it ended
     program: str = ""
 
     @property
@@ -220,10 +210,10 @@ def _rows_attempts(
     stated: CompiledExplicit, options: SolveOptions, truth: Truth | None, guess: _RowsOptimum | None
 ) -> Iterator[_RowsOptimum]:
     """Attempts at the rows' optimum on finer totals, in the end in twice the precision."""
-    calls, work, gaps, begun = 0, Work(), list[float](), None
+    calls, work, gaps = 0, Work(), list[float]()
     while True:
         try:
-            optimum = _rows_attempt(stated, options.after(calls), truth, guess, begun)
+            optimum = _rows_attempt(stated, options.after(calls), truth, guess)
         except SolverError:
             if gaps and is_late():
                 return
@@ -233,8 +223,6 @@ def _rows_attempts(
         yield replace(optimum, calls=calls, work=work)
         stuck = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]
         finer = None if stuck or stated.charge is None else optimum.compiled.refined(optimum.kappa)
-        goes_on = finer is not None and options.program is None
-        begun = optimum.search if goes_on and optimum.compiled.measures_beyond else None
         if finer is None and not (stated.precise or optimum.compiled.is_rounded or options.program):
             finer = replace(stated, precise=True)
         if finer is None:
@@ -244,25 +232,8 @@ def _rows_attempts(
             guess = optimum
 
 
-def _continued(search: Master, pricing: PricingProblem) -> Master:
-    """The search within rows on a process of more layers: what is known is measured truly."""
-    return replace(
-        search,
-        pool=Pool(pricing, pricing.extended(search.pool.columns, search.lottery[0])),
-        bound=0.0,
-        last=None,
-        tried=None,
-        lottery=((), np.zeros(0)),
-        objective=np.inf,
-    )
-
-
 def _rows_attempt(
-    stated: CompiledExplicit,
-    options: SolveOptions,
-    truth: Truth | None,
-    guess: _RowsOptimum | None,
-    begun: Master | None = None,
+    stated: CompiledExplicit, options: SolveOptions, truth: Truth | None, guess: _RowsOptimum | None
 ) -> _RowsOptimum:
     """One search for the rows' optimum, in the precision that the compiled problem says.
 
@@ -270,17 +241,13 @@ def _rows_attempt(
     """
     finer = _FINER if stated.sense.constant else 1.0
     options = replace(options, tolerance=finer * options.tolerance)
-    if begun is None:
-        compiled, rule = opened(stated, options)
-    else:
-        compiled, rule = stated, _continued(begun, stated.pricing())
-    is_trial = compiled.is_trial and options.program is None
-    if is_trial:
-        options = replace(options, tolerance=max(options.tolerance, _TRIAL_TOLERANCE))
+    program: ProgramOptimum | None = None
+    compiled, rule = opened(stated, options)
     if guess is not None:
         rule = search_begun_at(compiled, rule, guess.value, guess.prices)
-    program: ProgramOptimum | None = None
     if options.program is not None:
+        if compiled.ratio:  # whether any lottery within the rows succeeds is no solver's to say
+            best_lottery(compiled, rule, replace(options, tolerance=_COARSE))
         program, rule = search_begun_at_duals(compiled, rule, options)
     generated = best_lottery(compiled, rule, options)
     pool, rows, ratio = rule.pool, rule.rows, generated.ratio  # in case S with the ratio
@@ -290,8 +257,9 @@ def _rows_attempt(
         check_agreement(program, value)
     prices = without_negligible_prices(generated.prices, pool.sizes(rows), size)
     bound, values = 0.0, compiled.pricing().anything
-    if not is_trial or is_limited():
-        bound, values = _bound_in_time(compiled, rows, prices, pool, is_trial=is_trial)
+    with WithIncumbent(), closing():  # where no time is left the values ask for the best
+        bound, proof = rows_bound(compiled, rows, prices, pool.proved)
+        values = read_only(proof.values)
     policy, taken = generated.lottery(compiled.pricing()), generated.figures[rows.index].tolist()
     taken = dict(zip(names_of(compiled, rows), taken, strict=True))
     if truth is not None and compiled.is_rounded:
@@ -301,9 +269,17 @@ def _rows_attempt(
             repaired = true_lottery(compiled, rows, pool, rows.weights(prices), truth[1])
             if repaired is not None:
                 value, (policy, failure) = truth[0](repaired[0]), repaired
-    elif truth is not None and not compiled.measures_truly:
+    elif truth is not None:
         value = truth[0](policy)
-    granted, named = _granted(compiled, rows), _named_prices(compiled, rows, prices)
+    granted = {
+        compiled.names[place]: float(bound)
+        for place, bound in zip((rows.index - 1).tolist(), rows.bounds, strict=True)
+        if bound > compiled.bounds[place]
+    }
+    named = dict.fromkeys(compiled.names, 0.0)
+    named |= zip(names_of(compiled, rows), prices.tolist(), strict=True)
+    if compiled.budget is None:
+        del named[FAILURE_ROW]
     paid = float(prices @ np.abs(rows.bounds))
     return _RowsOptimum(
         compiled=compiled,
@@ -316,46 +292,11 @@ def _rows_attempt(
         values=values,
         calls=pool.calls,
         work=pool.work,
-        search=rule,
         note=_remarks(compiled, stated, granted, generated.finished),
         granted=granted,
         taken=taken,
         program="" if program is None else program.report,
     )
-
-
-def _granted(compiled: CompiledExplicit, rows: Rows) -> dict[str, float]:
-    """Bounds of the rows, by name, that were raised to what is attainable."""
-    places = (rows.index - 1).tolist()
-    return {
-        compiled.names[place]: float(most)
-        for place, most in zip(places, rows.bounds, strict=True)
-        if most > compiled.bounds[place]
-    }
-
-
-def _named_prices(compiled: CompiledExplicit, rows: Rows, prices: FloatArray) -> dict[str, float]:
-    """Prices of all rows by name, 0 where nothing is limited; none of failing at least failure."""
-    named = dict.fromkeys(compiled.names, 0.0)
-    named |= zip(names_of(compiled, rows), prices.tolist(), strict=True)
-    if compiled.budget is None:
-        del named[FAILURE_ROW]
-    return named
-
-
-def _bound_in_time(
-    compiled: CompiledExplicit, rows: Rows, prices: FloatArray, pool: Pool, *, is_trial: bool
-) -> tuple[float, FloatArray]:
-    """The bound within rows that prices prove, and its values; 0, and values that ask for the best.
-
-    The latter where no time is left. A trial's bound is one that needs no search of its own.
-    """
-    bound, values = 0.0, compiled.pricing().anything
-    least_goal = compiled.least_goal if is_trial else None
-    with WithIncumbent(), closing():
-        bound, proof = rows_bound(compiled, rows, prices, pool.proved, least_goal)
-        values = read_only(proof.values)
-    return bound, values
 
 
 def _remarks(
@@ -725,8 +666,6 @@ def search_begun_at_duals(
     compiled: CompiledExplicit, rule: Master, options: SolveOptions
 ) -> tuple[ProgramOptimum, Master]:
     """Full linear program's optimum with rows, and the search begun at its duals."""
-    if compiled.ratio:  # whether any lottery within the rows succeeds is no solver's to say
-        best_lottery(compiled, rule, replace(options, tolerance=_COARSE))
     pricing, rows = compiled.explicit_pricing, rule.rows
     limited = zip(names_of(compiled, rows), rows.index, rows.bounds.tolist(), strict=True)
     limits = {name: (pricing.rewards[:, index], bound) for name, index, bound in limited}

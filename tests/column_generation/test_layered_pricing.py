@@ -30,8 +30,6 @@ from ssp_lp.column_generation.layered_pricing import OpenEndedPricing
 from ssp_lp.column_generation.search import _initial_column_within
 from ssp_lp.compiled import deadline
 from ssp_lp.compiled.deadline import Stop, until
-from ssp_lp.methods.rows import rows_optimum
-from ssp_lp.options import SolveOptions
 from ssp_lp.problem import compiled_constrained
 from ssp_lp.processes.failure_semantics import FailureSemantics
 from written_models import drawn_table, written
@@ -181,20 +179,13 @@ def test_pricing_by_layers_is_pricing_on_the_process_written_out(seed):
     swept = OpenEndedPricing(layered, False, tuple(row.at(counting) for row in compiled.side))
     assert swept.value_shape == written_out.value_shape
     assert swept.n_rewards == written_out.n_rewards
-    np.testing.assert_allclose(swept.first().figures[1:], written_out.first().figures[1:], 1e-9)
+    np.testing.assert_allclose(swept.first().figures, written_out.first().figures, rtol=1e-9)
     for _ in range(6):
         weights = rng.uniform(0.0, 30.0, swept.n_rewards) * (rng.random(swept.n_rewards) < 0.7)
         weights[0] = float(rng.integers(2))
         column, known = swept.minimise(weights), written_out.minimise(weights)
         least = float(known.figures @ weights)
-        # beyond the cap the process written out counts too little, and a column what is true
-        spent = evaluate(swept.policy(column), S3P(model, "s0", 0.4, constraints=limits))
-        cost = spent.objective * spent.goal_probability if spent.goal_probability > 0.0 else 0.0
-        assert column.cost == pytest.approx(cost, rel=1e-9, abs=1e-12)
-        assert column.failure == pytest.approx(spent.failure_probability, rel=1e-9, abs=1e-12)
-        assert float(column.figures @ weights) >= least - 1e-9 * (1.0 + abs(least))
-        if weights[0] == 0.0:
-            assert float(column.figures @ weights) == pytest.approx(least, rel=1e-9, abs=1e-9)
+        assert float(column.figures @ weights) == pytest.approx(least, rel=1e-9, abs=1e-9)
         bound = swept.prove(weights, column).bound
         assert bound <= least + 1e-12 * abs(least)
         assert bound == pytest.approx(least, rel=1e-9, abs=1e-9)
@@ -295,27 +286,3 @@ def test_one_product_is_not_taken_for_exact(compiled, accelerate):
         assert Fraction(pricing.prove(price, slack=True).bound) <= -Fraction(price) * Fraction(0.3)
         least = min(Fraction(price) * failed, Fraction(price))
         assert Fraction(pricing.prove(price).bound) <= least
-
-
-def test_policies_are_taken_on_to_a_higher_cap(monkeypatch):
-    """Where runs cannot fail at will no cap is beyond loss: each higher one takes a call or two."""
-    monkeypatch.setattr(compiled_problem, "_WORTH_SWEEPING", 0)
-    steps = {}
-    for k in range(12):
-        on = [(0.75, f"s{k + 1}", 1.0), (0.2, f"s{max(k - 2, 0)}", 1.0), (0.05, "pit", 1.0)]
-        steps[f"s{k}"] = {"on": on}
-        if k % 3 == 0:
-            steps[f"s{k}"]["surely"] = [(1.0, f"s{k + 1}", 1.0)]
-    model = SSP.from_transitions(steps, goal={"s12"}, dead_ends={"pit"})
-    fuel = secondary_cost([action == "surely" for choices in steps.values() for action in choices])
-    problem = S3P(model, "s0", 1.0, constraints={"fuel": fuel <= 4.5})
-    begun = replace(compiled_constrained(problem), cap=3)
-    assert isinstance(begun.pricing(), OpenEndedPricing)
-    optimum = rows_optimum(begun, SolveOptions(1e-9))
-    assert optimum.compiled.layers > 4 * 3  # raised twice
-    at_once = rows_optimum(replace(begun, cap=optimum.compiled.layers), SolveOptions(1e-9))
-    for found in (optimum, at_once):
-        assert found.gap <= 1e-9
-        assert found.value == pytest.approx(solve(problem).objective, rel=1e-9)
-        assert found.value == pytest.approx(evaluate(found.policy, problem).objective, rel=1e-12)
-    assert optimum.calls <= at_once.calls + 6
