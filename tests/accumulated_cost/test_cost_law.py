@@ -23,7 +23,6 @@ from ssp_lp import (
     DeterministicPolicy,
     MixedPolicy,
     ModelError,
-    SolverError,
     cross_check,
     evaluate,
     simulate,
@@ -273,14 +272,14 @@ def test_a_free_loop_that_is_hardly_ever_left():
 
 
 def test_paid_wandering_fails_and_ends_the_sweep():
-    """Pushing mass through a recurrent class fails; following the live part does not."""
+    """Visits of a recurrent class are infinite; following the live part ends."""
     model = written("a go: 0.5 c 1, 0.5 G 1\n c on: c 3\n c out: G 1", "G")
     law = law_of(model, {"a": "go", "c": "on"})
     assert law.within(1e12) == pytest.approx(0.5)
     assert law.quantile(0.999) == 1.0
     assert law.all_but(1e-3).costs.tolist() == [1.0]
-    with pytest.raises(SolverError):
-        policy_chain(WALK, WAITING, np.eye(4)[0]).push(np.ones(1))
+    with pytest.raises(ModelError, match="wander for ever"):
+        policy_chain(WALK, WAITING, np.eye(4)[0]).visits()
     assert success_costs(WAITING, S3P(WALK, start="a")).goal == 0.0
 
 

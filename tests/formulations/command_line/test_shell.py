@@ -15,7 +15,7 @@ from test_command_line import ROADS
 
 from cases import FOLDER, expected
 from formulations import MCMP
-from formulations.command_line import compiling, main
+from formulations.command_line import main
 from formulations.command_line.arguments import VERBS
 from ssp_lp import solve
 from ssp_lp.io import from_gymnasium
@@ -89,7 +89,6 @@ def test_the_examples_of_the_help_run(
     folder: Path, line: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(compiling, "_problems", lambda: iter(()))  # minutes, for all loops
     _, *words = shlex.split(line.partition(" > ")[0])
     assert main(words) == 0
     printed = capsys.readouterr()
