@@ -245,7 +245,7 @@ def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -
 @pytest.mark.parametrize(
     ("measure", "most"),
     [
-        (house.lines_in_all, 33_306),
+        (house.lines_in_all, 33_360),
         (house.public_classes, 284),
         (house.numeric_constants, 523),
         (house.questions_asked, 91),
@@ -279,7 +279,7 @@ LINES = {
     "ssp_lp/distributed": 2_680,
     "ssp_lp/dynamic_programming": 2_055,
     "ssp_lp/game": 1_036,
-    "ssp_lp/io": 2_933,
+    "ssp_lp/io": 2_987,
     "ssp_lp/linear_programming": 423,
     "ssp_lp/methods": 3_270,
     "ssp_lp/model": 2_336,

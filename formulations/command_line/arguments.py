@@ -249,7 +249,7 @@ def _switch(said: str, **more: Any) -> Any:
 _QUESTION: Options = {
     "--criterion": _taken(
         f"mcmp if left out; or {', '.join(name for name in CRITERIA if name != 'mcmp')}", "NAME",
-        _criterion_argument, choices=CRITERIA, default="mcmp",
+        _criterion_argument, choices=tuple(CRITERIA), default="mcmp",
     ),
     "--property": _taken(
         'the same in PRISM\'s words: multi(R{"time"}min=? [F "ok"], P>=0.95 [F "ok"])', "WORDS"

@@ -6,14 +6,16 @@ import logging
 import warnings
 from bisect import bisect
 from collections import Counter
-from collections.abc import Callable, Container, Hashable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache, cached_property, partial
+from itertools import chain
 from math import fsum
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
 import numpy as np
+import numpy.typing as npt
 
 from ssp_lp.analysis.simulation import (
     Estimate,
@@ -22,7 +24,15 @@ from ssp_lp.analysis.simulation import (
     pairs_taken,
     proportion_estimate,
 )
-from ssp_lp.arrays import SINGLE_PRECISION_SUM, FloatArray, ReadOnlyCopies, offsets_of, read_only
+from ssp_lp.arrays import (
+    SINGLE_PRECISION_SUM,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    ReadOnlyCopies,
+    offsets_of,
+    read_only,
+)
 from ssp_lp.errors import (
     Argument,
     ModelError,
@@ -212,13 +222,14 @@ def from_gymnasium(
     if isinstance(steps, str):  # the environment's own, which is no horizon of a grid
         steps = limit if grid is None else None
     if grid is None:
-        steps_listed, begin = _steps_in_table(env), _start_of(env, start)
-        _checked_set(steps_listed, "start", begin)
-        is_goal = None if goal is None else _checked_set(steps_listed, "goal", goal)
-        model = _model_of_steps(steps_listed, begin, is_goal, paid)
+        table, begin = _table_of(env), _start_of(env, start)
+        _checked_set(table, "start", begin)
+        is_goal = goal if goal is None or callable(goal) else _checked_set(table, "goal", goal)
+        model = _model_of_table(table, begin, is_goal, paid)
+        if dead_ends is not None and not callable(dead_ends):
+            dead_ends = _checked_set(table, "dead_ends", dead_ends)
         if dead_ends is not None:
-            are_ends = _checked_set(steps_listed, "dead_ends", dead_ends)
-            model.with_dead_ends(partial(model.ends_among, are_ends))
+            model.with_dead_ends(partial(model.ends_among, dead_ends))
     else:
         if goal is None or start is None:
             missing = "goal" if goal is None else "start"
@@ -240,14 +251,11 @@ def from_gymnasium(
     return GymnasiumWorld(unrolled, unrolled.start(begin), limit, steps, continuous)
 
 
-def _checked_set(steps: _Steps, name: str, listed: StateSet) -> Callable[[Any], bool]:
+def _checked_set(table: _Table, name: str, listed: Iterable[Hashable]) -> Callable[[Any], bool]:
     """Predicate of a set of the Gymnasium environment's states; ModelError for an unknown one."""
-    if callable(listed):
-        return listed
     members = {_plain(state) for state in no_lone_string(listed, name)}
-    states = dict.fromkeys([*steps, *(to for _, to, *_ in _outcomes(steps))])
-    for state in members - states.keys():
-        nearest = did_you_mean(state, states, "its states:")
+    for state in members.difference(table.states):
+        nearest = did_you_mean(state, table.states, "its states:")
         raise ModelError(f"{name}: {state!r} is not a state of the environment{nearest}")
     return members.__contains__
 
@@ -357,58 +365,78 @@ def _name_of(env: Any) -> str:
     return str(env.spec.id if env.spec is not None else type(env.unwrapped).__name__)
 
 
-_Outcome = tuple[float, Hashable, float, bool]
-_Steps = Mapping[Hashable, Mapping[Hashable, list[_Outcome]]]
-"""State -> action -> (probability > 0, next state, reward, whether the episode terminates)."""
+class _Table(NamedTuple):
+    """An environment's table: its states, then those that only outcomes name."""
+
+    states: list[Hashable]  # [states]
+    listed: int  # of them in the table
+    pair_state: IntArray  # [pairs]
+    actions: list[Hashable]  # [pairs]
+    pair: IntArray  # [outcomes]
+    probability: FloatArray  # [outcomes], > 0
+    target: IntArray  # [outcomes]
+    reward: FloatArray  # [outcomes]
+    over: BoolArray  # [outcomes] whether an episode terminates
 
 
-def _outcomes(steps: _Steps) -> Iterator[_Outcome]:
-    """All outcomes of a Gymnasium environment's steps."""
-    for actions in steps.values():
-        for outcomes in actions.values():
-            yield from outcomes
-
-
-def _steps_in_table(env: gymnasium.Env[Any, Any]) -> _Steps:
+def _table_of(env: gymnasium.Env[Any, Any]) -> _Table:
     """The Gymnasium environment's table of transitions, checked.
 
     Raises:
         ModelError: there is none, or outcomes that are none, or do not sum to one.
     """
-    table = getattr(env.unwrapped, "P", None)
-    if table is None:
+    listed = getattr(env.unwrapped, "P", None)
+    if listed is None:
         raise ModelError(
             f"{_name_of(env)} is not tabular: it has no table of transitions, env.unwrapped.P; "
             "where its state is coordinates, continuous_from_gymnasium(env, grid, goal=...) makes "
             "a world of it that discretise cuts into cells; where you know how likely its steps "
             "are, SSP.from_successors takes a function (docs/guides/own_simulator.md)"
         )
-    steps: dict[Hashable, dict[Hashable, list[_Outcome]]] = {}
-    for state, actions in _items(table):
-        steps[_plain(state)] = listed = {}
-        for action, outcomes in _items(actions):
-            try:
-                every = [
-                    (float(p), to if type(to) is int else _plain(to), float(r), bool(over))
-                    for p, to, r, over in outcomes
-                    if p != 0.0
-                ]
-            except (TypeError, ValueError) as error:
-                told = "an outcome in the table must be (probability, state, reward, terminated)"
-                raise ModelError(told) from error
-            total = sum([chance for chance, *_ in every])
-            if not abs(total - 1.0) <= SINGLE_PRECISION_SUM:
-                raise ModelError(
-                    f"action {action!r} of state {state!r}: the table's probabilities sum to "
-                    f"{total:.9g}"
-                )
-            listed[_plain(action)] = every
-    return steps
+    # no lists of lists: their collector would take longer than all the rest
+    names, tables = _keys(listed), list(_values(listed))
+    index = {_plain(name): k for k, name in enumerate(names)}
+    actions = list(map(_plain, chain.from_iterable(map(_keys, tables))))
+    outcomes = list(chain.from_iterable(map(_values, tables)))
+    pair_state = np.repeat(np.arange(len(tables)), list(map(len, tables)))
+    pair = np.repeat(np.arange(len(outcomes)), list(map(len, outcomes)))
+    entries = list(chain.from_iterable(outcomes))
+    if set(map(len, entries)) - {4}:
+        raise ModelError("an outcome in the table must be (probability, state, reward, terminated)")
+    flat = list(chain.from_iterable(entries))
+    probability, targets = np.array(flat[::4], dtype=np.float64), flat[1::4]
+    total = np.bincount(pair, probability, minlength=len(outcomes))
+    wrong = ~(np.abs(total - 1.0) <= SINGLE_PRECISION_SUM)
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        raise ModelError(
+            f"action {actions[k]!r} of state {list(index)[int(pair_state[k])]!r}: the table's "
+            f"probabilities sum to {total[k]:.9g}"
+        )
+    for state in dict.fromkeys(targets):
+        index.setdefault(_plain(state), len(index))
+    occurs = probability != 0.0
+    return _Table(
+        states=list(index),
+        listed=len(tables),
+        pair_state=pair_state,
+        actions=actions,
+        pair=pair[occurs],
+        probability=probability[occurs],
+        target=np.fromiter(map(index.__getitem__, targets), np.int64, len(targets))[occurs],
+        reward=np.array(flat[2::4], dtype=np.float64)[occurs],
+        over=np.array(flat[3::4], dtype=np.bool_)[occurs],
+    )
 
 
-def _items(listed: Any) -> Any:
-    """Keys and values of a Gymnasium environment's dict, or of a list by position."""
-    return listed.items() if isinstance(listed, Mapping) else enumerate(listed)
+def _keys(listed: Any) -> Any:
+    """Keys of a Gymnasium environment's dict, or positions in a list."""
+    return listed if isinstance(listed, Mapping) else range(len(listed))
+
+
+def _values(listed: Any) -> Any:
+    """Values of a Gymnasium environment's dict, or entries of a list."""
+    return listed.values() if isinstance(listed, Mapping) else listed
 
 
 def _plain(value: Any) -> Any:
@@ -425,7 +453,7 @@ def _start_of(
         if shares is None:
             message = "the environment has no initial_state_distrib: give "
             raise ModelError(message, Argument("start"))
-        start = {state: float(share) for state, share in _items(shares)}
+        start = dict(zip(_keys(shares), map(float, _values(shares)), strict=True))
     if not isinstance(start, Mapping):
         return {_plain(start): 1.0}
     total = fsum(start.values())
@@ -445,16 +473,16 @@ def _reward_cost(state: Any, action: Any, next_state: Any, reward: float) -> flo
 _COSTS: dict[str, CostFunction] = {"step": _step_cost, "reward": _reward_cost}
 
 
-def _model_of_steps(
-    steps: _Steps,
-    begin: Iterable[Hashable],
+def _model_of_table(
+    table: _Table,
+    begin: Mapping[Hashable, float],
     goal: Callable[[Any], bool] | None,
     cost: CostFunction,
 ) -> EnvironmentSSP:
     """The model of a Gymnasium environment: every state of its table, and the ends.
 
     Args:
-        steps: of the environment's table.
+        table: of the environment.
         begin: the states in which its episodes begin.
         goal: which states are goals; None: those that are entered with a reward alone.
         cost: of a step.
@@ -462,41 +490,49 @@ def _model_of_steps(
     Raises:
         ModelError: goals that cannot be told, or a cost that is no number >= 0.
     """
-    goes_on = {*begin, *(to for _, to, _, over in _outcomes(steps) if not over)}
-    ended = {to for _, to, _, over in _outcomes(steps) if over} - goes_on
-    going = {state: actions for state, actions in steps.items() if state not in ended}
+    n_states = len(table.states)
+    listed = np.arange(n_states) < table.listed
+    goes_on = np.array([state in begin for state in table.states])
+    goes_on[table.target[~table.over]] = True
+    going = listed.copy()
+    going[table.target[table.over]] = False  # an end, unless an episode may go on from there
+    going |= listed & goes_on
+    steps = np.flatnonzero(going[table.pair_state[table.pair]])
+    target, over = table.target[steps], table.over[steps]
     if goal is None:
-        goals, parted = _rewarded(_outcomes(going)), goes_on
+        goals, parted = _rewarded(table, steps), goes_on
     else:
-        known = dict.fromkeys([*steps, *(to for _, to, *_ in _outcomes(going))])
-        goals = [state for state in known if goal(state)]
-        parted = goes_on.difference(goals)
-
-    def led_to(state: Hashable, over: bool) -> Hashable:
-        """A state after a step; the end has one of its own where an episode may also go on."""
-        return (END, state) if over and state in parted else state
-
-    aims = dict.fromkeys(led_to(state, True) for state in goals)
-    reached = (led_to(to, over) for _, to, _, over in _outcomes(going))
-    order = {state: k for k, state in enumerate(dict.fromkeys([*going, *reached, *aims]))}
-    acting = {state: actions for state, actions in going.items() if state not in aims}
-    paid: list[Any] = [
-        cost(state, action, to, reward)
-        for state, actions in acting.items()
-        for action, outcomes in actions.items()
-        for _, to, reward, _ in outcomes
-    ]
-    sizes = [len(outcomes) for actions in acting.values() for outcomes in actions.values()]
+        listed[target] = True
+        asked = zip(listed.tolist(), table.states, strict=True)
+        goals = np.array([known and bool(goal(state)) for known, state in asked])
+        parted = goes_on & ~goals
+    # where the environment also goes on from, the end has a number of its own, n_states higher
+    led = target + n_states * (over & parted[target])
+    reached, first = np.unique(led, return_index=True)
+    aims = np.flatnonzero(goals) + n_states * parted[goals]
+    numbered = np.concatenate([np.flatnonzero(going), reached[np.argsort(first)], aims])
+    order = np.array(list(dict.fromkeys(numbered.tolist())), dtype=np.int64)
+    number = np.full(2 * n_states, -1)
+    number[order] = np.arange(order.size)
+    acting = (going & ~(goals & ~parted))[table.pair_state]
+    taken = acting[table.pair[steps]]
+    kept = steps[taken]
+    costs, exact = _costs_of_outcomes(table, kept, cost)
     plain = SSP.from_arrays(
-        pair_offsets=offsets_of(np.array([len(acting.get(state, ())) for state in order])),
-        outcome_offsets=offsets_of(np.array(sizes, dtype=np.int64)),
-        successors=[order[led_to(to, over)] for _, to, _, over in _outcomes(acting)],
-        probabilities=[chance for chance, *_ in _outcomes(acting)],
-        costs=paid,
-        goal_states=[order[aim] for aim in aims],
-        states=[*order],
-        actions=[action for actions in acting.values() for action in actions],
-        exact_costs={float(one): one for one in paid if isinstance(one, Fraction)},
+        pair_offsets=offsets_of(
+            np.bincount(number[table.pair_state[acting]], minlength=order.size)
+        ),
+        outcome_offsets=offsets_of(np.bincount(table.pair[kept], minlength=acting.size)[acting]),
+        successors=number[led[taken]],
+        probabilities=table.probability[kept],
+        costs=costs,
+        goal_states=number[aims],
+        states=[
+            (END, table.states[k - n_states]) if k >= n_states else table.states[k]
+            for k in order.tolist()
+        ],
+        actions=[table.actions[k] for k in np.flatnonzero(acting).tolist()],
+        exact_costs=exact,
         treat_actionless_as_dead_ends=True,
         normalise=True,
     )
@@ -508,26 +544,47 @@ def _fields_of(model: SSP) -> dict[str, Any]:
     return {name: getattr(model, name) for name in SSP.__dataclass_fields__}
 
 
-def _rewarded(taken: Iterable[_Outcome]) -> list[Hashable]:
-    """States in which the Gymnasium environment terminates with a reward.
+def _costs_of_outcomes(
+    table: _Table, kept: IntArray, cost: CostFunction
+) -> tuple[npt.ArrayLike, dict[float, Fraction]]:
+    """Costs of some outcomes in a Gymnasium table, from rewards, and the fractions among them."""
+    if cost is _step_cost:
+        return 1.0, {}
+    if cost is _reward_cost:
+        return np.maximum(-table.reward[kept], 0.0) + 0.0, {}
+    pair = table.pair[kept].tolist()
+    columns = table.pair_state[pair].tolist(), pair, table.target[kept].tolist()
+    names, actions = table.states, table.actions
+    paid: list[Any] = [
+        cost(names[state], actions[k], names[to], reward)
+        for state, k, to, reward in zip(*columns, table.reward[kept].tolist(), strict=True)
+    ]
+    return paid, {float(one): one for one in paid if isinstance(one, Fraction)}
+
+
+def _rewarded(table: _Table, steps: IntArray) -> BoolArray:
+    """Whether the Gymnasium environment terminates in a state with a reward, [states].
 
     Raises:
         ModelError: there are none, or one is entered with a reward and without.
     """
-    rewarded: dict[Hashable, set[bool]] = {}
-    for _, to, reward, over in taken:
-        if over:
-            rewarded.setdefault(to, set()).add(reward > 0.0)
-    for state, both in rewarded.items():
-        if len(both) > 1:
-            raise ModelError(
-                f"state {state!r} ends some episodes with a reward and some without: ", *_SAY_GOALS
-            )
-    goals = [state for state, both in rewarded.items() if True in both]
-    if not goals:
-        message = f"no step into one of the environment's ends {[*rewarded][:5]} is rewarded: "
+    ending = steps[table.over[steps]]
+    to, reward = table.target[ending], table.reward[ending]
+    least, most = np.full((2, len(table.states)), np.inf) * [[1.0], [-1.0]]
+    np.minimum.at(least, to, reward)
+    np.maximum.at(most, to, reward)
+    mixed = (least <= 0.0) & (most > 0.0)
+    if mixed.any():
+        state = table.states[int(to[int(np.argmax(mixed[to]))])]
+        raise ModelError(
+            f"state {state!r} ends some episodes with a reward and some without: ", *_SAY_GOALS
+        )
+    goals = (least > 0.0) & (most > 0.0)
+    if not goals.any():
+        ends = [table.states[k] for k in list(dict.fromkeys(to.tolist()))[:5]]
+        message = f"no step into one of the environment's ends {ends} is rewarded: "
         raise ModelError(message, *_SAY_GOALS)
-    return goals
+    return np.asarray(goals)
 
 
 class StepLimitWarning(UserWarning):

@@ -227,7 +227,7 @@ def test_single_precision_is_rounding_and_more_is_not():
 
 
 def test_a_million_outcomes_are_listed_in_little_time():
-    """Walks on a ring of lists: as exact as small ones, some microseconds for each outcome."""
+    """Walks on a ring of lists: as exact as small ones, a microsecond for each outcome at most."""
     size, third = 20_000, 1.0 / 3.0
     table = [
         [[(third, (s + k) % size, float(s + k == size), s + k == size) for k in (0, 1, 2)]] * 2
