@@ -257,11 +257,6 @@ class OpenEndedPricing(PricingProblem):
 
     def first(self) -> Column:
         """The policy that leaves the open end, whatever has been paid: nearer to the goal."""
-        return self._first
-
-    @cached_property
-    def _first(self) -> Column:
-        """The first column, kept."""
         return self._swept(self._beyond.first(), None)
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
@@ -286,15 +281,10 @@ class OpenEndedPricing(PricingProblem):
     def _best_beyond(self, weights: FloatArray, *warm: Column | None) -> Column:
         """What is best beyond the cap at some weights: most often what was best before."""
         known = [c.beyond for c in warm if c is not None and c.beyond is not None]
-        for last in dict.fromkeys([*known, self._cheapest_beyond]):
+        for last in dict.fromkeys(known):
             if self._beyond.is_best(last, weights):
                 return replace(last, work=bellman.Work())
         return self.tail(self._beyond.minimise(weights, *known))
-
-    @cached_property
-    def _cheapest_beyond(self) -> Column:
-        """What is cheapest beyond the cap, where failing costs nothing."""
-        return self.tail(self._beyond.minimise(np.eye(1, self.n_rewards)[0]))
 
     def tail(self, last: Column) -> Column:
         """What is done beyond the cap, with all that layered pricing needs to know of it."""

@@ -92,9 +92,8 @@ def program_of(
         bounded = zip(compiled.names, limits, compiled.told, taken, strict=True)
         for name, bound, words, each in bounded:
             if np.isfinite(bound):
-                rows.append(
-                    ProgramRow(name, np.ascontiguousarray(each), float(bound), words or name)
-                )
+                takes = np.ascontiguousarray(each)
+                rows.append(ProgramRow(name, takes, float(bound), words or name))
     asked = "least failure" if budget is None else f"failure budget {budget:g}"
     discount = "" if inner.discount is None else f", discount {inner.discount:g}"
     within = "" if horizon is None else f", within {horizon:,} steps"

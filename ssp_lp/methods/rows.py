@@ -246,8 +246,6 @@ def _rows_attempt(
     if guess is not None:
         rule = search_begun_at(compiled, rule, guess.value, guess.prices)
     if options.program is not None:
-        if compiled.ratio:  # whether any lottery within the rows succeeds is no solver's to say
-            best_lottery(compiled, rule, replace(options, tolerance=_COARSE))
         program, rule = search_begun_at_duals(compiled, rule, options)
     generated = best_lottery(compiled, rule, options)
     pool, rows, ratio = rule.pool, rule.rows, generated.ratio  # in case S with the ratio
@@ -666,6 +664,8 @@ def search_begun_at_duals(
     compiled: CompiledExplicit, rule: Master, options: SolveOptions
 ) -> tuple[ProgramOptimum, Master]:
     """Full linear program's optimum with rows, and the search begun at its duals."""
+    if compiled.ratio:  # whether any lottery within the rows succeeds is no solver's to say
+        best_lottery(compiled, rule, replace(options, tolerance=_COARSE))
     pricing, rows = compiled.explicit_pricing, rule.rows
     limited = zip(names_of(compiled, rows), rows.index, rows.bounds.tolist(), strict=True)
     limits = {name: (pricing.rewards[:, index], bound) for name, index, bound in limited}
