@@ -252,8 +252,12 @@ class OpenEnded(ChargedLayers):
         charged = self.charged(layer).total
         if layer < self.cap or self.charge.slope == 0.0:
             return charged
-        counts = self.totals.values[-1] >= (self.charge.settled or 0.0)
-        return charged + self.charge.slope * self._step_beyond if counts else charged
+        return charged + self.charge.slope * self._step_beyond if self.is_settled else charged
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the open end's charge has become its line at the cap, or only comes near one."""
+        return bool(self.totals.values[-1] >= (self.charge.settled or 0.0))
 
     @cached_property
     def _step_beyond(self) -> FloatArray:
@@ -265,6 +269,12 @@ class OpenEnded(ChargedLayers):
             return np.zeros(len(self.base.gain))
         going_on = self.base.quotient.node_of >= 0
         return self.step_cost(np.where(going_on, self.least_goal, 0.0))
+
+    def reaching(self, goal: FloatArray) -> FloatArray:
+        """Probability of succeeding from each state, [states], by that of each node."""
+        states = self.base.quotient.lift(goal)
+        states[self.base.quotient.model.goal_mask] = 1.0
+        return states
 
     def step_cost(self, goal: FloatArray) -> FloatArray:
         """Cost of a step to those of the open-ended table's runs that succeed after it, [pairs].

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self, TypeVar
@@ -133,6 +134,14 @@ class PricingProblem(ABC):
         Raises:
             Stop: the time ended, with a policy that may do where one was known.
         """
+
+    def taken_on(self, columns: Sequence[Column]) -> list[Column] | None:
+        """Columns of the process with a lower cap, measured in this one; None: it has no cap."""
+        return None
+
+    def true_cost(self, column: Column) -> float | None:
+        """Cost of a column on the model, with what its process cuts off; None: unknown here."""
+        return None
 
     def aligned(self, column: Column, price: float) -> Column:
         """A column with its tails, where it has any, chosen by this price; measured again."""

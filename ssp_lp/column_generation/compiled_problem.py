@@ -865,6 +865,7 @@ _MOST_SWEPT = 400_000_000
 _WORTH_SWEEPING = 400  # entries of a layer from which pricing by layers pays
 
 _ROOM = 6_000_000  # pairs of a process on levels, each of which is priced many times
+_ROUGHLY = 0.5  # of the layers of a first attempt, those of a trial, which can be taken on
 _CLEARLY = 1e-9  # share of a budget, or of the success that it demands: more than rounding
 _OWN = {"augmented", "explicit_pricing", "_pricing", "totals", "layers"}
 """What depends on the charge, the cap or the resolution."""
@@ -889,6 +890,7 @@ class CompiledExplicit(CompiledProblem):
     ratio: bool = False
     cap: int | None = None  # layers; None: a first guess
     fixed_cap: float | None = None  # the user's cap on accumulated cost
+    exact_tails: bool = True  # beyond the cap of layers the best is done, not about the best
     objective: UpperRow | None = None  # minimised in place of the cost; no charge then
     resolution: Resolution | None = None  # totals that are no multiples of a unit
     partition: Partition | None = None  # who shares the pricing
@@ -1108,7 +1110,7 @@ class CompiledExplicit(CompiledProblem):
             return self.explicit_pricing
         counting = layered.counting(self.semantics)
         rows = tuple(row.at(counting) for row in self.side)
-        return OpenEndedPricing(layered, self.precise, rows, self.by_goal)
+        return OpenEndedPricing(layered, self.precise, rows, self.by_goal, self.exact_tails)
 
     @property
     def _is_swept(self) -> bool:
@@ -1156,6 +1158,13 @@ class CompiledExplicit(CompiledProblem):
         safest = goal_reach.cheapest_reach(self.model, self.greatest, self.survival).values
         return float(self.start @ safest.cost) / max(float(self.start @ safest.goal), 1e-300)
 
+    @property
+    def _cost_of_a_way(self) -> float:
+        """Cost given success of a policy that goes for the goal, to size a trial's table."""
+        directed = goal_reach.goal_directed(self.model, self.survival).values
+        cost, goal = float(self.start @ directed.cost), float(self.start @ directed.goal)
+        return cost / max(goal, 1e-300)
+
     @cached_property
     def layers(self) -> int:
         """Totals of the compiled problem; 1: none counted. ModelError: too many to write out."""
@@ -1163,11 +1172,25 @@ class CompiledExplicit(CompiledProblem):
             return 1
         layers = self.cap if self.totals is None else self.totals.size
         if layers is None:
-            layers = written_out.first_cap(
-                self.base, self.charge, self.typical_cost, self.fixed_cap
-            )
+            typical = _ROUGHLY * self._cost_of_a_way if self.is_trial else self.typical_cost
+            layers = written_out.first_cap(self.base, self.charge, typical, self.fixed_cap)
         written_out.check_room(self.base, layers, self._most_pairs)
         return layers
+
+    @property
+    def is_trial(self) -> bool:
+        """Whether the compiled problem's layers are a guess, to learn the price from."""
+        return not self.exact_tails and self.cap is None and self.fixed_cap is None
+
+    def with_tails(self, *, exact: bool) -> CompiledExplicit:
+        """The compiled problem with what is best beyond its cap, or, to search fast, about that.
+
+        Where failing is best beyond the cap little hangs on it; elsewhere tails stay exact.
+        """
+        grows = self.charge is not None and self.charge.slope > 0.0
+        if exact == self.exact_tails or not (exact or (grows and self._is_swept)):
+            return self
+        return self._copy_with_results(replace(self, exact_tails=exact), *_OWN)
 
     @property
     def _most_pairs(self) -> int:
@@ -1186,8 +1209,9 @@ class CompiledExplicit(CompiledProblem):
             precise = replace(self, precise=True)
             vars(precise)["augmented"] = self.augmented
             return precise
+        exact = None if self.exact_tails else self.with_tails(exact=True)
         if self.fixed_cap is not None:
-            return None
+            return exact
         end = self.layers * self.base.unit if self.totals is None else float(self.totals.values[-1])
         cut = written_out.truncates(self.charge, end)
         if self.resolution is not None and self.totals is not None:
@@ -1196,10 +1220,15 @@ class CompiledExplicit(CompiledProblem):
             if finer is None:
                 return None
             return self._copy_with_results(replace(self, resolution=finer), *_OWN)
-        here = self.layers
+        here, pairs = self.layers, len(self.base.gain)
         lossless = int(np.ceil(_MARGIN * self.charge.lossless(price) / self.base.unit)) + 1
         wanted = min(lossless, _MOST_GROWTH * here) if lossless > here else 2 * here
-        if not cut or (wanted + 1) * len(self.base.gain) > self._most_pairs:
+        fits = (wanted + 1) * pairs <= self._most_pairs
+        if self.is_trial and (lossless <= here or not fits):
+            wanted = here
+        elif exact is not None and (lossless <= here or not fits):
+            return exact
+        elif not (cut and fits):
             return None
         return self._copy_with_results(replace(self, cap=wanted), *_OWN)
 

@@ -18,6 +18,7 @@ from typing import Any, ClassVar, cast
 
 import numpy as np
 
+from ssp_lp.accumulated_cost.charges import TailValues
 from ssp_lp.accumulated_cost.process import LayeredProcess
 from ssp_lp.accumulated_cost.sweep import (
     KEPT_VALUES,
@@ -37,11 +38,9 @@ from ssp_lp.column_generation.column import (
     pricing_weights,
     required,
 )
-from ssp_lp.column_generation.explicit_pricing import (
-    ExplicitPricing,
-    values_less_paid,
-)
+from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
 from ssp_lp.dynamic_programming import bellman
+from ssp_lp.dynamic_programming.evaluation import evaluate_policy
 from ssp_lp.policies.policy import DeterministicPolicy, Policy
 
 _SAME = 1e-14
@@ -225,6 +224,7 @@ class OpenEndedPricing(PricingProblem):
     precise: bool  # compare pairs beyond the cap in twice the working precision
     rows: tuple[tuple[FloatArray, float], ...]  # what is counted besides: [pairs], and at the start
     by_goal: bool = False  # success, as minus the goal, is counted in place of failing
+    exact_tails: bool = True  # beyond the cap the best is done, not the better of two policies
 
     @property
     def n_rewards(self) -> int:
@@ -262,7 +262,39 @@ class OpenEndedPricing(PricingProblem):
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
         """Layered pricing with rows: a column of least priced cost, measured exactly."""
         weights = pricing_weights(price)
-        return self._swept(self._best_beyond(weights, *warm), weights)
+        return self._swept(self._tail(weights, *warm), weights)
+
+    def taken_on(self, columns: Sequence[Column]) -> list[Column]:
+        """Columns of fewer layers: in those that are new each follows its tail, as before."""
+        first, tails, known = self.sweep.first_pairs, dict[Column | None, Column](), list[Column]()
+        for column in columns:
+            choice, old = required(column.choice), column.beyond
+            last = tails.get(old) or self._beyond.measure(choice[-1] + first)
+            tails[old] = last
+            more = self.augmented.cap + 1 - len(choice), len(first)
+            longer = np.concatenate([choice, np.broadcast_to(choice[-1], more)])
+            ahead = ahead_of(self.augmented, required(last.totals))
+            figures = self.sweep.measure(longer[:-1], ahead) + self._at_source
+            known.append(Column.of_figures(figures, longer, by_goal=self.by_goal, beyond=last))
+        return known
+
+    def true_cost(self, column: Column) -> float | None:
+        """Cost of a column with all that is paid beyond the cap, where the charge is a line."""
+        layered, last = self.augmented, column.beyond
+        if last is None or layered.shift > 0.0 or not layered.is_settled:
+            return None
+        totals, choice = required(last.totals), required(last.choice)
+        goal, failure = 1.0 - totals[:, 1], totals[:, 1]
+        if self.by_goal:
+            goal, failure = -totals[:, 1], 1.0 + totals[:, 1]
+        steps = layered.step_cost(layered.reaching(goal))[:, None]
+        ahead = evaluate_policy(self._beyond.dynamics, choice, steps).values[:, 0]
+        early = goal / layered.base.survival
+        tail = TailValues(goal, failure, early, ahead, moment=np.zeros_like(goal))
+        beyond = np.array(ahead_of(layered, totals))
+        beyond[:, :, 0] = layered.charge.beyond(layered.totals.beyond[:, None], tail)
+        figures = self.sweep.measure(required(column.choice)[:-1], beyond)
+        return float((figures + self._at_source)[0])
 
     def _swept(self, last: Column, weights: FloatArray | None) -> Column:
         """A policy with its totals from the start, found layer by layer.
@@ -277,6 +309,21 @@ class OpenEndedPricing(PricingProblem):
         figures, work = figures + self._at_source, last.work + bellman.Work(1, 1)
         kept: dict[str, Any] = {"work": work, "beyond": last}
         return Column.of_figures(figures, choice, by_goal=self.by_goal, **kept)
+
+    def _tail(self, weights: FloatArray, *warm: Column | None) -> Column:
+        """What is done beyond the cap at some weights: failing early or not, unless it is exact.
+
+        Whether the limits can be kept, where no cost counts, is asked of all policies.
+        """
+        if self.exact_tails or weights[0] == 0.0:
+            return self._best_beyond(weights, *warm)
+        tails = self._fails_early, self._beyond.first()
+        return min(tails, key=lambda last: weighted(required(last.totals), weights).sum())
+
+    @cached_property
+    def _fails_early(self) -> Column:
+        """What is cheapest beyond the cap where failing costs nothing."""
+        return self._beyond.minimise(np.eye(1, self.n_rewards)[0])
 
     def _best_beyond(self, weights: FloatArray, *warm: Column | None) -> Column:
         """What is best beyond the cap at some weights: most often what was best before."""
@@ -330,7 +377,7 @@ class OpenEndedPricing(PricingProblem):
         amounts = [layered.start_charge, *self._at_source[1:].tolist(), base.start_goal]
         ended = tuple(zip(every.tolist(), amounts, strict=True))
         priced = priced._replace(floor=-paid, at_start=ended)
-        return self._lowered(self._less_paid, priced, values_less_paid(values, paid), last)[0]
+        return self._lowered(self._less_paid, priced, self.anything, last)[0]  # as high as can be
 
     @cached_property
     def _less_paid(self) -> Sweep:

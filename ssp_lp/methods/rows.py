@@ -4,7 +4,8 @@ Column generation with phase 1 and phase 2 (``column_generation.search``), or th
 program first, whose duals are then the prices to begin with. A cost given success is found by
 Dinkelbach's iteration: the least of ``cost + ratio * failure`` falls to the ratio itself at the
 optimum. Where accumulated cost is cut at a cap, the process bounds the optimum from below and the
-policy's own value from above; the cap is doubled until they meet.
+policy's own value from above. Where the first cap is a guess, a rough search says by its prices
+which one loses nothing; its lottery is taken on to a higher one, until both sides meet.
 
 On a grid of totals the process bounds every policy from below. The policies that it finds remember
 the rounded total; what they cost and how they fail is evaluated with the true costs, and the
@@ -27,7 +28,14 @@ import numpy as np
 from ssp_lp.accumulated_cost.totals import Resolution
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.arrays import BELOW_RATIO, MACHINE_EPSILON, RELATIVE_GAP, FloatArray, read_only
-from ssp_lp.column_generation.column import Column, Proof, least_of, relative_gap, two_sided_gap
+from ssp_lp.column_generation.column import (
+    Column,
+    PricingProblem,
+    Proof,
+    least_of,
+    relative_gap,
+    two_sided_gap,
+)
 from ssp_lp.column_generation.compiled_problem import ATTAINABLE, CompiledExplicit
 from ssp_lp.column_generation.explicit_pricing import LARGEST
 from ssp_lp.column_generation.search import (
@@ -38,7 +46,7 @@ from ssp_lp.column_generation.search import (
     generate,
     without_negligible_prices,
 )
-from ssp_lp.compiled.deadline import Stop, WithIncumbent, closing, is_late
+from ssp_lp.compiled.deadline import Stop, WithIncumbent, closing, is_late, is_limited
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import Argument, InfeasibleError, ModelError, SolverError
 from ssp_lp.methods.full_program import ProgramOptimum, check_agreement, solve_program
@@ -61,6 +69,7 @@ _PATIENCE = 6  # refinements that need not even halve the gap
 _COARSE_TOTALS = 64  # of the grid that a search on totals begins with
 _COARSE_GAP = 1e-4  # and how exactly it is solved
 _COARSE = 0.5  # relative gap of a search that is only to find out whether there is an answer
+_TRIAL_TOLERANCE = 1e-2  # of a trial, which only learns the price that says the next cap
 _FINER = 1e-3  # of the tolerance, where a complement is minimised, which may be much larger
 
 
@@ -72,6 +81,7 @@ class _RowsOptimum(Answer):
     compiled: CompiledExplicit
     calls: int
     work: Work
+    search: Master  # how it ended
     program: str = ""
 
     @property
@@ -121,6 +131,9 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
             raise
         optimum = stop.choice
     compiled = optimum.compiled
+    if compiled.budget is None and stated.budget is not None:
+        equal = "the failure budget counts as equal to the least failure"
+        optimum = replace(optimum, note="; ".join(filter(None, [equal, optimum.note])))
     many = int(np.isfinite(compiled.bounds).sum())
     reason = f"column generation with {many} rows, {optimum.calls} pricing calls"
     if optimum.program:
@@ -175,6 +188,8 @@ def rows_optimum(
         Stop: the time ended before any policy was evaluated; it carries what has a bound alone.
     """
     guess: _RowsOptimum | None = None
+    if options.program is None and stated.partition is None:
+        stated = stated.with_tails(exact=False)
     if stated.resolution is not None and stated.charge is not None:
         coarse = replace(stated, resolution=Resolution(grid=_COARSE_TOTALS, most=_COARSE_TOTALS))
         guess = _rows_attempt(coarse, SolveOptions(_COARSE_GAP, options.deadline), None, None)
@@ -210,39 +225,49 @@ def _rows_attempts(
     stated: CompiledExplicit, options: SolveOptions, truth: Truth | None, guess: _RowsOptimum | None
 ) -> Iterator[_RowsOptimum]:
     """Attempts at the rows' optimum on finer totals, in the end in twice the precision."""
-    calls, work, gaps = 0, Work(), list[float]()
+    calls, work, gaps, begun = 0, Work(), list[float](), None
     while True:
         try:
-            optimum = _rows_attempt(stated, options.after(calls), truth, guess)
+            optimum = _rows_attempt(stated, options.after(calls), truth, guess, begun)
         except SolverError:
             if gaps and is_late():
                 return
             raise
         calls, work = calls + optimum.calls, work + optimum.work
-        gaps.append(optimum.gap)
-        yield replace(optimum, calls=calls, work=work)
+        if not stated.is_trial or is_limited():
+            gaps.append(optimum.gap)
+            yield replace(optimum, calls=calls, work=work)
         stuck = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]
         finer = None if stuck or stated.charge is None else optimum.compiled.refined(optimum.kappa)
         if finer is None and not (stated.precise or optimum.compiled.is_rounded or options.program):
             finer = replace(stated, precise=True)
         if finer is None:
             return
-        stated = finer
+        goes_on = finer.charge is not None and not options.program
+        stated, begun = finer, optimum.search if goes_on else None
         if optimum.compiled.totals is not None and np.isfinite(optimum.value):
             guess = optimum
 
 
 def _rows_attempt(
-    stated: CompiledExplicit, options: SolveOptions, truth: Truth | None, guess: _RowsOptimum | None
+    stated: CompiledExplicit,
+    options: SolveOptions,
+    truth: Truth | None,
+    guess: _RowsOptimum | None,
+    begun: Master | None = None,
 ) -> _RowsOptimum:
     """One search for the rows' optimum, in the precision that the compiled problem says.
 
-    With a certified bound at the prices that the search ended with.
+    With a certified bound at the prices that the search ended with; a trial ends roughly, with no
+    bound where no time limit may end it.
     """
     finer = _FINER if stated.sense.constant else 1.0
     options = replace(options, tolerance=finer * options.tolerance)
+    if stated.is_trial:
+        options = replace(options, tolerance=max(options.tolerance, _TRIAL_TOLERANCE))
     program: ProgramOptimum | None = None
-    compiled, rule = opened(stated, options)
+    taken_on = None if begun is None else _taken_on(begun, stated.pricing())
+    compiled, rule = opened(stated, options) if taken_on is None else (stated, taken_on)
     if guess is not None:
         rule = search_begun_at(compiled, rule, guess.value, guess.prices)
     if options.program is not None:
@@ -254,10 +279,11 @@ def _rows_attempt(
     if program is not None and generated.finished:
         check_agreement(program, value)
     prices = without_negligible_prices(generated.prices, pool.sizes(rows), size)
-    bound, values = 0.0, compiled.pricing().anything
+    bound, values, is_proved = 0.0, compiled.pricing().anything, not stated.is_trial or is_limited()
     with WithIncumbent(), closing():  # where no time is left the values ask for the best
-        bound, proof = rows_bound(compiled, rows, prices, pool.proved)
-        values = read_only(proof.values)
+        if is_proved:
+            bound, proof = rows_bound(compiled, rows, prices, pool.proved)
+            values = read_only(proof.values)
     policy, taken = generated.lottery(compiled.pricing()), generated.figures[rows.index].tolist()
     taken = dict(zip(names_of(compiled, rows), taken, strict=True))
     if truth is not None and compiled.is_rounded:
@@ -267,17 +293,10 @@ def _rows_attempt(
             repaired = true_lottery(compiled, rows, pool, rows.weights(prices), truth[1])
             if repaired is not None:
                 value, (policy, failure) = truth[0](repaired[0]), repaired
-    elif truth is not None:
-        value = truth[0](policy)
-    granted = {
-        compiled.names[place]: float(bound)
-        for place, bound in zip((rows.index - 1).tolist(), rows.bounds, strict=True)
-        if bound > compiled.bounds[place]
-    }
-    named = dict.fromkeys(compiled.names, 0.0)
-    named |= zip(names_of(compiled, rows), prices.tolist(), strict=True)
-    if compiled.budget is None:
-        del named[FAILURE_ROW]
+    elif truth is not None and is_proved:
+        known = _true_value(generated, compiled)
+        value = truth[0](policy) if known is None else known
+    granted, named = _granted(compiled, rows), _named_prices(compiled, rows, prices)
     paid = float(prices @ np.abs(rows.bounds))
     return _RowsOptimum(
         compiled=compiled,
@@ -290,23 +309,66 @@ def _rows_attempt(
         values=values,
         calls=pool.calls,
         work=pool.work,
-        note=_remarks(compiled, stated, granted, generated.finished),
+        search=rule,
+        note=_remarks(compiled, granted, generated.finished),
         granted=granted,
         taken=taken,
         program="" if program is None else program.report,
     )
 
 
-def _remarks(
-    compiled: CompiledExplicit,
-    stated: CompiledExplicit,
-    granted: Mapping[str, float],
-    finished: bool,
-) -> str:
+def _granted(compiled: CompiledExplicit, rows: Rows) -> dict[str, float]:
+    """Bounds of rows, by name, that were raised to what is attainable."""
+    places = (rows.index - 1).tolist()
+    return {
+        compiled.names[place]: float(bound)
+        for place, bound in zip(places, rows.bounds, strict=True)
+        if bound > compiled.bounds[place]
+    }
+
+
+def _named_prices(compiled: CompiledExplicit, rows: Rows, prices: FloatArray) -> dict[str, float]:
+    """Prices of all rows by name, 0 where nothing is limited; none of failing at least failure."""
+    named = dict.fromkeys(compiled.names, 0.0)
+    named |= zip(names_of(compiled, rows), prices.tolist(), strict=True)
+    if compiled.budget is None:
+        del named[FAILURE_ROW]
+    return named
+
+
+def _true_value(generated: Generated, compiled: CompiledExplicit) -> float | None:
+    """Value of a lottery within rows by its members' true costs; None: one of them is unknown."""
+    costs = [compiled.pricing().true_cost(column) for column in generated.columns]
+    known = [cost for cost in costs if cost is not None]
+    if len(known) < len(costs):
+        return None
+    cost = float(generated.weights @ known)
+    return cost / generated.goal if compiled.ratio else cost
+
+
+def _taken_on(search: Master, pricing: PricingProblem) -> Master | None:
+    """The search within rows on a process of a higher cap: its lottery is known from the start.
+
+    Policies fail, and take of each row, as before: the lottery keeps to the rows. None where the
+    process has no cap of its own.
+    """
+    known = pricing.taken_on(search.lottery[0])
+    if known is None:
+        return None
+    return replace(
+        search,
+        pool=Pool(pricing, known),
+        bound=0.0,
+        last=None,
+        tried=None,
+        lottery=((), np.zeros(0)),
+        objective=np.inf,
+    )
+
+
+def _remarks(compiled: CompiledExplicit, granted: Mapping[str, float], finished: bool) -> str:
     """Remarks on an optimum within rows: raised bounds, a search cut short."""
     remarks = []
-    if compiled.budget is None and stated.budget is not None:
-        remarks.append("the failure budget counts as equal to the least failure")
     bounds = dict(zip(compiled.names, compiled.bounds.tolist(), strict=True))
     for name, most in granted.items():
         remarks.append(
@@ -410,7 +472,8 @@ def true_lottery(
 
 def _luck(compiled: CompiledExplicit) -> float:
     """Goal probability that the room for rounding of a limit may buy."""
-    return 0.0 if compiled.by_goal or not compiled.ratio else _LUCK * compiled.greatest_goal
+    is_told = compiled.by_goal or not compiled.ratio or compiled.limits_failure
+    return 0.0 if is_told else _LUCK * compiled.greatest_goal
 
 
 def true_figures(problem: Problem, stated: CompiledExplicit) -> Truth | None:

@@ -30,6 +30,8 @@ from ssp_lp.column_generation.layered_pricing import OpenEndedPricing
 from ssp_lp.column_generation.search import _initial_column_within
 from ssp_lp.compiled import deadline
 from ssp_lp.compiled.deadline import Stop, until
+from ssp_lp.methods.rows import rows_optimum
+from ssp_lp.options import SolveOptions
 from ssp_lp.problem import compiled_constrained
 from ssp_lp.processes.failure_semantics import FailureSemantics
 from written_models import drawn_table, written
@@ -286,3 +288,36 @@ def test_one_product_is_not_taken_for_exact(compiled, accelerate):
         assert Fraction(pricing.prove(price, slack=True).bound) <= -Fraction(price) * Fraction(0.3)
         least = min(Fraction(price) * failed, Fraction(price))
         assert Fraction(pricing.prove(price).bound) <= least
+
+
+def test_policies_are_taken_on_to_a_higher_cap(monkeypatch):
+    """Where runs cannot fail at will no cap is beyond loss: each higher one takes a few calls."""
+    monkeypatch.setattr(compiled_problem, "_WORTH_SWEEPING", 0)
+    steps = {}
+    for k in range(12):
+        on = [(0.75, f"s{k + 1}", 1.0), (0.2, f"s{max(k - 2, 0)}", 1.0), (0.05, "pit", 1.0)]
+        steps[f"s{k}"] = {"on": on}
+        if k % 3 == 0:
+            steps[f"s{k}"]["surely"] = [(1.0, f"s{k + 1}", 1.0)]
+    model = SSP.from_transitions(steps, goal={"s12"}, dead_ends={"pit"})
+    fuel = secondary_cost([action == "surely" for choices in steps.values() for action in choices])
+    problem = S3P(model, "s0", 1.0, constraints={"fuel": fuel <= 4.5})
+    begun = replace(compiled_constrained(problem), cap=3)
+    low, high = begun.pricing(), replace(begun, cap=9).pricing()
+    assert isinstance(low, OpenEndedPricing)
+    column = low.minimise(np.array([1.0, 4.0, 0.5]))
+    (longer,) = high.taken_on([column])
+    acts = evaluate(low.policy(column), problem)
+    true = acts.objective * acts.goal_probability
+    assert acts == evaluate(high.policy(longer), problem)
+    assert column.cost < longer.cost < true  # each counts what is paid up to its cap
+    np.testing.assert_allclose(column.figures[1:], longer.figures[1:], rtol=1e-12)
+    for pricing, each in ((low, column), (high, longer)):
+        assert pricing.true_cost(each) == pytest.approx(true, rel=1e-12)
+    optimum = rows_optimum(begun, SolveOptions(1e-9))
+    assert optimum.compiled.layers > 4 * 3  # raised twice
+    at_once = rows_optimum(replace(begun, cap=optimum.compiled.layers), SolveOptions(1e-9))
+    for found in (optimum, at_once):
+        assert found.gap <= 1e-9
+        assert found.value == pytest.approx(solve(problem).objective, rel=1e-9)
+        assert found.value == pytest.approx(evaluate(found.policy, problem).objective, rel=1e-12)
