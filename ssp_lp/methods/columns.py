@@ -98,12 +98,15 @@ _LEAST_TOLERANCE = 1e-15
 _UNSETTLED = "the utility has not come near its limit within the table of costs: a gap is left"
 
 
-def best_within_budget(problem: Problem, options: SolveOptions) -> Solution:
+def best_within_budget(
+    problem: Problem, options: SolveOptions, guess: DualGuess | None = None
+) -> Solution:
     """Solve by columns within a failure budget: the best lottery, or the best single policy.
 
     Args:
         problem: the problem.
         options: tolerance and limits, and whether no lottery will do.
+        guess: of what a failure costs; None: nothing is known.
 
     Raises:
         InfeasibleError: no policy keeps to the budget.
@@ -114,7 +117,9 @@ def best_within_budget(problem: Problem, options: SolveOptions) -> Solution:
     compiled = problem.compile()
     if options.partition is not None:
         compiled = compiled.shared_by(options.partition)
-    outcome = refined_optimum(compiled, budget, options)
+    if guess is not None:
+        compiled = compiled.capped_at((1.0 + guess.spread) * guess.price)
+    outcome = refined_optimum(compiled, budget, options, guess)
     generated = outcome.generated
     worth, bound = sense.worth(generated.objective), sense.worth(generated.lower_bound)
     gained, is_met = -generated.objective, relative_gap(bound, worth) <= options.tolerance

@@ -12,6 +12,10 @@ paid is a minimum of affine functions, hence concave, so that no policy of the t
 better than the best one of this (mathematics, section 8): its optimum is a lower bound, and its
 totals are layers of a lattice.
 
+A lattice of many totals is looked at through a coarser unit first, most often that of most costs.
+Where only costs that hardly matter are split by it, both sides meet at once, and the search on all
+totals is spared; else it begins near its price.
+
 **Rounded costs, criteria of the law of the total cost.** With every cost rounded down to a multiple
 of a unit a model has a lattice of totals, and as no charge falls as the total grows its optimum
 bounds every policy of the true model from below. With every cost rounded up its best policy, which
@@ -31,7 +35,13 @@ from typing import cast
 import numpy as np
 
 from ssp_lp.accumulated_cost.charges import WithinBound
-from ssp_lp.accumulated_cost.totals import MOST_SUMS, step_costs, sums_in, totals_of
+from ssp_lp.accumulated_cost.totals import (
+    MOST_SUMS,
+    common_unit,
+    step_costs,
+    sums_in,
+    totals_of,
+)
 from ssp_lp.analysis.evaluation import Evaluation, evaluate, measured_costs
 from ssp_lp.arrays import SAME_TOTAL, offsets_of, read_only
 from ssp_lp.column_generation.column import (
@@ -56,19 +66,22 @@ from ssp_lp.methods.incumbent import Incumbent
 from ssp_lp.methods.refinement import Proved, refine
 from ssp_lp.methods.risk import Near, least_risk, question_of_compiled
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import dead_ends
+from ssp_lp.model.graph import dead_ends, goal_approach, kept
 from ssp_lp.options import CERTIFYING, SolveOptions
 from ssp_lp.policies import CostAwarePolicy, DeterministicPolicy, MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem, Requirements, Restated, TotalScale, compiled_constrained
 from ssp_lp.processes.failure_semantics import start_distribution
+from ssp_lp.processes.live_rows import uniform_cost
 from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 
 _ROUGH = 1e-4  # how exactly the first model of split costs is solved
 _ROUGH_FIRST = 1e-3  # and one that only says where a price lies, with steps far below a unit
 _ENOUGH = 0.3  # of the tolerance: as exactly at least
 _SHARE = 0.1  # of the gap that splitting leaves: as exactly is the next one solved
-_SPREAD = 1e-2  # relative uncertainty of a price from a coarser unit
+_ROUGH_COARSE = 1e-5  # how exactly a lattice of a coarser unit is solved, for its price
+_SPREAD_COARSE = 3e-3  # relative uncertainty of that
+_SPREAD = 1e-2  # the same of a price that was found less exactly
 _BESIDE = (1.003, 1.01, 1.03, 1.1, 1.5, 10.0, 1e3)  # times the price: policies of the other side
 _REACH = 0.5  # of the totals that matter: so far they are remembered at first
 _CELLS = 100_000_000  # states times levels that a policy measured truly may have
@@ -128,6 +141,43 @@ def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solutio
         reason = f"costs split between {layers:,} layers, {calls} pricing calls"
         answer = replace(best, bound=bound, price=max(reach - best.value, 0.0), note=note)
         yield assembled(problem, answer, Run(options.method, reason, calls, 0.0, work))
+
+
+def solve_on_fine_lattice(problem: Problem, options: SolveOptions) -> Solution:
+    """Solve on a lattice of many totals, of which a coarser unit says first where the price lies.
+
+    Args:
+        problem: of case S, failure alone limited.
+        options: tolerance and limits.
+
+    Raises:
+        InfeasibleError: no policy keeps to the budget.
+        Stop: the time ended before one that does was found.
+    """
+    coarse = coarser_unit(problem)
+    if coarse is None or options.deterministic or options.program or options.partition:
+        return best_within_budget(problem, options)
+    return refine(_lattice_attempts(problem, options, *coarse), options.tolerance)
+
+
+def _lattice_attempts(
+    problem: Problem, options: SolveOptions, unit: Fraction, is_of_most: bool
+) -> Iterator[Solution]:
+    """Best lottery that costs split on a lattice's coarser unit give; then the optimum."""
+    closely = replace(options, tolerance=max(_ROUGH_COARSE, options.tolerance))
+    outcome = split_optimum(problem, unit, options if is_of_most else closely, None)
+    generated, calls, work = outcome.generated, outcome.calls, outcome.work
+    lottery, layers = _true_lottery(problem, outcome), outcome.compiled.layers
+    price = max(generated.price - lottery.value, 0.0)
+    answer = replace(lottery, bound=generated.lower_bound, price=price)
+    reason = f"costs split between {layers:,} layers, {calls} pricing calls"
+    yield assembled(problem, answer, Run(options.method, reason, calls, 0.0, work))
+    guess = DualGuess(generated.price, _SPREAD_COARSE, slack=len(generated.columns) == 1)
+    optimum = best_within_budget(problem, options.after(calls), guess)
+    run = optimum.run
+    reason, calls = f"{reason}, then {run.reason}", calls + run.pricing_calls
+    run = replace(run, reason=reason, pricing_calls=calls, work=work + run.work)
+    yield replace(optimum, run=run)
 
 
 def prove_by_units(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
@@ -268,6 +318,57 @@ _FEW_SUMS = 1_000  # that are told apart exactly rather than by a grid
 _SECONDS = 1.5e-8  # that a search takes for each sum and outcome
 _MARGIN = 1.25  # beyond a price from a coarser unit: what is paid there still counts for something
 _TRIES = 6  # units, until levels are as few as is asked for
+_MANY = 200.0  # totals of a lattice at least that a coarser unit is worth looking at for
+_FEWER = 4.0  # times as few are its own
+_MOSTLY = 0.95  # of the outcomes: a unit of their costs is that of most
+
+
+@kept
+def _unit_of_steps(model: SSP) -> tuple[float, float, Fraction, Fraction]:
+    """Costs of a lattice's steps: the least, the mean, their unit, and that of most of them."""
+    going_on = ~(dead_ends(model) | model.goal_mask)[model.successors]
+    costs, counts = np.unique(model.costs[going_on], return_counts=True)
+    paid = costs > 0.0
+    costs, counts = costs[paid], counts[paid]
+    order = np.argsort(-counts, kind="stable")
+    share = np.cumsum(counts[order]) / max(counts.sum(), 1)
+    most = costs[order[: 1 + int(np.searchsorted(share, _MOSTLY))]]
+    units = [common_unit(some, model.exact_costs) for some in (costs, most)]
+    mean = float(costs @ counts) / max(int(counts.sum()), 1)
+    return float(costs.min(initial=np.inf)), mean, units[0], units[1]
+
+
+def coarser_unit(problem: Problem) -> tuple[Fraction, bool] | None:
+    """A coarser unit than that of a lattice of many totals, no step less; None: of no use.
+
+    Args:
+        problem: of case S.
+
+    Returns:
+        The unit, and whether it divides most costs.
+    """
+    model = problem.model
+    begins = goal_approach(model)[1][start_distribution(model, problem.start) > 0.0]
+    if uniform_cost(model) is not None or not begins.size:
+        return None
+    least, mean, unit, of_most = _unit_of_steps(model)
+    likely = float(begins.max()) * mean
+    if likely < _MANY * unit or not least < np.inf:
+        return None
+    for coarse in (
+        of_most,
+        short_decimal(min(_TYPICAL * likely / _FIRST, least / _ROOM_FOR_DIGITS)),
+    ):
+        if coarse <= least * (1.0 + SAME_TOTAL) and coarse >= _FEWER * unit:
+            return coarse, coarse is of_most
+    return None
+
+
+def is_on_fine_lattice(problem: Problem, asked: Requirements) -> bool:
+    """Whether a lattice of case S has so many totals that a coarser unit is looked at first."""
+    is_mean = asked.ratio and not (asked.law or asked.rows or asked.least_failure)
+    is_exact = asked.totals in (TotalScale.UNITS, TotalScale.SUMS) and problem.cost_cap is None
+    return is_mean and is_exact and coarser_unit(problem) is not None
 
 
 def is_split(problem: Problem, asked: Requirements, seconds: float = np.inf) -> bool:
@@ -284,6 +385,8 @@ def is_split(problem: Problem, asked: Requirements, seconds: float = np.inf) -> 
     """
     on_grid = asked.totals is TotalScale.GRID
     is_mean = asked.ratio and not (asked.law or asked.rows or asked.least_failure)
+    if asked.totals is TotalScale.UNITS:
+        return seconds <= 0.0 and is_on_fine_lattice(problem, asked)
     is_timed = np.isfinite(seconds) and asked.totals is TotalScale.SUMS
     if not (is_mean and (on_grid or is_timed)) or problem.cost_cap is not None:
         return False
@@ -335,12 +438,16 @@ def _levels_asked(problem: Problem) -> int | None:
 def _split_units(problem: Problem, *, finest: bool = False) -> Iterator[Fraction]:
     """Finer and finer units of split costs, without one that splits no step, if these are few.
 
+    That which a lattice of many totals is looked at by comes first.
+
     Args:
         problem: of case S.
         finest: as far as there is room, whatever is asked for.
     """
     cheapest = float(step_costs(problem.model)[1][1])
-    return rounding_units(problem, _span_of_steps(problem), cheapest=cheapest, finest=finest)
+    if problem.requirements.totals is not TotalScale.GRID and (coarse := coarser_unit(problem)):
+        yield coarse[0]
+    yield from rounding_units(problem, _span_of_steps(problem), cheapest=cheapest, finest=finest)
 
 
 def _span_of_steps(problem: Problem) -> float:
