@@ -1,17 +1,11 @@
-"""Models that no rank of PETSc holds whole, and questions on them.
-
-Each rank makes, or reads, the rows of its own states. The first one searches with vectors over
-states, as it does on any process (``column_generation``, ``methods``): whatever takes rows is an
-order to all ranks (``dynamics``).
-"""
+"""Models whose rows lie with several ranks, and questions on them."""
 
 from __future__ import annotations
 
 import re
 import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -19,67 +13,37 @@ from zlib import crc32
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.analysis.evaluation import Evaluation
-from ssp_lp.analysis.simulation import SimulationReport
-from ssp_lp.arrays import RELATIVE_GAP, BoolArray, FloatArray, IntArray, ReadOnlyCopies, read_only
-from ssp_lp.cargo import Cargo
-from ssp_lp.column_generation.column import CONTRADICTION, Proof, two_sided_gap
-from ssp_lp.column_generation.compiled_problem import ATTAINABLE, CompiledExplicit
-from ssp_lp.column_generation.explicit_pricing import LARGEST, ExplicitPricing
+from ssp_lp.arrays import RELATIVE_GAP, FloatArray, IntArray, ReadOnlyCopies, read_only
+from ssp_lp.column_generation.column import Column, two_sided_gap
 from ssp_lp.column_generation.search import DualGuess
-from ssp_lp.compiled.deadline import Stop, until
-from ssp_lp.distributed.layers import CompiledLayers, LayeredShare
-from ssp_lp.distributed.order import reordered, values_in_first_order
-from ssp_lp.distributed.partitioned_policy import PartitionedPolicy
-from ssp_lp.distributed.partitioned_pricing import (
-    Checkpoint,
-    ChosenPairs,
-    CompiledPartitioned,
-    labelled_share,
-)
-from ssp_lp.distributed.ranks import Ranks
-from ssp_lp.distributed.share import Share
-from ssp_lp.distributed.slab import (
-    Slab,
+from ssp_lp.compiled.deadline import Stop
+from ssp_lp.distributed.part import (
+    Described,
+    ModelFile,
+    Part,
     StateRows,
-    balanced_states,
-    part_by_rows,
-    part_in_file,
-    part_of_model,
-    rows_checksum,
-    tried_states,
-    with_facts,
+    balanced_bounds,
+    made_part,
 )
-from ssp_lp.errors import (
-    InfeasibleError,
-    ModelError,
-    OutOfTimeError,
-    SolverError,
-    check_between_0_and_1,
-    check_whole,
-    wrong_argument,
-)
+from ssp_lp.distributed.policy import PartitionedPolicy, model_words
+from ssp_lp.distributed.process import CompiledPartitioned, OwnDecisions, PartitionedProcess
+from ssp_lp.distributed.ranks import Ranks
+from ssp_lp.errors import ModelError, OutOfTimeError, SolverError, check_whole, wrong_argument
 from ssp_lp.formulation import Formulation
-from ssp_lp.methods.approaches import is_shared
 from ssp_lp.methods.columns import refined_optimum
-from ssp_lp.methods.incumbent import broken_limit
-from ssp_lp.methods.refinement import Proved
-from ssp_lp.methods.rows import lagrange_bound, proved_at_prices, rows_optimum
+from ssp_lp.methods.rows import rows_optimum
 from ssp_lp.model import SSP
 from ssp_lp.model.continuous_model import ContinuousModel
 from ssp_lp.model.discretise import MIDPOINTS, Quadrature, discretised_rows
 from ssp_lp.options import ColumnGeneration, Progress, SolveOptions, options_of
-from ssp_lp.policies.policy import MOST_EPISODES
+from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, MixedPolicy
 from ssp_lp.problem import compiled_constrained
 from ssp_lp.processes.conditions import FAILURE_ROW
-from ssp_lp.processes.failure_semantics import Aim, as_percentage, start_distribution
-from ssp_lp.solution import CUT_SHORT, Run, Solution
-from ssp_lp.verification.certify import Certificate, certificate_of
+from ssp_lp.processes.failure_semantics import Aim
+from ssp_lp.solution import CUT_SHORT, Run
 
 _SURE = 1e-6  # relative uncertainty of a price in a checkpoint
 _FINER = 1e-3  # of the tolerance, where a complement is minimised, which may be much larger
-_NOTHING = 1e-12  # worth that is compared with 0
-_MOST_SEED = 2**64 - 1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -93,12 +57,10 @@ class PartitionedSolution(ReadOnlyCopies):
     figures: FloatArray  # [members, 2 + limits] objective, failure, limited quantities, as measured
     prices: Mapping[str, float]  # multiplier of each row, by name
     spent: Mapping[str, float]  # each limited quantity under the lottery, by name
-    value_function: FloatArray  # [process states] the checked sub-solution
+    value_function: FloatArray  # [own nodes of the process] the checked sub-solution
     run: Run
     problem: Formulation  # on this rank's part of the model
     note: str = ""
-    live: BoolArray | None = field(repr=False, default=None)
-    """[states] that the process has, where the ranks have the states in an order of their own."""
 
     def __repr__(self) -> str:
         """One line: what was asked, the objective with its gap, the failure, and the lottery."""
@@ -117,45 +79,20 @@ class PartitionedSolution(ReadOnlyCopies):
         """Multiplier of the partitioned solution's failure row."""
         return self.prices.get(FAILURE_ROW, 0.0)
 
-    def on(self, problem: Formulation) -> Solution:
-        """The same answer to the same problem on a model that every rank holds whole.
 
-        The policy is gathered on every rank: all of them ask together.
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What a policy of a partitioned model is worth."""
 
-        Args:
-            problem: with which ``certify`` and ``evaluate`` go on.
-
-        Raises:
-            ModelError: it is no problem, or its model has other states.
-        """
-        if not isinstance(problem, Formulation):
-            raise wrong_argument("problem", "be the question on a model held whole, such as "
-                                 "MCMP(model, ...)", problem)  # fmt: skip
-        values, layers, order = self.value_function, self.policy.below, self.policy.model.order
-        if layers and not problem.has_rows:  # values of its layers alone, which ask for the best
-            cap = len(layers[0])
-            values = np.broadcast_to(np.inf, (cap, values.size // (cap + 1)))
-        elif order is not None and self.live is not None:
-            values = values_in_first_order(values, self.live, order)
-        is_greatest = problem.semantics.sense.constant is not None
-        return Solution(
-            problem=problem,
-            policy=self.policy.on(problem.model),
-            objective=self.objective,
-            lower_bound=self.objective if is_greatest else self.lower_bound,
-            upper_bound=max(self.lower_bound, self.objective) if is_greatest else None,
-            failure_price=self.failure_price + problem.semantics.penalty,
-            value_function=values,
-            budget_used=self.failure,
-            run=self.run,
-            note=self.note,
-            prices=self.prices,
-        )
+    objective: float
+    failure: float  # discounted where that is limited
+    spent: Mapping[str, float]  # each limited quantity, by name
+    figures: FloatArray  # [members, 2 + limits] the same of each member
 
 
 @dataclass(frozen=True, eq=False)
 class PartitionedModel:
-    """A model whose rows lie with the ranks of PETSc, by state, and nowhere all together.
+    """A model whose rows lie with several ranks, by state, and nowhere all together.
 
     Under ``mpiexec -n 4 python plan.py`` every rank makes its part, and asks the same:
 
@@ -163,9 +100,8 @@ class PartitionedModel:
         answer = model.solve(MCMP, start=0, failure_budget=0.05)
     """
 
-    slab: Slab  # this rank's part
+    part: Part  # this rank's
     ranks: Ranks = field(repr=False)
-    order: IntArray | None = field(repr=False, default=None)  # [states] of the model's own numbers
 
     @classmethod
     def from_rows(
@@ -184,23 +120,48 @@ class PartitionedModel:
                 each rank asks for its own, some ten thousand states at a time.
             n_states: number of states.
             goal_states: numbers of the goal states, which have no actions.
-            states: labels of the states; their numbers if left out.
+            states: labels of all states, which every rank keeps; their numbers if left out.
             state_labels: names for sets of states, each given by its states.
 
         Raises:
             ModelError: naming the state and the action at fault, on every rank.
         """
-        ranks, named = Ranks.all(), (goal_states, states, state_labels)
-        ranks.agreed(lambda: check_whole("n_states", n_states))
-        ranks.alike("models", {"n_states": n_states})
-        tried: dict[int, float] = {}
-        for some in ranks.comm.allgather(
-            ranks.agreed(lambda: tried_states(ranks.comm, rows, n_states))
-        ):
-            tried |= some
-        first, end = balanced_states(ranks.comm, tried, n_states)
-        part = ranks.agreed(lambda: part_by_rows(rows, first, end, n_states, *named))
-        return cls._of(ranks, part, first, end)
+        ranks = Ranks()
+
+        def described() -> Described:
+            """Check what is not rows; labels of states become numbers."""
+            check_whole("n_states", n_states)
+            labels, members = state_labels or {}, dict[str, Any]()
+            if states is not None and not len(set(states)) == len(states) == n_states:
+                raise ModelError(f"states must be {n_states} distinct labels")
+            number = {} if states is None else {label: k for k, label in enumerate(states)}
+            for name, found in labels.items():
+                strange = [k for k in found if k not in number] if number else [
+                    k for k in found if not 0 <= k < n_states]  # fmt: skip
+                if strange:
+                    raise ModelError(f"state_labels[{name!r}]: {strange[0]!r} is no state")
+                members[name] = np.array([number[k] for k in found] if number else [*found], int)
+            return Described(n_states, _checked_goals(goal_states, n_states), states, members)
+
+        described_model = ranks.agreed(described)
+        cls._alike(ranks, described_model)
+        bounds = balanced_bounds(ranks, rows, n_states)
+        return cls(ranks.together(lambda: made_part(ranks, rows, described_model, bounds)), ranks)
+
+    @staticmethod
+    def _alike(ranks: Ranks, described: Described) -> None:
+        """Check that all ranks describe the same model.
+
+        Raises:
+            ModelError: naming what differs.
+        """
+        labels = {name: np.unique(of).tobytes() for name, of in described.state_labels.items()}
+        ranks.alike("models", {
+            "n_states": described.n_states,
+            "the set of goal states (its checksum)": crc32(np.unique(described.goal_states).data),
+            "the labels of states": [*labels],
+            "the labelled states (their checksum)": crc32(b"".join(labels.values())),
+        })  # fmt: skip
 
     @classmethod
     def from_continuous(
@@ -217,7 +178,7 @@ class PartitionedModel:
         """
 
         def rows(first: int, end: int) -> StateRows:
-            """The rows of some cells, and of the ends behind them."""
+            """Return the rows of some cells, and of the ends behind them."""
             actions, found = discretised_rows(world, points, first, end)
             return StateRows(actions, np.diff(found.outcome_offsets), *found[1:])
 
@@ -231,7 +192,7 @@ class PartitionedModel:
 
     @classmethod
     def from_file(cls, path: str | Path) -> PartitionedModel:
-        """Read each rank's part of a file of ``save_model``.
+        """Read each rank's part of a file of ``save_model``; actions are numbers by state.
 
         Args:
             path: of the file, which every rank can open.
@@ -240,53 +201,36 @@ class PartitionedModel:
             ModelError: naming the file: it is none of this format, or damaged.
             OSError: the file cannot be opened.
         """
-        ranks = Ranks.all()
-        part = ranks.agreed(lambda: part_in_file(ranks.comm, path))
-        return cls._of(ranks, *part)
+        ranks = Ranks()
+        file, bounds = ranks.agreed(lambda: (read := ModelFile(path), read.bounds(ranks)))
+        cls._alike(ranks, file.described)
+        most = max(bounds[1] - bounds[0], 1)
+        return cls(ranks.together(
+            lambda: made_part(ranks, file.rows, file.described, bounds, most)), ranks)  # fmt: skip
 
     @classmethod
-    def from_model(cls, model: SSP, order: IntArray | None = None) -> PartitionedModel:
+    def from_model(cls, model: SSP) -> PartitionedModel:
         """Take each rank's part of a model that all ranks have.
 
         Args:
             model: the same on every rank.
-            order: of its states, among the ranks alone, such as :func:`narrow_order`'s; what is
-                asked and answered is in the model's own.
-
-        Raises:
-            ModelError: some state does not come once in the order.
         """
-        ranks = Ranks.all()
-        order = None if order is None else np.asarray(order)
+        if not isinstance(model, SSP):
+            raise wrong_argument("model", "be an SSP", model)
 
-        def named() -> SSP:
-            """The model in the order that was asked for."""
-            if not isinstance(model, SSP):
-                raise wrong_argument("model", "be an SSP", model)
-            return model if order is None else reordered(model, order)
+        def rows(first: int, end: int) -> StateRows:
+            """Return the rows of some states."""
+            pairs = slice(*model.pair_offsets[[first, end]].tolist())
+            own = slice(*model.outcome_offsets[[pairs.start, pairs.stop]].tolist())
+            arrays = model.successors, model.probabilities, model.costs
+            named = {name: costs[own] for name, costs in model.named_costs.items()}
+            actions, outcomes = np.diff(model.pair_offsets), np.diff(model.outcome_offsets)
+            return StateRows(actions[first:end], outcomes[pairs], *(a[own] for a in arrays), named)
 
-        whole = ranks.agreed(named)
-        return cls._of(ranks, *part_of_model(ranks.comm, whole), order)
-
-    @classmethod
-    def _of(
-        cls, ranks: Ranks, part: SSP, first: int, end: int, order: IntArray | None = None
-    ) -> PartitionedModel:
-        """The partitioned model of which each rank has a part, from the state first on.
-
-        Raises:
-            ModelError: the ranks have parts of different models.
-        """
-        labels = {name: states.tobytes() for name, states in sorted(part.state_labels.items())}
-        ranks.alike("models", {
-            "the number of states": part.n_states,
-            "the set of goal states (its checksum)": crc32(part.goal_mask.tobytes()),
-            "the labels of states": [*labels],
-            "the labelled states (their checksum)": crc32(b"".join(labels.values())),
-            "the named costs": sorted(part.named_costs),
-            "the order (its checksum)": None if order is None else crc32(order.tobytes()),
-        })  # fmt: skip
-        return cls(ranks.together(lambda: with_facts(ranks.comm, part, first, end)), ranks, order)
+        labels = {name: [model.states[k] for k in of] for name, of in model.state_labels.items()}
+        states = None if isinstance(model.states, range) else model.states
+        goals = np.flatnonzero(model.goal_mask)
+        return cls.from_rows(rows, model.n_states, goals, states=states, state_labels=labels)
 
     def solve(
         self,
@@ -298,434 +242,361 @@ class PartitionedModel:
         checkpoint: str | Path | None = None,
         **asked: Any,
     ) -> PartitionedSolution:
-        """Solve a question within a failure budget, on all ranks together.
+        """Solve a question of case M, on all ranks together.
 
         Args:
-            criterion: such as ``MCMP``, ``S3P`` or ``MaxProb``, stated with what else: ``start=``,
+            criterion: such as ``MCMP`` or ``MaxProb``, stated with what else: ``start=``,
                 ``failure_budget=``, ``discount=``, ``constraints=``, ...; secondary costs by name.
-                Where the total cost counts, every step must cost something.
             tolerance: relative gap to reach.
             time_limit: seconds after which the best lottery so far is the answer, if there is one.
             progress: as ``solve`` takes it; called on the first rank.
-            checkpoint: a file of the first rank's, to which each policy and each proof goes that is
-                found; a later run of the same question, on any number of ranks, begins with them.
+            checkpoint: a folder to which each policy goes that is found, each rank's part of it; a
+                later run of the same question, on any number of ranks, begins with them.
 
         Raises:
             ModelError: another question, or one that needs the whole graph.
             InfeasibleError: no policy keeps to the budget and the limits.
             OutOfTimeError: the time ended before there was an answer.
         """
-        began, method = time.perf_counter(), ColumnGeneration()
-        ranks = self.ranks
+        began, ranks, method = time.perf_counter(), self.ranks, ColumnGeneration()
+        told = progress if ranks.comm.rank == 0 else None
+        options = ranks.agreed(lambda: options_of(method, tolerance, began, time_limit, told))
+        problem = self._stated(criterion, asked)
+        alike = {"tolerance": tolerance, "time_limit": time_limit, "checkpoint": str(checkpoint)}
+        ranks.alike("options", alike)
+        return ranks.together(lambda: self._solved(problem, options, began, checkpoint))
 
-        def stated() -> tuple[Formulation, SolveOptions]:
-            """The question and its options."""
-            options = options_of(method, tolerance, began, time_limit, progress)
-            problem = self._problem(criterion, asked, method)
-            if checkpoint is not None and problem.semantics.charge(problem.ratio) is not None:
-                raise ModelError("a checkpoint keeps policies of case M: leave it out of this "
-                                 "question")  # fmt: skip
-            return problem, options
+    def evaluate(self, policy: PartitionedPolicy, criterion: type[Any], **asked: Any) -> Measured:
+        """Evaluate a policy on the rows of all ranks, with a bound of the error.
 
-        problem, options = ranks.agreed(stated)
-        ranks.alike("questions", _words(problem) | {"checkpoint": checkpoint is not None})
-        if problem.semantics.charge(problem.ratio) is not None:
-            return self._solved_by_layers(problem, options, began)
-        compiled, share, own = self._held(problem)
-        rows = None if checkpoint is None else rows_checksum(self.slab)
-
-        def begun() -> CompiledPartitioned:
-            """The question for the first rank, with what an earlier run has left."""
-            order = self.order
-            told = [criterion.__name__, compiled.told, compiled.bounds.tolist()]
-            told += [compiled.semantics, compiled.discount, f"{self.slab.n_states} states"]
-            told += [f"rows {rows}", f"start {_words(problem)['the start']}"]
-            told += [] if order is None else [f"order {crc32(order.tobytes())}"]
-            kept = Checkpoint(checkpoint, ", ".join(map(str, told)))
-            return CompiledPartitioned.of(ranks, compiled, own, kept)
-
-        answer, parts = self._answered(begun, options, began)
-        positions = np.stack([share.positions(part) for part in parts])
-        policy = PartitionedPolicy(self, answer.pop("weights"), positions)
-        live: Any = own.augmented
-        live = None if self.order is None else live.quotient.node_of >= 0
-        return PartitionedSolution(policy=policy, problem=problem, live=live, **answer)
-
-    def _solved_by_layers(
-        self, problem: Formulation, options: SolveOptions, began: float
-    ) -> PartitionedSolution:
-        """The answer on the partitioned model where accumulated cost is told apart.
-
-        Raises:
-            ModelError: a step costs nothing, or the costs have no common unit.
-        """
-        ranks = self.ranks
-        compiled = ranks.agreed(lambda: compiled_constrained(problem, by_units=True))
-        share = ranks.together(lambda: LayeredShare(ranks, compiled))
-        ranks.hold(share)
-
-        begun = partial(CompiledLayers.begun, ranks, share)
-        answer, parts = self._answered(begun, options, began)
-        each = [share.layers.positions(int(number)) for (number,) in parts]
-        policy = PartitionedPolicy(
-            self,
-            answer.pop("weights"),
-            np.stack([layers[-1] for layers in each]),
-            tuple(layers[:-1] for layers in each),
-            share.layers.base.unit,
-        )
-        return PartitionedSolution(policy=policy, problem=problem, **answer)
-
-    def _answered(
-        self, begun: Callable[[], CompiledPartitioned], options: SolveOptions, began: float
-    ) -> tuple[dict[str, Any], list[IntArray]]:
-        """What the first rank finds on the partitioned model, and each rank's part of the members.
-
-        Args:
-            begun: as :func:`_searched` takes it.
-            options: likewise.
-            began: likewise.
-        """
-        ranks, members = self.ranks, list[ChosenPairs]()
-
-        def searched() -> dict[str, Any]:
-            """What all ranks hear of the answer, on the first rank, which keeps the members."""
-            answer, lottery = _searched(begun, options, began)
-            members.extend(lottery)
-            return answer
-
-        answer = ranks.answered(Cargo(), searched)
-        parts = [list(part) for part in zip(*(one.parts for one in members), strict=True)]
-        own: list[IntArray] = ranks.comm.scatter(parts or None)
-        return answer, own
-
-    def evaluate(self, policy: PartitionedPolicy, criterion: type[Any], **asked: Any) -> Evaluation:
-        """Evaluate a policy on the rows of all ranks, exactly, as ``ssp_lp.evaluate`` does.
-
-        All ranks ask together, and get the same.
+        All ranks ask together, and get the same. As in ``ssp_lp.evaluate`` a policy has failed as
+        soon as it has lost the goal by its own steps, where it may give up.
 
         Args:
             policy: on this model; an answer's, or one that was loaded.
-            criterion: such as ``MCMP``, stated as in :meth:`solve`: which start, what failing
-                costs, which quantities are limited.
+            criterion: such as ``MCMP``, stated as in :meth:`solve`.
 
         Raises:
             ModelError: the policy is of another model, has no decision in a state that it reaches
-                or gives up where it may not; or something is asked that needs the whole graph.
+                or gives up where it may not.
         """
-        problem = self._measured(policy, criterion, asked)
-        return self.ranks.together(lambda: policy.evaluated(problem)[0])
+        problem = self._stated(criterion, asked)
 
-    def certify(self, answer: PartitionedSolution) -> Certificate:
-        """Certify an answer: recompute both sides from the rows of all ranks.
+        def checked() -> None:
+            """Check that the policy is one of this model."""
+            if not isinstance(policy, PartitionedPolicy):
+                wanted = "be a PartitionedPolicy, such as answer.policy"
+                raise wrong_argument("policy", wanted, policy)
+            if policy.part.described is not self.part.described:
+                raise ModelError("the policy is for another model: PartitionedPolicy.load() reads "
+                                 "it for this one")  # fmt: skip
+            policy.check()
 
-        The policy is evaluated on the model. The value function is checked as it stands, by one
-        backup of each rank's rows, rounding counted against it, to bound every policy's cost at
-        the stated prices; where the time ended before there was one, the best is looked for.
-        All ranks ask together, and get the same.
-
-        Returns:
-            The certificate. It refuses a policy that breaks the budget or a limit, or is worth
-            something else than is stated, and a bound that the value function does not prove.
-        """
-        ranks = self.ranks
-
-        def checked() -> Formulation:
-            """The question that was answered."""
-            if not isinstance(answer, PartitionedSolution):
-                raise wrong_argument("answer", "be a PartitionedSolution, as solve() gives", answer)
-            self._check_policy(answer.policy)
-            return answer.problem
-
-        problem = ranks.agreed(checked)
-        ranks.alike("questions", _words(problem))
-        evaluation, _ = ranks.together(lambda: answer.policy.evaluated(problem))
-        compiled, _, own = self._held(problem)
-
-        def proved() -> Proved:
-            """What the prices and the values prove, on the first rank."""
-            kept = Checkpoint(None, "")
-            return _proved(CompiledPartitioned.of(ranks, compiled, own, kept), answer, evaluation)
-
-        found = ranks.answered(Cargo(), proved)
-        reason = found.reason or broken_limit(problem, evaluation)
-        sides = evaluation, found.bound, found.allowed
-        certificate = certificate_of(*sides, reason)
-        if certificate.accepted and (claim := _false_claim(answer, evaluation, found.bound)):
-            return certificate_of(*sides, claim)
-        return certificate
-
-    def simulate(
-        self,
-        policy: PartitionedPolicy,
-        criterion: type[Any],
-        *,
-        episodes: int = 10_000,
-        seed: int,
-        max_steps: int = 10_000,
-        record: int = 0,
-        confidence: float = 0.95,
-        **asked: Any,
-    ) -> SimulationReport:
-        """Play episodes and count how they end, as ``ssp_lp.simulate`` does.
-
-        An episode is with the rank that owns its state, and goes to the owner of the next one. What
-        is drawn depends on the seed, the episode and the step alone, so that any number of ranks
-        plays the same episodes. All ranks ask together, and get the same.
-
-        Args:
-            policy: on this model.
-            criterion: such as ``MCMP``, stated as in :meth:`solve`.
-            episodes: how many to play.
-            seed: a number.
-            max_steps: steps after which an episode counts as unfinished.
-            record: keep the paths, numbers of states, of this many first episodes.
-            confidence: of the intervals; the upper ends of mean costs count the dearest step of the
-                model in every step.
-
-        Raises:
-            ModelError: wrong arguments, or as of :meth:`evaluate`.
-        """
-
-        def check() -> None:
-            """Check what is not the question."""
-            check_between_0_and_1("confidence", confidence, as_percentage(confidence))
-            check_whole("episodes", episodes, most=MOST_EPISODES)
-            check_whole("max_steps", max_steps)
-            check_whole("record", record, 0)
-            check_whole("seed", seed, 0, _MOST_SEED)
-
-        self.ranks.agreed(check)
-        settings = episodes, seed, max_steps, record, float(confidence)
-        names = "episodes", "seed", "max_steps", "record", "confidence"
-        self.ranks.alike("simulations", dict(zip(names, settings, strict=True)))
-        problem = self._measured(policy, criterion, asked)
-        return self.ranks.together(lambda: policy.simulated(problem, *settings))
-
-    def _held(self, problem: Formulation) -> tuple[CompiledExplicit, Share, ExplicitPricing]:
-        """A problem on the partitioned model, compiled, and the rank holds its rows."""
-        ranks = self.ranks
-        compiled = ranks.agreed(lambda: compiled_constrained(problem))
-        share, own = ranks.together(lambda: labelled_share(ranks, compiled))
-        ranks.hold(share)
-        return compiled, share, own
-
-    def _measured(
-        self, policy: PartitionedPolicy, criterion: type[Any], asked: Mapping[str, Any]
-    ) -> Formulation:
-        """The question by which a policy of the partitioned model is measured, on every rank."""
-
-        def checked() -> Formulation:
-            """The question, where the policy is one of this model."""
-            self._check_policy(policy)
-            return self._problem(criterion, asked)
-
-        problem = self.ranks.agreed(checked)
-        self.ranks.alike("questions", _words(problem))
+        self.ranks.agreed(checked)
         self.ranks.alike("policies", {"the members' weights": policy.weights.tolist()})
-        return problem
+        return self.ranks.together(lambda: self._measured(policy, problem))
 
-    def _check_policy(self, policy: PartitionedPolicy) -> None:
-        """Raise :class:`ModelError` unless a policy is one of this partitioned model."""
-        if not isinstance(policy, PartitionedPolicy):
-            raise wrong_argument("policy", "be a PartitionedPolicy, such as answer.policy", policy)
-        if policy.model.slab is not self.slab:
-            raise ModelError("the policy is for another model: PartitionedPolicy.load() reads it "
-                             "for this one")  # fmt: skip
-        if policy.below:
-            raise ModelError("a policy that acts on the cost paid is measured on a model held "
-                             "whole: answer.on(problem)")  # fmt: skip
-        policy.check()
-
-    def _problem(
-        self, criterion: type[Any], asked: Mapping[str, Any], method: ColumnGeneration | None = None
-    ) -> Formulation:
-        """The question on the rank's part of the partitioned model, checked.
-
-        Args:
-            criterion: the class.
-            asked: its arguments.
-            method: that is to solve it; None: a policy is measured.
+    def _stated(self, criterion: type[Any], asked: Mapping[str, Any]) -> Formulation:
+        """State a question on the rank's part of the model, with the states that it names.
 
         Raises:
-            ModelError: another question, or one that needs the whole graph.
+            ModelError: another question, or one that needs the whole graph, on every rank.
         """
-        if not isinstance(criterion, type):
-            raise wrong_argument("criterion", "be a class such as MCMP, its arguments beside it",
-                                 criterion)  # fmt: skip
-        if asked.get("horizon") is not None or asked.get("reach_fraction") is not None:
-            raise ModelError("a partitioned model has no horizon and no reach_fraction: state the "
-                             "budget, and steps as a part of the states")  # fmt: skip
+        part, ranks = self.part, self.ranks
+        while True:
+            problem, error = None, None
+            try:
+                problem = _checked_problem(criterion, part, asked)
+            except Exception as raised:
+                error = raised
+            wanted = set().union(*ranks.comm.allgather(part.wanted))
+            part.wanted.clear()
+            if not wanted:
+                break
+            part = part.knowing(sorted(wanted))  # what a rank did not know may have been at fault
+
+        def made() -> Formulation:
+            """Return the problem, or raise what was wrong with it."""
+            if problem is None:
+                raise error or ModelError("the question cannot be stated")
+            return problem
+
+        stated = ranks.agreed(made)
+        ranks.alike("questions", _words(stated))
+        return stated
+
+    def _compiled(self, problem: Formulation, **more: Any) -> CompiledPartitioned:
+        """Compile a question on this rank's part; bounds of rows are those of the first rank."""
+        plain = self.ranks.agreed(lambda: compiled_constrained(problem))
+        own = [*plain.side, *([] if plain.objective is None else [plain.objective])]
+        told = self.ranks.comm.bcast([_numbers_of(row) for row in own])
+        rows = [_with_numbers(row, numbers) for row, numbers in zip(own, told, strict=True)]
+        stated = {one.name: getattr(plain, one.name) for one in fields(plain)}
+        stated["side"] = tuple(rows[: len(plain.side)])
+        stated["objective"] = None if plain.objective is None else rows[-1]
+        return CompiledPartitioned(**stated, more=more)
+
+    def _solved(
+        self,
+        problem: Formulation,
+        options: SolveOptions,
+        began: float,
+        checkpoint: str | Path | None,
+    ) -> PartitionedSolution:
+        """Search, as every rank does, for the optimum of a checked question.
+
+        Raises:
+            InfeasibleError: no policy keeps to the budget and the limits.
+            OutOfTimeError: the time ended before there was an answer.
+        """
+        more: dict[str, Any] = {"ends_at": options.deadline}
+        if checkpoint is not None:
+            kept = _Checkpoint(self.part, Path(checkpoint), _words(problem))
+            more |= {"kept": kept.keep, "earlier": []}
+        compiled = self._compiled(problem, **more)
+        guess = None
+        if checkpoint is not None:
+            guess = kept.begun(compiled.pricing())
         try:
-            problem: Formulation = criterion(self.slab, **asked)
-        except TypeError as error:
-            raise ModelError(f"{criterion.__name__} cannot be stated so: {error}") from error
-        if method is None and problem.semantics.counts_law:
-            raise ModelError(f"{criterion.__name__} makes something of the law of total costs, "
-                             "which is not worked out on a partitioned model")  # fmt: skip
-        greatest = problem.semantics.aim is Aim.GREATEST_GOAL  # failing is what is minimised
-        if method is not None and not (greatest or is_shared(problem.requirements)):
-            raise ModelError("a partitioned model answers costs within a failure budget, not "
-                             f"{criterion.__name__} as it is asked")  # fmt: skip
-        if method is not None and problem.cost_levels:
-            raise ModelError("a partitioned model knows no cost_levels: its totals are multiples "
-                             "of a unit")  # fmt: skip
-        is_slack = (problem.failure_budget or 0.0) >= 1.0
-        if method is not None and problem.ratio and problem.has_rows and is_slack:
-            raise ModelError(f"{criterion.__name__} within limits takes a failure budget below 1 "
-                             "on a partitioned model")  # fmt: skip
-        if method is not None and problem.semantics.forbids_failing:
-            raise ModelError(f"{criterion.__name__} forbids failing, which asks for the whole "
-                             "graph: on a partitioned model give a failure budget")  # fmt: skip
-        try:
-            is_told = problem.unrolled is problem
-        except ModelError:
-            is_told = False
-        if not is_told:
-            raise ModelError("a limit counts what may come after failing, which a partitioned "
-                             "model does not tell apart: visits() counts until then")  # fmt: skip
-        return problem
+            if compiled.budget is None:
+                compiled = compiled.bounded(compiled.least.column.failure, compiled.side)  # type: ignore[assignment]
+            found = _searched(compiled, options, guess)
+        except Stop as stop:
+            words = str(stop) or "nothing but the model was known by then"
+            raise OutOfTimeError(
+                f"the time limit ended before there was an answer ({words}): allow more time"
+            ) from stop
+        members, sense = found.lottery.policies, compiled.sense
+        figures = _stated_figures(compiled, [_own(one).figures for one in members])
+        totals = (found.lottery.weights @ figures).tolist()
+        names = [row.condition.name for row in compiled.side]
+        positions = np.stack([_own(one).positions for one in members])
+        size = self.ranks.comm.size
+        return PartitionedSolution(
+            objective=sense.worth(found.value),
+            lower_bound=sense.worth(sense.settled_bound(found.value, found.bound)),
+            failure=totals[1],
+            policy=PartitionedPolicy(self.part, found.lottery.weights, positions),
+            figures=read_only(figures),
+            prices=found.prices,
+            spent=dict(zip(names, totals[2:], strict=True)),
+            value_function=found.values,
+            run=Run(
+                options.method,
+                f"column generation on {size} rank{'s' * (size > 1)}, {found.calls} pricing calls",
+                found.calls,
+                time.perf_counter() - began,
+                found.work,
+            ),
+            problem=problem,
+            note=found.note,
+        )
+
+    def _measured(self, policy: PartitionedPolicy, problem: Formulation) -> Measured:
+        """Measure each member of a policy as a column of the process.
+
+        Raises:
+            ModelError: a member has no decision in a state that it reaches, gives up where it may
+                not, or stays for ever where that costs something.
+        """
+        compiled = self._compiled(problem)
+        process = compiled.pricing()
+        choices = map(process.completed, policy.decisions())
+        columns = [process.measured(choice) for choice in choices]
+        figures = _stated_figures(compiled, [column.figures for column in columns])
+        totals = (policy.weights @ figures).tolist()
+        names = [row.condition.name for row in compiled.side]
+        spent = dict(zip(names, totals[2:], strict=True))
+        return Measured(totals[0], totals[1], spent, read_only(figures))
 
 
-def _words(problem: Formulation) -> dict[str, Any]:
-    """What is asked of a partitioned model, by name, in words and numbers that ranks compare."""
-    begun = start_distribution(problem.model, problem.start)
-    places = np.flatnonzero(begun)
-    several = crc32(places.tobytes() + begun[places].tobytes())
-    return {
-        "the criterion": type(problem).__name__,
-        "the start": f"state {places[0]}" if places.size == 1 else f"several, checksum {several}",
-        "failure_budget": problem.failure_budget,
-        "discount": problem.discount,
-        "cost_cap": problem.cost_cap,
-        "what an episode is worth": re.sub(r" at 0x\w+", "", repr(problem.semantics)),
-        "the limits": [(one.name, one.lower, one.upper) for one in problem.conditions],
-    }
+class _Checkpoint:
+    """Policies that a search has found, in a folder: each a partitioned policy, saved as such."""
+
+    def __init__(self, part: Part, folder: Path, question: Mapping[str, Any]) -> None:
+        """Read what an earlier run has left; all ranks do so together.
+
+        Raises:
+            ModelError: it is about another question or another model, or a file is damaged.
+        """
+        ranks = part.halo.ranks
+        self._part, self._folder, self._question = part, folder, repr(sorted(question.items()))
+
+        def found() -> list[Path]:
+            """Return the policies that are there whole."""
+            if not folder.parent.is_dir():
+                raise ModelError(f"the checkpoint {folder} is in no folder: make {folder.parent}")
+            if folder.exists() and not folder.is_dir():
+                raise ModelError(f"the checkpoint {folder} is no folder: name another")
+            return sorted(one.parent for one in folder.glob("*/policy.npz"))
+
+        every = ranks.comm.bcast(ranks.agreed(found))
+        self._earlier = [PartitionedPolicy.load(_Parts(part), one) for one in every]
+        self._count = len(every)
+        for one in self._earlier:
+            if one.told.get("question") != self._question:
+                raise ModelError(f"the checkpoint {folder} is of {one.told.get('question')}, not "
+                                 f"of {self._question}")  # fmt: skip
+
+    def begun(self, process: PartitionedProcess) -> DualGuess | None:
+        """Measure the last policies of an earlier run; their price is where the search begins."""
+        for policy in self._earlier[-_AGAIN:]:
+            choice = process.completed(policy.decisions()[0])
+            process.earlier.append(process.measured(choice))
+        weights = self._earlier[-1].told["prices"] if self._earlier else [0.0, 0.0]
+        return DualGuess(weights[1], _SURE) if weights[0] == 1.0 and weights[1] > 0.0 else None
+
+    def keep(self, process: PartitionedProcess, weights: FloatArray, column: Column) -> None:
+        """Save a column as a policy, with the prices at which it was found."""
+        told = {"question": self._question, "prices": weights.tolist()}
+        positions = _own(process.pulled_back(column)).positions[None]
+        policy = PartitionedPolicy(self._part, np.ones(1), positions, told)
+        policy.save(self._folder / f"{self._count:05}")
+        self._count += 1
+
+
+_AGAIN = 3  # policies of an earlier run that are measured to begin with
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """What a saved policy is read for."""
+
+    part: Part
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """What the search on a partitioned model ended with."""
+
+    value: float
+    bound: float
+    lottery: MixedPolicy
+    prices: Mapping[str, float]
+    values: FloatArray
+    calls: int
+    work: Any
+    note: str
 
 
 def _searched(
-    begun: Callable[[], CompiledPartitioned], options: SolveOptions, began: float
-) -> tuple[dict[str, Any], Sequence[ChosenPairs]]:
-    """The search's answer to a question on a partitioned model, on the first rank, and its members.
-
-    Args:
-        begun: compiles the question for the first rank.
-        options: tolerance and limits.
-        began: on the clock of ``time.perf_counter``.
+    compiled: CompiledPartitioned, options: SolveOptions, guess: DualGuess | None
+) -> _Found:
+    """Search for the optimum: of one row by its secant, of several by a linear program.
 
     Raises:
-        OutOfTimeError: the time ended before there was an answer.
+        Stop: the time ended before there was an answer.
     """
-    try:
-        with until(options.deadline):
-            compiled = begun()
-            sense, budget, kept = compiled.sense, compiled.budget, compiled.shared.kept
-            budget = 1.0 if budget is None else budget
-            if compiled.side or compiled.objective is not None:
-                optimum = rows_optimum(compiled, options)
-                prices, note = dict(optimum.prices), optimum.note
-                value, bound, lottery = optimum.value, optimum.bound, optimum.policy
-                values, calls, work = optimum.values, optimum.calls, optimum.work
-            else:
-                price = kept.price
-                guess = DualGuess(price, _SURE) if price else None
-                finer = 1.0 if sense.constant is None else _FINER
-                exactly = replace(options, tolerance=finer * options.tolerance)
-                outcome = refined_optimum(compiled, budget, exactly, guess)
-                found = outcome.generated
-                beyond = found.objective if compiled.ratio else 0.0
-                prices = {FAILURE_ROW: max(found.price - beyond, 0.0)}
-                value, bound, lottery = found.objective, found.lower_bound, outcome.lottery
-                values, calls, work = found.values, outcome.calls, outcome.work
-                note = "" if found.finished else CUT_SHORT
-    except Stop as stop:
-        words = str(stop) or "nothing but the model was known by then"
-        raise OutOfTimeError(
-            f"the time limit ended before there was an answer ({words}): allow more time"
-        ) from stop
-    proved, at = _best_proof(compiled)
-    if min(proved, value) > bound + CONTRADICTION * abs(value):  # an earlier run's, without values
-        prices, values = at, None
-    bound = max(bound, min(proved, value))
-    members: Any = lottery.policies  # as pricing pulls them back
-    figures = _stated_figures(compiled, members)
-    totals = (lottery.weights @ figures).tolist()
-    limited = [row.condition.name for row in compiled.side]
-    answer = {
-        "objective": sense.worth(value),
-        "lower_bound": sense.worth(sense.settled_bound(value, bound)),
-        "failure": totals[1],
-        "figures": read_only(figures),
-        "weights": lottery.weights,
-        "prices": prices,
-        "spent": dict(zip(limited, totals[2:], strict=True)),
-        "value_function": read_only(compiled.shared.anything if values is None else values),
-        "run": Run(
-            options.method,
-            f"column generation on {compiled.ranks.comm.size} ranks, {calls} pricing calls",
-            calls,
-            time.perf_counter() - began,
-            work,
-        ),
-        "note": note,
-    }
-    return answer, members
+    if compiled.side or compiled.objective is not None:
+        optimum = rows_optimum(compiled, options)
+        values = compiled.pricing().anything if optimum.values is None else optimum.values
+        return _Found(
+            optimum.value, optimum.bound, optimum.policy, dict(optimum.prices), values,
+            optimum.calls, optimum.work, optimum.note,
+        )  # fmt: skip
+    budget = 1.0 if compiled.budget is None else compiled.budget
+    finer = 1.0 if compiled.sense.constant is None else _FINER
+    exactly = replace(options, tolerance=finer * options.tolerance)
+    outcome = refined_optimum(compiled, budget, exactly, guess)
+    found = outcome.generated
+    values = compiled.pricing().anything if found.values is None else found.values
+    return _Found(
+        found.objective, found.lower_bound, outcome.lottery, {FAILURE_ROW: found.price}, values,
+        outcome.calls, outcome.work, "" if found.finished else CUT_SHORT,
+    )  # fmt: skip
 
 
-def _stated_figures(compiled: CompiledPartitioned, members: Sequence[ChosenPairs]) -> FloatArray:
-    """Objective, failure and limited quantities of each member as a partitioned answer has them."""
-    figures = np.stack([one.figures for one in members])
+def _own(policy: Any) -> OwnDecisions:
+    """Return a policy as the decisions that the pricing pulled back."""
+    if not isinstance(policy, OwnDecisions):
+        raise SolverError(f"{policy!r} does not come from the process of a partitioned model")
+    return policy
+
+
+def _stated_figures(compiled: CompiledPartitioned, members: Sequence[FloatArray]) -> FloatArray:
+    """Objective, failure and limited quantities of each member, as they were asked for."""
+    figures = np.stack(members)
     figures[:, 0] = [compiled.sense.worth(cost) for cost in figures[:, 0].tolist()]
-    if compiled.ratio:  # each member's own, given that it succeeds
-        with np.errstate(divide="ignore", invalid="ignore"):
-            figures[:, 0] /= 1.0 - figures[:, 1]
+    if compiled.by_goal:
+        figures[:, 1] += 1.0
     for place, row in enumerate(compiled.side, 2):
         figures[:, place] = row.sign * (figures[:, place] - row.offset)
     return figures
 
 
-def _proved(
-    compiled: CompiledPartitioned, answer: PartitionedSolution, evaluation: Evaluation
-) -> Proved:
-    """What prices and values prove of an answer on a partitioned model, on the first rank."""
-    pricing, values = compiled.pricing(), np.asarray(answer.value_function)
-    budget = 1.0 if compiled.budget is None else compiled.budget
+def _numbers_of(row: Any) -> Any:
+    """Return the numbers of a row that follow from sums over known states."""
+    return None if row is None else (row.constant, row.bound, row.offset, _numbers_of(row.direct))
+
+
+def _with_numbers(row: Any, numbers: Any) -> Any:
+    """Return a row with the numbers that the first rank has."""
+    if row is None:
+        return None
+    constant, bound, offset, direct = numbers
+    own = _with_numbers(row.direct, direct)
+    return replace(row, constant=constant, bound=bound, offset=offset, direct=own)
+
+
+def _checked_goals(goal_states: npt.ArrayLike, n_states: int) -> IntArray:
+    """Return the numbers of the goal states, ascending.
+
+    Raises:
+        ModelError: there are none, or one is no number of a state.
+    """
+    goals = np.asarray(goal_states).reshape(-1)
+    if not goals.size or goals.dtype.kind not in "iu":
+        raise ModelError("goal_states must be numbers of states, at least one")
+    if goals.min() < 0 or goals.max() >= n_states:
+        raise ModelError(f"goal states must be indices of states, 0 .. {n_states - 1}")
+    return np.unique(goals)
+
+
+def _checked_problem(criterion: type[Any], part: Part, asked: Mapping[str, Any]) -> Formulation:
+    """Return the question on a part of the model, where ranks can answer it.
+
+    Raises:
+        ModelError: they cannot; it says what to do.
+    """
+    if not isinstance(criterion, type):
+        raise wrong_argument("criterion", "be a class such as MCMP, its arguments beside it",
+                             criterion)  # fmt: skip
+    name = criterion.__name__
+    if asked.get("horizon") is not None or asked.get("reach_fraction") is not None:
+        raise ModelError("a partitioned model has no horizon and no reach_fraction: state the "
+                         "budget, and steps as a part of the states")  # fmt: skip
     try:
-        if evaluation.limited_failure > budget * (1.0 + ATTAINABLE):  # the least, or too much
-            compiled = compiled.settled()
-            budget = budget if compiled.budget is None else compiled.budget
-        prices, is_known = answer.prices, bool(np.isfinite(values).all())
-
-        def prove(weights: FloatArray) -> Proof:
-            """What the values prove as they stand; without any, the best that can be proved."""
-            if is_known:
-                return pricing.confirmed(weights, values)
-            return pricing.prove(weights, pricing.minimise(weights))
-
-        return proved_at_prices(compiled, evaluation, budget, prices, prove)
-    except (SolverError, ModelError, InfeasibleError) as error:
-        return Proved(evaluation.objective, compiled.sense.worth(0.0), budget, str(error))
-
-
-def _false_claim(answer: PartitionedSolution, evaluation: Evaluation, bound: float) -> str:
-    """What an answer on a partitioned model states that was not found again; empty: nothing."""
-    room = CONTRADICTION * max(abs(evaluation.objective), abs(answer.objective)) + _NOTHING
-    if not abs(evaluation.objective - answer.objective) <= room:
-        return f"the policy is worth {evaluation.objective:.12g}, not {answer.objective:.12g}"
-    if not abs(evaluation.limited_failure - answer.failure) <= CONTRADICTION:
-        return f"the policy fails with {evaluation.limited_failure:.12g}, not {answer.failure:.12g}"
-    if not answer.lower_bound - bound <= room:
-        return f"the value function proves {bound:.12g}, not {answer.lower_bound:.12g}"
-    return ""
+        problem: Formulation = criterion(part, **asked)
+    except TypeError as error:
+        raise ModelError(f"{name} cannot be stated so: {error}") from error
+    if problem.semantics.charge(problem.ratio) is not None:
+        raise ModelError(f"{name} counts the total cost of a run, which ranks do not share: solve "
+                         "it with ssp_lp.solve on a model held whole, or ask MCMP, the cost until "
+                         "failing, of the ranks")  # fmt: skip
+    if problem.semantics.forbids_failing:
+        raise ModelError(f"{name} forbids failing, which asks for the whole graph: on a "
+                         "partitioned model give MCMP a failure budget")  # fmt: skip
+    if problem.semantics.aim is Aim.LEAST_GOAL:
+        raise ModelError(f"{name} is not answered by ranks: solve it with ssp_lp.solve on a model "
+                         "held whole")  # fmt: skip
+    try:
+        is_told = problem.unrolled is problem
+    except ModelError:
+        is_told = False
+    if not is_told:
+        raise ModelError("a limit counts what may come after failing, which a partitioned model "
+                         "does not tell apart: visits() counts until then")  # fmt: skip
+    return problem
 
 
-def _best_proof(compiled: CompiledPartitioned) -> tuple[float, dict[str, float]]:
-    """The best bound of the checkpoint's proofs, those of earlier runs included, and its prices."""
-    best, at = -np.inf, np.zeros(0)
-    for weights, least in compiled.shared.kept.proofs:
-        priced = weights[1:] > 0.0
-        bounds = compiled.bounds[priced]
-        if weights[0] == 1.0 and np.isfinite(bounds).all() and (weights <= LARGEST).all():
-            bound = lagrange_bound(least, weights[1:][priced], bounds)
-            best, at = max((best, at), (bound, weights[1:]), key=lambda proof: proof[0])
-    return best, dict(zip(compiled.names, at.tolist(), strict=False))
+def _words(problem: Formulation) -> dict[str, Any]:
+    """Return what is asked, by name, in words and numbers that ranks compare."""
+    return {
+        "the criterion": type(problem).__name__,
+        "the start": repr(problem.start)[:200],
+        "failure_budget": problem.failure_budget,
+        "discount": problem.discount,
+        "what an episode is worth": re.sub(r" at 0x\w+", "", repr(problem.semantics)),
+        "what is minimised": re.sub(r" at 0x\w+", "", repr(problem.quantity)),
+        "the limits": [(one.name, one.lower, one.upper) for one in problem.conditions],
+    }
