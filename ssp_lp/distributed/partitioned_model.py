@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -13,51 +13,50 @@ from zlib import crc32
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.arrays import RELATIVE_GAP, FloatArray, IntArray, ReadOnlyCopies, read_only
+from ssp_lp.arrays import RELATIVE_GAP, FloatArray, ReadOnlyCopies, read_only
 from ssp_lp.column_generation.column import Column, two_sided_gap
 from ssp_lp.column_generation.search import DualGuess
 from ssp_lp.compiled.deadline import Stop
-from ssp_lp.distributed.part import (
-    Described,
-    ModelFile,
-    Part,
-    StateRows,
-    balanced_bounds,
-    made_part,
-)
-from ssp_lp.distributed.policy import PartitionedPolicy, model_words
-from ssp_lp.distributed.process import CompiledPartitioned, OwnDecisions, PartitionedProcess
+from ssp_lp.distributed.part import Part, Rows, StateRows, balanced_bounds, made_part
+from ssp_lp.distributed.policy import PartitionedPolicy
+from ssp_lp.distributed.process import CompiledPartitioned
 from ssp_lp.distributed.ranks import Ranks
-from ssp_lp.errors import ModelError, OutOfTimeError, SolverError, check_whole, wrong_argument
+from ssp_lp.errors import ModelError, OutOfTimeError, check_whole, wrong_argument
 from ssp_lp.formulation import Formulation
+from ssp_lp.io.archives import ModelFile
 from ssp_lp.methods.columns import refined_optimum
 from ssp_lp.methods.rows import rows_optimum
-from ssp_lp.model import SSP
 from ssp_lp.model.continuous_model import ContinuousModel
 from ssp_lp.model.discretise import MIDPOINTS, Quadrature, discretised_rows
 from ssp_lp.options import ColumnGeneration, Progress, SolveOptions, options_of
-from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, MixedPolicy
 from ssp_lp.problem import compiled_constrained
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.solution import CUT_SHORT, Run
 
 _SURE = 1e-6  # relative uncertainty of a price in a checkpoint
+_AGAIN = 3  # policies of an earlier run that are measured to begin with
 _FINER = 1e-3  # of the tolerance, where a complement is minimised, which may be much larger
+_WHOLE = "solve it with ssp_lp.solve on a model held whole"
+
+
+@dataclass(frozen=True, eq=False)
+class Measured(ReadOnlyCopies):
+    """What a policy of a partitioned model is worth, the same on every rank."""
+
+    objective: float
+    failure: float  # discounted where that is limited
+    spent: Mapping[str, float]  # each limited quantity, by name
+    figures: FloatArray  # [members, 2 + limits] the same of each member
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PartitionedSolution(ReadOnlyCopies):
+class PartitionedSolution(Measured):
     """The optimum of a question on a partitioned model, the same on every rank."""
 
-    objective: float  # of the lottery, as measured
     lower_bound: float  # of the optimum, certified; of a greatest one it is an upper bound
-    failure: float  # of the lottery, discounted where that is limited
     policy: PartitionedPolicy  # each rank has the decisions of its own states
-    figures: FloatArray  # [members, 2 + limits] objective, failure, limited quantities, as measured
     prices: Mapping[str, float]  # multiplier of each row, by name
-    spent: Mapping[str, float]  # each limited quantity under the lottery, by name
-    value_function: FloatArray  # [own nodes of the process] the checked sub-solution
     run: Run
     problem: Formulation  # on this rank's part of the model
     note: str = ""
@@ -81,16 +80,6 @@ class PartitionedSolution(ReadOnlyCopies):
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
-    """What a policy of a partitioned model is worth."""
-
-    objective: float
-    failure: float  # discounted where that is limited
-    spent: Mapping[str, float]  # each limited quantity, by name
-    figures: FloatArray  # [members, 2 + limits] the same of each member
-
-
-@dataclass(frozen=True, eq=False)
 class PartitionedModel:
     """A model whose rows lie with several ranks, by state, and nowhere all together.
 
@@ -106,62 +95,47 @@ class PartitionedModel:
     @classmethod
     def from_rows(
         cls,
-        rows: Callable[[int, int], StateRows],
+        rows: Rows,
         n_states: int,
         goal_states: npt.ArrayLike,
         *,
-        states: Sequence[Hashable] | None = None,
-        state_labels: Mapping[str, Any] | None = None,
+        state_labels: Mapping[str, Sequence[int]] | None = None,
+        bounds: Callable[[Ranks], npt.ArrayLike] | None = None,
     ) -> PartitionedModel:
         """Make each rank's part by a vectorised function on a range of states.
 
         Args:
             rows: ``rows(first, end)`` gives the rows of the states first .. end - 1, as arrays;
-                each rank asks for its own, some ten thousand states at a time.
+                each rank asks for its own, after a few states one by one.
             n_states: number of states.
             goal_states: numbers of the goal states, which have no actions.
-            states: labels of all states, which every rank keeps; their numbers if left out.
-            state_labels: names for sets of states, each given by its states.
+            state_labels: names for sets of states, each given by the numbers of its states.
+            bounds: which states are whose, [ranks + 1]; None: outcomes are balanced.
 
         Raises:
-            ModelError: naming the state and the action at fault, on every rank.
+            ModelError: naming the state and the action at fault.
         """
-        ranks = Ranks()
+        ranks, named = Ranks(), {"goal_states": goal_states, **(state_labels or {})}
 
-        def described() -> Described:
-            """Check what is not rows; labels of states become numbers."""
+        def checked() -> dict[str, Any]:
+            """Return the numbers of the goal states, and of each named set, ascending."""
             check_whole("n_states", n_states)
-            labels, members = state_labels or {}, dict[str, Any]()
-            if states is not None and not len(set(states)) == len(states) == n_states:
-                raise ModelError(f"states must be {n_states} distinct labels")
-            number = {} if states is None else {label: k for k, label in enumerate(states)}
-            for name, found in labels.items():
-                strange = [k for k in found if k not in number] if number else [
-                    k for k in found if not 0 <= k < n_states]  # fmt: skip
-                if strange:
-                    raise ModelError(f"state_labels[{name!r}]: {strange[0]!r} is no state")
-                members[name] = np.array([number[k] for k in found] if number else [*found], int)
-            return Described(n_states, _checked_goals(goal_states, n_states), states, members)
+            sets = {name: np.unique(np.asarray(of)) for name, of in named.items()}
+            for name, of in sets.items():
+                if of.size and (of.dtype.kind not in "iu" or of[0] < 0 or of[-1] >= n_states):
+                    raise ModelError(f"{name} must be numbers of states, 0 .. {n_states - 1}")
+            if not sets["goal_states"].size:
+                raise ModelError("the model has no goal state; name at least one")
+            return sets
 
-        described_model = ranks.agreed(described)
-        cls._alike(ranks, described_model)
-        bounds = balanced_bounds(ranks, rows, n_states)
-        return cls(ranks.together(lambda: made_part(ranks, rows, described_model, bounds)), ranks)
-
-    @staticmethod
-    def _alike(ranks: Ranks, described: Described) -> None:
-        """Check that all ranks describe the same model.
-
-        Raises:
-            ModelError: naming what differs.
-        """
-        labels = {name: np.unique(of).tobytes() for name, of in described.state_labels.items()}
-        ranks.alike("models", {
-            "n_states": described.n_states,
-            "the set of goal states (its checksum)": crc32(np.unique(described.goal_states).data),
-            "the labels of states": [*labels],
-            "the labelled states (their checksum)": crc32(b"".join(labels.values())),
-        })  # fmt: skip
+        sets = ranks.agreed(checked)
+        checksums = {name: crc32(of.astype(np.int64).tobytes()) for name, of in sets.items()}
+        ranks.alike("models", {"n_states": n_states, "checksums of named states": checksums})
+        ends = balanced_bounds(ranks, rows, n_states) if bounds is None else bounds(ranks)
+        goals = sets.pop("goal_states")
+        part = ranks.together(lambda: made_part(ranks, rows, goals, sets, np.asarray(ends)))
+        ranks.alike("models", {"the named costs": sorted(part.named_costs)})
+        return cls(part, ranks)
 
     @classmethod
     def from_continuous(
@@ -174,7 +148,7 @@ class PartitionedModel:
             points: a ``Quadrature``; samples are drawn in one order and cannot be shared.
 
         Raises:
-            ModelError: samples are asked for, or what ``discretise`` raises, on every rank.
+            ModelError: samples are asked for, or what ``discretise`` raises.
         """
 
         def rows(first: int, end: int) -> StateRows:
@@ -187,12 +161,11 @@ class PartitionedModel:
         if not isinstance(points, Quadrature):
             raise ModelError(f"the ranks share points such as Quadrature(4), not {points!r}")
         labels = {name: [world.end_state(name)] for name in world.dead_ends}
-        goal = [world.end_state("goal")]
-        return cls.from_rows(rows, world.n_states, goal, state_labels=labels)
+        return cls.from_rows(rows, world.n_states, [world.end_state("goal")], state_labels=labels)
 
     @classmethod
     def from_file(cls, path: str | Path) -> PartitionedModel:
-        """Read each rank's part of a file of ``save_model``; actions are numbers by state.
+        """Read each rank's part of a file of ``save_model``; states and actions are numbers.
 
         Args:
             path: of the file, which every rank can open.
@@ -201,36 +174,18 @@ class PartitionedModel:
             ModelError: naming the file: it is none of this format, or damaged.
             OSError: the file cannot be opened.
         """
-        ranks = Ranks()
-        file, bounds = ranks.agreed(lambda: (read := ModelFile(path), read.bounds(ranks)))
-        cls._alike(ranks, file.described)
-        most = max(bounds[1] - bounds[0], 1)
-        return cls(ranks.together(
-            lambda: made_part(ranks, file.rows, file.described, bounds, most)), ranks)  # fmt: skip
+        file = Ranks().agreed(lambda: ModelFile(path))
 
-    @classmethod
-    def from_model(cls, model: SSP) -> PartitionedModel:
-        """Take each rank's part of a model that all ranks have.
-
-        Args:
-            model: the same on every rank.
-        """
-        if not isinstance(model, SSP):
-            raise wrong_argument("model", "be an SSP", model)
+        def bounds(ranks: Ranks) -> npt.ArrayLike:
+            """Share the pairs."""
+            return ranks.agreed(lambda: file.bounds(ranks.comm.size))
 
         def rows(first: int, end: int) -> StateRows:
             """Return the rows of some states."""
-            pairs = slice(*model.pair_offsets[[first, end]].tolist())
-            own = slice(*model.outcome_offsets[[pairs.start, pairs.stop]].tolist())
-            arrays = model.successors, model.probabilities, model.costs
-            named = {name: costs[own] for name, costs in model.named_costs.items()}
-            actions, outcomes = np.diff(model.pair_offsets), np.diff(model.outcome_offsets)
-            return StateRows(actions[first:end], outcomes[pairs], *(a[own] for a in arrays), named)
+            return StateRows(*file.rows(first, end))
 
-        labels = {name: [model.states[k] for k in of] for name, of in model.state_labels.items()}
-        states = None if isinstance(model.states, range) else model.states
-        goals = np.flatnonzero(model.goal_mask)
-        return cls.from_rows(rows, model.n_states, goals, states=states, state_labels=labels)
+        stated = file.n_states, file.goal_states
+        return cls.from_rows(rows, *stated, state_labels=file.state_labels, bounds=bounds)
 
     def solve(
         self,
@@ -262,9 +217,9 @@ class PartitionedModel:
         told = progress if ranks.comm.rank == 0 else None
         options = ranks.agreed(lambda: options_of(method, tolerance, began, time_limit, told))
         problem = self._stated(criterion, asked)
-        alike = {"tolerance": tolerance, "time_limit": time_limit, "checkpoint": str(checkpoint)}
-        ranks.alike("options", alike)
-        return ranks.together(lambda: self._solved(problem, options, began, checkpoint))
+        ranks.alike("options", {"tolerance": tolerance, "time_limit": time_limit,
+                                "checkpoint": str(checkpoint)})  # fmt: skip
+        return ranks.together(lambda: self._solved(problem, options, checkpoint))
 
     def evaluate(self, policy: PartitionedPolicy, criterion: type[Any], **asked: Any) -> Measured:
         """Evaluate a policy on the rows of all ranks, with a bound of the error.
@@ -277,43 +232,47 @@ class PartitionedModel:
             criterion: such as ``MCMP``, stated as in :meth:`solve`.
 
         Raises:
-            ModelError: the policy is of another model, has no decision in a state that it reaches
-                or gives up where it may not.
+            ModelError: the policy is of another model, has no decision in a state, or gives up
+                where it may not.
         """
         problem = self._stated(criterion, asked)
 
         def checked() -> None:
             """Check that the policy is one of this model."""
-            if not isinstance(policy, PartitionedPolicy):
-                wanted = "be a PartitionedPolicy, such as answer.policy"
+            if not isinstance(policy, PartitionedPolicy) or policy.part is not self.part:
+                wanted = "be a policy of this model: answer.policy, or PartitionedPolicy.load(...)"
                 raise wrong_argument("policy", wanted, policy)
-            if policy.part.described is not self.part.described:
-                raise ModelError("the policy is for another model: PartitionedPolicy.load() reads "
-                                 "it for this one")  # fmt: skip
             policy.check()
 
         self.ranks.agreed(checked)
         self.ranks.alike("policies", {"the members' weights": policy.weights.tolist()})
-        return self.ranks.together(lambda: self._measured(policy, problem))
+
+        def measured() -> Measured:
+            """Measure each member as a column of the process."""
+            compiled = self._compiled(problem)
+            columns = [compiled.pricing().evaluated(own) for own in policy.positions]
+            return Measured(**_figures(compiled, policy.weights, columns))
+
+        return self.ranks.together(measured)
 
     def _stated(self, criterion: type[Any], asked: Mapping[str, Any]) -> Formulation:
         """State a question on the rank's part of the model, with the states that it names.
 
         Raises:
-            ModelError: another question, or one that needs the whole graph, on every rank.
+            ModelError: another question, or one that needs the whole graph.
         """
-        part, ranks = self.part, self.ranks
+        part: Part = self.part
         while True:
             problem, error = None, None
             try:
                 problem = _checked_problem(criterion, part, asked)
             except Exception as raised:
                 error = raised
-            wanted = set().union(*ranks.comm.allgather(part.wanted))
+            wanted = set().union(*self.ranks.comm.allgather(part.wanted))
             part.wanted.clear()
             if not wanted:
                 break
-            part = part.knowing(sorted(wanted))  # what a rank did not know may have been at fault
+            part = part.knowing(wanted)  # what a rank did not know may have been at fault
 
         def made() -> Formulation:
             """Return the problem, or raise what was wrong with it."""
@@ -321,27 +280,27 @@ class PartitionedModel:
                 raise error or ModelError("the question cannot be stated")
             return problem
 
-        stated = ranks.agreed(made)
-        ranks.alike("questions", _words(stated))
+        stated = self.ranks.agreed(made)
+        self.ranks.alike("questions", _words(stated))
         return stated
 
     def _compiled(self, problem: Formulation, **more: Any) -> CompiledPartitioned:
         """Compile a question on this rank's part; bounds of rows are those of the first rank."""
+
+        def told(row: Any) -> Any:
+            """Return a row with the numbers of the first rank, which follow from its sums."""
+            if row is None:
+                return None
+            own = {name: getattr(row, name) for name in ("constant", "bound", "offset")}
+            return replace(row, direct=told(row.direct), **self.ranks.comm.bcast(own))
+
         plain = self.ranks.agreed(lambda: compiled_constrained(problem))
-        own = [*plain.side, *([] if plain.objective is None else [plain.objective])]
-        told = self.ranks.comm.bcast([_numbers_of(row) for row in own])
-        rows = [_with_numbers(row, numbers) for row, numbers in zip(own, told, strict=True)]
         stated = {one.name: getattr(plain, one.name) for one in fields(plain)}
-        stated["side"] = tuple(rows[: len(plain.side)])
-        stated["objective"] = None if plain.objective is None else rows[-1]
+        stated["side"], stated["objective"] = tuple(map(told, plain.side)), told(plain.objective)
         return CompiledPartitioned(**stated, more=more)
 
     def _solved(
-        self,
-        problem: Formulation,
-        options: SolveOptions,
-        began: float,
-        checkpoint: str | Path | None,
+        self, problem: Formulation, options: SolveOptions, checkpoint: str | Path | None
     ) -> PartitionedSolution:
         """Search, as every rank does, for the optimum of a checked question.
 
@@ -349,207 +308,103 @@ class PartitionedModel:
             InfeasibleError: no policy keeps to the budget and the limits.
             OutOfTimeError: the time ended before there was an answer.
         """
-        more: dict[str, Any] = {"ends_at": options.deadline}
-        if checkpoint is not None:
-            kept = _Checkpoint(self.part, Path(checkpoint), _words(problem))
-            more |= {"kept": kept.keep, "earlier": []}
-        compiled = self._compiled(problem, **more)
-        guess = None
-        if checkpoint is not None:
-            guess = kept.begun(compiled.pricing())
+        began, more, guess = time.perf_counter(), {"ends_at": options.deadline}, None
+        kept = checkpoint and _Checkpoint(self.part, Path(checkpoint), _words(problem))
+        compiled = self._compiled(problem, **more, **({"kept": kept.keep} if kept else {}))
         try:
+            if kept:
+                guess = kept.begun(compiled)
             if compiled.budget is None:
-                compiled = compiled.bounded(compiled.least.column.failure, compiled.side)  # type: ignore[assignment]
-            found = _searched(compiled, options, guess)
+                least: Any = compiled.bounded(compiled.least.column.failure, compiled.side)
+                compiled = least
+            if compiled.side or compiled.objective is not None:
+                found: Any = rows_optimum(compiled, options)
+                lottery, value, bound = found.policy, found.value, found.bound
+                calls, work, prices, note = found.calls, found.work, found.prices, found.note
+            else:
+                finer = 1.0 if compiled.sense.constant is None else _FINER
+                exactly = replace(options, tolerance=finer * options.tolerance)
+                outcome = refined_optimum(compiled, compiled.budget or 0.0, exactly, guess)
+                found, lottery = outcome.generated, outcome.lottery
+                value, bound, note = found.objective, found.lower_bound, ""
+                prices, note = {FAILURE_ROW: found.price}, "" if found.finished else CUT_SHORT
+                calls, work = outcome.calls, outcome.work
         except Stop as stop:
             words = str(stop) or "nothing but the model was known by then"
             raise OutOfTimeError(
                 f"the time limit ended before there was an answer ({words}): allow more time"
             ) from stop
-        members, sense = found.lottery.policies, compiled.sense
-        figures = _stated_figures(compiled, [_own(one).figures for one in members])
-        totals = (found.lottery.weights @ figures).tolist()
-        names = [row.condition.name for row in compiled.side]
-        positions = np.stack([_own(one).positions for one in members])
-        size = self.ranks.comm.size
+        members: Any = lottery.policies
+        sense, positions = compiled.sense, np.stack([one.positions for one in members])
+        reason = f"column generation on ranks: {self.ranks.comm.size}, {calls} pricing calls"
+        seconds = time.perf_counter() - began
         return PartitionedSolution(
-            objective=sense.worth(found.value),
-            lower_bound=sense.worth(sense.settled_bound(found.value, found.bound)),
-            failure=totals[1],
-            policy=PartitionedPolicy(self.part, found.lottery.weights, positions),
-            figures=read_only(figures),
-            prices=found.prices,
-            spent=dict(zip(names, totals[2:], strict=True)),
-            value_function=found.values,
-            run=Run(
-                options.method,
-                f"column generation on {size} rank{'s' * (size > 1)}, {found.calls} pricing calls",
-                found.calls,
-                time.perf_counter() - began,
-                found.work,
-            ),
+            **_figures(compiled, lottery.weights, members),
+            lower_bound=sense.worth(sense.settled_bound(value, bound)),
+            policy=PartitionedPolicy(self.part, lottery.weights, positions),
+            prices=prices,
+            run=Run(options.method, reason, calls, seconds, work),
             problem=problem,
-            note=found.note,
+            note=note,
         )
-
-    def _measured(self, policy: PartitionedPolicy, problem: Formulation) -> Measured:
-        """Measure each member of a policy as a column of the process.
-
-        Raises:
-            ModelError: a member has no decision in a state that it reaches, gives up where it may
-                not, or stays for ever where that costs something.
-        """
-        compiled = self._compiled(problem)
-        process = compiled.pricing()
-        choices = map(process.completed, policy.decisions())
-        columns = [process.measured(choice) for choice in choices]
-        figures = _stated_figures(compiled, [column.figures for column in columns])
-        totals = (policy.weights @ figures).tolist()
-        names = [row.condition.name for row in compiled.side]
-        spent = dict(zip(names, totals[2:], strict=True))
-        return Measured(totals[0], totals[1], spent, read_only(figures))
 
 
 class _Checkpoint:
     """Policies that a search has found, in a folder: each a partitioned policy, saved as such."""
 
     def __init__(self, part: Part, folder: Path, question: Mapping[str, Any]) -> None:
-        """Read what an earlier run has left; all ranks do so together.
+        """Find what an earlier run has left; all ranks do so together.
 
         Raises:
-            ModelError: it is about another question or another model, or a file is damaged.
+            ModelError: the checkpoint is in no folder, or is none.
         """
-        ranks = part.halo.ranks
-        self._part, self._folder, self._question = part, folder, repr(sorted(question.items()))
+        self._part, self._folder, self._question = part, folder, repr(question)
 
         def found() -> list[Path]:
             """Return the policies that are there whole."""
-            if not folder.parent.is_dir():
-                raise ModelError(f"the checkpoint {folder} is in no folder: make {folder.parent}")
-            if folder.exists() and not folder.is_dir():
-                raise ModelError(f"the checkpoint {folder} is no folder: name another")
+            if not folder.parent.is_dir() or (folder.exists() and not folder.is_dir()):
+                raise ModelError(f"the checkpoint {folder} must be a folder in a folder that exists")
             return sorted(one.parent for one in folder.glob("*/policy.npz"))
 
-        every = ranks.comm.bcast(ranks.agreed(found))
-        self._earlier = [PartitionedPolicy.load(_Parts(part), one) for one in every]
-        self._count = len(every)
-        for one in self._earlier:
-            if one.told.get("question") != self._question:
-                raise ModelError(f"the checkpoint {folder} is of {one.told.get('question')}, not "
-                                 f"of {self._question}")  # fmt: skip
+        self._earlier = part.halo.ranks.comm.bcast(part.halo.ranks.agreed(found))
+        self._count = len(self._earlier)
 
-    def begun(self, process: PartitionedProcess) -> DualGuess | None:
-        """Measure the last policies of an earlier run; their price is where the search begins."""
-        for policy in self._earlier[-_AGAIN:]:
-            choice = process.completed(policy.decisions()[0])
-            process.earlier.append(process.measured(choice))
-        weights = self._earlier[-1].told["prices"] if self._earlier else [0.0, 0.0]
-        return DualGuess(weights[1], _SURE) if weights[0] == 1.0 and weights[1] > 0.0 else None
+    def begun(self, compiled: CompiledPartitioned) -> DualGuess | None:
+        """Measure the last policies of an earlier run; their price is where the search begins.
 
-    def keep(self, process: PartitionedProcess, weights: FloatArray, column: Column) -> None:
+        Raises:
+            ModelError: they are of another question or another model, or a file is damaged.
+        """
+        process, prices = compiled.pricing(), [0.0, 0.0]
+        for one in self._earlier[-_AGAIN:]:
+            policy = PartitionedPolicy.load(self._part, one)
+            if policy.told["question"] != self._question:
+                raise ModelError(f"the checkpoint {self._folder} is of {policy.told['question']}")
+            process.earlier.append(process.evaluated(policy.positions[0]))
+            prices = policy.told["prices"]
+        return DualGuess(prices[1], _SURE) if prices[0] == 1.0 and prices[1] > 0.0 else None
+
+    def keep(self, process: Any, weights: FloatArray, column: Column) -> None:
         """Save a column as a policy, with the prices at which it was found."""
         told = {"question": self._question, "prices": weights.tolist()}
-        positions = _own(process.pulled_back(column)).positions[None]
-        policy = PartitionedPolicy(self._part, np.ones(1), positions, told)
-        policy.save(self._folder / f"{self._count:05}")
+        positions = process.pulled_back(column).positions[None]
+        PartitionedPolicy(self._part, np.ones(1), positions, told).save(
+            self._folder / f"{self._count:05}")  # fmt: skip
         self._count += 1
 
 
-_AGAIN = 3  # policies of an earlier run that are measured to begin with
-
-
-@dataclass(frozen=True)
-class _Parts:
-    """What a saved policy is read for."""
-
-    part: Part
-
-
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """What the search on a partitioned model ended with."""
-
-    value: float
-    bound: float
-    lottery: MixedPolicy
-    prices: Mapping[str, float]
-    values: FloatArray
-    calls: int
-    work: Any
-    note: str
-
-
-def _searched(
-    compiled: CompiledPartitioned, options: SolveOptions, guess: DualGuess | None
-) -> _Found:
-    """Search for the optimum: of one row by its secant, of several by a linear program.
-
-    Raises:
-        Stop: the time ended before there was an answer.
-    """
-    if compiled.side or compiled.objective is not None:
-        optimum = rows_optimum(compiled, options)
-        values = compiled.pricing().anything if optimum.values is None else optimum.values
-        return _Found(
-            optimum.value, optimum.bound, optimum.policy, dict(optimum.prices), values,
-            optimum.calls, optimum.work, optimum.note,
-        )  # fmt: skip
-    budget = 1.0 if compiled.budget is None else compiled.budget
-    finer = 1.0 if compiled.sense.constant is None else _FINER
-    exactly = replace(options, tolerance=finer * options.tolerance)
-    outcome = refined_optimum(compiled, budget, exactly, guess)
-    found = outcome.generated
-    values = compiled.pricing().anything if found.values is None else found.values
-    return _Found(
-        found.objective, found.lower_bound, outcome.lottery, {FAILURE_ROW: found.price}, values,
-        outcome.calls, outcome.work, "" if found.finished else CUT_SHORT,
-    )  # fmt: skip
-
-
-def _own(policy: Any) -> OwnDecisions:
-    """Return a policy as the decisions that the pricing pulled back."""
-    if not isinstance(policy, OwnDecisions):
-        raise SolverError(f"{policy!r} does not come from the process of a partitioned model")
-    return policy
-
-
-def _stated_figures(compiled: CompiledPartitioned, members: Sequence[FloatArray]) -> FloatArray:
-    """Objective, failure and limited quantities of each member, as they were asked for."""
-    figures = np.stack(members)
+def _figures(
+    compiled: CompiledPartitioned, weights: FloatArray, members: Sequence[Any]
+) -> dict[str, Any]:
+    """Objective, failure and limited quantities of a lottery and of each member, as asked for."""
+    figures = np.stack([one.figures for one in members])
     figures[:, 0] = [compiled.sense.worth(cost) for cost in figures[:, 0].tolist()]
-    if compiled.by_goal:
-        figures[:, 1] += 1.0
     for place, row in enumerate(compiled.side, 2):
         figures[:, place] = row.sign * (figures[:, place] - row.offset)
-    return figures
-
-
-def _numbers_of(row: Any) -> Any:
-    """Return the numbers of a row that follow from sums over known states."""
-    return None if row is None else (row.constant, row.bound, row.offset, _numbers_of(row.direct))
-
-
-def _with_numbers(row: Any, numbers: Any) -> Any:
-    """Return a row with the numbers that the first rank has."""
-    if row is None:
-        return None
-    constant, bound, offset, direct = numbers
-    own = _with_numbers(row.direct, direct)
-    return replace(row, constant=constant, bound=bound, offset=offset, direct=own)
-
-
-def _checked_goals(goal_states: npt.ArrayLike, n_states: int) -> IntArray:
-    """Return the numbers of the goal states, ascending.
-
-    Raises:
-        ModelError: there are none, or one is no number of a state.
-    """
-    goals = np.asarray(goal_states).reshape(-1)
-    if not goals.size or goals.dtype.kind not in "iu":
-        raise ModelError("goal_states must be numbers of states, at least one")
-    if goals.min() < 0 or goals.max() >= n_states:
-        raise ModelError(f"goal states must be indices of states, 0 .. {n_states - 1}")
-    return np.unique(goals)
+    objective, failure, *spent = (weights @ figures).tolist()
+    names = [row.condition.name for row in compiled.side]
+    return {"objective": objective, "failure": failure, "figures": read_only(figures),
+            "spent": dict(zip(names, spent, strict=True))}  # fmt: skip
 
 
 def _checked_problem(criterion: type[Any], part: Part, asked: Mapping[str, Any]) -> Formulation:
@@ -563,40 +418,34 @@ def _checked_problem(criterion: type[Any], part: Part, asked: Mapping[str, Any])
                              criterion)  # fmt: skip
     name = criterion.__name__
     if asked.get("horizon") is not None or asked.get("reach_fraction") is not None:
-        raise ModelError("a partitioned model has no horizon and no reach_fraction: state the "
-                         "budget, and steps as a part of the states")  # fmt: skip
+        raise ModelError("ranks know no horizon and no reach_fraction: state the budget, and steps "
+                         "as a part of the states")  # fmt: skip
     try:
         problem: Formulation = criterion(part, **asked)
     except TypeError as error:
         raise ModelError(f"{name} cannot be stated so: {error}") from error
     if problem.semantics.charge(problem.ratio) is not None:
-        raise ModelError(f"{name} counts the total cost of a run, which ranks do not share: solve "
-                         "it with ssp_lp.solve on a model held whole, or ask MCMP, the cost until "
-                         "failing, of the ranks")  # fmt: skip
-    if problem.semantics.forbids_failing:
-        raise ModelError(f"{name} forbids failing, which asks for the whole graph: on a "
-                         "partitioned model give MCMP a failure budget")  # fmt: skip
-    if problem.semantics.aim is Aim.LEAST_GOAL:
-        raise ModelError(f"{name} is not answered by ranks: solve it with ssp_lp.solve on a model "
-                         "held whole")  # fmt: skip
+        raise ModelError(f"{name} counts the total cost of a run, which ranks do not share: {_WHOLE}, "
+                         "or ask MCMP, the cost until failing, of the ranks")  # fmt: skip
+    if problem.semantics.forbids_failing or problem.semantics.aim is Aim.LEAST_GOAL:
+        raise ModelError(f"{name} asks for the whole graph: {_WHOLE}, or give MCMP a failure budget")
     try:
         is_told = problem.unrolled is problem
     except ModelError:
         is_told = False
     if not is_told:
-        raise ModelError("a limit counts what may come after failing, which a partitioned model "
-                         "does not tell apart: visits() counts until then")  # fmt: skip
+        raise ModelError("a limit counts what may come after failing, which ranks do not tell "
+                         "apart: visits() counts until then")  # fmt: skip
     return problem
 
 
 def _words(problem: Formulation) -> dict[str, Any]:
     """Return what is asked, by name, in words and numbers that ranks compare."""
+    asked = repr((problem.semantics, problem.quantity, problem.start))
     return {
         "the criterion": type(problem).__name__,
-        "the start": repr(problem.start)[:200],
+        "what an episode is worth, or its start": re.sub(r" at 0x\w+", "", asked),
         "failure_budget": problem.failure_budget,
         "discount": problem.discount,
-        "what an episode is worth": re.sub(r" at 0x\w+", "", repr(problem.semantics)),
-        "what is minimised": re.sub(r" at 0x\w+", "", repr(problem.quantity)),
         "the limits": [(one.name, one.lower, one.upper) for one in problem.conditions],
     }

@@ -15,9 +15,8 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray
-from ssp_lp.cargo import Cargo
-from ssp_lp.errors import ModelError, SolverError, SSPError, in_short, optional_module
+from ssp_lp.arrays import BoolArray, IntArray
+from ssp_lp.errors import ModelError, SSPError, in_short, optional_module
 from ssp_lp.model.graph import Graph, drain, nearer_pairs, pairs_into, reaching_states
 
 EXTRA = "distributed"
@@ -45,23 +44,23 @@ class Ranks:
         Raises:
             ModelError: always.
         """
-        raise ModelError("what lies with ranks cannot be pickled or copied: answer.policy.save() "
-                         "keeps the decisions")  # fmt: skip
+        raise ModelError("what lies with ranks cannot be pickled: answer.policy.save() keeps it")
 
     def agreed(self, make: Callable[[], _Made]) -> _Made:
-        """Return what every rank makes by itself; where one cannot, all ranks raise its error.
+        """Return what every rank makes by itself; where one cannot, all ranks end with an error.
 
         Raises:
-            Exception: of the rank itself, or else of the first rank that has one.
+            Exception: the rank's own, or else a ModelError with the words of the first that failed.
         """
         made, error = None, None
         try:
             made = make()
         except Exception as raised:
             error = raised
-        for packed in self.comm.allgather(None if error is None else _packed(error)):
-            if packed is not None:
-                raise error or Cargo().unpack(packed)
+        told = self.comm.allgather(error and f"{type(error).__name__}: {error}")
+        for rank, words in enumerate(told):
+            if words is not None:
+                raise error or ModelError(f"rank {rank} failed: {words}")
         return made  # type: ignore[return-value]
 
     def alike(self, what: str, mine: Mapping[str, Any]) -> None:
@@ -74,15 +73,12 @@ class Ranks:
         Raises:
             ModelError: naming two ranks and their values, on every rank.
         """
-        every = self.comm.allgather(dict(mine))
+        every = self.comm.allgather(mine)
         for rank, other in enumerate(every):
-            for name in dict.fromkeys([*every[0], *other]):
-                if every[0].get(name) != other.get(name):
-                    one, two = in_short(every[0].get(name)), in_short(other.get(name))
-                    raise ModelError(
-                        f"the ranks state different {what}: {name} is {one} on rank 0, {two} on "
-                        f"rank {rank}; every rank has to state the same"
-                    )
+            for name in mine:
+                if (one := every[0][name]) != (two := other[name]):
+                    raise ModelError(f"the ranks state different {what}: {name} is {in_short(one)} "
+                                     f"on rank 0, {in_short(two)} on rank {rank}")  # fmt: skip
 
     def together(self, make: Callable[[], _Made]) -> _Made:
         """Return what the ranks make with each other; an error of one alone ends all of them.
@@ -96,37 +92,27 @@ class Ranks:
             raise
         except BaseException:
             if self.comm.size > 1:
-                traceback.print_exc()
-                sys.stderr.flush()
+                traceback.print_exc(file=sys.stderr)
                 self.comm.Abort(1)
             raise
 
-    def total(self, own: npt.ArrayLike) -> FloatArray:
+    def total(self, own: npt.ArrayLike) -> Any:
         """Return the sums of numbers over all ranks, the same on each."""
         return self._reduced(own, self.mpi.SUM)
 
-    def greatest(self, own: npt.ArrayLike) -> FloatArray:
+    def greatest(self, own: npt.ArrayLike) -> Any:
         """Return the greatest of numbers over all ranks."""
         return self._reduced(own, self.mpi.MAX)
 
-    def any(self, own: bool | np.bool_) -> bool:
+    def any(self, own: Any) -> bool:
         """Return whether something holds on any rank."""
-        return bool(self.greatest(float(own)) > 0.0)
+        return bool(self.greatest(float(np.any(own))) > 0.0)
 
-    def _reduced(self, own: npt.ArrayLike, operation: Any) -> FloatArray:
+    def _reduced(self, own: npt.ArrayLike, operation: Any) -> Any:
         """Return numbers reduced over all ranks."""
-        sent = np.array(own, dtype=np.float64)
-        found = np.empty_like(sent)
-        self.comm.Allreduce(sent, found, op=operation)
+        found = np.array(own, dtype=np.float64)
+        self.comm.Allreduce(self.mpi.IN_PLACE, found, op=operation)
         return found
-
-
-def _packed(error: Exception) -> bytes:
-    """Return an error as it is sent to other ranks; of one that cannot be sent, its words."""
-    try:
-        return Cargo().pack(error)
-    except Exception:
-        return Cargo().pack(SolverError(f"a rank ended in {type(error).__name__}: {error}"))
 
 
 class Halo:
@@ -178,7 +164,7 @@ class Halo:
         """
         while True:
             found = self.filled(sweep(mask))
-            if not self.ranks.any((found != mask).any()):
+            if not self.ranks.any(found != mask):
                 return found
             mask = found
 
