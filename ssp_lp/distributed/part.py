@@ -9,37 +9,22 @@ all ranks together and kept with each part.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ssp_lp.arrays import FloatArray, IntArray, offsets_of, read_only
 from ssp_lp.distributed.ranks import Halo, Ranks
-from ssp_lp.errors import ModelError, in_short
+from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import Graph
+from ssp_lp.model.state_rows import Rows, checked_rows
 
 _MIXER, _HALF = np.uint64(0x9E3779B97F4A7C15), np.uint64(32)  # an odd number of bits as if drawn
 _PROBES = 256  # states that are tried to see how many outcomes there are
-
-
-class StateRows(NamedTuple):
-    """Rows of some consecutive states, one state's pairs after the other's, as arrays."""
-
-    actions: npt.ArrayLike  # [some states] number of pairs of each
-    outcomes: npt.ArrayLike  # [their pairs] number of outcomes of each
-    successors: npt.ArrayLike  # [their outcomes] numbers of states
-    probabilities: npt.ArrayLike  # [their outcomes]
-    costs: npt.ArrayLike  # one number for all, or [their pairs], or [their outcomes]
-    named_costs: Mapping[str, npt.ArrayLike] = {}  # further ones by name, each as costs
-
-
-Rows = Callable[[int, int], StateRows]
-"""Makes the rows of the states first .. end - 1."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -96,23 +81,18 @@ class Part(SSP):
         """Sizes and a checksum of the model, the same on any number of ranks; all ask together.
 
         The checksum is a sum modulo 2^64 of mixed words, one of each outcome: its number among all
-        outcomes, its pair's and its state's, its successor, probability and costs.
+        outcomes, its pair's, its successor, probability and costs.
         """
-        comm, numbers = self.halo.ranks.comm, self.halo.numbers
-        sizes = np.array([self.halo.n_own, self.n_pairs, self.n_outcomes])
-        before, every = comm.scan(sizes) - sizes, comm.allreduce(sizes)
-        pair = np.repeat(np.arange(self.n_pairs), np.diff(self.outcome_offsets))
-        costs = [self.costs, *(self.named_costs[name] for name in sorted(self.named_costs))]
-        mixed = np.zeros(self.n_outcomes, dtype=np.uint64)
-        for one in (
-            np.arange(self.n_outcomes) + before[2], pair + before[1],
-            self.pair_state[pair] + before[0], numbers[self.successors], self.probabilities, *costs,
-        ):  # fmt: skip
-            mixed = (mixed ^ np.ascontiguousarray(one).view(np.uint64)) * _MIXER
+        comm, sizes = self.halo.ranks.comm, [self.halo.n_own, self.n_pairs, self.n_outcomes]
+        before, every = comm.scan(np.array(sizes)) - sizes, comm.allreduce(np.array(sizes))
+        pair = np.repeat(np.arange(self.n_pairs) + before[1], np.diff(self.outcome_offsets))
+        named = [self.named_costs[name] for name in sorted(self.named_costs)]
+        parts = [pair, self.halo.numbers[self.successors], self.probabilities, self.costs, *named]
+        mixed = (np.arange(self.n_outcomes) + before[2]).astype(np.uint64)
+        for part in parts:
+            mixed = (mixed ^ np.ascontiguousarray(part).view(np.uint64)) * _MIXER
             mixed ^= mixed >> _HALF
-        goals = numbers[: sizes[0]][self.goal_mask[: sizes[0]]].astype(np.uint64) * _MIXER
-        own = sum(int(part.sum(dtype=np.uint64)) for part in (mixed, goals ^ (goals >> _HALF)))
-        total = sum(comm.allgather(own)) % 2**64
+        total = sum(comm.allgather(int(mixed.sum(dtype=np.uint64)))) % 2**64
         return f"{every[0]} states, {every[1]} pairs, checksum {total:x}"
 
     def knowing(self, numbers: Iterable[int]) -> Part:
@@ -186,27 +166,6 @@ def made_part(
     return part.knowing(k for some in ranks.comm.allgather(ended) for one in some for k in one)
 
 
-def checked_rows(rows: Rows, first: int, end: int) -> StateRows:
-    """Return the rows of some states as arrays whose kinds and lengths fit.
-
-    Raises:
-        ModelError: naming the call and the array at fault.
-    """
-    made, call = rows(first, end), f"rows({first}, {end})"
-    if not isinstance(made, StateRows):
-        raise ModelError(f"{call} must be StateRows, not {in_short(made)}")
-    size, arrays = end - first, dict[str, Any]()
-    for name, each in zip(made._fields, ("state", "pair", "outcome", "outcome"), strict=False):
-        part = np.asarray(getattr(made, name))
-        part = part if part.size else part.astype(np.int64)
-        is_number = part.dtype.kind in ("iuf" if name == "probabilities" else "iu")
-        if not is_number or part.shape != (size,) or (len(arrays) < 2 and (part < 0).any()):
-            raise ModelError(f"{call}: {name} must be {size} numbers, one for each {each}, not "
-                             f"{in_short(part)} of {part.dtype}")  # fmt: skip
-        arrays[name], size = part, int(part.sum()) if len(arrays) < 2 else size
-    return made._replace(**arrays)
-
-
 def balanced_bounds(ranks: Ranks, rows: Rows, n_states: int) -> IntArray:
     """Return bounds by which all ranks have about as many outcomes, [ranks + 1].
 
@@ -216,13 +175,9 @@ def balanced_bounds(ranks: Ranks, rows: Rows, n_states: int) -> IntArray:
         ModelError: as of the rows that are tried.
     """
     rank, size = ranks.comm.rank, ranks.comm.size
-    probes = np.unique(np.linspace(0, n_states, _PROBES, endpoint=False).astype(np.int64))
-    mine, work = slice(rank, None, size), np.zeros(len(probes))
-    work[mine] = ranks.agreed(lambda: [
-        1.0 + np.sum(checked_rows(rows, k, k + 1).outcomes) for k in probes[mine].tolist()
-    ])  # fmt: skip
-    ends = np.append(probes, n_states)
-    done = np.append(0.0, np.cumsum(ranks.total(work) * np.diff(ends)))
-    bounds = np.interp(np.linspace(0.0, done[-1], size + 1), done, ends).astype(np.int64)
-    bounds[-1] = n_states
-    return bounds
+    ends = np.unique(np.linspace(0, n_states, _PROBES + 1).astype(np.int64))
+    tried, work = ends[:-1][rank::size].tolist(), np.zeros(len(ends))
+    some = ranks.agreed(lambda: [np.sum(checked_rows(rows, k, k + 1).outcomes) for k in tried])
+    work[1:][rank::size] = 1.0 + np.array(some)
+    done = np.cumsum(ranks.total(work) * np.diff(ends, prepend=0))
+    return np.interp(np.linspace(0.0, done[-1], size + 1), done, ends).astype(np.int64)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -13,26 +13,26 @@ from zlib import crc32
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.arrays import RELATIVE_GAP, FloatArray, ReadOnlyCopies, read_only
-from ssp_lp.column_generation.column import Column, two_sided_gap
+from ssp_lp.arrays import RELATIVE_GAP, FloatArray, IntArray, ReadOnlyCopies, read_only
+from ssp_lp.column_generation.column import two_sided_gap
 from ssp_lp.column_generation.search import DualGuess
-from ssp_lp.compiled.deadline import Stop
-from ssp_lp.distributed.part import Part, Rows, StateRows, balanced_bounds, made_part
+from ssp_lp.distributed.part import Part, balanced_bounds, made_part
 from ssp_lp.distributed.policy import PartitionedPolicy
-from ssp_lp.distributed.process import CompiledPartitioned
+from ssp_lp.distributed.process import CompiledPartitioned, PartitionedProcess
 from ssp_lp.distributed.ranks import Ranks
-from ssp_lp.errors import ModelError, OutOfTimeError, check_whole, wrong_argument
+from ssp_lp.errors import ModelError, check_whole, wrong_argument
 from ssp_lp.formulation import Formulation
 from ssp_lp.io.archives import ModelFile
 from ssp_lp.methods.columns import refined_optimum
 from ssp_lp.methods.rows import rows_optimum
 from ssp_lp.model.continuous_model import ContinuousModel
 from ssp_lp.model.discretise import MIDPOINTS, Quadrature, discretised_rows
+from ssp_lp.model.state_rows import Rows, StateRows
 from ssp_lp.options import ColumnGeneration, Progress, SolveOptions, options_of
 from ssp_lp.problem import compiled_constrained
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_semantics import Aim
-from ssp_lp.solution import CUT_SHORT, Run
+from ssp_lp.solution import Run
 
 _SURE = 1e-6  # relative uncertainty of a price in a checkpoint
 _AGAIN = 3  # policies of an earlier run that are measured to begin with
@@ -59,7 +59,6 @@ class PartitionedSolution(Measured):
     prices: Mapping[str, float]  # multiplier of each row, by name
     run: Run
     problem: Formulation  # on this rank's part of the model
-    note: str = ""
 
     def __repr__(self) -> str:
         """One line: what was asked, the objective with its gap, the failure, and the lottery."""
@@ -100,7 +99,7 @@ class PartitionedModel:
         goal_states: npt.ArrayLike,
         *,
         state_labels: Mapping[str, Sequence[int]] | None = None,
-        bounds: Callable[[Ranks], npt.ArrayLike] | None = None,
+        bounds: npt.ArrayLike | None = None,
     ) -> PartitionedModel:
         """Make each rank's part by a vectorised function on a range of states.
 
@@ -110,7 +109,7 @@ class PartitionedModel:
             n_states: number of states.
             goal_states: numbers of the goal states, which have no actions.
             state_labels: names for sets of states, each given by the numbers of its states.
-            bounds: which states are whose, [ranks + 1]; None: outcomes are balanced.
+            bounds: first state of each rank, and the end, [ranks + 1]; None: outcomes are balanced.
 
         Raises:
             ModelError: naming the state and the action at fault.
@@ -131,7 +130,7 @@ class PartitionedModel:
         sets = ranks.agreed(checked)
         checksums = {name: crc32(of.astype(np.int64).tobytes()) for name, of in sets.items()}
         ranks.alike("models", {"n_states": n_states, "checksums of named states": checksums})
-        ends = balanced_bounds(ranks, rows, n_states) if bounds is None else bounds(ranks)
+        ends = balanced_bounds(ranks, rows, n_states) if bounds is None else bounds
         goals = sets.pop("goal_states")
         part = ranks.together(lambda: made_part(ranks, rows, goals, sets, np.asarray(ends)))
         ranks.alike("models", {"the named costs": sorted(part.named_costs)})
@@ -175,24 +174,15 @@ class PartitionedModel:
             OSError: the file cannot be opened.
         """
         file = Ranks().agreed(lambda: ModelFile(path))
-
-        def bounds(ranks: Ranks) -> npt.ArrayLike:
-            """Share the pairs."""
-            return ranks.agreed(lambda: file.bounds(ranks.comm.size))
-
-        def rows(first: int, end: int) -> StateRows:
-            """Return the rows of some states."""
-            return StateRows(*file.rows(first, end))
-
-        stated = file.n_states, file.goal_states
-        return cls.from_rows(rows, *stated, state_labels=file.state_labels, bounds=bounds)
+        bounds = np.linspace(0, file.n_states, Ranks().comm.size + 1).astype(np.int64)
+        stated = file.rows, file.n_states, file.goal_states
+        return cls.from_rows(*stated, state_labels=file.state_labels, bounds=bounds)
 
     def solve(
         self,
         criterion: type[Any],
         *,
         tolerance: float = RELATIVE_GAP,
-        time_limit: float | None = None,
         progress: Progress | None = None,
         checkpoint: str | Path | None = None,
         **asked: Any,
@@ -203,7 +193,6 @@ class PartitionedModel:
             criterion: such as ``MCMP`` or ``MaxProb``, stated with what else: ``start=``,
                 ``failure_budget=``, ``discount=``, ``constraints=``, ...; secondary costs by name.
             tolerance: relative gap to reach.
-            time_limit: seconds after which the best lottery so far is the answer, if there is one.
             progress: as ``solve`` takes it; called on the first rank.
             checkpoint: a folder to which each policy goes that is found, each rank's part of it; a
                 later run of the same question, on any number of ranks, begins with them.
@@ -211,14 +200,12 @@ class PartitionedModel:
         Raises:
             ModelError: another question, or one that needs the whole graph.
             InfeasibleError: no policy keeps to the budget and the limits.
-            OutOfTimeError: the time ended before there was an answer.
         """
         began, ranks, method = time.perf_counter(), self.ranks, ColumnGeneration()
         told = progress if ranks.comm.rank == 0 else None
-        options = ranks.agreed(lambda: options_of(method, tolerance, began, time_limit, told))
+        options = ranks.agreed(lambda: options_of(method, tolerance, began, None, told))
         problem = self._stated(criterion, asked)
-        ranks.alike("options", {"tolerance": tolerance, "time_limit": time_limit,
-                                "checkpoint": str(checkpoint)})  # fmt: skip
+        ranks.alike("options", {"tolerance": tolerance, "checkpoint": str(checkpoint)})
         return ranks.together(lambda: self._solved(problem, options, checkpoint))
 
     def evaluate(self, policy: PartitionedPolicy, criterion: type[Any], **asked: Any) -> Measured:
@@ -306,76 +293,62 @@ class PartitionedModel:
 
         Raises:
             InfeasibleError: no policy keeps to the budget and the limits.
-            OutOfTimeError: the time ended before there was an answer.
         """
-        began, more, guess = time.perf_counter(), {"ends_at": options.deadline}, None
-        kept = checkpoint and _Checkpoint(self.part, Path(checkpoint), _words(problem))
-        compiled = self._compiled(problem, **more, **({"kept": kept.keep} if kept else {}))
-        try:
-            if kept:
-                guess = kept.begun(compiled)
-            if compiled.budget is None:
-                least: Any = compiled.bounded(compiled.least.column.failure, compiled.side)
-                compiled = least
-            if compiled.side or compiled.objective is not None:
-                found: Any = rows_optimum(compiled, options)
-                lottery, value, bound = found.policy, found.value, found.bound
-                calls, work, prices, note = found.calls, found.work, found.prices, found.note
-            else:
-                finer = 1.0 if compiled.sense.constant is None else _FINER
-                exactly = replace(options, tolerance=finer * options.tolerance)
-                outcome = refined_optimum(compiled, compiled.budget or 0.0, exactly, guess)
-                found, lottery = outcome.generated, outcome.lottery
-                value, bound, note = found.objective, found.lower_bound, ""
-                prices, note = {FAILURE_ROW: found.price}, "" if found.finished else CUT_SHORT
-                calls, work = outcome.calls, outcome.work
-        except Stop as stop:
-            words = str(stop) or "nothing but the model was known by then"
-            raise OutOfTimeError(
-                f"the time limit ended before there was an answer ({words}): allow more time"
-            ) from stop
-        members: Any = lottery.policies
-        sense, positions = compiled.sense, np.stack([one.positions for one in members])
-        reason = f"column generation on ranks: {self.ranks.comm.size}, {calls} pricing calls"
-        seconds = time.perf_counter() - began
+        began = time.perf_counter()
+        kept = _Checkpoint(self.part, checkpoint, repr(_words(problem)))
+        compiled: Any = self._compiled(problem, kept=kept.keep)
+        guess = kept.begun(compiled.pricing())
+        if compiled.budget is None:
+            compiled = compiled.bounded(compiled.least.column.failure, compiled.side)
+        if compiled.side or compiled.objective is not None:
+            found: Any = rows_optimum(compiled, options)
+            lottery, value, bound, prices = found.policy, found.value, found.bound, found.prices
+        else:
+            finer = 1.0 if compiled.sense.constant is None else _FINER
+            exactly = replace(options, tolerance=finer * options.tolerance)
+            found = refined_optimum(compiled, compiled.budget, exactly, guess)
+            lottery, ended = found.lottery, found.generated
+            value, bound, prices = ended.objective, ended.lower_bound, {FAILURE_ROW: ended.price}
+        reason = f"column generation on {self.ranks.comm.size} ranks, {found.calls} pricing calls"
+        seconds, bound = time.perf_counter() - began, compiled.sense.settled_bound(value, bound)
+        positions = np.stack([one.positions for one in lottery.policies])
         return PartitionedSolution(
-            **_figures(compiled, lottery.weights, members),
-            lower_bound=sense.worth(sense.settled_bound(value, bound)),
+            **_figures(compiled, lottery.weights, lottery.policies),
+            lower_bound=compiled.sense.worth(bound),
             policy=PartitionedPolicy(self.part, lottery.weights, positions),
             prices=prices,
-            run=Run(options.method, reason, calls, seconds, work),
+            run=Run(options.method, reason, found.calls, seconds, found.work),
             problem=problem,
-            note=note,
         )
 
 
 class _Checkpoint:
     """Policies that a search has found, in a folder: each a partitioned policy, saved as such."""
 
-    def __init__(self, part: Part, folder: Path, question: Mapping[str, Any]) -> None:
+    def __init__(self, part: Part, folder: str | Path | None, question: str) -> None:
         """Find what an earlier run has left; all ranks do so together.
 
         Raises:
             ModelError: the checkpoint is in no folder, or is none.
         """
-        self._part, self._folder, self._question = part, folder, repr(question)
+        self._part, self._folder, self._question = part, folder and Path(folder), question
+        self._earlier: list[Path] = part.halo.ranks.agreed(self._found)
 
-        def found() -> list[Path]:
-            """Return the policies that are there whole."""
-            if not folder.parent.is_dir() or (folder.exists() and not folder.is_dir()):
-                raise ModelError(f"the checkpoint {folder} must be a folder in a folder that exists")
-            return sorted(one.parent for one in folder.glob("*/policy.npz"))
+    def _found(self) -> list[Path]:
+        """Return the policies that are there whole."""
+        if self._folder is None:
+            return []
+        if not self._folder.parent.is_dir() or self._folder.is_file():
+            raise ModelError(f"the checkpoint {self._folder} must be a folder, in one that exists")
+        return sorted(one.parent for one in self._folder.glob("*/policy.npz"))
 
-        self._earlier = part.halo.ranks.comm.bcast(part.halo.ranks.agreed(found))
-        self._count = len(self._earlier)
-
-    def begun(self, compiled: CompiledPartitioned) -> DualGuess | None:
+    def begun(self, process: PartitionedProcess) -> DualGuess | None:
         """Measure the last policies of an earlier run; their price is where the search begins.
 
         Raises:
             ModelError: they are of another question or another model, or a file is damaged.
         """
-        process, prices = compiled.pricing(), [0.0, 0.0]
+        prices = [0.0, 0.0]
         for one in self._earlier[-_AGAIN:]:
             policy = PartitionedPolicy.load(self._part, one)
             if policy.told["question"] != self._question:
@@ -384,13 +357,13 @@ class _Checkpoint:
             prices = policy.told["prices"]
         return DualGuess(prices[1], _SURE) if prices[0] == 1.0 and prices[1] > 0.0 else None
 
-    def keep(self, process: Any, weights: FloatArray, column: Column) -> None:
-        """Save a column as a policy, with the prices at which it was found."""
-        told = {"question": self._question, "prices": weights.tolist()}
-        positions = process.pulled_back(column).positions[None]
-        PartitionedPolicy(self._part, np.ones(1), positions, told).save(
-            self._folder / f"{self._count:05}")  # fmt: skip
-        self._count += 1
+    def keep(self, positions: IntArray, weights: FloatArray) -> None:
+        """Save a column's decisions as a policy, with the prices at which it was found."""
+        if self._folder is not None:
+            place = self._folder / f"{len(self._earlier):05}"
+            told = {"question": self._question, "prices": weights.tolist()}
+            PartitionedPolicy(self._part, np.ones(1), positions[None], told).save(place)
+            self._earlier.append(place)
 
 
 def _figures(
@@ -428,7 +401,9 @@ def _checked_problem(criterion: type[Any], part: Part, asked: Mapping[str, Any])
         raise ModelError(f"{name} counts the total cost of a run, which ranks do not share: {_WHOLE}, "
                          "or ask MCMP, the cost until failing, of the ranks")  # fmt: skip
     if problem.semantics.forbids_failing or problem.semantics.aim is Aim.LEAST_GOAL:
-        raise ModelError(f"{name} asks for the whole graph: {_WHOLE}, or give MCMP a failure budget")
+        raise ModelError(
+            f"{name} asks for the whole graph: {_WHOLE}, or give MCMP a failure budget"
+        )
     try:
         is_told = problem.unrolled is problem
     except ModelError:

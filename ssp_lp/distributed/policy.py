@@ -17,7 +17,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.io.archives import opened_archive, write_archive
 from ssp_lp.model import SSP
 from ssp_lp.policies import DeterministicPolicy, MixedPolicy
-from ssp_lp.policies.policy import UNDECIDED
+from ssp_lp.policies.policy import UNDECIDED, check_decisions
 
 _WHOLE = "policy.npz"  # the file of a saved policy that says what the others are
 _KIND, _PART = "partitioned policy", "part of a policy"
@@ -47,17 +47,15 @@ class PartitionedPolicy(ReadOnlyCopies):
         Raises:
             ModelError: weights that are no distribution, or a decision that is none of the state's.
         """
-        shape, weights = (len(self.weights), self.part.halo.n_own), self.weights
-        if self.positions.shape != shape or not len(weights):
-            raise ModelError(f"positions of shape {shape} are needed, not {self.positions.shape}")
-        if not (weights.min() >= 0.0 and abs(weights.sum() - 1.0) <= 1e-9):
+        weights, decision = self.weights, np.full(self.part.n_states, UNDECIDED)
+        if not (weights.min(initial=1.0) >= 0.0 and abs(weights.sum() - 1.0) <= 1e-9):
             raise ModelError(f"weights must form a distribution, not {weights.tolist()}")
-        actions = np.diff(self.part.pair_offsets)[: shape[1]]
-        wrong = ((self.positions < UNDECIDED) | (self.positions >= actions)).any(axis=0)
-        if wrong.any():
-            state = int(np.argmax(wrong))
-            raise ModelError(f"state {self.part.states[state]} has {actions[state]} actions: "
-                             "another one is decided on")  # fmt: skip
+        if self.positions.shape != (len(weights), self.part.halo.n_own):
+            raise ModelError(f"positions of shape {self.positions.shape} do not fit the weights and "
+                             "the rank's own states")  # fmt: skip
+        for own in self.positions:
+            decision[: len(own)] = own
+            check_decisions(self.part, decision, as_positions=True)
 
     def on(self, model: SSP) -> MixedPolicy:
         """Join the partitioned policy on the same model, held whole; all ranks ask together.

@@ -8,7 +8,6 @@ checked by one backup of all rows, rounding counted against it, as in one proces
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -17,12 +16,18 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import IMPROVEMENT, MACHINE_EPSILON, BoolArray, FloatArray, IntArray, weighted
-from ssp_lp.arrays import weighted_rounding
+from ssp_lp.arrays import (
+    IMPROVEMENT,
+    MACHINE_EPSILON,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    weighted,
+    weighted_rounding,
+)
 from ssp_lp.column_generation.column import Column, PricingProblem, Proof, pricing_weights
 from ssp_lp.column_generation.compiled_problem import CompiledExplicit, LeastFailure
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.compiled.deadline import Stop
 from ssp_lp.distributed.part import Part
 from ssp_lp.distributed.ranks import Halo, Ranks
 from ssp_lp.dynamic_programming.bellman import Moves, Work, best_pairs, chosen_rows, exact_sum
@@ -42,7 +47,6 @@ _STEPS = 200  # of a Krylov method in one run
 _RUNS = 12  # of it, each from the residual that the last one left
 _FINEST = 1e-8  # relative residual of one run
 _LET_PASS = 1e-9  # relative residual that will do where no method gets further
-_GATHERED = 1_000_000  # entries of a policy's rows that may be gathered to be factorised
 _DUST = 1e-14  # of the greatest: a total below it may be what a solver leaves of nothing
 _CORRECTIONS = 6
 _SWEEPS, _EXCHANGED = 20, 4  # sweeps between two evaluations, and between two exchanges
@@ -70,6 +74,10 @@ class OwnDecisions(Policy):
             ModelError: always.
         """
         raise ModelError("decisions lie with the ranks: PartitionedPolicy.on(model) joins them")
+
+
+def _kept_nowhere(positions: IntArray, weights: FloatArray) -> None:
+    """Keep a column nowhere."""
 
 
 class _Equations:
@@ -103,7 +111,10 @@ class _Equations:
         halo, order, petsc, place = self.halo, self._order, self.halo.ranks.petsc, np.empty(0)
         place = np.empty(halo.n_own)
         place[order] = np.arange(halo.n_own)
-        numbers, rows = halo.filled(halo.first + place).astype(petsc.IntType), self.moves.transitions
+        numbers, rows = (
+            halo.filled(halo.first + place).astype(petsc.IntType),
+            self.moves.transitions,
+        )
         shape = halo.n_own, halo.n_all
         step = sp.csr_array((rows.data, numbers[rows.indices], rows.indptr), shape=shape)[order]
         # PETSc keeps the last of duplicates: scipy adds them up
@@ -144,23 +155,15 @@ class _Equations:
             better = x.copy()
             better[self._order] += step.array
             now, rest, size = self._missed(right, better)
-            if now < missed:
-                x, missed, residual, scale = better, now, rest, size
-            elif ksp.getType() == "preonly" or not self._is_gathered:
+            if not now < missed:
                 break
-            else:  # it broke down, or is stuck
-                ksp.setType("preonly")
-                ksp.getPC().setType("redundant")
+            x, missed, residual, scale = better, now, rest, size
         if not missed <= max(accuracy, _LET_PASS):
-            raise SolverError("PETSc's solvers do not come near to the totals of a policy")
+            raise SolverError("PETSc does not come near to the totals of a policy: try other options "
+                              "such as -ssp_lp_ksp_type gmres, -ssp_lp_pc_type redundant")  # fmt: skip
         if ranks.any((x != 0.0) & (np.abs(x) <= _DUST * scale)):
             x[~self.leading(right != 0.0)] = 0.0
         return x
-
-    @cached_property
-    def _is_gathered(self) -> bool:
-        """Whether the rows are few enough to be gathered and factorised."""
-        return bool(self.halo.ranks.total(len(self.moves.transitions.indices)) <= _GATHERED)
 
     def _missed(self, right: FloatArray, x: FloatArray) -> tuple[float, FloatArray, float]:
         """Return the residual relative to the greatest size, the residual, and that size."""
@@ -220,9 +223,10 @@ class PartitionedProcess(PricingProblem):
     at_once: FloatArray  # [rewards] of what begins in goals and dead-ends
     start: FloatArray  # [own nodes]
     asks_for_ends: bool  # whether ends other than the goal count, or nobody may give up
-    stays: IntArray  # [own nodes] a pair that stays for ever for nothing, where that is all one may do
-    ends_at: float = np.inf  # on the clock of the first rank
-    kept: Callable[[Any, FloatArray, Column], None] | None = None  # told of each found column
+    stays: (
+        IntArray  # [own nodes] a pair that stays for ever for nothing, where that is all one may do
+    )
+    kept: Callable[[IntArray, FloatArray], None] = _kept_nowhere  # told of each found column
     earlier: list[Column] = field(default_factory=list)  # columns of an earlier run
 
     @property
@@ -239,6 +243,12 @@ class PartitionedProcess(PricingProblem):
     def n_rewards(self) -> int:
         """Number of rewards: cost, failure and rows."""
         return self.rewards.shape[1]
+
+    @property
+    def n_states(self) -> int:
+        """Number of own states of the model."""
+        part: Any = self.labelled.quotient.model
+        return int(part.halo.n_own)
 
     @property
     def value_shape(self) -> tuple[int, ...]:
@@ -265,22 +275,14 @@ class PartitionedProcess(PricingProblem):
         return self.measured(self._leaving)
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
-        """A column of least priced cost by policy iteration, measured with a bound of its error.
-
-        Raises:
-            Stop: the time ended, by the clock of the first rank.
-        """
+        """A column of least priced cost by policy iteration, measured with a bound of its error."""
         weights, known = self._weights(price), [one for one in (*warm, *self.earlier) if one]
         known = [one for one in known if one.totals is not None] or [self.first()]
         best = min(known, key=lambda column: float(weights @ column.figures))
         choice, totals = np.asarray(best.choice), np.array(best.totals)
         cost, values = weighted(self.rewards, weights), weighted(totals[:, :-1], weights)
-        work, is_first = Work(), self.ranks.comm.rank == 0
+        work = Work()
         for _ in range(_MOST_ROUNDS):
-            if self.ends_at < np.inf and self.ranks.any(
-                is_first and time.perf_counter() > self.ends_at
-            ):
-                raise Stop
             choice = self._swept(cost, choice, values)
             equations = self._leaving_equations(choice, values)
             choice = equations.choice
@@ -301,8 +303,7 @@ class PartitionedProcess(PricingProblem):
         if self.ranks.any(choice != equations.choice):
             equations = self._leaving_equations(choice, values)
         column = self._measured(equations, totals, work)
-        if self.kept is not None:
-            self.kept(self, weights, column)
+        self.kept(self._positions(column), weights)
         return column
 
     def _weights(self, price: float | FloatArray) -> FloatArray:
@@ -407,20 +408,14 @@ class PartitionedProcess(PricingProblem):
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
         """Lower bound of every column's priced value, by the values of a best policy."""
-        column = best if best.totals is not None else self.minimise(price, best)
-        totals = np.asarray(column.totals)[:, :-1]
+        totals = np.asarray(best.totals)[:, :-1]
         return self.check(price, weighted(totals, self._weights(price)))
 
     def prove_afresh(self, weights: FloatArray, warm: Column) -> Proof:
-        """Best lower bound at weights that nothing has been priced at yet, while there is time."""
-        try:
-            return self.prove(weights, self.minimise(weights, warm))
-        except Stop:
-            return self.prove(weights, warm)
+        """Best lower bound at weights that nothing has been priced at yet."""
+        return self.prove(weights, self.minimise(weights, warm))
 
-    def check(
-        self, price: float | FloatArray, values: FloatArray, *, slack: bool = False
-    ) -> Proof:
+    def check(self, price: float | FloatArray, values: FloatArray, *, slack: bool = False) -> Proof:
         """Lower values to a checked sub-solution; each rank has those of its own nodes.
 
         Raises:
@@ -467,15 +462,19 @@ class PartitionedProcess(PricingProblem):
 
     def pulled_back(self, column: Column) -> Policy:
         """The decisions that a column takes in the rank's own states of the model."""
+        part: Any = self.labelled.quotient.model
+        return OwnDecisions(part, self._positions(column), column.figures)
+
+    def _positions(self, column: Column) -> IntArray:
+        """Decisions of a column in the own states, as positions among the actions or codes."""
         quotient, choice = self.labelled.quotient, np.asarray(column.choice)
-        part: Any = quotient.model
-        live = quotient.node_of[: part.halo.n_own] >= 0
-        positions = np.full(part.halo.n_own, UNDECIDED, dtype=np.int32)
+        positions = np.full(self.n_states, UNDECIDED, dtype=np.int32)
         stays = (choice == self._exits) & (self.stays >= 0)
         pair = quotient.pair_at[np.where(stays, self.stays, choice)]
-        first = part.pair_offsets[: part.halo.n_own][live]
+        live = quotient.node_of[: self.n_states] >= 0
+        first = quotient.model.pair_offsets[: self.n_states][live]
         positions[live] = np.where(pair < 0, pair, pair - first)
-        return OwnDecisions(part, positions, column.figures)
+        return positions
 
     def choice_of(self, positions: IntArray) -> IntArray:
         """The choice of decisions in the own states, [own nodes].
@@ -483,9 +482,11 @@ class PartitionedProcess(PricingProblem):
         Raises:
             ModelError: there is none in some state, or one that may not be taken.
         """
-        quotient, n = self.labelled.quotient, len(positions)
-        live = quotient.node_of[:n] >= 0
-        taken, first = positions[live], quotient.model.pair_offsets[:n][live]
+        quotient, live = (
+            self.labelled.quotient,
+            self.labelled.quotient.node_of[: self.n_states] >= 0,
+        )
+        taken, first = positions[live], quotient.model.pair_offsets[: self.n_states][live]
         choice = np.where(taken >= 0, quotient.places[np.maximum(taken, 0) + first], -1)
         choice = np.where(taken == GIVE_UP_CODE, self._exits, choice)
         if (choice < 0).any():
@@ -590,14 +591,8 @@ class CompiledPartitioned(CompiledExplicit):
 
     def failure_at_least(self, discount: float | None) -> float:
         """The least failure of all policies, for an error."""
-        same = discount == self.discount
-        other = self if same else CompiledPartitioned(*self._setting, discount)
+        other = CompiledPartitioned(self.model, self.start, self.semantics, discount)
         return other.least_failure().column.failure
-
-    @property
-    def _setting(self) -> tuple[Any, ...]:
-        """Model, start and semantics."""
-        return self.model, self.start, self.semantics
 
     def settled(self, *known: Column) -> CompiledPartitioned:
         """The compiled problem with the least failure as its budget, where that is no less.

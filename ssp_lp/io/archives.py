@@ -34,6 +34,7 @@ from ssp_lp.model.failure_product import label_failing
 from ssp_lp.model.graph import kept
 from ssp_lp.model.product import HorizonSSP, ProductSSP, unroll_steps
 from ssp_lp.model.ssp import check_model, check_offsets
+from ssp_lp.model.state_rows import StateRows
 from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy
@@ -56,7 +57,6 @@ _VERSION = 1
 
 _HEADER, _PACKED = "header", b"PK"  # the first bytes of an archive
 _PASSED = 1 << 22  # bytes of an array that are passed over at a time
-_PROBES = 256  # states of each range by which ranges are balanced
 _LARGEST_HEADER = 1 << 28  # bytes that are unpacked: names of some ten million states
 
 
@@ -226,31 +226,18 @@ class ModelFile:
             ends, members = arrays["label_offsets"], arrays["label_members"]
             self.goal_states = arrays["goal_states"]
             self.state_labels = {
-                name: members[ends[k] : ends[k + 1]] for k, name in enumerate(header["state_labels"])
+                name: members[ends[k] : ends[k + 1]]
+                for k, name in enumerate(header["state_labels"])
             }
         self.n_states = self._read("pair_offsets", 0, 0)[1] - 1
 
-    def bounds(self, count: int) -> IntArray:
-        """Bounds of ranges of states with about as many pairs each, [count + 1]."""
-        step = max(self.n_states // (_PROBES * count), 1)
-        states = np.append(np.arange(0, self.n_states, step), self.n_states)
-        some = self._read("pair_offsets", 0, self.n_states, step)[0]
-        pairs = np.append(some, self._read("pair_offsets", self.n_states, self.n_states + 1)[0])
-        wanted = np.linspace(0, pairs[-1], count + 1)
-        bounds = np.interp(wanted, pairs, states).astype(np.int64)
-        bounds[0], bounds[-1] = 0, self.n_states
-        return bounds
-
-    def rows(self, first: int, end: int) -> tuple[Any, ...]:
-        """Actions, outcomes, successors, probabilities, costs and named costs of some states.
-
-        What stands before them in the file is passed over.
-        """
+    def rows(self, first: int, end: int) -> StateRows:
+        """Rows of some states; what stands before them in the file is passed over."""
         pairs = self._read("pair_offsets", first, end + 1)[0]
         outcomes = self._read("outcome_offsets", int(pairs[0]), int(pairs[-1]) + 1)[0]
         own = int(outcomes[0]), int(outcomes[-1])
         uniform = self._read("costs", 0, 0)[1] == 1
-        return (
+        return StateRows(
             np.diff(pairs),
             np.diff(outcomes),
             self._read("successors", *own)[0],
@@ -259,7 +246,7 @@ class ModelFile:
             {name: self._read(f"costs {k}", *own)[0] for k, name in enumerate(self._named)},
         )
 
-    def _read(self, name: str, begin: int, end: int, step: int = 1) -> tuple[Array, int]:
+    def _read(self, name: str, begin: int, end: int) -> tuple[Array, int]:
         """Some entries of an array in the file, piece by piece, and its length.
 
         Raises:
@@ -277,7 +264,7 @@ class ModelFile:
                     count = min(_PASSED // kind.itemsize, (begin if at < begin else end) - at)
                     piece = np.frombuffer(file.read(count * kind.itemsize), dtype=kind)
                     if at >= begin:
-                        found.append(piece[(begin - at) % step :: step])
+                        found.append(piece)
                     at += count
         except Exception as damage:  # zipfile, zlib and numpy raise a dozen kinds
             raise ModelError(f"{self._path} is damaged: {damage!r}") from damage
