@@ -1,19 +1,9 @@
-"""Pricing by several processes, perhaps on several machines: the extra ``distributed``."""
+"""Models whose rows lie with several processes, perhaps on several machines: extra ``distributed``."""
 
-from ssp_lp.distributed.order import narrow_order as narrow_order
 from ssp_lp.distributed.partitioned_model import (
+    Measured as Measured,
     PartitionedModel as PartitionedModel,
     PartitionedSolution as PartitionedSolution,
 )
-from ssp_lp.distributed.partitioned_policy import PartitionedPolicy as PartitionedPolicy
-from ssp_lp.distributed.petsc import Petsc as Petsc
-from ssp_lp.distributed.slab import StateRows as StateRows
-
-__all__ = [
-    "PartitionedModel",
-    "PartitionedPolicy",
-    "PartitionedSolution",
-    "Petsc",
-    "StateRows",
-    "narrow_order",
-]
+from ssp_lp.distributed.policy import PartitionedPolicy as PartitionedPolicy
+from ssp_lp.model.state_rows import StateRows as StateRows

@@ -1,18 +1,23 @@
-"""The ranks of PETSc: the first gives orders, the others serve, until there is an answer."""
+"""The ranks of a communicator, and values of states that lie with other ranks.
+
+Every rank runs the same program on rows of its own. What they decide together follows from numbers
+that are the same on all of them: reductions, and what each makes of these.
+"""
 
 from __future__ import annotations
 
-import pickle
 import sys
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from functools import cached_property
 from typing import Any, TypeVar
 
-from ssp_lp.cargo import Cargo
-from ssp_lp.compiled.accelerator import without_twins
-from ssp_lp.compiled.deadline import check_time, until
-from ssp_lp.distributed.share import Share
-from ssp_lp.errors import ModelError, SolverError, SSPError, in_short, optional_module
+import numpy as np
+import numpy.typing as npt
+
+from ssp_lp.arrays import BoolArray, IntArray
+from ssp_lp.errors import ModelError, SSPError, in_short, optional_module
+from ssp_lp.model.graph import Graph, drain, nearer_pairs, pairs_into, reaching_states
 
 EXTRA = "distributed"
 
@@ -20,62 +25,42 @@ _Made = TypeVar("_Made")
 
 
 class Ranks:
-    """The ranks of PETSc's world, of which the first gives orders.
+    """The ranks of MPI's world, each of which runs the same program, and PETSc on them."""
 
-    An order is the name of what a rank does with the rows that it holds, and its arguments: those
-    that all get, and those of each; what each makes of it comes back to the first.
-    """
-
-    def __init__(self, comm: Any, petsc: Any) -> None:
-        """Know the ranks.
-
-        Args:
-            comm: of mpi4py.
-            petsc: the module.
-        """
-        self.comm, self.petsc = comm, petsc
-        self.share: Share | None = None
-        self.held_by: object = None  # the dynamics whose rows the ranks hold
-        self.chosen: object = None  # the equations that they have set up
-        self.messages, self.bytes = 0, 0  # of ghosts' values, sent while rows were held
-
-    @classmethod
-    def all(cls) -> Ranks:
-        """All ranks of PETSc.
+    def __init__(self) -> None:
+        """Start PETSc, if it is not running, with the options of the command line.
 
         Raises:
             MissingDependencyError: petsc4py or mpi4py is not installed.
         """
-        world = optional_module("mpi4py.MPI", EXTRA).COMM_WORLD
-        optional_module("petsc4py", EXTRA).init([])
-        return cls(world, optional_module("petsc4py.PETSc", EXTRA))
+        self.mpi = optional_module("mpi4py.MPI", EXTRA)
+        optional_module("petsc4py", EXTRA).init(sys.argv)
+        self.petsc = optional_module("petsc4py.PETSc", EXTRA)
+        self.comm = self.mpi.COMM_WORLD
 
     def __reduce__(self) -> Any:
-        """Refused: what lies with the ranks has no meaning in another process.
+        """Refused: what lies with several ranks has no meaning in another process.
 
         Raises:
             ModelError: always.
         """
-        raise ModelError(
-            "what lies with the ranks of PETSc cannot be pickled or copied: answer.policy.save() "
-            "keeps decisions, and answer.on(problem) is a Solution that can be pickled"
-        )
+        raise ModelError("what lies with ranks cannot be pickled: answer.policy.save() keeps it")
 
     def agreed(self, make: Callable[[], _Made]) -> _Made:
-        """What every rank makes by itself; where one cannot, all raise its error.
+        """Return what every rank makes by itself; where one cannot, all ranks end with an error.
 
         Raises:
-            Exception: of the rank itself, or else of the first rank that has one.
+            Exception: the rank's own, or else a ModelError with the words of the first that failed.
         """
         made, error = None, None
         try:
             made = make()
         except Exception as raised:
             error = raised
-        packed = None if error is None else packed_error(Cargo(), error)
-        for other in self.comm.allgather(packed):
-            if other is not None:
-                raise error or Cargo().unpack(other)
+        told = self.comm.allgather(error and f"{type(error).__name__}: {error}")
+        for rank, words in enumerate(told):
+            if words is not None:
+                raise error or ModelError(f"rank {rank} failed: {words}")
         return made  # type: ignore[return-value]
 
     def alike(self, what: str, mine: Mapping[str, Any]) -> None:
@@ -83,153 +68,144 @@ class Ranks:
 
         Args:
             what: is stated, for the error.
-            mine: by name, as values that can be sent and compared.
+            mine: values that can be sent and compared, by name.
 
         Raises:
-            ModelError: naming two ranks and what they state, on every rank.
+            ModelError: naming two ranks and their values, on every rank.
         """
-        every = self.comm.allgather(dict(mine))
+        every = self.comm.allgather(mine)
         for rank, other in enumerate(every):
-            for name in dict.fromkeys([*every[0], *other]):
-                one, two = every[0].get(name), other.get(name)
-                if one != two:
-                    raise ModelError(
-                        f"the ranks state different {what}: {name} is {in_short(one)} on rank 0, "
-                        f"{in_short(two)} on rank {rank}; every rank has to state the same"
-                    )
+            for name in mine:
+                if (one := every[0][name]) != (two := other[name]):
+                    raise ModelError(f"the ranks state different {what}: {name} is {in_short(one)} "
+                                     f"on rank 0, {in_short(two)} on rank {rank}")  # fmt: skip
 
     def together(self, make: Callable[[], _Made]) -> _Made:
-        """What all ranks make with each other; an error of one of them ends all, unless it is ours.
+        """Return what the ranks make with each other; an error of one alone ends all of them.
 
-        So does an interrupt, where there are several: the others would wait for what is left out.
-
-        Raises:
-            SSPError: which all of them raise.
+        Errors of the library are raised by all ranks at the same point. After any other one, or an
+        interrupt, the other ranks would wait for messages without end.
         """
         try:
             return make()
         except SSPError:
             raise
-        except (Exception, KeyboardInterrupt):
-            if self.comm.size == 1:
-                raise
-            traceback.print_exc()
-            sys.stderr.flush()
-            self.comm.Abort(1)
+        except BaseException:
+            if self.comm.size > 1:
+                traceback.print_exc(file=sys.stderr)
+                self.comm.Abort(1)
             raise
 
-    def order(
-        self, name: str, shared: tuple[Any, ...] = (), own: Sequence[tuple[Any, ...]] | None = None
-    ) -> list[Any]:
-        """Have every rank of PETSc do something with its rows; what they make of it, by rank.
+    def total(self, own: npt.ArrayLike) -> Any:
+        """Return the sums of numbers over all ranks, the same on each."""
+        return self._reduced(own, self.mpi.SUM)
 
-        Args:
-            name: of a method of :class:`Share`.
-            shared: arguments that all get.
-            own: further ones, of each rank; None: none.
+    def greatest(self, own: npt.ArrayLike) -> Any:
+        """Return the greatest of numbers over all ranks."""
+        return self._reduced(own, self.mpi.MAX)
 
-        Raises:
-            SSPError: as of one of them.
-            Stop: the time ended.
-        """
-        check_time()
+    def any(self, own: Any) -> bool:
+        """Return whether something holds on any rank."""
+        return bool(self.greatest(float(np.any(own))) > 0.0)
 
-        def gathered() -> list[Any]:
-            """What the ranks make of it."""
-            self.comm.bcast((name, shared, own is not None))
-            mine = () if own is None else self.comm.scatter(own)
-            return list(self.comm.gather(self._done(name, (*shared, *mine))))
-
-        made = self.together(gathered)
-        for one in made:
-            if isinstance(one, SSPError):
-                raise one
-        return made
-
-    def answered(self, cargo: Cargo, find: Callable[[], _Made]) -> _Made:
-        """What PETSc's first rank finds, giving orders; the others serve until they hear of it.
-
-        Args:
-            cargo: packs and unpacks the answer.
-            find: called on the first rank.
-
-        Raises:
-            Exception: what the first rank raised, on every rank.
-        """
-        if self.comm.rank > 0:
-            answer: _Made = unpacked(cargo, self.together(self.serve))
-            return answer
-        packed = b""
-        try:
-            found = find()
-            packed = cargo.pack(found)
-        except BaseException as error:
-            packed = packed_error(cargo, error)
-            raise
-        finally:
-            self.dismiss(packed)
+    def _reduced(self, own: npt.ArrayLike, operation: Any) -> Any:
+        """Return numbers reduced over all ranks."""
+        found = np.array(own, dtype=np.float64)
+        self.comm.Allreduce(self.mpi.IN_PLACE, found, op=operation)
         return found
 
-    def dismiss(self, answer: bytes) -> None:
-        """Tell the other ranks of PETSc the answer, after which they take no orders."""
-        self.comm.bcast(("answer", (answer,), False))
-        self.hold(None)
 
-    def serve(self) -> bytes:
-        """Do what the first rank of PETSc orders, until there is an answer."""
-        while True:
-            name, shared, is_more = self.comm.bcast(None)
-            if name == "answer":
-                self.hold(None)
-                answer: bytes = shared[0]
-                return answer
-            mine = self.comm.scatter(None) if is_more else ()
-            self.comm.gather(self._done(name, (*shared, *mine)))
+class Halo:
+    """A rank's own states, and the ghosts: states of other ranks whose values it needs.
 
-    def hold(self, share: Share | None) -> None:
-        """Hold other rows, or none; all ranks of PETSc let go of its objects together."""
-        if self.share is not None:
-            self.messages += self.share.halo.messages
-            self.bytes += self.share.halo.bytes
-            self.share.clear()
-        self.share, self.held_by, self.chosen = share, None, None
+    Arrays over known states have the own states first, then the ghosts. All ranks make theirs, and
+    fill, at the same time.
+    """
 
-    def _done(self, name: str, given: tuple[Any, ...]) -> Any:
-        """What this rank of PETSc makes of an order, or its error, if that is ours."""
-        try:
-            # the first rank looked at the time, for all; none begins again by itself
-            with until(float("inf")), without_twins():
-                if name == "take":
-                    return self.hold(Share(self.comm, self.petsc, *given))
-                if name == "label":
-                    return self.hold(self.together(lambda: self._held.labelled_anew(*given)))
-                return self.together(lambda: getattr(self._held, name)(*given))
-        except SSPError as error:
-            return error
+    def __init__(self, ranks: Ranks, n_own: int, ghosts: IntArray) -> None:
+        """Make the ghosted vector.
 
-    @property
-    def _held(self) -> Share:
-        """The rows that this rank of PETSc holds.
-
-        Raises:
-            SolverError: it holds none.
+        Args:
+            ranks: all of them.
+            n_own: number of own states; states are numbered from rank to rank.
+            ghosts: numbers of states of other ranks.
         """
-        if self.share is None:
-            raise SolverError("no rank of PETSc holds rows yet")
-        return self.share
+        self.ranks, self.n_own, self.ghosts = ranks, n_own, ghosts
+        ends = np.cumsum(ranks.comm.allgather(n_own))
+        self.end, self.n_all = int(ends[ranks.comm.rank]), int(ends[-1])
+        self.first, self.size = self.end - n_own, n_own + len(ghosts)
+        index, sizes = ghosts.astype(ranks.petsc.IntType), (n_own, self.n_all)
+        self._vector = ranks.petsc.Vec().createGhost(index, sizes, comm=ranks.comm)
 
+    def filled(self, own: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return values of all known states, those of ghosts brought from their owners.
 
-def packed_error(cargo: Cargo, error: BaseException) -> bytes:
-    """An error of one of PETSc's ranks for the others; of one that cannot be pickled, its words."""
-    try:
-        return cargo.pack(error)
-    except (pickle.PicklingError, AttributeError, TypeError):
-        return cargo.pack(SolverError(f"the first rank ended in {type(error).__name__}: {error}"))
+        Args:
+            own: values of own states; what follows them is overwritten, [own states or more].
+        """
+        with self._vector.localForm() as local:
+            local.array[: self.n_own] = own[: self.n_own]
+        self._vector.ghostUpdate()
+        with self._vector.localForm() as local:
+            found = local.array.astype(own.dtype)
+        return found
 
+    @cached_property
+    def numbers(self) -> IntArray:
+        """Numbers of the known states, [known states]."""
+        return np.append(np.arange(self.first, self.end), self.ghosts)
 
-def unpacked(cargo: Cargo, answer: bytes) -> Any:
-    """The answer of PETSc's first rank, or its error, which is raised."""
-    found = cargo.unpack(answer)
-    if isinstance(found, BaseException):
-        raise found
-    return found
+    def settled(self, sweep: Callable[[BoolArray], BoolArray], mask: BoolArray) -> BoolArray:
+        """Repeat sweeps of each rank's own rows until nothing changes on any of them.
+
+        Args:
+            sweep: makes a mask of a mask, as far as the rank's own rows lead, [known states].
+            mask: to begin with, [known states].
+        """
+        while True:
+            found = self.filled(sweep(mask))
+            if not self.ranks.any(found != mask):
+                return found
+            mask = found
+
+    def reaching(self, graph: Graph, ends: BoolArray) -> BoolArray:
+        """Return the states from which own rows lead to one of the ends, [known states]."""
+        return self.settled(lambda mask: reaching_states(graph, mask), self.filled(ends))
+
+    def staying(self, graph: Graph, usable: BoolArray, outside: BoolArray) -> BoolArray:
+        """Return the greatest set of states that each have no pair, or one that stays in it.
+
+        Args:
+            graph: the known states, and the pairs of the own ones.
+            usable: pairs that may be taken, [pairs].
+            outside: states that are not in it, [known states].
+        """
+        acting = np.diff(graph.pair_offsets) > 0
+
+        def sweep(closed: BoolArray) -> BoolArray:
+            """Close states all of whose usable pairs may lead to closed states."""
+            pairs = usable & ~closed[graph.pair_state]
+            counts = np.bincount(graph.pair_state[pairs], minlength=graph.n_states)
+            closed = closed | (acting & (counts == 0))
+            drain(graph, pairs, counts, closed.nonzero()[0])
+            return closed | (acting & (counts == 0))
+
+        return ~self.settled(sweep, self.filled(outside))
+
+    def approaching(self, graph: Graph, leaving: BoolArray) -> IntArray:
+        """Return a pair of each own state that comes nearer to a leaving pair; -1: there is none.
+
+        Args:
+            graph: the known states, and the pairs of the own ones.
+            leaving: [pairs].
+        """
+        choice = np.full(graph.n_states, -1)
+
+        def sweep(reached: BoolArray) -> BoolArray:
+            """Choose a pair in states that lead to a leaving pair, or to a state that does."""
+            nearer = nearer_pairs(graph, leaving | pairs_into(graph, reached))
+            choice[:] = np.where(choice < 0, nearer, choice)
+            return reached | (choice >= 0)
+
+        self.settled(sweep, np.zeros(graph.n_states, dtype=np.bool_))
+        return choice[: self.n_own].astype(np.int32)

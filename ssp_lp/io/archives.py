@@ -17,6 +17,7 @@ from itertools import pairwise
 from math import isclose, isfinite
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +34,7 @@ from ssp_lp.model.failure_product import label_failing
 from ssp_lp.model.graph import kept
 from ssp_lp.model.product import HorizonSSP, ProductSSP, unroll_steps
 from ssp_lp.model.ssp import check_model, check_offsets
+from ssp_lp.model.state_rows import StateRows
 from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy
@@ -54,6 +56,7 @@ _VERSION = 1
 
 
 _HEADER, _PACKED = "header", b"PK"  # the first bytes of an archive
+_PASSED = 1 << 22  # bytes of an array that are passed over at a time
 _LARGEST_HEADER = 1 << 28  # bytes that are unpacked: names of some ten million states
 
 
@@ -205,6 +208,67 @@ def save_model(model: SSP, path: FilePath) -> None:
     arrays = {name: found[name].astype(f"<{kind}") for name, kind in _ARRAYS.items()}
     named = {f"costs {k}": costs for k, costs in enumerate(model.named_costs.values())}
     write_archive(path, "model", header, arrays | named)
+
+
+class ModelFile:
+    """A model in a file of :func:`save_model`, of which rows are read range by range."""
+
+    def __init__(self, path: FilePath) -> None:
+        """Read what the file says besides rows.
+
+        Raises:
+            ModelError: naming the file: it is none of this format, or damaged.
+            OSError: the file cannot be opened.
+        """
+        self._path = path
+        with opened_archive(path, "model") as (header, arrays):
+            self._named: list[str] = header["named_costs"]
+            ends, members = arrays["label_offsets"], arrays["label_members"]
+            self.goal_states = arrays["goal_states"]
+            self.state_labels = {
+                name: members[ends[k] : ends[k + 1]]
+                for k, name in enumerate(header["state_labels"])
+            }
+        self.n_states = self._read("pair_offsets", 0, 0)[1] - 1
+
+    def rows(self, first: int, end: int) -> StateRows:
+        """Rows of some states; what stands before them in the file is passed over."""
+        pairs = self._read("pair_offsets", first, end + 1)[0]
+        outcomes = self._read("outcome_offsets", int(pairs[0]), int(pairs[-1]) + 1)[0]
+        own = int(outcomes[0]), int(outcomes[-1])
+        uniform = self._read("costs", 0, 0)[1] == 1
+        return StateRows(
+            np.diff(pairs),
+            np.diff(outcomes),
+            self._read("successors", *own)[0],
+            self._read("probabilities", *own)[0],
+            float(self._read("costs", 0, 1)[0][0]) if uniform else self._read("costs", *own)[0],
+            {name: self._read(f"costs {k}", *own)[0] for k, name in enumerate(self._named)},
+        )
+
+    def _read(self, name: str, begin: int, end: int) -> tuple[Array, int]:
+        """Some entries of an array in the file, piece by piece, and its length.
+
+        Raises:
+            ModelError: naming the file: it is damaged.
+        """
+        try:
+            with ZipFile(self._path) as archive, archive.open(f"{name}.npy") as file:
+                is_first = np.lib.format.read_magic(file) == (1, 0)
+                headers = np.lib.format.read_array_header_1_0, np.lib.format.read_array_header_2_0
+                (length, *more), _, kind = headers[not is_first](file)
+                if more or kind.hasobject or end > length:
+                    raise ValueError(_OTHER_ARRAY.format(name))
+                at, found = 0, [np.zeros(0, dtype=kind)]
+                while at < end:
+                    count = min(_PASSED // kind.itemsize, (begin if at < begin else end) - at)
+                    piece = np.frombuffer(file.read(count * kind.itemsize), dtype=kind)
+                    if at >= begin:
+                        found.append(piece)
+                    at += count
+        except Exception as damage:  # zipfile, zlib and numpy raise a dozen kinds
+            raise ModelError(f"{self._path} is damaged: {damage!r}") from damage
+        return np.concatenate(found).astype(kind.newbyteorder("=")), length
 
 
 @explained

@@ -1,0 +1,183 @@
+"""A rank's part of a model: the pairs of its own states, and the states to which these lead.
+
+A part is a model in every respect that concerns one pair at a time: expected costs, successors, what
+a limit counts. Its states are those that the rank knows: its own, then the ghosts, which have no
+pairs here. Their labels are their numbers in the model. Facts about the whole graph are found by
+all ranks together and kept with each part.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray, IntArray, offsets_of, read_only
+from ssp_lp.distributed.ranks import Halo, Ranks
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.model.graph import Graph
+from ssp_lp.model.state_rows import Rows, checked_rows
+
+_MIXER, _HALF = np.uint64(0x9E3779B97F4A7C15), np.uint64(32)  # an odd number of bits as if drawn
+_PROBES = 256  # states that are tried to see how many outcomes there are
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Part(SSP):
+    """The states of a model that a rank knows, and the pairs of its own."""
+
+    halo: Halo = field(kw_only=True)  # over the states of the model
+    sets: Mapping[str, IntArray] = field(kw_only=True)  # named sets: numbers of their states
+    facts: dict[str, Any] = field(kw_only=True, default_factory=dict)  # of the whole graph
+    wanted: set[int] = field(kw_only=True, default_factory=set)
+    """Numbers of states that were asked for and are not known here."""
+
+    @property
+    def kept_facts(self) -> dict[str, Any]:  # type: ignore[override]
+        """Facts about the graph of which the part is one, for the states known here."""
+        return self.facts
+
+    @property
+    def predecessors(self) -> Any:
+        """Refused: other ranks' pairs lead to states of this part, too.
+
+        Raises:
+            ModelError: always.
+        """
+        raise ModelError("this needs the whole graph: use ssp_lp.solve on a model held whole")
+
+    @property
+    def graph(self) -> Graph:
+        """The part as a graph of its own, made for one search."""
+        return Graph(self.pair_offsets, self.outcome_offsets, self.successors, self.probabilities)
+
+    def of_all_states(self, made: FloatArray) -> FloatArray:
+        """What was made of each own state's pairs, for all states of the part, [states]."""
+        return self.halo.filled(made)
+
+    def find(self, state: Any) -> int | None:
+        """Place in the part of the state with this number; None: the model has none.
+
+        A state that the part does not know is noted as wanted, and any place is returned.
+        """
+        if not isinstance(state, (int, np.integer)) or not 0 <= state < self.halo.n_all:
+            return None
+        places = np.flatnonzero(self.halo.numbers == state)
+        if not places.size:
+            self.wanted.add(int(state))
+        return int(places[0]) if places.size else 0
+
+    def hint(self, state: Any) -> str:
+        """Clause for errors: what may be meant by what is no state of the model."""
+        return f": states are 0 .. {self.halo.n_all - 1}"
+
+    @cached_property
+    def words(self) -> str:
+        """Sizes and a checksum of the model, the same on any number of ranks; all ask together.
+
+        The checksum is a sum modulo 2^64 of mixed words, one of each outcome: its number among all
+        outcomes, its pair's, its successor, probability and costs.
+        """
+        comm, sizes = self.halo.ranks.comm, [self.halo.n_own, self.n_pairs, self.n_outcomes]
+        before, every = comm.scan(np.array(sizes)) - sizes, comm.allreduce(np.array(sizes))
+        pair = np.repeat(np.arange(self.n_pairs) + before[1], np.diff(self.outcome_offsets))
+        named = [self.named_costs[name] for name in sorted(self.named_costs)]
+        parts = [pair, self.halo.numbers[self.successors], self.probabilities, self.costs, *named]
+        mixed = (np.arange(self.n_outcomes) + before[2]).astype(np.uint64)
+        for part in parts:
+            mixed = (mixed ^ np.ascontiguousarray(part).view(np.uint64)) * _MIXER
+            mixed ^= mixed >> _HALF
+        total = sum(comm.allgather(int(mixed.sum(dtype=np.uint64)))) % 2**64
+        return f"{every[0]} states, {every[1]} pairs, checksum {total:x}"
+
+    def knowing(self, numbers: Iterable[int]) -> Part:
+        """Return the part with further states of other ranks as ghosts; all ranks ask together."""
+        more = np.setdiff1d(np.array([*numbers], dtype=np.int64), self.halo.numbers)
+        halo = Halo(self.halo.ranks, self.halo.n_own, np.append(self.halo.ghosts, more))
+        offsets = np.append(self.pair_offsets, np.full(len(more), self.n_pairs))
+        kept = {one.name: getattr(self, one.name) for one in fields(SSP)} | _named(halo, self.sets)
+        kept |= {"pair_offsets": read_only(offsets), "goal_mask": halo.filled(self.goal_mask)}
+        facts = {name: halo.filled(fact) for name, fact in self.facts.items()}
+        return Part(**kept, halo=halo, sets=self.sets, facts=facts)
+
+
+def _named(halo: Halo, sets: Mapping[str, IntArray]) -> dict[str, Any]:
+    """Labels of the known states, which are their numbers, and the known members of named sets."""
+    labels = {name: np.flatnonzero(np.isin(halo.numbers, of)) for name, of in sets.items()}
+    return {"states": array("q", halo.numbers.tobytes()), "state_labels": labels}
+
+
+def made_part(
+    ranks: Ranks, rows: Rows, goals: IntArray, sets: Mapping[str, IntArray], bounds: IntArray
+) -> Part:
+    """Make each rank's part, with the facts about the whole graph; all ranks make theirs together.
+
+    Args:
+        ranks: all of them.
+        rows: makes the rows of some states.
+        goals: numbers of the goal states, ascending.
+        sets: numbers of the states of each named set.
+        bounds: first state of each rank, and the end, [ranks + 1].
+
+    Raises:
+        ModelError: naming the state and the action at fault.
+    """
+    first, end = bounds[ranks.comm.rank :][:2].tolist()
+
+    def made() -> tuple[SSP, IntArray]:
+        """Return own rows as a model, in which other states have none, and the ghosts."""
+        own = checked_rows(rows, first, end)
+        successors, n_own = np.asarray(own.successors), end - first
+        inside = (successors >= 0) & (successors < bounds[-1])
+        remote = inside & ((successors < first) | (successors >= end))
+        away = goals[:1][(goals[:1] < first) | (goals[:1] >= end)]  # each part has a goal
+        ghosts = np.union1d(successors[remote], away).astype(np.int64)
+        places = np.where(inside, successors - first, -1)  # what is no state is named below
+        places[remote] = n_own + np.searchsorted(ghosts, successors[remote])
+        numbers = np.append(np.arange(first, end), ghosts)
+        arrays = {
+            "pair_offsets": offsets_of(np.append(own.actions, np.zeros(len(ghosts), np.int64))),
+            "outcome_offsets": offsets_of(np.asarray(own.outcomes)),
+            "successors": places.astype(np.int32),
+            "goal_states": np.flatnonzero(np.isin(numbers, goals)),
+            "treat_actionless_as_dead_ends": True,
+            **{name: getattr(own, name) for name in ("probabilities", "costs", "named_costs")},
+        }
+        try:
+            return SSP.from_arrays(**arrays), ghosts
+        except ModelError:  # again, for the numbers of states in the error
+            return SSP.from_arrays(**arrays, states=numbers.tolist()), ghosts
+
+    plain, ghosts = ranks.agreed(made)
+    halo = Halo(ranks, end - first, ghosts)
+    kept = {one.name: getattr(plain, one.name) for one in fields(SSP)} | _named(halo, sets)
+    part = Part(**kept, halo=halo, sets=sets)
+    goal, every = part.goal_mask, np.ones(part.n_pairs, dtype=np.bool_)
+    lost = part.facts["hopeless_states"] = ~halo.reaching(part.graph, goal)
+    part.facts["attention_states"] = halo.staying(part.graph, every, goal)
+    # an end of each set is known to all ranks, so that all agree whether an episode ends in it
+    own_lost = halo.numbers[: halo.n_own][lost[: halo.n_own]]
+    ended = [own_lost[np.isin(own_lost, of)][:1] for of in sets.values()]
+    return part.knowing(k for some in ranks.comm.allgather(ended) for one in some for k in one)
+
+
+def balanced_bounds(ranks: Ranks, rows: Rows, n_states: int) -> IntArray:
+    """Return bounds by which all ranks have about as many outcomes, [ranks + 1].
+
+    Some states are tried, each rank its share of them.
+
+    Raises:
+        ModelError: as of the rows that are tried.
+    """
+    rank, size = ranks.comm.rank, ranks.comm.size
+    ends = np.unique(np.linspace(0, n_states, _PROBES + 1).astype(np.int64))
+    tried, work = ends[:-1][rank::size].tolist(), np.zeros(len(ends))
+    some = ranks.agreed(lambda: [np.sum(checked_rows(rows, k, k + 1).outcomes) for k in tried])
+    work[1:][rank::size] = 1.0 + np.array(some)
+    done = np.cumsum(ranks.total(work) * np.diff(ends, prepend=0))
+    return np.interp(np.linspace(0.0, done[-1], size + 1), done, ends).astype(np.int64)

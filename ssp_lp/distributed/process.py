@@ -1,0 +1,608 @@
+"""The process of case M on rows that lie with several ranks, and its pricing problem.
+
+Each rank has the pairs of its own nodes. Policies are improved by sweeps of each rank over its own
+nodes, in place, with the ghosts' values exchanged in between; the equations of a policy are solved
+by PETSc's Krylov methods. Columns are measured with a bound of their error, and a lower bound is
+checked by one backup of all rows, rounding counted against it, as in one process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.arrays import (
+    IMPROVEMENT,
+    MACHINE_EPSILON,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    weighted,
+    weighted_rounding,
+)
+from ssp_lp.column_generation.column import Column, PricingProblem, Proof, pricing_weights
+from ssp_lp.column_generation.compiled_problem import CompiledExplicit, LeastFailure
+from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.distributed.part import Part
+from ssp_lp.distributed.ranks import Halo, Ranks
+from ssp_lp.dynamic_programming.bellman import Moves, Work, best_pairs, chosen_rows, exact_sum
+from ssp_lp.dynamic_programming.chain_solvers import HOLDS_MASS
+from ssp_lp.dynamic_programming.dual_bound import shortfall
+from ssp_lp.dynamic_programming.dynamics import SETTLED, Dynamics
+from ssp_lp.dynamic_programming.equations import DIRECT_STATES, EXACT
+from ssp_lp.dynamic_programming.evaluation import EVALUATED, RUN_ACCURACY
+from ssp_lp.errors import ModelError, SolverError
+from ssp_lp.model.graph import Graph, pairs_into
+from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Branches, Policy
+from ssp_lp.processes.failure_label import FailureLabelled, counting_of, label_failure
+from ssp_lp.processes.failure_semantics import Aim, GiveUp, free_pairs, giving_up_states
+from ssp_lp.processes.quotient import build_quotient
+
+_STEPS = 200  # of a Krylov method in one run
+_RUNS = 12  # of it, each from the residual that the last one left
+_FINEST = 1e-8  # relative residual of one run
+_LET_PASS = 1e-9  # relative residual that will do where no method gets further
+_DUST = 1e-14  # of the greatest: a total below it may be what a solver leaves of nothing
+_CORRECTIONS = 6
+_SWEEPS, _EXCHANGED = 20, 4  # sweeps between two evaluations, and between two exchanges
+_MOST_ROUNDS = 1_000  # of policy iteration: each improves what the last one left
+_SHRUNK = (0.0, *10.0 ** np.arange(-13.0, 0.0))  # shares by which values move to the floor
+_BELOW = 0.1  # of such a share, by which all values go down
+_LOWERINGS = 160  # of shrunk values, after which a larger share is tried
+_LOST = 1e-3  # share of the greatest value by which one may fall in these
+_STEEPER = 10.0 ** np.arange(1, 14, 3)  # prices of failure, by the cost, for one that fails least
+_SAME = 1e-13  # of failing or not, the rarer: distance of failures that are one
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OwnDecisions(Policy):
+    """A policy of a partitioned model: decisions in a rank's own states."""
+
+    model: Part
+    positions: IntArray  # [own states] among the actions, GIVE_UP_CODE or UNDECIDED
+    figures: FloatArray  # [rewards] as measured
+
+    def branches(self, states: IntArray, memory: IntArray) -> Branches:
+        """Refused: a rank has the decisions of its own states alone.
+
+        Raises:
+            ModelError: always.
+        """
+        raise ModelError("decisions lie with the ranks: PartitionedPolicy.on(model) joins them")
+
+
+def _kept_nowhere(positions: IntArray, weights: FloatArray) -> None:
+    """Keep a column nowhere."""
+
+
+class _Equations:
+    """Equations ``x = right + rows @ x`` of a policy, solved by all ranks together."""
+
+    def __init__(self, process: PartitionedProcess, choice: IntArray, values: FloatArray) -> None:
+        """State them.
+
+        Args:
+            process: of which it is a policy.
+            choice: [own nodes].
+            values: about its values: PETSc has small ones, near the ends, first, [own nodes].
+        """
+        self.halo, self.choice, dynamics = process.halo, choice, process.dynamics
+        self._order, own = np.argsort(values, kind="stable"), np.arange(self.halo.n_own)
+        rows = chosen_rows(dynamics.transitions, choice)
+        self.moves = Moves(own.astype(np.int32), rows, dynamics.exits[choice])
+        self.products = 0
+
+    def leading(self, marked: BoolArray) -> BoolArray:
+        """Return the own nodes from which the policy may come to marked ones, [own nodes]."""
+        rows, n, size = self.moves.transitions, self.halo.n_own, self.halo.size
+        offsets, ends = np.append(np.arange(n + 1), np.full(size - n, n)), np.zeros(size, np.bool_)
+        ends[:n] = marked
+        graph = Graph(offsets, rows.indptr.astype(np.int64), rows.indices, rows.data)
+        return self.halo.reaching(graph, ends)[:n]
+
+    @cached_property
+    def _solver(self) -> tuple[Any, Any, Any]:
+        """PETSc's solver and two vectors: BiCGStab, own rows half factorised; of few rows, LU."""
+        halo, order, petsc, place = self.halo, self._order, self.halo.ranks.petsc, np.empty(0)
+        place = np.empty(halo.n_own)
+        place[order] = np.arange(halo.n_own)
+        numbers, rows = (
+            halo.filled(halo.first + place).astype(petsc.IntType),
+            self.moves.transitions,
+        )
+        shape = halo.n_own, halo.n_all
+        step = sp.csr_array((rows.data, numbers[rows.indices], rows.indptr), shape=shape)[order]
+        # PETSc keeps the last of duplicates: scipy adds them up
+        rows = sp.csr_array(sp.eye(*shape, k=halo.first, format="csr")) - step
+        csr = rows.indptr.astype(petsc.IntType), rows.indices.astype(petsc.IntType), rows.data
+        matrix = petsc.Mat().createAIJ(size=(shape, shape), csr=csr, comm=halo.ranks.comm)
+        ksp, is_small = petsc.KSP().create(halo.ranks.comm), halo.n_all <= DIRECT_STATES
+        ksp.setOperators(matrix)
+        ksp.setType("preonly" if is_small else "bcgs")
+        ksp.getPC().setType("redundant" if is_small else "bjacobi")
+        ksp.setOptionsPrefix("ssp_lp_")
+        ksp.setFromOptions()
+        return ksp, *matrix.createVecs()
+
+    def solve(self, right: FloatArray, guess: FloatArray, accuracy: float = EXACT) -> FloatArray:
+        """Return the solution of the equations to a relative residual; 0 where nothing is paid.
+
+        Args:
+            right: [own nodes].
+            guess: where to begin, likewise.
+            accuracy: greatest residual, relative to the solution, that is enough.
+
+        Raises:
+            SolverError: no method comes near to it.
+        """
+        ranks, x = self.halo.ranks, guess.copy()
+        if not ranks.any(right):
+            return np.zeros_like(right)
+        missed, residual, scale = self._missed(right, x)
+        ksp, left, step = self._solver
+        for _ in range(_RUNS):
+            if missed <= accuracy:
+                break
+            left.array = residual[self._order]
+            ksp.setTolerances(max(_FINEST, 0.1 * accuracy / missed), 0.0, max_it=_STEPS)
+            ksp.solve(left, step)
+            self.products += 2 * ksp.getIterationNumber()
+            better = x.copy()
+            better[self._order] += step.array
+            now, rest, size = self._missed(right, better)
+            if not now < missed:
+                break
+            x, missed, residual, scale = better, now, rest, size
+        if not missed <= max(accuracy, _LET_PASS):
+            raise SolverError("PETSc does not come near to the totals of a policy: try other options "
+                              "such as -ssp_lp_ksp_type gmres, -ssp_lp_pc_type redundant")  # fmt: skip
+        if ranks.any((x != 0.0) & (np.abs(x) <= _DUST * scale)):
+            x[~self.leading(right != 0.0)] = 0.0
+        return x
+
+    def _missed(self, right: FloatArray, x: FloatArray) -> tuple[float, FloatArray, float]:
+        """Return the residual relative to the greatest size, the residual, and that size."""
+        residual = right - x + self.moves.transitions @ self.halo.filled(x)
+        sizes = [np.abs(part).max(initial=0.0) for part in (residual, x, right)]
+        missed, *scale = self.halo.ranks.greatest(sizes).tolist()
+        return missed / max(*scale, 1e-300), residual, max(scale)
+
+    def runs(self, guess: FloatArray) -> FloatArray:
+        """Return run lengths: twice these are at least the expected steps, [own nodes].
+
+        Raises:
+            SolverError: some nodes are never left, or no solver comes near.
+        """
+        half = np.full(self.halo.n_own, -0.5)
+        for accuracy in (RUN_ACCURACY, _FINEST, EXACT):
+            runs = self.solve(np.ones_like(half), guess, accuracy)
+            ahead = self.moves.safe_advantages(half, self.halo.filled(-runs))
+            if not self.halo.ranks.any((ahead < 0.0) | (runs < 0.0)):
+                return runs
+        raise SolverError(HOLDS_MASS)
+
+    def verified(
+        self, right: FloatArray, guess: FloatArray, longest: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return a reward's totals as sums of two numbers, to a bounded error, [own nodes] each.
+
+        Args:
+            right: the reward of each node's pair, [own nodes].
+            guess: about the totals, likewise.
+            longest: the greatest run length of all ranks.
+
+        Raises:
+            SolverError: no solver comes near enough.
+        """
+        filled, greatest, x = self.halo.filled, self.halo.ranks.greatest, self.solve(right, guess)
+        low, sides = np.zeros_like(x), self.moves.advantage_bounds(right, filled(x))
+        sizes = [np.abs(side).max(initial=0.0) for side in (*sides, x)]
+        *missed, scale = greatest(sizes).tolist()
+        for _ in range(_CORRECTIONS):
+            if 2.0 * longest * max(missed) <= EVALUATED * scale:
+                return x, low
+            off, rounding = self.moves.precise_advantages(right, filled(x), filled(low))
+            missed = [float(greatest((np.abs(off) + rounding).max(initial=0.0)))]
+            if 2.0 * longest * max(missed) > EVALUATED * scale:
+                x, low = exact_sum(x, low + self.solve(off, np.zeros_like(x)))
+        raise SolverError("the totals of a policy cannot be verified: runs are too long")
+
+
+@dataclass(frozen=True, eq=False)
+class PartitionedProcess(PricingProblem):
+    """The process of case M on the rows of all ranks; what it is made of here are a rank's own."""
+
+    labelled: FailureLabelled
+    halo: Halo  # over the nodes of the process
+    rewards: FloatArray  # [own pairs, rewards] cost, failure, rows
+    at_once: FloatArray  # [rewards] of what begins in goals and dead-ends
+    start: FloatArray  # [own nodes]
+    asks_for_ends: bool  # whether ends other than the goal count, or nobody may give up
+    stays: (
+        IntArray  # [own nodes] a pair that stays for ever for nothing, where that is all one may do
+    )
+    kept: Callable[[IntArray, FloatArray], None] = _kept_nowhere  # told of each found column
+    earlier: list[Column] = field(default_factory=list)  # columns of an earlier run
+
+    @property
+    def ranks(self) -> Ranks:
+        """The ranks that share the process."""
+        return self.halo.ranks
+
+    @property
+    def dynamics(self) -> Dynamics:
+        """Dynamics of the known nodes; ghosts have no pairs."""
+        return self.labelled.process.dynamics
+
+    @property
+    def n_rewards(self) -> int:
+        """Number of rewards: cost, failure and rows."""
+        return self.rewards.shape[1]
+
+    @property
+    def n_states(self) -> int:
+        """Number of own states of the model."""
+        part: Any = self.labelled.quotient.model
+        return int(part.halo.n_own)
+
+    @property
+    def value_shape(self) -> tuple[int, ...]:
+        """[own nodes]: a rank has the values of its own nodes."""
+        return (self.halo.n_own,)
+
+    @cached_property
+    def _leaving(self) -> IntArray:
+        """A policy that leaves from every node, towards the goal first, [own nodes]."""
+        graph, goal = replace(self.dynamics).graph, self.labelled.process.goal > 0.0
+        nearer = self.halo.approaching(graph, goal)
+        if self.ranks.any(nearer < 0):
+            leaving = self.halo.approaching(graph, self.dynamics.exits > 0.0)
+            nearer = np.where(nearer >= 0, nearer, leaving)
+        return nearer
+
+    def first(self) -> Column:
+        """The column of a policy that goes for the goal."""
+        return self._first
+
+    @cached_property
+    def _first(self) -> Column:
+        """The column of the leaving policy."""
+        return self.measured(self._leaving)
+
+    def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
+        """A column of least priced cost by policy iteration, measured with a bound of its error."""
+        weights, known = self._weights(price), [one for one in (*warm, *self.earlier) if one]
+        known = [one for one in known if one.totals is not None] or [self.first()]
+        best = min(known, key=lambda column: float(weights @ column.figures))
+        choice, totals = np.asarray(best.choice), np.array(best.totals)
+        cost, values = weighted(self.rewards, weights), weighted(totals[:, :-1], weights)
+        work = Work()
+        for _ in range(_MOST_ROUNDS):
+            choice = self._swept(cost, choice, values)
+            equations = self._leaving_equations(choice, values)
+            choice = equations.choice
+            values = equations.solve(cost[choice], values)
+            backup = best_pairs(
+                self.dynamics.pair_offsets[: self.halo.n_own + 1], self.dynamics.transitions,
+                cost, self.halo.filled(values), choice,
+            )  # fmt: skip
+            better = backup.here - backup.minima > IMPROVEMENT * np.abs(backup.here)
+            work += Work(1 + _SWEEPS, equations.products)
+            if not self.ranks.any(better):
+                break
+            choice = np.where(better, backup.choice, choice).astype(np.int32)
+        if weights[0] > 0.0:
+            totals[:, 0] = (values - totals[:, 1:-1] @ weights[1:]) / weights[0]
+        # what costs nothing at these weights may cost a limit
+        choice = self._staying(self._giving_up(equations))
+        if self.ranks.any(choice != equations.choice):
+            equations = self._leaving_equations(choice, values)
+        column = self._measured(equations, totals, work)
+        self.kept(self._positions(column), weights)
+        return column
+
+    def _weights(self, price: float | FloatArray) -> FloatArray:
+        """Weights of all rewards at a price of failure, or at weights."""
+        weights = pricing_weights(price)
+        return np.append(weights, np.zeros(self.n_rewards - len(weights)))
+
+    def _swept(self, cost: FloatArray, choice: IntArray, values: FloatArray) -> IntArray:
+        """Improve a policy by sweeps of each rank over its own nodes, and its values in place.
+
+        Args:
+            cost: [own pairs].
+            choice: [own nodes].
+            values: of no better policy, [own nodes].
+        """
+        n, entries = self.halo.n_own, len(self.dynamics.transitions.indices)
+        if self.ranks.any(not accelerated(entries, "policy_improvement.improve_states")):
+            return choice  # rounds alone get there, too
+        at_once, changed = _SWEEPS if self.ranks.comm.size == 1 else _EXCHANGED, [0.0]
+        full, known = np.zeros(self.halo.size, dtype=np.int32), self.halo.filled(values)
+        full[:n] = choice
+        for _ in range(_SWEEPS // at_once):
+            before, how = full.copy(), {"is_sorted_anew": True, "states": np.arange(n)}
+            self.dynamics.improve_by_sweeps(cost, full, known, 0.0, at_once, **how)
+            known = self.halo.filled(known)
+            changed.append(float(self.ranks.total(np.count_nonzero(full != before))))
+            if changed[-1] <= SETTLED * max(changed):
+                break
+        values[:] = known[:n]
+        return full[:n]
+
+    def _leaving_equations(self, choice: IntArray, values: FloatArray) -> _Equations:
+        """The equations of a policy; nodes that it never leaves take the pairs of one that does."""
+        equations = _Equations(self, choice, values)
+        closed = ~equations.leading(equations.moves.exits > 0.0)
+        if not self.ranks.any(closed):
+            return equations
+        return _Equations(self, np.where(closed, self._leaving, choice).astype(np.int32), values)
+
+    def _giving_up(self, equations: _Equations) -> IntArray:
+        """A policy that gives up where it has failed, [own nodes].
+
+        It has failed where it cannot come to the goal any more by its own steps, if it may give up
+        there; where ends are asked for, or nobody may give up, only where it stays for ever and
+        nothing is counted.
+        """
+        choice = equations.choice
+        leads = self.labelled.process.goal[choice] > 0.0
+        if self.asks_for_ends:
+            leads = (self.rewards[choice] != 0.0).any(axis=1) | (self.dynamics.exits[choice] > 0.0)
+        lost = ~equations.leading(leads) & (self._exits >= 0)
+        return np.where(lost, self._exits, choice).astype(np.int32)
+
+    def _staying(self, choice: IntArray) -> IntArray:
+        """A policy whose every node that gives up by staying leads to such nodes, [own nodes]."""
+        quits = (choice == self._exits) & (self.stays >= 0)
+        if not self.ranks.any(quits):
+            return choice
+        rows = chosen_rows(self.dynamics.transitions, np.where(quits, self.stays, choice))
+
+        def sweep(mask: BoolArray) -> BoolArray:
+            """Keep the nodes that lead to kept ones alone; others are worth as much by moving."""
+            return np.asarray(mask[: len(quits)] & (rows @ ~mask == 0.0))
+
+        kept = self.halo.settled(sweep, self.halo.filled(quits))[: len(quits)]
+        return np.where(quits & ~kept, self.stays, choice).astype(np.int32)
+
+    @cached_property
+    def _exits(self) -> IntArray:
+        """The pair of each own node that gives up; -1: nobody may there, [own nodes]."""
+        quotient, n = self.labelled.quotient, self.halo.n_own
+        exits, gives_up = np.full(quotient.n_nodes, -1), np.flatnonzero(quotient.gives_up)
+        exits[quotient.pair_node[gives_up]] = gives_up
+        return exits[:n]
+
+    def measured(self, choice: IntArray) -> Column:
+        """The column of a policy, [own nodes]: its totals with a bound of their error.
+
+        Raises:
+            SolverError: it never leaves some nodes, or no solver comes near to its totals.
+        """
+        nothing = np.zeros((self.halo.n_own, self.n_rewards + 1))
+        return self._measured(_Equations(self, choice, nothing[:, 0]), nothing, Work())
+
+    def _measured(self, equations: _Equations, guess: FloatArray, work: Work) -> Column:
+        """The column of the policy whose equations are stated.
+
+        Args:
+            equations: of the policy.
+            guess: about its totals, [own nodes, rewards and steps].
+            work: what finding it took.
+        """
+        choice, totals, figures = equations.choice, np.empty_like(guess), self.at_once.copy()
+        totals[:, -1] = equations.runs(guess[:, -1])
+        longest = float(self.ranks.greatest(totals[:, -1].max(initial=0.0)))
+        for k, right in enumerate(self.rewards[choice].T):
+            x, low = equations.verified(np.ascontiguousarray(right), guess[:, k], longest)
+            figures[k] += self.ranks.total(self.start @ x + self.start @ low)
+            totals[:, k] = x
+        work += Work(1, equations.products)
+        return Column.of_figures(figures, choice, totals=totals, work=work)
+
+    def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
+        """Lower bound of every column's priced value, by the values of a best policy."""
+        totals = np.asarray(best.totals)[:, :-1]
+        return self.check(price, weighted(totals, self._weights(price)))
+
+    def prove_afresh(self, weights: FloatArray, warm: Column) -> Proof:
+        """Best lower bound at weights that nothing has been priced at yet."""
+        return self.prove(weights, self.minimise(weights, warm))
+
+    def check(self, price: float | FloatArray, values: FloatArray, *, slack: bool = False) -> Proof:
+        """Lower values to a checked sub-solution; each rank has those of its own nodes.
+
+        Raises:
+            ModelError: values of another shape.
+        """
+        self.check_shape(values)
+        weights = self._weights(price)
+        values, begun = self._lowered(weights, values), float(weights @ self.at_once)
+        parts = self.start * values
+        total, size, terms = self.ranks.total([parts.sum(), np.abs(parts).sum(), len(parts)])
+        rounding = (terms + self.n_rewards + 4.0) * (size + float(weights @ np.abs(self.at_once)))
+        bound = float(total + begun - MACHINE_EPSILON * rounding)
+        return Proof(float(weights[1]), float(weights[1]), bound, values)
+
+    def _lowered(self, weights: FloatArray, values: FloatArray) -> FloatArray:
+        """Values lowered to a sub-solution that a backup of all rows confirms, [own nodes].
+
+        They are moved towards a constant that is one by a share, the least that will do: a step
+        that costs has that share of its cost to spare then. Where nothing is paid values are
+        lowered to those ahead. All go down a little besides, so that what is free is not left with
+        the dust of its equations, of which such sweeps take a part at a time without end.
+        """
+        dynamics, greatest, n = self.dynamics, self.ranks.greatest, self.halo.n_own
+        cost = weighted(self.rewards, weights)
+        cost -= weighted_rounding(self.rewards, weights) * np.abs(cost)  # a bound rounds down
+        leaves = dynamics.exits > 0.0
+        floor = -float(greatest(-(cost[leaves] / dynamics.exits[leaves]).min(initial=np.inf)))
+        floor = max(floor - 4.0 * MACHINE_EPSILON * floor, 0.0) if np.isfinite(floor) else 0.0
+        values = np.maximum(np.where(np.isfinite(values), values, floor), floor)
+        most = float(greatest(values.max(initial=0.0)))
+        for share in _SHRUNK:
+            lowered = floor + (1.0 - share) * (values - floor) - share * _BELOW * most
+            lowered = np.maximum(lowered, floor)
+            least = lowered - _LOST * most
+            for _ in range(_LOWERINGS):
+                lack = shortfall(dynamics, cost, self.halo.filled(lowered))[:n]
+                if not self.ranks.any(lack):
+                    return lowered
+                below = np.minimum(lowered - lack, np.nextafter(lowered, -np.inf))
+                lowered = np.maximum(np.where(lack > 0.0, below, lowered), floor)
+                if share == 0.0 or self.ranks.any(lowered < least):
+                    break
+        return np.full_like(values, floor)
+
+    def pulled_back(self, column: Column) -> Policy:
+        """The decisions that a column takes in the rank's own states of the model."""
+        part: Any = self.labelled.quotient.model
+        return OwnDecisions(part, self._positions(column), column.figures)
+
+    def _positions(self, column: Column) -> IntArray:
+        """Decisions of a column in the own states, as positions among the actions or codes."""
+        quotient, choice = self.labelled.quotient, np.asarray(column.choice)
+        positions = np.full(self.n_states, UNDECIDED, dtype=np.int32)
+        stays = (choice == self._exits) & (self.stays >= 0)
+        pair = quotient.pair_at[np.where(stays, self.stays, choice)]
+        live = quotient.node_of[: self.n_states] >= 0
+        first = quotient.model.pair_offsets[: self.n_states][live]
+        positions[live] = np.where(pair < 0, pair, pair - first)
+        return positions
+
+    def choice_of(self, positions: IntArray) -> IntArray:
+        """The choice of decisions in the own states, [own nodes].
+
+        Raises:
+            ModelError: there is none in some state, or one that may not be taken.
+        """
+        quotient, live = (
+            self.labelled.quotient,
+            self.labelled.quotient.node_of[: self.n_states] >= 0,
+        )
+        taken, first = positions[live], quotient.model.pair_offsets[: self.n_states][live]
+        choice = np.where(taken >= 0, quotient.places[np.maximum(taken, 0) + first], -1)
+        choice = np.where(taken == GIVE_UP_CODE, self._exits, choice)
+        if (choice < 0).any():
+            state = quotient.model.states[int(np.flatnonzero(live)[np.argmax(choice < 0)])]
+            raise ModelError(f"the policy has no decision in state {state!r}, or may not give up")
+        return choice.astype(np.int32)
+
+    def evaluated(self, positions: IntArray) -> Column:
+        """The column of a policy's decisions in the own states, which gives up where it failed."""
+        choice = self.ranks.agreed(lambda: self.choice_of(positions))
+        nothing = np.zeros(self.halo.n_own)
+        return self.measured(self._giving_up(_Equations(self, choice, nothing)))
+
+
+def partitioned_process(compiled: CompiledExplicit, **more: Any) -> PartitionedProcess:
+    """State the process of a compiled problem of case M on a part of its model.
+
+    Where one may stay for ever at no cost anyone may give up: nothing is collapsed there. All ranks
+    make theirs together.
+
+    Args:
+        compiled: the problem.
+        more: fields of the process.
+    """
+    part: Any = compiled.model
+    semantics, discount, halo = compiled.semantics, compiled.discount, part.halo
+    own = np.arange(part.n_states) < halo.n_own
+    exits, free = giving_up_states(part, semantics.give_up), np.zeros(part.n_states, dtype=np.bool_)
+    stays = np.full(part.n_states, -1)
+    if discount is None and semantics.give_up is GiveUp.DEAD_ENDS:  # else one may give up there
+        pairs = free_pairs(part, semantics.aim, compiled.side, compiled.objective)
+        ended = part.goal_mask | part.facts["hopeless_states"] | (np.diff(part.pair_offsets) == 0)
+        free = halo.staying(part.graph, pairs, ended)
+        staying = np.flatnonzero(pairs & free[part.pair_state] & ~pairs_into(part.graph, ~free))
+        stays[part.pair_state[staying[::-1]]] = staying[::-1]
+    quotient = replace(build_quotient(part, exits=(exits | free) & own), merged=free)
+    start, live = np.where(own, compiled.start, 0.0), quotient.node_of >= 0
+    begun = np.where(live, start, 0.0)
+    labelled = label_failure(part, begun, semantics, discount, quotient=quotient)
+    counting = counting_of(labelled, start, semantics, discount)
+    dead = float(start[quotient.dead].sum())
+    cost, at_once = labelled.own_cost, counting.cost(part)[1] + semantics.penalty * dead
+    if compiled.objective is not None:
+        cost, at_once = compiled.objective.at(counting)
+    elif semantics.aim is Aim.GREATEST_GOAL:
+        at_once = dead
+    rows = [(cost, at_once), (labelled.process.failure, dead)]
+    rows += [row.at(counting) for row in compiled.side]
+    n_own = int(np.count_nonzero(live & own))
+    numbers = np.where(live, halo.ranks.comm.scan(n_own) - n_own + np.cumsum(live) - 1, 0)
+    numbers = halo.filled(numbers.astype(np.float64)).astype(np.int64)
+    return PartitionedProcess(
+        labelled,
+        Halo(halo.ranks, n_own, numbers[live][n_own:]),
+        np.stack([row for row, _ in rows], axis=1),
+        halo.ranks.total([begun for _, begun in rows]),
+        labelled.process.start[:n_own],
+        compiled.wants_ends or semantics.give_up is GiveUp.DEAD_ENDS,
+        np.where(stays >= 0, quotient.places[stays], -1)[live & own],
+        **more,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledPartitioned(CompiledExplicit):
+    """Case M compiled on parts of a model."""
+
+    more: dict[str, Any] = field(kw_only=True, default_factory=dict)  # fields of the process
+
+    is_whole = False  # another question is labelled in place of this one
+
+    def pricing(self) -> PartitionedProcess:  # type: ignore[override]
+        """The pricing problem, with a price for each row."""
+        return self._priced
+
+    @cached_property
+    def _priced(self) -> PartitionedProcess:
+        """The process, stated once."""
+        return partitioned_process(self, **self.more)
+
+    def counting_rare_success(self, budget: float | None) -> CompiledPartitioned:
+        """The compiled problem itself: failing is what ranks count."""
+        return self
+
+    def least_failure(self) -> LeastFailure:
+        """The cheapest of the policies that fail least, by a price of failure at which it does.
+
+        What attains the least of ``cost + price * failure`` and fails least is the cheapest of all
+        that do. Where no price is steep enough: one that fails least, whatever it costs.
+        """
+        pricing = self.pricing()
+        cost, failure = np.eye(2, pricing.n_rewards)
+        column = safest = pricing.minimise(failure)
+        least = safest.failure + _SAME * min(safest.failure, 1.0 - safest.failure)
+        proved = min(max(pricing.prove(failure, safest).bound, 0.0), safest.failure)
+        for steep in _STEEPER:
+            cheaper = pricing.minimise(cost + steep * max(safest.cost, 1.0) * failure, column)
+            if cheaper.failure <= least:
+                column = cheaper
+                break
+        return LeastFailure(pricing.policy(column), column, 0.0, proved)
+
+    def failure_at_least(self, discount: float | None) -> float:
+        """The least failure of all policies, for an error."""
+        other = CompiledPartitioned(self.model, self.start, self.semantics, discount)
+        return other.least_failure().column.failure
+
+    def settled(self, *known: Column) -> CompiledPartitioned:
+        """The compiled problem with the least failure as its budget, where that is no less.
+
+        Raises:
+            InfeasibleError: the budget is below the least failure by more than rounding.
+        """
+        least = self.least.column.failure if self.limits_failure else -np.inf
+        return self if (self.budget or 0.0) > least else replace(self, budget=least)
+
+    def refined(self, price: float) -> None:
+        """Nothing: the process truncates nothing, and is evaluated as finely as it can be."""
+        return
