@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from math import fsum
-from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias, cast
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias, cast
 
 import numpy as np
 
@@ -106,28 +106,6 @@ class PartOfSweep(NamedTuple):
     measures: FloatArray | None  # [nodes, 1 + counted] from there on; None: can be followed
 
 
-class Neighbours(Protocol):
-    """Ranks that sweep other nodes of the same layers, at the same time."""
-
-    @property
-    def size(self) -> int:
-        """Number of nodes that are known: the own ones first, then neighbours' ghosts."""
-
-    def filled(self, own: FloatArray) -> FloatArray:
-        """Values of own nodes, [nodes, ...], with those of neighbours', [known nodes, ...]."""
-
-    def gather(self, values: FloatArray) -> None:
-        """Add up, in place, what was sent to own nodes; to neighbours' there is nothing then."""
-
-
-class OwnNodes(NamedTuple):
-    """The nodes that a rank sweeps, and who sweeps the others."""
-
-    own: slice
-    neighbours: Neighbours
-    follows: bool  # mass is followed forwards, in compiled loops; all ranks do alike
-
-
 @dataclass(frozen=True, eq=False)
 class Sweep:
     """The sweeps over the layers of one process, and what they share.
@@ -140,7 +118,6 @@ class Sweep:
     process: ChargedLayers
     counted: FloatArray  # [pairs, counted] beside the charge
     on_top: FloatArray | None = None  # [pairs] charged besides, whatever has been paid
-    share: OwnNodes | None = None  # of a rank; None: all nodes are swept
 
     @classmethod
     def of_ends(cls, process: ChargedLayers) -> Sweep:
@@ -151,10 +128,7 @@ class Sweep:
     @cached_property
     def pair_offsets(self) -> IntArray:
         """Offsets of the pairs of each swept node in a layer, [nodes + 1]."""
-        offsets = self.process.base.pair_offsets
-        if self.share is None:
-            return offsets
-        return offsets[self.share.own.start : self.share.own.stop + 1]
+        return self.process.base.pair_offsets
 
     @cached_property
     def first_pairs(self) -> IntArray:
@@ -169,8 +143,7 @@ class Sweep:
     @cached_property
     def start(self) -> FloatArray:
         """Start mass of the swept nodes, [nodes]."""
-        start = self.process.base.start
-        return start if self.share is None else start[self.share.own]
+        return self.process.base.start
 
     @cached_property
     def charged(self) -> Callable[[int], PairCost]:
@@ -337,26 +310,16 @@ class Sweep:
         """
         process, mass, sums = self.process, self._begun_mass, list[list[float]]()
         for layer in range(process.cap):
-            self._gathered(mass.here)
             sums.append(mass.follow(choice[layer], self.charged(layer)).tolist())
         for left, each in zip(mass.left, beyond, strict=False):
-            sums.append((self._gathered(left) @ each).tolist())
+            sums.append((left @ each).tolist())
         return np.array([fsum(each) for each in zip(*sums, strict=True)])
 
     @property
     def _begun_mass(self) -> LayerMass:
         """The mass of the sweep's first layer, to be followed forwards."""
-        start = self.start
-        if self.share is not None:
-            start = np.append(start, np.zeros(self.share.neighbours.size - len(start)))
-        rows = LayerRows(self.process.base.later, self.pair_offsets, self.counted, start)
+        rows = LayerRows(self.process.base.later, self.pair_offsets, self.counted, self.start)
         return LayerMass(rows, self.process.totals)
-
-    def _gathered(self, mass: FloatArray) -> FloatArray:
-        """Mass of the swept nodes, with what others have sent to them, [nodes]."""
-        if self.share is not None:
-            self.share.neighbours.gather(mass)
-        return mass[: self.n_nodes]
 
     def mass_beyond(self, choice: IntArray) -> FloatArray:
         """Mass of a choice that gets beyond the cap, by a forward sweep, [layers beyond, nodes]."""
@@ -457,22 +420,12 @@ class Sweep:
             The layer, and its numbers, [nodes, ...] each.
         """
         totals = self.process.totals
-        windows = [Window(self._all_told(numbers), totals) for numbers in beyond]
+        windows = [Window(numbers, totals) for numbers in beyond]
         for layer in backward(self.process.cap):
             swept = step(layer, *(window.flat for window in windows))
             for window, numbers in zip(windows, swept, strict=True):
-                window.push(numbers if self.share is None else self._told(numbers))
+                window.push(numbers)
             yield layer, swept
-
-    def _all_told(self, layers: FloatArray) -> FloatArray:
-        """The same of several layers, [layers, known nodes, ...]."""
-        if self.share is None or not len(layers):
-            return layers
-        return np.stack([self._told(layer) for layer in layers])
-
-    def _told(self, values: FloatArray) -> FloatArray:
-        """Values of swept nodes, [nodes, ...], with those of all known ones, [known nodes, ...]."""
-        return values if self.share is None else self.share.neighbours.filled(values)
 
     def _measures(self, layer: int, chosen: IntArray, ahead: FloatArray) -> FloatArray:
         """Measures of a layer's choice in the sweep, [nodes, 1 + counted].
@@ -506,8 +459,6 @@ class Sweep:
     @property
     def can_follow(self) -> bool:
         """Whether a choice can be swept forwards, in compiled loops."""
-        if self.share is not None:
-            return self.share.follows
         return self.is_acyclic and accelerated(self.process.base.later.nnz, "layers.follow_layer")
 
     @property
@@ -515,11 +466,7 @@ class Sweep:
         """The layers as the compiled backward sweep reads them; None: it does not run compiled."""
         process, base = self.process, self.process.base
         cells = base.n_nodes * process.totals.span * (1 + self.counted.shape[1]) // 3
-        if (
-            self.share is not None
-            or cells > _MOST_CELLS
-            or (base.instant.nnz == 0 and base.later.nnz > _MOST_ENTRIES)
-        ):
+        if cells > _MOST_CELLS or (base.instant.nnz == 0 and base.later.nnz > _MOST_ENTRIES):
             return None
         loops = ("layers.sweep_layers", *(COMPONENTS if base.instant.nnz else ()))
         if base.n_nodes == 0 or not accelerated(base.later.nnz * process.cap, *loops):

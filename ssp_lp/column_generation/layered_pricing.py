@@ -22,7 +22,6 @@ from ssp_lp.accumulated_cost.charges import TailValues
 from ssp_lp.accumulated_cost.process import LayeredProcess
 from ssp_lp.accumulated_cost.sweep import (
     KEPT_VALUES,
-    OwnNodes,
     PartOfSweep,
     Priced,
     Sweep,
@@ -331,11 +330,7 @@ class OpenEndedPricing(PricingProblem):
         for last in dict.fromkeys(known):
             if self._beyond.is_best(last, weights):
                 return replace(last, work=bellman.Work())
-        return self.tail(self._beyond.minimise(weights, *known))
-
-    def tail(self, last: Column) -> Column:
-        """What is done beyond the cap, with all that layered pricing needs to know of it."""
-        return last
+        return self._beyond.minimise(weights, *known)
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
         """Best lower bound that layered pricing's sweep with rows gives."""
@@ -421,21 +416,18 @@ class OpenEndedPricing(PricingProblem):
         return self.augmented.policy(chosen.ravel())
 
 
-def open_sweep(
-    table: OpenEnded, rows: Sequence[FloatArray], share: OwnNodes | None = None, *, by_goal: bool
-) -> Sweep:
+def open_sweep(table: OpenEnded, rows: Sequence[FloatArray], *, by_goal: bool) -> Sweep:
     """The sweeps over an open-ended table that count failing, or minus the goal, and rows.
 
     Args:
         table: the layers.
         rows: what is counted besides, [pairs] each.
-        share: of a rank; None: all nodes are swept.
         by_goal: whether minus the goal is counted.
     """
     base = table.base
     ending = -base.survival * base.gain if by_goal else base.failure
     on_top = table.shift_of_ends[0] if table.shift else None
-    return Sweep(table, np.stack([ending, *rows], axis=1), on_top, share)
+    return Sweep(table, np.stack([ending, *rows], axis=1), on_top)
 
 
 def ahead_of(table: OpenEnded, beyond: FloatArray) -> FloatArray:

@@ -115,8 +115,6 @@ def best_within_budget(
     budget, sense = problem.failure_budget, problem.semantics.sense
     budget = 1.0 if budget is None else budget
     compiled = problem.compile()
-    if options.partition is not None:
-        compiled = compiled.shared_by(options.partition)
     if guess is not None:
         compiled = compiled.capped_at((1.0 + guess.spread) * guess.price)
     outcome = refined_optimum(compiled, budget, options, guess)

@@ -155,7 +155,7 @@ def solve_on_fine_lattice(problem: Problem, options: SolveOptions) -> Solution:
         Stop: the time ended before one that does was found.
     """
     coarse = coarser_unit(problem)
-    if coarse is None or options.deterministic or options.program or options.partition:
+    if coarse is None or options.deterministic or options.program:
         return best_within_budget(problem, options)
     return refine(_lattice_attempts(problem, options, *coarse), options.tolerance)
 

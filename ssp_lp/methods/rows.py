@@ -115,8 +115,6 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
             answer fails its check.
     """
     stated = compiled_constrained(problem).counting_rare_success(problem.failure_budget)
-    if options.partition is not None:
-        stated = stated.shared_by(options.partition)
     try:
         optimum = rows_optimum(stated, options, true_figures(problem, stated))
         is_rare = is_rarely_reached(stated, 1.0 - optimum.failure)
@@ -188,7 +186,7 @@ def rows_optimum(
         Stop: the time ended before any policy was evaluated; it carries what has a bound alone.
     """
     guess: _RowsOptimum | None = None
-    if options.program is None and stated.partition is None:
+    if options.program is None:
         stated = stated.with_tails(exact=False)
     if stated.resolution is not None and stated.charge is not None:
         coarse = replace(stated, resolution=Resolution(grid=_COARSE_TOTALS, most=_COARSE_TOTALS))
