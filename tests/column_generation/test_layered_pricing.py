@@ -54,12 +54,12 @@ def guessing(monkeypatch, accelerate):
 def test_a_guess_leads_to_the_same_optimum(request):
     grid = RobotGrid(segments=8, headings=8)
     problems = [S3P(*FIELD, 0.9), S3P(*FIELD, 0.6), S3P(grid_model(grid), start_state(grid), 0.3)]
-    before = [solve(problem) for problem in problems]
+    before = [solve(problem, tolerance=1e-13) for problem in problems]
     request.getfixturevalue("guessing")
     for problem, known in zip(problems, before, strict=True):
         problem = replace(problem)
         assert problem.compile().pricing().first().policy is None
-        found = solve(problem)
+        found = solve(problem, tolerance=1e-13)
         assert found.objective == pytest.approx(known.objective, rel=1e-12)
         certificate = certify(found)
         assert certificate.accepted
