@@ -50,7 +50,7 @@ class Ranks:
         """Return what every rank makes by itself; where one cannot, all ranks end with an error.
 
         Raises:
-            Exception: the rank's own, or else a ModelError with the words of the first that failed.
+            SSPError: the rank's own, or a ModelError with the words of the first that failed.
         """
         made, error = None, None
         try:
@@ -59,8 +59,10 @@ class Ranks:
             error = raised
         told = self.comm.allgather(error and f"{type(error).__name__}: {error}")
         for rank, words in enumerate(told):
-            if words is not None:
-                raise error or ModelError(f"rank {rank} failed: {words}")
+            if words is not None and not isinstance(error, SSPError):
+                raise ModelError(f"rank {rank} failed: {words}") from error
+        if error is not None:
+            raise error
         return made  # type: ignore[return-value]
 
     def alike(self, what: str, mine: Mapping[str, Any]) -> None:
@@ -147,8 +149,7 @@ class Halo:
             local.array[: self.n_own] = own[: self.n_own]
         self._vector.ghostUpdate()
         with self._vector.localForm() as local:
-            found = local.array.astype(own.dtype)
-        return found
+            return local.array.astype(own.dtype)
 
     @cached_property
     def numbers(self) -> IntArray:
