@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any, ClassVar, Protocol, Self, TextIO
+from typing import ClassVar, Self, TextIO
 
 from ssp_lp.arrays import RELATIVE_GAP
 from ssp_lp.errors import (
@@ -49,26 +49,6 @@ _BETWEEN = 0.1  # seconds between two tellings of how far work has come
 _WIDTH, _BAR = 100, 20  # characters of a line, and of a bar in it
 
 
-Partition = Callable[[Any], Any]
-"""Makes of a pricing problem the dynamics of its process, shared by several ranks, who hold its
-rewards, too."""
-
-
-class SharedPricing(Protocol):
-    """Pricing by several ranks, such as :class:`ssp_lp.distributed.Petsc`."""
-
-    def on_every_rank(
-        self, problem: Any, options: SolveOptions, solved: Callable[[Partition], Any]
-    ) -> Any:
-        """The solution of a problem, on every rank that asks for it.
-
-        Args:
-            problem: the problem.
-            options: tolerance and limits.
-            solved: finds the solution, given what shares the pricing; called on one rank.
-        """
-
-
 class _Option:
     """Mix-in of methods: a misspelled option of theirs is named."""
 
@@ -80,24 +60,9 @@ class _Option:
 
 @dataclass(frozen=True)
 class ColumnGeneration(_Option):
-    """Policies priced one by one into a small master program; what is chosen unless asked.
-
-    Args:
-        pricing: who shares the pricing, such as ``ssp_lp.distributed.Petsc()``; None:
-            this process does it alone.
-
-    Raises:
-        ModelError: something that shares no pricing.
-    """
-
-    pricing: SharedPricing | None = None
+    """Policies priced one by one into a small master program; what is chosen unless asked."""
 
     name: ClassVar[str] = "columns"
-
-    def __post_init__(self) -> None:
-        if self.pricing is not None and not hasattr(self.pricing, "on_every_rank"):
-            wanted = "be None or, say, ssp_lp.distributed.Petsc()"
-            raise wrong_argument("pricing", wanted, self.pricing)
 
 
 @dataclass(frozen=True)
@@ -214,7 +179,6 @@ class SolveOptions:
     program: LinearProgramming | None = None  # solve the full linear program first
     deterministic: bool = False  # no lottery will do
     tail: float | None = None  # the M of the game, in case S
-    partition: Partition | None = None  # who shares the pricing
 
     @property
     def method(self) -> str:

@@ -20,10 +20,8 @@ from ssp_lp.methods.approaches import Case, approach_to, refusal
 from ssp_lp.methods.incumbent import Incumbent, broken_limit
 from ssp_lp.model.arguments import explained
 from ssp_lp.options import (
-    ColumnGeneration,
     Game,
     Method,
-    Partition,
     Progress,
     SolveOptions,
     options_of,
@@ -80,22 +78,15 @@ def solve(
     if (refused := refusal(problem, chosen)) is not None:
         raise refused
 
-    def solved(partition: Partition | None = None) -> Solution:
-        """The answer to the problem as it is stated, its pricing shared by a partition."""
-        begun = time.perf_counter()
-        with progress_shown(verbose):
-            found = _solved_with_proof(problem, chosen, replace(options, partition=partition))
-        reason = found.run.reason
-        if method is None:
-            reason = reason.replace("as asked", "which scales best for one failure row")
-        seconds = time.perf_counter() - begun
-        run = replace(found.run, reason=reason, seconds=seconds, time_limit=time_limit)
-        return replace(found, problem=problem, policy=pulled_back(found.policy, problem), run=run)
-
-    if isinstance(chosen, ColumnGeneration) and chosen.pricing is not None:
-        answer: Solution = chosen.pricing.on_every_rank(problem, options, solved)
-        return answer
-    return solved()
+    begun = time.perf_counter()
+    with progress_shown(verbose):
+        found = _solved_with_proof(problem, chosen, options)
+    reason = found.run.reason
+    if method is None:
+        reason = reason.replace("as asked", "which scales best for one failure row")
+    seconds = time.perf_counter() - begun
+    run = replace(found.run, reason=reason, seconds=seconds, time_limit=time_limit)
+    return replace(found, problem=problem, policy=pulled_back(found.policy, problem), run=run)
 
 
 def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) -> Solution:

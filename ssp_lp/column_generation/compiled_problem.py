@@ -55,7 +55,6 @@ from ssp_lp.dynamic_programming.evaluation import PROVED_OF_MANY
 from ssp_lp.errors import Argument, InfeasibleError, ModelError, SolverError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends, goal_approach, surely_reaching
-from ssp_lp.options import Partition
 from ssp_lp.policies.policy import DeterministicPolicy, Policy
 from ssp_lp.processes import goal_reach
 from ssp_lp.processes.conditions import FAILURE_ROW, UpperRow
@@ -178,10 +177,6 @@ class CompiledProblem(ABC):
 
     def for_program(self) -> Self:
         """The compiled problem whose written-out process has the problem's optimum."""
-        return self
-
-    def shared_by(self, partition: Partition) -> Self:
-        """The compiled problem whose pricing several ranks share, where that is known how."""
         return self
 
     @abstractmethod
@@ -891,14 +886,9 @@ class CompiledExplicit(CompiledProblem):
     fixed_cap: float | None = None  # the user's cap on accumulated cost
     objective: UpperRow | None = None  # minimised in place of the cost; no charge then
     resolution: Resolution | None = None  # totals that are no multiples of a unit
-    partition: Partition | None = None  # who shares the pricing
     by_goal: bool = False  # success, as minus the goal, is counted in place of failing
 
     is_whole: ClassVar[bool] = True  # other questions can be asked of the model as well
-
-    def shared_by(self, partition: Partition) -> CompiledExplicit:
-        """The compiled problem whose explicit pricing several ranks share."""
-        return replace(self, partition=partition)
 
     def counting_rare_success(self, budget: float | None) -> Self:
         """The compiled problem with success counted in place of failing where it is rare.
@@ -917,7 +907,7 @@ class CompiledExplicit(CompiledProblem):
         """Whether rows alone may make success rare, which is not counted by itself yet."""
         is_greatest = self.semantics.aim is Aim.GREATEST_GOAL and self.objective is None
         is_free = self.ratio and self.budget is not None and self._demanded == 0.0
-        return (is_greatest or is_free) and not self.by_goal and self.partition is None
+        return (is_greatest or is_free) and not self.by_goal
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -1126,7 +1116,7 @@ class CompiledExplicit(CompiledProblem):
         if self.by_goal and self.semantics.aim is Aim.GREATEST_GOAL:
             counted = -self.augmented.process.goal
         how = self.precise, tuple(rows), counted
-        return ExplicitPricing(self.augmented, *how, partition=self.partition, by_goal=self.by_goal)
+        return ExplicitPricing(self.augmented, *how, by_goal=self.by_goal)
 
     def row_coefficients(self, rows: Sequence[UpperRow]) -> list[FloatArray]:
         """Coefficients of the compiled problem's rows at each pair, [process pairs] each."""

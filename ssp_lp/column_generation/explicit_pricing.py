@@ -46,7 +46,6 @@ from ssp_lp.dynamic_programming.dynamics import Dynamics, leaving_choice
 from ssp_lp.dynamic_programming.equations import DIRECT_STATES
 from ssp_lp.dynamic_programming.evaluation import evaluate_policy
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy, switched
-from ssp_lp.options import Partition
 from ssp_lp.policies.policy import Policy
 from ssp_lp.processes.explicit_process import (
     Contraction,
@@ -81,7 +80,6 @@ class ExplicitPricing(PricingProblem):
     rows: tuple[FloatArray, ...] = ()  # [pairs] each: what is counted besides cost and failure
     counted: FloatArray | None = None  # [pairs] in place of the process's cost
     begun_from: IntArray | None = None  # [states] a policy that leaves, where one is known
-    partition: Partition | None = None  # who shares the equations and backups of policy iteration
     by_goal: bool = False  # success, as minus the goal, is counted in place of failing
     _known: dict[bytes, Contraction | None] = field(default_factory=dict)  # by what is priced
 
@@ -92,18 +90,10 @@ class ExplicitPricing(PricingProblem):
         """The written-out process of explicit pricing."""
         return self.augmented.process
 
-    @cached_property
+    @property
     def dynamics(self) -> Dynamics:
-        """Dynamics of the process of explicit pricing, shared with other ranks if there are."""
-        if self.partition is None:
-            return self.process.dynamics
-        shared: Dynamics = self.partition(self)
-        return shared
-
-    @cached_property
-    def _held(self) -> FloatArray:
-        """Explicit pricing's rewards, by what others hold: each is theirs, [rewards, rewards]."""
-        return np.eye(self.n_rewards)
+        """Dynamics of the process of explicit pricing."""
+        return self.process.dynamics
 
     @property
     def n_rewards(self) -> int:
@@ -159,8 +149,7 @@ class ExplicitPricing(PricingProblem):
         noise = _noise(weights, warm) if self.by_goal or self.rows else 0.0
         run = partial(iterate_policy, precise=self.precise or None, floor=noise)
         if smaller is None:
-            rewards = self.rewards if self.partition is None else self._held
-            settled = run(self.dynamics, rewards, weights, choice, guess)
+            settled = run(self.dynamics, self.rewards, weights, choice, guess)
             found = settled.choice, settled.totals
             return self._column(*found, work=settled.work, found_at=at)
         choice = smaller.begun(self.process, choice).astype(np.int32)
@@ -224,8 +213,7 @@ class ExplicitPricing(PricingProblem):
             work: what finding it took.
             found_at: a price at which no policy is worth less.
         """
-        rewards = self.rewards if self.partition is None else self._held
-        totals = evaluate_policy(self.dynamics, choice, rewards)
+        totals = evaluate_policy(self.dynamics, choice, self.rewards)
         return self._column(choice, totals.values, work=work + Work(1, 0), found_at=found_at)
 
     def _column(self, choice: IntArray, totals: FloatArray, **more: Any) -> Column:

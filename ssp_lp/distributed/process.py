@@ -155,8 +155,7 @@ class _Equations:
             else:
                 break
         if not missed <= max(accuracy, _LET_PASS):
-            raise SolverError("PETSc does not come near to the totals of a policy: try other options "
-                              "such as -ssp_lp_ksp_type gmres, -ssp_lp_pc_type redundant")  # fmt: skip
+            raise SolverError("PETSc does not solve a policy's equations: -ssp_lp_ksp_type gmres?")
         if ranks.any((x != 0.0) & (np.abs(x) <= _DUST * scale)):
             x[~self.leading(right != 0.0)] = 0.0
         return x

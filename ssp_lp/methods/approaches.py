@@ -110,25 +110,12 @@ def approach_to(case: Case) -> _Approach:
     return next(approach for approach in APPROACHES if approach.answers(case))
 
 
-def is_shared(asks: Requirements) -> bool:
-    """Whether several ranks share an approach to what is asked: costs within a failure budget."""
-    is_cost = asks.counts_totals or asks.aim is Aim.LEAST_COST
-    return is_cost and not (asks.least_failure or asks.is_risk)
-
-
 def refusal(problem: Problem, method: options.Method) -> ModelError | None:
     """Why no approach of a method answers a problem; None: one does."""
-    relaxation = getattr(method, "relaxation", method)
-    pricing = getattr(relaxation, "pricing", None)
-    if pricing is None and isinstance(method, options.ColumnGeneration | options.LinearProgramming):
+    if isinstance(method, options.ColumnGeneration | options.LinearProgramming):
         return None  # a budget of a share is not worked out for it
     asks, named = problem.requirements, Argument("method", method.name)
     name = f"{type(problem).__name__}{' with limits' if problem.conditions else ''}"
-    if pricing is not None:
-        if is_shared(asks) and relaxation is method:
-            return None
-        return ModelError(f"pricing by {pricing!r} is for costs within a failure budget, not for ",
-                          f"{name}: leave ", Argument("pricing"), " out")  # fmt: skip
     if isinstance(method, options.DeterministicPolicies) and (
         asks.several_rows or asks.totals is TotalScale.SUMS or asks.law
     ):

@@ -112,8 +112,6 @@ def best_within_budget(problem: Problem, options: SolveOptions) -> Solution:
     budget, sense = problem.failure_budget, problem.semantics.sense
     budget = 1.0 if budget is None else budget
     compiled = problem.compile()
-    if options.partition is not None:
-        compiled = compiled.shared_by(options.partition)
     outcome = refined_optimum(compiled, budget, options)
     generated = outcome.generated
     worth, bound = sense.worth(generated.objective), sense.worth(generated.lower_bound)

@@ -105,8 +105,6 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
             answer fails its check.
     """
     stated = compiled_constrained(problem).counting_rare_success(problem.failure_budget)
-    if options.partition is not None:
-        stated = stated.shared_by(options.partition)
     try:
         optimum = rows_optimum(stated, options, true_figures(problem, stated))
         is_rare = is_rarely_reached(stated, 1.0 - optimum.failure)
