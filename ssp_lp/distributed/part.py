@@ -38,7 +38,7 @@ class Part(SSP):
     """Numbers of states that were asked for and are not known here."""
 
     @property
-    def kept_facts(self) -> dict[str, Any]:  # type: ignore[override]
+    def kept_facts(self) -> dict[str, Any]:
         """Facts about the graph of which the part is one, for the states known here."""
         return self.facts
 

@@ -237,7 +237,7 @@ class PartitionedProcess(PricingProblem):
     @property
     def n_rewards(self) -> int:
         """Number of rewards: cost, failure and rows."""
-        return self.rewards.shape[1]
+        return int(self.rewards.shape[1])
 
     @property
     def n_states(self) -> int:
@@ -321,8 +321,8 @@ class PartitionedProcess(PricingProblem):
         full, known = np.zeros(self.halo.size, dtype=np.int32), self.halo.filled(values)
         full[:n] = choice
         for _ in range(_SWEEPS // at_once):
-            before, how = full.copy(), {"is_sorted_anew": True, "states": np.arange(n)}
-            self.dynamics.improve_by_sweeps(cost, full, known, 0.0, at_once, **how)
+            before, how = full.copy(), (cost, full, known, 0.0, at_once)
+            self.dynamics.improve_by_sweeps(*how, is_sorted_anew=True, states=np.arange(n))
             known = self.halo.filled(known)
             changed.append(float(self.ranks.total(np.count_nonzero(full != before))))
             if changed[-1] <= SETTLED * max(changed):
@@ -447,7 +447,7 @@ class PartitionedProcess(PricingProblem):
             for _ in range(_LOWERINGS if share else 1):
                 lack = shortfall(dynamics, cost, self.halo.filled(lowered))[:n]
                 if not self.ranks.any(lack):
-                    return lowered
+                    return np.asarray(lowered)
                 below = np.minimum(lowered - lack, np.nextafter(lowered, -np.inf))
                 lowered = np.maximum(np.where(lack > 0.0, below, lowered), floor)
         return np.full_like(values, floor)

@@ -86,7 +86,7 @@ def check_rows():
 
     def rows(first, end):
         """Rows that fail on the last rank."""
-        if end == CELLS + 2 and first < end - 1 or COMM.size == 1:
+        if (end == CELLS + 2 and first < end - 1) or COMM.size == 1:
             raise ZeroDivisionError("no rows here")
         return walk(first, end)
 

@@ -63,7 +63,13 @@ def check_parts(model, made):
         assert np.array_equal(fact(part), fact(model)[halo.numbers])
     if COMM.size > 1:  # nobody keeps a vector over all states
         arrays = [value for value in vars(part).values() if isinstance(value, np.ndarray)]
-        own_sizes = part.n_states, part.n_states + 1, part.n_pairs, part.n_pairs + 1, part.n_outcomes
+        own_sizes = (
+            part.n_states,
+            part.n_states + 1,
+            part.n_pairs,
+            part.n_pairs + 1,
+            part.n_outcomes,
+        )
         assert all(array.size in own_sizes for array in arrays)
 
 
@@ -105,10 +111,21 @@ def check_discretised():
 
 def check_small_models():
     """Answers whose closed forms or brute force are tested elsewhere are the local ones."""
-    for choices, start, budget in ((TWO_MOVES, 0, 0.02), (DUPLICATES, 0, 0.03), (FREE_PAIR, 0, 0.25)):
+    for choices, start, budget in (
+        (TWO_MOVES, 0, 0.02),
+        (DUPLICATES, 0, 0.03),
+        (FREE_PAIR, 0, 0.25),
+    ):
         model = numbered(model_of(choices))
-        for more in ({}, {"give_up": "dead_ends"}, {"discount": 0.9}, {"charge_failing_step": True}):
-            check_the_same(model, partitioned(model), MCMP, start=start, failure_budget=budget, **more)
+        for more in (
+            {},
+            {"give_up": "dead_ends"},
+            {"discount": 0.9},
+            {"charge_failing_step": True},
+        ):
+            check_the_same(
+                model, partitioned(model), MCMP, start=start, failure_budget=budget, **more
+            )
     spread = {"start": {0: 0.5, 2: 0.3, 3: 0.2}, "failure_budget": 0.4}  # in the goal and lost, too
     model = numbered(model_of(DUPLICATES))
     check_the_same(model, partitioned(model), MCMP, **spread)
@@ -189,7 +206,8 @@ def check_long_walks():
 
     made, whole = PartitionedModel.from_rows(rows, n + 2, [n]), rows(0, n + 2)
     model = SSP.from_arrays(
-        pair_offsets=np.append(0, np.cumsum(whole.actions)), outcome_offsets=3 * np.arange(2 * n + 1),
+        pair_offsets=np.append(0, np.cumsum(whole.actions)),
+        outcome_offsets=3 * np.arange(2 * n + 1),
         successors=whole.successors, probabilities=whole.probabilities, costs=1.0, goal_states=[n],
         treat_actionless_as_dead_ends=True,
     )  # fmt: skip
