@@ -5,12 +5,12 @@
 starts mpiexec itself. Every number of ranks, and the local method on as many threads as --threads
 says, is a whole process of its own; they take turns, and ratios are medians over the turns of what
 stands in one turn. Seconds are those of the slowest rank, after one small question has loaded the
-compiled loops; memory is the most that a rank had resident, with Python and all libraries. Messages
-and megabytes are those of ghosts' values that the rank which sends most of them has sent.
+compiled loops; memory is the most that a rank had resident, with Python and all libraries, and what
+was resident before the model was made.
 
-Strong scaling asks the same of more ranks: the least cost of the robot (M), and that given success
-with costs capped at 80 (S80), exact and discounted. Weak scaling gives each rank as many states of
-a corridor whose width grows with them; what is near the start, and so the cost, stays the same.
+Strong scaling asks the same of more ranks: the least cost of the robot, exact and discounted. Weak
+scaling gives each rank as many states of a corridor whose width grows with them; what is near the
+start, and so the cost, stays the same.
 """
 
 import json
@@ -31,7 +31,7 @@ import numpy.typing as npt
 
 from examples.distributed.robot_on_ranks import shared_robot
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
-from ssp_lp import MCMP, S3P, SSPError, solve
+from ssp_lp import MCMP, SSPError, solve
 from ssp_lp.distributed import PartitionedModel, StateRows
 
 SETTINGS = {
@@ -42,10 +42,6 @@ SETTINGS = {
     "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
     "OMPI_MCA_rmaps_base_oversubscribe": "1",  # more ranks than cores
     "OMPI_MCA_mpi_yield_when_idle": "1",  # a rank that waits lets others work
-}
-CASES: dict[str, tuple[type[Any], dict[str, Any]]] = {
-    "M": (MCMP, {}),
-    "S80": (S3P, {"cost_cap": 80.0}),
 }
 LIMIT = 3600  # seconds after which a process has hung
 LENGTH = 100  # cells of the corridor from the start to the goal
@@ -113,14 +109,13 @@ def most_resident() -> float:
     return next(int(line.split()[1]) for line in told.splitlines() if "VmHWM" in line) / 1024
 
 
-def measured(world: str, case: str, discount: float | None, budget: float, ranks: int) -> Any:
+def measured(world: str, discount: float | None, budget: float, ranks: int) -> Any:
     """Return what one process, or its ranks, measure of one question; None beside the first rank.
 
     world: such as "40x24", a robot, or "corridor 200", of so many lanes.
     ranks: 0 for the local method.
     """
-    criterion, more = CASES[case]
-    asked: dict[str, Any] = {"discount": discount, **more}
+    asked: dict[str, Any] = {"discount": discount}
 
     def built(world: str) -> tuple[Any, int]:
         """Return the model and the start."""
@@ -133,7 +128,7 @@ def measured(world: str, case: str, discount: float | None, budget: float, ranks
     def answered(model: Any, start: int, budget: float) -> Any:
         """Return the answer."""
         given = {"start": start, "failure_budget": budget, **asked}
-        return model.solve(criterion, **given) if ranks else solve(criterion(model, **given))
+        return model.solve(MCMP, **given) if ranks else solve(MCMP(model, **given))
 
     def gathered(mine: Any) -> list[Any]:
         """Return what each rank has, on every rank."""
@@ -142,7 +137,7 @@ def measured(world: str, case: str, discount: float | None, budget: float, ranks
     model, start = built("6x4")
     try:
         answered(model, start, 0.9)
-        began = perf_counter()
+        before, began = gathered(most_resident()), perf_counter()
         model, start = built(world)
         made = max(gathered(perf_counter() - began))
         began = perf_counter()
@@ -151,12 +146,11 @@ def measured(world: str, case: str, discount: float | None, budget: float, ranks
         return {"refused": str(error)}
     took = max(gathered(perf_counter() - began))
     memory = gathered(most_resident())
-    sent = gathered((model.ranks.messages, model.ranks.bytes) if ranks else (0, 0))
-    sizes = gathered((model.slab if ranks else model).n_outcomes)
+    sizes = gathered((model.part if ranks else model).n_outcomes)
     if ranks and model.ranks.comm.rank > 0:
         return None
     return {
-        "states": (model.slab if ranks else model).n_states,
+        "states": model.part.halo.n_all if ranks else model.n_states,
         "outcomes": sum(sizes),
         "built": made,
         "solved": took,
@@ -166,8 +160,7 @@ def measured(world: str, case: str, discount: float | None, budget: float, ranks
         "price": answer.failure_price,
         "failure": answer.failure if ranks else answer.budget_used,
         "gap": answer.gap,
-        "messages": max(messages for messages, _ in sent),
-        "sent": max(size for _, size in sent) / 1e6,
+        "before": max(before),
         "calls": answer.run.pricing_calls,
     }
 
@@ -222,7 +215,7 @@ def lines(results: Results) -> Iterator[str]:
     share = f"of {base.split(',')[0]}"
     yield (
         f"{'':18} {'built':>7} {'solved':>8} {share:>10} {'largest':>9} {share:>10} "
-        f"{'all MB':>8} {'messages':>8} {'sent':>8} {'calls':>5} "
+        f"{'all MB':>8} {'before':>8} {'calls':>5} "
         f"{'objective':>15} {'price':>12} {'gap':>8}"
     )
     for name, turns in results.items():
@@ -236,7 +229,7 @@ def lines(results: Results) -> Iterator[str]:
         one = turns[0]
         yield (
             f"{name:18} {built:7.2f} {solved:8.2f} {longer:10.2f} {largest:9.0f} {larger:10.2f} "
-            f"{whole:8.0f} {one['messages']:8,} {one['sent']:8.1f} {one['calls']:5} "
+            f"{whole:8.0f} {one['before']:8.0f} {one['calls']:5} "
             f"{one['objective']:15.9f} {one['price']:12.6f} {one['gap']:8.0e}"
         )
     if len(answered) > 1:
@@ -263,15 +256,15 @@ def named(ranks: int) -> str:
 
 def strong(given: Namespace) -> None:
     """Print a table for each question about each robot."""
-    for asked in product(given.robots, given.cases, given.discounts, [given.budget]):
-        world, case, discount, _ = asked
+    for asked in product(given.robots, given.discounts, [given.budget]):
+        world, discount, _ = asked
         kinds = {
             f"local, {n} thread{'s' * (n > 1)}": partial(run, asked, 0, n) for n in given.threads
         }
         kinds |= {named(n): partial(run, asked, n) for n in given.ranks}
         results = in_turns(kinds, given.turns)
         told = "exact" if discount is None else f"discount {discount}"
-        title = f"robot {world}, case {case}, {told}"
+        title = f"robot {world}, {told}"
         for one in [turns[0] for turns in results.values() if "refused" not in turns[0]][:1]:
             title += f": {one['states']:,} states, {one['outcomes']:,} outcomes"
         table(title, results)
@@ -282,8 +275,8 @@ def weak(given: Namespace) -> None:
     kinds = {}
     for n in given.ranks:
         lanes = max(1, given.weak * n // LENGTH)
-        kinds[named(n)] = partial(run, (f"corridor {lanes}", "M", None, given.budget), n)
-    title = f"corridor, case M, exact: {given.weak:,} states a rank"
+        kinds[named(n)] = partial(run, (f"corridor {lanes}", None, given.budget), n)
+    title = f"corridor, exact: {given.weak:,} states a rank"
     table(title, in_turns(kinds, given.turns))
 
 
@@ -300,7 +293,6 @@ def main(arguments: list[str] | None = None) -> None:
     add("--ranks", type=int, nargs="+", default=[1, 2], metavar="N", help="1 2")
     add("--threads", type=int, nargs="*", default=[1], metavar="N", help="of the local method; 1")
     add("--robots", nargs="*", default=["20x12"], metavar="SxH", help="segments x headings; 20x12")
-    add("--cases", nargs="+", default=[*CASES], choices=[*CASES], help="M S80")
     add("--discounts", type=discount_of, nargs="+", default=[None], metavar="D",
         help="numbers, or 'exact', which it is unless asked")  # fmt: skip
     add("--budget", type=float, default=0.05, help="failure budget; 0.05")

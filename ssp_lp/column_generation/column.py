@@ -96,7 +96,7 @@ class PricingProblem(ABC):
     """Minimises ``cost + failure_price * failure`` and measures what it found.
 
     Nothing here assumes that the states of the process fit into one array: an implementation may
-    be explicit, layered or distributed.
+    be explicit, layered, or one whose states lie in several places.
     """
 
     by_goal: bool = False  # success, as minus the goal, is counted in place of failing

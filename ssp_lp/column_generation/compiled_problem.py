@@ -886,6 +886,7 @@ class CompiledExplicit(CompiledProblem):
     cap: int | None = None  # layers; None: a first guess
     fixed_cap: float | None = None  # the user's cap on accumulated cost
     exact_tails: bool = True  # beyond the cap of layers the best is done, not about the best
+    is_trial: bool = False  # its layers are a guess, to learn the price from
     objective: UpperRow | None = None  # minimised in place of the cost; no charge then
     resolution: Resolution | None = None  # totals that are no multiples of a unit
     by_goal: bool = False  # success, as minus the goal, is counted in place of failing
@@ -1167,11 +1168,6 @@ class CompiledExplicit(CompiledProblem):
         written_out.check_room(self.base, layers, self._most_pairs)
         return layers
 
-    @property
-    def is_trial(self) -> bool:
-        """Whether the compiled problem's layers are a guess, to learn the price from."""
-        return not self.exact_tails and self.cap is None and self.fixed_cap is None
-
     def with_tails(self, *, exact: bool) -> CompiledExplicit:
         """The compiled problem with what is best beyond its cap, or, to search fast, about that.
 
@@ -1180,7 +1176,9 @@ class CompiledExplicit(CompiledProblem):
         grows = self.charge is not None and self.charge.slope > 0.0
         if exact == self.exact_tails or not (exact or (grows and self._is_swept)):
             return self
-        return self._copy_with_results(replace(self, exact_tails=exact), *_OWN)
+        is_trial = not exact and self.cap is None and self.fixed_cap is None
+        other = replace(self, exact_tails=exact, is_trial=is_trial)
+        return self._copy_with_results(other, *_OWN)
 
     @property
     def _most_pairs(self) -> int:
@@ -1220,7 +1218,7 @@ class CompiledExplicit(CompiledProblem):
             return exact
         elif not (cut and fits):
             return None
-        return self._copy_with_results(replace(self, cap=wanted), *_OWN)
+        return self._copy_with_results(replace(self, cap=wanted, is_trial=False), *_OWN)
 
     def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledExplicit:
         """The compiled problem with as many layers as a value function; or ModelError."""

@@ -149,8 +149,7 @@ class ExplicitPricing(PricingProblem):
         noise = _noise(weights, warm) if self.by_goal or self.rows else 0.0
         run = partial(iterate_policy, precise=self.precise or None, floor=noise)
         if smaller is None:
-            rewards = self.rewards
-            settled = run(self.dynamics, rewards, weights, choice, guess)
+            settled = run(self.dynamics, self.rewards, weights, choice, guess)
             found = settled.choice, settled.totals
             return self._column(*found, work=settled.work, found_at=at)
         choice = smaller.begun(self.process, choice).astype(np.int32)
@@ -214,8 +213,7 @@ class ExplicitPricing(PricingProblem):
             work: what finding it took.
             found_at: a price at which no policy is worth less.
         """
-        rewards = self.rewards
-        totals = evaluate_policy(self.dynamics, choice, rewards)
+        totals = evaluate_policy(self.dynamics, choice, self.rewards)
         return self._column(choice, totals.values, work=work + Work(1, 0), found_at=found_at)
 
     def _column(self, choice: IntArray, totals: FloatArray, **more: Any) -> Column:

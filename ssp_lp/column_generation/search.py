@@ -394,7 +394,7 @@ _SELDOM = 0.5  # a demanded goal probability below which success tells columns a
 _STEEP = 5.0  # first price of failure, in costs of a policy that goes for the goal
 _STEPS = (3.0, 15.0, 255.0)  # relative steps of the price until both sides are known
 _LEAST_FACTOR = 1.5  # by which the price moves at least while it is a guess
-_HINTED_STEPS = (1.0, 5.0, 1e2, 1e4, 1e6)  # the same from a guess, in units of its uncertainty
+_HINTED_STEPS = (1.0, 1e2, 1e4, 1e6)  # the same from a guess, in units of the guess's uncertainty
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """A rank's part of a model: the pairs of its own states, and the states to which these lead.
 
-A part is a model in every respect that concerns one pair at a time: expected costs, successors, what
-a limit counts. Its states are those that the rank knows: its own, then the ghosts, which have no
+A part is a model in all that concerns one pair at a time: expected costs, successors, what a limit
+counts. Its states are those that the rank knows: its own, then the ghosts, which have no
 pairs here. Their labels are their numbers in the model. Facts about the whole graph are found by
 all ranks together and kept with each part.
 """
@@ -38,7 +38,7 @@ class Part(SSP):
     """Numbers of states that were asked for and are not known here."""
 
     @property
-    def kept_facts(self) -> dict[str, Any]:  # type: ignore[override]
+    def kept_facts(self) -> dict[str, Any]:
         """Facts about the graph of which the part is one, for the states known here."""
         return self.facts
 

@@ -398,8 +398,7 @@ def _checked_problem(criterion: type[Any], part: Part, asked: Mapping[str, Any])
     except TypeError as error:
         raise ModelError(f"{name} cannot be stated so: {error}") from error
     if problem.semantics.charge(problem.ratio) is not None:
-        raise ModelError(f"{name} counts the total cost of a run, which ranks do not share: {_WHOLE}, "
-                         "or ask MCMP, the cost until failing, of the ranks")  # fmt: skip
+        raise ModelError(f"{name} counts the total cost of a run: {_WHOLE}, or ask MCMP of ranks")
     if problem.semantics.forbids_failing or problem.semantics.aim is Aim.LEAST_GOAL:
         raise ModelError(
             f"{name} asks for the whole graph: {_WHOLE}, or give MCMP a failure budget"

@@ -16,15 +16,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import (
-    IMPROVEMENT,
-    MACHINE_EPSILON,
-    BoolArray,
-    FloatArray,
-    IntArray,
-    weighted,
-    weighted_rounding,
-)
+from ssp_lp.arrays import IMPROVEMENT, MACHINE_EPSILON, BoolArray, FloatArray, IntArray, weighted
 from ssp_lp.column_generation.column import Column, PricingProblem, Proof, pricing_weights
 from ssp_lp.column_generation.compiled_problem import CompiledExplicit, LeastFailure
 from ssp_lp.compiled.accelerator import accelerated
@@ -44,17 +36,16 @@ from ssp_lp.processes.failure_semantics import Aim, GiveUp, free_pairs, giving_u
 from ssp_lp.processes.quotient import build_quotient
 
 _STEPS = 200  # of a Krylov method in one run
-_RUNS = 12  # of it, each from the residual that the last one left
+_RUNS = 12  # of it, or corrections, each from the residual that the last one left
 _FINEST = 1e-8  # relative residual of one run
 _LET_PASS = 1e-9  # relative residual that will do where no method gets further
+_GATHERED = 1_000_000  # entries of a policy's rows that may be gathered to be factorised
 _DUST = 1e-14  # of the greatest: a total below it may be what a solver leaves of nothing
-_CORRECTIONS = 6
 _SWEEPS, _EXCHANGED = 20, 4  # sweeps between two evaluations, and between two exchanges
 _MOST_ROUNDS = 1_000  # of policy iteration: each improves what the last one left
 _SHRUNK = (0.0, *10.0 ** np.arange(-13.0, 0.0))  # shares by which values move to the floor
 _BELOW = 0.1  # of such a share, by which all values go down
 _LOWERINGS = 160  # of shrunk values, after which a larger share is tried
-_LOST = 1e-3  # share of the greatest value by which one may fall in these
 _STEEPER = 10.0 ** np.arange(1, 14, 3)  # prices of failure, by the cost, for one that fails least
 _SAME = 1e-13  # of failing or not, the rarer: distance of failures that are one
 
@@ -95,7 +86,7 @@ class _Equations:
         self._order, own = np.argsort(values, kind="stable"), np.arange(self.halo.n_own)
         rows = chosen_rows(dynamics.transitions, choice)
         self.moves = Moves(own.astype(np.int32), rows, dynamics.exits[choice])
-        self.products = 0
+        self.products, self._entries = 0, self.halo.ranks.total(rows.nnz)
 
     def leading(self, marked: BoolArray) -> BoolArray:
         """Return the own nodes from which the policy may come to marked ones, [own nodes]."""
@@ -125,8 +116,9 @@ class _Equations:
         ksp.setOperators(matrix)
         ksp.setType("preonly" if is_small else "bcgs")
         ksp.getPC().setType("redundant" if is_small else "bjacobi")
-        ksp.setOptionsPrefix("ssp_lp_")
-        ksp.setFromOptions()
+        if not is_small:
+            ksp.setOptionsPrefix("ssp_lp_")
+            ksp.setFromOptions()
         return ksp, *matrix.createVecs()
 
     def solve(self, right: FloatArray, guess: FloatArray, accuracy: float = EXACT) -> FloatArray:
@@ -155,12 +147,15 @@ class _Equations:
             better = x.copy()
             better[self._order] += step.array
             now, rest, size = self._missed(right, better)
-            if not now < missed:
+            if now < missed:
+                x, missed, residual, scale = better, now, rest, size
+            elif ksp.getType() != "preonly" and self._entries <= _GATHERED:  # it is stuck
+                ksp.setType("preonly")
+                ksp.getPC().setType("redundant")
+            else:
                 break
-            x, missed, residual, scale = better, now, rest, size
         if not missed <= max(accuracy, _LET_PASS):
-            raise SolverError("PETSc does not come near to the totals of a policy: try other options "
-                              "such as -ssp_lp_ksp_type gmres, -ssp_lp_pc_type redundant")  # fmt: skip
+            raise SolverError("PETSc does not solve a policy's equations: -ssp_lp_ksp_type gmres?")
         if ranks.any((x != 0.0) & (np.abs(x) <= _DUST * scale)):
             x[~self.leading(right != 0.0)] = 0.0
         return x
@@ -203,7 +198,7 @@ class _Equations:
         low, sides = np.zeros_like(x), self.moves.advantage_bounds(right, filled(x))
         sizes = [np.abs(side).max(initial=0.0) for side in (*sides, x)]
         *missed, scale = greatest(sizes).tolist()
-        for _ in range(_CORRECTIONS):
+        for _ in range(_RUNS):
             if 2.0 * longest * max(missed) <= EVALUATED * scale:
                 return x, low
             off, rounding = self.moves.precise_advantages(right, filled(x), filled(low))
@@ -242,7 +237,7 @@ class PartitionedProcess(PricingProblem):
     @property
     def n_rewards(self) -> int:
         """Number of rewards: cost, failure and rows."""
-        return self.rewards.shape[1]
+        return int(self.rewards.shape[1])
 
     @property
     def n_states(self) -> int:
@@ -326,8 +321,8 @@ class PartitionedProcess(PricingProblem):
         full, known = np.zeros(self.halo.size, dtype=np.int32), self.halo.filled(values)
         full[:n] = choice
         for _ in range(_SWEEPS // at_once):
-            before, how = full.copy(), {"is_sorted_anew": True, "states": np.arange(n)}
-            self.dynamics.improve_by_sweeps(cost, full, known, 0.0, at_once, **how)
+            before, how = full.copy(), (cost, full, known, 0.0, at_once)
+            self.dynamics.improve_by_sweeps(*how, is_sorted_anew=True, states=np.arange(n))
             known = self.halo.filled(known)
             changed.append(float(self.ranks.total(np.count_nonzero(full != before))))
             if changed[-1] <= SETTLED * max(changed):
@@ -440,7 +435,7 @@ class PartitionedProcess(PricingProblem):
         """
         dynamics, greatest, n = self.dynamics, self.ranks.greatest, self.halo.n_own
         cost = weighted(self.rewards, weights)
-        cost -= weighted_rounding(self.rewards, weights) * np.abs(cost)  # a bound rounds down
+        cost -= 2.0 * self.n_rewards * MACHINE_EPSILON * cost  # a bound rounds down
         leaves = dynamics.exits > 0.0
         floor = -float(greatest(-(cost[leaves] / dynamics.exits[leaves]).min(initial=np.inf)))
         floor = max(floor - 4.0 * MACHINE_EPSILON * floor, 0.0) if np.isfinite(floor) else 0.0
@@ -449,15 +444,12 @@ class PartitionedProcess(PricingProblem):
         for share in _SHRUNK:
             lowered = floor + (1.0 - share) * (values - floor) - share * _BELOW * most
             lowered = np.maximum(lowered, floor)
-            least = lowered - _LOST * most
-            for _ in range(_LOWERINGS):
+            for _ in range(_LOWERINGS if share else 1):
                 lack = shortfall(dynamics, cost, self.halo.filled(lowered))[:n]
                 if not self.ranks.any(lack):
-                    return lowered
+                    return np.asarray(lowered)
                 below = np.minimum(lowered - lack, np.nextafter(lowered, -np.inf))
                 lowered = np.maximum(np.where(lack > 0.0, below, lowered), floor)
-                if share == 0.0 or self.ranks.any(lowered < least):
-                    break
         return np.full_like(values, floor)
 
     def pulled_back(self, column: Column) -> Policy:
@@ -545,7 +537,7 @@ def partitioned_process(compiled: CompiledExplicit, **more: Any) -> PartitionedP
         halo.ranks.total([begun for _, begun in rows]),
         labelled.process.start[:n_own],
         compiled.wants_ends or semantics.give_up is GiveUp.DEAD_ENDS,
-        np.where(stays >= 0, quotient.places[stays], -1)[live & own],
+        np.append(quotient.places, -1)[stays][live & own],
         **more,
     )
 

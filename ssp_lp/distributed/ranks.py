@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ssp_lp.arrays import BoolArray, IntArray
+from ssp_lp.cargo import Cargo
 from ssp_lp.errors import ModelError, SSPError, in_short, optional_module
 from ssp_lp.model.graph import Graph, drain, nearer_pairs, pairs_into, reaching_states
 
@@ -47,21 +48,22 @@ class Ranks:
         raise ModelError("what lies with ranks cannot be pickled: answer.policy.save() keeps it")
 
     def agreed(self, make: Callable[[], _Made]) -> _Made:
-        """Return what every rank makes by itself; where one cannot, all ranks end with an error.
+        """Return what every rank makes by itself; where one cannot, all ranks raise its error.
 
         Raises:
-            Exception: the rank's own, or else a ModelError with the words of the first that failed.
+            SSPError: the rank's own, or of the first rank that failed; of others the words.
         """
-        made, error = None, None
+        made: Any = None
         try:
             made = make()
         except Exception as raised:
-            error = raised
-        told = self.comm.allgather(error and f"{type(error).__name__}: {error}")
-        for rank, words in enumerate(told):
-            if words is not None:
-                raise error or ModelError(f"rank {rank} failed: {words}")
-        return made  # type: ignore[return-value]
+            words = f"rank {self.comm.rank} failed: {type(raised).__name__}: {raised}"
+            made = raised if isinstance(raised, SSPError) else ModelError(words)
+        failed = isinstance(made, SSPError)
+        for packed in self.comm.allgather(Cargo().pack(made) if failed else None):
+            if packed is not None:
+                raise made if failed else Cargo().unpack(packed)
+        return made  # type: ignore[no-any-return]
 
     def alike(self, what: str, mine: Mapping[str, Any]) -> None:
         """Check that every rank states the same.
@@ -147,8 +149,7 @@ class Halo:
             local.array[: self.n_own] = own[: self.n_own]
         self._vector.ghostUpdate()
         with self._vector.localForm() as local:
-            found = local.array.astype(own.dtype)
-        return found
+            return np.asarray(local.array.astype(own.dtype))
 
     @cached_property
     def numbers(self) -> IntArray:
@@ -188,7 +189,7 @@ class Halo:
             counts = np.bincount(graph.pair_state[pairs], minlength=graph.n_states)
             closed = closed | (acting & (counts == 0))
             drain(graph, pairs, counts, closed.nonzero()[0])
-            return closed | (acting & (counts == 0))
+            return np.asarray(closed | (acting & (counts == 0)))
 
         return ~self.settled(sweep, self.filled(outside))
 

@@ -29,7 +29,7 @@ from ssp_lp.methods.columns import (
 from ssp_lp.methods.refinement import Proved
 from ssp_lp.methods.risk import least_risk, prove_risk
 from ssp_lp.methods.rounding import (
-    is_on_fine_lattice,
+    coarser_unit,
     is_split,
     prove_by_units,
     solve_on_fine_lattice,
@@ -94,11 +94,6 @@ def _is_split(case: Case) -> bool:
     return not case.by_program and is_split(case.problem, case.asks, case.seconds)
 
 
-def _is_on_fine_lattice(case: Case) -> bool:
-    """Whether the approach to a case begins with a coarser unit of its costs."""
-    return not case.by_program and is_on_fine_lattice(case.problem, case.asks)
-
-
 APPROACHES = (
     _Approach(lambda case: case.by_game, solve_by_game, prove_within_budget),
     _Approach(_is_on_rounded_costs, solve_on_rounded_costs, prove_by_units, afresh=True),
@@ -107,7 +102,11 @@ APPROACHES = (
     _Approach(lambda case: case.asks.several_rows, solve_constrained, prove_limits),
     _Approach(lambda case: case.asks.aim is not Aim.LEAST_COST, extreme_goal, prove_goal),
     _Approach(lambda case: case.asks.least_failure, cheapest_at_least_failure, prove_least_failure),
-    _Approach(_is_on_fine_lattice, solve_on_fine_lattice, prove_within_budget),
+    _Approach(
+        lambda case: case.asks.ratio and coarser_unit(case.problem, case.asks) is not None,
+        solve_on_fine_lattice,
+        prove_within_budget,
+    ),
     _Approach(lambda case: True, best_within_budget, prove_within_budget),
 )
 """The first that answers is taken."""

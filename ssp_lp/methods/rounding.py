@@ -80,8 +80,7 @@ _ROUGH_FIRST = 1e-3  # and one that only says where a price lies, with steps far
 _ENOUGH = 0.3  # of the tolerance: as exactly at least
 _SHARE = 0.1  # of the gap that splitting leaves: as exactly is the next one solved
 _ROUGH_COARSE = 1e-5  # how exactly a lattice of a coarser unit is solved, for its price
-_SPREAD_COARSE = 3e-3  # relative uncertainty of that
-_SPREAD = 1e-2  # the same of a price that was found less exactly
+_SPREAD = 1e-2  # relative uncertainty of a price from a coarser unit
 _BESIDE = (1.003, 1.01, 1.03, 1.1, 1.5, 10.0, 1e3)  # times the price: policies of the other side
 _REACH = 0.5  # of the totals that matter: so far they are remembered at first
 _CELLS = 100_000_000  # states times levels that a policy measured truly may have
@@ -154,7 +153,7 @@ def solve_on_fine_lattice(problem: Problem, options: SolveOptions) -> Solution:
         InfeasibleError: no policy keeps to the budget.
         Stop: the time ended before one that does was found.
     """
-    coarse = coarser_unit(problem)
+    coarse = coarser_unit(problem, problem.requirements)
     if coarse is None or options.deterministic or options.program:
         return best_within_budget(problem, options)
     return refine(_lattice_attempts(problem, options, *coarse), options.tolerance)
@@ -172,7 +171,7 @@ def _lattice_attempts(
     answer = replace(lottery, bound=generated.lower_bound, price=price)
     reason = f"costs split between {layers:,} layers, {calls} pricing calls"
     yield assembled(problem, answer, Run(options.method, reason, calls, 0.0, work))
-    guess = DualGuess(generated.price, _SPREAD_COARSE, slack=len(generated.columns) == 1)
+    guess = DualGuess(generated.price, _SPREAD, slack=len(generated.columns) == 1)
     optimum = best_within_budget(problem, options.after(calls), guess)
     run = optimum.run
     reason, calls = f"{reason}, then {run.reason}", calls + run.pricing_calls
@@ -318,6 +317,7 @@ _FEW_SUMS = 1_000  # that are told apart exactly rather than by a grid
 _SECONDS = 1.5e-8  # that a search takes for each sum and outcome
 _MARGIN = 1.25  # beyond a price from a coarser unit: what is paid there still counts for something
 _TRIES = 6  # units, until levels are as few as is asked for
+_OUTCOMES = 1_000  # of a model that takes some time
 _MANY = 200.0  # totals of a lattice at least that a coarser unit is worth looking at for
 _FEWER = 4.0  # times as few are its own
 _MOSTLY = 0.95  # of the outcomes: a unit of their costs is that of most
@@ -338,37 +338,32 @@ def _unit_of_steps(model: SSP) -> tuple[float, float, Fraction, Fraction]:
     return float(costs.min(initial=np.inf)), mean, units[0], units[1]
 
 
-def coarser_unit(problem: Problem) -> tuple[Fraction, bool] | None:
-    """A coarser unit than that of a lattice of many totals, no step less; None: of no use.
+def coarser_unit(problem: Problem, asked: Requirements) -> tuple[Fraction, bool] | None:
+    """A coarser unit to look first at totals that are told apart exactly, and are many.
 
     Args:
-        problem: of case S.
+        problem: the problem.
+        asked: what it asks.
 
     Returns:
-        The unit, and whether it divides most costs.
+        The unit, no larger than any step, and whether it divides most costs. None: it is of no use,
+        or the problem is not case S with failure alone limited.
     """
-    model = problem.model
-    begins = goal_approach(model)[1][start_distribution(model, problem.start) > 0.0]
-    if uniform_cost(model) is not None or not begins.size:
-        return None
-    least, mean, unit, of_most = _unit_of_steps(model)
-    likely = float(begins.max()) * mean
-    if likely < _MANY * unit or not least < np.inf:
-        return None
-    for coarse in (
-        of_most,
-        short_decimal(min(_TYPICAL * likely / _FIRST, least / _ROOM_FOR_DIGITS)),
-    ):
-        if coarse <= least * (1.0 + SAME_TOTAL) and coarse >= _FEWER * unit:
-            return coarse, coarse is of_most
-    return None
-
-
-def is_on_fine_lattice(problem: Problem, asked: Requirements) -> bool:
-    """Whether a lattice of case S has so many totals that a coarser unit is looked at first."""
     is_mean = asked.ratio and not (asked.law or asked.rows or asked.least_failure)
     is_exact = asked.totals in (TotalScale.UNITS, TotalScale.SUMS) and problem.cost_cap is None
-    return is_mean and is_exact and coarser_unit(problem) is not None
+    model = problem.model
+    if not (is_mean and is_exact) or model.n_outcomes < _OUTCOMES or uniform_cost(model):
+        return None
+    begins = goal_approach(model)[1][start_distribution(model, problem.start) > 0.0]
+    least, mean, unit, of_most = _unit_of_steps(model)
+    likely = float(begins.max(initial=0)) * mean
+    if likely < _MANY * unit:
+        return None
+    fine = short_decimal(min(_TYPICAL * likely / _FIRST, least / _ROOM_FOR_DIGITS))
+    for coarse in (of_most, fine):
+        if _FEWER * unit <= coarse <= least * (1.0 + SAME_TOTAL):
+            return coarse, coarse is of_most
+    return None
 
 
 def is_split(problem: Problem, asked: Requirements, seconds: float = np.inf) -> bool:
@@ -386,7 +381,7 @@ def is_split(problem: Problem, asked: Requirements, seconds: float = np.inf) -> 
     on_grid = asked.totals is TotalScale.GRID
     is_mean = asked.ratio and not (asked.law or asked.rows or asked.least_failure)
     if asked.totals is TotalScale.UNITS:
-        return seconds <= 0.0 and is_on_fine_lattice(problem, asked)
+        return seconds <= 0.0 and coarser_unit(problem, asked) is not None
     is_timed = np.isfinite(seconds) and asked.totals is TotalScale.SUMS
     if not (is_mean and (on_grid or is_timed)) or problem.cost_cap is not None:
         return False
@@ -445,7 +440,7 @@ def _split_units(problem: Problem, *, finest: bool = False) -> Iterator[Fraction
         finest: as far as there is room, whatever is asked for.
     """
     cheapest = float(step_costs(problem.model)[1][1])
-    if problem.requirements.totals is not TotalScale.GRID and (coarse := coarser_unit(problem)):
+    if coarse := coarser_unit(problem, problem.requirements):
         yield coarse[0]
     yield from rounding_units(problem, _span_of_steps(problem), cheapest=cheapest, finest=finest)
 

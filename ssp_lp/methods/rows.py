@@ -186,7 +186,7 @@ def rows_optimum(
         Stop: the time ended before any policy was evaluated; it carries what has a bound alone.
     """
     guess: _RowsOptimum | None = None
-    if options.program is None:
+    if stated.charge is not None and options.program is None:
         stated = stated.with_tails(exact=False)
     if stated.resolution is not None and stated.charge is not None:
         coarse = replace(stated, resolution=Resolution(grid=_COARSE_TOTALS, most=_COARSE_TOTALS))
@@ -292,9 +292,9 @@ def _rows_attempt(
             if repaired is not None:
                 value, (policy, failure) = truth[0](repaired[0]), repaired
     elif truth is not None and is_proved:
-        known = _true_value(generated, compiled)
+        known = None if stated.exact_tails else _true_value(generated, compiled)
         value = truth[0](policy) if known is None else known
-    granted, named = _granted(compiled, rows), _named_prices(compiled, rows, prices)
+    granted, named = _of_rows(compiled, rows, prices)
     paid = float(prices @ np.abs(rows.bounds))
     return _RowsOptimum(
         compiled=compiled,
@@ -315,23 +315,23 @@ def _rows_attempt(
     )
 
 
-def _granted(compiled: CompiledExplicit, rows: Rows) -> dict[str, float]:
-    """Bounds of rows, by name, that were raised to what is attainable."""
-    places = (rows.index - 1).tolist()
-    return {
+def _of_rows(
+    compiled: CompiledExplicit, rows: Rows, prices: FloatArray
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Bounds of rows that were raised to what is attainable, and prices of all rows, by name.
+
+    The price is 0 where nothing is limited; at least failure there is none of failing.
+    """
+    granted = {
         compiled.names[place]: float(bound)
-        for place, bound in zip(places, rows.bounds, strict=True)
+        for place, bound in zip((rows.index - 1).tolist(), rows.bounds, strict=True)
         if bound > compiled.bounds[place]
     }
-
-
-def _named_prices(compiled: CompiledExplicit, rows: Rows, prices: FloatArray) -> dict[str, float]:
-    """Prices of all rows by name, 0 where nothing is limited; none of failing at least failure."""
     named = dict.fromkeys(compiled.names, 0.0)
     named |= zip(names_of(compiled, rows), prices.tolist(), strict=True)
     if compiled.budget is None:
         del named[FAILURE_ROW]
-    return named
+    return granted, named
 
 
 def _true_value(generated: Generated, compiled: CompiledExplicit) -> float | None:

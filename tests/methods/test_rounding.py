@@ -389,6 +389,10 @@ def with_odd_costs(model, change):
     return replace(model, costs=read_only(costs), exact_costs={})
 
 
+def coarser(problem):
+    return rounding.coarser_unit(problem, problem.requirements)
+
+
 def test_one_odd_cost_is_not_told_apart_where_it_hardly_matters():
     """It has a thousand times as many totals, and the optimum that never meets it does not know."""
     field = windy_field(10, diagonal=1.0)
@@ -398,7 +402,7 @@ def test_one_odd_cost_is_not_told_apart_where_it_hardly_matters():
 
     model = with_odd_costs(field.model, odd)
     problem = S3P(model, field.start, 0.3)
-    assert rounding.coarser_unit(problem) == (Fraction(1), True)
+    assert coarser(problem) == (Fraction(1), True)
     even, found = solve(S3P(field.model, field.start, 0.3)), solve(problem)
     assert "split" in found.run.reason
     assert found.objective == pytest.approx(even.objective, rel=1e-12)
@@ -411,21 +415,23 @@ def test_one_odd_cost_is_not_told_apart_where_it_hardly_matters():
 def test_many_totals_begin_at_the_price_of_fewer(discount, monkeypatch):
     """Costs of two digits: the answer is that of the search on all totals."""
     monkeypatch.setattr(rounding, "_MANY", 20.0)
+    monkeypatch.setattr(rounding, "_OUTCOMES", 0)
     model = corridor([1.13, 1.27, 0.71], 2.04)
     problem = S3P(model, "r0", 0.3, discount=discount)
-    unit, is_of_most = rounding.coarser_unit(problem)
+    unit, is_of_most = coarser(problem)
     assert not is_of_most
     assert 4 * Fraction(1, 100) <= unit <= Fraction(71, 100)
     found = solve(problem)
     assert "then" in found.run.reason
     monkeypatch.setattr(rounding, "_MANY", np.inf)
-    assert rounding.coarser_unit(problem) is None
+    assert coarser(problem) is None
     known = solve(problem)
     assert found.objective == pytest.approx(known.objective, rel=1e-9)
     assert max(found.gap, certify(found).gap) <= 1e-9
 
 
-def test_a_coarser_unit_is_no_larger_than_a_step():
+def test_a_coarser_unit_is_no_larger_than_a_step(monkeypatch):
     """Else steps would be free that are not, and go round within a layer."""
+    monkeypatch.setattr(rounding, "_OUTCOMES", 0)
     model = corridor([1.3, 1.4, 0.01], 2.0)
-    assert rounding.coarser_unit(S3P(model, "r0", 0.3)) is None
+    assert coarser(S3P(model, "r0", 0.3)) is None
