@@ -166,11 +166,15 @@ def _lattice_attempts(
     closely = replace(options, tolerance=max(_ROUGH_COARSE, options.tolerance))
     outcome = split_optimum(problem, unit, options if is_of_most else closely, None)
     generated, calls, work = outcome.generated, outcome.calls, outcome.work
-    lottery, layers = _true_lottery(problem, outcome), outcome.compiled.layers
-    price = max(generated.price - lottery.value, 0.0)
-    answer = replace(lottery, bound=generated.lower_bound, price=price)
-    reason = f"costs split between {layers:,} layers, {calls} pricing calls"
-    yield assembled(problem, answer, Run(options.method, reason, calls, 0.0, work))
+    reason = f"costs split between {outcome.compiled.layers:,} layers, {calls} pricing calls"
+    lottery: Answer | None = None
+    with WithIncumbent(), closing():
+        lottery = _true_lottery(problem, outcome)
+    if lottery is not None:
+        price = max(generated.price - lottery.value, 0.0)
+        note = "" if generated.finished else CUT_SHORT
+        answer = replace(lottery, bound=generated.lower_bound, price=price, note=note)
+        yield assembled(problem, answer, Run(options.method, reason, calls, 0.0, work))
     guess = DualGuess(generated.price, _SPREAD, slack=len(generated.columns) == 1)
     optimum = best_within_budget(problem, options.after(calls), guess)
     run = optimum.run
@@ -414,14 +418,16 @@ def with_split_costs(model: SSP, unit: Fraction) -> SSP:
     outcome = np.repeat(np.arange(model.n_outcomes), copies)
     is_above = np.append(False, outcome[1:] == outcome[:-1])
     part = np.where(is_above, share[outcome], 1.0 - share[outcome])
-    cost = totals_of((whole[outcome] + is_above).astype(np.int64), unit)
+    multiple = (whole[outcome] + is_above).astype(np.int64)
+    cost, kinds = totals_of(multiple, unit), np.unique(multiple)
+    meant = {c: int(k) * unit for c, k in zip(totals_of(kinds, unit).tolist(), kinds, strict=True)}
     return replace(
         model,
         outcome_offsets=read_only(offsets_of(copies)[model.outcome_offsets]),
         successors=read_only(model.successors[outcome]),
         probabilities=read_only(model.probabilities[outcome] * part),
         costs=read_only(np.where(ended[model.successors[outcome]], model.costs[outcome], cost)),
-        exact_costs={},
+        exact_costs={**model.exact_costs, **meant},
     )
 
 

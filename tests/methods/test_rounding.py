@@ -435,3 +435,21 @@ def test_a_coarser_unit_is_no_larger_than_a_step(monkeypatch):
     monkeypatch.setattr(rounding, "_OUTCOMES", 0)
     model = corridor([1.3, 1.4, 0.01], 2.0)
     assert coarser(S3P(model, "r0", 0.3)) is None
+
+
+def test_a_coarser_unit_of_fractions_stays_one(monkeypatch):
+    """Thirds, and one odd cost: what the unit makes of them is meant as fractions, too."""
+    monkeypatch.setattr(rounding, "_OUTCOMES", 0)
+    third, rooms = Fraction(1, 3), {}
+    for k in range(8):
+        cost = third * (1 + k % 3)
+        on = [(0.7, f"r{k + 1}", cost), (0.2, f"r{max(k - 2, 0)}", cost), (0.1, "pit", cost)]
+        rooms[f"r{k}"] = {"on": on, "slow": [(0.5, f"r{k + 1}", cost), (0.5, f"r{k}", cost)]}
+    odd = Fraction(1001, 3000)
+    rooms["r3"]["odd"] = [(0.9, "r4", odd), (0.1, "pit", odd)]
+    problem = S3P(model_of(rooms, "r8"), "r0", 0.5)
+    assert coarser(problem) == (third, True)
+    found = solve(problem)
+    monkeypatch.setattr(rounding, "_MANY", np.inf)
+    assert found.objective == pytest.approx(solve(problem).objective, rel=1e-9)
+    assert max(found.gap, certify(found).gap) <= 1e-9
