@@ -119,6 +119,7 @@ if TYPE_CHECKING:
     )
     from ssp_lp.verification.certify import Certificate as Certificate, certify as certify
     from ssp_lp.verification.cross_check import CrossCheck as CrossCheck, cross_check as cross_check
+    from ssp_lp.verification.vipr import to_vipr as to_vipr
 
 __version__ = "0.1.0"
 
@@ -156,6 +157,7 @@ _MODULES = {
     "verification.certificate_file": "Checked check_certificate sha256_of write_certificate",
     "verification.certify": "Certificate certify",
     "verification.cross_check": "CrossCheck cross_check",
+    "verification.vipr": "to_vipr",
 }
 _ON_DEMAND = {name: f"{__name__}.{of}" for of, names in _MODULES.items() for name in names.split()}
 

@@ -44,7 +44,7 @@ from ssp_lp.solution import Solution, as_solved
 from ssp_lp.verification import certificate_lines as reading
 from ssp_lp.verification.certificate_lines import NOTHING
 from ssp_lp.verification.exact_proof import Decide, Member, Nodes, Proved, line_of, proof_of
-from ssp_lp.verification.expand import Program, State
+from ssp_lp.verification.expand import Program
 from ssp_lp.verification.prove import Bounds, Column, RefusedError, number
 
 _CAPS, _NARROW = 12, 1e-10  # totals tried as caps, until an interval is as narrow as this
@@ -370,12 +370,9 @@ def program_of(
     Raises:
         ModelError: they are too many.
     """
-
-    def states() -> Iterator[State]:
-        return (reading.read_state(line, asked) for line in lines)
-
     try:
-        return Program(asked, states, str(cap), _MOST_NODES)
+        states = [reading.read_state(line, asked) for line in lines]
+        return Program(asked, lambda: states, str(cap), _MOST_NODES)
     except RefusedError as error:
         raise ModelError(f"no certificate file: {error}") from error
 

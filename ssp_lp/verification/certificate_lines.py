@@ -14,6 +14,7 @@ import sys
 from collections.abc import Callable, Iterator
 from fractions import Fraction
 from itertools import islice
+from operator import mul
 from typing import Any
 
 if __package__:
@@ -93,24 +94,31 @@ def read_question(lines: Iterator[bytes]) -> tuple[dict[str, Any], str]:
     return question, digest.hexdigest()
 
 
+def in_parts(numbers: list[Fraction]) -> tuple[list[int], int]:
+    """Numbers as multiples of one over their common denominator."""
+    scale = common(numbers)
+    return [one.numerator * (scale // one.denominator) for one in numbers], scale
+
+
 def read_state(line: bytes, question: dict[str, Any]) -> State:
     """A state of the model, its chances divided by their sum, its costs averaged."""
     stated, actions = read(line, name=str, sets=list, actions=list), list[Action]()
     for name, outcomes, costs in stated["actions"]:
-        chances, means = [number(p) for p, _ in outcomes], list[Fraction]()
-        scale, first = common(chances), [Fraction(0)] * len(chances)
-        weights, place = [int(p * scale) for p in chances], (stated["name"], name)
-        total = sum(weights)
+        weights, _ = in_parts([number(p) for p, _ in outcomes])
+        total, place, means = sum(weights), (stated["name"], name), list[Fraction]()
         need(min(weights, default=-1) >= 0 < total, "chances >= 0 of a sum > 0, fails at", *place)
         is_list = type(costs) is list and len(costs) == question["costs"]
         need(type(name) is str and is_list, "costs of", *place)
+        first = [Fraction(0)] * len(weights)
         for j, cost in enumerate(costs):
             paid = [number(c) for c in cost] if type(cost) is list else [number(cost)] * len(first)
             need(len(paid) == len(first) and min(paid) >= 0, "costs >= 0, fails at", *place)
             first = first if j else paid
-            is_one = paid.count(paid[0]) == len(paid)
-            spent = sum((a * c for a, c in zip(weights, paid, strict=True) if c), Fraction(0))
-            means.append(paid[0] if is_one else spent / total)
+            if paid.count(paid[0]) == len(paid):
+                means.append(paid[0])
+                continue
+            parts, scale = in_parts(paid)
+            means.append(Fraction(sum(map(mul, weights, parts)), total * scale))
         each = zip(weights, outcomes, first, strict=True)
         moves = [(a, whole(y, question["states"]), t) for a, (_, y), t in each if a]
         actions.append(Action(name, total, moves, means))
