@@ -245,7 +245,7 @@ def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -
 @pytest.mark.parametrize(
     ("measure", "most"),
     [
-        (house.lines_in_all, 32_799),
+        (house.lines_in_all, 32_823),
         (house.public_classes, 289),
         (house.numeric_constants, 523),
         (house.questions_asked, 90),
@@ -271,7 +271,7 @@ def test_no_folder_grows() -> None:
 LINES = {
     "formulations": 458,
     "formulations/command_line": 804,
-    "ssp_lp": 2_072,
+    "ssp_lp": 2_074,
     "ssp_lp/accumulated_cost": 2_720,
     "ssp_lp/analysis": 920,
     "ssp_lp/column_generation": 2_106,
@@ -287,6 +287,6 @@ LINES = {
     "ssp_lp/policies": 1_330,
     "ssp_lp/processes": 1_846,
     "ssp_lp/programs": 1_318,
-    "ssp_lp/verification": 1_923,
+    "ssp_lp/verification": 1_945,
 }
 """Code lines of each folder."""

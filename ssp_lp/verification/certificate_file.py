@@ -45,7 +45,7 @@ from ssp_lp.verification import certificate_lines as reading
 from ssp_lp.verification.certificate_lines import NOTHING
 from ssp_lp.verification.exact_proof import Decide, Member, Nodes, Proved, line_of, proof_of
 from ssp_lp.verification.expand import Program
-from ssp_lp.verification.prove import Bounds, Column, RefusedError, number
+from ssp_lp.verification.prove import Bounds, RefusedError, number
 
 _CAPS, _NARROW = 12, 1e-10  # totals tried as caps, until an interval is as narrow as this
 _MOST_NODES = 2_000_000
@@ -545,21 +545,13 @@ def _decider(nodes: Nodes, policy: Policy, solved: Solution) -> Decide:
         late = (layer if policy.levels is None else paid) >= policy.tail_threshold[s]
         return int(policy.tails[len(policy.tails) - 1 if late else 0, s])
 
-    def decide(i: int, columns: list[Column]) -> int:
+    def decide(i: int) -> int:
         """Position of the policy's column among a node's."""
         x, r = nodes.where.get(i, (nodes.state_of(i), program.cap))
-        s = x
+        s, actions = x, nodes.actions[x]
         if isinstance(model, HorizonSSP) and program.question["horizon"] is not None:
             s = int(model.at(np.array([x % n_states]), np.array([x // n_states]))[0])
-        pair, actions = pair_at(s, Fraction(r, program.unit)), nodes.kept_actions(i)
-        position = pair - int(offsets[s])
-        if pair < 0 and len(columns) > len(actions):
-            return len(columns) - 1  # to wait, which is for nothing, or else to give up
-        if pair < 0 or position not in actions:
-            state = model.states[s]
-            raise SolverError(
-                f"the answer is not proved: the policy stops in {state!r}: not so here"
-            )
-        return actions.index(position)
+        position = pair_at(s, Fraction(r, program.unit)) - int(offsets[s])
+        return actions.index(position) if position in actions else nodes.stop(i)
 
     return decide

@@ -18,21 +18,11 @@ from operator import mul
 from typing import Any
 
 if __package__:
-    from .expand import Action, Program, State, common
-    from .prove import Bounds, Column, Member, Proof, RefusedError, need, number, prove, whole
+    from .expand import Action, Program, State, in_parts
+    from .prove import Bounds, Member, Proof, need, number, prove, whole
 else:  # copied elsewhere
-    from expand import Action, Program, State, common  # type: ignore
-    from prove import (  # type: ignore
-        Bounds,
-        Column,
-        Member,
-        Proof,
-        RefusedError,
-        need,
-        number,
-        prove,
-        whole,
-    )  # fmt: skip
+    from expand import Action, Program, State, in_parts  # type: ignore
+    from prove import Bounds, Member, Proof, need, number, prove, whole  # type: ignore
 
 FORMAT = "ssp-lp certificate 2"
 KINDS = {
@@ -43,10 +33,11 @@ KINDS = {
 }  # fmt: skip
 LINE, TIMES = 1 << 24, 100  # most bytes of a line; of all, per byte of the file, behind a line's
 LARGE = 10**400  # than which units and counts of steps are smaller
-NOTHING = {"constant": "0", "terms": list[Any]()}
+NOTHING: dict[str, Any] = {"constant": "0", "terms": []}
+ALONE = {"ratio": True, "greatest": False, "charge": [], "discount": None, "objective": NOTHING}
 FAILING = {"constant": "1", "terms": [["-1", "end", "goal"]]}
+Question = dict[str, Any]
 Lines = Callable[[], Iterator[bytes]]  # of a file, from the first one on each time
-Step = tuple[Program, Proof, Bounds, str]  # of a question, proved; SHA-256 of the program's text
 
 
 def lines_of(path: Any) -> Lines:
@@ -56,11 +47,10 @@ def lines_of(path: Any) -> Lines:
         with open(path, "rb") as packed, gzip.open(packed) as file:
             left = LINE + TIMES * packed.seek(0, 2)
             packed.seek(0)
-            while line := file.readline(LINE + 1):
+            while line := file.readline(LINE):
                 left -= len(line)
-                need(len(line) <= LINE, "a line has more than", LINE, "bytes")
                 need(left >= 0, "the lines are too long for so small a file")
-                need(line.endswith(b"\n"), "a line is not ended")
+                need(line.endswith(b"\n"), "a line is not ended, or has more than", LINE, "bytes")
                 yield line
 
     return lines
@@ -69,61 +59,56 @@ def lines_of(path: Any) -> Lines:
 def read(line: bytes, **kinds: type) -> Any:
     """Content of a line: an object of these keys, else a list; no key comes twice."""
 
-    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    def once(pairs: list[tuple[str, Any]]) -> Question:
         need(len(dict(pairs)) == len(pairs), "a key comes twice:", *(key for key, _ in pairs))
         return dict(pairs)
 
     content = json.loads(line, object_pairs_hook=once)
-    need(type(content) is (dict if kinds else list), "no line of this kind")
-    need(not kinds or content.keys() == kinds.keys(), "the keys of a line are not", *kinds)
+    need(content.keys() == kinds.keys() if kinds else type(content) is list, "no line of:", *kinds)
     for key, kind in kinds.items():
         need(kind is object or type(content[key]) is kind, key, "is", repr(content[key])[:99])
     return content
 
 
-def read_question(lines: Iterator[bytes]) -> tuple[dict[str, Any], str]:
-    """The question, and the SHA-256 of it and the model."""
+def read_question(lines: Iterator[bytes]) -> tuple[Question, str, Any]:
+    """The question, the SHA-256 of it and the model, and the total that a quantile is."""
     question, digest = read(first := next(lines), **KINDS), hashlib.sha256(first)
     need(question["format"] == FORMAT, "this is no certificate of this format")
     for line in islice(lines, whole(question["states"], LARGE)):
         digest.update(line)
-    alone = question["ratio"] and not question["greatest"] and not question["charge"]
-    alone = alone and question["discount"] is None and question["objective"] == NOTHING
-    is_one = question["quantile"] is None or alone
-    need(is_one, "a quantile is one of the total alone, given success, fails")
-    return question, digest.hexdigest()
+    is_alone = question["quantile"] is None or {**question, **ALONE} == question
+    need(is_alone, "a quantile is one of the total alone, given success, fails")
+    answer = read(next(lines), answer=object)["answer"]
+    need((answer is None) == (question["quantile"] is None), "an answer is a quantile, fails")
+    return question, digest.hexdigest(), answer
 
 
-def in_parts(numbers: list[Fraction]) -> tuple[list[int], int]:
-    """Numbers as multiples of one over their common denominator."""
-    scale = common(numbers)
-    return [one.numerator * (scale // one.denominator) for one in numbers], scale
-
-
-def read_state(line: bytes, question: dict[str, Any]) -> State:
+def read_state(line: bytes, question: Question) -> State:
     """A state of the model, its chances divided by their sum, its costs averaged."""
     stated, actions = read(line, name=str, sets=list, actions=list), list[Action]()
     for name, outcomes, costs in stated["actions"]:
         weights, _ = in_parts([number(p) for p, _ in outcomes])
         total, place, means = sum(weights), (stated["name"], name), list[Fraction]()
         need(min(weights, default=-1) >= 0 < total, "chances >= 0 of a sum > 0, fails at", *place)
-        is_list = type(costs) is list and len(costs) == question["costs"]
-        need(type(name) is str and is_list, "costs of", *place)
+        is_one = type(name) is str and type(costs) is list and len(costs) == question["costs"]
+        need(is_one, "costs of", *place)
         first = [Fraction(0)] * len(weights)
         for j, cost in enumerate(costs):
-            paid = [number(c) for c in cost] if type(cost) is list else [number(cost)] * len(first)
+            paid = list(map(number, cost)) if type(cost) is list else [number(cost)] * len(first)
             need(len(paid) == len(first) and min(paid) >= 0, "costs >= 0, fails at", *place)
-            first = first if j else paid
-            if paid.count(paid[0]) == len(paid):
-                means.append(paid[0])
-                continue
             parts, scale = in_parts(paid)
             means.append(Fraction(sum(map(mul, weights, parts)), total * scale))
+            first = first if j else paid
         each = zip(weights, outcomes, first, strict=True)
         moves = [(a, whole(y, question["states"]), t) for a, (_, y), t in each if a]
         actions.append(Action(name, total, moves, means))
     need("goal" not in stated["sets"] or not actions, "a goal has no actions, fails")
     return State(stated["name"], stated["sets"], actions)
+
+
+def model_of(lines: Lines, question: Question) -> Iterator[State]:
+    """States of the model in a file."""
+    return (read_state(line, question) for line in islice(lines(), 1, 1 + question["states"]))
 
 
 def read_proof(lines: Iterator[bytes], *, ratio: bool) -> tuple[Proof, str, int]:
@@ -153,16 +138,13 @@ def in_units(text: Any) -> int:
     return int(number(text))
 
 
-def steps_of(question: dict[str, Any]) -> list[str]:
+def steps_of(question: Question) -> list[str]:
     """Names of the programs of a question, in their order."""
-    failure = question["failure"]
-    first = ["least"] if type(failure) is dict or failure == "least" else []
-    return first + (["main"] if question["quantile"] is None else ["late", "from"])
+    is_share = type(question["failure"]) is dict or question["failure"] == "least"
+    return ["least"] * is_share + (["main"] if question["quantile"] is None else ["late", "from"])
 
 
-def stated(
-    question: dict[str, Any], step: str, answer: Any, done: dict[str, Bounds]
-) -> dict[str, Any]:
+def stated(question: Question, step: str, answer: Any, done: dict[str, Bounds]) -> Question:
     """The question of a program: the failure that it allows is an interval, a quantile a charge."""
     if step == "least":
         return {**question, "failure": (Fraction(1), Fraction(1)), "objective": FAILING, "rows": [],
@@ -177,51 +159,45 @@ def stated(
     else:
         allowed = 2 * (number("1" if failure is None else failure),)
     if step != "main":
-        is_start = step == "from" and not number(answer)
-        late = [">=", "0", "0", "0"], [">" if step == "late" else ">=", answer, "1", "0"]
-        charge = [[">=", "0", "1", "0"]] if is_start else list(late)
+        late = [[">=", "0", "0", "0"], [">" if step == "late" else ">=", answer, "1", "0"]]
+        charge = late if step == "late" or number(answer) else [[">=", "0", "1", "0"]]
     return {**question, "failure": allowed, "charge": charge}
 
 
-def proved_steps(lines: Lines, rest: Iterator[bytes], question: dict[str, Any]) -> Iterator[Step]:
-    """Check the proofs of a question's programs one after the other.
+def proved_steps(
+    lines: Lines, rest: Iterator[bytes], question: Question, answer: Any
+) -> Iterator[tuple[Program, Proof, Bounds, str]]:
+    """Check the proofs of a question's programs, whose texts have a SHA-256, one after the other.
 
     Args:
         lines: of the file.
         rest: the same, behind the model.
         question: of the file.
+        answer: the total that a quantile is; None: none is asked.
     """
-    answer, done = read(next(rest), answer=object)["answer"], dict[str, Bounds]()
-    need((answer is None) == (question["quantile"] is None), "an answer is a quantile, fails")
+    done = dict[str, Bounds]()
     for name in steps_of(question):
         asked, digest = stated(question, name, answer, done), hashlib.sha256()
         proof, cap, count = read_proof(rest, ratio=asked["ratio"])
-
-        def states() -> Iterator[State]:
-            model = islice(lines(), 1, 1 + question["states"])
-            return (read_state(line, question) for line in model)
-
-        program = Program(asked, states, cap, count)
-        columns = digested(program, digest)
-        constant, rows = program.objective.constant, program.rows
-        done[name] = prove(columns, constant, rows, program.follows, proof)
+        program = Program(asked, lambda: model_of(lines, question), cap, count)
+        columns, constant = digested(program, digest), program.objective.constant
+        done[name] = prove(columns, constant, program.rows, program.follows, proof)
         yield program, proof, done[name], digest.hexdigest()
     need(next(rest, None) is None, "the file goes on behind its proof")
 
 
-def digested(program: Program, digest: Any) -> Iterator[Column]:
+def digested(program: Program, digest: Any) -> Iterator[Any]:
     """Columns of a program, while its text is digested, for others to compare with."""
     rows = [[row.name, str(row.least), str(row.most)] for row in program.rows]
-    follows = sorted(program.follows.items())
-    head = [program.size, str(program.objective.constant), rows, follows]
+    head = [program.size, str(program.objective.constant), rows, sorted(program.follows.items())]
     digest.update(json.dumps(head, separators=(",", ":")).encode() + b"\n")
     for column in program.columns():
-        line = [*column[:4], list(map(str, column.counts))]
-        digest.update(json.dumps(line, separators=(",", ":")).encode() + b"\n")
+        line = json.dumps([*column[:4], list(map(str, column.counts))], separators=(",", ":"))
+        digest.update(line.encode() + b"\n")
         yield column
 
 
-def check(lines: Lines, expected: str | None = None) -> tuple[Bounds, dict[str, Any], list[str]]:
+def check(lines: Lines, expected: str | None = None) -> tuple[Bounds, Question, list[str]]:
     """Interval that a file's lines prove, the question, and the SHA-256 of it and each program.
 
     Args:
@@ -231,18 +207,14 @@ def check(lines: Lines, expected: str | None = None) -> tuple[Bounds, dict[str, 
     Raises:
         RefusedError: the claim does not follow.
     """
-    rest = lines()
-    question, digest = read_question(rest)
+    question, digest, answer = read_question(rest := lines())
     need(expected in (None, digest), "the file answers another question, of SHA-256", digest)
-    bounds, exceeded, digests = list[Bounds](), dict[str, Fraction](), [digest]
-    for step in proved_steps(lines, rest, question):
-        asked = step[0].question
-        bounds.append(step[2])
-        exceeded |= step[2].exceeded
-        digests.append(step[3])
+    steps = [step[1:] for step in proved_steps(lines, rest, question, answer)]
+    bounds, digests = [step[1] for step in steps], [digest, *(step[2] for step in steps)]
+    exceeded = {name: most for one in bounds for name, most in one.exceeded.items()}
     lower, upper, _ = bounds[-1]
     if question["quantile"] is not None:
-        late, answer = 1 - number(question["quantile"]), asked["charge"][-1][1]
+        late = 1 - number(question["quantile"])
         need(bounds[-2].upper <= late, "the lottery exceeds the quantile as rarely, fails")
         need(not exceeded, "a quantile jumps where the lottery exceeds row", *exceeded)
         need(lower > late, "no lottery stays below the quantile as often, fails")
@@ -257,14 +229,11 @@ def main(path: str, expected: str | None = None) -> int:
     try:
         bounds, question, digests = check(lines_of(path), expected)
     except Exception as error:  # whatever a damaged file may lead to
-        told = "" if isinstance(error, RefusedError) else f"the file is damaged: {type(error)}: "
-        print(f"refused: {told}{str(error)!a}")
+        print(f"refused: {type(error).__name__} {str(error)!a}")
         return 1
     print("accepted:", json.dumps(question))
     print(f"its optimum lies between {float(bounds.lower)!r} and {float(bounds.upper)!r}")
-    print("SHA-256 of the question, and of the programs:", *digests)
-    for name, excess in bounds.exceeded.items():
-        print(f"the lottery exceeds row {name!a} by {float(excess):.1e}")
+    print("SHA-256:", *digests, "rows that the lottery exceeds:", *map(ascii, bounds.exceeded))
     return 0
 
 

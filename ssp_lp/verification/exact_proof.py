@@ -43,7 +43,7 @@ _FAR = 10**6  # prices by which a lottery that breaks a row is led back
 _HEAVY = Fraction(1, 10**12)  # weights below which members are left out, if the rows allow it
 _NARROW, _MANY = Fraction(1, 10**11), 20_000  # width that will do of programs of so many nodes
 
-Decide = Callable[[int, list[Column]], int]  # the column that a policy takes at a node
+Decide = Callable[[int], int]  # the position of the column that a policy takes at a node
 
 
 class _Way(NamedTuple):
@@ -92,6 +92,10 @@ class Nodes:
         self.where = {node: at for at, node in program.place.items()}
         self.kept = defaultdict[int, list[Column]](list)
         self.last = dict[int, int]()  # a best decision of each node at the last prices
+        first, keeps = program.graph.first, program.keeps
+        self.actions = [  # of each state, the positions of those that count
+            [k - first[x] for k in range(first[x], first[x + 1]) if keeps[k]] for x in range(n)
+        ]
         for column in program.columns():
             if column.node in self.where:
                 break  # these are made when they are asked for, as they are many
@@ -177,11 +181,25 @@ class Nodes:
         nearer = nearer_pairs(graph, taken, taken | stays).tolist()  # to where a group is left
         return {i: (values[group[n]], position[nearer[n]]) for i, n in place.items()}
 
-    def kept_actions(self, node: int) -> list[int]:
-        """Positions of the actions that count among those of a node's state, before its stops."""
-        graph, x = self.program.graph, self.state_of(node)
-        return [k for k, pair in enumerate(range(graph.first[x], graph.first[x + 1]))
-                if self.program.keeps[pair]]  # fmt: skip
+    def column(self, node: int, k: int) -> Column:
+        """Column k of a node."""
+        x, r = self.where.get(node, (0, 0))
+        if node not in self.where or k >= len(self.actions[x]):
+            return self.at(node)[k]
+        pair = self.program.graph.first[x] + self.actions[x][k]
+        return self.program.column(node, pair, self.program.model[x].actions[self.actions[x][k]], r)
+
+    def stop(self, node: int, *, must_wait: bool = False) -> int:
+        """Position of the column by which a node is left for nothing, or else by giving up.
+
+        Raises:
+            SolverError: there is none.
+        """
+        program, x = self.program, self.state_of(node)
+        stops = (x in program.giving_up) + (x in program.waiting)
+        if not stops or (must_wait and x not in program.waiting):
+            raise SolverError("the answer is not proved: a policy stops where it may not")
+        return len(self.actions[x]) + stops - 1
 
     def state_of(self, node: int) -> int:
         """State of the model, or (state, steps taken), that a node is of."""
@@ -193,17 +211,15 @@ class Nodes:
         Raises:
             SolverError: it goes on for ever where that is not free.
         """
-        above, decision = self.program.follows, dict[int, int]()
+        above, decision, chosen = self.program.follows, dict[int, int](), dict[int, Column]()
         before, queue, ending = defaultdict[int, list[int]](list), [0], list[int]()
         for i in queue:  # it grows while it is walked
-            if i in decision:
+            if i in chosen:
                 continue
-            same = above.get(i, i)
-            decision[i] = decide(same, self.at(same)) if i else 0
-            column = self.at(i)[decision[i]]
-            within = [(a, j) for a, j in column.moves if i in above or j not in above]
-            if sum(a for a, _ in within) < column.total:
-                ending.append(i)
+            decision[i] = decide(above.get(i, i)) if i else 0
+            column = chosen[i] = self.column(i, decision[i])
+            within = [a for a, j in column.moves if i in above or j not in above]
+            ending += [i] * (sum(within) < column.total)
             for _, j in column.moves:
                 before[j].append(i)
                 queue.append(j)
@@ -212,32 +228,26 @@ class Nodes:
             more = set(before[j]) - ends if j not in above else set[int]()
             ends |= more
             ending += more
-        for i in decision.keys() - ends - above.keys():
-            stops = self.at(i)[len(actions := self.kept_actions(i)) :]
-            if not stops or stops[-1].name != "wait":
-                raise SolverError("a policy goes on for ever where that is not free")
-            decision[i] = len(actions) + len(stops) - 1
+        stopped = {i: self.stop(i, must_wait=True) for i in chosen.keys() - ends - above.keys()}
+        stopped |= {i: stopped[j] for i, j in above.items() if i in chosen and j in stopped}
+        decision |= stopped
+        chosen |= {i: self.column(i, k) for i, k in stopped.items()}
         met, queue = {0}, [0]
         for i in queue:  # likewise
-            decision[i] = decision[above.get(i, i)]
-            after = {j for _, j in self.at(i)[decision[i]].moves} - met
+            after = {j for _, j in chosen[i].moves} - met
             met |= after
             queue += after
-        return self._evaluated({i: decision[i] for i in met})
-
-    def _evaluated(self, decision: dict[int, int]) -> Member:
-        """A policy's steps, and what it counts at most."""
-        u = [dict[int, int]() for _ in self.program.each]
-        steps, widest = dict[int, int](), 1
+        steps, widest, u = dict[int, int](), 1, [dict[int, int]() for _ in self.program.each]
         for block in self.blocks:
-            chosen = [self.at(i)[decision[i]] for i in block if i in decision]
-            widest = max(widest, *(-(-sum(a for a, _ in c.moves) // c.total) for c in chosen), 1)
-            steps |= _followed(chosen, [Fraction(1)] * len(chosen), steps, solved)
+            some = [chosen[i] for i in block if i in met]
+            widest = max(widest, *(-(-sum(a for a, _ in c.moves) // c.total) for c in some), 1)
+            steps |= _followed(some, [Fraction(1)] * len(some), steps, solved)
             for q, known in enumerate(u):
-                known |= _followed(chosen, [c.counts[q] for c in chosen], known, _lowered)
+                known |= _followed(some, [c.counts[q] for c in some], known, _lowered)
         # whole numbers: rounding up each t adds less than 1 + widest to what follows
         t = {i: -(step * 2 * (1 + widest) // ONE) for i, step in steps.items()}
-        return Member(decision, t, [{i: -v for i, v in values.items()} for values in u])
+        kept = {i: decision[i] for i in met}
+        return Member(kept, t, [{i: -v for i, v in values.items()} for values in u])
 
 
 def _followed(
@@ -491,7 +501,7 @@ def proof_of(nodes: Nodes, first: Sequence[Member], prices: Sequence[Fraction]) 
         lower = lower_bound(program, prices, values[0], most)
         if lower is not None and (best is None or lower > best[0]):
             best = lower, prices, values
-        member = nodes.member(lambda i, _: nodes.last[i])
+        member = nodes.member(nodes.last.__getitem__)
         is_new = (key := frozenset(member.decision.items())) not in members
         members[key] = member
         lottery = best_lottery([one.totals for one in members.values()], rows, EXCESS, ratio=ratio)

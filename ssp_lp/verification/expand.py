@@ -11,7 +11,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from fractions import Fraction
 from math import gcd, lcm
-from operator import add
+from operator import mul
 from typing import Any, NamedTuple
 
 if __package__:
@@ -42,13 +42,13 @@ class State(NamedTuple):
     actions: list[Action]
 
 
-def common(numbers: Iterable[Fraction]) -> int:
-    """Return the least common denominator of numbers."""
-    scale = 1
+def in_parts(numbers: Sequence[Fraction]) -> tuple[list[int], int]:
+    """Numbers as multiples of a part of 1, of which there are so many in 1."""
+    parts = 1
     for denominator in {one.denominator for one in numbers}:
-        scale = lcm(scale, denominator)
-        need(scale.bit_length() <= LONGEST, "a common denominator is too long")
-    return scale
+        parts = lcm(parts, denominator)
+        need(parts.bit_length() <= LONGEST, "a common denominator is too long")
+    return [one.numerator * (parts // one.denominator) for one in numbers], parts
 
 
 class _Graph:
@@ -133,8 +133,7 @@ class _Quantity:
 
     def mean(self, costs: Sequence[Fraction]) -> Fraction:
         """Weighted sum of some costs."""
-        each = zip(self.costs, costs, strict=False)  # of no costs it is 0
-        return sum((weight * cost for weight, cost in each if weight), ZERO)
+        return sum(map(mul, self.costs, costs), ZERO)
 
 
 class Program:
@@ -230,9 +229,8 @@ class Program:
         fail = self.dead | self.giving_up if self.question["charge_failing_step"] else set[int]()
         where = every if give_up == "anywhere" else self.attention
         for x, state in enumerate(self.states() if fail else ()):
-            stay = [
-                one.costs for one in state.actions if all(y in where for _, y, _ in one.outcomes)
-            ]
+            some = (one for one in state.actions if all(y in where for _, y, _ in one.outcomes))
+            stay = [one.costs for one in some]
             if x in fail and stay:
                 self.charges[x] = list(map(min, zip(*stay, strict=True)))
         for q in self.each:
@@ -245,10 +243,10 @@ class Program:
         steps = [((number(at), sides.index(side)), sign * number(value), sign * number(slope))
                  for side, at, value, slope in stated]  # fmt: skip
         self.steps: list[tuple[tuple[Fraction, int], Fraction, Fraction]] = steps
-        starts = [at for at, _, _ in self.steps]
-        is_function = starts == sorted(set(starts)) and starts[:1] in ([], [(ZERO, 0)])
+        starts = [at for at, _, _ in steps]
+        is_function = starts == sorted({(ZERO, 0), *starts}) or not starts
         need(is_function, "a charge begins at 0 and has one step after the other, fails")
-        least, self.rise = (number(cap), self.steps[-1][2]) if starts else (ZERO, ZERO)
+        least, self.rise = (number(cap), steps[-1][2]) if starts else (ZERO, ZERO)
         need(least >= 0 and (len(starts) < 2 or starts[-1][0] < least), "the cap is too low")
         need(self.rise >= 0, "the charge does not fall in the end, fails")
         self.follows = {1 + n + x: 1 + x for x in range(n * (self.rise > 0))}
@@ -258,17 +256,16 @@ class Program:
         if not starts:
             return
         flat = list(self.states())
-        paid = {t for state in flat for one in state.actions for _, _, t in one.outcomes}
-        self.unit = common({least, *paid})  # totals are whole numbers of 1 / unit
-        self.cap, units = int(least * self.unit), {t: int(t * self.unit) for t in paid}
-        for state in flat:
-            each = [[(a, y, units[t]) for a, y, t in one.outcomes] for one in state.actions]
-            actions = [
-                one._replace(outcomes=some) for one, some in zip(state.actions, each, strict=True)
-            ]
-            self.model.append(state._replace(actions=actions))
-        self.states, queue = lambda: self.model, [(0, x) for _, x in self.start if x in self.live]
-        met = set(queue := queue if self.cap else [])
+        paid = {t for state in flat for one in state.actions for _, _, t in one.outcomes} | {least}
+        parts, self.unit = in_parts(list(paid))  # totals are whole numbers of 1 / unit
+        units = dict(zip(paid, parts, strict=True))
+        self.cap, self.states = units[least], lambda: self.model
+        for name, sets, actions in flat:
+            outcomes = [[(a, y, units[t]) for a, y, t in one.outcomes] for one in actions]
+            each = zip(actions, outcomes, strict=True)
+            self.model.append(State(name, sets, [one._replace(outcomes=o) for one, o in each]))
+        queue = [(0, x) for _, x in self.start if x in self.live and self.cap]
+        met = set(queue)
         for r, x in queue:  # it grows while it is walked
             for k, action in enumerate(self.model[x].actions, self.graph.first[x]):
                 for _, y, t in action.outcomes if self.keeps[k] else ():
@@ -287,10 +284,10 @@ class Program:
 
     def columns(self) -> Iterator[Column]:
         """All columns, node by node."""
-        scale = common(p for p, _ in self.start)
-        outcomes = [(int(p * scale), x, 0) for p, x in self.start]
+        parts, scale = in_parts([p for p, _ in self.start])
+        outcomes = [(a, x, 0) for a, (_, x) in zip(parts, self.start, strict=True)]
         begin = Action("begin", scale, outcomes, [ZERO] * len(self.objective.costs))
-        yield self._column(0, -1, begin, 0)
+        yield self.column(0, -1, begin, 0)
         for x, state in enumerate(self.states()):
             if x in self.live:
                 yield from self.decisions(1 + x, x, state.actions, self.cap)
@@ -305,21 +302,17 @@ class Program:
         """Columns of a state at a total (9), or for what exceeds the cap (10; r is None)."""
         for k, action in enumerate(actions, self.graph.first[x]):
             if self.keeps[k]:
-                yield self._column(node, k, action, r)
-        nothing, failing = [ZERO] * len(self.each), [ZERO] * len(self.each)
-        paid = [q.mean(self.charges.get(x, ())) for q in self.each]
-        failing[1] = ONE
-        waits = x in self.waiting
-        if r is None:  # it counts at the cap already
-            failing, paid = nothing, nothing
-            avoids = x in self.attention and self.rows[0].most > 0
-            waits = waits or (avoids and x not in self.giving_up)
+                yield self.column(node, k, action, r)
+        counts = [ZERO, ZERO if r is None else ONE, *[ZERO] * len(self.rows[1:])]
         if x in self.giving_up:
-            yield Column(node, "give up", 1, [], tuple(map(add, failing, paid)))
-        if waits:
-            yield Column(node, "wait", 1, [], tuple(failing))
+            charges = () if r is None else self.charges.get(x, ())
+            taken = [c + q.mean(charges) for c, q in zip(counts, self.each, strict=True)]
+            yield Column(node, "give up", 1, [], tuple(taken))
+        avoids = x in self.attention and x not in self.giving_up and self.rows[0].most > 0
+        if x in self.waiting or (r is None and avoids):
+            yield Column(node, "wait", 1, [], tuple(counts))
 
-    def _column(self, node: int, k: int, action: Action, r: int | None) -> Column:
+    def column(self, node: int, k: int, action: Action, r: int | None) -> Column:
         """Column of action k; the beginning is k = -1, without a discount."""
         n, discount = self.graph.size, self.discount if k >= 0 else ONE
         if (fixed := self._fixed.get(k)) is None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from fractions import Fraction
+from operator import mul
 from pathlib import Path
 
 from ssp_lp.model.arguments import explained
@@ -37,8 +38,8 @@ def to_vipr(solution: Solution, path: str | Path) -> Fraction:
     """
     lines = certificate_of(solution)
     rest = iter(lines)
-    question, _ = read_question(rest)
-    *_, (program, proof, _, _) = proved_steps(lambda: iter(lines), rest, question)
+    question, _, answer = read_question(rest)
+    *_, (program, proof, _, _) = proved_steps(lambda: iter(lines), rest, question, answer)
     unit, ratio = Fraction(1, proof.unit), proof.ratio or Fraction(0)
     prices = [proof.prices[0] - ratio, *proof.prices[1:]]
     limits = [row.most for row in program.rows]
@@ -51,17 +52,17 @@ def to_vipr(solution: Solution, path: str | Path) -> Fraction:
         for a, i in moves:
             entries[i] -= Fraction(a, total)
         left = Fraction(0)
-        for i, a in entries.items():
-            flow[i] += [f"{count} {a}"] if a else []
-            left += a * proof.v[i] * unit
+        for i, share in entries.items():
+            flow[i] += [f"{count} {share}"] if share else []
+            left += share * proof.v[i] * unit
         for row, c in zip(rows, counts[1:], strict=True):
             row += [f"{count} {c}"] if c else []
         cost = counts[0] + ratio * counts[1]
         objective += [f"{count} {cost}"] if cost else []
-        paid = sum(p * c for p, c in zip(prices, counts[1:], strict=True))
+        paid = sum(map(mul, prices, counts[1:]), Fraction(0))
         spare += [f"{count} {cost + paid - left}"] if cost + paid != left else []
         count += 1
-    bound = proof.v[0] * unit - sum(p * most for p, most in zip(prices, limits, strict=True))
+    bound = proof.v[0] * unit - sum(map(mul, prices, limits), Fraction(0))
     nodes = sorted(proof.v)
     terms = [f"{count + k} {proof.v[i] * unit}" for k, i in enumerate(nodes) if proof.v[i]]
     terms += [f"{count + len(nodes) + k} {-p}" for k, p in enumerate(prices) if p]
