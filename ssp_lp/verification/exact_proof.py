@@ -515,8 +515,8 @@ def proof_of(nodes: Nodes, first: Sequence[Member], prices: Sequence[Fraction]) 
             prices, less = [_of_few_digits(prices[0] * (1 - less)), *prices[1:]], less * 10**4
             continue
         width = ONE if best is None else lottery.value + program.objective.constant - best[0]
-        is_narrow = nodes.size > _MANY and width <= _NARROW * (1 + abs(lottery.value))
-        if is_narrow or (turn and not is_new and lower is not None):
+        enough = (_NARROW if nodes.size > _MANY else _LESS) * (1 + abs(lottery.value))
+        if width <= enough or (turn and not is_new and lower is not None):
             break
         prices, less = list(map(_of_few_digits, lottery.prices)), _LESS
         if ratio:

@@ -328,6 +328,15 @@ def test_the_command_line(tmp_path, capsys):
     write_certificate(solve(MCMP(ROAD, "road", 0.05)), path)
     assert main(["check", str(path)]) == 0
     assert "accepted: least 1 cost 0; from 'road' (1); failure 0.05" in capsys.readouterr().out
+    mine = {"road": {"fast": [[0.9, "home", 1], [0.1, "ditch", 1]], "safe": [[1, "home", 3]]}}
+    (tmp_path / "road.json").write_text(json.dumps({**mine, "ditch": {}}))
+    asked = ["check", str(path), "--model", str(tmp_path / "road.json"), "--goal", "home"]
+    asked += ["--start", "road", "--failure-budget"]
+    assert main([*asked, "0.05"]) == 0
+    assert main([*asked, "0.06"]) == 1
+    assert "the file answers another question" in capsys.readouterr().err
+    assert main(["check", str(path), "--failure-budget", "0.05"]) == 2
+    assert "give --model" in capsys.readouterr().err
     path.write_bytes(gzip.compress(b"\n".join([*lines_of(path)[:-1], b""])))
     assert main(["check", str(path)]) == 1
     assert "is refused: v is stated after" in capsys.readouterr().err
