@@ -90,15 +90,15 @@ def read_state(line: bytes, question: Question) -> State:
         weights, _ = in_parts([number(p) for p, _ in outcomes])
         total, place, means = sum(weights), (stated["name"], name), list[Fraction]()
         need(min(weights, default=-1) >= 0 < total, "chances >= 0 of a sum > 0, fails at", *place)
-        is_one = type(name) is str and type(costs) is list and len(costs) == question["costs"]
-        need(is_one, "costs of", *place)
+        need(type(costs) is list and len(costs) == question["costs"], "costs of", *place)
         first = [Fraction(0)] * len(weights)
         for j, cost in enumerate(costs):
-            paid = list(map(number, cost)) if type(cost) is list else [number(cost)] * len(first)
-            need(len(paid) == len(first) and min(paid) >= 0, "costs >= 0, fails at", *place)
+            paid = list(map(number, cost if type(cost) is list else [cost]))
+            times = 1 if type(cost) is list else len(weights)
+            need(times * len(paid) == len(weights) and min(paid) >= 0, "costs >= 0 at", *place)
             parts, scale = in_parts(paid)
-            means.append(Fraction(sum(map(mul, weights, parts)), total * scale))
-            first = first if j else paid
+            means.append(Fraction(sum(map(mul, weights, times * parts)), total * scale))
+            first = first if j else times * paid
         each = zip(weights, outcomes, first, strict=True)
         moves = [(a, whole(y, question["states"]), t) for a, (_, y), t in each if a]
         actions.append(Action(name, total, moves, means))

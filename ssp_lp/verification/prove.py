@@ -107,8 +107,8 @@ def number(text: Any) -> Fraction:
 
 def whole(value: Any, below: int) -> int:
     """Check that a value is a whole number >= 0 below another."""
-    is_whole = type(value) is int and 0 <= value < below
-    need(is_whole, repr(value)[:99], "is no whole number below", repr(below)[:99])
+    if not (type(value) is int and 0 <= value < below):
+        need(False, repr(value)[:99], "is no whole number below", repr(below)[:99])
     return int(value)
 
 
