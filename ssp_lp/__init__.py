@@ -111,13 +111,15 @@ if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram as OccupationProgram
     from ssp_lp.solution import Solution as Solution
     from ssp_lp.solving import solve as solve
-    from ssp_lp.verification.certificate_file import write_certificate as write_certificate
-    from ssp_lp.verification.certify import Certificate as Certificate, certify as certify
-    from ssp_lp.verification.checker import (
+    from ssp_lp.verification.certificate_file import (
         Checked as Checked,
         check_certificate as check_certificate,
+        sha256_of as sha256_of,
+        write_certificate as write_certificate,
     )
+    from ssp_lp.verification.certify import Certificate as Certificate, certify as certify
     from ssp_lp.verification.cross_check import CrossCheck as CrossCheck, cross_check as cross_check
+    from ssp_lp.verification.vipr import to_vipr as to_vipr
 
 __version__ = "0.1.0"
 
@@ -152,10 +154,10 @@ _MODULES = {
     "programs.occupation_program": "OccupationProgram",
     "solution": "Solution",
     "solving": "solve",
-    "verification.certificate_file": "write_certificate",
+    "verification.certificate_file": "Checked check_certificate sha256_of write_certificate",
     "verification.certify": "Certificate certify",
-    "verification.checker": "Checked check_certificate",
     "verification.cross_check": "CrossCheck cross_check",
+    "verification.vipr": "to_vipr",
 }
 _ON_DEMAND = {name: f"{__name__}.{of}" for of, names in _MODULES.items() for name in names.split()}
 

@@ -245,10 +245,10 @@ def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -
 @pytest.mark.parametrize(
     ("measure", "most"),
     [
-        (house.lines_in_all, 31_812),
-        (house.public_classes, 267),
+        (house.lines_in_all, 31_289),
+        (house.public_classes, 272),
         (house.numeric_constants, 519),
-        (house.questions_asked, 81),
+        (house.questions_asked, 80),
         (house.written_past_freezing, 41),
     ],
     ids=lambda one: one.__name__ if callable(one) else "",
@@ -270,8 +270,8 @@ def test_no_folder_grows() -> None:
 
 LINES = {
     "formulations": 458,
-    "formulations/command_line": 791,
-    "ssp_lp": 2_054,
+    "formulations/command_line": 804,
+    "ssp_lp": 2_056,
     "ssp_lp/accumulated_cost": 2_692,
     "ssp_lp/analysis": 920,
     "ssp_lp/column_generation": 2_146,
@@ -281,12 +281,12 @@ LINES = {
     "ssp_lp/game": 1_036,
     "ssp_lp/io": 3_033,
     "ssp_lp/linear_programming": 423,
-    "ssp_lp/methods": 3_376,
+    "ssp_lp/methods": 3_383,
     "ssp_lp/model": 2_364,
     "ssp_lp/plotting": 782,
     "ssp_lp/policies": 1_330,
     "ssp_lp/processes": 1_846,
     "ssp_lp/programs": 1_318,
-    "ssp_lp/verification": 2_490,
+    "ssp_lp/verification": 1_945,
 }
 """Code lines of each folder."""

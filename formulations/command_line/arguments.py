@@ -373,11 +373,19 @@ VERBS = {
   ssp-lp solve gym:FrozenLake-v1 --criterion cost-bounded-reach --cost-bound 40""",
     ),
     "check": Verb(
-        "check a certificate by exact inequalities: between which fractions the optimum lies",
-        {"": {"certificate": _taken("of solve --certificate-out", "FILE")}},
+        "check a certificate by exact inequalities: between which numbers the optimum lies",
+        {
+            "": {
+                "certificate": _taken("of solve --certificate-out", "FILE"),
+                "--model": _taken("your own model, of which you ask what follows", "MODEL"),
+            },
+            "the question": _QUESTION,
+            "the model": _MODEL,
+        },
         """\
   ssp-lp solve roads.json --goal home --start depot --certificate-out roads.cert
-  ssp-lp check roads.cert""",
+  ssp-lp check roads.cert
+  ssp-lp check roads.cert --model roads.json --goal home --start depot""",
         takes_model=False,
     ),
     "frontier": Verb(

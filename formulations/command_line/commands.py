@@ -433,9 +433,15 @@ def _check_command(asked: Namespace) -> Iterable[str]:
     """The command ``check``.
 
     Raises:
+        ModelError: something is asked, but not of which model.
         SolverError: the certificate is refused.
     """
-    checked = ssp_lp.check_certificate(asked.certificate)
+    problem, asked = None, with_property(asked)
+    if asked.model is not None:
+        problem = problem_of(asked, command_model(asked))
+    elif asked.goal or asked.limit or asked.start or any(name in asked for name in PARAMETERS):
+        raise ModelError("a question is asked of a model: give --model, or the file alone")
+    checked = ssp_lp.check_certificate(asked.certificate, problem=problem)
     if not checked.accepted:
         raise SolverError(f"{asked.certificate} is refused: {checked.reason}")
     return [str(checked)]

@@ -1,21 +1,21 @@
 """The agreement of the methods: the linear program, column generation and the paper's game.
 
 What they all take from one room is read a second time: dead-ends, attention states, what failing
-charges and where wandering is free, by the loops of ``ssp_lp.verification.checker``, in fractions.
+charges and where wandering is free, by the loops of ``ssp_lp.verification.expand``, in fractions.
 """
 
 from __future__ import annotations
 
-import json
 import logging
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from itertools import combinations, permutations
 from math import inf, isnan
 from operator import attrgetter
-from typing import cast
+from typing import Any
 
 import numpy as np
 
@@ -32,8 +32,7 @@ from ssp_lp.processes.failure_semantics import dead_end_charges, give_up_charges
 from ssp_lp.processes.live_rows import costless_pairs
 from ssp_lp.solution import Solution
 from ssp_lp.solving import solve
-from ssp_lp.verification import checker
-from ssp_lp.verification.certificate_file import Statement
+from ssp_lp.verification.certificate_file import Statement, program_of
 
 METHODS = ("lp", "columns", "game")
 
@@ -450,22 +449,21 @@ def second_reading(problem: Problem) -> SecondReading | None:
     model, semantics = problem.model, problem.semantics
     if model.n_outcomes > MOST_OUTCOMES:
         return None
-    lines = list(Statement(problem, "").lines())
-    apart = checker.Model(json.loads(lines[0]), list(map(checker.read_state, lines[1:])))
+    statement, total = Statement(problem), {"constant": "0", "terms": [["1", "cost", 0]]}
+    always: dict[str, Any] = {"failure": (Fraction(1), Fraction(1)), "discount": None, "rows": []}
+    asked = {**statement.question, **always, "objective": total, "charge": [], "greatest": False}
+    apart = program_of(asked, statement.states)
     dead, nobody = hopeless_states(model), np.zeros(model.n_states, dtype=np.bool_)
     entering = dead_end_charges(model, dead, semantics)
     stopping = give_up_charges(model, attention_states(model), nobody, semantics)
     may_stop = np.isfinite(stopping) & ~dead & ~model.goal_mask
     wandering = (end_components(model, costless_pairs(model))[0] >= 0) & ~dead
-    # at a total all wandering is free, and with a discount every step may be the last
-    differs = apart.counts or problem.discount is not None
-    free = set(np.flatnonzero(wandering).tolist()) if differs else apart.free
     faults: list[str] = []
 
     def compare(part: str, ours: BoolArray, theirs: set[int]) -> int:
         """Count the states that play a part, and note one that does in one reading only."""
         told = nobody.copy()
-        told[sorted(theirs - {model.n_states})] = True  # the last is the checker's own
+        told[sorted(theirs)] = True
         for x in np.flatnonzero(told != ours)[:1].tolist():
             where, word = repr(model.states[x]), "is" if ours[x] else "is not"
             faults.append(f"{where} {word} {part}, the second reading says otherwise")
@@ -474,14 +472,13 @@ def second_reading(problem: Problem) -> SecondReading | None:
     counts = (
         compare("a dead-end", dead, apart.dead),
         compare("a state to give up in", may_stop, apart.giving_up),
-        compare("a state where wandering is free", wandering, free),
+        compare("a state where wandering is free", wandering, apart.waiting),
     )
     charged = np.where(dead, entering, np.where(may_stop, stopping, 0.0))
-    for x, costs in apart.failing.items():
-        own, other = (charged[x] if x < model.n_states else 0.0), float(costs[0])
+    for x in sorted(apart.dead | apart.giving_up):
+        own, other = charged[x], float(apart.charges.get(x, [Fraction(0)])[0])
         if abs(own - other) > _SAME * max(abs(own), abs(other)):
-            states = cast("list[object]", [*model.states, "the end"])
-            faults.append(f"failing in {states[x]!r} charges {own:.12g}, by the second reading "
-                          f"{other:.12g}")  # fmt: skip
+            faults.append(f"failing in {model.states[x]!r} charges {own:.12g}, by the second "
+                          f"reading {other:.12g}")  # fmt: skip
             break
     return SecondReading(*counts, tuple(faults))

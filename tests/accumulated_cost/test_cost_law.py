@@ -31,6 +31,7 @@ from ssp_lp import (
     trace_frontier,
 )
 from ssp_lp.accumulated_cost import arrivals as following, cost_law
+from ssp_lp.accumulated_cost.charges import ExpectedArrivalCost
 from ssp_lp.policies.chain import policy_chain
 from written_models import written
 
@@ -527,3 +528,21 @@ def test_evaluate_counts_what_the_problem_measures(criterion, value):
     for ask in (trace_frontier, cross_check, lambda p: solve(p, method="game")):
         with pytest.raises(ModelError, match=type(criterion).__name__):
             ask(criterion)
+
+
+def test_what_lies_beyond_the_line_of_a_charge_is_a_sum_over_atoms():
+    """Totals before, at and after the total from which the charge is a line."""
+    atoms = {1.0: 0.3, 4.0: 0.2, 6.5: 0.2, 9.0: 0.1}
+    outcomes = [(p, "g", total) for total, p in atoms.items()]
+    model = model_of({"x": {"go": [*outcomes, (0.2, "d", 2.0)]}, "d": {}})
+    policy = DeterministicPolicy.from_actions(model, {"x": "go"})
+    law = success_costs(policy, S3P(model, "x", 1.0))
+    for line in (0.0, 0.5, 1.0, 4.0, 5.0, 6.5, 8.0, 9.0, 20.0):
+        beyond = sum(p * max(total - line, 0.0) for total, p in atoms.items())
+        assert law.excess(line) == pytest.approx(beyond, rel=1e-13, abs=1e-15)
+
+        def charge(c, line=line):
+            return np.where(c <= line, 0.5 * c, 0.5 * line + 3.0 * (c - line))
+
+        known = sum(p * float(charge(total)) for total, p in atoms.items()) / 0.8
+        assert ExpectedArrivalCost(charge, line).of(law) == pytest.approx(known, rel=1e-12)

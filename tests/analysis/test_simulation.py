@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import sqrt
+from math import log, sqrt
 from statistics import NormalDist
 
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from scipy.stats import binomtest
 
 from checks import library_model
 from drawn_policies import drawn_model, drawn_policy
@@ -32,7 +33,7 @@ from ssp_lp.analysis.counted_draws import (
     drawn_segments,
     high_product,
 )
-from ssp_lp.analysis.simulation import greatest_total, mean_estimate
+from ssp_lp.analysis.simulation import greatest_total, mean_estimate, proportion_estimate
 from strategies import budgets, often, problems
 from written_models import written
 
@@ -318,3 +319,26 @@ def test_outcomes_are_those_of_the_pairs() -> None:
     pairs = np.array([1, 0, 1, 0, 0])
     words = np.array([0, 0, LARGEST, LARGEST, 2**63], dtype=np.uint64)
     assert drawn_outcomes(FIRST, pairs, words).tolist() == [2, 0, 3, 1, 0]
+
+
+@pytest.mark.parametrize("confidence", [0.9, 0.95, 0.9999])
+def test_intervals_of_proportions_are_those_of_clopper_and_pearson(confidence):
+    for trials in (1, 2, 7, 40, 1000):
+        for hits in {0, 1, trials // 3, trials - 1, trials}:
+            found = proportion_estimate(hits, trials, confidence)
+            known = binomtest(hits, trials).proportion_ci(confidence, "exact")
+            assert (found.low, found.high) == pytest.approx((known.low, known.high), abs=1e-10)
+
+
+def test_intervals_of_means_by_hand():
+    """Of one episode anything up to the greatest cost is possible; of many, Maurer and Pontil's."""
+    one = mean_estimate(np.array([3.0]), 0.95, 10.0)
+    assert (one.value, one.low, one.high, one.standard_error) == (3.0, 0.0, 10.0, None)
+    two = mean_estimate(np.array([1.0, 3.0]), 0.95, 10.0)
+    assert two.high == 10.0  # the bound of the theorem is 2 + sqrt(2 ln 80) + 70 ln 80 / 3
+    assert two.low == pytest.approx(1.0 - sqrt(log(40.0) / 4.0))  # from 0 to 1 all costs are more
+    many = mean_estimate(np.tile([0.0, 2.0], 5_000), 0.95, 10.0)
+    deviation = sqrt(10_000 / 9_999)
+    spread = deviation * sqrt(2.0 * log(80.0) / 10_000)
+    assert many.high == pytest.approx(1.0 + spread + 70.0 * log(80.0) / (3.0 * 9_999), rel=1e-12)
+    assert many.low == pytest.approx(2.0 * (0.5 - sqrt(log(40.0) / 20_000)), rel=1e-12)

@@ -11,7 +11,6 @@ import pytest
 from examples.solver_comparison.instances.families import FAMILIES
 from formulations import MaxProb
 from ssp_lp import SSP, certify, end_probability, secondary_cost, solve, visits
-from ssp_lp.verification.certificate_file import write_certificate
 from tests.campaigns import (
     broken_builders,
     certificate_check,
@@ -30,7 +29,8 @@ PRICED_ROWS = 355361  # without a certificate once: a limit has a price, and not
 @pytest.mark.slow
 def test_certificates_and_changed_ones():
     tally = Counter()
-    cases = dict(enumerate(map(certificate_check.case_of, range(len(certificate_check.KINDS)))))
+    seeds = range(2 * len(certificate_check.KINDS))
+    cases = dict(enumerate(map(certificate_check.case_of, seeds)))
     for seed, case in (cases | {PRICED_ROWS: program_check.drawn_case(PRICED_ROWS)}).items():
         assert list(certificate_check.told(case, seed, 1, tally)) == [], seed
     assert tally["certificates"] > 20
@@ -78,7 +78,7 @@ CRASH = end_probability("crash")
     ids=["an ulp beyond surely", "one of 0 was broken by 1e-16 to keep another to its ulp"],
 )
 def test_limits_that_only_rounding_tells_from_what_can_be_had(
-    moves, labels, asked, compiled, accelerate, tmp_path
+    moves, labels, asked, compiled, accelerate
 ):
     """Nobody comes home within them; the certificate says so."""
     accelerate(compiled)
@@ -88,7 +88,6 @@ def test_limits_that_only_rounding_tells_from_what_can_be_had(
     solution = solve(MaxProb(model, 0, **asked))
     assert solution.objective == 0.0
     assert certify(solution).accepted
-    assert write_certificate(solution, tmp_path / "one.cert").accepted
 
 
 @pytest.mark.slow

@@ -462,6 +462,16 @@ def test_a_games_value_proves_no_more_than_it_does_in_fractions():
         assert float(exact) - told <= 1e-14 * stake / alpha
 
 
+def test_a_game_whose_value_is_what_is_owed_proves_nothing_but_rounding():
+    """No policy within the budget is known to cost more than nothing."""
+    reply = BestResponse(1.0, 0.5, 0.0)
+    for alpha in (1e-6, 0.3, 0.5, 1.0):
+        game = Game(7.0, 0.25)
+        least = game.owed(alpha, 0.0)
+        told = _threshold_from_game_value(Equilibrium(game, reply, reply, alpha, least, least, ()))
+        assert -1e-14 * 7.0 / alpha <= told <= 0.0
+
+
 @pytest.mark.parametrize("budget", [0.0, 0.5, 0.9, 1.0])
 def test_a_slack_bound_without_a_margin_divides_what_is_lacking_by_the_success(budget):
     """J >= price * (1 - J_cond) - lack for all, so J / (1 - J_cond) >= price - lack / success."""

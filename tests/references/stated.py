@@ -1,20 +1,18 @@
 """The optimum of a question as a certificate's file states it: one linear program, by scipy.
 
-Written from the words that head `ssp_lp/verification/checker.py`, in floats and plain loops, signed
-weights as they stand: nothing is shared with the library nor with the checker.
+Written from the page on the format, in floats and plain loops, signed weights as they stand:
+nothing is shared with the library nor with the scripts that check certificates.
 """
 
 import json
 from collections.abc import Sequence
 from fractions import Fraction
-from itertools import product
-from math import prod
 
 import numpy as np
 from scipy.optimize import linprog
 
+MOST_STATES = 1000  # with steps taken
 LEAST_ROOM = 1e-11  # beyond the least failure, where that is asked for
-MOST_POLICIES = 800  # that are tried one by one, where they must not be mixed
 
 
 def optimum(lines: Sequence[bytes], most: int = 120, *, whole: bool = False) -> float | None:
@@ -24,14 +22,14 @@ def optimum(lines: Sequence[bytes], most: int = 120, *, whole: bool = False) -> 
     are not all, where the whole is asked for.
     """
     question, *states = [json.loads(line) for line in lines[: json.loads(lines[0])["states"] + 1]]
-    if "quantile" in question:
+    if question["horizon"] is not None:
+        question, states = within_steps(question, states)
+    if question["quantile"] is not None:
         return quantile(question, states, whole=whole)
-    if "tail_mean" in question:
-        return tail_mean(question, states, most, whole=whole)
-    if "charge" in question:
+    if charged := bool(question["charge"]):
         question, states = by_totals(question, states, most, whole=whole)
     n = len(states)
-    members = {name: set() for name in ["goal", *question["sets"]]}
+    members = {name: set() for name in ["goal", "out of time", *question["sets"]]}
     for x, state in enumerate(states):
         for name in state["sets"]:
             members[name].add(x)
@@ -49,11 +47,11 @@ def optimum(lines: Sequence[bytes], most: int = 120, *, whole: bool = False) -> 
 
     def charge(some: list) -> np.ndarray:
         """The least of each cost among some actions."""
-        charged = some and question["charge_failing_step"]
+        is_paid = some and question["charge_failing_step"]
         least = (
-            np.min([paid for _, paid in some], axis=0) if charged else np.zeros(question["costs"])
+            np.min([paid for _, paid in some], axis=0) if is_paid else np.zeros(question["costs"])
         )
-        if "charge" in question:
+        if charged:
             least[-1] = 0.0  # the last of these costs is the charge of a total, which no step pays
         return least
 
@@ -63,10 +61,6 @@ def optimum(lines: Sequence[bytes], most: int = 120, *, whole: bool = False) -> 
         where = {"anywhere": actions[x], "attention": staying, "dead_ends": []}[question["give_up"]]
         if where and (question["give_up"] != "attention" or x in avoiding):
             stops[x] = charge(where)
-    if question.get("after_failing"):
-        question, actions = going_on(question, actions, members, dead, avoiding, entering, stops)
-        dead = {x for x, some in enumerate(actions) if not some} - goal
-        live = [x for x, some in enumerate(actions) if some]
     everything = [question["objective"], *(row["quantity"] for row in question["rows"])]
     counted = [term for quantity in everything for term in quantity["terms"] if Fraction(term[0])]
     costs = {what for _, kind, what in counted if kind == "cost"}
@@ -130,23 +124,18 @@ def optimum(lines: Sequence[bytes], most: int = 120, *, whole: bool = False) -> 
     failed = sum(p for p, x in start if x in dead)
 
     def least(
-        objective: np.ndarray, rows: list[tuple[np.ndarray, float]], at_start: float | None = None,
-        kept: list[int] | None = None,
-    ) -> float | None:  # fmt: skip
-        """The least of an objective within rows; given success, with what it takes at the start.
-
-        Where some columns alone are kept, it is that of the policies that take no others.
-        """
+        objective: np.ndarray, rows: list[tuple[np.ndarray, float]], at_start: float | None = None
+    ) -> float | None:
+        """The least of an objective within rows; given success, with what it takes at the start."""
         if not columns:
             is_kept = all(bound >= -1e-9 for _, bound in rows) and (
                 at_start is None or failed < 1.0
             )
             return (at_start or 0.0) / (1.0 - failed * (at_start is not None)) if is_kept else None
-        kept = list(range(len(columns))) if kept is None else kept
-        objective, failing = objective[kept], fails[kept]
-        upper = np.array([r[kept] for r, _ in rows]) if rows else None
+        failing = fails
+        upper = np.array([r for r, _ in rows]) if rows else None
         bounds = np.array([b for _, b in rows]) if rows else None
-        equal, right = balance[:, kept], begins
+        equal, right = balance, begins
         if at_start is not None:  # all is scaled so that the goal has probability one
             objective = np.append(objective, at_start)
             upper = None if upper is None else np.column_stack([upper, -bounds])
@@ -185,71 +174,32 @@ def optimum(lines: Sequence[bytes], most: int = 120, *, whole: bool = False) -> 
     sign = -1.0 if question["greatest"] else 1.0
     takes, at_start = row(question["objective"])
 
-    def best(kept: list[int] | None) -> float | None:
-        """The optimum of some policies."""
-        if question.get("ratio"):
-            return least(takes, rows, at_start, kept)
-        found = least(sign * takes, rows, None, kept)
-        return None if found is None else sign * found + at_start
+    if question["ratio"]:
+        return least(takes, rows, at_start)
+    found = least(sign * takes, rows)
+    return None if found is None else sign * found + at_start
 
-    if not question.get("deterministic"):
-        return best(None)
-    choices = [[j for j, column in enumerate(columns) if column[0] == x] for x in live]
-    if prod(map(len, choices)) > MOST_POLICIES:
+
+def within_steps(question: dict, states: list[dict]) -> tuple[dict, list[dict]]:
+    """The same question on (state, steps taken), whose last ones have no actions."""
+    n, horizon, told = len(states), question["horizon"], list[dict]()
+    if n * (horizon + 1) > MOST_STATES:
         raise OverflowError
-    values = [best(list(kept)) for kept in product(*choices)]
-    known = [value for value in values if value is not None]
-    return (max if question["greatest"] else min)(known, default=None)
-
-
-def going_on(
-    question: dict, actions: list, members: dict, dead: set, avoiding: set, entering: dict,
-    stops: dict,
-) -> tuple[dict, list]:  # fmt: skip
-    """The same question and actions where runs go on after failing, from state x in state n + x.
-
-    Costs are told twice, until failing and to the end, sets with " through" after failing, too.
-    """
-    n, k, nothing = len(actions), question["costs"], np.zeros(question["costs"])
-    quantities = [question["objective"], *(row["quantity"] for row in question["rows"])]
-    named = {what for q in quantities for _, kind, what in q["terms"] if kind == "end"}
-    ends = {x for x in dead if not actions[x] or any(x in members[name] for name in named)}
-    going = [[] for _ in range(2 * n)]
-    for x, some in enumerate(actions):
-        for outs, paid in some:
-            failed = [(p, y + n) for p, y in outs]
-            stays = x in avoiding and _within(outs, avoiding) and question["give_up"] != "dead_ends"
-            if x in dead - ends:
-                for node in (x, x + n):
-                    going[node].append((failed, np.append(nothing, paid)))
-            if x not in dead:
-                going[x].append((outs, np.append(paid, paid)))
-                if stays:
-                    going[x].append((failed, np.append(stops[x], paid)))
-                    going[x + n].append((failed, np.append(nothing, paid)))
-    for x, paid in entering.items():
-        entering[x] = np.append(paid, paid if x in ends else nothing)
-    for x, paid in list(stops.items()):
-        stops[x] = np.append(paid, paid)
-        if x in avoiding:
-            del stops[x]
-    for name, states in list(members.items()):
-        members[f"{name} through"] = states | {x + n for x in states - members["goal"]}
-
-    def told(quantity: dict) -> dict:
-        """A quantity of sets and costs that are told to the end."""
-        terms = []
-        for weight, kind, what in quantity["terms"]:
-            further = kind == "end" or kind.endswith(" through")
-            if kind.startswith("cost"):
-                terms.append([weight, "cost", what + k * further])
-            else:
-                terms.append([weight, kind.split()[0], f"{what} through" if further else what])
-        return {**quantity, "terms": terms}
-
-    rows = [{**row, "quantity": told(row["quantity"])} for row in question["rows"]]
-    asked = {"costs": 2 * k, "objective": told(question["objective"]), "rows": rows}
-    return {**question, **asked}, going
+    needed = {x: 0 for x, state in enumerate(states) if "goal" in state["sets"]}
+    while more := {x: 1 + min(needed[y] for y in after)
+                   for x, state in enumerate(states) if x not in needed
+                   if (after := [y for _, outs, _ in state["actions"] for p, y in outs
+                                 if Fraction(p) and y in needed])}:  # fmt: skip
+        needed |= more
+    for h in range(horizon + 1):
+        for x, state in enumerate(states):
+            late = ["out of time"] * (needed.get(x, 0) > horizon - h)
+            actions = [
+                [name, [[p, (h + 1) * n + y] for p, y in outs], costs]
+                for name, outs, costs in (state["actions"] if h < horizon else [])
+            ]
+            told.append({**state, "sets": [*state["sets"], *late], "actions": actions})
+    return {**question, "horizon": None, "states": len(told)}, told
 
 
 def _action(stated: list) -> tuple[list[tuple[float, int]], np.ndarray]:
@@ -274,13 +224,12 @@ def _within(outs: list[tuple[float, int]], states: set[int]) -> bool:
 
 
 def charge_of(steps: list, total: Fraction) -> Fraction:
-    """What a total is charged; of a value that lies between two, the middle."""
-    after, least, greatest, slope = max(
-        [step for step in steps if Fraction(step[0]) < total] or steps[:1],
-        key=lambda step: Fraction(step[0]),
-    )
-    middle = (Fraction(least) + Fraction(greatest)) / 2
-    return middle + Fraction(slope) * (total - Fraction(after))
+    """What a total is charged: by the last step whose side holds of it."""
+    _, at, value, slope = [
+        step for step in steps
+        if Fraction(step[1]) < total or (Fraction(step[1]) == total and step[0] == ">=")
+    ][-1]  # fmt: skip
+    return Fraction(value) + Fraction(slope) * (total - Fraction(at))
 
 
 def by_totals(
@@ -353,32 +302,10 @@ def goal_totals(question: dict, states: list[dict], most: int, *, whole: bool) -
 
 def quantile(question: dict, states: list[dict], most: int = 12, *, whole: bool) -> float | None:
     """The least of the first totals at the goal that is exceeded rarely enough; None: none is."""
-    asked = {key: value for key, value in question.items() if key != "quantile"}
     for total in goal_totals(question, states, most, whole=whole):
-        late = {**asked, "charge": [["-1", "0", "0", "0"], [str(total), "1", "1", "0"]]}
+        late = [[">=", "0", "0", "0"], [">", str(total), "1", "0"]]
+        late = {**question, "quantile": None, "charge": late}
         share = optimum([json.dumps(line).encode() for line in (late, *states)])
         if share is not None and share <= 1.0 - float(Fraction(question["quantile"])) + 1e-9:
             return float(total)
     return None
-
-
-def tail_mean(question: dict, states: list[dict], nodes: int, *, whole: bool) -> float | None:
-    """The least over thresholds of threshold + mean excess / (1 - level); None: no policy is left.
-
-    A threshold is a total at the goal, and below the best value so far.
-    """
-    asked = {key: value for key, value in question.items() if key != "tail_mean"}
-    steep, best = str(1 / (1 - Fraction(question["tail_mean"]))), None
-    for total in goal_totals(question, states, 40, whole=False):
-        if best is not None and total >= best:
-            return best
-        z = str(total)
-        beyond = {**asked, "charge": [["-1", z, z, "0"], [z, z, z, steep]]}
-        value = optimum(
-            [json.dumps(line).encode() for line in (beyond, *states)], nodes, whole=whole
-        )
-        if value is None:
-            return None
-        best = value if best is None else min(best, value)
-    goal_totals(question, states, 40, whole=whole)
-    return best

@@ -1,8 +1,7 @@
-"""Certificate files written by hand, signed as they should be, and what is said of them."""
+"""Certificate files written by hand, and what is said of them."""
 
 import gzip
 import json
-from hashlib import sha256
 
 from ssp_lp import check_certificate
 
@@ -10,24 +9,33 @@ GOAL = {"name": "g", "sets": ["goal"], "actions": []}
 DEAD = {"name": "d", "sets": [], "actions": []}
 NOTHING = {"constant": "0", "terms": []}
 COST = {"constant": "0", "terms": [["1", "cost", 0]]}
-AWAY = {"v": "0", "members": [None]}
+SPENT = [[">=", "0", "0", "1"]]  # a total is charged itself
 
 
 def state(**actions):
     return {"name": "s", "sets": [], "actions": [[name, *rest] for name, rest in actions.items()]}
 
 
-def verdict(path, states, head, proof, **stated):
-    """What is said of a file with this question, whose SHA-256 is right."""
+def proof(*lines, **head):
+    """A proof in units of 1: its head, and a line for each node."""
+    kept = {"cap": "0", "prices": ["0"], "weights": ["1"], "unit": 1, "lines": len(lines)}
+    return [kept | head, *lines]
+
+
+def lines_stating(states, *proofs, answer=None, **stated):
+    """Lines of a file with this question."""
     question = {
-        "format": "ssp-lp certificate 1", "asked": "", "charge_failing_step": False, "costs": 1,
-        "discount": None, "failure": None, "give_up": "dead_ends", "greatest": False,
-        "objective": NOTHING, "rows": [], "sets": [], "start": [["1", 0]], "states": len(states),
-        **stated,
+        "format": "ssp-lp certificate 2", "states": len(states), "costs": 1, "sets": [],
+        "start": [["1", 0]], "give_up": "dead_ends", "charge_failing_step": False,
+        "greatest": False, "objective": COST, "failure": None, "discount": None, "horizon": None,
+        "rows": [], "ratio": False, "charge": [], "quantile": None, **stated,
     }  # fmt: skip
-    lines = [json.dumps(one).encode() for one in (question, *states)]
-    digest = sha256(b"\n".join(lines)).hexdigest()
-    head = {"sha256": digest, "claim": ["-1e9", "1e9"], "weights": ["1"], **head}
-    lines += [json.dumps(one).encode() for one in (head, *proof)]
-    path.write_bytes(gzip.compress(b"\n".join(lines)))
+    told = [question, *states, {"answer": answer}, *(line for lines in proofs for line in lines)]
+    return [json.dumps(line).encode() for line in told]
+
+
+def verdict(path, states, *proofs, answer=None, **stated):
+    """What is said of a file with this question."""
+    lines = lines_stating(states, *proofs, answer=answer, **stated)
+    path.write_bytes(gzip.compress(b"".join(line + b"\n" for line in lines), 1))
     return check_certificate(path)

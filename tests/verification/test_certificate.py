@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
-import json
 from dataclasses import replace
 from fractions import Fraction
 
@@ -12,7 +10,6 @@ import pytest
 from scipy.optimize import linprog
 
 import ssp_lp.verification.certify as certificates
-from forged import AWAY, COST, DEAD, GOAL, state, verdict
 from formulations import GUBS, MCMP, S3P, AlphaMCMP, CostBoundedReach, CostQuantile, CVaR, MaxProb
 from mazes import MAZE
 from refusing import refused
@@ -21,15 +18,15 @@ from ssp_lp import (
     DeterministicPolicy,
     MixedPolicy,
     ModelError,
+    SolverError,
     certify,
-    check_certificate,
     end_probability,
     secondary_cost,
     solve,
     write_certificate,
 )
-from ssp_lp.verification.checker import EXCESS
-from ssp_lp.verification.lottery import best_mixture
+from ssp_lp.verification.exact_proof import best_lottery
+from ssp_lp.verification.prove import EXCESS, Row
 
 # A certificate trusts nothing: corrupt each part of a solution in turn.
 
@@ -238,78 +235,47 @@ def test_a_policy_that_breaks_a_budget_no_policy_keeps_is_refused():
     assert "above the budget" in certify(replace(least, problem=problem)).reason
 
 
-# Rows of a certificate: forged excess is refused, honest lotteries keep rows as exactly.
-
-
-DEAR = 10**15
-FORGED = Fraction(1, 10**12)  # of a bound: by so much a lottery might once exceed it
-
-
-def cheap_or_dear(path, excess, prices, v, cost=DEAR, **asked):
-    """Action 0 is free and fails a little more than may; 1 never fails, for a huge cost."""
-    half = (1 + excess) / 2
-    both = state(free=([[str(1 - half), 1], [str(half), 2]], ["0"]), dear=([["1", 1]], [str(cost)]))
-    rows = len(prices)
-    taken = [str(half)] * rows
-    proof = [{"v": str(v), "members": [[0, "1", "0", *taken]]}, AWAY, AWAY]
-    asked = {"objective": COST, "failure": "0.5", **asked}
-    return verdict(path, [both, GOAL, DEAD], {"prices": prices}, proof, **asked)
-
-
-AT_LEAST = {"name": "often", "at_least": "0.5", "quantity": {
-    "constant": "0", "terms": [["1", "end", "goal"]]}}  # fmt: skip
-
-
-@pytest.mark.parametrize(("price", "v"), [(0, 0), (2000 * DEAR // 1001, 999 * DEAR // 1001)])
-@pytest.mark.parametrize("asked", [{}, {"failure": None, "rows": [AT_LEAST]}])
-def test_an_excess_that_pays_is_refused(price, v, asked, tmp_path):
-    """The best lottery within the budget costs 1,000: not 0, and not "at least 999, at most 0"."""
-    prices = [str(price)]
-    said = cheap_or_dear(tmp_path / "x", FORGED, prices, v, **asked)
-    assert said.reason.startswith("lottery <= bound of row ")
-
-
-@pytest.mark.parametrize("cost", [10**15, 10**30, 10**33])
-def test_prices_pay_for_what_a_lottery_takes(cost, tmp_path):
-    """At an excess that is let pass no price makes "at least" more than "at most"."""
-    excess = EXCESS / 2
-    price = 2 * cost  # at which both actions are worth the same, but for the excess
-    said = cheap_or_dear(tmp_path / "x", excess, [str(price)], cost, cost)
-    assert (said.reason, said.lower, said.upper) == ("", -cost * excess, 0)
-    assert said.exceeded == {"failure": excess / 2}
-    assert "it is one for a bound that is so much looser" in str(said)
-    higher = cheap_or_dear(tmp_path / "x", excess, [str(price)], cost + 1, cost)
-    assert higher.reason.startswith("v <= c + sum p v at s")
-
-
-def test_an_excess_beyond_what_is_let_pass(tmp_path):
-    said = cheap_or_dear(tmp_path / "x", EXCESS * Fraction(11, 10), ["0"], 0)
-    assert said.reason.startswith("lottery <= bound of row failure fails")
-    tiny = cheap_or_dear(tmp_path / "x", EXCESS, ["0", "0"], 0, rows=[AT_LEAST])
-    assert tiny.accepted
+# Rows of a certificate in a file: lotteries keep them exactly, as far as that is possible.
 
 
 @pytest.mark.parametrize("seed", range(40))
 def test_the_best_lottery_keeps_rows_exactly(seed):
-    """Of random members, with rows that are met exactly, that contradict, or are stated twice."""
+    """Of random members, with rows that are met exactly, that contradict, or are stated twice.
+
+    Its prices are such that no member is worth less at them; or all break the rows at them.
+    """
     rng = np.random.default_rng([seed, 41])
-    members, rows = int(rng.integers(1, 6)), int(rng.integers(0, 4))
-    costs = [Fraction(int(c)) for c in rng.integers(-5, 6, members)]
-    beyond = [[Fraction(int(a), 7) for a in rng.integers(-4, 5, members)] for _ in range(rows)]
+    members, count, ratio = int(rng.integers(1, 6)), int(rng.integers(1, 4)), bool(seed % 2)
+    low = 0 if ratio else -5  # a ratio is that of a cost
+    costs = [Fraction(int(c)) for c in rng.integers(low, 6, members)]
+    beyond = [[Fraction(int(a), 7) for a in rng.integers(-4, 5, members)] for _ in range(count)]
     beyond += [[-a for a in row] for row in beyond[: int(rng.integers(0, 2))]] + beyond[:1]
+    if ratio:  # row 0 is failing, which is at most 1
+        beyond[0] = [abs(a) for a in beyond[0]]
+    rows = [Row(str(k), Fraction(1, 2 + k), Fraction(1, 2 + k)) for k in range(len(beyond))]
+    taken = [[a + row.least for a in some] for some, row in zip(beyond, rows, strict=True)]
+    goal = [1 - ratio * f for f in taken[0]]
     table = np.array(beyond, dtype=float).reshape(-1, members)
     known = linprog(
-        [float(c) for c in costs], table if len(table) else None,
-        np.zeros(len(table)) if len(table) else None, np.ones((1, members)), [1.0],
+        [float(c) for c in costs], table, np.zeros(len(table)),
+        np.array([list(map(float, goal))]), [1.0],
     )  # fmt: skip
-    weights = best_mixture(costs, beyond)
-    assert bool(weights) == known.success
-    if weights:
+    found = best_lottery(list(zip(costs, *taken, strict=True)), rows, Fraction(0), ratio=ratio)
+    assert bool(found.weights) == known.success
+    assert min(found.prices) >= 0
+    worth = [c + sum(p * row[m] for p, row in zip(found.prices, beyond, strict=True))
+             for m, c in enumerate(costs)]  # fmt: skip
+    if found.weights:
+        weights = found.weights
         assert min(weights) >= 0
-        assert sum(weights) == 1
+        assert sum(w * g for w, g in zip(weights, goal, strict=True)) == 1
         assert all(sum(w * a for w, a in zip(weights, row, strict=True)) <= 0 for row in beyond)
-        least = sum(w * c for w, c in zip(weights, costs, strict=True))
-        assert float(least) == pytest.approx(known.fun, abs=1e-9)
+        assert found.value == sum(w * c for w, c in zip(weights, costs, strict=True))
+        assert float(found.value) == pytest.approx(known.fun, abs=1e-9)
+        assert all(w >= found.value * g for w, g in zip(worth, goal, strict=True))
+    else:
+        assert all(w - c >= found.value * g
+                   for w, c, g in zip(worth, costs, goal, strict=True))  # fmt: skip
 
 
 def risky_or_safe(chance, cost, length=1):
@@ -370,32 +336,31 @@ def test_least_failures_that_are_tiny(length, chance, tmp_path):
     assert most.lower <= 1 - Fraction(str(chance)) <= most.upper
 
 
-def test_a_bound_below_every_policy_by_rounding_is_stated_as_it_is_kept(tmp_path):
-    """No policy fails with less than 0.06: a file asks for that, and says so."""
+@pytest.mark.parametrize("written", [True, False])
+def test_a_bound_below_every_policy_by_rounding_is_told(written, tmp_path):
+    """No policy fails with less than 0.06; a fuel that every policy burns, but for some units."""
     model = model_of({"x": {"go": [(0.94, "g", 2.0), (0.06, "d", 2.0)]}, "d": {}})
-    asked = MCMP(model, "x", 0.05999999999999994)
-    written = write_certificate(solve(asked), tmp_path / "one")
-    assert written.asked == f"{asked!r}, but for rounding of failure"
-    assert (written.lower, written.upper, written.exceeded) == (2, 2, {})
-    question = json.loads(gzip.decompress((tmp_path / "one").read_bytes()).splitlines()[0])
-    assert 0 < Fraction(question["failure"]) - Fraction("0.06") < Fraction(1, 10**15)
-    assert check_certificate(tmp_path / "one") == written
-
-
-def test_a_limit_that_is_broken_by_rounding(tmp_path):
-    """An amount of fuel that every policy burns, asked for to a few units less."""
-    model = model_of({"x": {"go": [(0.5, "g", 1.0), (0.5, "x", 1.0)]}})
+    asked = MCMP(model, "x", 0.06 if written else 0.05999999999999994)
+    loop = model_of({"x": {"go": [(0.5, "g", 1.0), (0.5, "x", 1.0)]}})
     fuel = secondary_cost({"x": {"go": 0.3}})
-    tight = MCMP(model, "x", 1.0, constraints={"fuel": fuel <= 0.6 - 2.0**-53})
-    written = write_certificate(solve(tight), tmp_path / "one")
-    assert (written.lower, written.upper, written.exceeded) == (2, 2, {})
-    assert written.asked.endswith("but for rounding of fuel")
+    most = 0.6 if written else 0.6 - 2.0**-53
+    for problem, row in (
+        (asked, "failure"), (MCMP(loop, "x", 1.0, constraints={"fuel": fuel <= most}), "fuel")
+    ):  # fmt: skip
+        if written:
+            proved = write_certificate(solve(problem), tmp_path / "one")
+            assert (proved.lower, proved.upper, proved.exceeded) == (2, 2, {})
+        else:
+            words = f"no policy satisfies row {row!r} exactly"
+            refused(words, write_certificate, solve(problem), tmp_path / "one", error=SolverError)
 
 
-def test_a_share_of_surely_by_the_last_digit_of_its_number(tmp_path):
-    """An end that comes surely, asked for with a little more than surely."""
-    model = model_of({"x": {"go": [(1.0, "d", 1.0)]}, "d": {}}, labels={"crash": ["d"]})
-    asked = {"end": end_probability("crash") >= 1.0 + 2.0**-52}
-    written = write_certificate(solve(MaxProb(model, "x", constraints=asked)), tmp_path / "one")
-    assert (written.lower, written.upper, written.exceeded) == (0, 0, {})
-    assert written.asked.endswith("but for rounding of end")
+# What certify lets pass, and what not.
+
+
+def test_a_budget_is_kept_but_for_rounding():
+    """A policy 5e-13 above its budget is accepted, one 5e-12 above it is not."""
+    solution = solve(MCMP(risky_or_safe(0.5, 3.0), "way 0", 0.25))
+    for beyond, accepted in ((5e-13, True), (5e-12, False)):
+        problem = replace(solution.problem, failure_budget=0.25 - beyond)
+        assert certify(replace(solution, problem=problem)).accepted == accepted

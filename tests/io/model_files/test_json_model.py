@@ -57,6 +57,18 @@ def test_costs_by_name():
     assert set(read_json(path, (), "unit").model.costs) == {1.0}
 
 
+def test_a_named_cost_may_be_called_like_the_unit():
+    """What the file states is read; 1 a step is what stands for it where nothing is stated."""
+    table = {
+        "a": {"go": [[1.0, "b", {"unit": 5, "time": 2}]]},
+        "b": {"on": [[1.0, "g", {"time": 3}]]},
+    }
+    found = stated(table, "g", cost="unit").model
+    assert found.costs.tolist() == [5.0, 1.0]
+    assert stated(table, "g", cost="time").model.costs.tolist() == [2.0, 3.0]
+    assert stated({"a": table["a"]}, "b", cost="unit").model.costs.tolist() == [5.0]
+
+
 def test_a_published_cost_is_read():
     model, start = published("prism_robot_goal1", "time")
     found = read_json(FOLDER / "models" / "prism_robot_goal1.json.gz", (), "time")

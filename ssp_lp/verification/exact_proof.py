@@ -1,0 +1,581 @@
+"""Proofs of a certificate's programs: exact bounds and lotteries by column generation.
+
+Nothing in here has to be believed, as ``prove.py`` checks what comes out. Numbers are whole, in
+units of which ``ONE`` are 1. Values at prices come from policy iteration whose equations are solved
+by factors in working precision, refined until they hold but for some units. They are lowered by a
+tiny share of the longest run among rows that are as good as the best, so that every inequality has
+room for the digits that are left out. An upper bound of what a member counts is a lower bound with
+its sign turned. The master program over the members is solved in fractions.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from fractions import Fraction
+from operator import mul
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from ssp_lp.arrays import offsets_of
+from ssp_lp.errors import SolverError
+from ssp_lp.model.graph import Graph, end_components, nearer_pairs
+from ssp_lp.verification.expand import ZERO, Program
+from ssp_lp.verification.prove import EXCESS, Column, Counts, Row
+
+ONE = 10**60
+_LOST = 10**28  # values are lowered by at most one part in so many of the largest
+_KEPT = 10**30  # units to which values that follow from others directly are rounded down
+_ROUNDING = 10**15  # units: values that differ by less may differ by rounding alone
+_UNITS = 4  # what an equation may lack in the end
+_BITS = 960  # of whole numbers of which floats are made
+_IMPROVEMENTS = 500  # of a policy, until which iteration has always ended
+_SWEEPS, _SETTLED = 3_000, 1e-13  # of value iteration, until values fall by less than this
+_ROUNDS = 60  # of column generation
+_PARTS = 10**30  # parts of 1 of a price
+_LESS = Fraction(1, 10**20)  # of a ratio, by which less is proved where failure is not limited
+_FAR = 10**6  # prices by which a lottery that breaks a row is led back
+_HEAVY = Fraction(1, 10**12)  # weights below which members are left out, if the rows allow it
+_NARROW, _MANY = Fraction(1, 10**11), 20_000  # width that will do of programs of so many nodes
+
+Decide = Callable[[int], int]  # the position of the column that a policy takes at a node
+
+
+class _Way(NamedTuple):
+    """A way to go on from a node: with probability a / total to each outcome (a, node)."""
+
+    node: int
+    total: int
+    outcomes: list[tuple[int, int]]
+    own: int  # total times what the step counts, in units
+
+
+class Member(NamedTuple):
+    """A deterministic policy of a program, with its witnesses, by node."""
+
+    decision: dict[int, int]
+    t: dict[int, int]
+    u: list[dict[int, int]]  # of the objective and of each row
+
+    @property
+    def totals(self) -> list[Fraction]:
+        """Upper bounds of what the member counts of the objective and of each row."""
+        return [Fraction(values[0], ONE) for values in self.u]
+
+
+class _Lottery(NamedTuple):
+    """Optimum of the master program over members, and its duals."""
+
+    weights: list[Fraction]  # [members]; none where no lottery satisfies the rows
+    prices: list[Fraction]  # [rows]; then such that every member breaks the rows at them
+    value: Fraction  # the least objective, or ratio
+
+
+class Proved(NamedTuple):
+    """The proof of a program in lines of a file, and the interval that it proves."""
+
+    lines: list[bytes]
+    lower: Fraction
+    upper: Fraction
+
+
+class Nodes:
+    """Columns of a program node by node, in blocks that lead to themselves and to earlier ones."""
+
+    def __init__(self, program: Program, n_states: int) -> None:
+        self.program, n = program, program.graph.size
+        self.where = {node: at for at, node in program.place.items()}
+        self.kept = defaultdict[int, list[Column]](list)
+        self.last = dict[int, int]()  # a best decision of each node at the last prices
+        first, keeps = program.graph.first, program.keeps
+        self.actions = [  # of each state, the positions of those that count
+            [k - first[x] for k in range(first[x], first[x + 1]) if keeps[k]] for x in range(n)
+        ]
+        for column in program.columns():
+            if column.node in self.where:
+                break  # these are made when they are asked for, as they are many
+            self.kept[column.node].append(column)
+        met, queue = {0}, [0]
+        for i in queue if not self.where else ():  # it grows while it is walked
+            after = {j for column in self.kept[i] for _, j in column.moves} - met
+            met |= after
+            queue += after
+        blocks = defaultdict[tuple[int, int, int], list[int]](list)
+        for i in [*self.kept, *self.where] if self.where else met:
+            x, r = self.where.get(i, ((i - 1) % n, 0))
+            kind = 2 if i in self.where else int(i <= n)
+            step = 0 if program.question["horizon"] is None else -(x // n_states)
+            blocks[(kind, -r, step) if i else (3, 0, 0)].append(i)
+        self.blocks = [sorted(blocks[key]) for key in sorted(blocks)]
+        self.size = sum(map(len, self.blocks))
+
+    def at(self, node: int) -> list[Column]:
+        """Columns of a node."""
+        if node not in self.where:
+            return self.kept[node]
+        x, r = self.where[node]
+        return list(self.program.decisions(node, x, self.program.model[x].actions, r))
+
+    def values(self, prices: Sequence[Fraction]) -> dict[int, int]:
+        """Values that satisfy every inequality at prices, near the greatest that do."""
+        value, costs = dict[int, int](), dict[Counts, Fraction]()
+        for block in self.blocks:
+            inside, columns, own = set(block), [c for i in block for c in self.at(i)], list[int]()
+            for _, _, total, moves, counts in columns:
+                if (cost := costs.get(counts)) is None:
+                    paid = sum(map(mul, prices, counts[1:]), counts[0])
+                    cost = costs[counts] = paid * ONE
+                own.append(math.floor(cost * total))
+                own[-1] += sum(a * value[j] for a, j in moves if j not in inside)
+            if any(j in inside for column in columns for _, j in column.moves):
+                found = self._connected(block, columns, own)
+            else:
+                found = dict[int, tuple[int, int]]()
+                position = _positions(columns)
+                for k, column, worth in zip(position, columns, own, strict=True):
+                    least = worth // column.total // _KEPT * _KEPT
+                    found[column.node] = min(found.get(column.node, (least, k)), (least, k))
+            for i, (least, k) in found.items():
+                value[i] = max(least, 0) if i in self.program.follows else least
+                self.last[i] = k
+        return value
+
+    def _connected(
+        self, block: list[int], columns: list[Column], own: list[int]
+    ) -> dict[int, tuple[int, int]]:
+        """Values of nodes that lead to each other, and a best decision of each.
+
+        Nodes that may be gone about in for nothing are one, as such loops say nothing of them.
+        """
+        place, position = {i: n for n, i in enumerate(block)}, _positions(columns)
+        inner = [[(a, place[j]) for a, j in c.moves if j in place] for c in columns]
+        entries = [
+            (a / c.total, j) for c, some in zip(columns, inner, strict=True) for a, j in some
+        ]
+        chances, successors = np.array(entries, dtype=np.float64).reshape(-1, 2).T
+        counts = np.bincount([place[c.node] for c in columns], minlength=len(block))
+        graph = Graph(offsets_of(counts), offsets_of(np.array(list(map(len, inner)))),
+                      successors.astype(np.int32), chances)  # fmt: skip
+        is_free = [not cost and sum(a for a, _ in some) == column.total
+                   for column, some, cost in zip(columns, inner, own, strict=True)]  # fmt: skip
+        component, stays = end_components(graph, np.array(is_free))
+        names = [c if c >= 0 else -1 - n for n, c in enumerate(component.tolist())]
+        number = {name: g for g, name in enumerate(dict.fromkeys(names))}
+        group = [number[name] for name in names]
+        leaving = np.flatnonzero(~stays).tolist()
+        ways = [
+            _Way(group[place[columns[c].node]], columns[c].total,
+                [(a, group[j]) for a, j in inner[c]], own[c])
+            for c in leaving
+        ]  # fmt: skip
+        preferred = [self.last.get(columns[c].node) == position[c] for c in leaving]
+        choice = swept(ways, leaving_choice(ways, len(number), preferred))
+        best, values = sub_solution(ways, choice)
+        taken = np.zeros(len(columns), dtype=np.bool_)
+        taken[[leaving[w] for w in best]] = True
+        nearer = nearer_pairs(graph, taken, taken | stays).tolist()  # to where a group is left
+        return {i: (values[group[n]], position[nearer[n]]) for i, n in place.items()}
+
+    def column(self, node: int, k: int) -> Column:
+        """Column k of a node."""
+        x, r = self.where.get(node, (0, 0))
+        if node not in self.where or k >= len(self.actions[x]):
+            return self.at(node)[k]
+        pair = self.program.graph.first[x] + self.actions[x][k]
+        return self.program.column(node, pair, self.program.model[x].actions[self.actions[x][k]], r)
+
+    def stop(self, node: int, *, must_wait: bool = False) -> int:
+        """Position of the column by which a node is left for nothing, or else by giving up.
+
+        Raises:
+            SolverError: there is none.
+        """
+        program, x = self.program, self.state_of(node)
+        stops = (x in program.giving_up) + (x in program.waiting)
+        if not stops or (must_wait and x not in program.waiting):
+            raise SolverError("the answer is not proved: a policy stops where it may not")
+        return len(self.actions[x]) + stops - 1
+
+    def state_of(self, node: int) -> int:
+        """State of the model, or (state, steps taken), that a node is of."""
+        return self.where[node][0] if node in self.where else (node - 1) % self.program.graph.size
+
+    def member(self, decide: Decide) -> Member:
+        """The policy that decides so where it comes to, evaluated; without an end it waits.
+
+        Raises:
+            SolverError: it goes on for ever where that is not free.
+        """
+        above, decision, chosen = self.program.follows, dict[int, int](), dict[int, Column]()
+        before, queue, ending = defaultdict[int, list[int]](list), [0], list[int]()
+        for i in queue:  # it grows while it is walked
+            if i in chosen:
+                continue
+            decision[i] = decide(above.get(i, i)) if i else 0
+            column = chosen[i] = self.column(i, decision[i])
+            within = [a for a, j in column.moves if i in above or j not in above]
+            ending += [i] * (sum(within) < column.total)
+            for _, j in column.moves:
+                before[j].append(i)
+                queue.append(j)
+        ends = set(ending)
+        for j in ending:  # likewise
+            more = set(before[j]) - ends if j not in above else set[int]()
+            ends |= more
+            ending += more
+        stopped = {i: self.stop(i, must_wait=True) for i in chosen.keys() - ends - above.keys()}
+        stopped |= {i: stopped[j] for i, j in above.items() if i in chosen and j in stopped}
+        decision |= stopped
+        chosen |= {i: self.column(i, k) for i, k in stopped.items()}
+        met, queue = {0}, [0]
+        for i in queue:  # likewise
+            after = {j for _, j in chosen[i].moves} - met
+            met |= after
+            queue += after
+        steps, widest, u = dict[int, int](), 1, [dict[int, int]() for _ in self.program.each]
+        for block in self.blocks:
+            some = [chosen[i] for i in block if i in met]
+            widest = max(widest, *(-(-sum(a for a, _ in c.moves) // c.total) for c in some), 1)
+            steps |= _followed(some, [Fraction(1)] * len(some), steps, solved)
+            for q, known in enumerate(u):
+                known |= _followed(some, [c.counts[q] for c in some], known, _lowered)
+        # whole numbers: rounding up each t adds less than 1 + widest to what follows
+        t = {i: -(step * 2 * (1 + widest) // ONE) for i, step in steps.items()}
+        kept = {i: decision[i] for i in met}
+        return Member(kept, t, [{i: -v for i, v in values.items()} for values in u])
+
+
+def _followed(
+    chosen: Sequence[Column], own: Sequence[Fraction], known: Mapping[int, int],
+    values_of: Callable[[Sequence[_Way]], list[int]],
+) -> dict[int, int]:  # fmt: skip
+    """Values, negative, of what a policy counts from some nodes on.
+
+    Args:
+        chosen: its columns.
+        own: what they count themselves.
+        known: values of the nodes that they lead to besides.
+        values_of: those of ways that are all taken.
+    """
+    place = {column.node: n for n, column in enumerate(chosen)}
+    ways = list[_Way]()
+    for n, (column, count) in enumerate(zip(chosen, own, strict=True)):
+        ahead = sum(a * known[j] for a, j in column.moves if j not in place)
+        inner = [(a, place[j]) for a, j in column.moves if j in place]
+        own_part = math.floor(-count * column.total * ONE)
+        ways.append(_Way(n, column.total, inner, own_part + ahead))
+    return dict(zip(place, values_of(ways), strict=True))
+
+
+def _lowered(ways: Sequence[_Way]) -> list[int]:
+    """Values of ways that are all taken, below what they are by what the file leaves out."""
+    if not any(way.own for way in ways):
+        return [0] * len(ways)
+    if not any(way.outcomes for way in ways):
+        return [way.own // way.total // _KEPT * _KEPT for way in ways]
+    return sub_solution(ways, range(len(ways)))[1]
+
+
+def _positions(columns: Sequence[Column]) -> list[int]:
+    """Position of each column among those of its node, which follow one another."""
+    first = dict[int, int]()
+    return [n - first.setdefault(column.node, n) for n, column in enumerate(columns)]
+
+
+def sub_solution(ways: Sequence[_Way], choice: Sequence[int]) -> tuple[Sequence[int], list[int]]:
+    """A best choice, and values v <= own + mean v for each way, near the greatest that are.
+
+    Args:
+        ways: of all nodes.
+        choice: a way of each node, by which all of them are left.
+    """
+    choice, values, room = best_values(ways, choice)
+    short = [(value + _ROUNDING // 2) // _ROUNDING * _ROUNDING for value in values]
+    if all(
+        short[w.node] * w.total <= w.own + sum(a * short[j] for a, j in w.outcomes) for w in ways
+    ):
+        return choice, short  # decimals, which are exact
+    lost = max(max(map(abs, values)) // _LOST, 4 * _ROUNDING)
+    tied = sorted({n for n, spare in enumerate(room) if spare <= lost}.union(choice))
+    place = {n: i for i, n in enumerate(tied)}
+    slow = [ways[n]._replace(own=-ways[n].total * ONE) for n in tied]
+    steps = best_values(slow, [place[n] for n in choice])[1]  # negative: the longest run
+    share = max(lost * ONE // (4 * (ONE - min(steps))), 8)
+    grid = 10 ** (len(str(share // 4)) - 1)
+    lowered = [(v + share * n // ONE) // grid * grid for v, n in zip(values, steps, strict=True)]
+    return choice, _ended_exactly(ways, lowered, 2 * lost)
+
+
+def _ended_exactly(ways: Sequence[_Way], values: list[int], room: int) -> list[int]:
+    """The values with those raised to what ending at once counts, where that is within room."""
+    ends = dict[int, int]()
+    for way in ways:
+        if not way.outcomes:
+            end = way.own // way.total
+            ends[way.node] = min(ends.get(way.node, end), end)
+    ends = {i: end for i, end in ends.items() if 0 < end - values[i] <= room}
+    while ends:
+        raised = [ends.get(i, value) for i, value in enumerate(values)]
+        wrong = {
+            way.node for way in ways if way.node in ends and
+            raised[way.node] * way.total > way.own + sum(a * raised[j] for a, j in way.outcomes)
+        }  # fmt: skip
+        if not wrong:
+            return raised
+        ends = {i: end for i, end in ends.items() if i not in wrong}
+    return values
+
+
+def best_values(
+    ways: Sequence[_Way], choice: Sequence[int]
+) -> tuple[Sequence[int], list[int], list[int]]:
+    """Policy iteration: a best choice, its values, and by how much each way counts more.
+
+    Raises:
+        SolverError: it does not end.
+    """
+    for _ in range(_IMPROVEMENTS):
+        values = solved([ways[n] for n in choice])
+        room = [(w.own + sum(a * values[j] for a, j in w.outcomes)) // w.total - values[w.node]
+                for w in ways]  # fmt: skip
+        better = [n for n, spare in enumerate(room) if spare < -_ROUNDING]
+        if not better:
+            return choice, values, room
+        choice = list(choice)
+        for n in sorted(better, key=room.__getitem__, reverse=True):
+            choice[ways[n].node] = n
+    raise SolverError("no policy is best for a certificate: are costs near 1e-40 apart?")
+
+
+def swept(ways: Sequence[_Way], choice: Sequence[int]) -> Sequence[int]:
+    """A choice by which all nodes are left, improved by value iteration from above, in floats."""
+    n, at = len(choice), np.array([way.node for way in ways])
+    own, steps = np.array([way.own / way.total / ONE for way in ways]), _chances(ways, n)
+    first = list(choice)
+    values = splu(sp.csc_array(sp.identity(n, format="csc") - steps[first])).solve(own[first])
+    for _ in range(_SWEEPS):
+        worth, least = own + steps @ values, values.copy()
+        np.minimum.at(least, at, worth)
+        falls, values = values - least, least
+        if falls.max() <= _SETTLED * np.abs(values).max():
+            break
+    return leaving_choice(ways, n, worth <= least[at] + _SETTLED * np.abs(least[at]))
+
+
+def _chances(ways: Sequence[_Way], n_nodes: int) -> sp.csr_array:
+    """Probability that each way leads to each node, [ways, nodes]."""
+    entries = [(i, j, a / way.total) for i, way in enumerate(ways) for a, j in way.outcomes]
+    at, to, chances = np.array(entries).reshape(-1, 3).T
+    place = at.astype(np.int64), to.astype(np.int64)
+    return sp.csr_array((chances, place), shape=(len(ways), n_nodes))
+
+
+def solved(chosen: Sequence[_Way]) -> list[int]:
+    """Values of nodes with one way each, at which these are equations but for some units."""
+    n, values, last = len(chosen), [0] * len(chosen), 0
+    if not any(way.outcomes for way in chosen):
+        return [way.own // way.total for way in chosen]
+    factors = splu(sp.csc_array(sp.identity(n, format="csc") - _chances(chosen, n)))
+    while True:
+        lack = [way.own + sum(a * values[j] for a, j in way.outcomes) - way.total * value
+                for way, value in zip(chosen, values, strict=True)]  # fmt: skip
+        worst = max(-(-abs(own) // way.total) for own, way in zip(lack, chosen, strict=True))
+        if worst <= _UNITS or 0 < last < 2 * worst:
+            return values
+        finer = max(worst.bit_length() - _BITS, 0)
+        scaled = [(own >> finer) / way.total for own, way in zip(lack, chosen, strict=True)]
+        last, more = worst, factors.solve(np.array(scaled)).tolist()
+        values = [v + (round(step) << finer) for v, step in zip(values, more, strict=True)]
+
+
+def leaving_choice(ways: Sequence[_Way], n_nodes: int, preferred: Sequence[bool]) -> list[int]:
+    """Choice of a way per node that comes nearer to an end, preferred ways first.
+
+    Raises:
+        SolverError: a node cannot be left.
+    """
+    choice = [-1] * n_nodes
+    for some in ([n for n, is_first in enumerate(preferred) if is_first], range(len(ways))):
+        before = defaultdict[int, list[int]](list)
+        for n in some:
+            for _, j in ways[n].outcomes:
+                before[j].append(n)
+        queue = [n for n in some if sum(a for a, _ in ways[n].outcomes) < ways[n].total
+                 or any(choice[j] >= 0 for _, j in ways[n].outcomes)]  # fmt: skip
+        for n in queue:  # it grows while it is walked
+            if choice[ways[n].node] < 0:
+                choice[ways[n].node] = n
+                queue += before[ways[n].node]
+    if min(choice) < 0:
+        raise SolverError("some states cannot be left")
+    return choice
+
+
+def best_lottery(
+    members: Sequence[Sequence[Fraction]], rows: Sequence[Row], room: Fraction, *, ratio: bool
+) -> _Lottery:
+    """The master program: weights >= 0 of members, of least objective, or ratio, within rows.
+
+    By the simplex method in fractions, in Bland's order, which ends in every case.
+
+    Args:
+        members: what each counts of the objective and of each row, [members][1 + rows].
+        rows: that the lottery satisfies.
+        room: part of a bound, or of 1, by which it may exceed it.
+        ratio: whether the objective is divided by 1 - row 0.
+    """
+    n, size = len(members), len(rows)
+    beyond = [[one[1 + k] - row.least - room * min(abs(row.least), Fraction(1)) for one in members]
+              for k, row in enumerate(rows)]  # fmt: skip
+    # members, a slack for each row, what is missing to the sum 1; and the right side
+    table = [[*row, *(Fraction(k == j) for j in range(size)), ZERO, ZERO]
+             for k, row in enumerate(beyond)]  # fmt: skip
+    table.append([*(1 - ratio * one[1] for one in members), *[ZERO] * size, *[Fraction(1)] * 2])
+    basis, missing = list(range(n, n + size + 1)), [ZERO] * (n + size) + [Fraction(1)]
+    for objective in (missing, [*(one[0] for one in members), *[ZERO] * (size + 1)]):
+        while True:
+            paid = [objective[b] for b in basis]
+            columns = list(zip(*table, strict=True))[: n + size]
+            reduced = [objective[j] - sum(map(mul, paid, column), ZERO)
+                       for j, column in enumerate(columns)]  # fmt: skip
+            entering = next((j for j, saved in enumerate(reduced) if saved < 0), -1)
+            if entering < 0:
+                break
+            leaving = min((i for i, row in enumerate(table) if row[entering] > 0),
+                          key=lambda i: (table[i][-1] / table[i][entering], basis[i]))  # fmt: skip
+            pivot = [a / table[leaving][entering] for a in table[leaving]]
+            table = [pivot if i == leaving else
+                     [a - row[entering] * b for a, b in zip(row, pivot, strict=True)]
+                     if row[entering] else row for i, row in enumerate(table)]  # fmt: skip
+            basis[leaving] = entering
+        value, prices = sum(map(mul, paid, (row[-1] for row in table)), ZERO), reduced[n:]
+        if objective is missing and value:
+            return _Lottery([], prices, value)
+    found = {b: row[-1] for row, b in zip(table, basis, strict=True)}
+    return _Lottery([found.get(m, ZERO) for m in range(n)], prices, value)
+
+
+def lower_bound(
+    program: Program, prices: Sequence[Fraction], begin: int, rows: Sequence[Fraction]
+) -> Fraction | None:
+    """What values at prices prove of a program; None: nothing of its ratio.
+
+    Args:
+        program: the program.
+        prices: of its rows.
+        begin: value of the beginning, in units.
+        rows: what is paid for each.
+    """
+    bound = program.objective.constant + Fraction(begin, ONE) - sum(map(mul, prices, rows), ZERO)
+    if not program.question["ratio"]:
+        return bound
+    goal = 1 - rows[0]
+    if bound >= prices[0] * goal:
+        return prices[0]
+    return bound / goal if goal > 0 else None
+
+
+def proof_of(nodes: Nodes, first: Sequence[Member], prices: Sequence[Fraction]) -> Proved:
+    """The best proof of a program: columns are generated until both sides of it agree.
+
+    Args:
+        nodes: of the program.
+        first: members of a lottery that is near the best.
+        prices: near the best.
+
+    Raises:
+        SolverError: no lottery satisfies the rows.
+    """
+    program, prices = nodes.program, list(prices)
+    rows, ratio = program.rows, bool(program.question["ratio"])
+    members = {frozenset(one.decision.items()): one for one in first}
+    most, less, far = [row.most for row in rows], _LESS, Fraction(1)
+    best: tuple[Fraction, list[Fraction], dict[int, int]] | None = None
+    for turn in range(_ROUNDS):
+        values = nodes.values(prices)
+        lower = lower_bound(program, prices, values[0], most)
+        if lower is not None and (best is None or lower > best[0]):
+            best = lower, prices, values
+        member = nodes.member(nodes.last.__getitem__)
+        is_new = (key := frozenset(member.decision.items())) not in members
+        members[key] = member
+        lottery = best_lottery([one.totals for one in members.values()], rows, EXCESS, ratio=ratio)
+        if not lottery.weights:
+            if not is_new and far > 10**30:
+                break
+            far *= _FAR
+            prices = [_of_few_digits(far * price) for price in lottery.prices]
+            continue
+        if lower is None and not is_new:  # no policy goes below a somewhat smaller ratio
+            prices, less = [_of_few_digits(prices[0] * (1 - less)), *prices[1:]], less * 10**4
+            continue
+        width = ONE if best is None else lottery.value + program.objective.constant - best[0]
+        enough = (_NARROW if nodes.size > _MANY else _LESS) * (1 + abs(lottery.value))
+        if width <= enough or (turn and not is_new and lower is not None):
+            break
+        prices, less = list(map(_of_few_digits, lottery.prices)), _LESS
+        if ratio:
+            prices[0] += lottery.value * (1 - _LESS * (most[0] >= 1))
+    if best is None or not lottery.weights:
+        raise SolverError(_broken(rows, members.values(), lottery.prices))
+    every, enough = list(members.values()), lottery.value + _NARROW * (1 + abs(lottery.value))
+    heavy = [one for one, w in zip(every, lottery.weights, strict=True) if w > _HEAVY]
+    for some, room in ((every, ZERO), (heavy, EXCESS), (every, EXCESS)):
+        lottery = best_lottery([one.totals for one in some], rows, room, ratio=ratio)
+        if lottery.weights and lottery.value <= enough:
+            break
+    share = 1 / sum(lottery.weights, ZERO)
+    drawn = [(w * share, one) for w, one in zip(lottery.weights, some, strict=True) if w]
+    means = [sum((w * one.totals[q] for w, one in drawn), ZERO) for q in range(len(rows) + 1)]
+    paid = [max(one) for one in zip(most, means[1:], strict=True)]
+    lower = lower_bound(program, best[1], best[2][0], paid) or ZERO
+    upper = program.objective.constant + means[0]
+    cap, shares = Fraction(program.cap, program.unit), [str(w) for w, _ in drawn]
+    head: dict[str, object] = {
+        "cap": str(cap),
+        "prices": list(map(str, best[1])),
+        "weights": shares,
+    }
+    if ratio:
+        lower, upper = _of_few_digits(lower), max(upper, upper / (1 - means[1]))
+        head["ratio"] = str(lower)
+    return Proved(_in_lines(head, best[2], [one for _, one in drawn]), lower, upper)
+
+
+def _in_lines(
+    head: dict[str, object], values: Mapping[int, int], members: Sequence[Member]
+) -> list[bytes]:
+    """A proof in lines of a file, in the largest unit of which its numbers are multiples."""
+    vectors = [values, *(vector for one in members for vector in one.u)]
+    unit = math.gcd(ONE, *(value for vector in vectors for value in vector.values()))
+    nodes = sorted(set(values).union(*(one.decision for one in members)))
+    head |= {"unit": ONE // unit, "lines": len(nodes)}
+    lines = [line_of(head)]
+    for i in nodes:
+        entries = [[m, one.decision[i], one.t[i], *(str(vector[i] // unit) for vector in one.u)]
+                   for m, one in enumerate(members) if i in one.decision]  # fmt: skip
+        lines.append(line_of([i, str(values[i] // unit) if i in values else None, *entries]))
+    return lines
+
+
+def line_of(content: object) -> bytes:
+    """A line of a certificate file."""
+    return json.dumps(content, separators=(",", ":")).encode() + b"\n"
+
+
+def _broken(rows: Sequence[Row], members: Iterable[Member], prices: Sequence[Fraction]) -> str:
+    """Which row no lottery satisfies, and by how little."""
+    k = max(range(len(rows)), key=prices.__getitem__)
+    least = min(one.totals[1 + k] for one in members)
+    return (f"no policy satisfies row {rows[k].name!r} exactly: {float(least)!r} is more than "
+            f"{float(rows[k].least)!r} by {float(least - rows[k].least):.1e}")  # fmt: skip
+
+
+def _of_few_digits(price: Fraction) -> Fraction:
+    """A price rounded down, as any price proves something."""
+    return Fraction(math.floor(price * _PARTS), _PARTS)

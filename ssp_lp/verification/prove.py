@@ -1,0 +1,194 @@
+"""Bounds of a linear program by inequalities between whole numbers: nothing is solved or rounded.
+
+A program has nodes; everything begins with mass 1 in node 0. A column (i, D, a, c) takes mass out
+of node i, brings a_j / D of it to node j, and counts c_0 of the objective and c_k of row k. Sought
+is x >= 0, one number a column, of least objective, such that at each node as much mass leaves as
+comes in, and each row is at most its bound. A bound is an interval [least, most] that contains it.
+A proof has its numbers in whole units, of which ``unit`` are 1.
+
+Below: prices p >= 0, and v at some nodes, node 0 among them, from which columns lead to such nodes
+alone. Every x has objective + sum p_k row_k >= v_0 (weak duality) if, for each of their columns,
+
+    D v_i <= D (c_0 + sum p_k c_k) + sum a_j v_j.
+
+Above: a member of a lottery decides on one column at each node that it comes to, and has t >= 0,
+u there. Its mass ends, so that it has a finite x, and x counts at most u_0 of each quantity, if
+
+    D t_i >= D + sum a_j t_j   and   D u_i >= D c + sum a_j u_j   for the objective and each row.
+
+A lottery counts the weighted means of its members. It satisfies a row if it takes at most `least`;
+prices pay for `most`, or for what the lottery takes, if that is more.
+
+Ratio objective / (1 - row 0): it is at least r if p_0 >= r and bound >= r (1 - bound_0), because
+p_0 - r is a price of row 0, too, and r is paid for the rest of it.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import lru_cache
+from itertools import groupby
+from typing import Any, NamedTuple
+
+ZERO = Fraction(0)
+EXCESS = Fraction(1, 10**24)  # of a bound, or of 1: a lottery may exceed a row by so much
+NUMBER = re.compile(r"-?[0-9]+(/[1-9][0-9]*|(\.[0-9]+)?([eE][-+]?[0-9]{1,3})?)")
+DIGITS = 4000  # of a number, fewer than Python converts
+REASON = 2000  # letters of a refusal
+
+Counts = tuple[Fraction, ...]
+
+
+class RefusedError(Exception):
+    """A file's claim does not follow: the inequality that fails, and where."""
+
+
+class Column(NamedTuple):
+    """A decision at a node: successors (a, j), of weight a / total each, and what it counts."""
+
+    node: int
+    name: str
+    total: int
+    moves: list[tuple[int, int]]
+    counts: Counts  # of the objective and of each row
+
+
+class Row(NamedTuple):
+    """A limit, the bound of which lies between two numbers."""
+
+    name: str
+    least: Fraction
+    most: Fraction
+
+
+@dataclass
+class Member:
+    """A policy of the lottery: by node its decision, t, and u of each quantity."""
+
+    decision: dict[int, int] = field(default_factory=dict)
+    t: dict[int, int] = field(default_factory=dict)
+    u: dict[int, list[int]] = field(default_factory=dict)
+
+
+@dataclass
+class Proof:
+    """Numbers of a proof; those of nodes in units."""
+
+    unit: int
+    prices: list[Fraction]
+    weights: list[Fraction]
+    ratio: Fraction | None  # a lower bound of the ratio; None: no ratio is asked
+    v: dict[int, int]
+    members: list[Member]
+
+
+class Bounds(NamedTuple):
+    """The interval that contains the optimum, and by how much the lottery exceeds rows."""
+
+    lower: Fraction
+    upper: Fraction
+    exceeded: Mapping[str, Fraction]
+
+
+def need(holds: bool, *words: object) -> None:
+    """Refuse a file, in these words, unless something holds."""
+    if not holds:
+        raise RefusedError(" ".join(ascii(str(word))[1:-1] for word in words)[:REASON])
+
+
+@lru_cache(1 << 16)
+def number(text: Any) -> Fraction:
+    """Return the number that a text states."""
+    need(isinstance(text, str) and len(text) < DIGITS, "no text of a number:", repr(text)[:99])
+    need(NUMBER.fullmatch(text) is not None, "no decimal and no fraction:", repr(text)[:99])
+    return Fraction(text)
+
+
+def whole(value: Any, below: int) -> int:
+    """Check that a value is a whole number >= 0 below another."""
+    if not (type(value) is int and 0 <= value < below):
+        need(False, repr(value)[:99], "is no whole number below", repr(below)[:99])
+    return int(value)
+
+
+def check_node(columns: list[Column], proof: Proof, price: Callable[[Counts], Fraction]) -> None:
+    """Check the inequalities of one node."""
+    node, unit = columns[0].node, proof.unit
+    if node in proof.v:
+        for _, name, total, moves, counts in columns:
+            need(all(j in proof.v for _, j in moves), "v is stated after", node, name, "fails")
+            left = total * proof.v[node] - sum(a * proof.v[j] for a, j in moves)
+            need(left <= price(counts) * (total * unit), "v <= c + sum a v at", node, name, "fails")
+    for m, member in enumerate(proof.members):
+        if node not in member.decision:
+            continue
+        k = member.decision[node]
+        need(k < len(columns), "member", m, "decides on a column at", node, "fails")
+        _, name, total, moves, counts = columns[k]
+        place, t, u = ("member", m, "at", node, name), member.t, member.u
+        need(all(j in t for _, j in moves), *place, "decides at each successor, fails")
+        enough = total * t[node] >= total + sum(a * t[j] for a, j in moves)
+        need(enough, *place, "t >= 1 + sum a t fails")
+        for q, count in enumerate(counts):
+            left = total * u[node][q] - sum(a * u[j][q] for a, j in moves)
+            need(left >= count * (total * unit), *place, "u >= c + sum a u fails")
+
+
+def prove(
+    columns: Iterable[Column], constant: Fraction, rows: list[Row], follows: Mapping[int, int],
+    proof: Proof,
+) -> Bounds:  # fmt: skip
+    """Check a proof.
+
+    Args:
+        columns: of the program, node by node.
+        constant: what the objective adds to what columns count.
+        rows: of the program; where a ratio is asked, row 0 is what its divisor lacks to 1.
+        follows: nodes at which a member has to decide as at another one.
+        proof: its numbers.
+
+    Raises:
+        RefusedError: an inequality fails.
+    """
+    prices, members, unit = proof.prices, proof.members, Fraction(1, proof.unit)
+    need(len(prices) == len(rows), len(prices), "prices of", len(rows), "rows")
+    need(min(prices) >= 0, "prices are >= 0, fails")
+    is_lottery = min(proof.weights, default=-1) >= 0 and sum(proof.weights) == 1
+    need(is_lottery, "weights are >= 0 and sum to 1, fails")
+
+    @lru_cache(1 << 16)
+    def priced(counts: Counts) -> Fraction:
+        return sum((p * c for p, c in zip(prices, counts[1:], strict=True) if c), counts[0])
+
+    missing = {0} | proof.v.keys() | set[int]().union(*(member.decision for member in members))
+    for node, some in groupby(columns, key=lambda column: column.node):
+        check_node(list(some), proof, priced)
+        missing.discard(node)
+    need(not missing, "each node of the proof has columns, fails at", *sorted(missing)[:3])
+    need(0 in proof.v, "v is stated of the beginning, fails")
+    for m, member in enumerate(members):
+        need(0 in member.decision, "member", m, "begins, fails")
+        for i, j in follows.items():
+            alike = i not in member.decision or member.decision[i] == member.decision.get(j)
+            need(alike, "member", m, "decides at", i, "as at", j, "fails")
+    drawn = list(zip(proof.weights, members, strict=True))
+    objective, *means = (
+        sum((w * one.u[0][q] for w, one in drawn), ZERO) * unit for q in range(len(rows) + 1)
+    )
+    exceeded, paid = dict[str, Fraction](), list[Fraction]()
+    for value, row in zip(means, rows, strict=True):
+        paid.append(max(row.most, value))
+        if value > row.least:
+            exceeded[row.name] = excess = value - row.least
+            is_rounding = excess <= EXCESS * min(abs(row.least), Fraction(1))
+            need(is_rounding, "lottery <= bound of row", row.name, "fails by", float(excess))
+    price = sum((p * bound for p, bound in zip(prices, paid, strict=True)), ZERO)
+    lower = constant + proof.v[0] * unit - price
+    upper = constant + objective
+    if proof.ratio is not None:
+        need(prices[0] >= proof.ratio, "price of failure >= ratio, fails")
+        need(lower >= proof.ratio * (1 - paid[0]), "objective >= ratio * goal probability, fails")
+        need(means[0] < 1, "the lottery reaches the goal, fails")
+        lower, upper = proof.ratio, max(upper, upper / (1 - means[0]))
+    return Bounds(lower, upper, exceeded)

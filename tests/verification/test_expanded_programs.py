@@ -1,0 +1,71 @@
+"""The columns that a file's question expands to, beside the library's own program."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from scipy.optimize import linprog
+
+from cases import published
+from formulations import MCMP, S3P, MaxProb
+from ssp_lp import solve
+from ssp_lp.verification import certificate_lines
+from ssp_lp.verification.certificate_file import Statement, program_of
+
+MODELS = ["gubs_river4x4", "gubs_river-alt1", "gubs_tireworld1", "prism_attacktree",
+          "prism_mdp_simple_t1", "prism_robot_goal1", "prism_robot_goal2", "qcomp_cdrive.2",
+          "qcomp_cdrive.3", "qcomp_triangle-tireworld.9"]  # fmt: skip
+
+
+def optimum(problem, cap=0):
+    """The optimum of the expanded program, solved by scipy; a ratio by scaling its goal to 1."""
+    statement = Statement(problem)
+    asked = certificate_lines.stated(statement.question, "main", None, {})
+    program = program_of(asked, statement.states, Fraction(cap))
+    columns = list(program.columns())
+    entries = [(column.node, j, 1.0) for j, column in enumerate(columns)]
+    entries += [(i, j, -a / one.total) for j, one in enumerate(columns) for a, i in one.moves]
+    at, place, values = zip(*entries, strict=True)
+    balance = sp.coo_array((values, (at, place)), shape=(program.size, len(columns))).tocsr()
+    counts = np.array([list(map(float, column.counts)) for column in columns]).T
+    bounds = np.array([float(row.most) for row in program.rows])
+    right = np.eye(1, program.size)[0]
+    objective, rows = counts[0], counts[1:]
+    if problem.ratio:
+        objective, rows = np.append(objective, 0.0), np.column_stack([rows, -bounds])
+        balance = sp.vstack([
+            sp.hstack([balance, sp.coo_array(-right[:, None])]),
+            sp.coo_array(np.append(-counts[1], 1.0)[None, :]),
+        ]).tocsr()  # fmt: skip
+        right, bounds = np.append(0.0 * right, 1.0), 0.0 * bounds
+    found = linprog(objective, rows, bounds, balance, right, method="highs")
+    assert found.status == 0
+    return program.sign * (found.fun + float(program.objective.constant))
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_the_optimum_is_that_of_the_librarys_program(name):
+    model, start = published(name)
+    most = solve(MaxProb(model, start)).objective
+    budget = 1.0 - 0.9 * most
+    asked = [MaxProb(model, start), MCMP(model, start, 1.0, discount=0.95)]
+    asked += [
+        MCMP(model, start, budget, give_up=give_up, charge_failing_step=charged)
+        for give_up in ("anywhere", "attention", "dead_ends") for charged in (True, False)
+    ]  # fmt: skip
+    for problem in asked:
+        known = solve(problem, "lp").objective
+        assert optimum(problem) == pytest.approx(known, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["gubs_tireworld1", "prism_robot_goal1", "qcomp_cdrive.2"])
+def test_totals_of_case_s_are_those_of_the_librarys_process(name):
+    """From a cap on which the library's is lossless, the relaxation beyond the cap is tight."""
+    model, start = published(name)
+    budget = 1.0 - 0.9 * solve(MaxProb(model, start)).objective
+    problem = S3P(model, start, budget)
+    known = solve(problem).objective
+    assert optimum(problem, cap=60) == pytest.approx(known, rel=1e-6)
