@@ -276,7 +276,7 @@ LINES = {
     "ssp_lp/analysis": 920,
     "ssp_lp/column_generation": 2_090,
     "ssp_lp/compiled": 1_734,
-    "ssp_lp/distributed": 964,
+    "ssp_lp/distributed": 975,
     "ssp_lp/dynamic_programming": 2_055,
     "ssp_lp/game": 1_036,
     "ssp_lp/io": 3_033,
