@@ -245,11 +245,11 @@ def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -
 @pytest.mark.parametrize(
     ("measure", "most"),
     [
-        (house.lines_in_all, 31_669),
+        (house.lines_in_all, 31_675),
         (house.public_classes, 269),
         (house.numeric_constants, 513),
         (house.questions_asked, 81),
-        (house.written_past_freezing, 41),
+        (house.written_past_freezing, 42),
     ],
     ids=lambda one: one.__name__ if callable(one) else "",
 )
@@ -276,7 +276,7 @@ LINES = {
     "ssp_lp/analysis": 920,
     "ssp_lp/column_generation": 2_090,
     "ssp_lp/compiled": 1_734,
-    "ssp_lp/distributed": 970,
+    "ssp_lp/distributed": 976,
     "ssp_lp/dynamic_programming": 2_055,
     "ssp_lp/game": 1_036,
     "ssp_lp/io": 3_033,
