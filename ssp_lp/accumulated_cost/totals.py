@@ -173,7 +173,7 @@ def multiples_of_unit(model: SSP, counted: BoolArray) -> StepClasses:
     Raises:
         ModelError: the costs have no common unit that gives a sane number of layers.
     """
-    costs = model.in_all_parts(_costs_into(model, counted))
+    costs = _costs_into(model, counted)
     unit = common_unit(costs, model.exact_costs)
     layers = layers_of(costs, unit, model.exact_costs)
     return StepClasses.of(model, counted, unit, costs, layers)

@@ -6,6 +6,7 @@ import re
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -34,6 +35,7 @@ from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.solution import Run
 
+_PIECE = 1 << 14  # cells that are discretised at a time
 _SURE = 1e-6  # relative uncertainty of a price in a checkpoint
 _AGAIN = 3  # policies of an earlier run that are measured to begin with
 _FINER = 1e-3  # of the tolerance, where a complement is minimised, which may be much larger
@@ -98,7 +100,7 @@ class PartitionedModel:
         n_states: int,
         goal_states: npt.ArrayLike,
         *,
-        state_labels: Mapping[str, Sequence[int]] | None = None,
+        state_labels: Mapping[str, npt.ArrayLike] | None = None,
         bounds: npt.ArrayLike | None = None,
     ) -> PartitionedModel:
         """Make each rank's part by a vectorised function on a range of states.
@@ -151,9 +153,14 @@ class PartitionedModel:
         """
 
         def rows(first: int, end: int) -> StateRows:
-            """Return the rows of some cells, and of the ends behind them."""
-            actions, found = discretised_rows(world, points, first, end)
-            return StateRows(actions, np.diff(found.outcome_offsets), *found[1:])
+            """Return the rows of some cells, and of the ends behind them, worked out in pieces."""
+            begins = [*range(first, end, _PIECE)] or [first]
+            made = [discretised_rows(world, points, *own) for own in pairwise([*begins, end])]
+            parts = [(own, np.diff(found.outcome_offsets), *found[1:]) for own, found in made]
+            *arrays, costs = zip(*parts, strict=True)
+            paid = np.concatenate(costs) if np.ndim(costs[0]) else costs[0]
+            pairs, outcomes, successors, probabilities = map(np.concatenate, arrays)
+            return StateRows(pairs, outcomes, successors, probabilities, paid)
 
         if not isinstance(world, ContinuousModel):
             raise wrong_argument("world", "be a ContinuousModel", world)
@@ -331,7 +338,7 @@ class _Checkpoint:
         Raises:
             ModelError: the checkpoint is in no folder, or is none.
         """
-        self._part, self._folder, self._question = part, folder and Path(folder), question
+        self._part, self._folder, self._question = part, Path(folder) if folder else None, question
         self._earlier: list[Path] = part.halo.ranks.agreed(self._found)
 
     def _found(self) -> list[Path]:

@@ -91,10 +91,10 @@ class PartitionedPolicy(ReadOnlyCopies):
                 whole.parent.mkdir(parents=True, exist_ok=True)
                 whole.unlink(missing_ok=True)
 
-        own = whole.with_name(f"part-{ranks.comm.rank:05}.npz"), _PART, {}
+        own = whole.with_name(f"part-{ranks.comm.rank:05}.npz")
         said = whole, _KIND, told, {"weights": self.weights, "bounds": bounds}
         ranks.agreed(opened)
-        ranks.agreed(partial(write_archive, *own, {"positions": self.positions}))
+        ranks.agreed(partial(write_archive, own, _PART, {}, {"positions": self.positions}))
         ranks.agreed(lambda: write_archive(*said) if is_first else None)
 
     @classmethod

@@ -97,8 +97,8 @@ class _Equations:
         return self.halo.reaching(graph, ends)[:n]
 
     @cached_property
-    def _solver(self) -> tuple[Any, Any, Any]:
-        """PETSc's solver and two vectors: BiCGStab, own rows half factorised; of few rows, LU."""
+    def _solver(self) -> tuple[Any, ...]:
+        """BiCGStab, own rows half factorised, or LU of few rows; two vectors; the matrix."""
         halo, order, petsc, place = self.halo, self._order, self.halo.ranks.petsc, np.empty(0)
         place = np.empty(halo.n_own)
         place[order] = np.arange(halo.n_own)
@@ -119,7 +119,12 @@ class _Equations:
         if not is_small:
             ksp.setOptionsPrefix("ssp_lp_")
             ksp.setFromOptions()
-        return ksp, *matrix.createVecs()
+        return ksp, *matrix.createVecs(), matrix
+
+    def clear(self) -> None:
+        """Destroy PETSc's objects, which all ranks do together and no garbage collector does."""
+        for one in vars(self).pop("_solver", ()):
+            one.destroy()
 
     def solve(self, right: FloatArray, guess: FloatArray, accuracy: float = EXACT) -> FloatArray:
         """Return the solution of the equations to a relative residual; 0 where nothing is paid.
@@ -136,7 +141,7 @@ class _Equations:
         if not ranks.any(right):
             return np.zeros_like(right)
         missed, residual, scale = self._missed(right, x)
-        ksp, left, step = self._solver
+        ksp, left, step, _ = self._solver
         for _ in range(_RUNS):
             if missed <= accuracy:
                 break
@@ -290,12 +295,14 @@ class PartitionedProcess(PricingProblem):
             work += Work(1 + _SWEEPS, equations.products)
             if not self.ranks.any(better):
                 break
+            equations.clear()
             choice = np.where(better, backup.choice, choice).astype(np.int32)
         if weights[0] > 0.0:
             totals[:, 0] = (values - totals[:, 1:-1] @ weights[1:]) / weights[0]
         # what costs nothing at these weights may cost a limit
         choice = self._staying(self._giving_up(equations))
         if self.ranks.any(choice != equations.choice):
+            equations.clear()
             equations = self._leaving_equations(choice, values)
         column = self._measured(equations, totals, work)
         self.kept(self._positions(column), weights)
@@ -398,6 +405,7 @@ class PartitionedProcess(PricingProblem):
             x, low = equations.verified(np.ascontiguousarray(right), guess[:, k], longest)
             figures[k] += self.ranks.total(self.start @ x + self.start @ low)
             totals[:, k] = x
+        equations.clear()
         work += Work(1, equations.products)
         return Column.of_figures(figures, choice, totals=totals, work=work)
 

@@ -581,10 +581,6 @@ class SSP(Graph, ReadOnlyCopies):
         """
         return made
 
-    def in_all_parts(self, numbers: FloatArray) -> FloatArray:
-        """Distinct numbers that were found in the model, or in any part of it, increasing."""
-        return numbers
-
     def staying_free(self, free: BoolArray) -> BoolArray:
         """States of the model's end components of free pairs, [states].
 
