@@ -225,13 +225,13 @@ CALLS: dict[str, Callable[[], object]] = {
 @pytest.mark.parametrize(
     ("name", "most"),
     [
-        ("MCMP", Way(33, 241, 718, 513)),
-        ("MCMP, lp", Way(39, 293, 1259, 884)),
-        ("S3P", Way(38, 331, 2497, 1595)),
-        ("CVaR", Way(42, 459, 23278, 15098)),
-        ("limits", Way(33, 285, 1180, 778)),
-        ("certify", Way(34, 205, 805, 488)),
-        ("program", Way(45, 509, 3570, 2382)),
+        ("MCMP", Way(33, 239, 717, 511)),
+        ("MCMP, lp", Way(39, 291, 1258, 882)),
+        ("S3P", Way(38, 329, 2490, 1589)),
+        ("CVaR", Way(42, 456, 23250, 15077)),
+        ("limits", Way(33, 285, 1180, 777)),
+        ("certify", Way(34, 205, 806, 488)),
+        ("program", Way(45, 511, 3577, 2385)),
     ],
 )
 def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -> None:
