@@ -245,7 +245,8 @@ def check_call(name: str, form: Signature, given: Sequence[object], named: Colle
         others = ", ".join(f"{part.name}=..." for part in parts if part not in placed)
         hint = f"; give others by name: {others}" if others else ""
         taken = ", ".join(part.name for part in placed if part.name in own)
-        raise ModelError(f"{name} takes ({taken}) by place{hint}")
+        told = f"({taken})" if taken else "nothing"
+        raise ModelError(f"{name} takes {told} by place{hint}")
     for part in placed[: len(given)]:
         if part.name in named:
             raise ModelError(f"{name} is given {part.name!r} twice, by place and by name")

@@ -245,7 +245,7 @@ def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -
 @pytest.mark.parametrize(
     ("measure", "most"),
     [
-        (house.lines_in_all, 31_300),
+        (house.lines_in_all, 31_301),
         (house.public_classes, 272),
         (house.numeric_constants, 520),
         (house.questions_asked, 80),
@@ -271,7 +271,7 @@ def test_no_folder_grows() -> None:
 LINES = {
     "formulations": 458,
     "formulations/command_line": 804,
-    "ssp_lp": 2_056,
+    "ssp_lp": 2_057,
     "ssp_lp/accumulated_cost": 2_692,
     "ssp_lp/analysis": 920,
     "ssp_lp/column_generation": 2_146,
