@@ -245,7 +245,7 @@ def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -
 @pytest.mark.parametrize(
     ("measure", "most"),
     [
-        (house.lines_in_all, 31_301),
+        (house.lines_in_all, 31_304),
         (house.public_classes, 272),
         (house.numeric_constants, 520),
         (house.questions_asked, 80),
@@ -287,6 +287,6 @@ LINES = {
     "ssp_lp/policies": 1_330,
     "ssp_lp/processes": 1_846,
     "ssp_lp/programs": 1_318,
-    "ssp_lp/verification": 1_945,
+    "ssp_lp/verification": 1_948,
 }
 """Code lines of each folder."""

@@ -24,7 +24,7 @@ from ssp_lp.arrays import LEAST_BUDGET, BoolArray
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, check_between_0_and_1
 from ssp_lp.methods.approaches import refusal
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.graph import attention_states, end_components, hopeless_states
+from ssp_lp.model.graph import attention_states, drain, hopeless_states
 from ssp_lp.model.report import Report, Table
 from ssp_lp.options import LinearProgramming, parse_method, progress_shown
 from ssp_lp.problem import Problem, check_problem
@@ -457,7 +457,10 @@ def second_reading(problem: Problem) -> SecondReading | None:
     entering = dead_end_charges(model, dead, semantics)
     stopping = give_up_charges(model, attention_states(model), nobody, semantics)
     may_stop = np.isfinite(stopping) & ~dead & ~model.goal_mask
-    wandering = (end_components(model, costless_pairs(model))[0] >= 0) & ~dead
+    waits = costless_pairs(model) & ~dead[model.pair_state]  # for ever, or till one can
+    left = np.bincount(model.pair_state[waits], minlength=model.n_states)
+    drain(model, waits, left, np.flatnonzero(left == 0))
+    wandering = left > 0
     faults: list[str] = []
 
     def compare(part: str, ours: BoolArray, theirs: set[int]) -> int:

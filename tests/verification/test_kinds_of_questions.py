@@ -267,6 +267,17 @@ def test_drawn_models_are_read_alike(drawn, meaning, discount):
         assert reading.second_reading(stated).faults == ()
 
 
+def test_where_waiting_is_free_one_may_come_to_it_for_nothing():
+    """In b one waits by going to a, at no cost: both readings count it."""
+    ways = {
+        "a": {"wait": [(1.0, "a", 0.0)], "on": [(1.0, "b", 1.0)]},
+        "b": {"back": [(1.0, "a", 0.0)], "home": [(1.0, "g", 1.0)]},
+        "d": {"stuck": [(1.0, "d", 2.0)]},
+    }
+    found = reading.second_reading(MCMP(model_of(ways, "g"), "a", failure_budget=0.5))
+    assert (found.free, found.faults) == (2, ())
+
+
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
 def test_what_it_counts(criterion):
     """The swamp is a dead-end, and waiting in a is free: giving up there as well."""
