@@ -78,13 +78,12 @@ def solve(
     if (refused := refusal(problem, chosen)) is not None:
         raise refused
 
-    begun = time.perf_counter()
     with progress_shown(verbose):
         found = _solved_with_proof(problem, chosen, options)
     reason = found.run.reason
     if method is None:
         reason = reason.replace("as asked", "which scales best for one failure row")
-    seconds = time.perf_counter() - begun
+    seconds = time.perf_counter() - began
     run = replace(found.run, reason=reason, seconds=seconds, time_limit=time_limit)
     return replace(found, problem=problem, policy=pulled_back(found.policy, problem), run=run)
 

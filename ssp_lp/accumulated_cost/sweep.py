@@ -127,22 +127,22 @@ class Sweep:
 
     @cached_property
     def pair_offsets(self) -> IntArray:
-        """Offsets of the pairs of each swept node in a layer, [nodes + 1]."""
+        """Offsets of the pairs of each node in a layer, [nodes + 1]."""
         return self.process.base.pair_offsets
 
     @cached_property
     def first_pairs(self) -> IntArray:
-        """First pair of each swept node, [nodes]."""
+        """First pair of each node, [nodes]."""
         return self.pair_offsets[:-1]
 
     @property
     def n_nodes(self) -> int:
-        """Number of nodes that are swept."""
+        """Number of nodes of a layer."""
         return len(self.pair_offsets) - 1
 
     @cached_property
     def start(self) -> FloatArray:
-        """Start mass of the swept nodes, [nodes]."""
+        """Start mass of a layer's nodes, [nodes]."""
         return self.process.base.start
 
     @cached_property

@@ -99,13 +99,10 @@ class _Equations:
     @cached_property
     def _solver(self) -> tuple[Any, ...]:
         """BiCGStab, own rows half factorised, or LU of few rows; two vectors; the matrix."""
-        halo, order, petsc, place = self.halo, self._order, self.halo.ranks.petsc, np.empty(0)
-        place = np.empty(halo.n_own)
+        halo, order, petsc = self.halo, self._order, self.halo.ranks.petsc
+        place, rows = np.empty(halo.n_own), self.moves.transitions
         place[order] = np.arange(halo.n_own)
-        numbers, rows = (
-            halo.filled(halo.first + place).astype(petsc.IntType),
-            self.moves.transitions,
-        )
+        numbers = halo.filled(halo.first + place).astype(petsc.IntType)
         shape = halo.n_own, halo.n_all
         step = sp.csr_array((rows.data, numbers[rows.indices], rows.indptr), shape=shape)[order]
         # PETSc keeps the last of duplicates: scipy adds them up
@@ -223,9 +220,7 @@ class PartitionedProcess(PricingProblem):
     at_once: FloatArray  # [rewards] of what begins in goals and dead-ends
     start: FloatArray  # [own nodes]
     asks_for_ends: bool  # whether ends other than the goal count, or nobody may give up
-    stays: (
-        IntArray  # [own nodes] a pair that stays for ever for nothing, where that is all one may do
-    )
+    stays: IntArray  # [own nodes] a pair that stays for ever for nothing, where one may only stay
     kept: Callable[[IntArray, FloatArray], None] = _kept_nowhere  # told of each found column
     earlier: list[Column] = field(default_factory=list)  # columns of an earlier run
 

@@ -237,12 +237,12 @@ def _rows_attempts(
             yield replace(optimum, calls=calls, work=work)
         stuck = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]
         finer = None if stuck or stated.charge is None else optimum.compiled.refined(optimum.kappa)
+        begun = None if finer is None or options.program else optimum.search
         if finer is None and not (stated.precise or optimum.compiled.is_rounded or options.program):
             finer = replace(stated, precise=True)
         if finer is None:
             return
-        goes_on = finer.charge is not None and not options.program
-        stated, begun = finer, optimum.search if goes_on else None
+        stated = finer
         if optimum.compiled.totals is not None and np.isfinite(optimum.value):
             guess = optimum
 
@@ -259,10 +259,8 @@ def _rows_attempt(
     With a certified bound at the prices that the search ended with; a trial ends roughly, with no
     bound where no time limit may end it.
     """
-    finer = _FINER if stated.sense.constant else 1.0
-    options = replace(options, tolerance=finer * options.tolerance)
-    if stated.is_trial:
-        options = replace(options, tolerance=max(options.tolerance, _TRIAL_TOLERANCE))
+    finer, rough = _FINER if stated.sense.constant else 1.0, _TRIAL_TOLERANCE * stated.is_trial
+    options = replace(options, tolerance=max(finer * options.tolerance, rough))
     program: ProgramOptimum | None = None
     taken_on = None if begun is None else _taken_on(begun, stated.pricing())
     compiled, rule = opened(stated, options) if taken_on is None else (stated, taken_on)

@@ -137,6 +137,7 @@ def in_words(question: Mapping[str, Any], names: Mapping[int, str]) -> str:
     """
 
     def quantity(stated: Mapping[str, Any]) -> str:
+        """A quantity of the question in words."""
         words = [f"{weight} {kind} {what!a}" for weight, kind, what in stated["terms"]]
         constant = stated["constant"]
         return " + ".join([*words, *([constant] if constant != "0" or not words else [])])

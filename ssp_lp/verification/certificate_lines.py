@@ -44,6 +44,7 @@ def lines_of(path: Any) -> Lines:
     """Lines of a file, no more and no longer than its size allows."""
 
     def lines() -> Iterator[bytes]:
+        """The lines, from the first one on."""
         with open(path, "rb") as packed, gzip.open(packed) as file:
             left = LINE + TIMES * packed.seek(0, 2)
             packed.seek(0)

@@ -175,6 +175,7 @@ class Program:
         needed, flat = self.graph.distances(self.graph.every), list(self.states())
 
         def states() -> Iterator[State]:
+            """States after each number of steps."""
             for h in range(horizon + 1):
                 for x, (name, sets, actions) in enumerate(flat):
                     late = ["out of time"] * (needed.get(x, 0) > horizon - h)
