@@ -179,7 +179,7 @@ def _check_solution(solution: Solution, deadline: float | None) -> None:
     for condition in solution.problem.conditions if taken else ():
         for row in (each.by_digits for each in condition.rows):
             most = granted.get(row.name, row.bound)
-            if taken.get(row.name, np.inf) > most + _ROUNDING * abs(most):
+            if taken.get(row.name, np.inf) > most + _ROUNDING * row.size:
                 faults.append(
                     f"it takes {taken[row.name]!r} of {row.told!r}, {row.bound!r} allowed"
                 )

@@ -231,7 +231,7 @@ def broken_limit(
         for each in condition.rows:
             row = each.by_digits
             taken, most = row.activity(spent), granted.get(row.name, row.bound)
-            if taken > most + room * max(abs(most), _NOTHING):
+            if taken > most + room * max(row.size, _NOTHING):
                 return f"the policy spends {taken:.12g} of {row.told!r}, {row.bound:.12g} allowed"
     goal, budget = evaluation.limited_goal, problem.failure_budget
     demanded = budget.demanded if isinstance(budget, GoalShare) else 0.0

@@ -105,6 +105,16 @@ class UpperRow:
         is_small = direct is not None and abs(direct.bound) < RARE_GOAL * abs(self.bound)
         return direct if direct is not None and is_small else self
 
+    @property
+    def size(self) -> float:
+        """Size of the numbers whose rounding decides whether the condition's row is satisfied.
+
+        Where terms of both signs cancel, that is the size of the terms, not of the bound.
+        """
+        gains = [weight for weight, _ in self.terms] + [self.offset]
+        lost = -sum(gain for gain in gains if gain < 0.0)
+        return max(abs(self.bound), lost if max(gains) > 0.0 else 0.0)
+
     @cached_property
     def free(self) -> BoolArray:
         """Pairs of the model that add nothing to the condition's row, [pairs]."""

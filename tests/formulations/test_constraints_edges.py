@@ -447,3 +447,18 @@ def test_a_bound_may_be_wrong_by_rounding() -> None:
     limits = {"sure": goal_probability() >= 1.0 + 2.0**-52, "none": end_probability("pit") <= 0.0}
     model = deciding("x", go=[(1.0, "g", 1.0)], no=[(1.0, "pit", 0.0)])
     assert solve(MCMP(model, "x", 1.0, constraints=limits)).objective == 1.0
+
+
+def test_where_terms_cancel_a_limit_is_satisfied_to_the_rounding_of_the_terms():
+    """2 (1 - y) - 0.4 y <= 0, where y is the share of what is risky: it is 5/6 and fails in 1/6."""
+    sure, risky = {"cost": 0.0, "fuel": 2.0}, {"cost": 0.0, "fuel": 0.0}
+    outcomes = {"sure": [(1.0, "g", sure)], "risky": [(0.8, "g", risky), (0.2, "wall", risky)]}
+    model = SSP.from_transitions(
+        {"s": outcomes}, goal={"g"}, dead_ends={"wall"}, state_labels=WALL, cost="cost"
+    )
+    kept = secondary_cost("fuel") + 0.5 * visits("s") - 2.0 * end_probability("wall") <= 0.5
+    problem = FinitePenalty(model, "s", 6.0, give_up="dead_ends", constraints={"kept": kept})
+    for method in ("columns", "lp"):
+        solution = solve(problem, method)
+        assert solution.objective == pytest.approx(1.0, rel=1e-12)
+        assert certify(solution).accepted
