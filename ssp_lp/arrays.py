@@ -158,7 +158,14 @@ def offsets_of(lengths: IntArray) -> IntArray:
 def sorted_unique(values: IntArray) -> IntArray:
     """The distinct non-negative entries of an array in increasing order, by sorting."""
     ordered = np.sort(values)
-    return ordered[np.flatnonzero(np.diff(ordered, prepend=-1))]
+    return ordered[run_starts(ordered)]
+
+
+def run_starts(values: IntArray) -> BoolArray:
+    """Where each run of equal entries of an array begins, as a mask."""
+    begins = np.ones(values.size, dtype=np.bool_)
+    np.not_equal(values[1:], values[:-1], out=begins[1:])
+    return begins
 
 
 def segment_ids(offsets: IntArray) -> npt.NDArray[np.int32]:
@@ -203,7 +210,7 @@ def first_minimisers(values: FloatArray, minima: FloatArray, offsets: IntArray) 
     """Position, within each non-empty segment in turn, of the first value equal to its minimum."""
     segment = segment_ids(offsets)
     attained = np.flatnonzero(values <= minima[segment])
-    return attained[np.flatnonzero(np.diff(segment[attained], prepend=-1))]
+    return attained[run_starts(segment[attained])]
 
 
 def weighted(columns: FloatArray, weights: FloatArray) -> FloatArray:

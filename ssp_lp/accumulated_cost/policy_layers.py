@@ -319,10 +319,12 @@ def giving_up_where_lost(policy: MixedPolicy) -> MixedPolicy:
     Raises:
         Stop: the time ended.
     """
+    members = list(policy.policies)
+    if not any(isinstance(member, CostAwarePolicy) for member in members):
+        return policy
     acting = np.diff(policy.model.pair_offsets) > 0
     if not (attention_states(policy.model) & acting).any():
         return policy
-    members = list(policy.policies)
     for k, member in enumerate(members):
         layers = member.layers()
         if isinstance(member, CostAwarePolicy) and layers is not None:

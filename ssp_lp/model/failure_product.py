@@ -17,7 +17,14 @@ import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, entries_of, offsets_of, read_only
 from ssp_lp.errors import ModelError
-from ssp_lp.model.graph import dead_ends, end_components, end_marks, pairs_into, surely_ending
+from ssp_lp.model.graph import (
+    dead_ends,
+    end_components,
+    end_marks,
+    pairs_into,
+    reaching_states,
+    surely_ending,
+)
 from ssp_lp.model.product import ProductSSP, ProductStates, copied_parts
 from ssp_lp.model.ssp import SSP
 
@@ -114,7 +121,7 @@ class FailureSSP(ProductSSP):
         """
         over = self.ended | self.goal_mask | self.stops
         over[self.pair_state[self._staying]] = True
-        return surely_ending(self, over, pairs_into(self, over))[:2]
+        return surely_ending(self, over, pairs_into(self, over), reaching_states(self, over))[:2]
 
     @cached_property
     def _staying(self) -> BoolArray:

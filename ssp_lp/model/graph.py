@@ -24,6 +24,7 @@ from ssp_lp.arrays import (
     narrow,
     offsets_of,
     read_only,
+    run_starts,
     segment_ids,
     sorted_unique,
 )
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 Fact = TypeVar("Fact")
 
 _TURNS = 1_000  # of a search, between two looks at the clock
-_FEW = 32  # states, below which one after the other is faster than all at once
+_FEW, _FEW_ENTRIES = 32, 128  # states, and steps into them, that are faster one after the other
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,11 +186,11 @@ def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray, IntArray]:
         The states, goals included, [states]; the pairs that stay among them, [pairs]; and for each
         of the states such a pair by which it comes nearer to the goal, -1 elsewhere, [states].
     """
-    return surely_ending(model, model.goal_mask, goal_pairs(model))
+    return surely_ending(model, model.goal_mask, goal_pairs(model), ~hopeless_states(model))
 
 
 def surely_ending(
-    model: Graph, ends: BoolArray, leading: BoolArray
+    model: Graph, ends: BoolArray, leading: BoolArray, reaching: BoolArray
 ) -> tuple[BoolArray, BoolArray, IntArray]:
     """States from which some policy ends surely, by the graph, as :func:`surely_reaching`.
 
@@ -197,19 +198,20 @@ def surely_ending(
         model: the graph.
         ends: [states].
         leading: pairs that may lead to one of them, [pairs].
+        reaching: states from which some policy may end, [states].
     """
     open_pairs = np.ones(len(model.pair_state), dtype=np.bool_)
     open_counts = np.diff(model.pair_offsets) + ends  # what ends is never closed
-    kept = np.ones(model.n_states, dtype=np.bool_)
+    lost = ~reaching
     while True:
-        nearer = nearer_pairs(model, leading & open_pairs, open_pairs)
-        lost = kept & ~ends & (nearer < 0)
-        if not lost.any():
-            return kept, open_pairs, nearer
         open_pairs &= ~lost[model.pair_state]
         open_counts[lost] = 0
         drain(model, open_pairs, open_counts, lost.nonzero()[0])
         kept = open_counts > 0
+        nearer = nearer_pairs(model, leading & open_pairs, open_pairs)
+        lost = kept & ~ends & (nearer < 0)
+        if not lost.any():
+            return kept, open_pairs, nearer
 
 
 @kept
@@ -315,19 +317,18 @@ def nearer_pairs(
         [states] the pair taken; -1 where no leaving pair can be reached.
     """
     before, pair_state, n = graph.predecessors, graph.pair_state, graph.n_states
-    free = np.ones(len(pair_state), dtype=np.bool_) if usable is None else usable.copy()
     distance = np.zeros(n, dtype=np.int32) if distance is None else distance
     choice = np.full(n, -1, dtype=np.int64)
-    useful: IntArray = (leaving & free).nonzero()[0]
+    open_entries = None if usable is None else usable[before.pairs]
+    useful: IntArray = (leaving if usable is None else leaving & usable).nonzero()[0]
     # by the distance of each state, found by scipy from a node added behind all ends; its search
     # of shortest paths took only numbers of 32 bits before version 1.15
-    reached = np.repeat(np.arange(n, dtype=np.int32), np.diff(before.offsets))
+    offsets, pairs = before.offsets, before.pairs
+    if open_entries is not None and not open_entries.all():
+        offsets, pairs = offsets_of(open_entries.view(np.int8))[offsets], pairs[open_entries]
     check_time()
-    kept = free[before.pairs]
-    pairs, reached = before.pairs[kept], reached[kept]
-    source = np.concatenate([reached, np.full(useful.size, n, dtype=np.int32)])
-    target = pair_state[np.concatenate([pairs, useful])].astype(np.int32, copy=False)
-    links = sp.csr_array((np.ones(source.size), (source, target)), shape=(n + 1, n + 1))
+    sources = pair_state[np.concatenate([pairs, useful])]
+    links = edges(sources, np.append(offsets, sources.size))
     check_time()
     steps: FloatArray = csgraph.dijkstra(  # type: ignore[call-overload]
         links, indices=n, unweighted=True
@@ -335,11 +336,11 @@ def nearer_pairs(
     check_time()
     distance[:] = np.where(np.isfinite(steps), steps - 1.0, 0.0)
     near = np.full(len(pair_state), np.inf)
-    np.minimum.at(near, pairs, steps[reached] + 1.0)
+    np.minimum.at(near, pairs, np.repeat(steps, np.diff(offsets)) + 1.0)
     near[useful] = 1.0
     best = ((near == steps[pair_state]) & np.isfinite(near)).nonzero()[0]
-    first = np.diff(pair_state[best], prepend=-1).nonzero()[0]
-    choice[pair_state[best[first]]] = best[first]
+    first = best[run_starts(pair_state[best])]
+    choice[pair_state[first]] = first
     return choice
 
 
@@ -358,7 +359,8 @@ def drain(
     before = model.predecessors
     while closed_states.size:
         check_time()
-        if closed_states.size < _FEW:
+        begun, ended = before.offsets[closed_states], before.offsets[closed_states + 1]
+        if (ended - begun).sum() < _FEW_ENTRIES:
             closed_states = _drain_one_by_one(model, open_pairs, open_counts, closed_states)
             continue
         pairs = before.pairs[entries_of(before.offsets, closed_states)[0]]
@@ -371,18 +373,20 @@ def _drain_one_by_one(
 ) -> IntArray:
     """Drain the graph from a few closed states, until they are many; those that are left."""
     before, waiting = model.predecessors, deque(closed_states.tolist())
+    is_open, counts = open_pairs.data, open_counts.data  # faster entry by entry
+    home_of, offsets = model.pair_state.data, before.offsets.data
     for turn in count():
         if not 0 < len(waiting) < _FEW:
             break
         if turn % _TURNS == 0:
             check_time()
         state = waiting.popleft()
-        for pair in before.pairs[before.offsets[state] : before.offsets[state + 1]].tolist():
-            if open_pairs[pair]:
-                open_pairs[pair] = False
-                home = model.pair_state[pair]
-                open_counts[home] -= 1
-                if open_counts[home] == 0:
+        for pair in before.pairs[offsets[state] : offsets[state + 1]].tolist():
+            if is_open[pair]:
+                is_open[pair] = False
+                home = home_of[pair]
+                counts[home] -= 1
+                if counts[home] == 0:
                     waiting.append(home)
     return np.array(waiting, dtype=np.int64)
 
@@ -393,10 +397,9 @@ def close_pairs(
     """Close open pairs of the graph, ascending, in place; the states with none left open."""
     open_pairs[pairs] = False
     state = model.pair_state[pairs]
-    first = np.diff(state, prepend=-1).nonzero()[0]
-    touched = state[first]
-    open_counts[touched] -= np.diff(first, append=pairs.size)
-    return np.asarray(touched[open_counts[touched] == 0])
+    np.subtract.at(open_counts, state, 1)
+    closed = state[open_counts[state] == 0]
+    return np.asarray(closed[run_starts(closed)])
 
 
 def end_marks(model: SSP) -> IntArray:

@@ -474,10 +474,13 @@ def stage_costs(
     Returns:
         [quotient pairs] and [states].
     """
-    means = cost_means(model)
-    charges = give_up_charges(model, attention_states(model), quotient.merged, semantics, means)
+    means, charges = cost_means(model), np.zeros(quotient.n_nodes)
+    if quotient.gives_up.any():
+        attention = attention_states(model)
+        by_state = give_up_charges(model, attention, quotient.merged, semantics, means)
+        charges = quotient.least_over_members(by_state)
     entering = model.of_all_states(dead_end_charges(model, quotient.dead, semantics, means))
-    stage = quotient.at_pairs(means, quotient.least_over_members(charges))
+    stage = quotient.at_pairs(means, charges)
     if entering.any():
         stage = stage + survival * quotient.at_pairs(successor_means(model, entering))
     return stage, entering

@@ -26,6 +26,7 @@ from ssp_lp.arrays import (
     entries_of,
     least_integer_type,
     offsets_of,
+    run_starts,
     segment_ids,
     segment_sums,
     unsigned,
@@ -429,7 +430,7 @@ def _flow_of_moves(
     model, node = quotient.model, quotient.node_of[members]
     exits = np.flatnonzero(leaving > 0.0)
     exits = exits[np.argsort(node[exits], kind="stable")]
-    begins = np.diff(node[exits], prepend=-1) != 0
+    begins = run_starts(node[exits])
     turn = np.arange(exits.size) - np.flatnonzero(begins)[np.cumsum(begins) - 1]
     total = np.bincount(node, weights=leaving, minlength=quotient.n_nodes)
     pairs = np.zeros(model.n_pairs)

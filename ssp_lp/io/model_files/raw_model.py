@@ -25,7 +25,7 @@ from typing import IO, Any, NamedTuple, TextIO
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, offsets_of, segment_ids
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, offsets_of, run_starts, segment_ids
 from ssp_lp.errors import Argument, ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.ssp import ENDS, DeadEnds
@@ -463,7 +463,7 @@ def exported(model: SSP, start: Hashable) -> Exported:
     chances = np.concatenate([model.probabilities[occurs], np.ones(loops.size + paying.size)])
     order = np.lexsort((targets, pairs))
     pairs, targets = pairs[order], targets[order]
-    new = (np.diff(pairs, prepend=-1) != 0) | (np.diff(targets, prepend=-1) != 0)
+    new = run_starts(pairs) | run_starts(targets)
     costs, code = np.zeros((n_pairs, len(by_name))), np.empty(n_pairs, dtype=np.int64)
     costs[own], costs[paying] = least, rests
     names = [*distinct_words(model.action_names), *_OWN_ACTIONS]
