@@ -6,6 +6,7 @@ import gzip
 import json
 import tracemalloc
 from fractions import Fraction
+from hashlib import sha256
 from time import process_time
 
 import pytest
@@ -15,9 +16,11 @@ from ssp_lp import check_certificate
 from ssp_lp.verification import certificate_lines, prove
 from ssp_lp.verification.prove import EXCESS
 
-STEP = state(go=([["1", 1]], ["1"]))  # of cost 1, to the goal
+STEP = state(go=([["1", 1], ["0", 0]], ["1"]))  # of cost 1, to the goal
 CHOICE = state(safe=([["1", 1]], ["10"]), risky=([["1", 1], ["1", 2]], ["1"]))
 RISK = state(risky=([["1", 1], ["1", 2]], ["1"]))
+DETOUR = state(short=([["1", 2]], ["10"]), long=([["1", 1]], ["0"]))  # at no less cost
+ONWARD = state(go=([["1", 2]], ["10"]))
 LOOP = state(stay=([["1", 0]], ["0"]), go=([["1", 1]], ["5"]))
 WAY = [state(on=([["1", 1]], ["5"])), state(on=([["1", 2]], ["5"])), GOAL]  # of cost 10
 SAFE = [0, "10", [0, 0, 2, "10", "0"]], [1, "10", [0, 0, 1, "10", "0"]]
@@ -38,10 +41,19 @@ def one_step(v="1", u="1", ratio=None, **head):
     return proof([0, v, [0, 0, 2, u, "0"]], [1, v, [0, 0, 1, u, "0"]], **head)
 
 
-def risky(price="0", v="1", fails="1", **head):
+def risky(price="0", v="1", fails="1", *taken, **head):
     """A proof of cost 1 with a failure of 1/2, in units of 1/2; the cost in case S is 2."""
-    own = [0, 1, 2, "2", fails]
-    return proof([0, v, [0, 0, 4, "2", fails]], [1, v, own], unit=2, prices=[price], **head)
+    own, prices = [0, 1, 2, "2", fails, *taken], [price, *("0" for _ in taken)]
+    begin = [0, v, [0, 0, 4, "2", fails, *taken]]
+    return proof(begin, [1, v, own], unit=2, prices=prices, **head)
+
+
+def choosing(price="0", v="1", **head):
+    """A proof of a choice whose lottery is half safe and half risky."""
+    begin = [0, v, [0, 0, 4, "2", "1"], [1, 0, 2, "20", "0"]]
+    node = [1, v, [0, 1, 2, "2", "1"], [1, 0, 1, "20", "0"]]
+    head = {"weights": ["1/2", "1/2"], "prices": [price], "unit": 2, **head}
+    return proof(begin, node, **head)
 
 
 def way():
@@ -63,7 +75,7 @@ def half_a_way():
     [
         ([STEP, GOAL], [one_step()], {}, (1, 1)),
         ([STEP, GOAL], [one_step(ratio="1")], {"ratio": True}, (1, 1)),
-        ([CHOICE, GOAL, DEAD], [risky(v="2")], {}, (1, 1)),
+        ([CHOICE, GOAL, DEAD], [choosing(v="2", weights=["1", "0"])], {}, (1, 1)),
         ([CHOICE, GOAL, DEAD], [risky("2", "4", ratio="2")], {"ratio": True}, (2, 2)),
         (WAY, [way()], {"ratio": True, "charge": SPENT, "objective": NOTHING}, (10, 10)),
         ([LOOP, GOAL], [proof([0, "5", [0, 0, 2, "5", "0"]], [1, "5", [0, 1, 1, "5", "0"]])],
@@ -79,14 +91,6 @@ def test_honest_files_prove_what_is_true(states, proofs, asked, known, tmp_path)
 
 TOTALS = {"ratio": True, "charge": SPENT, "objective": NOTHING}
 HALF = {"ratio": True, "quantile": "1/2", "objective": NOTHING}
-
-
-def choosing(price="0", v="1", **head):
-    """A proof of a choice whose lottery is half safe and half risky."""
-    begin = [0, v, [0, 0, 4, "2", "1"], [1, 0, 2, "20", "0"]]
-    node = [1, v, [0, 1, 2, "2", "1"], [1, 0, 1, "20", "0"]]
-    head = {"weights": ["1/2", "1/2"], "prices": [price], "unit": 2, **head}
-    return proof(begin, node, **head)
 
 
 def staying(t=1):
@@ -118,7 +122,10 @@ def sharing(weights, least="-18"):
 
 
 FORGED = {
-    "a negative price": ([CHOICE, GOAL, DEAD], [risky("-100", "-98")], {}, "prices are >= 0"),
+    "a negative price": (
+        [CHOICE, GOAL, DEAD], [risky("-100", "-98", "1", "2")],
+        {"rows": [{"name": "time", "quantity": COST, "at_most": "9"}]}, "prices are >= 0",
+    ),
     "a price too few": ([STEP, GOAL], [one_step(prices=[])], {}, "0 prices of 1 rows"),
     "negative weights": (
         [CHOICE, GOAL, DEAD], [choosing(weights=["2", "-1"])], {}, "weights are >= 0",
@@ -141,12 +148,19 @@ FORGED = {
     ),
     "a policy without an end": ([LOOP, GOAL], [staying()], {"failure": "0"}, "t >= 1 + sum a t"),
     "a cost": ([STEP, GOAL], [one_step(u="0")], {}, "u >= c + sum a u"),
+    "a cost of the second member": (
+        [DETOUR, ONWARD, GOAL],
+        [proof([0, "0", [0, 0, 2, "10", "0"], [1, 0, 4, "0", "0"]],
+               [1, "0", [0, 0, 1, "10", "0"], [1, 1, 3, "0", "0"]], [2, "0", [1, 0, 2, "0", "0"]],
+               weights=["0", "1"])],
+        {}, "member 1 at 2 go u >= c + sum a u",
+    ),
     "a failure": ([CHOICE, GOAL, DEAD], [risky(v="2", fails="0")], {}, "u >= c + sum a u"),
     "a broken budget": (
         [CHOICE, GOAL, DEAD], [risky(v="2")], {"failure": "1/4"}, "bound of row failure fails by",
     ),
-    "a budget that is broken by 2e-12 of itself": (
-        [CHOICE, GOAL, DEAD], [risky(v="2")], {"failure": "0.499999999999"}, "bound of row failure",
+    "a budget that is broken by 2e-24 of itself": (
+        [CHOICE, GOAL, DEAD], [risky(v="2")], {"failure": "0.4" + 23 * "9"}, "bound of row failure",
     ),
     "what exceeds the cap": (WAY, [half_a_way()], {**TOTALS, "give_up": "anywhere"}, "as at 2"),
     "a ratio above the price": (
@@ -175,6 +189,16 @@ FORGED = {
     "a quantile that is above the truth": (
         [STEP, GOAL], [arriving("0", "0"), arriving("0", "0")], {**HALF, "answer": "3/2"},
         "no lottery stays below the quantile as often",
+    ),
+    "a quantile that a lottery attains by exceeding a row": (
+        [state(fast=([["1", 1], ["1", 2]], ["1"]), slow=([["1", 1]], ["10"])), GOAL, DEAD],
+        [proof([0, "0", [0, 0, 2, "0", "1"], [1, 0, 2, "2", "0"]],
+               [4, "0", [0, 0, 1, "0", "1"], [1, 1, 1, "2", "0"]],
+               unit=2, weights=["1/2", "1/2"], cap="2", ratio="0"),
+         proof([0, "1", [0, 0, 2, "1", "0"]], [4, "1", [0, 1, 1, "1", "0"]],
+               prices=["1"], cap="2", ratio="1")],
+        {**HALF, "quantile": "1/3", "answer": "1", "failure": f"0.24{24 * '9'}"},
+        "a quantile jumps where the lottery exceeds row failure",
     ),
     "a share's room": (
         [SHARED, GOAL, DEAD], sharing(["3/4", "1/4"]), {"failure": {"share": "9/10"}},
@@ -219,9 +243,18 @@ def test_a_share_is_proved(tmp_path):
     assert proved == (Fraction(31, 4), Fraction(31, 4))
 
 
-def test_a_quantile_is_proved(tmp_path):
+@pytest.mark.parametrize("total", [0, 1])
+def test_a_quantile_is_proved(total, tmp_path):
+    """And the text of each program, whose SHA-256 is told, is that of the page on the format."""
+    states = [state(go=([["1", 1]], [str(total)])), GOAL]
     proofs = arriving("0", "0"), arriving("1", "1")
-    assert said(tmp_path / "x", [STEP, GOAL], *proofs, answer="1", **HALF) == (1, 1)
+    checked = verdict(tmp_path / "x", states, *proofs, answer=str(total), **HALF)
+    assert (checked.lower, checked.upper) == (total, total)
+    for counts, digest in zip((["0", "0"], ["1", "0"]), checked.programs, strict=True):
+        lines = [[4, "0", [["failure", "1", "1"]], []], [0, "begin", 1, [[1, 3]], ["0", "0"]]]
+        lines += [[1, "go", 1, [], ["1", "0"]], [3, "go", 1, [], counts]]
+        text = "".join(json.dumps(line, separators=(",", ":")) + "\n" for line in lines)
+        assert digest == sha256(text.encode()).hexdigest()
 
 
 # Questions and models without a meaning, or with two, are refused.
@@ -235,6 +268,7 @@ def counting(*term):
 NEITHER = [
     ([STEP, GOAL], {"discount": "0"}, "a discount lies in"),
     ([STEP, GOAL], {"discount": "2"}, "a discount lies in"),
+    ([STEP, GOAL], {"discount": "0." + 3998 * "9"}, "no text of a number"),
     ([STEP, GOAL], {"start": [["2", 0], ["-1", 1]]}, "the start is a distribution"),
     ([STEP, GOAL], {"start": [["0", 0]]}, "the start is a distribution"),
     ([STEP, GOAL], {"start": []}, "the start is a distribution"),
