@@ -93,8 +93,7 @@ class _Graph:
 
     def staying(self, states: set[int], allowed: Sequence[bool]) -> set[int]:
         """Largest part of states in which each has no actions, or an allowed one that stays in."""
-        inside, counts = set(states), [0] * self.size
-        stays = [allowed[k] and x in states for k, x in enumerate(self.home)]
+        inside, stays, counts = set(states), list(allowed), [0] * self.size
         for k, x in enumerate(self.home):
             counts[x] += stays[k]
         queue = [x for x in range(self.size) if x not in states]

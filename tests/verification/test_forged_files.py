@@ -78,8 +78,8 @@ def half_a_way():
         ([CHOICE, GOAL, DEAD], [choosing(v="2", weights=["1", "0"])], {}, (1, 1)),
         ([CHOICE, GOAL, DEAD], [risky("2", "4", ratio="2")], {"ratio": True}, (2, 2)),
         (WAY, [way()], {"ratio": True, "charge": SPENT, "objective": NOTHING}, (10, 10)),
-        ([LOOP, GOAL], [proof([0, "5", [0, 0, 2, "5", "0"]], [1, "5", [0, 1, 1, "5", "0"]])],
-         {"failure": "0"}, (5, 5)),
+        ([LOOP, GOAL, DEAD], [proof([0, "5", [0, 0, 2, "5", "0"]], [1, "5", [0, 1, 1, "5", "0"]])],
+         {"failure": "0", "start": [["1", 0], ["0", 2]]}, (5, 5)),
     ],
 )  # fmt: skip
 def test_honest_files_prove_what_is_true(states, proofs, asked, known, tmp_path):
@@ -91,6 +91,11 @@ def test_honest_files_prove_what_is_true(states, proofs, asked, known, tmp_path)
 
 TOTALS = {"ratio": True, "charge": SPENT, "objective": NOTHING}
 HALF = {"ratio": True, "quantile": "1/2", "objective": NOTHING}
+
+
+def counting(*term):
+    """A quantity of one term."""
+    return {"constant": "0", "terms": [list(term)]}
 
 
 def staying(t=1):
@@ -144,6 +149,21 @@ FORGED = {
                           "decides at each successor"),
     "a decision that there is not": (
         [STEP, GOAL], [proof([0, "1", [0, 0, 2, "0", "0"]], [1, "1", [0, 1, 1, "0", "0"]])], {},
+        "member 0 decides on a column at 1 fails",
+    ),
+    "a row that its constant breaks": (
+        [STEP, GOAL],
+        [proof([0, "1", [0, 0, 2, "1", "0", "1"]], [1, "1", [0, 0, 1, "1", "0", "1"]],
+               prices=["0", "0"])],
+        {"rows": [{"name": "r", "quantity": {**COST, "constant": "1"}, "at_most": "1"}]},
+        "bound of row r fails by 1.0",
+    ),
+    "waiting where visits count": (
+        [{**LOOP, "sets": ["s"]}, GOAL],
+        [proof([0, "0", [0, 0, 2, "0", "1", "1"]], [1, "0", [0, 2, 1, "0", "1", "0"]],
+               prices=["0", "0"])],
+        {"sets": ["s"], "rows": [{"name": "n", "quantity": counting("1", "visits", "s"),
+                                  "at_most": "1"}]},
         "member 0 decides on a column at 1 fails",
     ),
     "a policy without an end": ([LOOP, GOAL], [staying()], {"failure": "0"}, "t >= 1 + sum a t"),
@@ -260,11 +280,6 @@ def test_a_quantile_is_proved(total, tmp_path):
 # Questions and models without a meaning, or with two, are refused.
 
 
-def counting(*term):
-    """A quantity of one term."""
-    return {"constant": "0", "terms": [list(term)]}
-
-
 NEITHER = [
     ([STEP, GOAL], {"discount": "0"}, "a discount lies in"),
     ([STEP, GOAL], {"discount": "2"}, "a discount lies in"),
@@ -274,8 +289,10 @@ NEITHER = [
     ([STEP, GOAL], {"start": []}, "the start is a distribution"),
     ([STEP, GOAL], {"start": [["1", 2]]}, "no whole number below 2"),
     ([STEP, GOAL], {"give_up": "never"}, "give_up is never"),
-    ([RISK, GOAL, DEAD], {"failure": "0"}, "the goal can be reached surely, fails"),
+    ([RISK, GOAL, DEAD], {"failure": "0", "start": [["1", 0], ["1", 1]]},
+     "the goal can be reached surely, fails"),
     ([STEP, GOAL], {"objective": {**COST, "square": True}}, "no quantity"),
+    ([STEP, GOAL], {"rows": [{"name": "r", "quantity": [], "at_most": "1"}]}, "no quantity"),
     ([STEP, GOAL], {"objective": counting("1", "vists", "goal")}, "no quantity is called vists"),
     ([STEP, GOAL], {"objective": counting("-1", "cost", 0)}, "costs and visits count >= 0"),
     ([STEP, GOAL], {"objective": counting("-1", "visits", "goal")}, "costs and visits count >= 0"),
@@ -303,6 +320,7 @@ NEITHER = [
     ([state(go=([["1", 1]], ["-1"])), GOAL], {}, "costs >= 0"),
     ([state(go=([["1", 1]], [["1", "2"]])), GOAL], {}, "costs >= 0"),
     ([state(go=([["1", 1]], [])), GOAL], {}, "costs of s go"),
+    ([state(go=([["1", 1]], 63 * ["1"])), GOAL], {"costs": 63}, "63 is no whole number below 63"),
     ([state(go=([["1", 2]], ["1"])), GOAL], {}, "no whole number below 2"),
     ([state(go=([["1", True]], ["1"])), GOAL], {}, "no whole number below 2"),
 ]  # fmt: skip
