@@ -231,7 +231,7 @@ class Program:
         for x, state in enumerate(self.states() if fail else ()):
             some = (one for one in state.actions if all(y in where for _, y, _ in one.outcomes))
             stay = [one.costs for one in some]
-            if x in fail and stay:
+            if stay:
                 self.charges[x] = list(map(min, zip(*stay, strict=True)))
         for q in self.each:
             for x in self.dead & self.charges.keys():
