@@ -56,11 +56,12 @@ def choosing(price="0", v="1", **head):
     return proof(begin, node, **head)
 
 
-def way():
-    """A proof of two steps of 5, from a cap of 0 on; in case S."""
-    begin = [0, "10", [0, 0, 12, "10", "0"]]
-    first, second = [1, "10", [0, 0, 9, "10", "0"]], [2, "5", [0, 0, 1, "5", "0"]]
-    return proof(begin, first, second, [5, "1", [0, 0, 1, "1", "0"]], prices=["10"], ratio="10")
+def way(slope=1):
+    """A proof of two steps of 5, charged so much each, from a cap of 0 on; in case S."""
+    one, half, all_of_it = str(slope), str(5 * slope), str(10 * slope)
+    begin, first = ([i, all_of_it, [0, 0, t, all_of_it, "0"]] for i, t in ((0, 12), (1, 9)))
+    rest = [2, half, [0, 0, 1, half, "0"]], [5, one, [0, 0, 1, one, "0"]]
+    return proof(begin, first, *rest, prices=[all_of_it], ratio=all_of_it)
 
 
 def half_a_way():
@@ -78,8 +79,14 @@ def half_a_way():
         ([CHOICE, GOAL, DEAD], [choosing(v="2", weights=["1", "0"])], {}, (1, 1)),
         ([CHOICE, GOAL, DEAD], [risky("2", "4", ratio="2")], {"ratio": True}, (2, 2)),
         (WAY, [way()], {"ratio": True, "charge": SPENT, "objective": NOTHING}, (10, 10)),
+        (WAY, [way(3)], {"ratio": True, "charge": [[">=", "0", "0", "3"]], "objective": NOTHING},
+         (30, 30)),
+        (WAY, [proof(*([i, "12", [0, 0, t, "12", "0"]] for i, t in ((0, 3), (2, 1), (7, 2))),
+                     prices=["12"], ratio="12", cap="5")],
+         {"ratio": True, "charge": [[">=", "0", "0", "0"], [">=", "4", "0", "2"]],
+          "objective": NOTHING}, (12, 12)),
         ([LOOP, GOAL, DEAD], [proof([0, "5", [0, 0, 2, "5", "0"]], [1, "5", [0, 1, 1, "5", "0"]])],
-         {"failure": "0", "start": [["1", 0], ["0", 2]]}, (5, 5)),
+         {"failure": "0", "start": [["2", 0], ["0", 2]]}, (5, 5)),
     ],
 )  # fmt: skip
 def test_honest_files_prove_what_is_true(states, proofs, asked, known, tmp_path):
@@ -157,6 +164,12 @@ FORGED = {
                prices=["0", "0"])],
         {"rows": [{"name": "r", "quantity": {**COST, "constant": "1"}, "at_most": "1"}]},
         "bound of row r fails by 1.0",
+    ),
+    "waiting where the second cost counts": (
+        [state(stay=([["1", 0]], ["0", "4"]), go=([["1", 1]], ["0", "5"])), GOAL],
+        [proof([0, "0", [0, 0, 2, "0", "1"]], [1, "0", [0, 2, 1, "0", "1"]])],
+        {"costs": 2, "objective": counting("1", "cost", 1)},
+        "member 0 decides on a column at 1 fails",
     ),
     "waiting where visits count": (
         [{**LOOP, "sets": ["s"]}, GOAL],
