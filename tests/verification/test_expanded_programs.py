@@ -88,19 +88,20 @@ def test_totals_of_case_s_are_those_of_the_librarys_process(name):
 def test_the_columns_of_a_node_are_those_of_the_page(asked, ends, beyond):
     """Of a way, a loop of cost 1 where visits weigh nothing, the goal, and a dead-end's loop."""
     way = state(on=([["1", 1], ["1", 2]], ["1"]))
-    loop = {**state(on=([["1", 2]], ["1"]), stay=([["1", 1]], ["1"])), "sets": ["s"]}
+    risk = [["1", 2], ["1", 3]], ["2"]
+    loop = state(on=([["1", 2]], ["1"]), stay=([["1", 1]], ["1"]), risk=risk) | {"sets": ["s"]}
     states = [way, loop, GOAL, {**DEAD, "actions": [["stay", [["1", 3]], ["1"]]]}]
     nothing = {"constant": "0", "terms": [["0", "visits", "s"]]}
     row = {"name": "n", "quantity": nothing, "at_most": "0"}
     asked = {"objective": nothing, "ratio": True, "charge": SPENT, "rows": [row],
-             "charge_failing_step": True, **asked}  # fmt: skip
+             "charge_failing_step": True, "failure": None, **asked}  # fmt: skip
     question, *lines = lines_stating(states, sets=["s"], **asked)
     question = json.loads(question)
     told = [certificate_lines.read_state(line, question) for line in lines[:4]]
     program = Program(certificate_lines.stated(question, "main", None, {}), lambda: told, "0", 4)
     columns = {(column.node, column.name): column.counts for column in program.columns()}
-    known = {0: ["begin"], 1: ["on"], 2: ["on", "stay", *ends], 5: ["on"],
-             6: ["on", "stay", *beyond]}  # fmt: skip
+    acts = ["on", "stay", "risk"][: 2 if asked["failure"] else 3]
+    known = {0: ["begin"], 1: ["on"], 2: [*acts, *ends], 5: ["on"], 6: [*acts, *beyond]}
     assert list(columns) == [(i, name) for i, some in known.items() for name in some]
     paid = asked["objective"] is COST  # what failing charges, where one gives up
     assert all(columns[2, name] == (paid * (name == "give up"), 1, 0) for name in ends)
