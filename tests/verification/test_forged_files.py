@@ -83,6 +83,10 @@ def half_a_way():
          [proof([0, "2", [0, 0, 4, "2", "0"]], [1, "2", [0, 0, 3, "2", "0"]],
                 *([i, "1", [0, 0, 1, "1", "0"]] for i in (2, 5)), prices=["2"], ratio="2")],
          {"ratio": True, "charge": SPENT, "objective": NOTHING}, (2, 2)),
+        ([state(go=([["1", 1]], ["3", "7"])), GOAL],
+         [proof(*([i, "3", [0, 0, t, "3", "0"]] for i, t in ((0, 2), (5, 1))),
+                prices=["3"], ratio="3", cap="4")],
+         {"ratio": True, "charge": SPENT, "objective": NOTHING, "costs": 2}, (3, 3)),
         (WAY, [way(3)], {"ratio": True, "charge": [[">=", "0", "0", "3"]], "objective": NOTHING},
          (30, 30)),
         (WAY, [proof(*([i, "12", [0, 0, t, "12", "0"]] for i, t in ((0, 3), (2, 1), (7, 2))),
@@ -204,8 +208,9 @@ FORGED = {
     "a broken budget": (
         [CHOICE, GOAL, DEAD], [risky(v="2")], {"failure": "1/4"}, "bound of row failure fails by",
     ),
-    "a budget that is broken by 2e-24 of itself": (
-        [CHOICE, GOAL, DEAD], [risky(v="2")], {"failure": "0.4" + 23 * "9"}, "bound of row failure",
+    "a budget that is broken by 1.5e-24 of itself": (
+        [CHOICE, GOAL, DEAD], [risky(v="2")], {"failure": f"0.4{23 * '9'}25"},
+        "bound of row failure",
     ),
     "what exceeds the cap": (WAY, [half_a_way()], {**TOTALS, "give_up": "anywhere"}, "as at 2"),
     "a ratio above the price": (
@@ -228,8 +233,17 @@ FORGED = {
         TOTALS, "objective >= ratio",
     ),
     "a quantile that is exceeded": (
-        [STEP, GOAL], [arriving("1", "1", "3/2")] * 2, {**HALF, "answer": "1/2"},
-        "the lottery exceeds the quantile as rarely",
+        [STEP, GOAL],
+        [proof(*([i, "-1", [0, 0, t, "-1", "0"]] for i, t in ((0, 2), (1, 1)))),
+         *[arriving("1", "1", "3/2")] * 2],
+        {**HALF, "answer": "1/2", "failure": "least"}, "the lottery exceeds the quantile as rarely",
+    ),
+    "a quantile that the total stays below just as often": (
+        [state(go=([["1", 1], ["1", 1]], [["1", "10"]])), GOAL],
+        [arriving("0", "0", "11"),
+         proof(*([i, "1", [0, 0, t, "1", "0"]] for i, t in ((0, 2), (3, 1))),
+               unit=2, cap="11", prices=["1/2"], ratio="1/2")],
+        {**HALF, "answer": "10"}, "no lottery stays below the quantile as often",
     ),
     "a quantile that is above the truth": (
         [STEP, GOAL], [arriving("0", "0"), arriving("0", "0")], {**HALF, "answer": "3/2"},
@@ -342,7 +356,7 @@ NEITHER = [
     ([state(go=([["2", 1], ["-1", 0]], ["1"])), GOAL], {}, "chances >= 0 of a sum > 0"),
     ([state(go=([["0", 1]], ["1"])), GOAL], {}, "chances >= 0 of a sum > 0"),
     ([state(go=([], ["1"])), GOAL], {}, "chances >= 0 of a sum > 0"),
-    ([state(go=([["1", 1]], ["-1"])), GOAL], {}, "costs >= 0"),
+    ([state(go=([["1", 1], ["1", 1]], [["2", "-1"]])), GOAL], {}, "costs >= 0"),
     ([state(go=([["1", 1]], [["1", "2"]])), GOAL], {}, "costs >= 0"),
     ([state(go=([["1", 1]], [])), GOAL], {}, "costs of s go"),
     ([state(go=([["1", 1]], 63 * ["1"])), GOAL], {"costs": 63}, "63 is no whole number below 63"),
