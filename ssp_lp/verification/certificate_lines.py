@@ -190,7 +190,7 @@ def proved_steps(
 def digested(program: Program, digest: Any) -> Iterator[Any]:
     """Columns of a program, while its text is digested, for others to compare with."""
     rows = [[row.name, str(row.least), str(row.most)] for row in program.rows]
-    head = [program.size, str(program.objective.constant), rows, sorted(program.follows.items())]
+    head = [program.size, str(program.objective.constant), rows, list(program.follows.items())]
     digest.update(json.dumps(head, separators=(",", ":")).encode() + b"\n")
     for column in program.columns():
         line = json.dumps([*column[:4], list(map(str, column.counts))], separators=(",", ":"))

@@ -93,8 +93,7 @@ class _Graph:
 
     def staying(self, states: set[int], allowed: Sequence[bool]) -> set[int]:
         """Largest part of states in which each has no actions, or an allowed one that stays in."""
-        inside, counts = set(states), [0] * self.size
-        stays = [allowed[k] and x in states for k, x in enumerate(self.home)]
+        inside, stays, counts = set(states), list(allowed), [0] * self.size
         for k, x in enumerate(self.home):
             counts[x] += stays[k]
         queue = [x for x in range(self.size) if x not in states]
@@ -232,7 +231,7 @@ class Program:
         for x, state in enumerate(self.states() if fail else ()):
             some = (one for one in state.actions if all(y in where for _, y, _ in one.outcomes))
             stay = [one.costs for one in some]
-            if x in fail and stay:
+            if stay:
                 self.charges[x] = list(map(min, zip(*stay, strict=True)))
         for q in self.each:
             for x in self.dead & self.charges.keys():

@@ -21,10 +21,12 @@ from ssp_lp import (
     SolverError,
     certify,
     end_probability,
+    evaluate,
     secondary_cost,
     solve,
     write_certificate,
 )
+from ssp_lp.verification.certify import certificate_of
 from ssp_lp.verification.exact_proof import best_lottery
 from ssp_lp.verification.prove import EXCESS, Row
 
@@ -364,3 +366,28 @@ def test_a_budget_is_kept_but_for_rounding():
     for beyond, accepted in ((5e-13, True), (5e-12, False)):
         problem = replace(solution.problem, failure_budget=0.25 - beyond)
         assert certify(replace(solution, problem=problem)).accepted == accepted
+
+
+@pytest.mark.parametrize(
+    ("changed", "above", "words"),
+    [
+        ({}, False, ""),
+        ({}, True, ""),
+        ({"objective": np.nan, "goal_probability": 0.0}, False, "the goal is never reached"),
+        ({"objective": np.nan}, False, "the policy's objective is nan"),
+        ({"objective": np.inf}, True, "the policy's objective is inf"),
+        ({"objective": 2.0 - 1e-8}, False, "value 1.99999999 lies below its bound 2.0"),
+        ({"objective": 2.0 + 1e-8}, True, "value 2.00000001 lies above its bound 2.0"),
+        ({"objective": np.nan, "failure_probability": 0.3}, False, "fails with 0.3, above the"),
+    ],
+)
+def test_a_verdict_names_what_contradicts_a_bound_of_2(changed, above, words):
+    """No policy is better than a bound that was proved, nor worth anything if it is no number."""
+    solution = solve(MaxProb(risky_or_safe(0.5, 3.0), "way 0"))
+    attained = evaluate(solution.policy, solution.problem)
+    attained = replace(attained, **({"objective": 2.0, "failure_probability": 0.2} | changed))
+    verdict = certificate_of(attained, 2.0, 0.25, above=above)
+    assert verdict.accepted == (not words)
+    assert words in verdict.reason
+    assert verdict.gap == (np.inf if words else 0.0)
+    assert (verdict.upper_bound is None) == (not above)

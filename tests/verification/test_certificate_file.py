@@ -492,7 +492,6 @@ def test_lines_that_are_dropped_or_exchanged(folder, tmp_path, name):
         ("format", "ssp-lp certificate 1", "of this format"),
         ("states", 10**7, "StopIteration|no line of"),
         ("costs", 2, "costs of"),
-        ("costs", 64, "costs of"),
     ],
 )
 def test_questions_that_are_not_known(folder, tmp_path, name, value, words):

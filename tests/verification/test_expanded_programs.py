@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from fractions import Fraction
 
 import numpy as np
@@ -10,10 +11,12 @@ import scipy.sparse as sp
 from scipy.optimize import linprog
 
 from cases import published
+from forged import COST, DEAD, GOAL, SPENT, lines_stating, state
 from formulations import MCMP, S3P, MaxProb
 from ssp_lp import solve
 from ssp_lp.verification import certificate_lines
 from ssp_lp.verification.certificate_file import Statement, program_of
+from ssp_lp.verification.expand import Program
 
 MODELS = ["gubs_river4x4", "gubs_river-alt1", "gubs_tireworld1", "prism_attacktree",
           "prism_mdp_simple_t1", "prism_robot_goal1", "prism_robot_goal2", "qcomp_cdrive.2",
@@ -69,3 +72,37 @@ def test_totals_of_case_s_are_those_of_the_librarys_process(name):
     problem = S3P(model, start, budget)
     known = solve(problem).objective
     assert optimum(problem, cap=60) == pytest.approx(known, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("asked", "ends", "beyond"),
+    [
+        ({}, ["wait"], ["wait"]),
+        ({"objective": COST}, [], ["wait"]),
+        ({"discount": "1/2"}, [], ["wait"]),
+        ({"objective": COST, "give_up": "attention"}, ["give up"], ["give up"]),
+        ({"give_up": "attention"}, ["give up", "wait"], ["give up", "wait"]),
+        ({"failure": "0"}, [], []),
+    ],
+)
+def test_the_columns_of_a_node_are_those_of_the_page(asked, ends, beyond):
+    """Of a way, a loop of cost 1 where visits weigh nothing, the goal, and a dead-end's loop."""
+    way = state(on=([["1", 1], ["1", 2]], ["1"]))
+    risk = [["1", 2], ["1", 3]], ["2"]
+    loop = state(on=([["1", 2]], ["1"]), stay=([["1", 1]], ["1"]), risk=risk) | {"sets": ["s"]}
+    states = [way, loop, GOAL, {**DEAD, "actions": [["stay", [["1", 3]], ["1"]]]}]
+    nothing = {"constant": "0", "terms": [["0", "visits", "s"]]}
+    row = {"name": "n", "quantity": nothing, "at_most": "0"}
+    asked = {"objective": nothing, "ratio": True, "charge": SPENT, "rows": [row],
+             "charge_failing_step": True, "failure": None, **asked}  # fmt: skip
+    question, *lines = lines_stating(states, sets=["s"], **asked)
+    question = json.loads(question)
+    told = [certificate_lines.read_state(line, question) for line in lines[:4]]
+    program = Program(certificate_lines.stated(question, "main", None, {}), lambda: told, "0", 4)
+    columns = {(column.node, column.name): column.counts for column in program.columns()}
+    acts = ["on", "stay", "risk"][: 2 if asked["failure"] else 3]
+    known = {0: ["begin"], 1: ["on"], 2: [*acts, *ends], 5: ["on"], 6: [*acts, *beyond]}
+    assert list(columns) == [(i, name) for i, some in known.items() for name in some]
+    paid = asked["objective"] is COST  # what failing charges, where one gives up
+    assert all(columns[2, name] == (paid * (name == "give up"), 1, 0) for name in ends)
+    assert all(not any(columns[6, name]) for name in beyond)

@@ -6,6 +6,7 @@ import gzip
 import json
 import tracemalloc
 from fractions import Fraction
+from hashlib import sha256
 from time import process_time
 
 import pytest
@@ -15,9 +16,11 @@ from ssp_lp import check_certificate
 from ssp_lp.verification import certificate_lines, prove
 from ssp_lp.verification.prove import EXCESS
 
-STEP = state(go=([["1", 1]], ["1"]))  # of cost 1, to the goal
+STEP = state(go=([["1", 1], ["0", 0]], ["1"]))  # of cost 1, to the goal
 CHOICE = state(safe=([["1", 1]], ["10"]), risky=([["1", 1], ["1", 2]], ["1"]))
 RISK = state(risky=([["1", 1], ["1", 2]], ["1"]))
+DETOUR = state(short=([["1", 2]], ["10"]), long=([["1", 1]], ["0"]))  # at no less cost
+ONWARD = state(go=([["1", 2]], ["10"]))
 LOOP = state(stay=([["1", 0]], ["0"]), go=([["1", 1]], ["5"]))
 WAY = [state(on=([["1", 1]], ["5"])), state(on=([["1", 2]], ["5"])), GOAL]  # of cost 10
 SAFE = [0, "10", [0, 0, 2, "10", "0"]], [1, "10", [0, 0, 1, "10", "0"]]
@@ -38,17 +41,27 @@ def one_step(v="1", u="1", ratio=None, **head):
     return proof([0, v, [0, 0, 2, u, "0"]], [1, v, [0, 0, 1, u, "0"]], **head)
 
 
-def risky(price="0", v="1", fails="1", **head):
+def risky(price="0", v="1", fails="1", *taken, **head):
     """A proof of cost 1 with a failure of 1/2, in units of 1/2; the cost in case S is 2."""
-    own = [0, 1, 2, "2", fails]
-    return proof([0, v, [0, 0, 4, "2", fails]], [1, v, own], unit=2, prices=[price], **head)
+    own, prices = [0, 1, 2, "2", fails, *taken], [price, *("0" for _ in taken)]
+    begin = [0, v, [0, 0, 4, "2", fails, *taken]]
+    return proof(begin, [1, v, own], unit=2, prices=prices, **head)
 
 
-def way():
-    """A proof of two steps of 5, from a cap of 0 on; in case S."""
-    begin = [0, "10", [0, 0, 12, "10", "0"]]
-    first, second = [1, "10", [0, 0, 9, "10", "0"]], [2, "5", [0, 0, 1, "5", "0"]]
-    return proof(begin, first, second, [5, "1", [0, 0, 1, "1", "0"]], prices=["10"], ratio="10")
+def choosing(price="0", v="1", **head):
+    """A proof of a choice whose lottery is half safe and half risky."""
+    begin = [0, v, [0, 0, 4, "2", "1"], [1, 0, 2, "20", "0"]]
+    node = [1, v, [0, 1, 2, "2", "1"], [1, 0, 1, "20", "0"]]
+    head = {"weights": ["1/2", "1/2"], "prices": [price], "unit": 2, **head}
+    return proof(begin, node, **head)
+
+
+def way(slope=1):
+    """A proof of two steps of 5, charged so much each, from a cap of 0 on; in case S."""
+    one, half, all_of_it = str(slope), str(5 * slope), str(10 * slope)
+    begin, first = ([i, all_of_it, [0, 0, t, all_of_it, "0"]] for i, t in ((0, 12), (1, 9)))
+    rest = [2, half, [0, 0, 1, half, "0"]], [5, one, [0, 0, 1, one, "0"]]
+    return proof(begin, first, *rest, prices=[all_of_it], ratio=all_of_it)
 
 
 def half_a_way():
@@ -63,11 +76,25 @@ def half_a_way():
     [
         ([STEP, GOAL], [one_step()], {}, (1, 1)),
         ([STEP, GOAL], [one_step(ratio="1")], {"ratio": True}, (1, 1)),
-        ([CHOICE, GOAL, DEAD], [risky(v="2")], {}, (1, 1)),
+        ([CHOICE, GOAL, DEAD], [choosing(v="2", weights=["1", "0"])], {}, (1, 1)),
         ([CHOICE, GOAL, DEAD], [risky("2", "4", ratio="2")], {"ratio": True}, (2, 2)),
         (WAY, [way()], {"ratio": True, "charge": SPENT, "objective": NOTHING}, (10, 10)),
-        ([LOOP, GOAL], [proof([0, "5", [0, 0, 2, "5", "0"]], [1, "5", [0, 1, 1, "5", "0"]])],
-         {"failure": "0"}, (5, 5)),
+        ([state(on=([["1", 1]], ["1"])), state(on=([["1", 2]], ["1"])), GOAL],
+         [proof([0, "2", [0, 0, 4, "2", "0"]], [1, "2", [0, 0, 3, "2", "0"]],
+                *([i, "1", [0, 0, 1, "1", "0"]] for i in (2, 5)), prices=["2"], ratio="2")],
+         {"ratio": True, "charge": SPENT, "objective": NOTHING}, (2, 2)),
+        ([state(go=([["1", 1]], ["3", "7"])), GOAL],
+         [proof(*([i, "3", [0, 0, t, "3", "0"]] for i, t in ((0, 2), (5, 1))),
+                prices=["3"], ratio="3", cap="4")],
+         {"ratio": True, "charge": SPENT, "objective": NOTHING, "costs": 2}, (3, 3)),
+        (WAY, [way(3)], {"ratio": True, "charge": [[">=", "0", "0", "3"]], "objective": NOTHING},
+         (30, 30)),
+        (WAY, [proof(*([i, "12", [0, 0, t, "12", "0"]] for i, t in ((0, 3), (2, 1), (7, 2))),
+                     prices=["12"], ratio="12", cap="5")],
+         {"ratio": True, "charge": [[">=", "0", "0", "0"], [">=", "4", "0", "2"]],
+          "objective": NOTHING}, (12, 12)),
+        ([LOOP, GOAL, DEAD], [proof([0, "5", [0, 0, 2, "5", "0"]], [1, "5", [0, 1, 1, "5", "0"]])],
+         {"failure": "0", "start": [["2", 0], ["0", 2]]}, (5, 5)),
     ],
 )  # fmt: skip
 def test_honest_files_prove_what_is_true(states, proofs, asked, known, tmp_path):
@@ -81,12 +108,9 @@ TOTALS = {"ratio": True, "charge": SPENT, "objective": NOTHING}
 HALF = {"ratio": True, "quantile": "1/2", "objective": NOTHING}
 
 
-def choosing(price="0", v="1", **head):
-    """A proof of a choice whose lottery is half safe and half risky."""
-    begin = [0, v, [0, 0, 4, "2", "1"], [1, 0, 2, "20", "0"]]
-    node = [1, v, [0, 1, 2, "2", "1"], [1, 0, 1, "20", "0"]]
-    head = {"weights": ["1/2", "1/2"], "prices": [price], "unit": 2, **head}
-    return proof(begin, node, **head)
+def counting(*term):
+    """A quantity of one term."""
+    return {"constant": "0", "terms": [list(term)]}
 
 
 def staying(t=1):
@@ -118,7 +142,10 @@ def sharing(weights, least="-18"):
 
 
 FORGED = {
-    "a negative price": ([CHOICE, GOAL, DEAD], [risky("-100", "-98")], {}, "prices are >= 0"),
+    "a negative price": (
+        [CHOICE, GOAL, DEAD], [risky("-100", "-98", "1", "2")],
+        {"rows": [{"name": "time", "quantity": COST, "at_most": "9"}]}, "prices are >= 0",
+    ),
     "a price too few": ([STEP, GOAL], [one_step(prices=[])], {}, "0 prices of 1 rows"),
     "negative weights": (
         [CHOICE, GOAL, DEAD], [choosing(weights=["2", "-1"])], {}, "weights are >= 0",
@@ -139,14 +166,51 @@ FORGED = {
         [STEP, GOAL], [proof([0, "1", [0, 0, 2, "0", "0"]], [1, "1", [0, 1, 1, "0", "0"]])], {},
         "member 0 decides on a column at 1 fails",
     ),
+    "a row that its constant breaks": (
+        [STEP, GOAL],
+        [proof([0, "1", [0, 0, 2, "1", "0", "1"]], [1, "1", [0, 0, 1, "1", "0", "1"]],
+               prices=["0", "0"])],
+        {"rows": [{"name": "r", "quantity": {**COST, "constant": "1"}, "at_most": "1"}]},
+        "bound of row r fails by 1.0",
+    ),
+    "a horizon that some do not see": (
+        [state(go=([["1", 0], ["1", 1]], ["1"])), GOAL],
+        [proof([0, "0", [0, 0, 4, "2", "1", "0"]], [1, "0", [0, 0, 2, "2", "1", "0"]],
+               unit=2, prices=["0", "0"])],
+        {"horizon": 1, "rows": [{"name": "late", "quantity": counting("1", "end", "out of time"),
+                                 "at_most": "0"}]},
+        "member 0 at 1 go u >= c + sum a u",
+    ),
+    "waiting where the second cost counts": (
+        [state(stay=([["1", 0]], ["0", "4"]), go=([["1", 1]], ["0", "5"])), GOAL],
+        [proof([0, "0", [0, 0, 2, "0", "1"]], [1, "0", [0, 2, 1, "0", "1"]])],
+        {"costs": 2, "objective": counting("1", "cost", 1)},
+        "member 0 decides on a column at 1 fails",
+    ),
+    "waiting where visits count": (
+        [{**LOOP, "sets": ["s"]}, GOAL],
+        [proof([0, "0", [0, 0, 2, "0", "1", "1"]], [1, "0", [0, 2, 1, "0", "1", "0"]],
+               prices=["0", "0"])],
+        {"sets": ["s"], "rows": [{"name": "n", "quantity": counting("1", "visits", "s"),
+                                  "at_most": "1"}]},
+        "member 0 decides on a column at 1 fails",
+    ),
     "a policy without an end": ([LOOP, GOAL], [staying()], {"failure": "0"}, "t >= 1 + sum a t"),
     "a cost": ([STEP, GOAL], [one_step(u="0")], {}, "u >= c + sum a u"),
+    "a cost of the second member": (
+        [DETOUR, ONWARD, GOAL],
+        [proof([0, "0", [0, 0, 2, "10", "0"], [1, 0, 4, "0", "0"]],
+               [1, "0", [0, 0, 1, "10", "0"], [1, 1, 3, "0", "0"]], [2, "0", [1, 0, 2, "0", "0"]],
+               weights=["0", "1"])],
+        {}, "member 1 at 2 go u >= c + sum a u",
+    ),
     "a failure": ([CHOICE, GOAL, DEAD], [risky(v="2", fails="0")], {}, "u >= c + sum a u"),
     "a broken budget": (
         [CHOICE, GOAL, DEAD], [risky(v="2")], {"failure": "1/4"}, "bound of row failure fails by",
     ),
-    "a budget that is broken by 2e-12 of itself": (
-        [CHOICE, GOAL, DEAD], [risky(v="2")], {"failure": "0.499999999999"}, "bound of row failure",
+    "a budget that is broken by 1.5e-24 of itself": (
+        [CHOICE, GOAL, DEAD], [risky(v="2")], {"failure": f"0.4{23 * '9'}25"},
+        "bound of row failure",
     ),
     "what exceeds the cap": (WAY, [half_a_way()], {**TOTALS, "give_up": "anywhere"}, "as at 2"),
     "a ratio above the price": (
@@ -169,12 +233,31 @@ FORGED = {
         TOTALS, "objective >= ratio",
     ),
     "a quantile that is exceeded": (
-        [STEP, GOAL], [arriving("1", "1", "3/2")] * 2, {**HALF, "answer": "1/2"},
-        "the lottery exceeds the quantile as rarely",
+        [STEP, GOAL],
+        [proof(*([i, "-1", [0, 0, t, "-1", "0"]] for i, t in ((0, 2), (1, 1)))),
+         *[arriving("1", "1", "3/2")] * 2],
+        {**HALF, "answer": "1/2", "failure": "least"}, "the lottery exceeds the quantile as rarely",
+    ),
+    "a quantile that the total stays below just as often": (
+        [state(go=([["1", 1], ["1", 1]], [["1", "10"]])), GOAL],
+        [arriving("0", "0", "11"),
+         proof(*([i, "1", [0, 0, t, "1", "0"]] for i, t in ((0, 2), (3, 1))),
+               unit=2, cap="11", prices=["1/2"], ratio="1/2")],
+        {**HALF, "answer": "10"}, "no lottery stays below the quantile as often",
     ),
     "a quantile that is above the truth": (
         [STEP, GOAL], [arriving("0", "0"), arriving("0", "0")], {**HALF, "answer": "3/2"},
         "no lottery stays below the quantile as often",
+    ),
+    "a quantile that a lottery attains by exceeding a row": (
+        [state(fast=([["1", 1], ["1", 2]], ["1"]), slow=([["1", 1]], ["10"])), GOAL, DEAD],
+        [proof([0, "0", [0, 0, 2, "0", "1"], [1, 0, 2, "2", "0"]],
+               [4, "0", [0, 0, 1, "0", "1"], [1, 1, 1, "2", "0"]],
+               unit=2, weights=["1/2", "1/2"], cap="2", ratio="0"),
+         proof([0, "1", [0, 0, 2, "1", "0"]], [4, "1", [0, 1, 1, "1", "0"]],
+               prices=["1"], cap="2", ratio="1")],
+        {**HALF, "quantile": "1/3", "answer": "1", "failure": f"0.24{24 * '9'}"},
+        "a quantile jumps where the lottery exceeds row failure",
     ),
     "a share's room": (
         [SHARED, GOAL, DEAD], sharing(["3/4", "1/4"]), {"failure": {"share": "9/10"}},
@@ -219,29 +302,36 @@ def test_a_share_is_proved(tmp_path):
     assert proved == (Fraction(31, 4), Fraction(31, 4))
 
 
-def test_a_quantile_is_proved(tmp_path):
+@pytest.mark.parametrize("total", [0, 1])
+def test_a_quantile_is_proved(total, tmp_path):
+    """And the text of each program, whose SHA-256 is told, is that of the page on the format."""
+    states = [state(go=([["1", 1]], [str(total)])), GOAL]
     proofs = arriving("0", "0"), arriving("1", "1")
-    assert said(tmp_path / "x", [STEP, GOAL], *proofs, answer="1", **HALF) == (1, 1)
+    checked = verdict(tmp_path / "x", states, *proofs, answer=str(total), **HALF)
+    assert (checked.lower, checked.upper) == (total, total)
+    for counts, digest in zip((["0", "0"], ["1", "0"]), checked.programs, strict=True):
+        lines = [[4, "0", [["failure", "1", "1"]], []], [0, "begin", 1, [[1, 3]], ["0", "0"]]]
+        lines += [[1, "go", 1, [], ["1", "0"]], [3, "go", 1, [], counts]]
+        text = "".join(json.dumps(line, separators=(",", ":")) + "\n" for line in lines)
+        assert digest == sha256(text.encode()).hexdigest()
 
 
 # Questions and models without a meaning, or with two, are refused.
 
 
-def counting(*term):
-    """A quantity of one term."""
-    return {"constant": "0", "terms": [list(term)]}
-
-
 NEITHER = [
     ([STEP, GOAL], {"discount": "0"}, "a discount lies in"),
     ([STEP, GOAL], {"discount": "2"}, "a discount lies in"),
+    ([STEP, GOAL], {"discount": "0." + 3998 * "9"}, "no text of a number"),
     ([STEP, GOAL], {"start": [["2", 0], ["-1", 1]]}, "the start is a distribution"),
     ([STEP, GOAL], {"start": [["0", 0]]}, "the start is a distribution"),
     ([STEP, GOAL], {"start": []}, "the start is a distribution"),
     ([STEP, GOAL], {"start": [["1", 2]]}, "no whole number below 2"),
     ([STEP, GOAL], {"give_up": "never"}, "give_up is never"),
-    ([RISK, GOAL, DEAD], {"failure": "0"}, "the goal can be reached surely, fails"),
+    ([RISK, GOAL, DEAD], {"failure": "0", "start": [["1", 0], ["1", 1]]},
+     "the goal can be reached surely, fails"),
     ([STEP, GOAL], {"objective": {**COST, "square": True}}, "no quantity"),
+    ([STEP, GOAL], {"rows": [{"name": "r", "quantity": [], "at_most": "1"}]}, "no quantity"),
     ([STEP, GOAL], {"objective": counting("1", "vists", "goal")}, "no quantity is called vists"),
     ([STEP, GOAL], {"objective": counting("-1", "cost", 0)}, "costs and visits count >= 0"),
     ([STEP, GOAL], {"objective": counting("-1", "visits", "goal")}, "costs and visits count >= 0"),
@@ -259,16 +349,17 @@ NEITHER = [
     ([STEP, GOAL], {**TOTALS, "charge": [[">=", "1", "7", "0"]]}, "a charge begins at 0"),
     ([STEP, GOAL], {**TOTALS, "charge": [[">", "0", "7", "0"]]}, "a charge begins at 0"),
     ([STEP, GOAL], {**TOTALS, "charge": [*SPENT, *SPENT]}, "a charge begins at 0"),
-    ([STEP, GOAL], {**TOTALS, "charge": [[">=", "0", "1", "0"], [">", "6", "0", "0"]]},
+    ([STEP, GOAL], {**TOTALS, "charge": [[">=", "0", "1", "0"], [">", "0", "0", "0"]]},
      "the cap is too low"),
     ([STEP, GOAL], {**TOTALS, "charge": SPENT, "greatest": True}, "does not fall in the end"),
     ([{**GOAL, "actions": STEP["actions"]}, GOAL], {}, "a goal has no actions"),
     ([state(go=([["2", 1], ["-1", 0]], ["1"])), GOAL], {}, "chances >= 0 of a sum > 0"),
     ([state(go=([["0", 1]], ["1"])), GOAL], {}, "chances >= 0 of a sum > 0"),
     ([state(go=([], ["1"])), GOAL], {}, "chances >= 0 of a sum > 0"),
-    ([state(go=([["1", 1]], ["-1"])), GOAL], {}, "costs >= 0"),
+    ([state(go=([["1", 1], ["1", 1]], [["2", "-1"]])), GOAL], {}, "costs >= 0"),
     ([state(go=([["1", 1]], [["1", "2"]])), GOAL], {}, "costs >= 0"),
     ([state(go=([["1", 1]], [])), GOAL], {}, "costs of s go"),
+    ([state(go=([["1", 1]], 63 * ["1"])), GOAL], {"costs": 63}, "63 is no whole number below 63"),
     ([state(go=([["1", 2]], ["1"])), GOAL], {}, "no whole number below 2"),
     ([state(go=([["1", True]], ["1"])), GOAL], {}, "no whole number below 2"),
 ]  # fmt: skip
