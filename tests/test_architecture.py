@@ -28,7 +28,7 @@ ORDER = [
     ("problem",),
     ("analysis",),
     ("solution",),
-    ("methods", "game"),
+    ("methods", "game", "reductions"),
     ("solving", "formulation", "verification", "io", "plotting"),
     ("cargo", "answers", "distributed"),
 ]
