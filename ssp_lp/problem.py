@@ -29,6 +29,7 @@ from ssp_lp.errors import (
     wrong_argument,
 )
 from ssp_lp.model import SSP
+from ssp_lp.model.implicit import ExploredSSP
 from ssp_lp.model.product import ProductSSP, check_product
 from ssp_lp.model.ssp import ImplicitSSP
 from ssp_lp.policies.policy import GIVE_UP_CODE, Branches, MixedPolicy, Policy, Step, as_lottery
@@ -378,6 +379,13 @@ def limits_of(problem: Problem) -> list[tuple[str, Constraint]]:
     return asked
 
 
+def restated_on(problem: Problem, part: ExploredSSP) -> Problem:
+    """A problem on an implicit model, restated on an explored part."""
+    stated: Any = problem
+    restated: Problem = replace(stated, model=part, **as_stated(problem))
+    return restated
+
+
 def on_one_model(
     policy: Policy | MixedPolicy, problem: Problem, verb: str
 ) -> tuple[MixedPolicy, Problem]:
@@ -399,6 +407,8 @@ def on_one_model(
             f"model, {{state: action}}), not {in_short(policy)}"
         )
     theirs = policy.model
+    if isinstance(theirs, ExploredSSP) and theirs.whole is problem.model:
+        problem = restated_on(problem, theirs)
     solved = problem.unrolled
     if theirs is solved.model:
         return until_failing(as_lottery(policy)), solved

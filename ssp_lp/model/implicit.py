@@ -8,7 +8,7 @@ than a mixture of the two, so a bound of the explored part is one of the whole m
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import repeat
 from typing import Any
@@ -106,11 +106,14 @@ class Exploration:
     those that were expanded, in that order.
     """
 
-    def __init__(self, whole: ImplicitSSP, ends: Iterable[str]) -> None:
-        """Find the states in which episodes begin.
+    def __init__(
+        self, whole: ImplicitSSP, named: Iterable[Hashable], ends: Iterable[str] = ()
+    ) -> None:
+        """Find the first states.
 
         Args:
             whole: the model.
+            named: states in which episodes begin, and those that limits name.
             ends: labels of states that are expanded as soon as they are found.
         """
         self.whole, self.ends = whole, tuple(ends)
@@ -125,14 +128,9 @@ class Exploration:
         self.labelled: dict[str, list[int]] = {name: [] for name in whole.labels}
         self.queue: list[tuple[float, int]] = []  # of states by paid + cost bound
         self.due: list[int] = []  # states to be expanded at once
-        self.find(whole.begin)
-
-    def find(self, states: Iterable[Hashable]) -> None:
-        """Find states by name, to begin with or because a limit names them."""
-        known = len(self.flat.states)
-        for state in states:
+        for state in named:
             self.flat.place_of(state)
-        self._look_at([0.0] * (len(self.flat.states) - known))
+        self._look_at([0.0] * len(self.flat.states))
 
     def grow(self, wanted: Iterable[int], most: float) -> None:
         """Expand some states, then those that look cheapest to come by, up to a number of states.
@@ -235,7 +233,8 @@ class Exploration:
             return [default] * len(states)
         if not self.whole.is_vectorised:
             return [told(state) for state in states]
-        return np.broadcast_to(told(np.array(states, dtype=np.int64)), len(states)).tolist()
+        answers = np.broadcast_to(told(np.array(states, dtype=np.int64)), len(states))
+        return list(answers.tolist())
 
     def _expand_many(self, numbers: list[int]) -> None:
         """Expand states of a vectorised successor function by one call."""
@@ -272,75 +271,38 @@ class Exploration:
                 may turn out to be dead-ends, where failing is free otherwise.
             charged: whether such a dead-end costs its cheapest action.
         """
-        flat, n_expanded = self.flat.arrays, len(self.expanded)
-        live, goals = np.array(self.is_expanded, dtype=bool), np.array(self.is_goal, dtype=bool)
-        fringe = np.flatnonzero(~live)
-        numbers = np.concatenate(
-            [np.array(self.expanded, dtype=np.int64), fringe, goals.nonzero()[0]]
-        )
+        is_goal = np.array(self.is_goal, dtype=np.bool_)
+        fringe = np.flatnonzero(~np.array(self.is_expanded, dtype=np.bool_))
+        goals, n_expanded = is_goal.nonzero()[0], len(self.expanded)
+        numbers = np.concatenate([np.array(self.expanded, dtype=np.int64), fringe, goals])
         n_live, n_found = n_expanded + fringe.size, numbers.size
         rows = np.empty(n_found, dtype=np.int64)
         rows[numbers] = np.arange(n_found)
-        beyond, lost = n_found, n_found + 1
-        counts = np.diff(np.array(flat["pair_offsets"], dtype=np.int64))
-        lengths = np.diff(np.array(flat["outcome_offsets"], dtype=np.int64))
-        owner = np.repeat(np.arange(n_expanded), counts)
-        targets = rows[np.array(flat["successors"], dtype=np.int64)]
-        chances, costs = np.array(flat["probabilities"]), np.array(flat["costs"])
-        sources, doubtful = np.repeat(owner, lengths), np.zeros(n_found + 2, dtype=np.bool_)
+        own, doubtful = self._own_ways(rows), np.zeros(n_found + 2, dtype=np.bool_)
+        blocks = [own]
         if may_end:
-            possible = (chances > 0.0) & ((targets < n_expanded) | (targets >= n_live))
-            order = np.argsort(targets[possible], kind="stable")
-            before = np.searchsorted(targets[possible][order], np.arange(n_found + 1))
-            reached = reached_along(sources[possible][order], before, np.arange(n_live, n_found))
-            doubtful[:n_expanded] = ~reached[:n_expanded] & (counts > 0)
-        failing = np.flatnonzero(doubtful)
-        means = segment_sums(chances * costs, offsets_of(lengths))
-        charges = charged * segment_minima(means, offsets_of(counts))[failing]
-
-        # the model's own pairs, then "fail" of what may end, then "arrive" and "fail" of the fringe
-        least_failure = np.array(self.failure_bounds)[fringe]
-        arriving = np.stack([1.0 - least_failure, least_failure, np.ones(fringe.size)], axis=1)
-        prices = np.zeros_like(arriving)
-        bounds = np.array(self.cost_bounds)[fringe]
-        prices[:, 0] = survival * np.where(np.isfinite(bounds), bounds, 0.0)
-        occurs = arriving > 0.0
-        ends = np.broadcast_to([beyond, lost, lost], arriving.shape)
-        ways = np.stack([occurs[:, :2].sum(axis=1), np.ones(fringe.size, dtype=np.int64)], axis=1)
-        owner = np.concatenate([owner, failing, np.repeat(n_expanded + np.arange(fringe.size), 2)])
-        lengths = np.concatenate([lengths, np.ones(failing.size, dtype=np.int64), ways.ravel()])
-        order = np.argsort(owner, kind="stable")
-        entries = entries_of(offsets_of(lengths), order)[0]
-        nothing, lost_all = np.zeros(failing.size), np.full(failing.size, lost)
-
-        def spread(own: FloatArray, failed: FloatArray, beyond: FloatArray) -> FloatArray:
-            """Numbers of all outcomes, in the order of their states."""
-            return np.concatenate([own, failed, beyond[occurs]])[entries]
-
-        named = {}
-        for name, own in flat["named_costs"].items():
-            least = np.zeros_like(prices)
-            least[:, 0] = [self.named_bounds[k].get(name, 0.0) for k in fringe.tolist()]
-            named[name] = spread(np.array(own), nothing, survival * least)
-        labels = [*flat["actions"], *[FAIL] * failing.size, *[ARRIVE, FAIL] * fringe.size]
-        states = [self.flat.states[k] for k in numbers.tolist()] + [BEYOND, LOST]
-        marked = {name: rows[held] for name, held in self.labelled.items()}
-        marked[UNEXPLORED] = np.append(np.arange(n_expanded, n_live), lost)
-        made = ExploredSSP.from_arrays(
-            pair_offsets=offsets_of(np.bincount(owner, minlength=n_found + 2)),
-            outcome_offsets=offsets_of(lengths[order]),
-            successors=spread(targets, lost_all, ends),
-            probabilities=spread(chances, np.ones(failing.size), arriving),
-            costs=spread(costs, charges, prices),
-            goal_states=np.append(np.arange(n_live, n_found), beyond),
-            states=states,
-            actions=[labels[k] for k in order.tolist()],
-            exact_costs=flat["exact_costs"],
-            named_costs=named,
+            doubtful[:n_expanded] = own.apart_from(n_expanded, n_live, n_found)
+            failing = doubtful.nonzero()[0]
+            charges = own.least_costs(n_expanded)[failing] if charged else np.zeros(failing.size)
+            blocks.append(_fails(failing, charges, n_found + 1, [*own.named]))
+        blocks.append(self._ways_out(fringe, n_expanded, survival, [*own.named]))
+        ways = _Ways.joined(blocks)
+        made: Any = ExploredSSP.from_arrays(
+            pair_offsets=offsets_of(np.bincount(ways.owner, minlength=n_found + 2)),
+            outcome_offsets=offsets_of(ways.lengths),
+            successors=ways.targets,
+            probabilities=ways.chances,
+            costs=ways.costs,
+            goal_states=np.append(np.arange(n_live, n_found), n_found),
+            states=[self.flat.states[k] for k in numbers.tolist()] + [BEYOND, LOST],
+            actions=ways.labels,
+            exact_costs=self.flat.arrays["exact_costs"],
+            named_costs=ways.named,
             treat_actionless_as_dead_ends=True,
         )
-        marked = {name: np.sort(held) for name, held in marked.items()}
-        return replace(
+        labels = {name: np.sort(rows[held]) for name, held in self.labelled.items()}
+        labels[UNEXPLORED] = np.append(np.arange(n_expanded, n_live), n_found + 1)
+        part: ExploredSSP = replace(
             made,
             whole=self.whole,
             n_expanded=n_expanded,
@@ -349,5 +311,132 @@ class Exploration:
             may_end=doubtful,
             least_cost=np.array(self.cost_bounds)[numbers],
             least_failure=np.array(self.failure_bounds)[numbers],
-            state_labels=marked,
+            state_labels=labels,
         )
+        return part
+
+    def _own_ways(self, rows: IntArray) -> _Ways:
+        """The actions of the expanded states; ``rows`` are the states in the explored part."""
+        flat: dict[str, Any] = {name: np.array(self.flat.arrays[name]) for name in _FLAT}
+        counts, lengths = np.diff(flat["pair_offsets"]), np.diff(flat["outcome_offsets"])
+        return _Ways(
+            owner=np.repeat(np.arange(counts.size), counts),
+            lengths=lengths,
+            targets=rows[flat["successors"].astype(np.int64)],
+            chances=flat["probabilities"],
+            costs=flat["costs"],
+            named={name: np.array(paid) for name, paid in self.flat.arrays["named_costs"].items()},
+            labels=self.flat.arrays["actions"],
+        )
+
+    def _ways_out(
+        self, fringe: IntArray, n_expanded: int, survival: float, names: list[str]
+    ) -> _Ways:
+        """The two ways out of each state of the fringe: "arrive" at its bounds, and "fail".
+
+        Args:
+            fringe: numbers of the states, which come after the expanded ones.
+            n_expanded: number of these.
+            survival: factor of the step.
+            names: of costs.
+        """
+        beyond = len(self.is_goal)
+        fails = np.array(self.failure_bounds)[fringe]
+        # "arrive" may lead to the goal or be lost, "fail" is lost
+        chances = np.stack([1.0 - fails, fails, np.ones(fringe.size)], axis=1)
+        occurs = chances > 0.0
+        ends = np.broadcast_to([beyond, beyond + 1, beyond + 1], chances.shape)
+        pairs = [occurs[:, :2].sum(axis=1), np.ones(fringe.size, dtype=np.int64)]
+
+        def paid(bounds: Sequence[float]) -> FloatArray:
+            """Costs of the outcomes where those of arriving are bounds, [outcomes]."""
+            costs, least = np.zeros(chances.shape), np.array(bounds, dtype=np.float64)
+            costs[:, 0] = survival * np.where(np.isfinite(least), least, 0.0)
+            return costs[occurs]
+
+        return _Ways(
+            owner=np.repeat(n_expanded + np.arange(fringe.size), 2),
+            lengths=np.stack(pairs, axis=1).ravel(),
+            targets=ends[occurs],
+            chances=chances[occurs],
+            costs=paid([self.cost_bounds[k] for k in fringe]),
+            named={
+                name: paid([self.named_bounds[k].get(name, 0.0) for k in fringe]) for name in names
+            },
+            labels=[ARRIVE, FAIL] * fringe.size,
+        )
+
+
+_FLAT = ("pair_offsets", "outcome_offsets", "successors", "probabilities", "costs")
+
+
+@dataclass(frozen=True)
+class _Ways:
+    """Actions of states of the explored part, in flat arrays."""
+
+    owner: IntArray  # [pairs]
+    lengths: IntArray  # [pairs] number of outcomes
+    targets: IntArray  # [outcomes]
+    chances: FloatArray  # [outcomes]
+    costs: FloatArray  # [outcomes]
+    named: Mapping[str, FloatArray]  # [outcomes] each
+    labels: Sequence[Hashable]  # [pairs]
+
+    @staticmethod
+    def joined(blocks: Sequence[_Ways]) -> _Ways:
+        """All of some blocks, in the order of their states."""
+        every = {
+            name: np.concatenate([vars(block)[name] for block in blocks])
+            for name in ("owner", "lengths", "targets", "chances", "costs")
+        }
+        order = np.argsort(every["owner"], kind="stable")
+        entries = entries_of(offsets_of(every["lengths"]), order)[0]
+        labels = [label for block in blocks for label in block.labels]
+        return _Ways(
+            owner=every["owner"][order],
+            lengths=every["lengths"][order],
+            targets=every["targets"][entries],
+            chances=every["chances"][entries],
+            costs=every["costs"][entries],
+            named={
+                name: np.concatenate([block.named[name] for block in blocks])[entries]
+                for name in blocks[0].named
+            },
+            labels=[labels[k] for k in order.tolist()],
+        )
+
+    def apart_from(self, n_expanded: int, n_live: int, n_found: int) -> BoolArray:
+        """Expanded states with actions from which no expanded states lead to a goal, [expanded].
+
+        Args:
+            n_expanded: number of expanded states.
+            n_live: of these and the fringe, which comes next.
+            n_found: of these and the goals, which come last.
+        """
+        inside = (self.targets < n_expanded) | (self.targets >= n_live)
+        possible = np.flatnonzero(inside & (self.chances > 0.0))
+        ordered = possible[np.argsort(self.targets[possible], kind="stable")]
+        before = np.searchsorted(self.targets[ordered], np.arange(n_found + 1))
+        sources = np.repeat(self.owner, self.lengths)[ordered]
+        reached = reached_along(sources, before, np.arange(n_live, n_found))[:n_expanded]
+        return ~reached & (np.bincount(self.owner, minlength=n_expanded) > 0)
+
+    def least_costs(self, n_expanded: int) -> FloatArray:
+        """Expected cost of each expanded state's cheapest action, [expanded]."""
+        means = segment_sums(self.chances * self.costs, offsets_of(self.lengths))
+        counts = np.bincount(self.owner, minlength=n_expanded)
+        return segment_minima(means, offsets_of(counts))
+
+
+def _fails(states: IntArray, charges: FloatArray, lost: int, names: Sequence[str]) -> _Ways:
+    """A way "fail" of each of some states, at its charge, [states]; other costs are 0."""
+    n = states.size
+    return _Ways(
+        owner=states,
+        lengths=np.ones(n, dtype=np.int64),
+        targets=np.full(n, lost),
+        chances=np.ones(n),
+        costs=charges,
+        named={name: np.zeros(n) for name in names},
+        labels=[FAIL] * n,
+    )

@@ -691,6 +691,11 @@ class SSP(Graph, ReadOnlyCopies):
         return None
 
     @property
+    def assumption(self) -> str | None:
+        """What an answer assumes of an implicit model, in words; None: the model is held whole."""
+        return None
+
+    @property
     def _sizes(self) -> dict[str, int]:
         """Sizes of the model: states, pairs, outcomes and the rest."""
         return {

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Protocol, cast
@@ -26,14 +26,14 @@ from ssp_lp.options import Status, deadline_of
 from ssp_lp.policies import DeterministicPolicy
 from ssp_lp.policies.chain import policy_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, MixedPolicy, Policy
-from ssp_lp.problem import Problem, as_stated, limits_of
+from ssp_lp.problem import Problem, limits_of, restated_on
 from ssp_lp.processes.failure_semantics import GiveUp, start_distribution, survival_of
 from ssp_lp.processes.live_rows import cost_means
 from ssp_lp.processes.quantities import words_counted
 from ssp_lp.solution import Solution
 
 _LOG = logging.getLogger("ssp_lp.exploring")
-FIRST = 30  # states that are expanded before the first round
+FIRST = 100  # states that are expanded before the first round
 _CONTRADICTED = 1e-7  # relative: what a policy attains below a bound, rounding apart
 
 
@@ -60,6 +60,7 @@ def explore(problem: Any, solve: Solve, time_limit: float | None) -> Solution:
         KeyboardInterrupt: Ctrl-C did.
     """
     began, semantics, whole = time.perf_counter(), problem.semantics, problem.model
+    may_end, charged = semantics.give_up is GiveUp.DEAD_ENDS, semantics.charge_failing_step
     final: Solution | None = None
     progress, rounds = "nothing was explored", 0
     with (
@@ -69,21 +70,13 @@ def explore(problem: Any, solve: Solve, time_limit: float | None) -> Solution:
     ):
         exploration = _begun(problem)
         while final is None:
-            may_end = semantics.give_up is GiveUp.DEAD_ENDS
-            part = exploration.part(
-                survival_of(problem.discount), may_end, charged=semantics.charge_failing_step
-            )
-            stated, rounds = replace(problem, model=part, **as_stated(problem)), rounds + 1
-            if stated.unrolled is not stated:
-                raise ModelError(_PAST_FAILING)
+            part = exploration.part(survival_of(problem.discount), may_end, charged=charged)
             left = None if time_limit is None else max(deadline.at - time.perf_counter(), 0.0)
-            solution, wanted, infeasible = _answered(stated, solve, left)
-            bound = _bound_in_words(solution)
+            solution, wanted = _answered(restated_on(problem, part), solve, left)
+            rounds += 1
             size = f"{part.n_expanded:,} states explored in {rounds} rounds"
-            progress = f"{size}{bound and f', {bound}'}"
+            progress = f"{size}{_bound_in_words(solution)}"
             _LOG.info("%s, %d wanted", progress, wanted.size)
-            if not wanted.size and infeasible is not None:
-                raise infeasible
             if not wanted.size:
                 final, progress = solution, size
             elif solution.status is Status.INTERRUPTED:
@@ -100,63 +93,63 @@ def explore(problem: Any, solve: Solve, time_limit: float | None) -> Solution:
             "time, or give closer bounds"
         )
     _check_bounds(final)
-    run = replace(final.run, reason=f"{final.run.reason}; {progress}")
-    run = replace(run, seconds=time.perf_counter() - began, time_limit=time_limit)
+    reason, seconds = f"{final.run.reason}; {progress}", time.perf_counter() - began
+    run = replace(final.run, reason=reason, seconds=seconds, time_limit=time_limit)
     assumed = f"assuming that {whole.assumption}" if whole.assumption else ""
     note = "; ".join(filter(None, [assumed, final.note]))
     return replace(final, policy=_within(final.policy), run=run, note=note)
 
 
-_PAST_FAILING = (
-    "a limit counts what may come after failing, which is not explored: take "
-    "give_up='dead_ends', or build the whole model, SSP.from_successors(...)"
-)
-
-
 def _begun(problem: Problem) -> Exploration:
     """The first states of a problem's implicit model, those that its limits name among them."""
-    whole, words = cast("ImplicitSSP", problem.model), list[Hashable]()
-    ends = list[str]()
+    whole, start = cast("ImplicitSSP", problem.model), problem.start
+    begin = [*start] if isinstance(start, Mapping) else [start]
+    words, ends = list[Hashable](), list[str]()
     for _, constraint in limits_of(problem):
         visited, ended = words_counted(constraint)
         words += [*visited, *ended]
-        ends += [word for word in ended if word in whole.labels]
-    exploration = Exploration(whole, ends)
-    begin = [exploration.flat.place_of(state) for state in whole.begin]
-    exploration.find(word for word in words if word not in {"goal", "dead_end", *whole.labels})
-    exploration.grow(begin, FIRST)
+        ends += [word for word in ended if isinstance(word, str) and word in whole.labels]
+    words = [word for word in words if word not in {"goal", "dead_end", *whole.labels}]
+    exploration = Exploration(whole, [*begin, *words], ends)
+    exploration.grow([exploration.flat.place_of(state) for state in begin], FIRST)
     return exploration
 
 
-def _answered(
-    problem: Any, solve: Solve, time_limit: float | None
-) -> tuple[Solution, IntArray, InfeasibleError | None]:
-    """Solution on an explored part, the states in doubt, and why no policy keeps to the limits.
+def _answered(problem: Any, solve: Solve, time_limit: float | None) -> tuple[Solution, IntArray]:
+    """Solution on an explored part, and the states in doubt.
 
     At least failure the part's policies of least failure may break a limit that others keep to:
     it is then solved without limits, to see what these policies rest on.
 
     Raises:
+        ModelError: a limit counts what comes after failing.
         InfeasibleError: no policy keeps to all limits, even if what is not explored is at its best.
     """
+    if problem.unrolled is not problem:
+        raise ModelError(
+            "a limit counts what may come after failing, which is not explored: take "
+            "give_up='dead_ends', or build the whole model, SSP.from_successors(...)"
+        )
     try:
         solution = solve(problem, time_limit=time_limit)
-        return solution, states_in_doubt(solution), None
-    except InfeasibleError as error:
+    except InfeasibleError:
         if problem.failure_budget is not None or not problem.constraints:
             raise
         solution = solve(replace(problem, constraints={}), time_limit=time_limit)
-        return solution, states_in_doubt(solution), error
+        if not (wanted := states_in_doubt(solution)).size:
+            raise
+        return solution, wanted
+    return solution, states_in_doubt(solution)
 
 
 def _bound_in_words(solution: Solution) -> str:
     """What a round proves of the objective of every policy, in words."""
     if solution.problem.failure_budget is None:
         least = solution.least_failure_bound
-        return "" if least is None else f"no policy fails less than {least:.9g}"
+        return "" if least is None else f", no policy fails less than {least:.9g}"
     if solution.upper_bound is not None:
-        return f"the optimum is at most {solution.upper_bound:.9g}"
-    return f"the optimum is at least {solution.lower_bound:.9g}"
+        return f", the optimum is at most {solution.upper_bound:.9g}"
+    return f", the optimum is at least {solution.lower_bound:.9g}"
 
 
 def states_in_doubt(solution: Solution) -> IntArray:
