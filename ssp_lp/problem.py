@@ -379,10 +379,12 @@ def limits_of(problem: Problem) -> list[tuple[str, Constraint]]:
     return asked
 
 
-def restated_on(problem: Problem, part: ExploredSSP) -> Problem:
-    """A problem on an implicit model, restated on an explored part."""
+def restated_on(problem: Problem, model: SSP) -> Problem:
+    """A problem on an implicit model, restated on an explored part; on any other model as it is."""
+    if not (isinstance(model, ExploredSSP) and model.whole is problem.model):
+        return problem
     stated: Any = problem
-    restated: Problem = replace(stated, model=part, **as_stated(problem))
+    restated: Problem = replace(stated, model=model, **as_stated(problem))
     return restated
 
 
@@ -407,8 +409,7 @@ def on_one_model(
             f"model, {{state: action}}), not {in_short(policy)}"
         )
     theirs = policy.model
-    if isinstance(theirs, ExploredSSP) and theirs.whole is problem.model:
-        problem = restated_on(problem, theirs)
+    problem = restated_on(problem, theirs)
     solved = problem.unrolled
     if theirs is solved.model:
         return until_failing(as_lottery(policy)), solved

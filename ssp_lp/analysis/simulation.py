@@ -36,7 +36,7 @@ from ssp_lp.model.report import ByName, Facts, Table
 from ssp_lp.options import progress_shown
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import GIVE_UP_CODE, MOST_EPISODES, Randomness, as_lottery, generator_of
-from ssp_lp.problem import Problem, on_one_model
+from ssp_lp.problem import Problem, on_one_model, restated_on
 from ssp_lp.processes.failure_semantics import GiveUp, as_percentage, start_distribution
 
 
@@ -324,6 +324,7 @@ def simulate(
     check_whole("max_steps", max_steps)
     check_whole("record", record, 0)
     played_by, solved = on_one_model(policy, problem, "simulate")
+    problem = restated_on(problem, played_by.model)
     if isinstance(simulator, WorldSimulator):
         simulator.check_model(problem.model)
     elif simulator is None:

@@ -281,7 +281,7 @@ class Exploration:
         own, doubtful = self._own_ways(rows), np.zeros(n_found + 2, dtype=np.bool_)
         blocks = [own]
         if may_end:
-            doubtful[:n_expanded] = own.apart_from(n_expanded, n_live, n_found)
+            doubtful[:n_expanded] = own.doubtful(n_expanded, n_live, n_found)
             failing = doubtful.nonzero()[0]
             charges = own.least_costs(n_expanded)[failing] if charged else np.zeros(failing.size)
             blocks.append(_fails(failing, charges, n_found + 1, [*own.named]))
@@ -405,21 +405,23 @@ class _Ways:
             labels=[labels[k] for k in order.tolist()],
         )
 
-    def apart_from(self, n_expanded: int, n_live: int, n_found: int) -> BoolArray:
-        """Expanded states with actions from which no expanded states lead to a goal, [expanded].
+    def doubtful(self, n_expanded: int, n_live: int, n_found: int) -> BoolArray:
+        """Expanded states from which the goal is reached through the fringe only, [expanded].
 
         Args:
             n_expanded: number of expanded states.
             n_live: of these and the fringe, which comes next.
             n_found: of these and the goals, which come last.
         """
-        inside = (self.targets < n_expanded) | (self.targets >= n_live)
-        possible = np.flatnonzero(inside & (self.chances > 0.0))
+        possible = np.flatnonzero(self.chances > 0.0)
         ordered = possible[np.argsort(self.targets[possible], kind="stable")]
         before = np.searchsorted(self.targets[ordered], np.arange(n_found + 1))
         sources = np.repeat(self.owner, self.lengths)[ordered]
-        reached = reached_along(sources, before, np.arange(n_live, n_found))[:n_expanded]
-        return ~reached & (np.bincount(self.owner, minlength=n_expanded) > 0)
+        known, hoped = (
+            reached_along(sources, before, np.arange(first, n_found))[:n_expanded]
+            for first in (n_live, n_expanded)
+        )
+        return hoped & ~known
 
     def least_costs(self, n_expanded: int) -> FloatArray:
         """Expected cost of each expanded state's cheapest action, [expanded]."""
