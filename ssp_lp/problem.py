@@ -379,13 +379,11 @@ def limits_of(problem: Problem) -> list[tuple[str, Constraint]]:
     return asked
 
 
-def restated_on(problem: Problem, model: SSP) -> Problem:
+def restated_on(problem: Any, part: ExploredSSP) -> Problem:
     """A problem on an implicit model, restated on an explored part; on any other model as it is."""
-    if not (isinstance(model, ExploredSSP) and model.whole is problem.model):
-        return problem
-    stated: Any = problem
-    restated: Problem = replace(stated, model=model, **as_stated(problem))
-    return restated
+    if part.whole is not problem.model:
+        return cast("Problem", problem)
+    return cast("Problem", replace(problem, model=part, **as_stated(problem)))
 
 
 def on_one_model(
@@ -409,7 +407,8 @@ def on_one_model(
             f"model, {{state: action}}), not {in_short(policy)}"
         )
     theirs = policy.model
-    problem = restated_on(problem, theirs)
+    if isinstance(theirs, ExploredSSP):
+        problem = restated_on(problem, theirs)
     solved = problem.unrolled
     if theirs is solved.model:
         return until_failing(as_lottery(policy)), solved

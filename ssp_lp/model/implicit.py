@@ -11,7 +11,7 @@ import heapq
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import repeat
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -57,11 +57,6 @@ class ExploredSSP(SSP):
     least_failure: FloatArray = field(kw_only=True, default=_NOTHING)  # [live] failure bounds
 
     @property
-    def assumption(self) -> str:
-        """What an answer about the whole model assumes, in words."""
-        return self.whole.assumption
-
-    @property
     def fringe(self) -> BoolArray:
         """States of the explored part that are found, but not expanded, [states]."""
         place = np.arange(self.n_states)
@@ -76,26 +71,24 @@ class ExploredSSP(SSP):
 
         They bear the label "unexplored"; actions are those of the whole model.
         """
-        own = np.isin(np.asarray(self.action_names, dtype=object), (ARRIVE, FAIL), invert=True)
-        pairs = np.flatnonzero(own[self.pair_action])
+        pairs = np.flatnonzero(~np.isin(self.pair_action, [
+            k for k, name in enumerate(self.action_names) if name in (ARRIVE, FAIL)
+        ]))  # fmt: skip
         outcomes, counts = entries_of(self.outcome_offsets, pairs)
         n_states = self.n_states - 2
-        owners = np.bincount(self.pair_state[pairs], minlength=n_states)
-        labels = {name: members[members < n_states] for name, members in self.state_labels.items()}
-        names = self.states[:n_states]
-        return SSP.from_arrays(
-            pair_offsets=offsets_of(owners),
+        return SSP(
+            states=self.states[:n_states],
+            action_names=self.action_names,
+            pair_action=self.pair_action[pairs],
+            pair_offsets=offsets_of(np.bincount(self.pair_state[pairs], minlength=n_states)),
             outcome_offsets=offsets_of(counts),
             successors=self.successors[outcomes],
             probabilities=self.probabilities[outcomes],
             costs=self.costs[outcomes],
-            goal_states=np.flatnonzero(self.goal_mask[:n_states]),
-            states=names,
-            actions=[self.action_of(pair) for pair in pairs.tolist()],
-            state_labels={name: [names[k] for k in held] for name, held in labels.items()},
+            goal_mask=self.goal_mask[:n_states],
+            state_labels={name: held[held < n_states] for name, held in self.state_labels.items()},
             exact_costs=self.exact_costs,
             named_costs={name: costs[outcomes] for name, costs in self.named_costs.items()},
-            treat_actionless_as_dead_ends=True,
         )
 
 
@@ -278,26 +271,32 @@ class Exploration:
         n_live, n_found = n_expanded + fringe.size, numbers.size
         rows = np.empty(n_found, dtype=np.int64)
         rows[numbers] = np.arange(n_found)
+        names = [*self.flat.arrays["named_costs"]]
         own, doubtful = self._own_ways(rows), np.zeros(n_found + 2, dtype=np.bool_)
         blocks = [own]
         if may_end:
             doubtful[:n_expanded] = own.doubtful(n_expanded, n_live, n_found)
             failing = doubtful.nonzero()[0]
             charges = own.least_costs(n_expanded)[failing] if charged else np.zeros(failing.size)
-            blocks.append(_fails(failing, charges, n_found + 1, [*own.named]))
-        blocks.append(self._ways_out(fringe, n_expanded, survival, [*own.named]))
+            paid = np.pad(charges[:, None], ((0, 0), (0, len(names))))
+            once = np.ones(failing.size, dtype=np.int64)
+            lost = np.full(failing.size, n_found + 1)
+            blocks.append(
+                _Ways(failing, once, lost, np.ones(failing.size), paid, [FAIL] * failing.size)
+            )
+        blocks.append(self._ways_out(fringe, n_expanded, survival, names))
         ways = _Ways.joined(blocks)
         made: Any = ExploredSSP.from_arrays(
             pair_offsets=offsets_of(np.bincount(ways.owner, minlength=n_found + 2)),
             outcome_offsets=offsets_of(ways.lengths),
             successors=ways.targets,
             probabilities=ways.chances,
-            costs=ways.costs,
+            costs=ways.costs[:, 0],
             goal_states=np.append(np.arange(n_live, n_found), n_found),
             states=[self.flat.states[k] for k in numbers.tolist()] + [BEYOND, LOST],
             actions=ways.labels,
             exact_costs=self.flat.arrays["exact_costs"],
-            named_costs=ways.named,
+            named_costs=dict(zip(names, ways.costs[:, 1:].T, strict=True)),
             treat_actionless_as_dead_ends=True,
         )
         labels = {name: np.sort(rows[held]) for name, held in self.labelled.items()}
@@ -317,16 +316,15 @@ class Exploration:
 
     def _own_ways(self, rows: IntArray) -> _Ways:
         """The actions of the expanded states; ``rows`` are the states in the explored part."""
-        flat: dict[str, Any] = {name: np.array(self.flat.arrays[name]) for name in _FLAT}
+        flat = self.flat.arrays
         counts, lengths = np.diff(flat["pair_offsets"]), np.diff(flat["outcome_offsets"])
         return _Ways(
-            owner=np.repeat(np.arange(counts.size), counts),
-            lengths=lengths,
-            targets=rows[flat["successors"].astype(np.int64)],
-            chances=flat["probabilities"],
-            costs=flat["costs"],
-            named={name: np.array(paid) for name, paid in self.flat.arrays["named_costs"].items()},
-            labels=self.flat.arrays["actions"],
+            np.repeat(np.arange(counts.size), counts),
+            lengths,
+            rows[np.array(flat["successors"], dtype=np.int64)],
+            np.array(flat["probabilities"], dtype=np.float64),
+            np.array([flat["costs"], *flat["named_costs"].values()], dtype=np.float64).T,
+            flat["actions"],
         )
 
     def _ways_out(
@@ -346,64 +344,46 @@ class Exploration:
         chances = np.stack([1.0 - fails, fails, np.ones(fringe.size)], axis=1)
         occurs = chances > 0.0
         ends = np.broadcast_to([beyond, beyond + 1, beyond + 1], chances.shape)
-        pairs = [occurs[:, :2].sum(axis=1), np.ones(fringe.size, dtype=np.int64)]
-
-        def paid(bounds: Sequence[float]) -> FloatArray:
-            """Costs of the outcomes where those of arriving are bounds, [outcomes]."""
-            costs, least = np.zeros(chances.shape), np.array(bounds, dtype=np.float64)
-            costs[:, 0] = survival * np.where(np.isfinite(least), least, 0.0)
-            return costs[occurs]
-
+        bounds = np.array(
+            [
+                [self.cost_bounds[k], *(self.named_bounds[k].get(name, 0.0) for name in names)]
+                for k in fringe.tolist()
+            ]
+        ).reshape(fringe.size, 1 + len(names))
+        costs = np.zeros((*chances.shape, 1 + len(names)))
+        costs[:, 0] = survival * np.where(np.isfinite(bounds), bounds, 0.0)
         return _Ways(
-            owner=np.repeat(n_expanded + np.arange(fringe.size), 2),
-            lengths=np.stack(pairs, axis=1).ravel(),
-            targets=ends[occurs],
-            chances=chances[occurs],
-            costs=paid([self.cost_bounds[k] for k in fringe]),
-            named={
-                name: paid([self.named_bounds[k].get(name, 0.0) for k in fringe]) for name in names
-            },
-            labels=[ARRIVE, FAIL] * fringe.size,
+            np.repeat(n_expanded + np.arange(fringe.size), 2),
+            np.stack([occurs[:, :2].sum(axis=1), occurs[:, 2]], axis=1).ravel(),
+            ends[occurs],
+            chances[occurs],
+            costs[occurs],
+            [ARRIVE, FAIL] * fringe.size,
         )
 
 
-_FLAT = ("pair_offsets", "outcome_offsets", "successors", "probabilities", "costs")
-
-
-@dataclass(frozen=True)
-class _Ways:
+class _Ways(NamedTuple):
     """Actions of states of the explored part, in flat arrays."""
 
     owner: IntArray  # [pairs]
     lengths: IntArray  # [pairs] number of outcomes
     targets: IntArray  # [outcomes]
     chances: FloatArray  # [outcomes]
-    costs: FloatArray  # [outcomes]
-    named: Mapping[str, FloatArray]  # [outcomes] each
-    labels: Sequence[Hashable]  # [pairs]
+    costs: FloatArray  # [outcomes, 1 + costs by name]
+    labels: list[Hashable]  # [pairs]
 
     @staticmethod
     def joined(blocks: Sequence[_Ways]) -> _Ways:
         """All of some blocks, in the order of their states."""
-        every = {
-            name: np.concatenate([vars(block)[name] for block in blocks])
-            for name in ("owner", "lengths", "targets", "chances", "costs")
-        }
-        order = np.argsort(every["owner"], kind="stable")
-        entries = entries_of(offsets_of(every["lengths"]), order)[0]
-        labels = [label for block in blocks for label in block.labels]
-        return _Ways(
-            owner=every["owner"][order],
-            lengths=every["lengths"][order],
-            targets=every["targets"][entries],
-            chances=every["chances"][entries],
-            costs=every["costs"][entries],
-            named={
-                name: np.concatenate([block.named[name] for block in blocks])[entries]
-                for name in blocks[0].named
-            },
-            labels=[labels[k] for k in order.tolist()],
+        owner, lengths, *flat = (
+            np.concatenate(parts) for parts in list(zip(*blocks, strict=True))[:5]
         )
+        order = np.argsort(owner, kind="stable")
+        entries = entries_of(offsets_of(lengths), order)[0]
+        targets, chances, costs = (numbers[entries] for numbers in flat)
+        labels = [label for block in blocks for label in block.labels]
+        labels = [labels[k] for k in order.tolist()]
+        return _Ways(owner[order], lengths[order], targets, chances, costs, labels)
 
     def doubtful(self, n_expanded: int, n_live: int, n_found: int) -> BoolArray:
         """Expanded states from which the goal is reached through the fringe only, [expanded].
@@ -425,20 +405,6 @@ class _Ways:
 
     def least_costs(self, n_expanded: int) -> FloatArray:
         """Expected cost of each expanded state's cheapest action, [expanded]."""
-        means = segment_sums(self.chances * self.costs, offsets_of(self.lengths))
+        means = segment_sums(self.chances * self.costs[:, 0], offsets_of(self.lengths))
         counts = np.bincount(self.owner, minlength=n_expanded)
         return segment_minima(means, offsets_of(counts))
-
-
-def _fails(states: IntArray, charges: FloatArray, lost: int, names: Sequence[str]) -> _Ways:
-    """A way "fail" of each of some states, at its charge, [states]; other costs are 0."""
-    n = states.size
-    return _Ways(
-        owner=states,
-        lengths=np.ones(n, dtype=np.int64),
-        targets=np.full(n, lost),
-        chances=np.ones(n),
-        costs=charges,
-        named={name: np.zeros(n) for name in names},
-        labels=[FAIL] * n,
-    )

@@ -13,7 +13,7 @@ from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import compress, zip_longest
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Self, cast
@@ -200,7 +200,7 @@ class SSP(Graph, ReadOnlyCopies):
             ModelError: naming the state and the action at fault, or that the limit was passed.
         """
         check_whole("state_limit", state_limit)
-        is_goal = goal if callable(goal) else set(no_lone_string(goal, "goal")).__contains__
+        is_goal = _test_of(goal, "goal")
         several = isinstance(start, (list, set, frozenset))
         begin = [*cast(Iterable[Any], start)] if several else [start]
         for state in begin:
@@ -298,26 +298,13 @@ class SSP(Graph, ReadOnlyCopies):
         if not (is_number(growth) and 1.0 < growth < float("inf")):
             raise wrong_argument("growth", "be a number above 1", growth)
         several = isinstance(start, (list, set, frozenset))
-        begin = tuple(dict.fromkeys(cast(Iterable[Any], start) if several else [start]))
-        labels = {
-            name: members if callable(members) else set(no_lone_string(members, name)).__contains__
-            for name, members in (state_labels or {}).items()
-        }
-        is_goal = goal if callable(goal) else set(no_lone_string(goal, "goal")).__contains__
+        begin = tuple(cast(Iterable[Any], start)) if several else (start,)
+        tests = {name: _test_of(members, name) for name, members in (state_labels or {}).items()}
+        is_goal = _test_of(goal, "goal")
         if vectorised and not callable(goal):
-            goals = np.array(sorted(cast("Iterable[int]", goal)))
-            is_goal = lambda states: np.isin(states, goals)  # noqa: E731
+            is_goal = partial(np.isin, test_elements=np.array([*goal]))
         bounds = cost_bound, failure_bound
-        return ImplicitSSP(
-            begin,
-            successors,
-            is_goal,
-            labels,
-            bounds,
-            cost,
-            float(growth),
-            is_vectorised=vectorised,
-        )
+        return ImplicitSSP(begin, successors, is_goal, tests, bounds, cost, growth, vectorised)
 
     @classmethod
     @explained
@@ -691,11 +678,6 @@ class SSP(Graph, ReadOnlyCopies):
         return None
 
     @property
-    def assumption(self) -> str | None:
-        """What an answer assumes of an implicit model, in words; None: the model is held whole."""
-        return None
-
-    @property
     def _sizes(self) -> dict[str, int]:
         """Sizes of the model: states, pairs, outcomes and the rest."""
         return {
@@ -740,7 +722,6 @@ class ImplicitSSP(SSP):
         bounds: tuple[Callable[[Any], Any] | None, Callable[[Any], Any] | None],
         cost: str | None,
         growth: float,
-        *,
         is_vectorised: bool,
     ) -> None:
         """Keep what :meth:`SSP.implicit` was given; ``bounds`` are of the cost and of failing."""
@@ -766,9 +747,7 @@ class ImplicitSSP(SSP):
         given = "".join(f", {name}=..." for name, bound in names if bound is not None)
         return f"SSP.implicit({', '.join(map(repr, self.begin[:2]))}, ...{given})"
 
-    def _repr_html_(self) -> str:
-        """The same for notebooks."""
-        return Table([], title=repr(self)).html()
+    _repr_html_ = __repr__
 
     @property
     def assumption(self) -> str:
@@ -944,6 +923,11 @@ def _column(table: Any, names: str | Sequence[str]) -> list[Any]:
         if cell is None or (cell == cell) is not True:  # not a number, or pandas's NA
             raise ModelError(f"row {row} of the table has nothing in the column {names!r}")
     return cells
+
+
+def _test_of(members: StateSet, name: str) -> Callable[[Any], Any]:
+    """What tells whether a state of a model belongs to a set, which may be such a function."""
+    return members if callable(members) else set(no_lone_string(members, name)).__contains__
 
 
 def no_lone_string(states: Iterable[Hashable], name: str) -> Iterable[Hashable]:

@@ -17,6 +17,7 @@ from ssp_lp.methods.approaches import Case, approach_to
 from ssp_lp.methods.incumbent import broken_limit, by_moments, prove_by_cheapest_way
 from ssp_lp.methods.refinement import Proved
 from ssp_lp.model.arguments import explained
+from ssp_lp.model.implicit import ExploredSSP
 from ssp_lp.model.report import Facts, Table
 from ssp_lp.options import Status, progress_shown
 from ssp_lp.policies.policy import as_lottery
@@ -70,18 +71,17 @@ def certify(
                 raise
             proved, least = prove_by_cheapest_way(solution.problem, evaluation), None
         reason = proved.reason or broken_limit(solution.problem, evaluation)
-        if (part := solution.problem.model).assumption is not None and not reason:
-            reason = "it rests on states that were not explored" * bool(
-                states_in_doubt(solution).size
-            )
+        assumption, part = "", solution.problem.model
+        if isinstance(part, ExploredSSP):
+            assumption = part.whole.assumption
+            if not reason and states_in_doubt(solution).size:
+                reason = "the policy rests on states that were not explored"
         is_maximised = solution.problem.semantics.sense.constant is not None
         above = is_maximised and solution.problem.objective_condition is None
         certificate = certificate_of(
             evaluation, proved.bound, proved.allowed, reason, tail=proved.tail, above=above
         )
-        certificate = replace(
-            certificate, least_failure_bound=least, assumption=part.assumption or ""
-        )
+        certificate = replace(certificate, least_failure_bound=least, assumption=assumption)
         _LOG.info("%r", certificate)
     return certificate
 

@@ -125,7 +125,7 @@ def test_the_explored_part_as_an_ordinary_model() -> None:
     plain = part.explored()
     assert type(plain) is SSP
     assert plain.n_states == part.n_states - 2
-    assert set(plain.action_names) == {"left", "right"}
+    assert {plain.action_of(pair) for pair in range(plain.n_pairs)} == {"left", "right"}
     unexplored = plain.state_labels["unexplored"]
     assert (np.diff(plain.pair_offsets)[unexplored] == 0).all()
     assert solve(MCMP(plain, 0, **SURE)).objective == pytest.approx(2.71)
