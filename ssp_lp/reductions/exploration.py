@@ -22,7 +22,7 @@ from ssp_lp.errors import InfeasibleError, ModelError, OutOfTimeError
 from ssp_lp.model.graph import attention_pairs, attention_states, drain, reached_along
 from ssp_lp.model.implicit import Exploration, ExploredSSP
 from ssp_lp.model.ssp import ImplicitSSP
-from ssp_lp.options import Status, deadline_of
+from ssp_lp.options import deadline_of
 from ssp_lp.policies import DeterministicPolicy
 from ssp_lp.policies.chain import policy_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, MixedPolicy, Policy
@@ -79,9 +79,7 @@ def explore(problem: Any, solve: Solve, time_limit: float | None) -> Solution:
             _LOG.info("%s, %d wanted", progress, wanted.size)
             if not wanted.size:
                 final, progress = solution, size
-            elif solution.status is Status.INTERRUPTED:
-                raise KeyboardInterrupt
-            elif solution.status is Status.TIME_LIMIT:
+            elif deadline.is_past():
                 break
             else:
                 exploration.grow(part.numbers[wanted].tolist(), whole.growth * part.n_expanded)

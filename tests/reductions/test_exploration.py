@@ -63,7 +63,7 @@ def walk(**options: Any) -> SSP:
 SURE = {"failure_budget": 0.5, "give_up": "dead_ends"}
 
 
-@pytest.mark.parametrize("block", range(4))
+@pytest.mark.parametrize("block", range(2))
 def test_drawn_models_are_answered_as_when_built_whole(
     block: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -72,7 +72,9 @@ def test_drawn_models_are_answered_as_when_built_whole(
         assert "wrong" not in compare(seed)
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if not name.startswith("qcomp")])
+@pytest.mark.parametrize(
+    "name", [n for n in NAMES if n.startswith(("prism", "storm", "gubs_river"))]
+)
 def test_published_models_are_answered_as_when_built_whole(name: str) -> None:
     (model, start), case = published(name), load_case(name, "unit")
     transitions = case.floats()
