@@ -39,6 +39,7 @@ UNEXPLORED = "unexplored"
 """Label of the fringe and of what is lost beyond it."""
 
 
+_NO_BOUNDS: Mapping[str, float] = {}
 _NOTHING: Any = None  # until the arrays of the model have been checked
 
 
@@ -144,10 +145,10 @@ class Exploration:
         """Expand states by number that are not expanded yet, and what is due then."""
         self.due += wanted
         while self.due:
-            check_time()
             here = [k for k in dict.fromkeys(self.due) if not self.is_expanded[k]]
             self.due.clear()
             if self.whole.is_vectorised and here:
+                check_time()
                 self._expand_many(here)
                 continue
             for number in here:
@@ -198,11 +199,11 @@ class Exploration:
             self.is_expanded.append(bool(is_goal))
             self.paid.append(spent)
             cost, failure = (0.0, 0.0) if is_goal else (next(least_costs), next(least_failures))
-            named: Mapping[str, float] = {}
-            if isinstance(cost, Mapping):
+            named = _NO_BOUNDS
+            if type(cost) is not float and isinstance(cost, Mapping):
                 named, cost = cost, cost.get(whole.cost or next(iter(cost), ""), 0.0)
             for told, bound, most in (("cost", cost, np.inf), ("failure", failure, 1.0)):
-                if not (is_number(bound) and 0.0 <= bound <= most):
+                if not ((type(bound) is float or is_number(bound)) and 0.0 <= bound <= most):
                     limits = ">= 0" if told == "cost" else "in [0, 1]"
                     raise ModelError(
                         f"{told}_bound({state!r}) must be a number {limits}, not {in_short(bound)}"

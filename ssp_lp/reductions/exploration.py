@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, Protocol, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -37,14 +37,7 @@ FIRST = 100  # states that are expanded before the first round
 _CONTRADICTED = 1e-7  # relative: what a policy attains below a bound, rounding apart
 
 
-class Solve(Protocol):
-    """``solve``, with its method and options, on an ordinary model."""
-
-    def __call__(self, problem: Any, *, time_limit: float | None) -> Solution:
-        """Solve a problem."""
-
-
-def explore(problem: Any, solve: Solve, time_limit: float | None) -> Solution:
+def explore(problem: Any, solve: Callable[..., Solution], time_limit: float | None) -> Solution:
     """Solve a problem on an implicit model by rounds.
 
     Args:
@@ -113,7 +106,9 @@ def _begun(problem: Problem) -> Exploration:
     return exploration
 
 
-def _answered(problem: Any, solve: Solve, time_limit: float | None) -> tuple[Solution, IntArray]:
+def _answered(
+    problem: Any, solve: Callable[..., Solution], time_limit: float | None
+) -> tuple[Solution, IntArray]:
     """Solution on an explored part, and the states in doubt.
 
     At least failure the part's policies of least failure may break a limit that others keep to:
