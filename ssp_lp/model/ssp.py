@@ -299,6 +299,8 @@ class SSP(Graph, ReadOnlyCopies):
             raise wrong_argument("growth", "be a number above 1", growth)
         several = isinstance(start, (list, set, frozenset))
         begin = tuple(cast(Iterable[Any], start)) if several else (start,)
+        for state in begin:
+            _check_hashable(state, "start")
         tests = {name: _test_of(members, name) for name, members in (state_labels or {}).items()}
         is_goal = _test_of(goal, "goal")
         if vectorised and not callable(goal):
