@@ -47,6 +47,7 @@ from ssp_lp.model.graph import (
     dead_end_labels as dead_end_labels,
 )
 from ssp_lp.model.product import unroll_steps
+from ssp_lp.model.ssp import ImplicitSSP
 from ssp_lp.problem import (
     BUDGET_OR_SHARE as BUDGET_OR_SHARE,
     FailureBudget as FailureBudget,
@@ -56,6 +57,7 @@ from ssp_lp.problem import (
     as_float,
     as_stated,
     check_cost as check_cost,
+    check_explorable,
     compiled_totals,
 )
 from ssp_lp.processes.conditions import Condition
@@ -188,6 +190,9 @@ class Formulation(Problem):
             object.__setattr__(self, "give_up", parse_give_up(given["give_up"]))
         if not isinstance(self.model, SSP):
             raise ModelError(f"model must be an SSP, not {in_short(self.model)}")
+        if isinstance(self.model, ImplicitSSP):
+            check_explorable(self)
+            return  # states and their names are looked up as they are found
         _ = self._begun
         for name in ("horizon", "cost_levels"):
             if (number := getattr(self, name)) is not None:

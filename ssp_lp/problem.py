@@ -20,9 +20,18 @@ from ssp_lp.column_generation.compiled_problem import (
     CompiledProblem,
 )
 from ssp_lp.compiled.deadline import READING, is_within_call, limited
-from ssp_lp.errors import InfeasibleError, ModelError, in_short, is_number, wrong_argument
+from ssp_lp.errors import (
+    Argument,
+    InfeasibleError,
+    ModelError,
+    in_short,
+    is_number,
+    wrong_argument,
+)
 from ssp_lp.model import SSP
+from ssp_lp.model.implicit import ExploredSSP
 from ssp_lp.model.product import ProductSSP, check_product
+from ssp_lp.model.ssp import ImplicitSSP
 from ssp_lp.policies.policy import GIVE_UP_CODE, Branches, MixedPolicy, Policy, Step, as_lottery
 from ssp_lp.policies.remembering import (
     CompletePolicy,
@@ -40,7 +49,7 @@ from ssp_lp.processes.failure_semantics import (
     survival_of,
 )
 from ssp_lp.processes.goal_reach import greatest_goal_from, greatest_goal_reach
-from ssp_lp.processes.quantities import Constraint, Quantity
+from ssp_lp.processes.quantities import Constraint, Quantity, beyond_exploring
 
 Start = Hashable | Mapping[Hashable, float]
 """A state, or a distribution over states."""
@@ -328,6 +337,55 @@ def check_problem(problem: object, verb: str) -> None:
         )
 
 
+def check_explorable(problem: Problem) -> None:
+    """Check that a problem on an implicit model can be answered by exploring it.
+
+    Raises:
+        ModelError: a start that the model does not name, what is made of the total cost of a run, a
+            horizon, a share of the greatest goal probability, or a limit that the explored part
+            does not bound.
+    """
+    whole, start = cast("ImplicitSSP", problem.model), problem.start
+    for state in start if isinstance(start, Mapping) else [start]:
+        if state not in whole.begin:
+            raise ModelError(f"start: {state!r} is not a state in which {whole!r} may begin")
+    name, more = type(problem).__name__, "; build the whole model, SSP.from_successors(...)"
+    if problem.ratio or problem.semantics.counts_law:
+        raise ModelError(f"{name} counts the total cost of a run, which is not explored{more}")
+    if problem.horizon is not None:
+        hint = ", or count the steps in its states"
+        raise ModelError(Argument("horizon"), f" is not for an implicit model{more}{hint}")
+    if problem.reach_fraction is not None:
+        raise ModelError(
+            Argument("reach_fraction"),
+            " is not for an implicit model: solve MaxProb first, and state failure_budget",
+        )
+    if problem.failure_budget is None and problem.own_constraints:
+        raise ModelError(
+            f"{name} at least failure is not explored: state ", Argument("failure_budget")
+        )
+    for limit, constraint in limits_of(problem):
+        if (fault := beyond_exploring(constraint)) is not None:
+            raise ModelError(f"limit {limit!r}: {fault}{more}")
+
+
+def limits_of(problem: Problem) -> list[tuple[str, Constraint]]:
+    """A problem's limits, and its objective as one; what is no limit is refused elsewhere."""
+    own, stated = problem.own_constraints, problem.constraints
+    limits = {**own, **stated} if isinstance(stated, Mapping) else own
+    asked = [(str(name), limit) for name, limit in limits.items() if isinstance(limit, Constraint)]
+    if isinstance(problem.quantity, Quantity):
+        asked.append(("objective", Constraint(problem.quantity, upper=0.0)))
+    return asked
+
+
+def restated_on(problem: Any, part: ExploredSSP) -> Problem:
+    """A problem on an implicit model, restated on an explored part; on any other model as it is."""
+    if part.whole is not problem.model:
+        return cast("Problem", problem)
+    return cast("Problem", replace(problem, model=part, **as_stated(problem)))
+
+
 def on_one_model(
     policy: Policy | MixedPolicy, problem: Problem, verb: str
 ) -> tuple[MixedPolicy, Problem]:
@@ -349,6 +407,8 @@ def on_one_model(
             f"model, {{state: action}}), not {in_short(policy)}"
         )
     theirs = policy.model
+    if isinstance(theirs, ExploredSSP):
+        problem = restated_on(problem, theirs)
     solved = problem.unrolled
     if theirs is solved.model:
         return until_failing(as_lottery(policy)), solved

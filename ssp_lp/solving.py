@@ -6,6 +6,7 @@ import logging
 import time
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from math import isfinite
 
 import numpy as np
@@ -19,6 +20,7 @@ from ssp_lp.errors import ModelError, OutOfTimeError, SolverError
 from ssp_lp.methods.approaches import Case, approach_to, refusal
 from ssp_lp.methods.incumbent import Incumbent, broken_limit
 from ssp_lp.model.arguments import explained
+from ssp_lp.model.ssp import ImplicitSSP
 from ssp_lp.options import (
     Game,
     Method,
@@ -30,6 +32,7 @@ from ssp_lp.options import (
 )
 from ssp_lp.problem import Problem, check_problem, least_failure_bound, pulled_back
 from ssp_lp.processes.failure_semantics import GiveUp, goal_out_of_reach, start_distribution
+from ssp_lp.reductions.exploration import explore
 from ssp_lp.solution import Solution
 
 _ROUNDING = 1e-12  # of sums of probabilities, and of a row's own size
@@ -73,6 +76,10 @@ def solve(
         KeyboardInterrupt: Ctrl-C came before there was one.
     """
     check_problem(problem, "solve")
+    if isinstance(problem.model, ImplicitSSP):
+        with progress_shown(verbose):
+            each = partial(solve, method=method, tolerance=tolerance, progress=progress)
+            return explore(problem, each, time_limit)
     began, chosen = time.perf_counter(), parse_method(method)
     options = options_of(chosen, tolerance, began, time_limit, progress)
     if (refused := refusal(problem, chosen)) is not None:

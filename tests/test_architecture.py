@@ -28,7 +28,7 @@ ORDER = [
     ("problem",),
     ("analysis",),
     ("solution",),
-    ("methods", "game"),
+    ("methods", "game", "reductions"),
     ("solving", "formulation", "verification", "io", "plotting"),
     ("cargo", "answers", "distributed"),
 ]
@@ -245,9 +245,9 @@ def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -
 @pytest.mark.parametrize(
     ("measure", "most"),
     [
-        (house.lines_in_all, 31_304),
-        (house.public_classes, 272),
-        (house.numeric_constants, 520),
+        (house.lines_in_all, 31_934),
+        (house.public_classes, 277),
+        (house.numeric_constants, 522),
         (house.questions_asked, 80),
         (house.written_past_freezing, 42),
     ],
@@ -271,9 +271,9 @@ def test_no_folder_grows() -> None:
 LINES = {
     "formulations": 458,
     "formulations/command_line": 804,
-    "ssp_lp": 2_057,
+    "ssp_lp": 2_113,
     "ssp_lp/accumulated_cost": 2_692,
-    "ssp_lp/analysis": 920,
+    "ssp_lp/analysis": 921,
     "ssp_lp/column_generation": 2_146,
     "ssp_lp/compiled": 1_734,
     "ssp_lp/distributed": 977,
@@ -282,11 +282,12 @@ LINES = {
     "ssp_lp/io": 3_033,
     "ssp_lp/linear_programming": 423,
     "ssp_lp/methods": 3_383,
-    "ssp_lp/model": 2_362,
+    "ssp_lp/model": 2_739,
     "ssp_lp/plotting": 782,
     "ssp_lp/policies": 1_330,
-    "ssp_lp/processes": 1_846,
+    "ssp_lp/processes": 1_865,
     "ssp_lp/programs": 1_318,
-    "ssp_lp/verification": 1_948,
+    "ssp_lp/reductions": 175,
+    "ssp_lp/verification": 1_957,
 }
 """Code lines of each folder."""

@@ -33,6 +33,7 @@ from ssp_lp.model.continuous_model import Moved, World, WorldSimulator
 from ssp_lp.model.graph import attention_states, dead_ends, end_marks, stop_marks
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.model.report import ByName, Facts, Table
+from ssp_lp.model.ssp import ImplicitSSP
 from ssp_lp.options import progress_shown
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import GIVE_UP_CODE, MOST_EPISODES, Randomness, as_lottery, generator_of
@@ -326,10 +327,10 @@ def simulate(
     played_by, solved = on_one_model(policy, problem, "simulate")
     if isinstance(simulator, WorldSimulator):
         simulator.check_model(problem.model)
-    elif simulator is None:
-        start = start_distribution(problem.model, problem.start)
-        simulator = ModelSimulator(problem.model, start)
-    simulator = _on_products(simulator, solved.model, problem.model)
+    asked = solved if isinstance(problem.model, ImplicitSSP) else problem
+    if simulator is None:
+        simulator = ModelSimulator(asked.model, start_distribution(asked.model, asked.start))
+    simulator = _on_products(simulator, solved.model, asked.model)
     source, limits = generator_of(seed), (max_steps, record)
     with progress_shown(verbose):
         played = _simulate_episodes(played_by, solved, simulator, episodes, source, *limits)

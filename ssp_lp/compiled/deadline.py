@@ -84,12 +84,16 @@ class Deadline:
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         """What was the deadline before is it again; no stop leaves the outermost of a call.
 
+        Ctrl-C within it ends what is around it, too.
+
         Raises:
             OutOfTimeError: nobody within had an answer to go on with.
             KeyboardInterrupt: the same where Ctrl-C came.
         """
         if self._before is not None:
             _running.reset(self._before)
+        if self.is_interrupted and is_within_call():
+            end_with_incumbent(KeyboardInterrupt())
         if isinstance(error, Stop) and _running.get() is None:
             if self.is_interrupted:
                 raise interrupted(error.told) from None
@@ -100,10 +104,8 @@ class Deadline:
         prepare, self.prepare, now = self.prepare, None, time.perf_counter()
         if prepare is None or self.is_past():
             return
-        with until(now + _PREPARING * (self.at - now)) as within:
+        with until(now + _PREPARING * (self.at - now)):
             self.prepared = prepare()
-        if within.is_interrupted:
-            end_with_incumbent(KeyboardInterrupt())
 
     def look(self) -> None:
         """Raise Stop in the loop that asks if the deadline is past; before that find an incumbent.

@@ -13,7 +13,7 @@ from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import compress, zip_longest
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Self, cast
@@ -31,7 +31,16 @@ from ssp_lp.arrays import (
     read_only,
     segment_sums,
 )
-from ssp_lp.errors import Argument, ModelError, ModelWarning, check_whole, did_you_mean, in_short
+from ssp_lp.errors import (
+    Argument,
+    ModelError,
+    ModelWarning,
+    check_whole,
+    did_you_mean,
+    in_short,
+    is_number,
+    wrong_argument,
+)
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import Graph, dead_ends as lost_states, end_components
 from ssp_lp.model.report import Table
@@ -136,7 +145,7 @@ class SSP(Graph, ReadOnlyCopies):
         goals = dict.fromkeys(no_lone_string(goal, "goal"))
         listed = [*transitions, *(g for g in goals if g not in transitions)]
         is_closed = dead_ends is None and not treat_actionless_as_dead_ends
-        flat, n_listed = _FlatModel(listed, cost, closed=is_closed), len(listed)
+        flat, n_listed = FlatModel(listed, cost, closed=is_closed), len(listed)
         for state in flat.states:  # it grows where states without actions are not listed
             reached = state in goals
             flat.add(state, {} if reached else transitions.get(state, {}), goal=reached)
@@ -191,12 +200,12 @@ class SSP(Graph, ReadOnlyCopies):
             ModelError: naming the state and the action at fault, or that the limit was passed.
         """
         check_whole("state_limit", state_limit)
-        is_goal = goal if callable(goal) else set(no_lone_string(goal, "goal")).__contains__
+        is_goal = _test_of(goal, "goal")
         several = isinstance(start, (list, set, frozenset))
         begin = [*cast(Iterable[Any], start)] if several else [start]
         for state in begin:
             _check_hashable(state, "start")
-        flat = _FlatModel([*dict.fromkeys(begin)], cost)
+        flat = FlatModel([*dict.fromkeys(begin)], cost)
         for done, state in enumerate(flat.states, start=1):  # it grows while it is walked
             reached = is_goal(state)
             flat.add(state, {} if reached else successors(state), goal=reached)
@@ -222,6 +231,82 @@ class SSP(Graph, ReadOnlyCopies):
             treat_actionless_as_dead_ends=treat_actionless_as_dead_ends,
             normalise=normalise,
         )
+
+    @classmethod
+    @explained
+    def implicit(
+        cls,
+        start: Hashable | Iterable[Hashable],
+        successors: Callable[[Any], Any],
+        goal: Callable[[Any], Any] | Iterable[Hashable],
+        *,
+        cost: str | None = None,
+        cost_bound: Callable[[Any], Any] | None = None,
+        failure_bound: Callable[[Any], Any] | None = None,
+        growth: float = 2.0,
+        vectorised: bool = False,
+        state_labels: Mapping[str, StateSet] | None = None,
+    ) -> ImplicitSSP:
+        """State a model by its successor function, explored only as far as a question needs it.
+
+        ``solve`` explores from the start: it solves the explored part, where states that were found
+        but not expanded (the fringe) reach the goal at the bounds below or fail at no cost, expands
+        the states on which the answer rests, and ends when it rests on none. The answer is that of
+        the whole model. States without actions that are no goals are dead-ends.
+
+        Args:
+            start: a state, or a list or set of states, in which episodes may begin.
+            successors: maps a state to ``{action: [(probability, successor, cost), ...]}``, where
+                the cost may be several by name, as in :meth:`from_transitions`; it must always
+                return the same.
+            goal: a predicate on states, or the goal states.
+            cost: which of several costs is the model's own.
+            cost_bound: maps a state to a lower bound of ``E[cost; goal] / Pr(goal)`` of *every*
+                policy from there, also of one that fails often: the least cost of a way to the
+                goal is such a bound, and so is h_max; the optimum of ``MinCost`` is not. Infinite
+                where no policy reaches the goal. It may be ``{name: bound}`` where costs have
+                names. None: 0.
+            failure_bound: maps a state to a lower bound of the failure probability of every policy
+                from there, discounted or not. None: 0.
+            growth: factor by which the explored part grows from round to round, above 1; where
+                ``successors`` takes a millisecond or more, 1.25 to 1.5 is faster.
+            vectorised: states are whole numbers >= 0, and all functions take an array of them.
+                ``successors`` returns ``{"actions": [states] number of actions of each,
+                "outcomes": [pairs] number of outcomes of each, "successors", "probabilities",
+                "costs": [outcomes]}``; actions are named 0, 1, ... within each state.
+            state_labels: names for sets of states, as in ``from_transitions``; with ``vectorised``
+                by predicates on one state.
+
+        Returns:
+            The model, for ``MCMP(model, start, ...)`` and other criteria of costs and probabilities
+            (case M). What needs every state of it raises ModelError.
+
+        Raises:
+            ModelError: a growth that is not above 1.
+
+        Example:
+            >>> from ssp_lp import MCMP, solve
+            >>> def steps(k):  # a walk on all whole numbers
+            ...     return {"left": [(1.0, k - 1, 1.0)],
+            ...             "right": [(0.9, k + 1, 1.0), (0.1, "hole", 1.0)]} if k != "hole" else {}
+            >>> walk = SSP.implicit(0, steps, goal={3}, cost_bound=lambda k: abs(k - 3)
+            ...                     if k != "hole" else float("inf"))
+            >>> solution = solve(MCMP(walk, 0, failure_budget=0.5, give_up="dead_ends"))
+            >>> round(solution.objective, 9), solution.policy.action(0)
+            (2.71, 'right')
+        """
+        if not (is_number(growth) and 1.0 < growth < float("inf")):
+            raise wrong_argument("growth", "be a number above 1", growth)
+        several = isinstance(start, (list, set, frozenset))
+        begin = tuple(cast(Iterable[Any], start)) if several else (start,)
+        for state in begin:
+            _check_hashable(state, "start")
+        tests = {name: _test_of(members, name) for name, members in (state_labels or {}).items()}
+        is_goal = _test_of(goal, "goal")
+        if vectorised and not callable(goal):
+            is_goal = partial(np.isin, test_elements=np.array([*goal]))
+        bounds = cost_bound, failure_bound
+        return ImplicitSSP(begin, successors, is_goal, tests, bounds, cost, growth, vectorised)
 
     @classmethod
     @explained
@@ -619,6 +704,62 @@ class SSP(Graph, ReadOnlyCopies):
         return {}
 
 
+class NotExploredError(ModelError, AttributeError):
+    """Something needs every state of a model that is told by its successor function."""
+
+
+class ImplicitSSP(SSP):
+    """A model that is told by its successor function (:meth:`SSP.implicit`).
+
+    Nothing of it is known before it is solved: what needs its arrays raises
+    :class:`NotExploredError`.
+    """
+
+    def __init__(
+        self,
+        begin: tuple[Hashable, ...],
+        expand: Callable[[Any], Any],
+        is_goal: Callable[[Any], Any],
+        labels: Mapping[str, Callable[[Any], bool]],
+        bounds: tuple[Callable[[Any], Any] | None, Callable[[Any], Any] | None],
+        cost: str | None,
+        growth: float,
+        is_vectorised: bool,
+    ) -> None:
+        """Keep what :meth:`SSP.implicit` was given; ``bounds`` are of the cost and of failing."""
+        self.begin, self.expand, self.is_goal, self.labels = begin, expand, is_goal, labels
+        self.bounds, self.cost, self.growth = bounds, cost, growth
+        self.is_vectorised = is_vectorised
+
+    def __getattr__(self, name: str) -> Any:
+        """Refuse what needs every state of the model.
+
+        Raises:
+            NotExploredError: always.
+        """
+        raise NotExploredError(
+            f"a model that is told by its successor function has no {name!r} as a whole: take "
+            "solution.problem.model, the part that solve explored, or build all of it, "
+            "SSP.from_successors(...)"
+        )
+
+    def __repr__(self) -> str:
+        """Where the model begins, and which bounds it has."""
+        names = zip(("cost_bound", "failure_bound"), self.bounds, strict=True)
+        given = "".join(f", {name}=..." for name, bound in names if bound is not None)
+        return f"SSP.implicit({', '.join(map(repr, self.begin[:2]))}, ...{given})"
+
+    _repr_html_ = __repr__
+
+    @property
+    def assumption(self) -> str:
+        """What an answer about the model assumes, in words; empty without bounds."""
+        words = ("no policy reaches the goal for less than cost_bound, given that it does",
+                 "no policy fails less than failure_bound")  # fmt: skip
+        given = zip(words, self.bounds, strict=True)
+        return " and ".join(word for word, bound in given if bound is not None)
+
+
 def check_model(model: object, verb: str) -> None:
     """Check that an argument is a model.
 
@@ -630,7 +771,7 @@ def check_model(model: object, verb: str) -> None:
         raise ModelError(f"{verb} takes an SSP, not {in_short(model)}{hint}")
 
 
-class _FlatModel:
+class FlatModel:
     """States in the order in which they were found, and the flat lists of those expanded. Grows."""
 
     def __init__(self, states: list[Any], cost: str | None, *, closed: bool = False) -> None:
@@ -646,6 +787,13 @@ class _FlatModel:
         self.arrays: dict[str, Any] = {name: [] for name in lists}  # as ``from_arrays`` takes them
         self.arrays |= {"states": states, "pair_offsets": [0], "outcome_offsets": [0]}
         self.arrays |= {"exact_costs": {}, "named_costs": {}}
+
+    def place_of(self, state: Hashable) -> int:
+        """Position of a state in the model, a new one at the end where it was not found before."""
+        if (place := self._index.get(state)) is None:
+            place = self._index[state] = len(self.states)
+            self.states.append(state)
+        return place
 
     def add(self, state: Hashable, actions: Any, *, goal: bool) -> None:
         """Append a state's actions to the model and note new successors.
@@ -777,6 +925,11 @@ def _column(table: Any, names: str | Sequence[str]) -> list[Any]:
         if cell is None or (cell == cell) is not True:  # not a number, or pandas's NA
             raise ModelError(f"row {row} of the table has nothing in the column {names!r}")
     return cells
+
+
+def _test_of(members: StateSet, name: str) -> Callable[[Any], Any]:
+    """What tells whether a state of a model belongs to a set, which may be such a function."""
+    return members if callable(members) else set(no_lone_string(members, name)).__contains__
 
 
 def no_lone_string(states: Iterable[Hashable], name: str) -> Iterable[Hashable]:

@@ -17,10 +17,12 @@ from ssp_lp.methods.approaches import Case, approach_to
 from ssp_lp.methods.incumbent import broken_limit, by_moments, prove_by_cheapest_way
 from ssp_lp.methods.refinement import Proved
 from ssp_lp.model.arguments import explained
+from ssp_lp.model.implicit import ExploredSSP
 from ssp_lp.model.report import Facts, Table
 from ssp_lp.options import Status, progress_shown
 from ssp_lp.policies.policy import as_lottery
 from ssp_lp.problem import least_failure_bound, on_one_model
+from ssp_lp.reductions.exploration import states_in_doubt
 from ssp_lp.solution import Solution, as_solved, gap_of_least_failure, unproved_failure
 
 _LOG = logging.getLogger("ssp_lp.certificate")
@@ -69,12 +71,17 @@ def certify(
                 raise
             proved, least = prove_by_cheapest_way(solution.problem, evaluation), None
         reason = proved.reason or broken_limit(solution.problem, evaluation)
+        assumption, part = "", solution.problem.model
+        if isinstance(part, ExploredSSP):
+            assumption = part.whole.assumption
+            if not reason and states_in_doubt(solution).size:
+                reason = "the policy rests on states that were not explored"
         is_maximised = solution.problem.semantics.sense.constant is not None
         above = is_maximised and solution.problem.objective_condition is None
         certificate = certificate_of(
             evaluation, proved.bound, proved.allowed, reason, tail=proved.tail, above=above
         )
-        certificate = replace(certificate, least_failure_bound=least)
+        certificate = replace(certificate, least_failure_bound=least, assumption=assumption)
         _LOG.info("%r", certificate)
     return certificate
 
@@ -132,6 +139,7 @@ class Certificate(Facts):
     reason: str  # why it was refused; empty if accepted
     upper_bound: float | None = None  # of a greatest probability; None where little is better
     least_failure_bound: float | None = None  # at least failure: no policy fails less
+    assumption: str = ""  # of a model told by its successor function: what its bounds say
 
     @property
     def gap(self) -> float:
@@ -157,6 +165,7 @@ class Certificate(Facts):
             ("gap", self.gap),
             ("failure", f"{self.failure:.6g} of {self.budget:.6g}"),
             ("least failure", unproved_failure(self.failure, self.least_failure_bound)),
+            ("assuming that", self.assumption),
         ]
         return [Table(facts, digits={"objective": 9, f"{side} bound": 9, "gap": 2})]
 

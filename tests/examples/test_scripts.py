@@ -14,7 +14,7 @@ import pytest
 
 import ssp_lp.io
 from examples.domains.inventory import START, season, table
-from examples.formulating import drone, many_problems
+from examples.formulating import drone, many_problems, near_goal
 from examples.formulating.real_costs import LAWS, LEVELS, main as real_costs
 from examples.formulating.toy_texts import TASKS
 from examples.paper_walkthrough import cross_check
@@ -31,6 +31,13 @@ SCRIPTS = sorted(
 )
 assert len(SCRIPTS) >= 12
 NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
+
+
+def test_a_field_is_explored_as_far_as_it_matters(capsys):
+    field = near_goal.Field(side=40, distance=5)
+    part, whole = near_goal.explored(field, 0.5), near_goal.whole(field, 0.5)
+    assert part == pytest.approx(whole, rel=1e-9)
+    assert "assuming that" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)

@@ -1,0 +1,411 @@
+"""The explored part of an implicit model: what is known of its states, and as a model to be solved.
+
+Each state of the fringe (found, but not expanded) has two ways out. "Arrive" reaches the goal with
+1 - failure bound at the cost bound, "fail" is lost at no cost. No real continuation does better
+than a mixture of the two, so a bound of the explored part is one of the whole model.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import repeat
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ssp_lp.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    entries_of,
+    offsets_of,
+    segment_minima,
+    segment_sums,
+)
+from ssp_lp.compiled.deadline import check_time
+from ssp_lp.errors import ModelError, in_short, is_number
+from ssp_lp.model.graph import reached_along
+from ssp_lp.model.ssp import SSP, FlatModel, ImplicitSSP
+
+BEYOND, LOST = "(a goal beyond)", "(lost beyond)"
+"""States of the explored part in which the ways out of its fringe end."""
+
+ARRIVE, FAIL = "(arrive)", "(fail)"
+"""Actions of states that are not expanded, and of those that may be dead-ends."""
+
+UNEXPLORED = "unexplored"
+"""Label of the fringe and of what is lost beyond it."""
+
+
+_NO_BOUNDS: Mapping[str, float] = {}
+_NOTHING: Any = None  # until the arrays of the model have been checked
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExploredSSP(SSP):
+    """The explored part of an implicit model: expanded states, the fringe, goals, two ends."""
+
+    whole: ImplicitSSP = field(kw_only=True, default=_NOTHING)
+    n_expanded: int = field(kw_only=True, default=0)
+    n_live: int = field(kw_only=True, default=0)  # expanded states and the fringe, which come first
+    numbers: IntArray = field(kw_only=True, default=_NOTHING)
+    """States in the order of finding, [expanded states, fringe, goals]."""
+    may_end: BoolArray = field(kw_only=True, default=_NOTHING)
+    """Expanded states with a way "fail" more: the goal is reached through the fringe only."""
+    least_cost: FloatArray = field(kw_only=True, default=_NOTHING)  # [live] cost bounds
+    least_failure: FloatArray = field(kw_only=True, default=_NOTHING)  # [live] failure bounds
+
+    @property
+    def fringe(self) -> BoolArray:
+        """States of the explored part that are found, but not expanded, [states]."""
+        place = np.arange(self.n_states)
+        return np.asarray((place >= self.n_expanded) & (place < self.n_live))
+
+    def hint(self, state: Hashable) -> str:
+        """Clause for errors: a state that is not here may not have been explored."""
+        return f", or was not explored{super().hint(state)}"
+
+    def explored(self) -> SSP:
+        """The explored part as an ordinary model: states of the fringe are dead-ends.
+
+        They bear the label "unexplored"; actions are those of the whole model.
+        """
+        pairs = np.flatnonzero(~np.isin(self.pair_action, [
+            k for k, name in enumerate(self.action_names) if name in (ARRIVE, FAIL)
+        ]))  # fmt: skip
+        outcomes, counts = entries_of(self.outcome_offsets, pairs)
+        n_states = self.n_states - 2
+        return SSP(
+            states=self.states[:n_states],
+            action_names=self.action_names,
+            pair_action=self.pair_action[pairs],
+            pair_offsets=offsets_of(np.bincount(self.pair_state[pairs], minlength=n_states)),
+            outcome_offsets=offsets_of(counts),
+            successors=self.successors[outcomes],
+            probabilities=self.probabilities[outcomes],
+            costs=self.costs[outcomes],
+            goal_mask=self.goal_mask[:n_states],
+            state_labels={name: held[held < n_states] for name, held in self.state_labels.items()},
+            exact_costs=self.exact_costs,
+            named_costs={name: costs[outcomes] for name, costs in self.named_costs.items()},
+        )
+
+
+class Exploration:
+    """The states of an implicit model that have been found, in lists that grow. Mutable.
+
+    States are numbered in the order in which they are found; the flat lists of the model hold
+    those that were expanded, in that order.
+    """
+
+    def __init__(
+        self, whole: ImplicitSSP, named: Iterable[Hashable], ends: Iterable[str] = ()
+    ) -> None:
+        """Find the first states.
+
+        Args:
+            whole: the model.
+            named: states in which episodes begin, and those that limits name.
+            ends: labels of states that are expanded as soon as they are found.
+        """
+        self.whole, self.ends = whole, tuple(ends)
+        self.flat = FlatModel([], whole.cost)
+        self.expanded: list[int] = []  # in the order of expanding
+        self.is_goal: list[bool] = []  # and of each state found:
+        self.is_expanded: list[bool] = []
+        self.cost_bounds: list[float] = []
+        self.named_bounds: list[Mapping[str, float]] = []
+        self.failure_bounds: list[float] = []
+        self.paid: list[float] = []  # on the way on which it was found
+        self.labelled: dict[str, list[int]] = {name: [] for name in whole.labels}
+        self.queue: list[tuple[float, int]] = []  # of states by paid + cost bound
+        self.due: list[int] = []  # states to be expanded at once
+        for state in named:
+            self.flat.place_of(state)
+        self._look_at([0.0] * len(self.flat.states))
+
+    def grow(self, wanted: Iterable[int], most: float) -> None:
+        """Expand some states, then those that look cheapest to come by, up to a number of states.
+
+        Args:
+            wanted: numbers of states.
+            most: of states that are expanded in the end, if there are so many.
+        """
+        self._expand(wanted)
+        while len(self.expanded) < most and self.queue:
+            batch = list[int]()
+            most_now = 1 if not self.whole.is_vectorised else most - len(self.expanded)
+            while self.queue and len(batch) < most_now:
+                batch.append(heapq.heappop(self.queue)[1])
+            self._expand(batch)
+
+    def _expand(self, wanted: Iterable[int]) -> None:
+        """Expand states by number that are not expanded yet, and what is due then."""
+        self.due += wanted
+        while self.due:
+            here = [k for k in dict.fromkeys(self.due) if not self.is_expanded[k]]
+            self.due.clear()
+            if self.whole.is_vectorised and here:
+                check_time()
+                self._expand_many(here)
+                continue
+            for number in here:
+                known, begin = len(self.flat.states), len(self.flat.arrays["costs"])
+                state = self.flat.states[number]
+                check_time()
+                self.flat.add(state, self.whole.expand(state), goal=False)
+                self._note([number])
+                self._price(known, begin, repeat(self.paid[number]))
+
+    def _note(self, numbers: list[int]) -> None:
+        """Note that states have been expanded."""
+        self.expanded += numbers
+        for number in numbers:
+            self.is_expanded[number] = True
+
+    def _price(self, known: int, begin: int, before: Iterable[float]) -> None:
+        """Look at the states that outcomes have found, by what was paid on the way to them.
+
+        Args:
+            known: number of states before.
+            begin: first of the new outcomes.
+            before: what was paid before each of these, [outcomes].
+        """
+        if len(self.flat.states) == known:
+            return
+        targets, costs = self.flat.arrays["successors"], self.flat.arrays["costs"]
+        paid, following = list[float](), known
+        for target, cost, spent in zip(targets[begin:], costs[begin:], before, strict=False):
+            if target == following:  # states are numbered as outcomes name them
+                paid.append(spent + cost)
+                following += 1
+        self._look_at(paid)
+
+    def _look_at(self, paid: list[float]) -> None:
+        """Ask for goal, bounds and labels of the states found last; queue those to be expanded."""
+        first, whole = len(self.is_goal), self.whole
+        new = self.flat.states[first:]
+        if not new:
+            return
+        goals = self._each(whole.is_goal, new, default=False)
+        cost_bound, failure_bound = whole.bounds
+        live = [state for state, is_goal in zip(new, goals, strict=True) if not is_goal]
+        least_costs = iter(self._each(cost_bound, live, default=0.0))
+        least_failures = iter(self._each(failure_bound, live, default=0.0))
+        for number, (state, is_goal, spent) in enumerate(zip(new, goals, paid, strict=True), first):
+            self.is_goal.append(bool(is_goal))
+            self.is_expanded.append(bool(is_goal))
+            self.paid.append(spent)
+            cost, failure = (0.0, 0.0) if is_goal else (next(least_costs), next(least_failures))
+            named = _NO_BOUNDS
+            if type(cost) is not float and isinstance(cost, Mapping):
+                named, cost = cost, cost.get(whole.cost or next(iter(cost), ""), 0.0)
+            for told, bound, most in (("cost", cost, np.inf), ("failure", failure, 1.0)):
+                if not ((type(bound) is float or is_number(bound)) and 0.0 <= bound <= most):
+                    limits = ">= 0" if told == "cost" else "in [0, 1]"
+                    raise ModelError(
+                        f"{told}_bound({state!r}) must be a number {limits}, not {in_short(bound)}"
+                    )
+            self.named_bounds.append(named)
+            self.cost_bounds.append(float(cost))
+            self.failure_bounds.append(1.0 if cost == np.inf else float(failure))
+            for name, members in whole.labels.items():
+                if members(state):
+                    self.labelled[name].append(number)
+                    if name in self.ends and not is_goal:
+                        self.due.append(number)
+            if not is_goal:
+                heapq.heappush(self.queue, (spent + self.cost_bounds[-1], number))
+
+    def _each(
+        self, told: Callable[[Any], Any] | None, states: list[Any], default: Any
+    ) -> list[Any]:
+        """What a function says of each of some states."""
+        if told is None:
+            return [default] * len(states)
+        if not self.whole.is_vectorised:
+            return [told(state) for state in states]
+        answers = np.broadcast_to(told(np.array(states, dtype=np.int64)), len(states))
+        return list(answers.tolist())
+
+    def _expand_many(self, numbers: list[int]) -> None:
+        """Expand states of a vectorised successor function by one call."""
+        flat, known = self.flat, len(self.flat.states)
+        states = np.array([flat.states[k] for k in numbers], dtype=np.int64)
+        told = {k: np.asarray(v) for k, v in self.whole.expand(states).items()}
+        actions, outcomes = told["actions"], told["outcomes"]
+        begin, n_outcomes = len(flat.arrays["costs"]), int(outcomes.sum())
+        if actions.shape != states.shape or outcomes.shape != (int(actions.sum()),):
+            raise ModelError(
+                f"successors of {len(states)} states must return so many numbers of actions, and a "
+                "number of outcomes for each action"
+            )
+        ends, first = np.cumsum(actions), len(flat.arrays["actions"])
+        flat.arrays["successors"] += map(flat.place_of, told["successors"].tolist())
+        for name in ("probabilities", "costs"):
+            numbers_told = np.broadcast_to(told[name], n_outcomes).astype(np.float64)
+            flat.arrays[name] += numbers_told.tolist()
+        flat.arrays["actions"] += (
+            np.arange(len(outcomes)) - np.repeat(ends - actions, actions)
+        ).tolist()
+        flat.arrays["outcome_offsets"] += (begin + np.cumsum(outcomes)).tolist()
+        flat.arrays["pair_offsets"] += (first + ends).tolist()
+        self._note(numbers)
+        spent = np.repeat(np.repeat([self.paid[k] for k in numbers], actions), outcomes)
+        self._price(known, begin, spent.tolist())
+
+    def part(self, survival: float, may_end: bool, *, charged: bool) -> ExploredSSP:
+        """The explored part as a model.
+
+        Args:
+            survival: factor of every step, under a discount.
+            may_end: whether expanded states from which the goal is reached through the fringe only
+                may turn out to be dead-ends, where failing is free otherwise.
+            charged: whether such a dead-end costs its cheapest action.
+        """
+        is_goal = np.array(self.is_goal, dtype=np.bool_)
+        fringe = np.flatnonzero(~np.array(self.is_expanded, dtype=np.bool_))
+        goals, n_expanded = is_goal.nonzero()[0], len(self.expanded)
+        numbers = np.concatenate([np.array(self.expanded, dtype=np.int64), fringe, goals])
+        n_live, n_found = n_expanded + fringe.size, numbers.size
+        rows = np.empty(n_found, dtype=np.int64)
+        rows[numbers] = np.arange(n_found)
+        names = [*self.flat.arrays["named_costs"]]
+        own, doubtful = self._own_ways(rows), np.zeros(n_found + 2, dtype=np.bool_)
+        blocks = [own]
+        if may_end:
+            doubtful[:n_expanded] = own.doubtful(n_expanded, n_live, n_found)
+            failing = doubtful.nonzero()[0]
+            charges = own.least_costs(n_expanded)[failing] if charged else np.zeros(failing.size)
+            paid = np.pad(charges[:, None], ((0, 0), (0, len(names))))
+            once = np.ones(failing.size, dtype=np.int64)
+            lost = np.full(failing.size, n_found + 1)
+            blocks.append(
+                _Ways(failing, once, lost, np.ones(failing.size), paid, [FAIL] * failing.size)
+            )
+        blocks.append(self._ways_out(fringe, n_expanded, survival, names))
+        ways = _Ways.joined(blocks)
+        made: Any = ExploredSSP.from_arrays(
+            pair_offsets=offsets_of(np.bincount(ways.owner, minlength=n_found + 2)),
+            outcome_offsets=offsets_of(ways.lengths),
+            successors=ways.targets,
+            probabilities=ways.chances,
+            costs=ways.costs[:, 0],
+            goal_states=np.append(np.arange(n_live, n_found), n_found),
+            states=[self.flat.states[k] for k in numbers.tolist()] + [BEYOND, LOST],
+            actions=ways.labels,
+            exact_costs=self.flat.arrays["exact_costs"],
+            named_costs=dict(zip(names, ways.costs[:, 1:].T, strict=True)),
+            treat_actionless_as_dead_ends=True,
+        )
+        labels = {name: np.sort(rows[held]) for name, held in self.labelled.items()}
+        labels[UNEXPLORED] = np.append(np.arange(n_expanded, n_live), n_found + 1)
+        part: ExploredSSP = replace(
+            made,
+            whole=self.whole,
+            n_expanded=n_expanded,
+            n_live=n_live,
+            numbers=numbers,
+            may_end=doubtful,
+            least_cost=np.array(self.cost_bounds)[numbers],
+            least_failure=np.array(self.failure_bounds)[numbers],
+            state_labels=labels,
+        )
+        return part
+
+    def _own_ways(self, rows: IntArray) -> _Ways:
+        """The actions of the expanded states; ``rows`` are the states in the explored part."""
+        flat = self.flat.arrays
+        counts, lengths = np.diff(flat["pair_offsets"]), np.diff(flat["outcome_offsets"])
+        return _Ways(
+            np.repeat(np.arange(counts.size), counts),
+            lengths,
+            rows[np.array(flat["successors"], dtype=np.int64)],
+            np.array(flat["probabilities"], dtype=np.float64),
+            np.array([flat["costs"], *flat["named_costs"].values()], dtype=np.float64).T,
+            flat["actions"],
+        )
+
+    def _ways_out(
+        self, fringe: IntArray, n_expanded: int, survival: float, names: list[str]
+    ) -> _Ways:
+        """The two ways out of each state of the fringe: "arrive" at its bounds, and "fail".
+
+        Args:
+            fringe: numbers of the states, which come after the expanded ones.
+            n_expanded: number of these.
+            survival: factor of the step.
+            names: of costs.
+        """
+        beyond = len(self.is_goal)
+        fails = np.array(self.failure_bounds)[fringe]
+        # "arrive" may lead to the goal or be lost, "fail" is lost
+        chances = np.stack([1.0 - fails, fails, np.ones(fringe.size)], axis=1)
+        occurs = chances > 0.0
+        ends = np.broadcast_to([beyond, beyond + 1, beyond + 1], chances.shape)
+        bounds = np.array(
+            [
+                [self.cost_bounds[k], *(self.named_bounds[k].get(name, 0.0) for name in names)]
+                for k in fringe.tolist()
+            ]
+        ).reshape(fringe.size, 1 + len(names))
+        costs = np.zeros((*chances.shape, 1 + len(names)))
+        costs[:, 0] = survival * np.where(np.isfinite(bounds), bounds, 0.0)
+        return _Ways(
+            np.repeat(n_expanded + np.arange(fringe.size), 2),
+            np.stack([occurs[:, :2].sum(axis=1), occurs[:, 2]], axis=1).ravel(),
+            ends[occurs],
+            chances[occurs],
+            costs[occurs],
+            [ARRIVE, FAIL] * fringe.size,
+        )
+
+
+class _Ways(NamedTuple):
+    """Actions of states of the explored part, in flat arrays."""
+
+    owner: IntArray  # [pairs]
+    lengths: IntArray  # [pairs] number of outcomes
+    targets: IntArray  # [outcomes]
+    chances: FloatArray  # [outcomes]
+    costs: FloatArray  # [outcomes, 1 + costs by name]
+    labels: list[Hashable]  # [pairs]
+
+    @staticmethod
+    def joined(blocks: Sequence[_Ways]) -> _Ways:
+        """All of some blocks, in the order of their states."""
+        owner, lengths, *flat = (
+            np.concatenate(parts) for parts in list(zip(*blocks, strict=True))[:5]
+        )
+        order = np.argsort(owner, kind="stable")
+        entries = entries_of(offsets_of(lengths), order)[0]
+        targets, chances, costs = (numbers[entries] for numbers in flat)
+        labels = [label for block in blocks for label in block.labels]
+        labels = [labels[k] for k in order.tolist()]
+        return _Ways(owner[order], lengths[order], targets, chances, costs, labels)
+
+    def doubtful(self, n_expanded: int, n_live: int, n_found: int) -> BoolArray:
+        """Expanded states from which the goal is reached through the fringe only, [expanded].
+
+        Args:
+            n_expanded: number of expanded states.
+            n_live: of these and the fringe, which comes next.
+            n_found: of these and the goals, which come last.
+        """
+        possible = np.flatnonzero(self.chances > 0.0)
+        ordered = possible[np.argsort(self.targets[possible], kind="stable")]
+        before = np.searchsorted(self.targets[ordered], np.arange(n_found + 1))
+        sources = np.repeat(self.owner, self.lengths)[ordered]
+        known, hoped = (
+            reached_along(sources, before, np.arange(first, n_found))[:n_expanded]
+            for first in (n_live, n_expanded)
+        )
+        return hoped & ~known
+
+    def least_costs(self, n_expanded: int) -> FloatArray:
+        """Expected cost of each expanded state's cheapest action, [expanded]."""
+        means = segment_sums(self.chances * self.costs[:, 0], offsets_of(self.lengths))
+        counts = np.bincount(self.owner, minlength=n_expanded)
+        return segment_minima(means, offsets_of(counts))

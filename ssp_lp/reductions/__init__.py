@@ -1,0 +1,1 @@
+"""Restated problems that several calls of a method answer."""

@@ -1,0 +1,255 @@
+"""Exploration: a problem on an implicit model, restated on explored parts of it that grow.
+
+Each part is an ordinary model whose optimum is a bound of the whole model's
+(:mod:`ssp_lp.model.implicit`). A round solves the part anew and expands the states on which its
+lottery, or the lottery's right to fail where it does, rests. The last lottery rests on none.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Hashable, Mapping
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+
+from ssp_lp.arrays import BoolArray, IntArray, entries_of, offsets_of, segment_minima
+from ssp_lp.compiled.deadline import WithIncumbent, interrupted, until
+from ssp_lp.errors import InfeasibleError, ModelError, OutOfTimeError
+from ssp_lp.model.graph import attention_pairs, attention_states, drain, reached_along
+from ssp_lp.model.implicit import Exploration, ExploredSSP
+from ssp_lp.model.ssp import ImplicitSSP
+from ssp_lp.options import deadline_of
+from ssp_lp.policies import DeterministicPolicy
+from ssp_lp.policies.chain import policy_chain
+from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, MixedPolicy, Policy
+from ssp_lp.problem import Problem, limits_of, restated_on
+from ssp_lp.processes.failure_semantics import GiveUp, start_distribution, survival_of
+from ssp_lp.processes.live_rows import cost_means
+from ssp_lp.processes.quantities import words_counted
+from ssp_lp.solution import Solution
+
+_LOG = logging.getLogger("ssp_lp.exploring")
+FIRST = 100  # states that are expanded before the first round
+_CONTRADICTED = 1e-7  # relative: what a policy attains below a bound, rounding apart
+
+
+def explore(problem: Any, solve: Callable[..., Solution], time_limit: float | None) -> Solution:
+    """Solve a problem on an implicit model by rounds.
+
+    Args:
+        problem: a formulation that ``check_explorable`` accepts.
+        solve: solves it on an explored part.
+        time_limit: seconds of all rounds.
+
+    Raises:
+        ModelError: the successor function or a bound is at fault, or a bound is contradicted by a
+            policy of the explored part.
+        InfeasibleError: no policy keeps to all limits even if what is not explored was at its best.
+        OutOfTimeError: the time limit ended the rounds; it says which bound is proved.
+        KeyboardInterrupt: Ctrl-C did.
+    """
+    began, semantics, whole = time.perf_counter(), problem.semantics, problem.model
+    may_end, charged = semantics.give_up is GiveUp.DEAD_ENDS, semantics.charge_failing_step
+    final: Solution | None = None
+    progress, rounds = "nothing was explored", 0
+    with (
+        until(deadline_of(time_limit, began)) as deadline,
+        suppress(OutOfTimeError),
+        WithIncumbent(),
+    ):
+        exploration = _begun(problem)
+        while final is None:
+            part = exploration.part(survival_of(problem.discount), may_end, charged=charged)
+            left = None if time_limit is None else max(deadline.at - time.perf_counter(), 0.0)
+            solution, wanted = _answered(restated_on(problem, part), solve, left)
+            rounds += 1
+            size = f"{part.n_expanded:,} states explored in {rounds} rounds"
+            progress = f"{size}{_bound_in_words(solution)}"
+            _LOG.info("%s, %d wanted", progress, wanted.size)
+            if not wanted.size:
+                final, progress = solution, size
+            elif deadline.is_past():
+                break
+            else:
+                exploration.grow(part.numbers[wanted].tolist(), whole.growth * part.n_expanded)
+    if final is None and deadline.is_interrupted:
+        raise interrupted(progress)
+    if final is None:
+        raise OutOfTimeError(
+            f"the time limit ended before all that matters was explored ({progress}): allow more "
+            "time, or give closer bounds"
+        )
+    _check_bounds(final)
+    reason, seconds = f"{final.run.reason}; {progress}", time.perf_counter() - began
+    run = replace(final.run, reason=reason, seconds=seconds, time_limit=time_limit)
+    assumed = f"assuming that {whole.assumption}" if whole.assumption else ""
+    note = "; ".join(filter(None, [assumed, final.note]))
+    return replace(final, policy=_within(final.policy), run=run, note=note)
+
+
+def _begun(problem: Problem) -> Exploration:
+    """The first states of a problem's implicit model, those that its limits name among them."""
+    whole, start = cast("ImplicitSSP", problem.model), problem.start
+    begin = [*start] if isinstance(start, Mapping) else [start]
+    words, ends = list[Hashable](), list[str]()
+    for _, constraint in limits_of(problem):
+        visited, ended = words_counted(constraint)
+        words += [*visited, *ended]
+        ends += [word for word in ended if isinstance(word, str) and word in whole.labels]
+    words = [word for word in words if word not in {"goal", "dead_end", *whole.labels}]
+    exploration = Exploration(whole, [*begin, *words], ends)
+    exploration.grow([exploration.flat.place_of(state) for state in begin], FIRST)
+    return exploration
+
+
+def _answered(
+    problem: Any, solve: Callable[..., Solution], time_limit: float | None
+) -> tuple[Solution, IntArray]:
+    """Solution on an explored part, and the states in doubt.
+
+    At least failure the part's policies of least failure may break a limit that others keep to:
+    it is then solved without limits, to see what these policies rest on.
+
+    Raises:
+        ModelError: a limit counts what comes after failing.
+        InfeasibleError: no policy keeps to all limits, even if what is not explored is at its best.
+    """
+    if problem.unrolled is not problem:
+        raise ModelError(
+            "a limit counts what may come after failing, which is not explored: take "
+            "give_up='dead_ends', or build the whole model, SSP.from_successors(...)"
+        )
+    try:
+        solution = solve(problem, time_limit=time_limit)
+    except InfeasibleError:
+        if problem.failure_budget is not None or not problem.constraints:
+            raise
+        solution = solve(replace(problem, constraints={}), time_limit=time_limit)
+        if not (wanted := states_in_doubt(solution)).size:
+            raise
+        return solution, wanted
+    return solution, states_in_doubt(solution)
+
+
+def _bound_in_words(solution: Solution) -> str:
+    """What a round proves of the objective of every policy, in words."""
+    if solution.problem.failure_budget is None:
+        least = solution.least_failure_bound
+        return "" if least is None else f", no policy fails less than {least:.9g}"
+    if solution.upper_bound is not None:
+        return f", the optimum is at most {solution.upper_bound:.9g}"
+    return f", the optimum is at least {solution.lower_bound:.9g}"
+
+
+def states_in_doubt(solution: Solution) -> IntArray:
+    """States of the fringe on which a solution rests, or its right to fail where it does.
+
+    Args:
+        solution: of a problem on an explored part.
+    """
+    part, semantics = cast("ExploredSSP", solution.problem.model), solution.problem.semantics
+    begin = np.flatnonzero(start_distribution(part, solution.problem.start))
+    states, last = np.arange(part.n_states), part.pair_offsets[1:] - 1
+    reached, doubts = np.zeros((2, part.n_states), dtype=np.bool_)
+    for member in solution.policy.policies:
+        branches = member.branches(states, np.zeros_like(states))
+        taken = branches.probability > 0.0
+        here, pairs = branches.situation[taken], branches.pair[taken]
+        seen = _reached(part, pairs[pairs >= 0], begin)
+        fails = part.may_end[here] & (pairs == last[here])
+        if semantics.give_up is GiveUp.ATTENTION:
+            fails |= pairs == GIVE_UP_CODE
+        reached |= seen
+        doubts[here[fails & seen[here]]] = True
+    doubts[part.n_expanded :] = False
+    pairs = np.arange(part.pair_offsets[part.n_expanded])
+    if semantics.give_up is GiveUp.ATTENTION and doubts.any():
+        allowed, settled = _settled(part, charged=semantics.charge_failing_step)
+        doubts, pairs = doubts & ~settled, pairs[allowed[pairs]]
+    if doubts.any():
+        reached |= _reached(part, pairs, np.flatnonzero(doubts))
+    return np.flatnonzero(reached & part.fringe)
+
+
+def _reached(part: ExploredSSP, pairs: IntArray, begin: IntArray) -> BoolArray:
+    """States of the explored part that are come to by some pairs, [states].
+
+    Args:
+        part: the explored part.
+        pairs: those that may be taken.
+        begin: states to begin with.
+    """
+    places, counts = entries_of(part.outcome_offsets, np.sort(pairs))
+    leads = np.bincount(part.pair_state[np.sort(pairs)], counts, minlength=part.n_states)
+    return reached_along(part.successors[places], offsets_of(leads.astype(np.int64)), begin)
+
+
+def _settled(part: ExploredSSP, *, charged: bool) -> tuple[BoolArray, BoolArray]:
+    """Pairs by which the goal may be avoided surely, and states known to give up as the part says.
+
+    These are attention states even if no state of the fringe is one, at the same charge.
+
+    Args:
+        part: the explored part.
+        charged: whether giving up is charged.
+    """
+    open_pairs, left = np.ones(part.n_pairs, dtype=np.bool_), np.diff(part.pair_offsets)
+    idle, beyond = left == 0, part.goal_mask | part.fringe
+    drain(part, open_pairs, left, beyond.nonzero()[0])
+    known = ~beyond & (idle | (left > 0))
+    allowed, sure = (attention_pairs(part, kept) for kept in (attention_states(part), known))
+    means = cost_means(part)
+    least, least_known = (
+        segment_minima(np.where(pairs, means, np.inf), part.pair_offsets)
+        for pairs in (allowed, sure)
+    )
+    return allowed, known & ((least_known <= least) | (not charged))
+
+
+def _check_bounds(solution: Solution) -> None:
+    """Check the bounds of an implicit model against the policies of an answer.
+
+    Raises:
+        ModelError: a policy reaches the goal more often, or for less, than a bound says.
+    """
+    part = cast("ExploredSSP", solution.problem.model)
+    start = start_distribution(part, solution.problem.start)
+    for member in solution.policy.policies:
+        chain = policy_chain(part, member, start)
+        goal, cost = chain.arriving()
+        nodes = np.flatnonzero((chain.state < part.n_expanded) & (goal > 0.0))
+        here, goal, cost = chain.state[nodes], goal[nodes], cost[nodes]
+        most = 1.0 - part.least_failure[here]
+        least = part.least_cost[here] * goal
+        for wrong, name, told, met in (
+            (goal > most + _CONTRADICTED, "failure_bound", 1.0 - most, 1.0 - goal),
+            (
+                cost < (least - _CONTRADICTED) * (1.0 - _CONTRADICTED),
+                "cost_bound",
+                least / goal,
+                cost / goal,
+            ),
+        ):
+            if wrong.any():
+                k = int(np.argmax(wrong))
+                does = "fails with" if name == "failure_bound" else "reaches the goal for a mean of"
+                raise ModelError(
+                    f"{name}({part.states[here[k]]!r}) = {told[k]:.9g} is no bound: a policy "
+                    f"{does} {met[k]:.9g} from there"
+                )
+
+
+def _within(lottery: MixedPolicy) -> MixedPolicy:
+    """A lottery that decides nothing in states that were not expanded."""
+    members = list[Policy]()
+    for member in lottery.policies:
+        if isinstance(member, DeterministicPolicy):
+            part = cast("ExploredSSP", member.model)
+            decision = np.where(part.fringe, UNDECIDED, member.decision)
+            member = replace(member, decision=decision)
+        members.append(member)
+    return replace(lottery, policies=tuple(members))
