@@ -210,7 +210,7 @@ def first_minimisers(values: FloatArray, minima: FloatArray, offsets: IntArray) 
     """Position, within each non-empty segment in turn, of the first value equal to its minimum."""
     segment = segment_ids(offsets)
     attained = np.flatnonzero(values <= minima[segment])
-    return attained[run_starts(segment[attained])]
+    return attained[np.flatnonzero(np.diff(segment[attained], prepend=-1))]
 
 
 def weighted(columns: FloatArray, weights: FloatArray) -> FloatArray:

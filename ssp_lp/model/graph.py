@@ -360,7 +360,7 @@ def drain(
     while closed_states.size:
         check_time()
         begun, ended = before.offsets[closed_states], before.offsets[closed_states + 1]
-        if (ended - begun).sum() < _FEW_ENTRIES:
+        if closed_states.size < _FEW and (ended - begun).sum() < _FEW_ENTRIES:
             closed_states = _drain_one_by_one(model, open_pairs, open_counts, closed_states)
             continue
         pairs = before.pairs[entries_of(before.offsets, closed_states)[0]]

@@ -64,7 +64,7 @@ def read(line: bytes, **kinds: type) -> Any:
         need(len(dict(pairs)) == len(pairs), "a key comes twice:", *(key for key, _ in pairs))
         return dict(pairs)
 
-    content = json.loads(line, object_pairs_hook=once)
+    content = json.loads(line.decode(), object_pairs_hook=once)
     need(content.keys() == kinds.keys() if kinds else type(content) is list, "no line of:", *kinds)
     for key, kind in kinds.items():
         need(kind is object or type(content[key]) is kind, key, "is", repr(content[key])[:99])
@@ -121,15 +121,16 @@ def read_proof(lines: Iterator[bytes], *, ratio: bool) -> tuple[Proof, str, int]
     least, unit = number(head["ratio"]) if ratio else None, 1 + whole(head["unit"] - 1, LARGE)
     proof = Proof(unit, prices, weights, least, {}, members)
     for line in islice(lines, count):
-        node, v, *entries = read(line)
-        need(last < whole(node, LARGE), "nodes come in their order, fails at", node)
-        last = node
+        node, v, *told = read(line)
+        need(last < whole(node, LARGE) and (v or told), "nodes come in their order, not", node)
+        last, count = node, count - 1
         if v is not None:
             proof.v[node] = in_units(v)
-        for m, decision, t, *u in entries:
-            member = members[whole(m, len(members))]
+        for m, decision, t, *u in told:
+            need(node not in (member := members[whole(m, len(members))]).t, "twice told of", node)
             member.decision[node], member.t[node] = whole(decision, LARGE), whole(t, LARGE)
             member.u[node] = list(map(in_units, u))
+    need(count == 0, "the file ends within a proof")
     return proof, head["cap"], len(proof.v.keys() | {i for one in members for i in one.t})
 
 
@@ -220,8 +221,7 @@ def check(lines: Lines, expected: str | None = None) -> tuple[Bounds, Question, 
         need(not exceeded, "a quantile jumps where the lottery exceeds row", *exceeded)
         need(lower > late, "no lottery stays below the quantile as often, fails")
         lower = upper = number(answer)
-    if question["greatest"]:
-        lower, upper = -upper, -lower
+    lower, upper = (-upper, -lower) if question["greatest"] else (lower, upper)
     return Bounds(lower, upper, exceeded), question, digests
 
 

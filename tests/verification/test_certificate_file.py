@@ -339,7 +339,7 @@ def test_the_command_line(tmp_path, capsys):
     assert "give --model" in capsys.readouterr().err
     path.write_bytes(gzip.compress(b"\n".join([*lines_of(path)[:-1], b""])))
     assert main(["check", str(path)]) == 1
-    assert "is refused: v is stated after" in capsys.readouterr().err
+    assert "is refused: the file ends within a proof" in capsys.readouterr().err
     assert main(["check", str(tmp_path / "none")]) == 2
 
 
@@ -414,6 +414,8 @@ CHANGES = [
     ("the steps", "worth", NODE, _set(2, 2, to=0), "t >= 1"),
     ("a member", "sure", NODE, _set(2, 0, to=7), "no whole number below"),
     ("a node", "sure", NODE, _set(0, to=0), "nodes come in their order"),
+    ("a node alone", "sure", NODE, lambda c: c.__setitem__(slice(1, 9), [None]), "nodes come"),
+    ("a member's second line", "sure", NODE, lambda c: c.append(c[-1]), "twice told of"),
     ("a member's line", "sure", NODE + 1, lambda c: c.pop(), "decides at each successor"),
 ]  # fmt: skip
 
@@ -465,8 +467,7 @@ def test_lines_that_are_dropped_or_exchanged(folder, tmp_path, name):
     lines = lines_of(folder / name)
     for k in range(1, len(lines)):
         checked = read(lines[:k] + lines[k + 1 :], tmp_path / "x")
-        assert not checked.accepted or len(lines) > 9
-        check_true(checked, lines, ".")
+        assert not checked.accepted
     assert "goes on" in read([*lines, lines[-1]], tmp_path / "x").reason
     swapped = [*lines]
     swapped[NODE], swapped[NODE + 1] = lines[NODE + 1], lines[NODE]

@@ -436,7 +436,8 @@ def test_a_far_horizon_is_no_work_for_a_small_file(lines, steps, tmp_path):
     began = process_time()
     told = one_step(lines=lines)
     reason = said(tmp_path / "x", [LOOP, GOAL], told, horizon=steps)
-    assert "horizon is too far" in reason or "no whole number below" in reason
+    words = "horizon is too far", "no whole number below", "ends within a proof"
+    assert any(word in reason for word in words)
     assert process_time() - began < SECONDS
 
 
