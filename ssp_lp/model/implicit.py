@@ -27,16 +27,13 @@ from ssp_lp.arrays import (
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import ModelError, in_short, is_number
 from ssp_lp.model.graph import reached_along
-from ssp_lp.model.ssp import SSP, FlatModel, ImplicitSSP
+from ssp_lp.model.ssp import SSP, UNEXPLORED, FlatModel, ImplicitSSP
 
 BEYOND, LOST = "(a goal beyond)", "(lost beyond)"
 """States of the explored part in which the ways out of its fringe end."""
 
 ARRIVE, FAIL = "(arrive)", "(fail)"
 """Actions of states that are not expanded, and of those that may be dead-ends."""
-
-UNEXPLORED = "unexplored"
-"""Label of the fringe and of what is lost beyond it."""
 
 
 _NO_BOUNDS: Mapping[str, float] = {}
@@ -100,17 +97,14 @@ class Exploration:
     those that were expanded, in that order.
     """
 
-    def __init__(
-        self, whole: ImplicitSSP, named: Iterable[Hashable], ends: Iterable[str] = ()
-    ) -> None:
+    def __init__(self, whole: ImplicitSSP, named: Iterable[Hashable]) -> None:
         """Find the first states.
 
         Args:
             whole: the model.
             named: states in which episodes begin, and those that limits name.
-            ends: labels of states that are expanded as soon as they are found.
         """
-        self.whole, self.ends = whole, tuple(ends)
+        self.whole = whole
         self.flat = FlatModel([], whole.cost)
         self.expanded: list[int] = []  # in the order of expanding
         self.is_goal: list[bool] = []  # and of each state found:
@@ -121,7 +115,6 @@ class Exploration:
         self.paid: list[float] = []  # on the way on which it was found
         self.labelled: dict[str, list[int]] = {name: [] for name in whole.labels}
         self.queue: list[tuple[float, int]] = []  # of states by paid + cost bound
-        self.due: list[int] = []  # states to be expanded at once
         for state in named:
             self.flat.place_of(state)
         self._look_at([0.0] * len(self.flat.states))
@@ -142,22 +135,19 @@ class Exploration:
             self._expand(batch)
 
     def _expand(self, wanted: Iterable[int]) -> None:
-        """Expand states by number that are not expanded yet, and what is due then."""
-        self.due += wanted
-        while self.due:
-            here = [k for k in dict.fromkeys(self.due) if not self.is_expanded[k]]
-            self.due.clear()
-            if self.whole.is_vectorised and here:
-                check_time()
-                self._expand_many(here)
-                continue
-            for number in here:
-                known, begin = len(self.flat.states), len(self.flat.arrays["costs"])
-                state = self.flat.states[number]
-                check_time()
-                self.flat.add(state, self.whole.expand(state), goal=False)
-                self._note([number])
-                self._price(known, begin, repeat(self.paid[number]))
+        """Expand states by number that are not expanded yet."""
+        here = [k for k in dict.fromkeys(wanted) if not self.is_expanded[k]]
+        if self.whole.is_vectorised and here:
+            check_time()
+            self._expand_many(here)
+            return
+        for number in here:
+            known, begin = len(self.flat.states), len(self.flat.arrays["costs"])
+            state = self.flat.states[number]
+            check_time()
+            self.flat.add(state, self.whole.expand(state), goal=False)
+            self._note([number])
+            self._price(known, begin, repeat(self.paid[number]))
 
     def _note(self, numbers: list[int]) -> None:
         """Note that states have been expanded."""
@@ -199,10 +189,12 @@ class Exploration:
             self.is_expanded.append(bool(is_goal))
             self.paid.append(spent)
             cost, failure = (0.0, 0.0) if is_goal else (next(least_costs), next(least_failures))
-            named = _NO_BOUNDS
+            named, costs = _NO_BOUNDS, [cost]
             if type(cost) is not float and isinstance(cost, Mapping):
-                named, cost = cost, cost.get(whole.cost or next(iter(cost), ""), 0.0)
-            for told, bound, most in (("cost", cost, np.inf), ("failure", failure, 1.0)):
+                named, costs = cost, [*cost.values()]
+                cost = cost.get(whole.cost or next(iter(cost), ""), 0.0)
+            for told, bound in (*(("cost", each) for each in costs), ("failure", failure)):
+                most = np.inf if told == "cost" else 1.0
                 if not ((type(bound) is float or is_number(bound)) and 0.0 <= bound <= most):
                     limits = ">= 0" if told == "cost" else "in [0, 1]"
                     raise ModelError(
@@ -214,8 +206,6 @@ class Exploration:
             for name, members in whole.labels.items():
                 if members(state):
                     self.labelled[name].append(number)
-                    if name in self.ends and not is_goal:
-                        self.due.append(number)
             if not is_goal:
                 heapq.heappush(self.queue, (spent + self.cost_bounds[-1], number))
 
@@ -276,7 +266,9 @@ class Exploration:
         own, doubtful = self._own_ways(rows), np.zeros(n_found + 2, dtype=np.bool_)
         blocks = [own]
         if may_end:
-            doubtful[:n_expanded] = own.doubtful(n_expanded, n_live, n_found)
+            arriving = fringe[np.array(self.failure_bounds)[fringe] < 1.0]
+            arriving = np.concatenate([rows[arriving], np.arange(n_live, n_found)])
+            doubtful[:n_expanded] = own.doubtful(n_expanded, n_live, n_found, arriving)
             failing = doubtful.nonzero()[0]
             charges = own.least_costs(n_expanded)[failing] if charged else np.zeros(failing.size)
             paid = np.pad(charges[:, None], ((0, 0), (0, len(names))))
@@ -386,21 +378,22 @@ class _Ways(NamedTuple):
         labels = [labels[k] for k in order.tolist()]
         return _Ways(owner[order], lengths[order], targets, chances, costs, labels)
 
-    def doubtful(self, n_expanded: int, n_live: int, n_found: int) -> BoolArray:
+    def doubtful(self, n_expanded: int, n_live: int, n_found: int, arriving: IntArray) -> BoolArray:
         """Expanded states from which the goal is reached through the fringe only, [expanded].
 
         Args:
             n_expanded: number of expanded states.
             n_live: of these and the fringe, which comes next.
             n_found: of these and the goals, which come last.
+            arriving: states of the fringe that may reach the goal, and the goals.
         """
         possible = np.flatnonzero(self.chances > 0.0)
         ordered = possible[np.argsort(self.targets[possible], kind="stable")]
         before = np.searchsorted(self.targets[ordered], np.arange(n_found + 1))
         sources = np.repeat(self.owner, self.lengths)[ordered]
         known, hoped = (
-            reached_along(sources, before, np.arange(first, n_found))[:n_expanded]
-            for first in (n_live, n_expanded)
+            reached_along(sources, before, begin)[:n_expanded]
+            for begin in (np.arange(n_live, n_found), arriving)
         )
         return hoped & ~known
 

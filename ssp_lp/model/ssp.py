@@ -267,7 +267,7 @@ class SSP(Graph, ReadOnlyCopies):
                 where no policy reaches the goal. It may be ``{name: bound}`` where costs have
                 names. None: 0.
             failure_bound: maps a state to a lower bound of the failure probability of every policy
-                from there, discounted or not. None: 0.
+                from there, never discounted. None: 0.
             growth: factor by which the explored part grows from round to round, above 1; where
                 ``successors`` takes a millisecond or more, 1.25 to 1.5 is faster.
             vectorised: states are whole numbers >= 0, and all functions take an array of them.
@@ -306,6 +306,11 @@ class SSP(Graph, ReadOnlyCopies):
         if vectorised and not callable(goal):
             is_goal = partial(np.isin, test_elements=np.array([*goal]))
         bounds = cost_bound, failure_bound
+        for name, bound in (("cost_bound", cost_bound), ("failure_bound", failure_bound)):
+            if not (bound is None or callable(bound)):
+                raise wrong_argument(name, "be a function of a state", bound)
+        if UNEXPLORED in tests:
+            raise ModelError(f"state label {UNEXPLORED!r} is taken: it names what is not explored")
         return ImplicitSSP(begin, successors, is_goal, tests, bounds, cost, growth, vectorised)
 
     @classmethod
@@ -702,6 +707,10 @@ class SSP(Graph, ReadOnlyCopies):
     def kept_facts(self) -> dict[str, Any]:
         """Facts kept about the model's graph, by name (``ssp_lp.model.graph``)."""
         return {}
+
+
+UNEXPLORED = "unexplored"
+"""Label of the states of an implicit model that were found, but not expanded, and of their ends."""
 
 
 class NotExploredError(ModelError, AttributeError):

@@ -532,28 +532,23 @@ def objective_of(
     return objective
 
 
-def words_counted(constraint: Constraint) -> tuple[list[Hashable], list[Hashable]]:
-    """Names in a constraint's quantity: of what is visited, and of ends."""
-    counted = [counted for _, counted in constraint.quantity.terms]
-    visited = [word for one in counted if isinstance(one, _Visits) for word in one.of]
-    ends = [word for one in counted if isinstance(one, _Ends) for word in one.ways]
-    return visited, ends
+def words_visited(constraint: Constraint) -> list[Hashable]:
+    """Names of states and labels whose visits a constraint's quantity counts."""
+    counted = (counted for _, counted in constraint.quantity.terms)
+    return [word for one in counted if isinstance(one, _Visits) for word in one.of]
 
 
 def beyond_exploring(constraint: Constraint) -> str | None:
     """Why no explored part of an implicit model bounds a constraint's quantity; None: it does."""
-    signs = [1.0] * (constraint.upper is not None) + [-1.0] * (constraint.lower is not None)
-    for weight, counted in constraint.quantity.terms:
+    for _, counted in constraint.quantity.terms:
         match counted:
             case _StageCosts(_, True) | _Visits(_, True):
                 return f"{counted!r} counts what comes after failing, which is not explored"
             case _StageCosts(cost, _) if not (cost is None or isinstance(cost, str)):
                 return "costs of an implicit model have names: secondary_cost('fuel')"
-            case _Ends(ways, others) if ways != ("goal",):
-                if any(sign * weight * (-1.0 if others else 1.0) < 0.0 for sign in signs):
-                    return (
-                        f"{counted!r} must be small, as ends beyond the explored part are unknown"
-                    )
+            case _Ends(ways) if ways != ("goal",):
+                unknown = "counts ends that may not be explored: limit visits of these states"
+                return f"{counted!r} {unknown}"
     return None
 
 

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, IntArray, entries_of, offsets_of, segment_minima
+from ssp_lp.arrays import BoolArray, IntArray, entries_of, offsets_of, segment_minima, segment_sums
 from ssp_lp.compiled.deadline import WithIncumbent, interrupted, until
 from ssp_lp.errors import InfeasibleError, ModelError, OutOfTimeError
 from ssp_lp.model.graph import attention_pairs, attention_states, drain, reached_along
@@ -28,8 +28,7 @@ from ssp_lp.policies.chain import policy_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, MixedPolicy, Policy
 from ssp_lp.problem import Problem, limits_of, restated_on
 from ssp_lp.processes.failure_semantics import GiveUp, start_distribution, survival_of
-from ssp_lp.processes.live_rows import cost_means
-from ssp_lp.processes.quantities import words_counted
+from ssp_lp.processes.quantities import words_visited
 from ssp_lp.solution import Solution
 
 _LOG = logging.getLogger("ssp_lp.exploring")
@@ -87,7 +86,8 @@ def explore(problem: Any, solve: Callable[..., Solution], time_limit: float | No
     reason, seconds = f"{final.run.reason}; {progress}", time.perf_counter() - began
     run = replace(final.run, reason=reason, seconds=seconds, time_limit=time_limit)
     assumed = f"assuming that {whole.assumption}" if whole.assumption else ""
-    note = "; ".join(filter(None, [assumed, final.note]))
+    unmet = _unmet(cast("ExploredSSP", final.problem.model), problem)
+    note = "; ".join(filter(None, [assumed, unmet, final.note]))
     return replace(final, policy=_within(final.policy), run=run, note=note)
 
 
@@ -95,13 +95,10 @@ def _begun(problem: Problem) -> Exploration:
     """The first states of a problem's implicit model, those that its limits name among them."""
     whole, start = cast("ImplicitSSP", problem.model), problem.start
     begin = [*start] if isinstance(start, Mapping) else [start]
-    words, ends = list[Hashable](), list[str]()
-    for _, constraint in limits_of(problem):
-        visited, ended = words_counted(constraint)
-        words += [*visited, *ended]
-        ends += [word for word in ended if isinstance(word, str) and word in whole.labels]
-    words = [word for word in words if word not in {"goal", "dead_end", *whole.labels}]
-    exploration = Exploration(whole, [*begin, *words], ends)
+    words = [word for _, constraint in limits_of(problem) for word in words_visited(constraint)]
+    exploration = Exploration(
+        whole, [*begin, *(word for word in words if word not in whole.labels)]
+    )
     exploration.grow([exploration.flat.place_of(state) for state in begin], FIRST)
     return exploration
 
@@ -125,14 +122,43 @@ def _answered(
         )
     try:
         solution = solve(problem, time_limit=time_limit)
-    except InfeasibleError:
+    except InfeasibleError as error:
         if problem.failure_budget is not None or not problem.constraints:
-            raise
+            raise _even_at_best(problem.model, error) from error
         solution = solve(replace(problem, constraints={}), time_limit=time_limit)
         if not (wanted := states_in_doubt(solution)).size:
             raise
         return solution, wanted
     return solution, states_in_doubt(solution)
+
+
+def _even_at_best(part: ExploredSSP, error: InfeasibleError) -> InfeasibleError:
+    """The error of a part as the whole model's, of which the part's policies need not be."""
+    if not part.fringe.any():
+        return error
+    return InfeasibleError(
+        f"even if all that is not explored is at its best: {error}",
+        failure_budget=error.failure_budget,
+        least_failure=1.0,
+        least_discounted_failure=None if error.least_discounted_failure is None else 1.0,
+        conflicting_rows=error.conflicting_rows,
+        least_failure_bound=error.least_failure_interval[0],
+    )
+
+
+def _unmet(part: ExploredSSP, problem: Problem) -> str:
+    """Clause on the states and labels in a problem's limits that exploring has not met."""
+    words = [word for _, constraint in limits_of(problem) for word in words_visited(constraint)]
+    unmet = [
+        repr(word)
+        for word in dict.fromkeys(words)
+        if not (
+            part.state_labels[str(word)].size
+            if word in part.whole.labels
+            else word in part.whole.begin or (part.successors == part.index_of(word)).any()
+        )
+    ]
+    return f"limits name what was not met in exploring: {', '.join(unmet)}" if unmet else ""
 
 
 def _bound_in_words(solution: Solution) -> str:
@@ -202,12 +228,14 @@ def _settled(part: ExploredSSP, *, charged: bool) -> tuple[BoolArray, BoolArray]
     drain(part, open_pairs, left, beyond.nonzero()[0])
     known = ~beyond & (idle | (left > 0))
     allowed, sure = (attention_pairs(part, kept) for kept in (attention_states(part), known))
-    means = cost_means(part)
-    least, least_known = (
-        segment_minima(np.where(pairs, means, np.inf), part.pair_offsets)
-        for pairs in (allowed, sure)
-    )
-    return allowed, known & ((least_known <= least) | (not charged))
+    for costs in [part.costs, *part.named_costs.values()] if charged else []:
+        means = segment_sums(part.probabilities * costs, part.outcome_offsets)
+        least, least_known = (
+            segment_minima(np.where(pairs, means, np.inf), part.pair_offsets)
+            for pairs in (allowed, sure)
+        )
+        known &= least_known <= least
+    return allowed, known
 
 
 def _check_bounds(solution: Solution) -> None:

@@ -34,6 +34,7 @@ from ssp_lp.arrays import LEAST_BUDGET, BoolArray, FloatArray
 from ssp_lp.errors import Argument, ModelError, SolverError
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
+from ssp_lp.model.implicit import ExploredSSP
 from ssp_lp.model.product import LATE, HorizonSSP
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import UNDECIDED, Policy
@@ -413,10 +414,15 @@ def write_certificate(solution: Solution, path: str | Path, *, tolerance: float 
         What the file proves.
 
     Raises:
-        ModelError: a criterion that is not covered.
+        ModelError: a criterion that is not covered, or an implicit model.
         SolverError: the answer is not proved: no policy satisfies a row but for rounding, or the
             solution says something else than the proof.
     """
+    if isinstance(solution.problem.model, ExploredSSP):
+        raise ModelError(
+            "a file proves the optimum of a whole model, of which a part was explored here: "
+            "certify(solution) proves it in memory, and says what it assumes"
+        )
     problem, evaluation, said = solution.problem, solution.evaluation, solution.objective
     room, budget = tolerance * max(1.0, abs(said)), problem.failure_budget
     failure, reason = evaluation.limited_failure, ""

@@ -26,7 +26,6 @@ from ssp_lp import (
     InfeasibleError,
     ModelError,
     certify,
-    end_probability,
     evaluate,
     secondary_cost,
     solve,
@@ -142,8 +141,8 @@ def question(
     if rng.random() < 0.3:
         limits["early"] = visits("early") <= float(rng.integers(2, 8)) / 2
     give_up = str(rng.choice(["anywhere", "attention", "dead_ends"]))
-    if rng.random() < 0.2 and give_up == "dead_ends":
-        limits["pits"] = end_probability("pits") <= float(rng.random())
+    if rng.random() < 0.2:
+        limits["pits"] = visits("pits") <= float(rng.random())
     kind = str(rng.choice(["MCMP"] * 8 + ["MinCost", "MaxProb", "MinProb", "Penalty", "Least"]))
     if kind == "MCMP":
         discount = float(rng.choice([0.9, 0.99])) if rng.random() < 0.25 else None

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 import signal
-import threading
 import time
 from collections.abc import Callable, Hashable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -34,8 +35,10 @@ from ssp_lp import (
     solve,
     trace_frontier,
     visits,
+    write_certificate,
 )
 from ssp_lp.io import save_model
+from ssp_lp.methods.approaches import Case, approach_to
 from ssp_lp.reductions import exploration
 from tests.campaigns.explored_models import compare
 from tests.support.problems.cases import NAMES, load_case, published
@@ -152,8 +155,11 @@ def test_a_state_that_was_not_explored_is_named() -> None:
         (lambda: MCMP(walk(), 0, reach_fraction=0.5), "solve MaxProb first"),
         (lambda: MCMP(walk(), 7, 0.3), "7 is not a state in which"),
         (lambda: MCMP(walk(), {7: 1.0}, 0.3), "7 is not a state in which"),
-        (lambda: _limited(end_probability(HOLE) >= 0.1), "must be small"),
-        (lambda: _limited(end_probability(HOLE) == 0.1), "must be small"),
+        (lambda: _limited(end_probability(HOLE) <= 0.1), "limit visits of these states"),
+        (lambda: _limited(end_probability(HOLE) >= 0.1), "limit visits of these states"),
+        (lambda: walk(cost_bound=3.0), "cost_bound must be a function of a state"),
+        (lambda: walk(state_labels={"unexplored": {1}}), "'unexplored' is taken"),
+        (lambda: write_certificate(solve(MCMP(walk(), 0, 0.3)), "never.cert"), "in memory"),
         (lambda: _limited(visits(2, through_failure=True) <= 1.0), "after failing"),
         (lambda: _limited(secondary_cost({0: {"left": 1.0}}) <= 1.0), "have names"),
         (lambda: MCMP(walk(), 0, 0.3).program(), "as a whole"),
@@ -188,7 +194,8 @@ def test_no_policy_within_the_budget_is_known_without_exploring_everything() -> 
     failing = walk(failure_bound=lambda k: 1.0 - 0.9 ** max(3 - k, 0) if k != HOLE else 1.0)
     with pytest.raises(InfeasibleError) as error:
         solve(MCMP(failing, 0, failure_budget=bound / 2))
-    assert error.value.least_failure == pytest.approx(bound)
+    assert error.value.least_failure_interval == (pytest.approx(bound), 1.0)
+    assert "even if all that is not explored is at its best" in str(error.value)
     with pytest.raises(InfeasibleError):
         solve(MinCost(failing, 0))
 
@@ -218,7 +225,7 @@ def test_limits_count_what_is_named() -> None:
     limits = {
         "fuel": secondary_cost("fuel") <= 6.0,
         "far": visits(-4) <= 0.1,
-        "holes": end_probability("holes") <= 0.28,
+        "holes": visits("holes") <= 0.28,
     }
     solution = solve(MCMP(model, 0, **SURE, constraints=limits))
     assert solution.secondary_costs["fuel"] == pytest.approx(5.42)
@@ -268,12 +275,25 @@ def test_the_time_limit_ends_the_rounds_with_a_bound() -> None:
     assert time.perf_counter() - began < 4.0
 
 
-def test_ctrl_c_ends_the_rounds() -> None:
-    timer = threading.Timer(0.7, signal.raise_signal, [signal.SIGINT])
-    timer.start()
+@pytest.mark.parametrize("at", ["a successor", "a round"])
+def test_ctrl_c_ends_the_rounds(at: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    rounds = list[Case]()
+
+    def successors(k: Hashable) -> dict[str, list[Any]]:
+        if at == "a successor" and k == -400:
+            signal.raise_signal(signal.SIGINT)
+        return steps(k)
+
+    def method(case: Case) -> Any:
+        rounds.append(case)
+        if at == "a round" and len(rounds) == 3:
+            signal.raise_signal(signal.SIGINT)
+        return approach_to(case)
+
+    monkeypatch.setattr("ssp_lp.solving.approach_to", method)
+    model = SSP.implicit(0, successors, {GOAL})
     with pytest.raises(KeyboardInterrupt, match="states explored"):
-        solve(MCMP(walk(cost_bound=None), 0, failure_budget=0.2))
-    timer.join()
+        solve(MCMP(model, 0, failure_budget=0.2), time_limit=30.0)
 
 
 def test_giving_up_is_allowed_where_the_goal_can_surely_be_avoided() -> None:
@@ -285,3 +305,23 @@ def test_an_explored_solution_is_pickled() -> None:
     solution = solve(MCMP(model, 0, **SURE))
     again = pickle.loads(pickle.dumps(solution))  # noqa: S301
     assert again.objective == solution.objective
+
+
+def test_a_dead_end_beyond_which_nothing_arrives_is_charged_by_its_own_actions() -> None:
+    """The start leads to states of infinite bound alone: failing uses 3 of fuel, whole or not."""
+    road = {0: {"on": [(1.0, 1, {"time": 2.0, "fuel": 3.0})]}, 1: {}}
+    model = SSP.implicit(
+        0, lambda k: road[k], {9}, cost="time", cost_bound=lambda k: math.inf if k else 0.0
+    )
+    kept = {"fuel": secondary_cost("fuel") <= 1.0}
+    with pytest.raises(InfeasibleError):
+        solve(MCMP(model, 0, failure_budget=1.0, give_up="dead_ends", constraints=kept))
+    fuel = LeastQuantity(
+        model, 0, quantity=secondary_cost("fuel"), failure_budget=1.0, charge_failing_step=True
+    )
+    assert solve(replace(fuel, give_up="dead_ends")).objective == pytest.approx(3.0)
+
+
+def test_a_limit_on_a_state_that_is_not_met_is_noted() -> None:
+    solution = solve(MCMP(walk(), 0, 0.3, constraints={"pit": visits("pitt") <= 0.1}))
+    assert "limits name what was not met in exploring: 'pitt'" in solution.note
