@@ -245,7 +245,7 @@ def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -
 @pytest.mark.parametrize(
     ("measure", "most"),
     [
-        (house.lines_in_all, 31_957),
+        (house.lines_in_all, 31_981),
         (house.public_classes, 277),
         (house.numeric_constants, 521),
         (house.questions_asked, 80),
@@ -282,12 +282,12 @@ LINES = {
     "ssp_lp/io": 3_033,
     "ssp_lp/linear_programming": 423,
     "ssp_lp/methods": 3_381,
-    "ssp_lp/model": 2_748,
+    "ssp_lp/model": 2_749,
     "ssp_lp/plotting": 782,
     "ssp_lp/policies": 1_330,
-    "ssp_lp/processes": 1_874,
+    "ssp_lp/processes": 1_869,
     "ssp_lp/programs": 1_318,
-    "ssp_lp/reductions": 175,
-    "ssp_lp/verification": 1_956,
+    "ssp_lp/reductions": 197,
+    "ssp_lp/verification": 1_962,
 }
 """Code lines of each folder."""
