@@ -292,8 +292,12 @@ def test_ctrl_c_ends_the_rounds(at: str, monkeypatch: pytest.MonkeyPatch) -> Non
 
     monkeypatch.setattr("ssp_lp.solving.approach_to", method)
     model = SSP.implicit(0, successors, {GOAL})
-    with pytest.raises(KeyboardInterrupt, match="states explored"):
-        solve(MCMP(model, 0, failure_budget=0.2), time_limit=30.0)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background
+    try:
+        with pytest.raises(KeyboardInterrupt, match="states explored"):
+            solve(MCMP(model, 0, failure_budget=0.2), time_limit=30.0)
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_giving_up_is_allowed_where_the_goal_can_surely_be_avoided() -> None:
