@@ -327,7 +327,7 @@ def nearer_pairs(
     if open_entries is not None and not open_entries.all():
         offsets, pairs = offsets_of(open_entries.view(np.int8))[offsets], pairs[open_entries]
     check_time()
-    sources = pair_state[np.concatenate([pairs, useful])]
+    sources = pair_state[np.concatenate([pairs, useful])].astype(np.int32, copy=False)
     links = edges(sources, np.append(offsets, sources.size))
     check_time()
     steps: FloatArray = csgraph.dijkstra(  # type: ignore[call-overload]

@@ -112,7 +112,8 @@ def bounds_of(told: Told, kind: str, rng: np.random.Generator) -> tuple[Any, Any
     least = np.full((model.n_states, model.n_states), np.inf)
     np.minimum.at(least, (source[possible], model.successors[possible]), model.costs[possible])
     finite = np.isfinite(least)
-    graph = sp.csr_array((least[finite] + 1e-300, np.nonzero(finite)), shape=least.shape)
+    places = [axis.astype(np.int32) for axis in np.nonzero(finite)]  # SciPy 1.12 knows no others
+    graph = sp.csr_array((least[finite] + 1e-300, places), shape=least.shape)
     way = csgraph.dijkstra(graph.T, indices=np.flatnonzero(model.goal_mask), min_only=True)
     greatest = np.array([
         0.0 if not np.isfinite(w) else solve(MaxProb(model, s)).objective if not g else 1.0
