@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any, cast
@@ -95,12 +95,16 @@ def _begun(problem: Problem) -> Exploration:
     """The first states of a problem's implicit model, those that its limits name among them."""
     whole, start = cast("ImplicitSSP", problem.model), problem.start
     begin = [*start] if isinstance(start, Mapping) else [start]
-    words = [word for _, constraint in limits_of(problem) for word in words_visited(constraint)]
-    exploration = Exploration(
-        whole, [*begin, *(word for word in words if word not in whole.labels)]
-    )
+    named = [word for word in _words_of(problem) if word not in whole.labels]
+    exploration = Exploration(whole, [*begin, *named])
     exploration.grow([exploration.flat.place_of(state) for state in begin], FIRST)
     return exploration
+
+
+def _words_of(problem: Problem) -> list[Hashable]:
+    """States and labels whose visits a problem's limits count, each once."""
+    limits = (limit for _, limit in limits_of(problem))
+    return list(dict.fromkeys(word for limit in limits for word in words_visited(limit)))
 
 
 def _answered(
@@ -124,7 +128,9 @@ def _answered(
         solution = solve(problem, time_limit=time_limit)
     except InfeasibleError as error:
         if problem.failure_budget is not None or not problem.constraints:
-            raise _even_at_best(problem.model, error) from error
+            if problem.model.fringe.any():
+                raise _even_at_best(error) from error
+            raise
         solution = solve(replace(problem, constraints={}), time_limit=time_limit)
         if not (wanted := states_in_doubt(solution)).size:
             raise
@@ -132,10 +138,8 @@ def _answered(
     return solution, states_in_doubt(solution)
 
 
-def _even_at_best(part: ExploredSSP, error: InfeasibleError) -> InfeasibleError:
+def _even_at_best(error: InfeasibleError) -> InfeasibleError:
     """The error of a part as the whole model's, of which the part's policies need not be."""
-    if not part.fringe.any():
-        return error
     return InfeasibleError(
         f"even if all that is not explored is at its best: {error}",
         failure_budget=error.failure_budget,
@@ -148,10 +152,9 @@ def _even_at_best(part: ExploredSSP, error: InfeasibleError) -> InfeasibleError:
 
 def _unmet(part: ExploredSSP, problem: Problem) -> str:
     """Clause on the states and labels in a problem's limits that exploring has not met."""
-    words = [word for _, constraint in limits_of(problem) for word in words_visited(constraint)]
     unmet = [
         repr(word)
-        for word in dict.fromkeys(words)
+        for word in _words_of(problem)
         if not (
             part.state_labels[str(word)].size
             if word in part.whole.labels
