@@ -1,24 +1,26 @@
 r"""This library's methods beside their peers: one run, one table.
 
 Runs every solver on every instance, each in a process of its own, and prints the size of the
-model, the seconds, the objective, the relative gap and the peak memory; saves the rows as JSON and
-draws time against model size.
+model, the seconds, the objective, the relative gap and the peak memory, then geometric means
+against each peer and the worst rows; saves the rows as JSON and draws time against model size.
 
-    python examples/solver_comparison/compare_solvers.py
+    python examples/solver_comparison/compare_solvers.py --quick
     python examples/solver_comparison/compare_solvers.py --full
     python examples/solver_comparison/compare_solvers.py --frontier
     python examples/solver_comparison/compare_solvers.py --structures --solvers columns storm
     python examples/solver_comparison/compare_solvers.py --instances robot-20x12-M \
         --solvers columns storm lp-ipx
 
-Instances: robot-SEGMENTSxHEADINGS-CASE and random-STATES-CASE; CASE is M or S, S80 with a cap on
-accumulated cost, M@0.999 with a discount, which "value iteration (game)" needs. The largest robot
-is robot-160x72: 192 million transitions, several GB.
+Instances: robot-SEGMENTSxHEADINGS-CASE, random-STATES-CASE, published domains (triangle-30,
+rectangle-60x60, navigation-60x60) and families (grid-300, ...). CASE is M or S, S80 with a cap on
+accumulated cost, M@0.999 with a discount, which "value iteration (game)" needs; P is the greatest
+goal probability, C the least cost of a sure goal. The largest robot is robot-160x72: 192 million
+transitions, several GB.
 
 `pip install '.[compare]'` brings the peers. What is not installed is a row that says so.
-The default, two discounted instances and a solver of each kind, takes about a minute. `--full`
-takes about an hour, most of it solvers that reach the time limit; a solver that does is not tried
-on larger instances of the same kind.
+`--quick`, the default, takes about a minute: the paper's robot and published domains, a solver of
+each kind. `--full` takes about an hour, most of it solvers that reach the time limit; a solver that
+does is not tried on larger instances of the same kind.
 """
 
 import argparse
@@ -48,9 +50,9 @@ from examples.solver_comparison.reporting.results import (
     run_from_json,
     run_to_json,
 )
+from examples.solver_comparison.reporting.summary import summary_text
 from examples.solver_comparison.reporting.table import LEGEND, run_line, table_text
 from examples.solver_comparison.solvers.catalogue import (
-    GAME,
     QUICK_SOLVERS,
     Order,
     solver_named,
@@ -74,8 +76,10 @@ def main(arguments: Sequence[str] | None = None) -> list[SolverRun]:
         results["runs"] = [run_to_json(r) for r in runs]
         _save(results, options)
     if runs:
-        table = f"{table_text(runs)}\n\n{LEGEND.format(repeat=options.repeat)}"
-        (options.output / "comparison.txt").write_text(table + "\n", encoding="utf-8")
+        parts = table_text(runs), LEGEND.format(repeat=options.repeat), summary_text(runs)
+        table = "\n\n".join(part for part in parts if part)
+        text = f"{machine_text(results['machine'])}\n\n{table}\n"
+        (options.output / "comparison.txt").write_text(text, encoding="utf-8")
         print(f"\n{table}")
         _draw(runs, options.output)
     if growth := growth_text(runs):
@@ -100,13 +104,21 @@ def compare(options: argparse.Namespace, limits: Limits) -> Iterator[SolverRun]:
             if smaller is not None and smaller.size < instance.size and not options.try_all:
                 yield _skipped(order, f"over the limit on {smaller.name}")
                 continue
-            if name == GAME and instance.discount is None:
-                yield _skipped(order, "needs a discount")
+            if unfit := _unfit(name, instance):
+                yield _skipped(order, unfit)
                 continue
             run = run_solver(order, limits)
             if run.over_limit:
                 beaten[instance.group, name] = instance
             yield run
+
+
+def _unfit(name: str, instance: Instance) -> str:
+    """Why a solver is not asked for an instance; empty: it is."""
+    solver = solver_named(name)
+    if solver.discounted and instance.discount is None:
+        return "needs a discount"
+    return "" if instance.case in solver.cases else f"compared in cases {solver.cases} only"
 
 
 def _skipped(order: Order, note: str) -> SolverRun:
@@ -181,6 +193,7 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     add = parser.add_argument
     add("--instances", nargs="+", metavar="NAME", help="such as robot-20x12-M, robot-20x12-S80")
     add("--structures", action="store_true", help="one instance of each structure")
+    add("--quick", action="store_true", help="the default: about a minute")
     add("--full", action="store_true", help="all solvers, and many instances: about an hour")
     add("--solvers", nargs="+", choices=known, metavar="NAME", help=", ".join(known))
     add("--time-limit", type=float, help="seconds for one call of a solver; default: 5, else 60")

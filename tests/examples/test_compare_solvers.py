@@ -3,6 +3,7 @@
 import json
 import sys
 import time
+from dataclasses import replace
 
 import pytest
 
@@ -13,6 +14,7 @@ from examples.solver_comparison.instances.instance import (
     Instance,
     parse_instance,
 )
+from examples.solver_comparison.instances.models import build
 from examples.solver_comparison.measuring import worker
 from examples.solver_comparison.measuring.memory import process_memory
 from examples.solver_comparison.measuring.process import Limits, watch
@@ -25,6 +27,7 @@ from examples.solver_comparison.reporting.results import (
     run_from_json,
     run_to_json,
 )
+from examples.solver_comparison.reporting.summary import summary_text
 from examples.solver_comparison.reporting.table import table_text
 from examples.solver_comparison.solvers.catalogue import (
     GAME,
@@ -106,11 +109,12 @@ def test_the_game_is_compared_where_there_is_a_discount(tmp_path):
     ("given", "instances", "solvers", "limit"),
     [
         ([], QUICK_INSTANCES, QUICK_SOLVERS, 5.0),
+        (["--quick"], QUICK_INSTANCES, QUICK_SOLVERS, 5.0),
         (["--full"], FULL_INSTANCES, solver_names(), 60.0),
         (["--instances", SMALL], (SMALL,), solver_names(), 60.0),
     ],
 )
-def test_by_default_two_discounted_instances_are_compared(
+def test_by_default_the_robot_and_published_domains_are_compared(
     tmp_path, given, instances, solvers, limit
 ):
     options = compare_solvers._parse([*given, "--output", str(tmp_path)])
@@ -253,3 +257,25 @@ def test_growth_compares_a_refinement_with_the_one_before():
     assert second.split()[4] == "1.50"
     assert float(second.split()[5]) == pytest.approx(1e9 * 3.0 / (30 * 2000))
     assert growth_text([solved("columns", 1.0)]) == ""
+
+
+def test_the_summary_gives_geometric_means_and_shows_the_worst_rows_first():
+    ours = [solved("columns", 2.0), replace(solved("columns", 8.0), instance="blocks-3-M")]
+    peer = [solved("storm", 1.0), replace(solved("storm", 1.0), instance="blocks-3-M")]
+    late = replace(solved("highs-ipx", None), outcome=Outcome.TIME_OUT, time_limit=4.0)
+    lines = summary_text([*ours, *peer, late, solved("lp-ipx", 9.0)]).splitlines()
+    assert lines == [
+        "Seconds of columns over those of each peer",
+        "highs-ipx        case M: geometric mean 0.5, worst 0.5 (1 instances, 1 out of time)",
+        "storm            case M: geometric mean 4, worst 8 (2 instances)",
+        "The worst rows of all",
+        "blocks-3-M             storm            8 times its 1 s",
+        "random-400-M           storm            2 times its 1 s",
+        "random-400-M           highs-ipx        0.5 times its limit of 4 s",
+    ]
+    assert summary_text(ours) == ""
+
+
+def test_published_domains_are_instances():
+    for name, states in (("triangle-10-M", 590), ("navigation-20x20-P", 401)):
+        assert build(parse_instance(name)).model.n_states == states

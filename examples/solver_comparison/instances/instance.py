@@ -3,6 +3,7 @@
     robot-SEGMENTSxHEADINGS-CASE     the paper's robot, refined
     random-STATES-CASE               a random sparse model
     grid-300-M, layered-1000x100-M   ... a family of `families`
+    triangle-30-M, navigation-20x20-M  ... a published domain of `examples/domains`
 
 CASE is M or S, with a cap on accumulated cost as S80, or a discount as M@0.999; P asks for the
 greatest goal probability (`MaxProb`), C for the least cost of reaching the goal surely (`MinCost`).
@@ -15,8 +16,17 @@ from examples.solver_comparison.instances.families import WARM_UP_SIZES
 
 FAILURE_BUDGET = 0.05
 
-QUICK_INSTANCES = ("robot-20x12-M@0.999", "random-5000-M@0.999")
-"""Discounted, so that the paper's own method can be compared, too."""
+QUICK_INSTANCES = (
+    "robot-20x12-M@0.999",
+    "robot-20x12-P",
+    "triangle-30-M",
+    "rectangle-60x60-M",
+    "inventory-20x20-M",
+    "navigation-60x60-P",
+    "triangle-30-C",
+    "rectangle-60x60-C",
+)
+"""The paper's robot, with a discount so that the paper's method takes part; published domains."""
 
 FULL_INSTANCES = (
     "robot-20x12-M",
@@ -51,7 +61,14 @@ STRUCTURES = (
 )
 """One instance of each structure."""
 
-_WARM_UP_SIZE = {"robot": (20, 12), "random": (5_000,), **WARM_UP_SIZES}
+_WARM_UP_SIZE: dict[str, tuple[int, ...]] = {
+    "robot": (20, 12),
+    "random": (5_000,),
+    "triangle": (10,),
+    "rectangle": (20, 20),
+    "navigation": (20, 20),
+    **WARM_UP_SIZES,
+}
 _PATTERN = re.compile(
     rf"(?P<family>{'|'.join(_WARM_UP_SIZE)})-(?P<size>\d+(x\d+)?)"
     r"-(?P<case>[MSPC])(?P<cap>\d+)?(@(?P<discount>.+))?"

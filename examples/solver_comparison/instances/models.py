@@ -1,9 +1,14 @@
 """The models behind the instances of the comparison, built and ready to be solved."""
 
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from examples.domains.domain import Domain
+from examples.domains.navigation import navigation
+from examples.domains.rectangle_tireworld import rectangle_tireworld
+from examples.domains.triangle_tireworld import triangle_tireworld
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from examples.solver_comparison.instances.families import FAMILIES
 from examples.solver_comparison.instances.instance import Instance
@@ -14,6 +19,12 @@ _STATES_PER_END = 200
 _RISK = 2e-3  # greatest probability of a trap per risky step
 _SEED = 3
 
+_DOMAINS: dict[str, Callable[..., Domain]] = {
+    "triangle": triangle_tireworld,
+    "rectangle": rectangle_tireworld,
+    "navigation": navigation,
+}
+
 
 @dataclass(frozen=True, eq=False)
 class ReadyInstance:
@@ -21,7 +32,7 @@ class ReadyInstance:
 
     instance: Instance
     model: SSP
-    start: int
+    start: Hashable
 
     def problem(self) -> MCMP | S3P | MaxProb | MinCost:
         """Return the problem on a copy of the model that remembers nothing of earlier calls."""
@@ -41,6 +52,8 @@ def build(instance: Instance) -> ReadyInstance:
     if instance.family == "robot":
         grid = RobotGrid(segments=instance.size[0], headings=instance.size[1])
         return ReadyInstance(instance, grid_model(grid), start_state(grid))
+    if instance.family in _DOMAINS:
+        return ReadyInstance(instance, *_DOMAINS[instance.family](*instance.size))
     family = FAMILIES.get(instance.family, random_model)
     return ReadyInstance(instance, family(*instance.size), start=0)
 

@@ -25,6 +25,8 @@ class Solver:
     also_needs: str = ""  # a second package that must be there
     options: Mapping[str, Any] = field(default_factory=dict)
     environment: Mapping[str, str] = field(default_factory=dict)
+    cases: str = "MSPC"  # what it is asked
+    discounted: bool = False  # whether it needs a discount
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,7 @@ def _method(
         pip="pip install .",
         options={"method": method, "backend": backend},
         environment=environment or {},
+        discounted=name == GAME,
     )
 
 
@@ -60,6 +63,7 @@ def _highs(method: str, also_needs: str = "", pip: str = "pip install highspy") 
         also_needs=also_needs,
         options={"method": method},
         environment=PLAIN,
+        cases="MS",
     )
 
 
@@ -77,8 +81,8 @@ def _storm(name: str, sound: bool, precision: str | None = None) -> Solver:
 GAME = "value iteration (game)"
 """The paper's own method, which needs a discount."""
 
-QUICK_SOLVERS = ("columns", GAME, "highs-ipx", "storm")
-"""Of the comparison that takes a minute: of each kind one."""
+QUICK_SOLVERS = ("columns", GAME, "lp-cvxpy", "highs-ipx", "storm", "storm-sound")
+"""Of the comparison that takes a minute: of each kind one, and Storm as it proves its bounds."""
 
 SOLVERS = (
     _method("columns", "columns", environment=COMPILED),
