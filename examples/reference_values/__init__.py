@@ -1,0 +1,1 @@
+"""Certified values of published models, for others to test against."""
