@@ -1118,8 +1118,16 @@ class CompiledExplicit(CompiledProblem):
         counted = rows.pop(0) if own else None
         if self.by_goal and self.semantics.aim is Aim.GREATEST_GOAL:
             counted = -self.augmented.process.goal
-        how = self.precise, tuple(rows), counted
+        how = self.precise, tuple(rows), counted, self._sure_choice
         return ExplicitPricing(self.augmented, *how, by_goal=self.by_goal)
+
+    @property
+    def _sure_choice(self) -> IntArray | None:
+        """The compiled problem's choice that surely reaches the goal; None: it may fail."""
+        augmented = self.augmented
+        if not self.semantics.forbids_failing or isinstance(augmented, written_out.OpenEnded):
+            return None
+        return augmented.placed(surely_reaching(self.model)[2])
 
     def row_coefficients(self, rows: Sequence[UpperRow]) -> list[FloatArray]:
         """Coefficients of the compiled problem's rows at each pair, [process pairs] each."""

@@ -325,7 +325,8 @@ def nearer_pairs(
     # of shortest paths took only numbers of 32 bits before version 1.15
     offsets, pairs = before.offsets, before.pairs
     if open_entries is not None and not open_entries.all():
-        offsets, pairs = offsets_of(open_entries.view(np.int8))[offsets], pairs[open_entries]
+        kept = open_entries.nonzero()[0]
+        offsets, pairs = kept.searchsorted(offsets), pairs[kept]
     check_time()
     sources = pair_state[np.concatenate([pairs, useful])].astype(np.int32, copy=False)
     links = edges(sources, np.append(offsets, sources.size))

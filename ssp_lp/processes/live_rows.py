@@ -28,6 +28,7 @@ from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time, pieces
 from ssp_lp.dynamic_programming.bellman import SharedRows, SparseRows
 from ssp_lp.model import SSP
+from ssp_lp.model.graph import kept
 
 
 def uniform_cost(model: SSP) -> float | None:
@@ -66,11 +67,21 @@ def cost_means(model: SSP, weights: FloatArray | BoolArray | None = None) -> Flo
     Args:
         weights: [states]; 1 everywhere if left out: the expected stage cost E[g(x, u, w)].
     """
+    if weights is None:
+        return mean_costs(model)
     cost = uniform_cost(model)
-    if cost is not None and weights is None:
-        return np.full(model.n_pairs, cost)
-    if cost is not None and weights is not None:
-        return cost * successor_means(model, weights)
+    return _summed_costs(model, weights) if cost is None else cost * successor_means(model, weights)
+
+
+@kept
+def mean_costs(model: SSP) -> FloatArray:
+    """Expected stage cost E[g(x, u, w)] of each of the model's rows, kept with it, [pairs]."""
+    cost = uniform_cost(model)
+    return _summed_costs(model) if cost is None else np.full(model.n_pairs, cost)
+
+
+def _summed_costs(model: SSP, weights: FloatArray | BoolArray | None = None) -> FloatArray:
+    """Weighted costs summed row by row of the model, as :func:`cost_means`, [pairs]."""
     result = np.zeros(model.n_pairs)
     for pairs in segment_chunks(model.outcome_offsets):
         check_time()
