@@ -93,6 +93,7 @@ if TYPE_CHECKING:
         on_original as on_original,
     )
     from ssp_lp.processes.failure_semantics import GiveUp as GiveUp
+    from ssp_lp.processes.promises import exceeds as exceeds, within as within
     from ssp_lp.processes.quantities import (
         Constraint as Constraint,
         Quantity as Quantity,
@@ -146,6 +147,7 @@ _MODULES = {
     ),
     "policies.remembering": "acting_everywhere on_original",
     "processes.failure_semantics": "GiveUp",
+    "processes.promises": "exceeds within",
     "processes.quantities": (
         "Constraint Quantity arrival_cost end_probability expected_cost failure_probability "
         "goal_probability secondary_cost visits"

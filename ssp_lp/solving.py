@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from math import isfinite
+from operator import itemgetter
 
 import numpy as np
 
@@ -142,7 +143,18 @@ def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) 
         note = "; ".join(filter(None, [note, f"the least failure is proved only up to {shown}"]))
     elif not note and solution.gap > tolerance:
         note = f"the gap of {solution.gap:.1e} misses the tolerance of {tolerance:g}"
+    note = "; ".join(filter(None, [note, _redundant_budget(inner)]))
     return replace(solution, note=note, status=deadline.status(solution.gap, tolerance))
+
+
+def _redundant_budget(problem: Problem) -> str:
+    """Note on a failure budget that no policy within the limits reaches; "": there is none."""
+    budget, limits = problem.failure_budget, problem.conditions
+    name, least = max(((c.name, c.least_goal) for c in limits), key=itemgetter(1), default=("", 0))
+    if budget is None or budget >= 1.0 or least <= 1.0 - budget + LEAST_BUDGET:
+        return ""
+    told = f"limit {name!r} lets at most {1.0 - least:.6g} fail"
+    return f"the failure budget of {budget:g} is redundant: {told}"
 
 
 def _error_without_answer(

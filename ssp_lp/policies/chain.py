@@ -327,7 +327,7 @@ def _expand_chain(model: SSP, policy: Policy, keys: IntArray, ended: BoolArray) 
     taken = np.repeat(pair, count)[chance > 0]
     successor = model.successors[outcome].astype(np.int64)
     cost = model.costs[outcome]
-    after = policy.remember(kept, taken, successor, cost)
+    after = policy.remember_outcomes(kept, taken, outcome)
     after = np.where(ended[successor], 0, after)
     target = after * model.n_states + successor
     return (keys[situation], target, chance[chance > 0], cost, outcome,

@@ -327,6 +327,16 @@ class Policy(Playable):
         """The policy's memory after steps of pairs to successors at costs, [episodes]."""
         return memory if self.carrier is None else self.carrier.remember(memory, *step)
 
+    def remember_outcomes(self, memory: IntArray, pairs: IntArray, outcomes: IntArray) -> IntArray:
+        """The policy's memory after outcomes of pairs of the model, [episodes].
+
+        Like :meth:`remember`, unless the memory depends on more than successors and costs.
+        """
+        if self.carrier is not None:
+            return self.carrier.remember_outcomes(memory, pairs, outcomes)
+        successors = self.model.successors[outcomes].astype(np.int64)
+        return self.remember(memory, pairs, successors, self.model.costs[outcomes])
+
     @property
     def ended(self) -> BoolArray:
         """States in which the policy's episodes are over: goals, dead-ends, [states]."""
