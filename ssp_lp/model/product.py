@@ -409,7 +409,7 @@ def check_product(model: SSP) -> ProductSSP:
     return model
 
 
-_MOST_PLACES: Final = 250_000_000  # states times steps: nine bytes each while they are numbered
+MOST_PLACES: Final = 250_000_000  # states times steps, or memories: nine bytes each in numbering
 
 _BUILDING = logging.getLogger("ssp_lp.building")
 
@@ -559,7 +559,7 @@ def _reached_within_steps(model: SSP, begin: Sequence[int] | None, steps: int) -
     Raises:
         ModelError: there are too many of both.
     """
-    if (steps + 1) * model.n_states > _MOST_PLACES:
+    if (steps + 1) * model.n_states > MOST_PLACES:
         raise ModelError(
             f"{steps:,} steps on {model.n_states:,} states are too many to tell apart: take ",
             Argument("horizon", None),

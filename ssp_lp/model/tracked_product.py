@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
-from typing import Final
+from itertools import compress
 
 import numpy as np
 
@@ -29,31 +29,52 @@ from ssp_lp.arrays import (
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import ModelError
 from ssp_lp.model.product import (
+    MOST_PLACES,
     NOT_ACCEPTED,
     ProductSSP,
     ProductStates,
     copied_parts,
     labels_in_product,
 )
+from ssp_lp.model.report import Report, Table
 from ssp_lp.model.ssp import SSP
-
-_MOST_PLACES: Final = 250_000_000  # states times values: one byte each while they are searched
 
 _BUILDING = logging.getLogger("ssp_lp.building")
 
 
 @dataclass(frozen=True, eq=False)
-class Automaton(ReadOnlyCopies):
+class Automaton(Report, ReadOnlyCopies):
     """A finite automaton that reads the outcomes of a run and keeps one of several values."""
 
     name: str  # what it follows, in words
     words: tuple[Hashable, ...]  # [values], all different
+    letters: tuple[str, ...]  # [letters] in words
     moves: IntArray  # [values, letters] value after a letter is read
     letter: IntArray  # [outcomes] of the model
     begin: IntArray  # [states] value with which an episode begins
 
     def __post_init__(self) -> None:
         self.keep_read_only("moves", "letter", "begin")
+
+    def edges(self) -> list[tuple[int, int, str]]:
+        """Moves of the automaton: from a value to a value, and the letters that lead there."""
+        return [
+            (value, after, " or ".join(compress(self.letters, self.moves[value] == after)))
+            for value in range(len(self.words))
+            for after in sorted_unique(self.moves[value]).tolist()
+        ]
+
+    def tables(self) -> list[Table]:
+        """The moves of the automaton, a row each."""
+        rows = [(self.words[a], self.words[b], letters) for a, b, letters in self.edges()]
+        return [Table(rows, ("value", "next", "after"), self.name, left=3)]
+
+    def dot(self) -> str:
+        """The automaton as a graph in the language of Graphviz."""
+        quoted = [str(word).replace('"', "'") for word in self.words]
+        edges = ((quoted[a], quoted[b], c) for a, b, c in self.edges())
+        lines = [f'  "{a}" -> "{b}" [label="{letters}"]' for a, b, letters in edges]
+        return "\n".join(["digraph {", *lines, "}"])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -136,7 +157,7 @@ def track(
         ModelError: the model has too many states for so many values.
     """
     n, size = model.n_states, len(automaton.words)
-    if n * size > _MOST_PLACES:
+    if n * size > MOST_PLACES:
         raise ModelError(
             f"{automaton.name}: {size:,} values on {n:,} states are too many to tell apart: lower "
             "the bound, round the amounts to a coarser grid, or make the model smaller"

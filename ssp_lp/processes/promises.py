@@ -1,7 +1,8 @@
-"""Promises: limits on the total that single runs add up, not on its mean.
+"""Promises: limits on the probability that single runs keep to a bound, or satisfy a task.
 
 ``within(fuel, 10) >= 0.95``: with probability 0.95 the run reaches the goal and has used at most 10
-units. The model is multiplied with the total so far, capped beyond the bound.
+units. The model is multiplied with the total so far, capped beyond the bound, or with the task's
+automaton (:mod:`ssp_lp.model.tracked_product`).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from ssp_lp.accumulated_cost.totals import MOST_SUMS, room_of, sums_of
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError, in_short, is_number
 from ssp_lp.model import SSP
+from ssp_lp.model.task import Task
 from ssp_lp.model.tracked_product import Automaton, TrackedSSP
 from ssp_lp.processes.conditions import ArrivalTerm
 from ssp_lp.processes.quantities import Followed, Quantity, QuantityFunction, run_amounts
@@ -65,7 +67,9 @@ class _Total(Followed):
         begin = value_of(begun) if bound >= 0.0 else np.full(model.n_states, first - self.passes)
         n = model.n_outcomes
         name = f"the total of {self!r}"
-        return Automaton(name, tuple(words), np.vstack([table, last]), letter[:n], begin)
+        letters = tuple(f"{step:g}" for step in steps.tolist())
+        moves = np.vstack([table, last])
+        return Automaton(name, tuple(words), letters, moves, letter[:n], begin)
 
     def term(self, product: TrackedSSP) -> ArrivalTerm:
         """Goals reached within the bound, or states in which it has just been passed."""
@@ -104,6 +108,42 @@ def exceeds(quantity: Quantity, bound: float) -> Quantity:
         ModelError: no quantity, or a bound that is no number >= 0.
     """
     return _promise("exceeds", quantity, bound, passes=True)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Traces(Followed):
+    """Runs that reach the goal and whose trace satisfies a task."""
+
+    task: Task
+
+    def __repr__(self) -> str:
+        """What was called."""
+        return f"holds({self.task!r})"
+
+    def automaton(self, model: SSP) -> Automaton:
+        """The task's."""
+        return self.task.automaton(model)
+
+    def term(self, product: TrackedSSP) -> ArrivalTerm:
+        """Goals at which the trace satisfies the task."""
+        return ArrivalTerm(product, product.goal_mask & self.task.satisfied(product), final=True)
+
+
+@QuantityFunction
+def holds(task: Task) -> Quantity:
+    """The probability that a run reaches the goal and its trace satisfies a task.
+
+    A run that fails, gives up or wanders satisfies nothing.
+
+    Args:
+        task: such as ``task("F key & (!door U key)")``.
+
+    Raises:
+        ModelError: it is no task.
+    """
+    if not isinstance(task, Task):
+        raise ModelError(f"holds takes a task, such as task('F key'), not {in_short(task)}")
+    return Quantity(((1.0, _Traces(task)),))
 
 
 def _promise(verb: str, quantity: Quantity, bound: float, *, passes: bool) -> Quantity:
