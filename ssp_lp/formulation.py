@@ -251,6 +251,8 @@ class Formulation(Problem):
 
         The horizon is as stated; without such limits it is the formulation itself.
         """
+        if not (self.constraints or self.own_constraints) and self.quantity is None:
+            return self
         model, begin = self.model, cast("IntArray", np.flatnonzero(self._begun))
         shares = self._begun[begin].tolist()
         for followed in followed_by(limit for _, limit in limits_of(self)):
@@ -276,13 +278,13 @@ class Formulation(Problem):
     def conditions(self) -> tuple[Condition, ...]:
         """The formulation's constraints, checked, with their costs by outcome."""
         own, stated = self.own_constraints, self.constraints
-        if self.tracked is not self or (self.horizon is not None and (stated or own)):
-            return self.unrolled.conditions
         if isinstance(stated, Mapping) and (both := own.keys() & stated.keys()):
             raise ModelError(f"{min(both)!r} names a limit of {type(self).__name__} already")
         every = {**own, **stated} if isinstance(stated, Mapping) else stated
         if every == {}:
             return ()
+        if self.horizon is not None or self.tracked is not self:
+            return self.unrolled.conditions
         return conditions(self.model, self._begun, every)
 
     @property
@@ -317,7 +319,7 @@ class Formulation(Problem):
         (paper, section 3.1.1); everything else the failure label (section 3.1.2). A horizon is
         unrolled before.
         """
-        if self.horizon is not None or self.tracked is not self:
+        if self.horizon is not None:
             return self.unrolled.compile()
         model, start, semantics = self.model, self._begun, self.semantics
         _COMPILING.info("%r", self)
