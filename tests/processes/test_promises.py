@@ -27,7 +27,14 @@ from ssp_lp import (
     within,
     write_certificate,
 )
-from ssp_lp.io import load_policy, load_solution, save_policy, save_solution
+from ssp_lp.io import (
+    Controller,
+    load_policy,
+    load_solution,
+    save_policy,
+    save_solution,
+    write_controller,
+)
 from tests.campaigns import promised_totals
 
 FUEL = secondary_cost("fuel")
@@ -208,6 +215,24 @@ def test_the_drone_is_there_within_20_minutes():
         solution = solve(MCMP(model, start, 0.1, constraints=limits))
         assert solution.objective == pytest.approx(value, abs=1e-6)
         assert solution.prices["soon"] == pytest.approx(price, abs=1e-5)
+
+
+def test_a_controller_begins_with_the_visit_at_the_start(tmp_path):
+    moves = {
+        "ward": {"go": [(0.5, "hall", 1.0), (0.5, "ward", 2.0)], "run": [(1.0, "home", 9.0)]},
+        "hall": {"out": [(1.0, "home", 1.0)]},
+    }
+    model = SSP.from_transitions(moves, {"home"})
+    limits = {"few": within(visits("ward"), 2) >= 1.0}
+    policy = solve(MCMP(model, "ward", 0.0, constraints=limits)).policy
+    write_controller(policy, tmp_path / "controller.json")
+    controller = Controller(tmp_path / "controller.json")
+    controller.reset(0)
+    assert controller.action("ward") == "go"
+    controller.observe("ward", 2.0)
+    assert controller.action("ward") == "run"
+    fast = solve(on_six(within(FUEL, 10) >= 0.9)).policy
+    refused("leaves open whether the memory is", write_controller, fast, tmp_path / "none.json")
 
 
 @pytest.mark.slow
