@@ -43,17 +43,18 @@ class _Total(Followed):
                 many totals.
         """
         amounts, begun = run_amounts(model, self.quantity)
-        steps, letter = np.unique(np.append(amounts, begun), return_inverse=True)
-        moves, bound = np.union1d(0.0, steps), self.bound - self.quantity.constant
+        bound = self.bound - self.quantity.constant
+        used = np.minimum(np.append(amounts, begun), 2.0 * abs(bound) + 1.0)  # beyond it at once
+        steps, letter = np.unique(used, return_inverse=True)
+        moves = np.union1d(0.0, steps)
         room = room_of(moves, bound) if bound > 0.0 else 0.0
         totals = sums_of(moves, bound + 2.0 * room, MOST_SUMS) if bound >= 0.0 else np.zeros(0)
-        if totals is None:
+        if totals is None or totals.size * steps.size > 1_000 * MOST_SUMS:  # moves of a table
             raise ModelError(
-                f"too many distinct totals (over {MOST_SUMS:,}) in {self!r}: round the amounts to "
-                "a coarser grid, or count them in larger units"
+                f"too many distinct totals (over {MOST_SUMS:,}, or of {steps.size:,} amounts) in "
+                f"{self!r}: round the amounts to a coarser grid, or count them in larger units"
             )
-        over, room = totals.size, 2.0 * room
-        first = over if bound >= 0.0 else over + self.passes
+        over = totals.size
 
         def value_of(total: FloatArray) -> IntArray:
             """Number of a total: the sum that it is, or beyond."""
@@ -64,7 +65,7 @@ class _Total(Followed):
         table = value_of(totals[:, None] + steps)
         words += [f"passes {self.bound:g}"] * self.passes + [f"over {self.bound:g}"]
         last = np.full((1 + self.passes, steps.size), over + self.passes)
-        begin = value_of(begun) if bound >= 0.0 else np.full(model.n_states, first - self.passes)
+        begin = value_of(begun) if bound >= 0.0 else np.full(model.n_states, over)
         n = model.n_outcomes
         name = f"the total of {self!r}"
         letters = tuple(f"{step:g}" for step in steps.tolist())
