@@ -274,6 +274,11 @@ class RememberingPolicy(_Carried):
         """Whether the product has these states with the memory's start, [episodes]."""
         return np.asarray(self.product.table[states, self.product.first_memory(states)] >= 0)
 
+    def reaches(self, states: IntArray, memory: IntArray) -> BoolArray:
+        """Whether the product's goal is reached with what is remembered, [episodes]."""
+        inner, number = self.split(memory)
+        return self.inner.reaches(self.product.at(states, number), inner)
+
     def start_memory(self, states: IntArray) -> IntArray:
         """Start of the product's memory and of the inner policy's, remembered, [episodes]."""
         begun = self.product.first_memory(states)

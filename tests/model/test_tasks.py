@@ -139,7 +139,11 @@ def test_a_task_as_the_goal():
     made = reach(HOUSE, task("F key"), start=["hall"])
     solution = solve(MCMP(made, made.start("hall"), 0.0))
     assert solution.objective == pytest.approx(1.25)
-    assert on_original(solution.policy).start(0).action("hall") == "up"
+    episode = on_original(solution.policy).start(0)
+    assert episode.action("hall") == "up"
+    episode.observe("attic", 1.0)
+    assert episode.action("attic") is None
+    assert not episode.failed
     back = reach(HOUSE, task("F (key & X !key)"), start=["hall"])
     by_jumping = 1.25 + 0.5  # wherever that ends: the pit has no key either
     assert solve(MCMP(back, back.start("hall"), 0.0)).objective == pytest.approx(by_jumping)
