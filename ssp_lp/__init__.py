@@ -72,6 +72,7 @@ if TYPE_CHECKING:
         product as product,
         within_steps as within_steps,
     )
+    from ssp_lp.model.task import Task as Task, reach as reach, task as task
     from ssp_lp.options import (
         ColumnGeneration as ColumnGeneration,
         DeterministicPolicies as DeterministicPolicies,
@@ -93,6 +94,11 @@ if TYPE_CHECKING:
         on_original as on_original,
     )
     from ssp_lp.processes.failure_semantics import GiveUp as GiveUp
+    from ssp_lp.processes.promises import (
+        exceeds as exceeds,
+        holds as holds,
+        within as within,
+    )
     from ssp_lp.processes.quantities import (
         Constraint as Constraint,
         Quantity as Quantity,
@@ -138,6 +144,7 @@ _MODULES = {
     "model.continuous_model": "Axis ContinuousModel Distribution Grid WorldSimulator",
     "model.discretise": "Quadrature Samples discretise",
     "model.product": "HorizonSSP Memory ProductSSP product within_steps",
+    "model.task": "Task reach task",
     "options": (
         "ColumnGeneration DeterministicPolicies Game LinearProgramming Status progress_shown"
     ),
@@ -146,6 +153,7 @@ _MODULES = {
     ),
     "policies.remembering": "acting_everywhere on_original",
     "processes.failure_semantics": "GiveUp",
+    "processes.promises": "exceeds holds within",
     "processes.quantities": (
         "Constraint Quantity arrival_cost end_probability expected_cost failure_probability "
         "goal_probability secondary_cost visits"

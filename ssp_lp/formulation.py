@@ -12,7 +12,7 @@ import logging
 from collections.abc import Hashable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from ssp_lp.accumulated_cost.charges import (
     Utility as Utility,
     WithinBound as WithinBound,
 )
-from ssp_lp.arrays import FloatArray, read_only
+from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.column_generation.compiled_problem import (
     CompiledAccumulatedCost,
     CompiledExplicit,
@@ -48,6 +48,7 @@ from ssp_lp.model.graph import (
 )
 from ssp_lp.model.product import unroll_steps
 from ssp_lp.model.ssp import ImplicitSSP
+from ssp_lp.model.tracked_product import followed_in, track
 from ssp_lp.problem import (
     BUDGET_OR_SHARE as BUDGET_OR_SHARE,
     FailureBudget as FailureBudget,
@@ -59,6 +60,7 @@ from ssp_lp.problem import (
     check_cost as check_cost,
     check_explorable,
     compiled_totals,
+    limits_of,
 )
 from ssp_lp.processes.conditions import Condition
 from ssp_lp.processes.failure_semantics import (
@@ -83,6 +85,7 @@ from ssp_lp.processes.quantities import (
     end_probability as end_probability,
     expected_cost as expected_cost,
     failure_probability as failure_probability,
+    followed_by,
     goal_probability as goal_probability,
     objective_of,
     secondary_cost as secondary_cost,
@@ -208,7 +211,9 @@ class Formulation(Problem):
         """
         made, kind = vars(self), type(self)
         follows = (k for k in made if isinstance(getattr(kind, k, None), cached_property))
-        return {k: made[k] for k in made.keys() - {*follows} | made.keys() & {"unrolled"}}
+        return {
+            k: made[k] for k in made.keys() - {*follows} | made.keys() & {"tracked", "unrolled"}
+        }
 
     @cached_property
     def unrolled(self) -> Self:
@@ -218,6 +223,8 @@ class Formulation(Problem):
         is too far away is out of reach in it. Where something counts that may come after failing,
         it is that of ``label_failing``. Both are made when they are first asked for.
         """
+        if self.tracked is not self:
+            return self.tracked.unrolled
         if self.horizon is not None:
             start, begin = self._begun, np.flatnonzero(self._begun)
             model = unroll_steps(self.model, self.horizon, begin.tolist())
@@ -233,31 +240,51 @@ class Formulation(Problem):
         begin = np.flatnonzero(self._begun)
         return self._on(label, {label.states[k]: float(self._begun[k]) for k in begin.tolist()})
 
-    def _on(self, model: SSP, start: Mapping[Hashable, float]) -> Self:
-        """The formulation restated on another model, within no horizon."""
-        on_it: dict[str, Any] = {"model": model, "start": start, "horizon": None}
+    def _on(self, model: SSP, start: Mapping[Hashable, float], horizon: int | None = None) -> Self:
+        """The formulation restated on another model."""
+        on_it: dict[str, Any] = {"model": model, "start": start, "horizon": horizon}
         return replace(self, **on_it, **as_stated(self))
+
+    @cached_property
+    def tracked(self) -> Self:
+        """The formulation on the model with the automata that follow what it limits of whole runs.
+
+        The horizon is as stated; without such limits it is the formulation itself.
+        """
+        if not (self.constraints or self.own_constraints) and self.quantity is None:
+            return self
+        model, begin = self.model, cast("IntArray", np.flatnonzero(self._begun))
+        shares = self._begun[begin].tolist()
+        for followed in followed_by(limit for _, limit in limits_of(self)):
+            if followed_in(model, followed) is None:
+                automaton = followed.automaton(model)
+                product = track(model, automaton, followed, begin)
+                model, begin = product, product.at(begin, product.first_memory(begin))
+        if model is self.model:
+            return self
+        places = [model.states[k] for k in begin.tolist()]
+        return self._on(model, dict(zip(places, shares, strict=True)), self.horizon)
 
     @cached_property
     def objective_condition(self) -> Condition | None:
         """A formulation's objective in place of the cost, looked up; None: the cost."""
         if self.quantity is None or self.semantics.counts_law:
             return None
-        if self.horizon is not None:
+        if self.horizon is not None or self.tracked is not self:
             return self.unrolled.objective_condition
         return objective_of(self.model, self._begun, self.quantity)
 
     @cached_property
     def conditions(self) -> tuple[Condition, ...]:
         """The formulation's constraints, checked, with their costs by outcome."""
-        if self.horizon is not None and (self.constraints or self.own_constraints):
-            return self.unrolled.conditions
         own, stated = self.own_constraints, self.constraints
         if isinstance(stated, Mapping) and (both := own.keys() & stated.keys()):
             raise ModelError(f"{min(both)!r} names a limit of {type(self).__name__} already")
         every = {**own, **stated} if isinstance(stated, Mapping) else stated
         if every == {}:
             return ()
+        if self.horizon is not None or self.tracked is not self:
+            return self.unrolled.conditions
         return conditions(self.model, self._begun, every)
 
     @property

@@ -103,6 +103,11 @@ class Problem(ReadOnlyCopies):
         return {}
 
     @property
+    def tracked(self) -> Problem:
+        """The problem on the model with automata that follow whole runs; itself without any."""
+        return self
+
+    @property
     def unrolled(self) -> Problem:
         """The problem that is solved: itself, or on (state, steps taken) or (state, label)."""
         return self

@@ -31,6 +31,7 @@ from ssp_lp.options import (
     progress_shown,
 )
 from ssp_lp.problem import Problem, check_problem, least_failure_bound, pulled_back
+from ssp_lp.processes.conditions import Condition
 from ssp_lp.processes.failure_semantics import GiveUp, goal_out_of_reach, start_distribution
 from ssp_lp.reductions.exploration import explore
 from ssp_lp.solution import Solution
@@ -142,7 +143,19 @@ def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) 
         note = "; ".join(filter(None, [note, f"the least failure is proved only up to {shown}"]))
     elif not note and solution.gap > tolerance:
         note = f"the gap of {solution.gap:.1e} misses the tolerance of {tolerance:g}"
+    for limit in inner.conditions:
+        if limit.lower is not None:
+            note = "; ".join(filter(None, [note, _redundant_budget(inner.failure_budget, limit)]))
     return replace(solution, note=note, status=deadline.status(solution.gap, tolerance))
+
+
+def _redundant_budget(budget: float | None, limit: Condition) -> str:
+    """Note on a failure budget that no policy within a limit uses up; "" where one may."""
+    least = limit.least_goal
+    if budget is None or budget >= 1.0 or least <= 1.0 - budget + LEAST_BUDGET:
+        return ""
+    told = f"limit {limit.name!r} lets at most {1.0 - least:.6g} fail"
+    return f"the failure budget of {budget:g} is redundant: {told}"
 
 
 def _error_without_answer(

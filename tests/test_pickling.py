@@ -132,6 +132,9 @@ def of_models():
     yield from (ssp_lp.Quadrature(), ssp_lp.Samples(3, 0), ssp_lp.discretise(world))
     yield ssp_lp.WorldSimulator(world, [uniform])
     yield from (ssp_lp.Memory(0, turned), ssp_lp.within_steps(MODEL, 2))
+    task = ssp_lp.task("F go & G !pit")
+    yield from (task, task.automaton(MODEL), ssp_lp.reach(MODEL, task, start=["x"]))
+    yield from (ssp_lp.holds(task) >= 0.5, ssp_lp.within(ssp_lp.visits("y"), 2) >= 0.5)
     for made in (ssp_lp.visits("y"), DEAR + ssp_lp.visits("y")):
         yield from (made, made <= 3.0)
     moves = {"x": {"go": 0.5, "safe": 0.5}, "y": {"go": 1.0}}

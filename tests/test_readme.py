@@ -33,6 +33,7 @@ SHOWN = {
     "docs/guides/own_criterion.md": 2,
     "docs/guides/own_memory.md": 1,
     "docs/guides/own_simulator.md": 0,
+    "docs/guides/promises_and_tasks.md": 3,
     "docs/models.md": 6,
     "docs/program.md": 16,
     "docs/solving.md": 3,

@@ -34,6 +34,7 @@ from ssp_lp.model.graph import attention_states, dead_ends, end_marks, stop_mark
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.model.report import ByName, Facts, Table
 from ssp_lp.model.ssp import ImplicitSSP
+from ssp_lp.model.tracked_product import TrackedSSP
 from ssp_lp.options import progress_shown
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import GIVE_UP_CODE, MOST_EPISODES, Randomness, as_lottery, generator_of
@@ -214,7 +215,7 @@ class _ProductSimulator:
     def reset(self, episodes: int, rng: np.random.Generator) -> tuple[World, IntArray]:
         """Begin episodes, no step taken, none of which has failed."""
         world, state = self.inner.reset(episodes, rng)
-        return world, self.product.table[state, 0]
+        return world, self.product.table[state, self.product.first_memory(state)]
 
     def step(self, world: World, pair: IntArray, rng: np.random.Generator) -> Moved:
         """Take one step in the world, and count it, or move the label."""
@@ -223,11 +224,38 @@ class _ProductSimulator:
         return moved, self.product.moved(pair, state, cost), cost
 
 
+@dataclass(frozen=True, eq=False)
+class _TrackedSimulator(ModelSimulator):
+    """A model with automata as a world of the stated model's states.
+
+    The automata read its outcomes, of which states and costs may say too little.
+    """
+
+    seen: IntArray  # [states] of the stated model
+
+    def reset(self, episodes: int, rng: np.random.Generator) -> tuple[World, IntArray]:
+        """Draw start states of the simulated model with automata."""
+        state = super().reset(episodes, rng)[1]
+        return self.seen[state], state
+
+    def step(self, world: World, pair: IntArray, rng: np.random.Generator) -> Moved:
+        """Simulate one outcome of each pair of the model with automata."""
+        _, successor, cost = super().step(world, pair, rng)
+        return self.seen[successor], successor, cost
+
+
 def _on_products(simulator: Simulator, model: SSP, stated: SSP) -> Simulator:
     """A simulated world of the stated model's states as one of the model solved on."""
     if model is stated or not isinstance(model, ProductSSP):
         return simulator
-    return _ProductSimulator(_on_products(simulator, model.original, stated), model)
+    inner = _on_products(simulator, model.original, stated)
+    if not (isinstance(model, TrackedSSP) and isinstance(inner, ModelSimulator)):
+        return _ProductSimulator(inner, model)
+    begin, start = np.flatnonzero(inner.start), np.zeros(model.n_states)
+    start[model.at(begin, model.first_memory(begin))] = inner.start[begin]
+    original = model.original_state
+    seen = inner.seen[original] if isinstance(inner, _TrackedSimulator) else original
+    return _TrackedSimulator(model, start, seen)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

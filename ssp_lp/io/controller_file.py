@@ -156,14 +156,22 @@ def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> d
     steps = np.column_stack([begin, here, action, there[product.successors]])
     after: dict[tuple[int, ...], dict[float, int]] = {}
     for step, cost, then in zip(steps.tolist(), product.costs.tolist(), end.tolist(), strict=True):
-        after.setdefault(tuple(step), {})[cost] = then
+        if after.setdefault(tuple(step), {}).setdefault(cost, then) != then:
+            told = f"a step to state {product.original.states[step[3]]!r} at cost {cost:g}"
+            raise ModelError(f"a controller sees states and costs, by which {told} leaves open "
+                             f"whether the memory is {product.memories[then]!r}")  # fmt: skip
     moves: list[list[Any]] = []
     for step, by_cost in after.items():
         if len(ends := set(by_cost.values())) > 1:
             moves += [[*step, cost, then] for cost, then in by_cost.items()]
         elif ends != {step[0]}:
             moves.append([*step, None, *ends])
-    return {"kind": "task", "start": 0, "moves": moves}
+    states = np.arange(product.original.n_states)
+    first = product.first_memory(states)
+    begun = np.unique(first[product.table[states, first] >= 0]).tolist()
+    if len(begun) > 1:
+        raise ModelError("a controller begins with one memory: give it a policy for one start")
+    return {"kind": "task", "start": begun[0], "moves": moves}
 
 
 def _labelled_codes(product: FailureSSP, codes: Mapping[Hashable, int]) -> dict[Hashable, int]:

@@ -128,14 +128,19 @@ class ProductSSP(SSP):
             ModelError: a state from which the product was not explored.
         """
         shares = start if isinstance(start, Mapping) else {start: 1.0}
+        places = np.array([self.original.index_of(state, "start") for state in shares])
+        memories = [self.memories[k] for k in self.first_memory(places).tolist()]
         distribution: dict[Hashable, float] = {
-            (state, self.memories[0]): float(share) for state, share in shares.items()
+            (state, memory): float(share)
+            for (state, share), memory in zip(shares.items(), memories, strict=True)
         }
-        for state in shares:
-            self.original.index_of(state, "start")
         for label in distribution:
             self.index_of(label, "start")
         return distribution
+
+    def first_memory(self, states: IntArray) -> IntArray:
+        """Number of the memory with which episodes begin in states of the original, [episodes]."""
+        return np.zeros(len(states), dtype=np.int64)
 
     @property
     def labels(self) -> ProductStates:
@@ -223,6 +228,19 @@ class ProductSSP(SSP):
 
         steps = (each.tolist() for each in (pairs, successors, costs))
         return self.at(successors, np.array(list(map(updated, *steps)), dtype=np.int64))
+
+    def moved_by(self, pairs: IntArray, outcomes: IntArray) -> tuple[IntArray, IntArray]:
+        """States and outcomes of the product for outcomes of the original, [entries] each.
+
+        Args:
+            pairs: of the product, [entries].
+            outcomes: of the original, in the original of each pair, [entries].
+        """
+        possible = np.cumsum(self.original.probabilities > 0.0)
+        first = self.original.outcome_offsets[self.original_pair[pairs]]
+        before = np.where(first > 0, possible[first - 1], 0)
+        place = self.outcome_offsets[pairs] + possible[outcomes] - 1 - before
+        return self.successors[place].astype(np.int64), place
 
     def places_of(self, state: Hashable) -> IntArray:
         """State of the product with this label, or all for a state of the original.
@@ -356,14 +374,14 @@ def product(
     fields |= {name: copied[name] for name in ("costs", "exact_costs", "named_costs", "original")}
     fields |= {
         "states": ProductStates(model.states, tuple(memories), read_only(state), read_only(number)),
-        "state_labels": _labels_in_product(
+        "state_labels": labels_in_product(
             model, state, {MEMORY_FAILS: fails, NOT_ACCEPTED: refused}
         ),
     }
     return ProductSSP(**fields, memory=memory)
 
 
-def _labels_in_product(
+def labels_in_product(
     model: SSP, state: IntArray, own: Mapping[str, BoolArray]
 ) -> dict[str, IntArray]:
     """The labels of the original's states in a product, and its own; a label may say both.
@@ -391,7 +409,7 @@ def check_product(model: SSP) -> ProductSSP:
     return model
 
 
-_MOST_PLACES: Final = 250_000_000  # states times steps: nine bytes each while they are numbered
+MOST_PLACES: Final = 250_000_000  # states times steps, or memories: nine bytes each in numbering
 
 _BUILDING = logging.getLogger("ssp_lp.building")
 
@@ -527,7 +545,7 @@ def unroll_steps(
         outcome_offsets=read_only(offsets_of(ends)),
         successors=read_only(successors, np.int32),
         goal_mask=read_only(model.goal_mask[state] | survived),
-        state_labels=_labels_in_product(model, state, late),
+        state_labels=labels_in_product(model, state, late),
         steps=steps,
         survive=survive,
     )
@@ -541,7 +559,7 @@ def _reached_within_steps(model: SSP, begin: Sequence[int] | None, steps: int) -
     Raises:
         ModelError: there are too many of both.
     """
-    if (steps + 1) * model.n_states > _MOST_PLACES:
+    if (steps + 1) * model.n_states > MOST_PLACES:
         raise ModelError(
             f"{steps:,} steps on {model.n_states:,} states are too many to tell apart: take ",
             Argument("horizon", None),

@@ -248,7 +248,7 @@ def policy_chain(
         reached += frontier.size
         if reached > most_nodes and size != 1:
             raise ModelError(f"the policy's chain has more than {most_nodes:,} nodes")
-        step = _expand_chain(model, policy, frontier, ended)
+        step = _expand_chain(model, policy, frontier, ended, size)
         policy.check_decided(step[6], step[5] % model.n_states)
         waves.append(step)
         if (last := max(int(frontier[-1]), int(step[1].max(initial=0)))) >= _MOST_KEYS:
@@ -306,12 +306,14 @@ def _reachable_nodes(
         size: how many values its memory takes.
     """
     every = np.arange(size * model.n_states)
-    source, target = _expand_chain(model, policy, every, ended)[:2]
+    source, target = _expand_chain(model, policy, every, ended, size)[:2]
     offsets = offsets_of(np.bincount(source, minlength=every.size))
     return np.flatnonzero(reached_along(target, offsets, start))
 
 
-def _expand_chain(model: SSP, policy: Policy, keys: IntArray, ended: BoolArray) -> _Step:
+def _expand_chain(
+    model: SSP, policy: Policy, keys: IntArray, ended: BoolArray, size: int | None
+) -> _Step:
     """Moves and branches of the chain out of the given nodes, all as keys."""
     memory, state = np.divmod(keys, model.n_states)
     acting = ~ended[state]
@@ -327,7 +329,7 @@ def _expand_chain(model: SSP, policy: Policy, keys: IntArray, ended: BoolArray) 
     taken = np.repeat(pair, count)[chance > 0]
     successor = model.successors[outcome].astype(np.int64)
     cost = model.costs[outcome]
-    after = policy.remember(kept, taken, successor, cost)
+    after = kept if size == 1 else policy.remember_outcomes(kept, taken, outcome)
     after = np.where(ended[successor], 0, after)
     target = after * model.n_states + successor
     return (keys[situation], target, chance[chance > 0], cost, outcome,

@@ -311,6 +311,10 @@ class Policy(Playable):
         nothing = np.zeros(len(states), dtype=np.int64)
         return nothing if self.carrier is None else self.carrier.start_memory(states)
 
+    def reaches(self, states: IntArray, memory: IntArray) -> BoolArray:
+        """Whether the policy has reached its goal, by its memory before the model's, [episodes]."""
+        return self.model.goal_mask[states]
+
     def begins(self, states: IntArray) -> BoolArray:
         """Whether an episode of the policy may begin in these states, [episodes]."""
         return np.ones(len(states), dtype=np.bool_)
@@ -326,6 +330,16 @@ class Policy(Playable):
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
         """The policy's memory after steps of pairs to successors at costs, [episodes]."""
         return memory if self.carrier is None else self.carrier.remember(memory, *step)
+
+    def remember_outcomes(self, memory: IntArray, pairs: IntArray, outcomes: IntArray) -> IntArray:
+        """The policy's memory after outcomes of pairs of the model, [episodes].
+
+        Like :meth:`remember`, unless the memory depends on more than successors and costs.
+        """
+        if self.carrier is not None:
+            return self.carrier.remember_outcomes(memory, pairs, outcomes)
+        successors = self.model.successors[outcomes].astype(np.int64)
+        return self.remember(memory, pairs, successors, self.model.costs[outcomes])
 
     @property
     def ended(self) -> BoolArray:
@@ -426,6 +440,7 @@ class EpisodeBatch:
         self._state: IntArray | None = None  # [episodes] where they stand, once begun
         self._is_observed = True  # what the last actions led to
         self.over = np.zeros(len(drawn), dtype=np.bool_)  # [episodes]
+        self.reached = np.zeros(len(drawn), dtype=np.bool_)  # [episodes] a goal by what is kept
         self.failed = np.zeros(len(drawn), dtype=np.bool_)  # [episodes] the goal is given up, lost
 
     def actions(self, states: Sequence[Hashable]) -> list[Hashable]:
@@ -452,11 +467,15 @@ class EpisodeBatch:
                 f"observed, not in {states[k]!r}; {_OTHER_WORLD}"
             )
         self.over |= self._ends[here]
+        for member, mine in self.shares(going := np.flatnonzero(~self.over)):
+            own = going[mine]
+            self.reached[own] = member.reaches(here[own], self.memory[own])
+        self.over |= self.reached
         self.failed |= ~self.over & dead_ends(self.model)[here]
         playing = np.flatnonzero(~self.over)
         self._pairs[playing] = self.decide(playing, here[playing])
         self.over |= self._pairs == GIVE_UP_CODE
-        self.failed |= self.over & ~self.model.goal_mask[here]
+        self.failed |= self.over & ~self.model.goal_mask[here] & ~self.reached
         self._state, self._is_observed = here, False
         codes = {GIVE_UP_CODE: GIVE_UP, UNDECIDED: None}
         shown = np.where(self.over & (self._pairs >= 0), UNDECIDED, self._pairs)

@@ -272,12 +272,18 @@ class RememberingPolicy(_Carried):
 
     def begins(self, states: IntArray) -> BoolArray:
         """Whether the product has these states with the memory's start, [episodes]."""
-        return np.asarray(self.product.table[states, 0] >= 0)
+        return np.asarray(self.product.table[states, self.product.first_memory(states)] >= 0)
+
+    def reaches(self, states: IntArray, memory: IntArray) -> BoolArray:
+        """Whether the product's goal is reached with what is remembered, [episodes]."""
+        inner, number = self.split(memory)
+        return self.inner.reaches(self.product.at(states, number), inner)
 
     def start_memory(self, states: IntArray) -> IntArray:
         """Start of the product's memory and of the inner policy's, remembered, [episodes]."""
-        here = self.product.at(states, np.zeros(len(states), dtype=np.int64))
-        return self.joined(self.inner.start_memory(here), 0)
+        begun = self.product.first_memory(states)
+        here = self.product.at(states, begun)
+        return self.joined(self.inner.start_memory(here), begun)
 
     @property
     def ended(self) -> BoolArray:
@@ -313,6 +319,14 @@ class RememberingPolicy(_Carried):
         taken = product.placed(product.at(self.model.pair_state[pairs], begun), pairs)
         there = product.moved(taken, successors, costs)
         moved = self.inner.remember(inner, taken, there, costs)
+        return self.joined(moved, product.labels.number[there])
+
+    def remember_outcomes(self, memory: IntArray, pairs: IntArray, outcomes: IntArray) -> IntArray:
+        """Update the remembered memory with outcomes, and the inner policy's, [episodes]."""
+        product, (inner, begun) = self.product, self.split(memory)
+        taken = product.placed(product.at(self.model.pair_state[pairs], begun), pairs)
+        there, places = product.moved_by(taken, outcomes)
+        moved = self.inner.remember_outcomes(inner, taken, places)
         return self.joined(moved, product.labels.number[there])
 
     def __repr__(self) -> str:

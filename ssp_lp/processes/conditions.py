@@ -159,10 +159,22 @@ class Condition:
         """
         goal = self.model.goal_mask
         return any(
-            isinstance(term, ArrivalTerm) and term.others and not (term.states == goal).all()
+            isinstance(term, ArrivalTerm) and term.others and (term.states & ~goal).any()
             for row in self.rows or (self.minimised(),)
             for _, term in row.terms
         )
+
+    @property
+    def least_goal(self) -> float:
+        """Goal probability of every policy that satisfies the condition; 0: nothing is implied."""
+        goal, weights = self.model.goal_mask, [weight for weight, _ in self.terms]
+        among = all(
+            isinstance(term, ArrivalTerm) and term.final and not term.others
+            and not (term.states & ~goal).any() for _, term in self.terms
+        )  # fmt: skip
+        if self.lower is None or not among or min(weights, default=0.0) <= 0.0:
+            return 0.0
+        return (self.lower - self.constant) / sum(weights)
 
     @cached_property
     def rows(self) -> tuple[UpperRow, ...]:

@@ -11,7 +11,8 @@ constraint:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import update_wrapper
 from inspect import signature
@@ -28,6 +29,7 @@ from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained, explained_class
 from ssp_lp.model.graph import end_marks
 from ssp_lp.model.product import ProductSSP
+from ssp_lp.model.tracked_product import Automaton, TrackedSSP, followed_in
 from ssp_lp.processes.conditions import OBJECTIVE, RESERVED, ArrivalTerm, Condition, StepTerm, Term
 from ssp_lp.processes.past_failing import past_failing_term
 
@@ -86,7 +88,31 @@ class _ArrivalCosts:
         return "arrival_cost(...)"
 
 
-Counted = _StageCosts | _Visits | _Ends | _ArrivalCosts
+class Followed(ABC):
+    """Runs that a quantity counts by an automaton that follows them (``model.tracked_product``)."""
+
+    @abstractmethod
+    def automaton(self, model: SSP) -> Automaton:
+        """The automaton, on a model.
+
+        Raises:
+            ModelError: a word that the model does not know, or too many values.
+        """
+
+    @abstractmethod
+    def term(self, product: TrackedSSP) -> ArrivalTerm:
+        """The runs counted, as arrivals in states of the product with the automaton."""
+
+    def looked_up(self, model: SSP) -> ArrivalTerm:
+        """The runs counted, as arrivals in states of a product made of the automaton's."""
+        found = followed_in(model, self)
+        if found is None:
+            raise ModelError(f"{self!r} is limited in a problem's constraints only")
+        term = self.term(found[0])
+        return replace(term, model=model, states=term.states[found[1]])
+
+
+Counted = _StageCosts | _Visits | _Ends | _ArrivalCosts | Followed
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -538,6 +564,42 @@ def words_visited(constraint: Constraint) -> list[Hashable]:
     return [word for one in counted if isinstance(one, _Visits) for word in one.of]
 
 
+def followed_by(constraints: Iterable[Constraint]) -> list[Followed]:
+    """Runs that constraints count by automata, each once."""
+    terms = (counted for each in constraints for _, counted in each.quantity.terms)
+    return list(dict.fromkeys(counted for counted in terms if isinstance(counted, Followed)))
+
+
+def run_amounts(model: SSP, quantity: Quantity) -> tuple[FloatArray, FloatArray]:
+    """Amounts of a quantity that a run adds up: of each outcome, and at each start.
+
+    Args:
+        model: the model.
+        quantity: costs and visits, at weights >= 0.
+
+    Returns:
+        [outcomes], and [states] for a visit at the start.
+
+    Raises:
+        ModelError: something else is counted, or a weight is below 0.
+    """
+    amounts, begun = np.zeros(model.n_outcomes), np.zeros(model.n_states)
+    for weight, counted in quantity.terms:
+        if weight < 0.0:
+            raise ModelError(f"the total of {quantity!r} may fall: give weights >= 0")
+        match counted:
+            case _StageCosts(cost, False):
+                costs = model.costs if cost is None else outcome_costs(model, cost)
+                amounts = amounts + weight * costs
+            case _Visits(of, False):
+                there = _looked_up_states(model, of).astype(np.float64)
+                amounts, begun = amounts + weight * there[model.successors], begun + weight * there
+            case _:
+                told = "a total that ends with the goal or failing is one of costs and visits"
+                raise ModelError(f"{told}, without through_failure, not of {counted!r}")
+    return amounts, begun
+
+
 def beyond_exploring(constraint: Constraint) -> str | None:
     """Why no explored part of an implicit model bounds a constraint's quantity; None: it does."""
     for _, counted in constraint.quantity.terms:
@@ -546,6 +608,8 @@ def beyond_exploring(constraint: Constraint) -> str | None:
                 return f"{counted!r} counts what comes after failing, which is not explored"
             case _StageCosts(cost, _) if not (cost is None or isinstance(cost, str)):
                 return "costs of an implicit model have names: secondary_cost('fuel')"
+            case Followed():
+                return f"{counted!r} depends on whole runs, which are not explored"
             case _Ends(ways) if ways != ("goal",):
                 unknown = "counts ends that may not be explored: limit visits of these states"
                 return f"{counted!r} {unknown}"
@@ -612,6 +676,8 @@ def _looked_up_term(model: SSP, counted: Counted) -> Term:
                 "an arrival cost depends on the total of a whole run; it is minimised given "
                 "success (ratio = True), not limited"
             )
+        case Followed():
+            return counted.looked_up(model)
         case _Visits(of, through):
             return ArrivalTerm(model, _looked_up_states(model, of), through=through)
         case _Ends(ways, others):

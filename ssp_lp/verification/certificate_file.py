@@ -184,7 +184,8 @@ class Statement:
     """A problem's question and model in a certificate's words, as they stand without a horizon."""
 
     def __init__(self, problem: Problem) -> None:
-        self.problem, semantics = problem, problem.semantics
+        self.problem = problem = problem.tracked
+        semantics = problem.semantics
         charge = semantics.charge(problem.ratio)
         if isinstance(semantics.risk, TailMeanOf):
             raise _refused(problem, f"it asks for a tail mean{_IN_MEMORY}")

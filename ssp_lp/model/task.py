@@ -1,0 +1,390 @@
+"""Tasks: what a run must do, as formulas of linear temporal logic over finite traces (LTLf).
+
+The trace of a run has a position for each state: the labels of the state and, except at the last
+position, the action taken there. A formula is a tuple of its operator and its parts; negations
+stand at names only. It is followed by progression: after each position an obligation is left, what
+must hold from the next position on, kept as a set of alternatives, each a set of formulas.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Hashable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ssp_lp.arrays import BoolArray, IntArray, read_only, segment_ids
+from ssp_lp.errors import ModelError, ModelWarning, did_you_mean, in_short
+from ssp_lp.model.arguments import explained
+from ssp_lp.model.ssp import SSP, check_model, no_lone_string
+from ssp_lp.model.tracked_product import Automaton, TrackedSSP, track
+
+Formula = tuple[Any, ...]
+Obligation = frozenset[frozenset[Formula]]
+
+_TRUE, _FALSE = ("true",), ("false",)
+_MET, _BROKEN = frozenset([frozenset[Formula]()]), frozenset[frozenset[Formula]]()
+
+_TOKEN = re.compile(r'\s*(?:(?P<sign><->|->|[!&|()])|(?P<word>[A-Za-z_]\w*)|"(?P<quoted>[^"]*)")')
+_LEVELS = ("<->",), ("->",), ("|",), ("&",), ("U", "R")  # binary operators, the loosest first
+_RIGHT = "->", "U", "R"  # operators that group to the right
+_UNARY = "!", "X", "N", "F", "G"
+_WORDS = {"true", "false", *_UNARY, *_LEVELS[-1]}  # no names, unless quoted
+_DUAL = {"and": "or", "or": "and", "X": "N", "N": "X", "U": "R", "R": "U"}
+_MOST_VALUES = 10_000
+
+
+class _Reader:
+    """A task's text, read token by token."""
+
+    def __init__(self, text: str) -> None:
+        self.text, self.place = text, 0
+        self.tokens = list[tuple[str, str, int]]()  # kind, text, position
+        end = 0
+        while end < len(text.rstrip()):
+            match = _TOKEN.match(text, end)
+            if match is None:
+                start = end + len(text[end:]) - len(text[end:].lstrip())
+                raise self._error("no sign or name of a task", start)
+            kind, end = str(match.lastgroup), match.end()
+            name, start = match[kind], match.start(kind) - (kind == "quoted")
+            kind = "sign" if kind == "word" and name in _WORDS else kind
+            self.tokens.append((kind, name, start))
+        self.tokens.append(("end", "", len(text.rstrip())))
+
+    def _error(self, told: str, position: int) -> ModelError:
+        """The error at a position of the text, which a caret shows."""
+        return ModelError(f"task: {told}\n  {self.text}\n  {' ' * position}^")
+
+    def _takes(self, *signs: str) -> str:
+        """Step over the next token if it is one of some signs; else the answer is empty."""
+        kind, name, _ = self.tokens[self.place]
+        if kind != "sign" or name not in signs:
+            return ""
+        self.place += 1
+        return name
+
+    def whole(self) -> Formula:
+        """The formula of the text.
+
+        Raises:
+            ModelError: the text is no formula.
+        """
+        formula = self._binary(0)
+        if self.tokens[self.place][0] != "end":
+            raise self._error("an operator & | -> <-> U R expected", self.tokens[self.place][2])
+        return _negated_at_names(formula)
+
+    def _binary(self, level: int) -> Formula:
+        """A formula of binary operators of a level, or of one that binds more."""
+        if level == len(_LEVELS):
+            return self._unary()
+        left = self._binary(level + 1)
+        while sign := self._takes(*_LEVELS[level]):
+            right = self._binary(level if sign in _RIGHT else level + 1)
+            both = ("and", left, right), ("and", ("not", left), ("not", right))
+            left = {
+                "&": both[0],
+                "|": ("or", left, right),
+                "->": ("or", ("not", left), right),
+                "<->": ("or", *both),
+            }.get(sign, (sign, left, right))
+        return left
+
+    def _unary(self) -> Formula:
+        """A name, a constant, a formula in brackets, or one after an operator of its own."""
+        kind, name, position = self.tokens[self.place]
+        if kind in ("word", "quoted"):
+            self.place += 1
+            return ("name", name)
+        if sign := self._takes("true", "false"):
+            return (sign,)
+        if sign := self._takes(*_UNARY):
+            inner = self._unary()
+            written = {"!": ("not", inner), "F": ("U", _TRUE, inner), "G": ("R", _FALSE, inner)}
+            return written.get(sign, (sign, inner))
+        if not self._takes("("):
+            raise self._error("a name, a bracket, or one of ! X N F G expected", position)
+        inner = self._binary(0)
+        if not self._takes(")"):
+            raise self._error("a closing bracket expected", self.tokens[self.place][2])
+        return inner
+
+
+def _negated_at_names(formula: Formula, *, negated: bool = False) -> Formula:
+    """A formula with its negations at names: not X f is N not f, not (f U g) is not f R not g."""
+    kind, *parts = formula
+    if kind == "not":
+        return _negated_at_names(parts[0], negated=not negated)
+    if kind in ("true", "false"):
+        return _TRUE if (kind == "true") != negated else _FALSE
+    if kind == "name":
+        return ("no name", *parts) if negated else formula
+    operator = _DUAL[kind] if negated else kind
+    return (operator, *(_negated_at_names(part, negated=negated) for part in parts))
+
+
+def _simplest(alternatives: Iterable[frozenset[Formula]]) -> Obligation:
+    """Alternatives without those that ask for more than another one: equal in one form."""
+    every = frozenset(alternatives)
+    return frozenset(a for a in every if not any(b < a for b in every))
+
+
+def _both(a: Obligation, b: Obligation) -> Obligation:
+    """What must hold for two obligations."""
+    return _simplest(x | y for x in a for y in b)
+
+
+def _alternatives(formula: Formula) -> Obligation:
+    """A formula as an obligation, conjunctions and disjunctions taken apart."""
+    if formula[0] in ("and", "or"):
+        first, second = map(_alternatives, formula[1:])
+        return _both(first, second) if formula[0] == "and" else _simplest(first | second)
+    if formula in (_TRUE, _FALSE):
+        return _MET if formula == _TRUE else _BROKEN
+    return frozenset([frozenset([formula])])
+
+
+def _here(formula: Formula, seen: frozenset[str], go_on: bool) -> Obligation:
+    """What is left of a formula after a position.
+
+    Args:
+        formula: that must hold from the position on.
+        seen: names that hold there.
+        go_on: whether there is a next position; else nothing but "met" or "broken" is left.
+    """
+    kind, *parts = formula
+    if kind in ("true", "false"):
+        return _MET if kind == "true" else _BROKEN
+    if kind in ("name", "no name"):
+        return _MET if (parts[0] in seen) == (kind == "name") else _BROKEN
+    if kind in ("X", "N"):
+        if not go_on:
+            return _MET if kind == "N" else _BROKEN
+        return _alternatives(parts[0])
+    first, second = (_here(part, seen, go_on) for part in parts)
+    again = frozenset([frozenset([formula])]) if go_on else _MET if kind == "R" else _BROKEN
+    if kind == "U":
+        return _simplest(second | _both(first, again))
+    if kind == "R":
+        return _both(second, _simplest(first | again))
+    return _both(first, second) if kind == "and" else _simplest(first | second)
+
+
+def _left(obligation: Obligation, seen: frozenset[str], go_on: bool = True) -> Obligation:
+    """What is left of an obligation after a position, as of :func:`_here`."""
+    left = _BROKEN
+    for alternative in obligation:
+        every = _MET
+        for formula in alternative:
+            every = _both(every, _here(formula, seen, go_on))
+        left = _simplest(left | every)
+    return left
+
+
+def _text(formula: Formula, inside: bool = False) -> str:
+    """A formula as it may be typed, in brackets inside another one if it is binary."""
+    kind, *parts = formula
+    if kind in ("true", "false"):
+        return str(kind)
+    if kind in ("name", "no name"):
+        is_plain = re.fullmatch(r"[A-Za-z_]\w*", parts[0]) and parts[0] not in _WORDS
+        name = parts[0] if is_plain else f'"{parts[0]}"'
+        return f"{'!' * (kind == 'no name')}{name}"
+    if kind in ("X", "N") or (kind, parts[0]) in (("U", _TRUE), ("R", _FALSE)):
+        sign = {"U": "F", "R": "G"}.get(kind, kind)
+        return f"{sign} {_text(parts[-1], inside=True)}"
+    sign = {"and": "&", "or": "|"}.get(kind, kind)
+    text = f" {sign} ".join(_text(part, inside=True) for part in parts)
+    return f"({text})" if inside else text
+
+
+def _obligation_text(obligation: Obligation) -> str:
+    """An obligation as it may be typed."""
+    inside = len(obligation) > 1
+    texts = [
+        " & ".join(sorted(_text(f, inside or len(each) > 1) for f in each)) for each in obligation
+    ]
+    return "false" if not texts else " | ".join(sorted(text or "true" for text in texts))
+
+
+@dataclass(frozen=True)
+class Task:
+    """A formula of linear temporal logic over the finite trace of a run; see :func:`task`."""
+
+    text: str
+
+    def __post_init__(self) -> None:
+        _ = self.formula
+
+    def __repr__(self) -> str:
+        """What was called."""
+        return f"task({self.text!r})"
+
+    @cached_property
+    def formula(self) -> Formula:
+        """The formula, its negations at names.
+
+        Raises:
+            ModelError: the text is no formula.
+        """
+        return _Reader(self.text).whole()
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Labels and actions that the task names."""
+        found, pending = dict[str, None](), [self.formula]
+        while pending:
+            kind, *parts = pending.pop()
+            if kind in ("name", "no name"):
+                found[parts[0]] = None
+            else:
+                pending += reversed(parts)
+        return tuple(found)
+
+    def seen(self, model: SSP) -> tuple[IntArray, IntArray]:
+        """The names that hold, as sums of powers of two in the order of ``names``.
+
+        Args:
+            model: the model.
+
+        Returns:
+            Labels of each state, [states], and these with the action, [pairs].
+
+        Raises:
+            ModelError: a name that is both a label and an action, or neither.
+        """
+        states = np.zeros(model.n_states, dtype=np.int64)
+        actions = np.zeros(len(model.action_names), dtype=np.int64)
+        for bit, name in enumerate(self.names):
+            is_action = np.array([str(word) == name for word in model.action_names], dtype=np.bool_)
+            if name in model.state_labels and is_action.any():
+                raise ModelError(f"{self!r}: {name!r} is both a label of states and an action")
+            if name in model.state_labels:
+                states[model.state_labels[name]] |= 1 << bit
+            elif is_action.any():
+                actions[is_action] |= 1 << bit
+            else:
+                told = f"{name!r} is neither a label of states nor an action"
+                if model.find(name) is not None:
+                    told += f"; it is a state: give it a label, state_labels={{{name!r}: [...]}}"
+                    raise ModelError(f"{self!r}: {told}")
+                known = [*model.state_labels, *map(str, model.action_names)]
+                raise ModelError(f"{self!r}: {told}{did_you_mean(name, known, 'there are')}")
+        return states, states[model.pair_state] | actions[model.pair_action]
+
+    def _read(self, letters: IntArray) -> list[frozenset[str]]:
+        """The names that hold by each letter, a sum of powers of two, [letters]."""
+        return [
+            frozenset(name for bit, name in enumerate(self.names) if letter >> bit & 1)
+            for letter in letters.tolist()
+        ]
+
+    @explained
+    def automaton(self, model: SSP) -> Automaton:
+        """The automaton of the task on a model, which prints; its values are obligations.
+
+        Args:
+            model: the model, whose labels and actions the task names.
+
+        Raises:
+            ModelError: a name that is both a label and an action, or neither, or a task that
+                distinguishes too many obligations.
+        """
+        check_model(model, "automaton")
+        return self.followed(model)[0]
+
+    def followed(self, model: SSP) -> tuple[Automaton, BoolArray]:
+        """The automaton, and whether a trace that ends in a state satisfies the task.
+
+        Returns:
+            The automaton, and [values, states].
+        """
+        of_states, of_pairs = self.seen(model)
+        distinct, by_pair = np.unique(of_pairs, return_inverse=True)
+        letters, start = self._read(distinct), _alternatives(self.formula)
+        number, moves = {start: 0}, list[list[int]]()
+        pending = [start]
+        for obligation in pending:
+            after = [_left(obligation, seen) for seen in letters]
+            new = [each for each in dict.fromkeys(after) if each not in number]
+            number |= {each: len(number) + k for k, each in enumerate(new)}
+            pending += new
+            moves.append([number[each] for each in after])
+            if len(number) > _MOST_VALUES:
+                raise ModelError(f"{self!r} distinguishes over {_MOST_VALUES:,} obligations")
+        last, by_state = np.unique(of_states, return_inverse=True)
+        ends = [[_left(each, s, False) == _MET for s in self._read(last)] for each in number]
+        automaton = Automaton(
+            name=repr(self),
+            words=tuple(map(_obligation_text, number)),
+            letters=tuple(" and ".join(sorted(seen)) or "nothing" for seen in letters),
+            moves=np.array(moves, dtype=np.int64).reshape(len(number), len(letters)),
+            letter=by_pair[segment_ids(model.outcome_offsets)],
+            begin=np.zeros(model.n_states, dtype=np.int64),
+        )
+        return automaton, read_only(np.array(ends, dtype=np.bool_)[:, by_state])
+
+    def satisfied(self, product: TrackedSSP) -> BoolArray:
+        """Whether a trace that ends in a state of the product with the task satisfies it."""
+        ends = self.followed(product.original)[1]
+        return np.asarray(ends[product.labels.number, product.original_state])
+
+
+@explained
+def task(text: str) -> Task:
+    """A task: what a run must do, as a formula over labels of states and names of actions.
+
+    The operators, those that bind most first: ``! X N F G``, ``U R``, ``&``, ``|``, ``->``,
+    ``<->``. X f: there is a next position, and f holds there; N f: if there is one, f holds there;
+    F f: f holds now or later; G f: f holds now and always later; f U g: g holds now or later, and
+    f until then; f R g: g holds until f holds too, or to the end. Other names stand in quotes.
+
+    Args:
+        text: the formula, such as ``"F key & (!door U key)"``.
+
+    Raises:
+        ModelError: the text is no formula; a caret shows where.
+
+    Example:
+        >>> task("F key & (!door U key)").names
+        ('key', 'door')
+    """
+    return Task(text)
+
+
+@explained
+def reach(model: SSP, goal: Task, *, start: Iterable[Hashable]) -> TrackedSSP:
+    """The model whose goal is to satisfy a task.
+
+    A run ends at the first state at which its trace satisfies the task. The model's own goal ends
+    it too, as a failure if the task is not satisfied.
+
+    Args:
+        model: the model.
+        goal: the task.
+        start: states in which episodes may begin.
+
+    Returns:
+        The product, with states (state, obligation); goals of the model that do not satisfy the
+        task bear the label "goal not accepted".
+
+    Raises:
+        ModelError: an unknown name or start, or no run satisfies the task.
+    """
+    check_model(model, "reach")
+    if not isinstance(goal, Task):
+        raise ModelError(f"reach takes task('F key') after the model, not {in_short(goal)}")
+    begin = np.array([model.index_of(s) for s in no_lone_string(start, "start")], dtype=np.int64)
+    automaton, ends = goal.followed(model)
+    for state in begin[ends[0, begin]].tolist():
+        told = f"{goal!r} is satisfied at the start {model.states[state]!r} already"
+        warnings.warn(f"{told}: the run ends there", ModelWarning, stacklevel=3)
+    made = track(model, automaton, goal, begin, lambda state, value: ends[value, state])
+    if not made.goal_mask.any():
+        raise ModelError(f"no run from the start satisfies {goal!r}")
+    return made

@@ -1,0 +1,210 @@
+"""The product of a model with an automaton that follows a run outcome by outcome.
+
+Limits on whole runs ("at most 10 units of fuel with 95 %", "the key before the door") depend on
+what happened on the way. An automaton with finitely many values keeps what they need; the product
+has the states (state, value) that a run can come to, and is built array by array.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
+from itertools import compress
+
+import numpy as np
+
+from ssp_lp.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    ReadOnlyCopies,
+    concatenated_ranges,
+    entries_of,
+    least_integer_type,
+    offsets_of,
+    read_only,
+    sorted_unique,
+)
+from ssp_lp.compiled.deadline import check_time
+from ssp_lp.errors import ModelError
+from ssp_lp.model.product import (
+    MOST_PLACES,
+    NOT_ACCEPTED,
+    ProductSSP,
+    ProductStates,
+    copied_parts,
+    labels_in_product,
+)
+from ssp_lp.model.report import Report, Table
+from ssp_lp.model.ssp import SSP
+
+_BUILDING = logging.getLogger("ssp_lp.building")
+
+
+@dataclass(frozen=True, eq=False)
+class Automaton(Report, ReadOnlyCopies):
+    """A finite automaton that reads the outcomes of a run and keeps one of several values."""
+
+    name: str  # what it follows, in words
+    words: tuple[Hashable, ...]  # [values], all different
+    letters: tuple[str, ...]  # [letters] in words
+    moves: IntArray  # [values, letters] value after a letter is read
+    letter: IntArray  # [outcomes] of the model
+    begin: IntArray  # [states] value with which an episode begins
+
+    def __post_init__(self) -> None:
+        self.keep_read_only("moves", "letter", "begin")
+
+    def edges(self) -> list[tuple[int, int, str]]:
+        """Moves of the automaton: from a value to a value, and the letters that lead there."""
+        return [
+            (value, after, " or ".join(compress(self.letters, self.moves[value] == after)))
+            for value in range(len(self.words))
+            for after in sorted_unique(self.moves[value]).tolist()
+        ]
+
+    def tables(self) -> list[Table]:
+        """The moves of the automaton, a row each."""
+        rows = [(self.words[a], self.words[b], letters) for a, b, letters in self.edges()]
+        return [Table(rows, ("value", "next", "after"), self.name, left=3)]
+
+    def dot(self) -> str:
+        """The automaton as a graph in the language of Graphviz."""
+        quoted = [str(word).replace('"', "'") for word in self.words]
+        edges = ((quoted[a], quoted[b], c) for a, b, c in self.edges())
+        lines = [f'  "{a}" -> "{b}" [label="{letters}"]' for a, b, letters in edges]
+        return "\n".join(["digraph {", *lines, "}"])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TrackedSSP(ProductSSP):
+    """A model whose states are (state, value of an automaton); see :func:`track`."""
+
+    automaton: Automaton = field(kw_only=True)
+    follows: object = field(kw_only=True)  # what the automaton was made for
+
+    def first_memory(self, states: IntArray) -> IntArray:
+        """Number of the automaton's value with which episodes begin, [episodes]."""
+        return self.automaton.begin[states]
+
+    def moved(self, pairs: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
+        """States after steps; the automaton reads the outcome that a step stands for, [episodes].
+
+        Raises:
+            ModelError: the model has no such step, or its successor and its cost leave open which
+                outcome it was, and this matters.
+        """
+        model, automaton = self.original, self.automaton
+        value, taken = self.labels.number[self.pair_state[pairs]], self.original_pair[pairs]
+        outcome, counts = entries_of(model.outcome_offsets, taken)
+        step = np.repeat(np.arange(len(pairs)), counts)
+        there = (model.successors[outcome] == successors[step]) & (model.probabilities[outcome] > 0)
+        alike = there & (model.costs[outcome] == costs[step])
+        alike |= there & ~(np.bincount(step[alike], minlength=len(pairs)) > 0)[step]
+        after = automaton.moves[value[step], automaton.letter[outcome]][alike]
+        least, most = np.full(len(pairs), len(automaton.words)), np.full(len(pairs), -1)
+        np.minimum.at(least, step[alike], after)
+        np.maximum.at(most, step[alike], after)
+        if (least != most).any():
+            k = int(np.argmax(least != most))
+            told = f"{model.describe_pair(int(taken[k]))} to {model.states[int(successors[k])]!r}"
+            if most[k] < 0:
+                raise ModelError(f"{told}: the model has no such step")
+            raise ModelError(
+                f"{told} at cost {float(costs[k]):g}: outcomes with this successor and this cost "
+                f"differ in {automaton.name}: let them lead to different states, or differ in cost"
+            )
+        return self.at(successors, least)
+
+
+def followed_in(model: SSP, follows: object) -> tuple[TrackedSSP, IntArray] | None:
+    """The product with an automaton among those that a model is made of; None: there is none.
+
+    Args:
+        model: a product of products.
+        follows: what the automaton was made for.
+
+    Returns:
+        The product, and its state for each state of the model, [states].
+    """
+    place: IntArray = np.arange(model.n_states)
+    while isinstance(model, ProductSSP):
+        if isinstance(model, TrackedSSP) and model.follows is follows:
+            return model, place
+        place, model = model.original_state[place], model.original
+    return None
+
+
+def track(
+    model: SSP,
+    automaton: Automaton,
+    follows: object,
+    begin: IntArray,
+    succeeds: Callable[[IntArray, IntArray], BoolArray] | None = None,
+) -> TrackedSSP:
+    """The product of a model with an automaton, from the states of the start.
+
+    Args:
+        model: the model.
+        automaton: that reads its outcomes.
+        follows: what the automaton was made for.
+        begin: states in which episodes may begin.
+        succeeds: whether a run ends with success, by states and values, [entries]; None: at the
+            model's goals.
+
+    Raises:
+        ModelError: the model has too many states for so many values.
+    """
+    n, size = model.n_states, len(automaton.words)
+    if n * size > MOST_PLACES:
+        raise ModelError(
+            f"{automaton.name}: {size:,} values on {n:,} states are too many to tell apart: lower "
+            "the bound, round the amounts to a coarser grid, or make the model smaller"
+        )
+    possible = np.flatnonzero(model.probabilities > 0.0)
+    offsets = np.searchsorted(possible, model.outcome_offsets)
+    counts = np.diff(model.pair_offsets)
+
+    def ends(value: IntArray, state: IntArray) -> BoolArray:
+        """Whether a run ends with success, [entries]."""
+        return model.goal_mask[state] if succeeds is None else succeeds(state, value)
+
+    def steps(code: IntArray) -> tuple[IntArray, IntArray, IntArray, IntArray, IntArray]:
+        """Pairs by state, pairs, outcomes by pair, outcomes and ends out of some states."""
+        value, state = np.divmod(code, n)
+        acting = np.where(ends(value, state), 0, counts[state])
+        pairs = concatenated_ranges(model.pair_offsets[state], acting)
+        places, lengths = entries_of(offsets, pairs)
+        outcomes = possible[places]
+        before = np.repeat(np.repeat(value, acting), lengths)
+        after = automaton.moves[before, automaton.letter[outcomes]].astype(np.int64)
+        return acting, pairs, lengths, outcomes, after * n + model.successors[outcomes]
+
+    reached = np.zeros(n * size, dtype=np.bool_)
+    frontier = sorted_unique(automaton.begin[begin].astype(np.int64) * n + begin)
+    while frontier.size:
+        check_time()
+        reached[frontier] = True
+        target = steps(frontier)[-1]
+        frontier = sorted_unique(target[~reached[target]])
+    code = np.flatnonzero(reached)
+    acting, pairs, lengths, outcomes, target = steps(code)
+    value, state = np.divmod(code, n)
+    goal = ends(value, state)
+    refused = {NOT_ACCEPTED: model.goal_mask[state] & ~goal} if succeeds is not None else {}
+    number = value.astype(least_integer_type(size))
+    tracked = TrackedSSP(
+        **copied_parts(model, pairs, outcomes),
+        states=ProductStates(model.states, automaton.words, read_only(state), read_only(number)),
+        pair_offsets=read_only(offsets_of(acting)),
+        outcome_offsets=read_only(offsets_of(lengths)),
+        successors=read_only(np.searchsorted(code, target), np.int32),
+        goal_mask=read_only(goal),
+        state_labels=labels_in_product(model, state, refused),
+        is_hidden=succeeds is None,
+        automaton=automaton,
+        follows=follows,
+    )
+    _BUILDING.info("%r", tracked)
+    return tracked

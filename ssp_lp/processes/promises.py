@@ -1,0 +1,157 @@
+"""Promises: limits on the probability that single runs keep to a bound, or satisfy a task.
+
+``within(fuel, 10) >= 0.95``: with probability 0.95 the run reaches the goal and has used at most 10
+units. The model is multiplied with the total so far, capped beyond the bound, or with the task's
+automaton (:mod:`ssp_lp.model.tracked_product`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass
+from math import isfinite
+
+import numpy as np
+
+from ssp_lp.accumulated_cost.totals import MOST_SUMS, room_of, sums_of
+from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.errors import ModelError, in_short, is_number
+from ssp_lp.model import SSP
+from ssp_lp.model.task import Task
+from ssp_lp.model.tracked_product import Automaton, TrackedSSP
+from ssp_lp.processes.conditions import ArrivalTerm
+from ssp_lp.processes.quantities import Followed, Quantity, QuantityFunction, run_amounts
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Total(Followed):
+    """Runs whose total of a quantity keeps to a bound, or passes it."""
+
+    quantity: Quantity
+    bound: float
+    passes: bool = False  # runs that pass the bound, wherever they end
+
+    def __repr__(self) -> str:
+        """What was called."""
+        return f"{'exceeds' if self.passes else 'within'}({self.quantity!r}, {self.bound:g})"
+
+    def automaton(self, model: SSP) -> Automaton:
+        """Totals so far, up to the bound, and one value beyond it; two where passing it counts.
+
+        Raises:
+            ModelError: a word that the model does not know, no total of costs and visits, or too
+                many totals.
+        """
+        amounts, begun = run_amounts(model, self.quantity)
+        bound = self.bound - self.quantity.constant
+        used = np.minimum(np.append(amounts, begun), 2.0 * abs(bound) + 1.0)  # beyond it at once
+        steps, letter = np.unique(used, return_inverse=True)
+        moves = np.union1d(0.0, steps)
+        room = room_of(moves, bound) if bound > 0.0 else 0.0
+        totals = sums_of(moves, bound + 2.0 * room, MOST_SUMS) if bound >= 0.0 else np.zeros(0)
+        if totals is None or totals.size * steps.size > 1_000 * MOST_SUMS:  # moves of a table
+            raise ModelError(
+                f"too many distinct totals (over {MOST_SUMS:,}, or of {steps.size:,} amounts) in "
+                f"{self!r}: round the amounts to a coarser grid, or count them in larger units"
+            )
+        over = totals.size
+
+        def value_of(total: FloatArray) -> IntArray:
+            """Number of a total: the sum that it is, or beyond."""
+            nearest = np.searchsorted(totals, total - room)
+            return np.where(total > bound + room, over, nearest)
+
+        words: list[Hashable] = [self.quantity.constant + total for total in totals.tolist()]
+        table = value_of(totals[:, None] + steps)
+        words += [f"passes {self.bound:g}"] * self.passes + [f"over {self.bound:g}"]
+        last = np.full((1 + self.passes, steps.size), over + self.passes)
+        begin = value_of(begun) if bound >= 0.0 else np.full(model.n_states, over)
+        n = model.n_outcomes
+        name = f"the total of {self!r}"
+        letters = tuple(f"{step:g}" for step in steps.tolist())
+        moves = np.vstack([table, last])
+        return Automaton(name, tuple(words), letters, moves, letter[:n], begin)
+
+    def term(self, product: TrackedSSP) -> ArrivalTerm:
+        """Goals reached within the bound, or states in which it has just been passed."""
+        value, over = product.labels.number, len(product.automaton.words) - 1 - self.passes
+        if self.passes:
+            return ArrivalTerm(product, value == over)
+        return ArrivalTerm(product, product.goal_mask & (value < over), final=True)
+
+
+@QuantityFunction
+def within(quantity: Quantity, bound: float) -> Quantity:
+    """The probability that a run reaches the goal with a total of at most a bound.
+
+    All other runs break the promise: with too much, by failing, by giving up, by wandering. The
+    total counts from the start, a visit there included, to the step onto the goal.
+
+    Args:
+        quantity: costs and visits that a run adds up, such as ``secondary_cost("fuel")``.
+        bound: the largest total that keeps the promise, >= 0.
+
+    Raises:
+        ModelError: no quantity, or a bound that is no number >= 0.
+    """
+    return _promise("within", quantity, bound, passes=False)
+
+
+@QuantityFunction
+def exceeds(quantity: Quantity, bound: float) -> Quantity:
+    """The probability that a run's total passes a bound before the goal or failing.
+
+    Args:
+        quantity: costs and visits that a run adds up, such as ``secondary_cost("fuel")``.
+        bound: the largest total that does not count, >= 0.
+
+    Raises:
+        ModelError: no quantity, or a bound that is no number >= 0.
+    """
+    return _promise("exceeds", quantity, bound, passes=True)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Traces(Followed):
+    """Runs that reach the goal and whose trace satisfies a task."""
+
+    task: Task
+
+    def __repr__(self) -> str:
+        """What was called."""
+        return f"holds({self.task!r})"
+
+    def automaton(self, model: SSP) -> Automaton:
+        """The task's."""
+        return self.task.automaton(model)
+
+    def term(self, product: TrackedSSP) -> ArrivalTerm:
+        """Goals at which the trace satisfies the task."""
+        return ArrivalTerm(product, product.goal_mask & self.task.satisfied(product), final=True)
+
+
+@QuantityFunction
+def holds(task: Task) -> Quantity:
+    """The probability that a run reaches the goal and its trace satisfies a task.
+
+    A run that fails, gives up or wanders satisfies nothing.
+
+    Args:
+        task: such as ``task("F key & (!door U key)")``.
+
+    Raises:
+        ModelError: it is no task.
+    """
+    if not isinstance(task, Task):
+        raise ModelError(f"holds takes a task, such as task('F key'), not {in_short(task)}")
+    return Quantity(((1.0, _Traces(task)),))
+
+
+def _promise(verb: str, quantity: Quantity, bound: float, *, passes: bool) -> Quantity:
+    """The quantity that counts runs by their total."""
+    if not isinstance(quantity, Quantity):
+        hint = "a quantity first, such as secondary_cost('fuel')"
+        raise ModelError(f"{verb} takes {hint}, not {in_short(quantity)}")
+    if not is_number(bound) or not (isfinite(bound) and bound >= 0.0):
+        raise ModelError(f"the bound of {verb} must be a number >= 0, not {in_short(bound)}")
+    return Quantity(((1.0, _Total(quantity, float(bound), passes)),))

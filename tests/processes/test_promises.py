@@ -1,0 +1,248 @@
+"""Promises: with probability p a run reaches the goal with a total of at most a bound."""
+
+import pickle
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+from examples.formulating.drone import town
+from examples.paper_robot.robot import RobotGrid, grid_model, start_state
+from formulations import MCMP, S3P, LeastQuantity, MaxProb
+from refusing import refused
+from ssp_lp import (
+    SSP,
+    InfeasibleError,
+    ModelError,
+    certify,
+    check_certificate,
+    end_probability,
+    evaluate,
+    exceeds,
+    expected_cost,
+    secondary_cost,
+    simulate,
+    solve,
+    visits,
+    within,
+    write_certificate,
+)
+from ssp_lp.io import (
+    Controller,
+    load_policy,
+    load_solution,
+    save_policy,
+    save_solution,
+    write_controller,
+)
+from tests.campaigns import promised_totals
+
+FUEL = secondary_cost("fuel")
+CONFIDENCE = 0.9999
+
+
+def stages(count: int = 6) -> SSP:
+    """Stages one after the other, each fast or slow; fast takes 2 or 4 units, or crashes."""
+    moves = {
+        k: {
+            "fast": [
+                (0.59, k + 1, {"time": 1.0, "fuel": 2.0}),
+                (0.40, k + 1, {"time": 1.0, "fuel": 4.0}),
+                (0.01, "crash", {"time": 1.0, "fuel": 0.0}),
+            ],
+            "slow": [(1.0, k + 1, {"time": 3.0, "fuel": 1.0})],
+        }
+        for k in range(count)
+    }
+    return SSP.from_transitions(moves | {"crash": {}}, {count}, cost="time", dead_ends={"crash"})
+
+
+SIX = stages()
+
+
+def on_six(limit, budget: float = 0.03) -> MCMP:
+    return MCMP(SIX, 0, budget, give_up="dead_ends", constraints={"fuel": limit})
+
+
+@pytest.mark.parametrize(
+    ("chance", "kept", "passed"),
+    [
+        (0.0, 11.641197, 11.641197),
+        (0.8, 12.240958, 11.975099),
+        (0.95, 14.154749, 13.920427),
+        (0.97, 14.415424, 14.191936),
+        (0.99, 15.85, 14.463445),
+    ],
+)
+def test_six_stages_within_ten_units_of_fuel(chance, kept, passed):
+    problems = on_six(within(FUEL, 10) >= chance), on_six(exceeds(FUEL, 10) <= 1.0 - chance)
+    for problem, value in zip(problems, (kept, passed), strict=True):
+        solution = solve(problem)
+        assert solution.objective == pytest.approx(value, abs=1e-6)
+        assert solve(problem, "lp").objective == pytest.approx(solution.objective, rel=1e-8)
+        assert certify(solution).accepted
+
+
+def test_the_price_is_the_slope_of_the_optimum():
+    less, more = (solve(on_six(within(FUEL, 10) >= p)).objective for p in (0.95, 0.96))
+    price = solve(on_six(within(FUEL, 10) >= 0.955)).prices["fuel"]
+    assert price == pytest.approx((more - less) / 0.01, rel=1e-6)
+
+
+def test_a_budget_that_the_promise_implies_is_said_to_be_redundant():
+    assert (
+        "redundant: limit 'fuel' lets at most 0.01" in solve(on_six(within(FUEL, 10) >= 0.99)).note
+    )
+    for limit in (within(FUEL, 10) >= 0.97, exceeds(FUEL, 10) <= 0.01):
+        assert "redundant" not in solve(on_six(limit)).note
+
+
+def test_the_policy_acts_on_the_model_and_is_played_as_often_as_it_is_worth(tmp_path):
+    problem = on_six(within(FUEL, 10) >= 0.9)
+    solution = solve(problem)
+    assert solution.policy.model is SIX
+    assert evaluate(solution.policy, problem).secondary_costs["fuel"] == pytest.approx(
+        0.9, abs=1e-9
+    )
+    found = simulate(solution.policy, problem, episodes=20_000, record=1)
+    failed = round(found.failure_probability.value * 20_000)
+    interval = binomtest(failed, 20_000).proportion_ci(CONFIDENCE)
+    assert interval.low <= solution.failure_probability <= interval.high
+    assert found.paths[0][0] == SIX.index_of(0)
+    words = str(solution.policy_table())
+    assert "over 10" in words
+    save_solution(solution, tmp_path / "solution.zip")
+    read = load_solution(tmp_path / "solution.zip", problem)
+    assert certify(read).accepted
+    assert certify(pickle.loads(pickle.dumps(solution))).accepted  # noqa: S301
+    save_policy(solution.policy, tmp_path / "policy.zip")
+    policy = load_policy(tmp_path / "policy.zip", problem.unrolled.model)
+    assert evaluate(policy, problem).objective == pytest.approx(solution.objective)
+
+
+def test_outcomes_that_only_fuel_tells_apart_are_refused_in_play():
+    slow = solve(on_six(within(FUEL, 6) >= 0.99, 0.01)).policy.start(0)
+    for stage in range(6):
+        assert slow.action(stage) == "slow"
+        slow.observe(stage + 1, 3.0)
+    fast = solve(on_six(within(FUEL, 24) >= 0.0, 0.1)).policy.start(0)
+    assert fast.action(0) == "fast"
+    refused("differ in the total of within", fast.observe, 1, 1.0)
+
+
+@pytest.mark.parametrize("criterion", [MCMP, S3P])
+def test_a_certificate_in_a_file_states_the_product(tmp_path, criterion):
+    for horizon in (None, 7):
+        limits = {"fuel": within(FUEL, 10) >= 0.9, "much": exceeds(FUEL, 12) <= 0.05}
+        problem = criterion(SIX, 0, 0.1, constraints=limits, horizon=horizon)
+        solution = solve(problem)
+        write_certificate(solution, tmp_path / "proof.gz")
+        checked = check_certificate(tmp_path / "proof.gz", problem=problem)
+        assert checked.accepted
+        assert float(checked.upper) == pytest.approx(solution.objective, rel=1e-9)
+
+
+def test_the_total_counts_the_start_and_the_step_onto_the_goal():
+    moves = {
+        "ward": {"go": [(0.5, "hall", 1.0), (0.5, "ward", 1.0)]},
+        "hall": {"out": [(1.0, "home", 1.0)]},
+    }
+    model = SSP.from_transitions(moves, {"home"})
+    for quantity, bound, chance in [
+        (visits("ward"), 0, 0.0),
+        (visits("ward"), 1, 0.5),
+        (visits("ward") + visits("home"), 2, 0.5),
+        (expected_cost(), 1, 0.0),
+        (expected_cost(), 3, 0.75),
+        (0.1 * expected_cost() + 0.1, 0.4, 0.75),
+    ]:
+        asked = LeastQuantity(model, "ward", quantity=within(quantity, bound))
+        assert solve(asked).objective == pytest.approx(chance, abs=1e-12)
+        passing = LeastQuantity(model, "ward", quantity=exceeds(quantity, bound))
+        assert solve(passing).objective == pytest.approx(1.0 - chance, abs=1e-12)
+
+
+def test_a_start_beyond_the_bound_and_one_on_the_goal():
+    moves = {"a": {"go": [(0.9, "home", 1.0), (0.1, "pit", 1.0)]}, "pit": {}}
+    model = SSP.from_transitions(moves, {"home"}, dead_ends={"pit"})
+    start = {"a": 0.5, "home": 0.3, "pit": 0.2}
+    for bound, kept, passed in [(1, 0.75, 0.0), (0, 0.3, 0.5)]:
+        for asked, value in [(within, kept), (exceeds, passed)]:
+            problem = LeastQuantity(model, start, quantity=asked(expected_cost(), bound))
+            assert solve(problem).objective == pytest.approx(value, abs=1e-12)
+    begun = LeastQuantity(model, start, quantity=exceeds(visits("a", "pit"), 0))
+    assert solve(begun).objective == pytest.approx(0.7, abs=1e-12)
+
+
+def test_random_problems_against_a_program_and_a_memory():
+    words = [promised_totals.compare(seed) for seed in range(40)]
+    assert not [word for word in words if word.startswith("wrong")]
+    assert len(set(words)) > 8
+
+
+def test_totals_of_real_amounts_are_sums_and_too_many_are_named():
+    limit = within(np.sqrt(2.0) * FUEL, 10.0 * np.sqrt(2.0)) >= 0.95
+    assert solve(on_six(limit)).objective == pytest.approx(14.154749, abs=1e-6)
+    rng = np.random.default_rng(1)
+    amounts = rng.random(SIX.n_outcomes) * 0.01
+    refused(
+        "too many distinct totals", lambda: on_six(within(secondary_cost(amounts), 10.0) >= 0.5)
+    )
+
+
+def test_what_is_no_total_is_refused():
+    refused("takes a quantity first", lambda: within(1.0, 2.0))
+    refused("the bound of within must be a number >= 0", lambda: within(FUEL, -1.0))
+    refused("one of costs and visits", lambda: on_six(within(end_probability("goal"), 1) >= 0.5))
+    refused("may fall", lambda: on_six(within(-1.0 * FUEL, 1) >= 0.5))
+    refused("from below", lambda: on_six(exceeds(FUEL, 1) >= 0.5))
+    with pytest.raises(ModelError, match="no cost 'feul'"):
+        on_six(within(secondary_cost("feul"), 1) >= 0.5)
+
+
+def test_the_greatest_probability_of_keeping_a_promise():
+    broken = solve(LeastQuantity(SIX, 0, quantity=1.0 - within(FUEL, 10))).objective
+    limits = {"fuel": within(FUEL, 10) >= 1.0 - broken}
+    assert solve(MaxProb(SIX, 0, constraints=limits)).objective >= 1.0 - broken - 1e-9
+    with pytest.raises(InfeasibleError):
+        solve(MaxProb(SIX, 0, constraints={"fuel": within(FUEL, 10) >= 1.0 - broken + 1e-6}))
+
+
+def test_the_drone_is_there_within_20_minutes():
+    model, start = town()
+    for chance, value, price in [(0.85, 15.926393, 5.182046), (0.88, 16.190707, 11.901461)]:
+        limits = {"soon": within(expected_cost(), 20) >= chance}
+        solution = solve(MCMP(model, start, 0.1, constraints=limits))
+        assert solution.objective == pytest.approx(value, abs=1e-6)
+        assert solution.prices["soon"] == pytest.approx(price, abs=1e-5)
+
+
+def test_a_controller_begins_with_the_visit_at_the_start(tmp_path):
+    moves = {
+        "ward": {"go": [(0.5, "hall", 1.0), (0.5, "ward", 2.0)], "run": [(1.0, "home", 9.0)]},
+        "hall": {"out": [(1.0, "home", 1.0)]},
+    }
+    model = SSP.from_transitions(moves, {"home"})
+    limits = {"few": within(visits("ward"), 2) >= 1.0}
+    policy = solve(MCMP(model, "ward", 0.0, constraints=limits)).policy
+    write_controller(policy, tmp_path / "controller.json")
+    controller = Controller(tmp_path / "controller.json")
+    controller.reset(0)
+    assert controller.action("ward") == "go"
+    controller.observe("ward", 2.0)
+    assert controller.action("ward") == "run"
+    fast = solve(on_six(within(FUEL, 10) >= 0.9)).policy
+    refused("leaves open whether the memory is", write_controller, fast, tmp_path / "none.json")
+
+
+@pytest.mark.slow
+def test_the_robot_is_home_within_22_steps_with_95_percent():
+    grid = RobotGrid()
+    model = grid_model(grid)
+    for criterion in (MCMP, S3P):
+        limits = {"in time": within(expected_cost(), 22) >= 0.95}
+        solution = solve(criterion(model, start_state(grid), 0.05, constraints=limits))
+        assert certify(solution).accepted
+        limits = {"in time": within(expected_cost(), 18) >= 0.95}
+        late = criterion(model, start_state(grid), 0.05, constraints=limits)
+        refused(r"at least 0\.12481", solve, late, error=InfeasibleError)
