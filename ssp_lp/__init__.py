@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     )
     from ssp_lp.methods.frontier import Frontier as Frontier, trace_frontier as trace_frontier
     from ssp_lp.model import SSP as SSP
+    from ssp_lp.model.boxes import Boxes as Boxes, posterior_draws as posterior_draws
     from ssp_lp.model.continuous_model import (
         Axis as Axis,
         ContinuousModel as ContinuousModel,
@@ -135,6 +136,7 @@ _MODULES = {
     "formulation": "Formulation",
     "methods.frontier": "Frontier trace_frontier",
     "model": "SSP",
+    "model.boxes": "Boxes posterior_draws",
     "model.continuous_model": "Axis ContinuousModel Distribution Grid WorldSimulator",
     "model.discretise": "Quadrature Samples discretise",
     "model.product": "HorizonSSP Memory ProductSSP product within_steps",

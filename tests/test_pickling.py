@@ -132,6 +132,10 @@ def of_models():
     yield from (ssp_lp.Quadrature(), ssp_lp.Samples(3, 0), ssp_lp.discretise(world))
     yield ssp_lp.WorldSimulator(world, [uniform])
     yield from (ssp_lp.Memory(0, turned), ssp_lp.within_steps(MODEL, 2))
+    counted = ssp_lp.SSP.from_counts(
+        [("x", "go", "goal", 9, 1.0), ("x", "go", "y", 1, 1.0)], {"goal"}
+    )
+    yield from (counted, ssp_lp.Boxes.from_counts(counted))
     for made in (ssp_lp.visits("y"), DEAR + ssp_lp.visits("y")):
         yield from (made, made <= 3.0)
     moves = {"x": {"go": 0.5, "safe": 0.5}, "y": {"go": 1.0}}

@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property, partial
-from itertools import compress, zip_longest
+from itertools import compress, repeat, zip_longest
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Self, cast
 
@@ -92,6 +92,8 @@ class SSP(Graph, ReadOnlyCopies):
     named_costs: Mapping[str, FloatArray] = field(kw_only=True, default_factory=dict)
     """Costs by name, [outcomes] each, ``costs`` among them if it has a name: what
     ``secondary_cost("fuel")`` counts."""
+    counts: FloatArray | None = field(kw_only=True, default=None)
+    """How often each outcome was seen, [outcomes]; None: the model was not made of counts."""
 
     @classmethod
     @explained
@@ -387,6 +389,84 @@ class SSP(Graph, ReadOnlyCopies):
             treat_actionless_as_dead_ends=True,
             normalise=normalise,
         )
+
+    @classmethod
+    @explained
+    def from_counts(
+        cls,
+        table: Any,
+        goal: Iterable[Hashable],
+        *,
+        state: str | Sequence[str] = "state",
+        action: str = "action",
+        successor: str | Sequence[str] = "successor",
+        count: str = "count",
+        cost: str | Sequence[str] = "cost",
+        state_labels: Mapping[str, StateSet] | None = None,
+        dead_ends: DeadEnds | None = None,
+    ) -> SSP:
+        """Build a model from counted outcomes: probabilities are shares of the counts.
+
+        Rows of one outcome are added up. ``Boxes.from_counts(model)`` has an interval for each
+        probability, ``posterior_draws(model, 100, seed=0)`` has models that the counts allow.
+
+        Args:
+            table: a frame or a dict of columns, as in :meth:`from_frame`, or rows ``(state,
+                action, successor, count, cost)``, in any order.
+            goal: the goal states.
+            state: the column of the state, or several, as in :meth:`from_frame`.
+            action: the column of the action.
+            successor: the column of the next state, or as many as ``state`` has.
+            count: the column of how often the outcome was seen, a whole number >= 0. A successor
+                that may come but was never seen needs a row of count 0.
+            cost: the column of the cost, or of several, as in :meth:`from_frame`.
+            state_labels: names for sets of states, as in ``from_transitions``.
+            dead_ends: the states without rows that are not goals; any other one is then an error.
+
+        Raises:
+            ModelError: as of :meth:`from_frame`, a count that is no whole number >= 0, or an action
+                that was never taken; it is named.
+
+        Example:
+            >>> model = SSP.from_counts(
+            ...     [("a", "go", "home", 90, 1.0), ("a", "go", "pit", 10, 1.0)], goal={"home"})
+            >>> model.probabilities.tolist(), model.counts.tolist()
+            ([0.9, 0.1], [90.0, 10.0])
+        """
+        costs = [cost] if isinstance(cost, str) else list(cost)
+        names = [state, action, successor, count, *costs]
+        if isinstance(table, Iterable) and not hasattr(table, "keys"):
+            table = _table_of_rows(table, len(names))
+            names = [*table]
+        before, acts, after, seen, *paid = (_column(table, name) for name in names)
+        if len({len(before), len(acts), len(after), len(seen), *map(len, paid)}) > 1:
+            raise ModelError("the columns of the table have different lengths")
+        counted: dict[Hashable, dict[Hashable, dict[tuple[Hashable, ...], int]]] = {}
+        for here, name, there, number, *some in zip(before, acts, after, seen, *paid, strict=True):
+            if not (is_number(number) and number >= 0 and number == number // 1):
+                shown = f"action {name!r} of state {here!r} leads to {there!r}"
+                raise ModelError(f"{shown} with a count that is no whole number >= 0: {number!r}")
+            outcomes, outcome = counted.setdefault(here, {}).setdefault(name, {}), (there, *some)
+            outcomes[outcome] = outcomes.get(outcome, 0) + int(number)
+        transitions = {
+            here: {
+                name: _shares(here, name, outcomes, None if isinstance(cost, str) else costs)
+                for name, outcomes in actions.items()
+            }
+            for here, actions in counted.items()
+        }
+        goals = [*no_lone_string(goal, "goal")]
+        model = cls.from_transitions(
+            transitions,
+            goals,
+            cost=None if isinstance(cost, str) else costs[0],
+            state_labels=state_labels,
+            dead_ends=dead_ends,
+            treat_actionless_as_dead_ends=True,
+        )
+        kept = (counted[here].values() for here in counted if here not in goals)
+        numbers = [n for actions in kept for outcomes in actions for n in outcomes.values()]
+        return replace(model, counts=read_only(numbers, np.float64))
 
     @classmethod
     @explained
@@ -913,6 +993,48 @@ def _number_in_cell(path: object, name: str, row: int, cell: str | None) -> floa
             f"{path}, row {row}: {cell!r} in the column {name!r} is no number, such as 0.1 or 1/3"
         )
         raise ModelError(complaint) from error
+
+
+def _table_of_rows(rows: Iterable[Any], width: int) -> dict[str, list[Any]]:
+    """Columns of a model's counts that are given as rows of so many cells.
+
+    Raises:
+        ModelError: a row of another length.
+    """
+    listed = [*rows]
+    for k, row in enumerate(listed):
+        if not isinstance(row, (tuple, list)) or len(row) != width:
+            cells = "(state, action, successor, count, cost)"
+            raise ModelError(f"row {k} of the table must be {cells}, not {in_short(row)}")
+    columns = zip(*listed, strict=True) if listed else repeat((), width)
+    names = ["state", "action", "successor", "count", *(f"cost {k}" for k in range(width - 4))]
+    return {name: [*cells] for name, cells in zip(names, columns, strict=False)}
+
+
+def _shares(
+    state: Hashable,
+    action: Hashable,
+    outcomes: Mapping[tuple[Hashable, ...], int],
+    names: Sequence[str] | None,
+) -> list[tuple[float, Hashable, Costs]]:
+    """Outcomes of a model's action by their shares of the counts.
+
+    Args:
+        state: of the action.
+        action: its label.
+        outcomes: count of each (successor, cost, ...).
+        names: of the costs; None: there is one without a name.
+
+    Raises:
+        ModelError: the action was never taken.
+    """
+    total = sum(outcomes.values())
+    if total == 0:
+        raise ModelError(f"action {action!r} of state {state!r} has no counts: leave it out")
+    return [
+        (n / total, to, cast("Costs", dict(zip(names, paid, strict=True)) if names else paid[0]))
+        for (to, *paid), n in outcomes.items()
+    ]
 
 
 def _column(table: Any, names: str | Sequence[str]) -> list[Any]:
