@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         success_costs as success_costs,
     )
     from ssp_lp.analysis.simulation import simulate as simulate
+    from ssp_lp.analysis.worst_case import WorstCase as WorstCase
     from ssp_lp.answers import Answers as Answers, solve_many as solve_many, sweep as sweep
     from ssp_lp.errors import (
         InfeasibleError as InfeasibleError,
@@ -128,6 +129,7 @@ _MODULES = {
     "accumulated_cost.cost_law": "CostLaw",
     "analysis.evaluation": "Evaluation evaluate success_costs",
     "analysis.simulation": "simulate",
+    "analysis.worst_case": "WorstCase",
     "answers": "Answers solve_many sweep",
     "errors": (
         "InfeasibleError MissingDependencyError ModelError ModelWarning OutOfTimeError "

@@ -135,7 +135,8 @@ def of_models():
     counted = ssp_lp.SSP.from_counts(
         [("x", "go", "goal", 9, 1.0), ("x", "go", "y", 1, 1.0)], {"goal"}
     )
-    yield from (counted, ssp_lp.Boxes.from_counts(counted))
+    boxes, asked = ssp_lp.Boxes.from_counts(counted), criteria.MaxProb(counted, "x")
+    yield from (counted, boxes, ssp_lp.evaluate(solve(asked).policy, asked, box=boxes))
     for made in (ssp_lp.visits("y"), DEAR + ssp_lp.visits("y")):
         yield from (made, made <= 3.0)
     moves = {"x": {"go": 0.5, "safe": 0.5}, "y": {"go": 1.0}}

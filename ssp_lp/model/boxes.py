@@ -31,7 +31,8 @@ USEFUL_COUNT = 1_000
 """Counts of a pair from which its boxes are narrow: about 0.05 each side at 95 % for a model."""
 
 _SHOWN = 12  # rows of the printed table
-_FORCED = 1e-12  # by which the other intervals must narrow one before that is no rounding
+FORCED = 1e-12
+"""By how much intervals must force one another to count: less is the rounding of their sums."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -73,9 +74,9 @@ class Boxes(Report, ReadOnlyCopies):
             raise ModelError(f"{named}: no probabilities lie within its box: 0 <= low <= high <= 1"
                              " with sums of low at most 1 and of high at least 1")  # fmt: skip
         forced, left = 1.0 - (most - high), 1.0 - (least - low)
-        narrowed = np.where(forced > low + _FORCED, forced, low)
+        narrowed = np.where(forced > low + FORCED, forced, low)
         object.__setattr__(self, "low", read_only(narrowed))
-        object.__setattr__(self, "high", read_only(np.where(left < high - _FORCED, left, high)))
+        object.__setattr__(self, "high", read_only(np.where(left < high - FORCED, left, high)))
 
     @classmethod
     @explained
@@ -112,6 +113,20 @@ class Boxes(Report, ReadOnlyCopies):
         offsets = self.model.outcome_offsets
         shares = self.high / segment_sums(self.high, offsets)[segment_ids(offsets)]
         return replace(self.model, probabilities=read_only(shares))
+
+    def fits(self, model: SSP) -> bool:
+        """Whether a model has the outcomes of the boxes' model, perhaps of other probabilities."""
+        own = self.model
+        return model is own or (
+            np.array_equal(model.pair_offsets, own.pair_offsets)
+            and np.array_equal(model.outcome_offsets, own.outcome_offsets)
+            and np.array_equal(model.successors, own.successors)
+        )
+
+    def check_model(self, model: SSP) -> None:
+        """Raise :class:`ModelError` if the boxes are those of another model."""
+        if not self.fits(model):
+            raise ModelError(f"box: the boxes are of another model, {self.model!r}")
 
     def __repr__(self) -> str:
         """One line: the model, the widest interval and the confidence."""
