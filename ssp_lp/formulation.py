@@ -42,6 +42,7 @@ from ssp_lp.errors import (
     wrong_argument as wrong_argument,
 )
 from ssp_lp.model import SSP as SSP
+from ssp_lp.model.boxes import Boxes as Boxes
 from ssp_lp.model.graph import (
     attention_labels as attention_labels,
     dead_end_labels as dead_end_labels,
@@ -56,8 +57,10 @@ from ssp_lp.problem import (
     TotalScale,
     as_float,
     as_stated,
+    check_boxed,
     check_cost as check_cost,
     check_explorable,
+    check_unboxed,
     compiled_totals,
 )
 from ssp_lp.processes.conditions import Condition
@@ -191,12 +194,16 @@ class Formulation(Problem):
         if not isinstance(self.model, SSP):
             raise ModelError(f"model must be an SSP, not {in_short(self.model)}")
         if isinstance(self.model, ImplicitSSP):
+            if self.box is not None:
+                raise ModelError("boxes do not support an implicit model: SSP.from_successors(...)")
             check_explorable(self)
             return  # states and their names are looked up as they are found
         _ = self._begun
         for name in ("horizon", "cost_levels"):
             if (number := getattr(self, name)) is not None:
                 check_whole(name, number)
+        if self.box is not None:
+            check_boxed(self)
         for condition in self.conditions:
             _ = condition.rows
         _ = self.objective_condition
@@ -292,6 +299,7 @@ class Formulation(Problem):
         (paper, section 3.1.1); everything else the failure label (section 3.1.2). A horizon is
         unrolled before.
         """
+        check_unboxed(self, "compile")
         if self.horizon is not None:
             return self.unrolled.compile()
         model, start, semantics = self.model, self._begun, self.semantics
@@ -312,4 +320,5 @@ class Formulation(Problem):
         """
         from ssp_lp.methods.labelled_program import program_of
 
+        check_unboxed(self, "program")
         return program_of(self)

@@ -15,7 +15,7 @@ from ssp_lp.model.graph import attention_states, dead_ends, end_marks
 from ssp_lp.model.report import ByName, Report, Table
 from ssp_lp.policies.boxed_chain import BoxedChain, boxed_chain
 from ssp_lp.policies.policy import MixedPolicy, Policy, as_lottery
-from ssp_lp.problem import Problem, on_one_model
+from ssp_lp.problem import Problem, check_measures, check_problem, on_one_model
 from ssp_lp.processes.failure_semantics import (
     Aim,
     FailureSemantics,
@@ -96,7 +96,10 @@ def worst_case(policy: Policy | MixedPolicy, problem: Problem, boxes: Boxes) -> 
         ModelError: boxes of another model; a problem with a horizon, a discount, constraints, or a
             cost given success or a measure of its law; or as of ``evaluate``.
     """
+    check_problem(problem, "evaluate")
     check_measures(problem)
+    if problem.box is not None:
+        problem = replace(cast("Any", problem), box=None)
     boxes.check_model(problem.model)
     lottery = as_lottery(policy)
     if lottery.model is not problem.model and boxes.fits(lottery.model):
@@ -113,22 +116,6 @@ def worst_case(policy: Policy | MixedPolicy, problem: Problem, boxes: Boxes) -> 
     exact = len(chains) == 1 and chains[0].is_exact
     ways = dict(zip(names, ends, strict=True))
     return WorstCase(1.0 - failure, failure, cost, objective, ways, exact)
-
-
-def check_measures(problem: Problem) -> None:
-    """Raise :class:`ModelError` for a problem whose measures have no worst case over boxes."""
-    name = type(problem).__name__
-    if problem.ratio or problem.semantics.counts_law:
-        raise ModelError(
-            f"{name} counts a cost given success or its law, which has no worst case over boxes "
-            "(cost over goal probability would overstate without limit): use MCMP, MaxProb, "
-            "MinCost or FinitePenalty"
-        )
-    for word, given in (("a horizon", problem.horizon is not None),
-                        ("a discount", problem.discount is not None),
-                        ("constraints", problem.has_rows)):  # fmt: skip
-        if given:
-            raise ModelError(f"boxes do not support {word}: state the problem without")
 
 
 def _measures(boxed: BoxedChain, problem: Problem, boxes: Boxes) -> list[float]:

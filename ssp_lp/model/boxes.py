@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.stats import beta
@@ -107,7 +108,7 @@ class Boxes(Report, ReadOnlyCopies):
         low, high = np.where(none, 0.0, low), np.where(every, 1.0, high)
         return cls(model, np.where(alone, 1.0, low), np.where(alone, 1.0, high), float(confidence))
 
-    @property
+    @cached_property
     def support(self) -> SSP:
         """The model with a positive probability for each outcome that its box allows."""
         offsets = self.model.outcome_offsets
