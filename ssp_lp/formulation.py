@@ -60,8 +60,8 @@ from ssp_lp.problem import (
     check_boxed,
     check_cost as check_cost,
     check_explorable,
-    check_unboxed,
     compiled_totals,
+    has_boxes,
 )
 from ssp_lp.processes.conditions import Condition
 from ssp_lp.processes.failure_semantics import (
@@ -299,7 +299,8 @@ class Formulation(Problem):
         (paper, section 3.1.1); everything else the failure label (section 3.1.2). A horizon is
         unrolled before.
         """
-        check_unboxed(self, "compile")
+        if self.box is not None:
+            raise has_boxes("compile")
         if self.horizon is not None:
             return self.unrolled.compile()
         model, start, semantics = self.model, self._begun, self.semantics
@@ -320,5 +321,6 @@ class Formulation(Problem):
         """
         from ssp_lp.methods.labelled_program import program_of
 
-        check_unboxed(self, "program")
+        if self.box is not None:
+            raise has_boxes("program")
         return program_of(self)

@@ -392,13 +392,12 @@ def check_boxed(problem: Problem) -> None:
         )
 
 
-def check_unboxed(problem: Problem, verb: str) -> None:
-    """Raise :class:`ModelError` for a problem over boxes; ``verb`` needs one model."""
-    if problem.box is not None:
-        raise ModelError(
-            f"{verb} needs one choice of probabilities, and the problem has boxes: pass box= to "
-            "evaluate, or solve it and take solution.problem, which has the worst of them"
-        )
+def has_boxes(verb: str) -> ModelError:
+    """The error of a verb that needs one model, for a problem over boxes of probabilities."""
+    return ModelError(
+        f"{verb} needs one choice of probabilities, and the problem has boxes: pass box= to "
+        "evaluate, or solve it and take solution.problem, which has the worst of them"
+    )
 
 
 def check_measures(problem: Problem) -> None:
@@ -454,7 +453,8 @@ def on_one_model(
             f"{verb} takes a policy, such as solution.policy or DeterministicPolicy.from_actions("
             f"model, {{state: action}}), not {in_short(policy)}"
         )
-    check_unboxed(problem, verb)
+    if problem.box is not None:
+        raise has_boxes(verb)
     theirs = policy.model
     if isinstance(theirs, ExploredSSP):
         problem = restated_on(problem, theirs)

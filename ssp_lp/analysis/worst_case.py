@@ -12,7 +12,7 @@ from ssp_lp.arrays import FloatArray, segment_sums
 from ssp_lp.errors import ModelError
 from ssp_lp.model.boxes import Boxes, greatest_mean
 from ssp_lp.model.graph import attention_states, dead_ends, end_marks
-from ssp_lp.model.report import ByName, Report, Table
+from ssp_lp.model.report import ByName, Facts, Table
 from ssp_lp.policies.boxed_chain import BoxedChain, boxed_chain
 from ssp_lp.policies.policy import MixedPolicy, Policy, as_lottery
 from ssp_lp.problem import Problem, check_measures, check_problem, on_one_model
@@ -28,7 +28,7 @@ from ssp_lp.processes.live_rows import costless_pairs
 
 
 @dataclass(frozen=True, repr=False)
-class WorstCase(Report):
+class WorstCase(Facts):
     """Worst measures of a policy over boxes, each at probabilities of its own.
 
     The measures do not occur together: probabilities that make the cost greatest need not make the
@@ -43,9 +43,6 @@ class WorstCase(Report):
     ends: Mapping[str, float]  # greatest probability of each way to fail
     is_exact: bool
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "ends", ByName(self.ends))
-
     @property
     def conditional_cost(self) -> float:
         """Refused: the worst cost given success.
@@ -58,27 +55,21 @@ class WorstCase(Report):
             "would overstate it without limit; ask for expected_cost and failure_probability"
         )
 
-    def __repr__(self) -> str:
-        """One line: the objective, the failure and the cost."""
-        kind = "" if self.is_exact else ", bounds"
-        return (
-            f"WorstCase(objective {self.objective:.6g}, failure {self.failure_probability:.6g}, "
-            f"cost {self.expected_cost:.6g}{kind})"
-        )
-
     def tables(self) -> list[Table]:
         """Each measure, and that they do not occur together."""
-        rows = [
-            ("objective", self.objective),
-            ("goal, at least", self.goal_probability),
-            ("failure, at most", self.failure_probability),
-            ("cost until failure, at most", self.expected_cost),
-            *((f"ends: {name}, at most", share) for name, share in self.ends.items() if share),
-        ]
-        notes = ["each at probabilities of its own: they do not occur together"]
+        note = "each at probabilities of its own: they do not occur together"
         if not self.is_exact:
-            notes.append("bounds: nature may choose for each policy of a lottery, or at each visit")
-        return [Table(rows, ("measure", "worst"), "Worst case over the boxes", notes)]
+            note += "; bounds, as nature may choose for each policy of a lottery or at each visit"
+        return [
+            Table([
+                ("worst objective", self.objective),
+                ("goal, at least", self.goal_probability),
+                ("failure, at most", self.failure_probability),
+                ("cost until failure, at most", self.expected_cost),
+                *((f"{name}, at most", share) for name, share in self.ends.items() if share),
+                ("note", note),
+            ])
+        ]  # fmt: skip
 
 
 def worst_case(policy: Policy | MixedPolicy, problem: Problem, boxes: Boxes) -> WorstCase:
@@ -114,7 +105,7 @@ def worst_case(policy: Policy | MixedPolicy, problem: Problem, boxes: Boxes) -> 
     failure = min(failure, 1.0)
     names = [*problem.model.state_labels, "dead_end", "gave_up", "wandering"]
     exact = len(chains) == 1 and chains[0].is_exact
-    ways = dict(zip(names, ends, strict=True))
+    ways = ByName(zip(names, ends, strict=True))
     return WorstCase(1.0 - failure, failure, cost, objective, ways, exact)
 
 
@@ -135,15 +126,13 @@ def _measures(boxed: BoxedChain, problem: Problem, boxes: Boxes) -> list[float]:
         objective = _reach(boxed, chain.goal)
     marks = end_marks(problem.model)[chain.state]
     over = ~boxed.acting & (chain.give_up == 0.0)
-    ways = [_reach(boxed, (over & (marks == k)).astype(np.float64)) for k in _ways_to_fail(problem)]
+    ways = [
+        _reach(boxed, (over & (marks == k)).astype(np.float64))
+        for k in range(1, len(problem.model.state_labels) + 2)
+    ]
     gave_up = _reach(boxed, np.zeros(chain.n_nodes), 1.0)
     wandering = boxed.staying(boxed.acting & (chain.give_up == 0.0))
     return [failure, cost, objective, *ways, gave_up, _reach(boxed, wandering.astype(np.float64))]
-
-
-def _ways_to_fail(problem: Problem) -> range:
-    """Numbers of the labels and of dead-ends without one, as of ``end_marks``."""
-    return range(1, len(problem.model.state_labels) + 2)
 
 
 def _reach(boxed: BoxedChain, ends: FloatArray, at_stop: float = 0.0) -> float:

@@ -31,7 +31,6 @@ from ssp_lp.model.ssp import SSP
 USEFUL_COUNT = 1_000
 """Counts of a pair from which its boxes are narrow: about 0.05 each side at 95 % for a model."""
 
-_SHOWN = 12  # rows of the printed table
 FORCED = 1e-12
 """By how much intervals must force one another to count: less is the rounding of their sums."""
 
@@ -75,9 +74,10 @@ class Boxes(Report, ReadOnlyCopies):
             raise ModelError(f"{named}: no probabilities lie within its box: 0 <= low <= high <= 1"
                              " with sums of low at most 1 and of high at least 1")  # fmt: skip
         forced, left = 1.0 - (most - high), 1.0 - (least - low)
-        narrowed = np.where(forced > low + FORCED, forced, low)
-        object.__setattr__(self, "low", read_only(narrowed))
-        object.__setattr__(self, "high", read_only(np.where(left < high - FORCED, left, high)))
+        narrowed = {"low": np.where(forced > low + FORCED, forced, low),
+                    "high": np.where(left < high - FORCED, left, high)}  # fmt: skip
+        for name, array in narrowed.items():
+            object.__setattr__(self, name, read_only(array))
 
     @classmethod
     @explained
@@ -138,21 +138,17 @@ class Boxes(Report, ReadOnlyCopies):
     def tables(self) -> Sequence[Table]:
         """Each outcome with its count, probability and interval, and notes on wide boxes."""
         model = self.model
-        pair, counts = segment_ids(model.outcome_offsets), model.counts
-        seen = ["-"] * model.n_outcomes if counts is None else [f"{n:,.0f}" for n in counts]
-        named = (
-            [model.states[k] for k in places.tolist()]
-            for places in (model.pair_state[pair], model.successors)
-        )
-        here, there = named
-        acts = map(model.action_of, pair.tolist())
-        numbers = (a.tolist() for a in (model.probabilities, self.low, self.high))
-        rows = [*zip(here, acts, there, seen, *numbers, strict=True)]
+        pair = segment_ids(model.outcome_offsets)
+        counts = np.full(len(pair), np.nan) if model.counts is None else model.counts
+        places = np.stack([model.pair_state[pair], model.successors], axis=1).tolist()
+        numbers = np.stack([counts, model.probabilities, self.low, self.high], axis=1).tolist()
+        rows = [
+            (model.states[here], model.action_of(k), model.states[there], *some)
+            for k, (here, there), some in zip(pair.tolist(), places, numbers, strict=True)
+        ]
         head = ("state", "action", "successor", "count", "probability", "low", "high")
         title = "Boxes" if self.confidence is None else f"Boxes, confidence {self.confidence:g}"
-        shown = range(min(len(rows), _SHOWN))
-        notes = [f"... {len(rows):,} outcomes in all"] * (len(rows) > _SHOWN) + self._remarks()
-        return [Table(rows, head, title, notes, shown=shown, left=3)]
+        return [Table(rows, head, title, self._remarks(), left=3)]
 
     def _remarks(self) -> list[str]:
         """Notes on what the boxes do not know: successors never seen, pairs of few counts."""

@@ -9,12 +9,12 @@ import csv
 import logging
 import warnings
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property, partial
-from itertools import compress, repeat, zip_longest
+from itertools import compress, zip_longest
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Self, cast
 
@@ -63,6 +63,7 @@ ENDS = ("goal", "dead_end", "gave_up", "wandering", "unfinished")
 """Names that reports give to the ways in which an episode ends."""
 
 _UNHASHABLE = "list, dict or set, nor an array: write tuple(array.tolist())"
+_MISSING = object()  # stands where a column of a table is shorter than another
 _PROGRESS_EVERY = 10_000
 _EXPLORING = logging.getLogger("ssp_lp.exploring")
 _NO_REWARDS = (
@@ -434,39 +435,37 @@ class SSP(Graph, ReadOnlyCopies):
             ([0.9, 0.1], [90.0, 10.0])
         """
         costs = [cost] if isinstance(cost, str) else list(cost)
-        names = [state, action, successor, count, *costs]
-        if isinstance(table, Iterable) and not hasattr(table, "keys"):
-            table = _table_of_rows(table, len(names))
-            names = [*table]
-        before, acts, after, seen, *paid = (_column(table, name) for name in names)
-        if len({len(before), len(acts), len(after), len(seen), *map(len, paid)}) > 1:
-            raise ModelError("the columns of the table have different lengths")
-        counted: dict[Hashable, dict[Hashable, dict[tuple[Hashable, ...], int]]] = {}
-        for here, name, there, number, *some in zip(before, acts, after, seen, *paid, strict=True):
+        names = [state, action, successor, *costs, count]
+        if isinstance(table, (Sequence, Iterator)):
+            rows = [(*row[:3], *row[4:], row[3]) if len(row) > 3 else row for row in table]
+        else:
+            rows = [*zip_longest(*(_column(table, name) for name in names), fillvalue=_MISSING)]
+        counted: Counter[tuple[Hashable, ...]] = Counter()
+        totals: Counter[tuple[Hashable, ...]] = Counter()
+        for row in rows:
+            number = row[-1] if len(row) == len(names) and _MISSING not in row else None
             if not (is_number(number) and number >= 0 and number == number // 1):
-                shown = f"action {name!r} of state {here!r} leads to {there!r}"
-                raise ModelError(f"{shown} with a count that is no whole number >= 0: {number!r}")
-            outcomes, outcome = counted.setdefault(here, {}).setdefault(name, {}), (there, *some)
-            outcomes[outcome] = outcomes.get(outcome, 0) + int(number)
-        transitions = {
-            here: {
-                name: _shares(here, name, outcomes, None if isinstance(cost, str) else costs)
-                for name, outcomes in actions.items()
-            }
-            for here, actions in counted.items()
-        }
-        goals = [*no_lone_string(goal, "goal")]
-        model = cls.from_transitions(
-            transitions,
-            goals,
-            cost=None if isinstance(cost, str) else costs[0],
+                form = ", ".join(["state", "action", "successor", *costs, "count"])
+                raise ModelError(f"row {row!r} of the table must be ({form}), a whole count >= 0")
+            counted[row[:-1]] += int(number)
+            totals[row[:2]] += int(number)
+        for (here, name), total in totals.items():
+            if total == 0:
+                raise ModelError(f"action {name!r} of state {here!r} has no counts: leave it out")
+        columns = zip(*counted, strict=True)
+        listed = dict(zip(["state", "action", "successor", *costs], columns, strict=False))
+        model = cls.from_frame(
+            listed
+            | {"counts": [*counted.values()]}
+            | {"probability": [n / totals[key[:2]] for key, n in counted.items()]},
+            goal,
+            cost=[*costs, "counts"],
             state_labels=state_labels,
             dead_ends=dead_ends,
-            treat_actionless_as_dead_ends=True,
         )
-        kept = (counted[here].values() for here in counted if here not in goals)
-        numbers = [n for actions in kept for outcomes in actions for n in outcomes.values()]
-        return replace(model, counts=read_only(numbers, np.float64))
+        named = dict(model.named_costs)
+        counts = named.pop("counts")
+        return replace(model, counts=counts, named_costs={} if isinstance(cost, str) else named)
 
     @classmethod
     @explained
@@ -993,48 +992,6 @@ def _number_in_cell(path: object, name: str, row: int, cell: str | None) -> floa
             f"{path}, row {row}: {cell!r} in the column {name!r} is no number, such as 0.1 or 1/3"
         )
         raise ModelError(complaint) from error
-
-
-def _table_of_rows(rows: Iterable[Any], width: int) -> dict[str, list[Any]]:
-    """Columns of a model's counts that are given as rows of so many cells.
-
-    Raises:
-        ModelError: a row of another length.
-    """
-    listed = [*rows]
-    for k, row in enumerate(listed):
-        if not isinstance(row, (tuple, list)) or len(row) != width:
-            cells = "(state, action, successor, count, cost)"
-            raise ModelError(f"row {k} of the table must be {cells}, not {in_short(row)}")
-    columns = zip(*listed, strict=True) if listed else repeat((), width)
-    names = ["state", "action", "successor", "count", *(f"cost {k}" for k in range(width - 4))]
-    return {name: [*cells] for name, cells in zip(names, columns, strict=False)}
-
-
-def _shares(
-    state: Hashable,
-    action: Hashable,
-    outcomes: Mapping[tuple[Hashable, ...], int],
-    names: Sequence[str] | None,
-) -> list[tuple[float, Hashable, Costs]]:
-    """Outcomes of a model's action by their shares of the counts.
-
-    Args:
-        state: of the action.
-        action: its label.
-        outcomes: count of each (successor, cost, ...).
-        names: of the costs; None: there is one without a name.
-
-    Raises:
-        ModelError: the action was never taken.
-    """
-    total = sum(outcomes.values())
-    if total == 0:
-        raise ModelError(f"action {action!r} of state {state!r} has no counts: leave it out")
-    return [
-        (n / total, to, cast("Costs", dict(zip(names, paid, strict=True)) if names else paid[0]))
-        for (to, *paid), n in outcomes.items()
-    ]
 
 
 def _column(table: Any, names: str | Sequence[str]) -> list[Any]:

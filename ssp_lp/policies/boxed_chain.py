@@ -17,7 +17,8 @@ from ssp_lp.model.graph import edges
 from ssp_lp.policies.chain import Chain, policy_chain
 from ssp_lp.policies.policy import Policy
 
-_MOST_ROUNDS = 1_000  # of nature's policy iteration, which takes some ten
+MOST_ROUNDS = 1_000
+"""Rounds of policy iteration before it counts as a failure: it takes some ten."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +133,7 @@ class BoxedChain:
         chosen = greatest_mean(self.low, self.high, reward + values[chain.target], offsets)
         decision, node = segment_ids(offsets), chain.source[offsets[:-1]]
         share = self.share[offsets[:-1]]
-        for _ in range(_MOST_ROUNDS):
+        for _ in range(MOST_ROUNDS):
             check_time()
             going = inside & ~stops
             moving = self.at(chosen, going)

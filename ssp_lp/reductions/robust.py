@@ -32,13 +32,11 @@ from ssp_lp.errors import InfeasibleError, SolverError
 from ssp_lp.model.boxes import FORCED, Boxes, greatest_mean
 from ssp_lp.model.graph import dead_ends
 from ssp_lp.policies import DeterministicPolicy
-from ssp_lp.policies.boxed_chain import boxed_chain
+from ssp_lp.policies.boxed_chain import MOST_ROUNDS, boxed_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, as_lottery
 from ssp_lp.problem import as_stated
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, start_distribution
 from ssp_lp.solution import Solution
-
-_MOST_ROUNDS = 10_000  # of policy iteration, which takes some ten
 
 
 def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | None) -> Solution:
@@ -125,7 +123,7 @@ def _settled(
         penalty = semantics.penalty
         decision = np.where(acting, GIVE_UP_CODE, UNDECIDED)
     top = 0.0
-    for rounds in range(1, _MOST_ROUNDS):
+    for rounds in range(1, MOST_ROUNDS):
         check_time()
         loss = np.where(model.goal_mask, 0.0, penalty)
         loss[rank > 0] = top + rank.max() + 1.0 - rank[rank > 0]
