@@ -75,7 +75,8 @@ def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | Non
         loss, decision, worst, rounds = _settled(boxes, semantics)
     model = replace(problem.model, probabilities=read_only(worst), counts=None)
     at_worst = replace(problem, model=model, box=None, **as_stated(problem))
-    left = None if time_limit is None else time_limit - (time.perf_counter() - began)
+    spent = time.perf_counter() - began
+    left = None if time_limit is None else max(time_limit - spent, 0.0)
     solution = solve(at_worst, time_limit=left)
     policy, value = as_lottery(DeterministicPolicy(model, decision)), float(start @ loss)
     maximised = solution.upper_bound is not None
