@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from ssp_lp.formulation import SSP, Formulation, GiveUp, Start, check_penalty
+from ssp_lp.formulation import SSP, Boxes, Formulation, GiveUp, Start, check_penalty
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +42,7 @@ class FinitePenalty(Formulation):
         give_up: "anywhere", "attention" or "dead_ends".
         charge_failing_step: charge the failing step as well.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
+        box: intervals of the probabilities; the worst case over all of them is what counts.
         horizon: count the goal within so many steps only (``Formulation``); None: at any time.
 
     Returns:
@@ -68,6 +69,7 @@ class FinitePenalty(Formulation):
     discount: float | None = None
     give_up: str | GiveUp = GiveUp.ANYWHERE
     charge_failing_step: bool = False
+    box: Boxes | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         check_penalty(self.penalty)

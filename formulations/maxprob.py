@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from ssp_lp.formulation import SSP, Aim, Formulation, GiveUp, Start, dead_end_labels
+from ssp_lp.formulation import SSP, Aim, Boxes, Formulation, GiveUp, Start, dead_end_labels
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +39,7 @@ class MaxProb(Formulation):
         start: a state, or ``{state: probability}``.
         give_up: "anywhere", "attention" (the paper) or "dead_ends"; it matters under limits only.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
+        box: intervals of the probabilities; the worst case over all of them is what counts.
         horizon: count the goal within so many steps only (``Formulation``); None: at any time.
 
     Returns:
@@ -62,6 +63,7 @@ class MaxProb(Formulation):
     model: SSP
     start: Start
     give_up: str | GiveUp = GiveUp.ATTENTION
+    box: Boxes | None = field(default=None, kw_only=True)
 
     aim = Aim.GREATEST_GOAL
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from ssp_lp.formulation import SSP, Formulation, GiveUp, Start
+from ssp_lp.formulation import SSP, Boxes, Formulation, GiveUp, Start
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +35,7 @@ class MinCost(Formulation):
         model: the model.
         start: a state, or ``{state: probability}``.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
+        box: intervals of the probabilities; the worst case over all of them is what counts.
         horizon: count the goal within so many steps only (``Formulation``); None: at any time.
 
     Returns:
@@ -60,6 +61,7 @@ class MinCost(Formulation):
 
     model: SSP
     start: Start
+    box: Boxes | None = field(default=None, kw_only=True)
 
     give_up = GiveUp.DEAD_ENDS
     penalty = float("inf")  # failing is forbidden

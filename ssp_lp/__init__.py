@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         success_costs as success_costs,
     )
     from ssp_lp.analysis.simulation import simulate as simulate
+    from ssp_lp.analysis.worst_case import WorstCase as WorstCase
     from ssp_lp.answers import Answers as Answers, solve_many as solve_many, sweep as sweep
     from ssp_lp.errors import (
         InfeasibleError as InfeasibleError,
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
     )
     from ssp_lp.methods.frontier import Frontier as Frontier, trace_frontier as trace_frontier
     from ssp_lp.model import SSP as SSP
+    from ssp_lp.model.boxes import Boxes as Boxes, posterior_draws as posterior_draws
     from ssp_lp.model.continuous_model import (
         Axis as Axis,
         ContinuousModel as ContinuousModel,
@@ -133,6 +135,7 @@ _MODULES = {
     "accumulated_cost.cost_law": "CostLaw",
     "analysis.evaluation": "Evaluation evaluate success_costs",
     "analysis.simulation": "simulate",
+    "analysis.worst_case": "WorstCase",
     "answers": "Answers solve_many sweep",
     "errors": (
         "InfeasibleError MissingDependencyError ModelError ModelWarning OutOfTimeError "
@@ -141,6 +144,7 @@ _MODULES = {
     "formulation": "Formulation",
     "methods.frontier": "Frontier trace_frontier",
     "model": "SSP",
+    "model.boxes": "Boxes posterior_draws",
     "model.continuous_model": "Axis ContinuousModel Distribution Grid WorldSimulator",
     "model.discretise": "Quadrature Samples discretise",
     "model.product": "HorizonSSP Memory ProductSSP product within_steps",

@@ -42,6 +42,7 @@ from ssp_lp.errors import (
     wrong_argument as wrong_argument,
 )
 from ssp_lp.model import SSP as SSP
+from ssp_lp.model.boxes import Boxes as Boxes
 from ssp_lp.model.graph import (
     attention_labels as attention_labels,
     dead_end_labels as dead_end_labels,
@@ -57,9 +58,11 @@ from ssp_lp.problem import (
     TotalScale,
     as_float,
     as_stated,
+    check_boxed,
     check_cost as check_cost,
     check_explorable,
     compiled_totals,
+    has_boxes,
     limits_of,
 )
 from ssp_lp.processes.conditions import Condition
@@ -194,12 +197,16 @@ class Formulation(Problem):
         if not isinstance(self.model, SSP):
             raise ModelError(f"model must be an SSP, not {in_short(self.model)}")
         if isinstance(self.model, ImplicitSSP):
+            if self.box is not None:
+                raise ModelError("boxes do not support an implicit model: SSP.from_successors(...)")
             check_explorable(self)
             return  # states and their names are looked up as they are found
         _ = self._begun
         for name in ("horizon", "cost_levels"):
             if (number := getattr(self, name)) is not None:
                 check_whole(name, number)
+        if self.box is not None:
+            check_boxed(self)
         for condition in self.conditions:
             _ = condition.rows
         _ = self.objective_condition
@@ -319,6 +326,8 @@ class Formulation(Problem):
         (paper, section 3.1.1); everything else the failure label (section 3.1.2). A horizon is
         unrolled before.
         """
+        if self.box is not None:
+            raise has_boxes("compile")
         if self.horizon is not None:
             return self.unrolled.compile()
         model, start, semantics = self.model, self._begun, self.semantics
@@ -339,4 +348,6 @@ class Formulation(Problem):
         """
         from ssp_lp.methods.labelled_program import program_of
 
+        if self.box is not None:
+            raise has_boxes("program")
         return program_of(self)

@@ -29,6 +29,7 @@ from ssp_lp.errors import (
     wrong_argument,
 )
 from ssp_lp.model import SSP
+from ssp_lp.model.boxes import Boxes
 from ssp_lp.model.implicit import ExploredSSP
 from ssp_lp.model.product import ProductSSP, check_product
 from ssp_lp.model.ssp import ImplicitSSP
@@ -78,6 +79,7 @@ class Problem(ReadOnlyCopies):
     cost_levels: int | None = None  # of the grid where costs have no unit
     reach_fraction: float | None = None  # of the greatest goal probability, for a budget
     quantity: Quantity | None = None  # what is minimised in place of the cost
+    box: Boxes | None = None  # of probabilities, over all of which the worst counts
     penalty: float = 0.0  # price of failing; infinite: failing is forbidden
     aim = Aim.LEAST_COST
     constraints: Mapping[str, Constraint] = MappingProxyType({})
@@ -374,6 +376,51 @@ def check_explorable(problem: Problem) -> None:
             raise ModelError(f"limit {limit!r}: {fault}{more}")
 
 
+def check_boxed(problem: Problem) -> None:
+    """Check that a problem over boxes of probabilities has a robust optimum to be found.
+
+    Raises:
+        ModelError: no boxes, or those of another model; constraints, a horizon or a discount; or
+            another way to fail than giving up anywhere, free of charge.
+    """
+    box, name = problem.box, type(problem).__name__
+    if not isinstance(box, Boxes):
+        raise wrong_argument("box", "be Boxes, such as Boxes.from_counts(model)", box)
+    box.check_model(problem.model)
+    check_measures(problem)
+    semantics = problem.semantics
+    is_priced = semantics.penalty > 0.0 and not semantics.forbids_failing
+    is_charged = semantics.charge_failing_step or semantics.give_up is not GiveUp.ANYWHERE
+    if is_priced and is_charged:
+        raise ModelError(
+            f"{name} over boxes supports give_up='anywhere' without charge_failing_step only"
+        )
+
+
+def has_boxes(verb: str) -> ModelError:
+    """The error of a verb that needs one model, for a problem over boxes of probabilities."""
+    return ModelError(
+        f"{verb} needs one choice of probabilities, and the problem has boxes: pass box= to "
+        "evaluate, or solve it and take solution.problem, which has the worst of them"
+    )
+
+
+def check_measures(problem: Problem) -> None:
+    """Raise :class:`ModelError` for a problem whose measures have no worst case over boxes."""
+    name = type(problem).__name__
+    if problem.ratio or problem.semantics.counts_law:
+        raise ModelError(
+            f"{name} counts a cost given success or its law, which has no worst case over boxes "
+            "(cost over goal probability would overstate without limit): use MCMP, MaxProb, "
+            "MinCost or FinitePenalty"
+        )
+    for word, given in (("a horizon", problem.horizon is not None),
+                        ("a discount", problem.discount is not None),
+                        ("constraints", problem.has_rows)):  # fmt: skip
+        if given:
+            raise ModelError(f"boxes do not support {word}: state the problem without")
+
+
 def limits_of(problem: Problem) -> list[tuple[str, Constraint]]:
     """A problem's limits, and its objective as one; what is no limit is refused elsewhere."""
     own, stated = problem.own_constraints, problem.constraints
@@ -411,6 +458,8 @@ def on_one_model(
             f"{verb} takes a policy, such as solution.policy or DeterministicPolicy.from_actions("
             f"model, {{state: action}}), not {in_short(policy)}"
         )
+    if problem.box is not None:
+        raise has_boxes(verb)
     theirs = policy.model
     if isinstance(theirs, ExploredSSP):
         problem = restated_on(problem, theirs)

@@ -34,6 +34,7 @@ from ssp_lp.problem import Problem, check_problem, least_failure_bound, pulled_b
 from ssp_lp.processes.conditions import Condition
 from ssp_lp.processes.failure_semantics import GiveUp, goal_out_of_reach, start_distribution
 from ssp_lp.reductions.exploration import explore
+from ssp_lp.reductions.robust import robust
 from ssp_lp.solution import Solution
 
 _ROUNDING = 1e-12  # of sums of probabilities, and of a row's own size
@@ -81,6 +82,10 @@ def solve(
         with progress_shown(verbose):
             each = partial(solve, method=method, tolerance=tolerance, progress=progress)
             return explore(problem, each, time_limit)
+    if problem.box is not None:
+        with progress_shown(verbose):
+            each = partial(solve, method=method, tolerance=tolerance, progress=progress)
+            return robust(problem, each, time_limit)
     began, chosen = time.perf_counter(), parse_method(method)
     options = options_of(chosen, tolerance, began, time_limit, progress)
     if (refused := refusal(problem, chosen)) is not None:

@@ -135,6 +135,11 @@ def of_models():
     task = ssp_lp.task("F go & G !pit")
     yield from (task, task.automaton(MODEL), ssp_lp.reach(MODEL, task, start=["x"]))
     yield from (ssp_lp.holds(task) >= 0.5, ssp_lp.within(ssp_lp.visits("y"), 2) >= 0.5)
+    counted = ssp_lp.SSP.from_counts(
+        [("x", "go", "goal", 9, 1.0), ("x", "go", "y", 1, 1.0)], {"goal"}
+    )
+    boxes, asked = ssp_lp.Boxes.from_counts(counted), criteria.MaxProb(counted, "x")
+    yield from (counted, boxes, ssp_lp.evaluate(solve(asked).policy, asked, box=boxes))
     for made in (ssp_lp.visits("y"), DEAR + ssp_lp.visits("y")):
         yield from (made, made <= 3.0)
     moves = {"x": {"go": 0.5, "safe": 0.5}, "y": {"go": 1.0}}

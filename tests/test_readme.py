@@ -30,6 +30,7 @@ SHOWN = {
     "docs/guides/certificate.md": 5,
     "docs/guides/command_line.md": 2,
     "docs/guides/explorer.md": 1,
+    "docs/guides/from_counts.md": 4,
     "docs/guides/own_criterion.md": 2,
     "docs/guides/own_memory.md": 1,
     "docs/guides/own_simulator.md": 0,
@@ -43,6 +44,7 @@ SHOWN = {
 
 BY_THEMSELVES = {
     "docs/gallery.md",
+    "docs/guides/from_counts.md",
     "docs/guides/own_simulator.md",
     "docs/program.md",
     "docs/tutorial.md",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from math import fsum
-from typing import NamedTuple
+from typing import NamedTuple, overload
 
 import numpy as np
 
@@ -18,11 +18,13 @@ from ssp_lp.accumulated_cost.policy_layers import (
     hopeful_layers,
     landed_chains,
 )
+from ssp_lp.analysis.worst_case import WorstCase, worst_case
 from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray
 from ssp_lp.compiled.deadline import limited
 from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
+from ssp_lp.model.boxes import Boxes
 from ssp_lp.model.graph import attention_states, dead_ends, end_marks, stop_marks
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.model.report import ByName, Facts, Table
@@ -93,10 +95,26 @@ class Evaluation(Facts):
         ]  # fmt: skip
 
 
+@overload
+def evaluate(
+    policy: Policy | MixedPolicy, problem: Problem = ..., *, time_limit: float | None = ...
+) -> Evaluation: ...
+
+
+@overload
+def evaluate(
+    policy: Policy | MixedPolicy, problem: Problem, *, box: Boxes, time_limit: float | None = ...
+) -> WorstCase: ...
+
+
 @explained
 def evaluate(
-    policy: Policy | MixedPolicy, problem: Problem = NEEDED, *, time_limit: float | None = None
-) -> Evaluation:
+    policy: Policy | MixedPolicy,
+    problem: Problem = NEEDED,
+    *,
+    box: Boxes | None = None,
+    time_limit: float | None = None,
+) -> Evaluation | WorstCase:
     """Evaluate a policy exactly, with the stopping time taken from its own chain.
 
     The paper's tau (section 2.4) is the first time at which the goal cannot be reached any more
@@ -108,6 +126,9 @@ def evaluate(
     Args:
         policy: the policy, on the problem's model.
         problem: says the start, the discount and the semantics.
+        box: intervals of the probabilities; then the worst case of each measure over all of them
+            is returned, as a ``WorstCase``. It is exact for a policy without memory, and a bound
+            for a lottery.
         time_limit: seconds; None: any number.
 
     Returns:
@@ -117,10 +138,13 @@ def evaluate(
 
     Raises:
         ModelError: the policy has no decision in a state that it reaches, or gives up where the
-            problem forbids it.
+            problem forbids it; with ``box``, a cost given success, a horizon, a discount or
+            constraints, which have no worst case there.
         OutOfTimeError: the time limit passed before all was known.
     """
     with limited(time_limit, "the policy was evaluated"):
+        if box is not None:
+            return worst_case(policy, problem, box)
         return evaluate_each(policy, problem)[0]
 
 

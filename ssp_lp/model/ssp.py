@@ -9,7 +9,7 @@ import csv
 import logging
 import warnings
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -63,6 +63,7 @@ ENDS = ("goal", "dead_end", "gave_up", "wandering", "unfinished")
 """Names that reports give to the ways in which an episode ends."""
 
 _UNHASHABLE = "list, dict or set, nor an array: write tuple(array.tolist())"
+_MISSING = object()  # stands where a column of a table is shorter than another
 _PROGRESS_EVERY = 10_000
 _EXPLORING = logging.getLogger("ssp_lp.exploring")
 _NO_REWARDS = (
@@ -92,6 +93,8 @@ class SSP(Graph, ReadOnlyCopies):
     named_costs: Mapping[str, FloatArray] = field(kw_only=True, default_factory=dict)
     """Costs by name, [outcomes] each, ``costs`` among them if it has a name: what
     ``secondary_cost("fuel")`` counts."""
+    counts: FloatArray | None = field(kw_only=True, default=None)
+    """How often each outcome was seen, [outcomes]; None: the model was not made of counts."""
 
     @classmethod
     @explained
@@ -387,6 +390,82 @@ class SSP(Graph, ReadOnlyCopies):
             treat_actionless_as_dead_ends=True,
             normalise=normalise,
         )
+
+    @classmethod
+    @explained
+    def from_counts(
+        cls,
+        table: Any,
+        goal: Iterable[Hashable],
+        *,
+        state: str | Sequence[str] = "state",
+        action: str = "action",
+        successor: str | Sequence[str] = "successor",
+        count: str = "count",
+        cost: str | Sequence[str] = "cost",
+        state_labels: Mapping[str, StateSet] | None = None,
+        dead_ends: DeadEnds | None = None,
+    ) -> SSP:
+        """Build a model from counted outcomes: probabilities are shares of the counts.
+
+        Rows of one outcome are added up. ``Boxes.from_counts(model)`` has an interval for each
+        probability, ``posterior_draws(model, 100, seed=0)`` has models that the counts allow.
+
+        Args:
+            table: a frame or a dict of columns, as in :meth:`from_frame`, or rows ``(state,
+                action, successor, count, cost)``, in any order.
+            goal: the goal states.
+            state: the column of the state, or several, as in :meth:`from_frame`.
+            action: the column of the action.
+            successor: the column of the next state, or as many as ``state`` has.
+            count: the column of how often the outcome was seen, a whole number >= 0. A successor
+                that may come but was never seen needs a row of count 0.
+            cost: the column of the cost, or of several, as in :meth:`from_frame`.
+            state_labels: names for sets of states, as in ``from_transitions``.
+            dead_ends: the states without rows that are not goals; any other one is then an error.
+
+        Raises:
+            ModelError: as of :meth:`from_frame`, a count that is no whole number >= 0, or an action
+                that was never taken; it is named.
+
+        Example:
+            >>> model = SSP.from_counts(
+            ...     [("a", "go", "home", 90, 1.0), ("a", "go", "pit", 10, 1.0)], goal={"home"})
+            >>> model.probabilities.tolist(), model.counts.tolist()
+            ([0.9, 0.1], [90.0, 10.0])
+        """
+        costs = [cost] if isinstance(cost, str) else list(cost)
+        names = [state, action, successor, *costs, count]
+        if isinstance(table, (Sequence, Iterator)):
+            rows = [(*row[:3], *row[4:], row[3]) if len(row) > 3 else row for row in table]
+        else:
+            rows = [*zip_longest(*(_column(table, name) for name in names), fillvalue=_MISSING)]
+        counted: Counter[tuple[Hashable, ...]] = Counter()
+        totals: Counter[tuple[Hashable, ...]] = Counter()
+        for row in rows:
+            number = row[-1] if len(row) == len(names) and _MISSING not in row else None
+            if not (is_number(number) and number >= 0 and number == number // 1):
+                form = ", ".join(["state", "action", "successor", *costs, "count"])
+                raise ModelError(f"row {row!r} of the table must be ({form}), a whole count >= 0")
+            counted[row[:-1]] += int(number)
+            totals[row[:2]] += int(number)
+        for (here, name), total in totals.items():
+            if total == 0:
+                raise ModelError(f"action {name!r} of state {here!r} has no counts: leave it out")
+        columns = zip(*counted, strict=True)
+        listed = dict(zip(["state", "action", "successor", *costs], columns, strict=False))
+        model = cls.from_frame(
+            listed
+            | {"counts": [*counted.values()]}
+            | {"probability": [n / totals[key[:2]] for key, n in counted.items()]},
+            goal,
+            cost=[*costs, "counts"],
+            state_labels=state_labels,
+            dead_ends=dead_ends,
+        )
+        named = dict(model.named_costs)
+        counts = named.pop("counts")
+        return replace(model, counts=counts, named_costs={} if isinstance(cost, str) else named)
 
     @classmethod
     @explained

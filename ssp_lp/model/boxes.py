@@ -1,0 +1,230 @@
+"""Boxes: an interval for each probability of a model, such as counts allow.
+
+Nature chooses the probabilities of every pair within its box, apart from all other pairs
+((s, a)-rectangular uncertainty: Nilim and El Ghaoui, Operations Research 53, 2005; Iyengar,
+Mathematics of Operations Research 30, 2005).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.stats import beta
+
+from ssp_lp.arrays import (
+    PROBABILITY_SUM,
+    FloatArray,
+    IntArray,
+    ReadOnlyCopies,
+    read_only,
+    segment_ids,
+    segment_sums,
+)
+from ssp_lp.errors import ModelError, check_whole, is_number, wrong_argument
+from ssp_lp.model.arguments import explained
+from ssp_lp.model.report import Report, Table
+from ssp_lp.model.ssp import SSP
+
+USEFUL_COUNT = 1_000
+"""Counts of a pair from which its boxes are narrow: about 0.05 each side at 95 % for a model."""
+
+FORCED = 1e-12
+"""By how much intervals must force one another to count: less is the rounding of their sums."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Boxes(Report, ReadOnlyCopies):
+    """An interval for the probability of each outcome of a model.
+
+    Intervals are narrowed to the numbers that a distribution within the box can have.
+
+    Raises:
+        ModelError: not a number for each outcome, ends outside [0, 1] or in the wrong order, or a
+            box of a pair that no distribution lies in.
+
+    Example:
+        >>> model = SSP.from_transitions(
+        ...     {"road": {"go": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)]}, "ditch": {}},
+        ...     goal={"home"}, dead_ends={"ditch"})
+        >>> boxes = Boxes(model, low=[0.8, 0.0], high=[1.0, 0.3])
+        >>> boxes.high.round(9).tolist()
+        [1.0, 0.2]
+    """
+
+    model: SSP
+    low: FloatArray  # [outcomes]
+    high: FloatArray  # [outcomes]
+    confidence: float | None = None  # that all boxes hold at once; None: not from counts
+
+    def __post_init__(self) -> None:
+        self.keep_read_only("low", "high", dtype=np.float64)
+        model, low, high = self.model, self.low, self.high
+        if low.shape != (model.n_outcomes,) or high.shape != low.shape:
+            raise ModelError(f"low and high must have a number for each of {model.n_outcomes}"
+                             " outcomes")  # fmt: skip
+        offsets, pair = model.outcome_offsets, segment_ids(model.outcome_offsets)
+        least, most = segment_sums(low, offsets)[pair], segment_sums(high, offsets)[pair]
+        wrong = ~((low >= 0.0) & (low <= high) & (high <= 1.0))
+        wrong |= (least > 1.0 + PROBABILITY_SUM) | (most < 1.0 - PROBABILITY_SUM)
+        if wrong.any():
+            named = model.describe_pair(int(pair[int(np.argmax(wrong))]))
+            raise ModelError(f"{named}: no probabilities lie within its box: 0 <= low <= high <= 1"
+                             " with sums of low at most 1 and of high at least 1")  # fmt: skip
+        forced, left = 1.0 - (most - high), 1.0 - (least - low)
+        narrowed = {"low": np.where(forced > low + FORCED, forced, low),
+                    "high": np.where(left < high - FORCED, left, high)}  # fmt: skip
+        for name, array in narrowed.items():
+            object.__setattr__(self, name, read_only(array))
+
+    @classmethod
+    @explained
+    def from_counts(cls, model: SSP, confidence: float = 0.95) -> Boxes:
+        """Intervals of Clopper and Pearson (1934) that hold all at once with this confidence.
+
+        The error is shared out in equal parts (union bound). A pair with one successor needs no
+        interval, a pair with two needs one: the other is its complement. Only outcomes of the
+        table are possible: give successors that may come but were not seen a row of count 0.
+
+        Args:
+            model: of :meth:`ssp_lp.SSP.from_counts`.
+            confidence: probability that the true probabilities lie in all boxes, in (0, 1).
+
+        Raises:
+            ModelError: a model without counts, or a confidence out of range.
+        """
+        if not (is_number(confidence) and 0.0 < confidence < 1.0):
+            raise wrong_argument("confidence", "be between 0 and 1", confidence)
+        counts, offsets = counts_of(model), model.outcome_offsets
+        widths = np.diff(offsets)
+        intervals = int(np.where(widths > 2, widths, widths - 1).sum())
+        error = (1.0 - confidence) / max(2 * intervals, 1)  # to each side
+        total = segment_sums(counts, offsets)[segment_ids(offsets)]
+        alone, none, every = widths[segment_ids(offsets)] == 1, counts == 0.0, counts == total
+        low = beta.ppf(error, np.where(none, 1.0, counts), total - counts + 1.0)
+        high = beta.ppf(1.0 - error, counts + 1.0, np.where(every, 1.0, total - counts))
+        low, high = np.where(none, 0.0, low), np.where(every, 1.0, high)
+        return cls(model, np.where(alone, 1.0, low), np.where(alone, 1.0, high), float(confidence))
+
+    @cached_property
+    def support(self) -> SSP:
+        """The model with a positive probability for each outcome that its box allows."""
+        offsets = self.model.outcome_offsets
+        shares = self.high / segment_sums(self.high, offsets)[segment_ids(offsets)]
+        return replace(self.model, probabilities=read_only(shares))
+
+    def fits(self, model: SSP) -> bool:
+        """Whether a model has the outcomes of the boxes' model, perhaps of other probabilities."""
+        own = self.model
+        return model is own or (
+            np.array_equal(model.pair_offsets, own.pair_offsets)
+            and np.array_equal(model.outcome_offsets, own.outcome_offsets)
+            and np.array_equal(model.successors, own.successors)
+        )
+
+    def check_model(self, model: SSP) -> None:
+        """Raise :class:`ModelError` if the boxes are those of another model."""
+        if not self.fits(model):
+            raise ModelError(f"box: the boxes are of another model, {self.model!r}")
+
+    def __repr__(self) -> str:
+        """One line: the model, the widest interval and the confidence."""
+        width = float((self.high - self.low).max(initial=0.0))
+        sure = "" if self.confidence is None else f", confidence {self.confidence:g}"
+        return f"Boxes({self.model!r}, widest {width:.3g}{sure})"
+
+    def tables(self) -> Sequence[Table]:
+        """Each outcome with its count, probability and interval, and notes on wide boxes."""
+        model = self.model
+        pair = segment_ids(model.outcome_offsets)
+        counts = np.full(len(pair), np.nan) if model.counts is None else model.counts
+        places = np.stack([model.pair_state[pair], model.successors], axis=1).tolist()
+        numbers = np.stack([counts, model.probabilities, self.low, self.high], axis=1).tolist()
+        rows = [
+            (model.states[here], model.action_of(k), model.states[there], *some)
+            for k, (here, there), some in zip(pair.tolist(), places, numbers, strict=True)
+        ]
+        head = ("state", "action", "successor", "count", "probability", "low", "high")
+        title = "Boxes" if self.confidence is None else f"Boxes, confidence {self.confidence:g}"
+        return [Table(rows, head, title, self._remarks(), left=3)]
+
+    def _remarks(self) -> list[str]:
+        """Notes on what the boxes do not know: successors never seen, pairs of few counts."""
+        model, counts = self.model, self.model.counts
+        if counts is None or self.confidence is None:
+            return []
+        never = np.flatnonzero(counts == 0.0)
+        totals, notes = segment_sums(counts, model.outcome_offsets), []
+        if never.size:
+            most = float(self.high[never].max())
+            notes.append(f"successors never seen: {never.size:,}; each may have up to {most:.2g}")
+        few = (totals < USEFUL_COUNT) & (np.diff(model.outcome_offsets) > 1)
+        if few.any():
+            wide = f"the widest interval is {float((self.high - self.low).max()):.2g}"
+            notes.append(f"pairs of fewer than {USEFUL_COUNT:,} counts: {int(few.sum()):,}; {wide}")
+        return notes
+
+
+def counts_of(model: SSP) -> FloatArray:
+    """Counts of a model's outcomes, [outcomes]; :class:`ModelError` if it was not made of any."""
+    if model.counts is None:
+        raise ModelError("the model has no counts: build it by SSP.from_counts(table, goal)")
+    return model.counts
+
+
+@explained
+def posterior_draws(
+    model: SSP, draws: int, seed: int | np.random.Generator, *, prior: float = 1.0
+) -> list[SSP]:
+    """Models with probabilities drawn from the posterior of their counts.
+
+    The probabilities of each pair have a Dirichlet distribution, by itself, whose parameters are
+    the counts and ``prior`` on top of each. Solve them by ``solve_many``, or evaluate one policy on
+    each, and the spread of the results is what the counts leave open.
+
+    Args:
+        model: of :meth:`ssp_lp.SSP.from_counts`.
+        draws: how many.
+        seed: a number or a generator.
+        prior: counts that each outcome is given before any is seen, > 0.
+
+    Raises:
+        ModelError: a model without counts, or a prior that is not positive.
+    """
+    check_whole("draws", draws)
+    if not (is_number(prior) and 0.0 < prior < float("inf")):
+        raise wrong_argument("prior", "be a positive number", prior)
+    offsets, rng = model.outcome_offsets, np.random.default_rng(seed)
+    pair, shape = segment_ids(offsets), counts_of(model) + prior
+    drawn = rng.standard_gamma(shape, (draws, shape.size))
+    return [
+        replace(model, probabilities=read_only(row / segment_sums(row, offsets)[pair]))
+        for row in drawn
+    ]
+
+
+def greatest_mean(
+    low: FloatArray, high: FloatArray, worth: FloatArray, offsets: IntArray
+) -> FloatArray:
+    """Probabilities within boxes that make the mean of a worth greatest, [entries].
+
+    From the least probabilities on, what is missing to 1 goes to the best entries first.
+
+    Args:
+        low: [entries].
+        high: [entries].
+        worth: [entries].
+        offsets: the box of segment k has the entries ``offsets[k] : offsets[k + 1]``.
+    """
+    order = np.lexsort((-worth, segment_ids(offsets)))
+    chosen, missing = np.array(low), 1.0 - segment_sums(low, offsets)
+    lengths = np.diff(offsets)
+    for place in range(int(lengths.max(initial=0))):
+        some = np.flatnonzero(lengths > place)
+        best = order[offsets[some] + place]
+        given = np.clip(missing[some], 0.0, (high - low)[best])
+        chosen[best] += given
+        missing[some] -= given
+    return chosen

@@ -1,0 +1,185 @@
+"""Robust optima: a problem over boxes of probabilities, restated at the worst of them.
+
+A policy is improved against nature, which makes the worst of it within the boxes (policy iteration
+of Hoffman and Karp, Management Science 12, 1966; Iyengar, Mathematics of Operations Research 30,
+2005). At the optimum nature has one answer to all policies: the problem at those probabilities is
+an ordinary one, whose certified bound holds for the robust optimum, too, as no policy does better
+against all of the boxes than against one point of them.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ssp_lp.analysis.evaluation import evaluate
+from ssp_lp.arrays import (
+    IMPROVEMENT,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    first_minimisers,
+    read_only,
+    segment_minima,
+    segment_sums,
+)
+from ssp_lp.compiled.deadline import check_time, limited
+from ssp_lp.errors import InfeasibleError, SolverError
+from ssp_lp.model.boxes import FORCED, Boxes, greatest_mean
+from ssp_lp.model.graph import dead_ends
+from ssp_lp.policies import DeterministicPolicy
+from ssp_lp.policies.boxed_chain import MOST_ROUNDS, boxed_chain
+from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, as_lottery
+from ssp_lp.problem import as_stated
+from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, start_distribution
+from ssp_lp.solution import Solution
+
+
+def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | None) -> Solution:
+    """Solve a problem over boxes of probabilities.
+
+    Args:
+        problem: a formulation that ``check_boxed`` accepts, with ``box``.
+        solve: solves the problem at given probabilities.
+        time_limit: seconds.
+
+    Returns:
+        The solution of the problem at the worst probabilities, ``solution.problem.model`` having
+        these, with the robust policy. ``objective`` is the worst value of the policy over the
+        boxes, and the bound is that of every policy's worst value.
+
+    Raises:
+        InfeasibleError: failing is forbidden, and no policy reaches the goal surely at all
+            probabilities in the boxes.
+        SolverError: the policies do not settle, or the bound lies above the value.
+        OutOfTimeError: the time limit passed before they had.
+    """
+    began, boxes, semantics = time.perf_counter(), problem.box, problem.semantics
+    start = start_distribution(problem.model, problem.start)
+    with limited(time_limit, "the worst probabilities were settled"):
+        losing = _losing(boxes)[0] if semantics.forbids_failing else None
+        if losing is not None and (lost := (start > 0.0) & (losing > 0)).any():
+            state = problem.model.states[int(np.argmax(lost))]
+            raise InfeasibleError(
+                f"no policy reaches the goal surely from state {state!r} at all probabilities in "
+                "the boxes: allow failing (MCMP, FinitePenalty), or collect more counts",
+                failure_budget=0.0,
+                least_failure=lambda: float(
+                    start @ _settled(boxes, FailureSemantics(aim=Aim.GREATEST_GOAL))[0]
+                ),
+            )
+        loss, decision, worst, rounds = _settled(boxes, semantics)
+    model = replace(problem.model, probabilities=read_only(worst), counts=None)
+    at_worst = replace(problem, model=model, box=None, **as_stated(problem))
+    spent = time.perf_counter() - began
+    left = None if time_limit is None else max(time_limit - spent, 0.0)
+    solution = solve(at_worst, time_limit=left)
+    policy, value = as_lottery(DeterministicPolicy(model, decision)), float(start @ loss)
+    maximised = solution.upper_bound is not None
+    objective = 1.0 - value if maximised else value
+    upper = max(solution.upper_bound, objective) if solution.upper_bound is not None else None
+    slack = solution.lower_bound - objective
+    if not maximised and slack > FORCED * max(abs(objective), 1.0) * len(loss):
+        raise SolverError(f"the bound lies {slack:.1e} above the robust value; report the model")
+    reason = f"{solution.run.reason}; at the worst probabilities in the boxes, of {rounds} rounds"
+    return replace(
+        solution,
+        policy=policy,
+        objective=objective,
+        lower_bound=objective if maximised else min(solution.lower_bound, objective),
+        upper_bound=upper,
+        budget_used=evaluate(policy, at_worst).failure_probability,
+        run=replace(solution.run, reason=reason, seconds=time.perf_counter() - began),
+    )
+
+
+def _settled(
+    boxes: Boxes, semantics: FailureSemantics
+) -> tuple[FloatArray, IntArray, FloatArray, int]:
+    """Policy iteration against nature.
+
+    Decisions are changed only for less, so that a policy that ends surely is followed by such a
+    policy, and zero-cost cycles are never entered.
+
+    Returns:
+        Least worst loss of each state (cost and penalty, or the failure probability), [states]; the
+        robust decisions, [states]; nature's probabilities, [outcomes]; and the number of rounds.
+    """
+    model, only_failing = boxes.support, semantics.aim is Aim.GREATEST_GOAL
+    acting = ~(model.goal_mask | dead_ends(model))
+    usable = np.ones(model.n_pairs, dtype=np.bool_)
+    reward = np.zeros(model.n_outcomes) if only_failing else model.costs
+    rank: IntArray = np.zeros(model.n_states, dtype=np.int64)
+    penalty = 1.0
+    if semantics.forbids_failing:
+        rank, decision, usable = _losing(boxes)
+        acting &= rank == 0
+    elif only_failing:
+        decision = np.where(acting, model.pair_offsets[:-1], UNDECIDED)
+    else:
+        penalty = semantics.penalty
+        decision = np.where(acting, GIVE_UP_CODE, UNDECIDED)
+    top = 0.0
+    for rounds in range(1, MOST_ROUNDS):
+        check_time()
+        loss = np.where(model.goal_mask, 0.0, penalty)
+        loss[rank > 0] = top + rank.max() + 1.0 - rank[rank > 0]
+        if acting.any():
+            begin = acting / acting.sum()
+            boxed = boxed_chain(boxes, DeterministicPolicy(model, decision), begin)
+            chain, ends = boxed.chain, np.where(boxed.chain.goal > 0.0, 0.0, penalty)
+            loss[chain.state] = (
+                boxed.failing()
+                if only_failing
+                else boxed.greatest(reward[chain.outcome], ends, boxed.acting)
+            )
+        worth = reward + loss[model.successors]
+        worst = greatest_mean(boxes.low, boxes.high, worth, model.outcome_offsets)
+        mean = np.where(usable, segment_sums(worst * worth, model.outcome_offsets), np.inf)
+        least = segment_minima(mean, model.pair_offsets)
+        known = loss[acting].max(initial=0.0)
+        better = acting & (least < loss - IMPROVEMENT * known)
+        if not better.any() and known < top:
+            return loss, decision, worst, rounds
+        top = 2.0 * known + float(reward.max(initial=0.0)) + 1.0  # above all that can be paid
+        best = np.full(model.n_states, UNDECIDED, dtype=np.int64)
+        best[np.diff(model.pair_offsets) > 0] = first_minimisers(mean, least, model.pair_offsets)
+        decision = np.where(better, best, decision)
+    raise SolverError("the policies do not settle against the boxes")
+
+
+def _losing(boxes: Boxes) -> tuple[IntArray, IntArray, BoolArray]:
+    """States from which nature can keep every policy from reaching the goal surely.
+
+    In rounds: in what is left, states are taken in by pairs that nature cannot keep from the goal
+    and the states taken in before; all others are lost, with the pairs that may lead there.
+
+    Returns:
+        The round in which each state is lost, 0: never, [states]; a decision for the others that
+        reaches the goal surely, [states]; and the pairs that never lead to a lost state, [pairs].
+    """
+    model = boxes.support
+    offsets, successors, goal = model.outcome_offsets, model.successors, model.goal_mask
+    rank = dead_ends(model).astype(np.int64)
+    while True:
+        kept = rank == 0
+        usable = segment_sums(np.where(kept[successors], 0.0, boxes.high), offsets) == 0.0
+        reached, decision = goal.copy(), np.full(model.n_states, UNDECIDED, dtype=np.int64)
+        while True:
+            check_time()
+            near = reached[successors]
+            forced = segment_sums(np.where(near, boxes.low, 0.0), offsets) > 0.0
+            forced |= segment_sums(np.where(near, 0.0, boxes.high), offsets) < 1.0 - FORCED
+            pairs = np.flatnonzero(forced & usable & (kept & ~reached)[model.pair_state])
+            if not pairs.size:
+                break
+            decision[model.pair_state[pairs]] = pairs
+            reached[model.pair_state[pairs]] = True
+        lost = kept & ~reached
+        if not lost.any():
+            return rank, decision, usable
+        rank[lost] = rank.max() + 1
