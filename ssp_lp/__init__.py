@@ -18,6 +18,12 @@ if TYPE_CHECKING:
         success_costs as success_costs,
     )
     from ssp_lp.analysis.simulation import simulate as simulate
+    from ssp_lp.analysis.what_if import (
+        Change as Change,
+        Effect as Effect,
+        Number as Number,
+        WhatIf as WhatIf,
+    )
     from ssp_lp.answers import Answers as Answers, solve_many as solve_many, sweep as sweep
     from ssp_lp.errors import (
         InfeasibleError as InfeasibleError,
@@ -127,6 +133,7 @@ _MODULES = {
     "accumulated_cost.cost_law": "CostLaw",
     "analysis.evaluation": "Evaluation evaluate success_costs",
     "analysis.simulation": "simulate",
+    "analysis.what_if": "Change Effect Number WhatIf",
     "answers": "Answers solve_many sweep",
     "errors": (
         "InfeasibleError MissingDependencyError ModelError ModelWarning OutOfTimeError "
