@@ -71,6 +71,7 @@ if TYPE_CHECKING:
         Samples as Samples,
         discretise as discretise,
     )
+    from ssp_lp.model.parameters import Parameter as Parameter
     from ssp_lp.model.product import (
         HorizonSSP as HorizonSSP,
         Memory as Memory,
@@ -144,6 +145,7 @@ _MODULES = {
     "model": "SSP",
     "model.continuous_model": "Axis ContinuousModel Distribution Grid WorldSimulator",
     "model.discretise": "Quadrature Samples discretise",
+    "model.parameters": "Parameter",
     "model.product": "HorizonSSP Memory ProductSSP product within_steps",
     "options": (
         "ColumnGeneration DeterministicPolicies Game LinearProgramming Status progress_shown"

@@ -714,6 +714,8 @@ def what_if(
 
 def _together(name: str, numbers: list[Number]) -> Number:
     """Several numbers as one, all of which rise by the same step."""
+    if len(numbers) == 1:
+        return replace(numbers[0], name=name)
     values = {number.value for number in numbers}
     value = values.pop() if len(values) == 1 else None
     return Number("group", name, value, sum((n.change for n in numbers), start=Change()))
@@ -739,6 +741,9 @@ def _check_criterion(problem: Problem) -> None:
 def _numbers(problem: Problem, optimum: _Optimum) -> Iterator[Number]:
     """Numbers of a problem that may matter: of bounds, of the start, and of optimal actions."""
     model = problem.model
+    for parameter, placed in model.parameters.items():
+        moved = Change(probabilities=placed.probabilities, costs=placed.costs)
+        yield Number("parameter", f"parameter {parameter}", placed.value, moved)
     budget = 1.0 if problem.reach_fraction is not None else problem.failure_budget
     if budget is not None and budget < 1.0:
         yield Number("bound", "failure budget", budget, Change(bounds={FAILURE_ROW: 1.0}))

@@ -17,7 +17,7 @@ plt.switch_backend("Agg")
 ALLEY, ROAD = 0.10, 0.01  # chances of a wreck
 
 
-def depot(alley=4.0, road=9.0, **more):
+def depot(alley=4.0, road=9.0):
     """One choice between a cheap and a safe way, whose wrecks cost as much as arriving."""
     return SSP.from_transitions(
         {
@@ -26,7 +26,6 @@ def depot(alley=4.0, road=9.0, **more):
                 "road": [(1 - ROAD, "home", road), (ROAD, "wreck", road)],
             },
             "wreck": {},
-            **more,
         },
         goal={"home"},
         treat_actionless_as_dead_ends=True,
@@ -62,8 +61,9 @@ def test_breakpoints_are_where_an_action_leaves_the_lottery():
 
 def test_both_sides_of_a_kink_are_told():
     """Of two ways of equal cost the optimum takes the cheaper one."""
-    found = by_name(solve(MinCost(depot(9.0, 9.0, **{"depot": {
-        "bus": [(1.0, "home", 5.0)], "tram": [(1.0, "home", 5.0)]}}), "depot")).what_if())  # fmt: skip
+    ways = {"bus": [(1.0, "home", 5.0)], "tram": [(1.0, "home", 5.0)]}
+    model = SSP.from_transitions({"depot": ways}, {"home"})
+    found = by_name(solve(MinCost(model, "depot")).what_if())
     for name in ("cost of bus in depot", "cost of tram in depot"):
         assert (found[name].left, found[name].right) == pytest.approx((1.0, 0.0), abs=1e-9)
         assert found[name].derivative is None
@@ -102,7 +102,8 @@ def test_a_successor_that_an_action_does_not_have_may_be_added():
 
 def test_a_free_component_is_not_made_costly():
     model = SSP.from_transitions(
-        {"a": {"wait": [(1.0, "a", 0.0)], "go": [(0.5, "home", 1.0), (0.5, "pit", 1.0)]}, "pit": {}},
+        {"a": {"wait": [(1.0, "a", 0.0)], "go": [(0.5, "home", 1.0), (0.5, "pit", 1.0)]},
+         "pit": {}},
         goal={"home"}, treat_actionless_as_dead_ends=True,
     )  # fmt: skip
     report = solve(FinitePenalty(model, "a", 1.0)).what_if()
@@ -150,7 +151,7 @@ def test_the_table_of_numbers():
     frame = report.to_frame()
     assert list(frame["matters"]) == sorted(frame["matters"], reverse=True)
     assert "failure budget" in str(report)
-    assert "WhatIf(5 numbers, most: cost of road in depot)" == repr(report)
+    assert repr(report) == "WhatIf(5 numbers, most: cost of road in depot)"
     axes = report.plot(most=3)
     assert len(axes.patches) == 6
     plt.close("all")

@@ -19,7 +19,16 @@ from typing import Any
 import numpy as np
 
 from formulations import MCMP, S3P, FinitePenalty, MaxProb, MinCost
-from ssp_lp import SSP, InfeasibleError, SSPError, end_probability, secondary_cost, solve, visits
+from ssp_lp import (
+    SSP,
+    InfeasibleError,
+    SolverError,
+    SSPError,
+    end_probability,
+    secondary_cost,
+    solve,
+    visits,
+)
 from ssp_lp.analysis.what_if import Change, Effect, WhatIf, what_if
 from tests.campaigns.campaign import run
 
@@ -205,8 +214,8 @@ def check(seed: int, tally: Counter[str], asked: Namespace) -> Iterator[str]:
         report = what_if(problem, by=some)
         yield from told(report, tally)
     except SSPError as error:
-        if "follows failing" in str(error):
-            tally["refused"] += 1
+        if "follows failing" in str(error) or isinstance(error, SolverError):
+            tally[f"refused, {type(error).__name__}"] += 1
             return
         yield f"{problem!r}: {type(error).__name__}: {error}"
 
