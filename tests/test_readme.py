@@ -33,6 +33,7 @@ SHOWN = {
     "docs/guides/own_criterion.md": 2,
     "docs/guides/own_memory.md": 1,
     "docs/guides/own_simulator.md": 0,
+    "docs/guides/what_if.md": 4,
     "docs/models.md": 6,
     "docs/program.md": 16,
     "docs/solving.md": 3,
@@ -43,6 +44,7 @@ SHOWN = {
 BY_THEMSELVES = {
     "docs/gallery.md",
     "docs/guides/own_simulator.md",
+    "docs/guides/what_if.md",
     "docs/program.md",
     "docs/tutorial.md",
 }

@@ -482,12 +482,12 @@ class _Optimum:
 
     def along(self, change: Change) -> float:
         """Derivative of the optimum when numbers move together."""
-        return sum((
+        return float(sum((
             *(slope * self.by_probability[k] for k, slope in change.probabilities.items()),
             *(slope * self.by_cost[name][k] for (name, k), slope in change.costs.items()),
             *(slope * self.by_bound.get(name, np.nan) for name, slope in change.bounds.items()),
             *(slope * self.by_start[k] for k, slope in change.start.items()),
-        ), start=0.0)  # fmt: skip
+        ), start=0.0))  # fmt: skip
 
     @cached_property
     def support(self) -> frozenset[Hashable]:

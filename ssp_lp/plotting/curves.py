@@ -389,12 +389,11 @@ def plot_tornado(
         moves = [sign * share * e.number.scale for e in drawn]
         widths = [(slope or 0.0) * move for slope, move in zip(slopes, moves, strict=True)]
         ax.barh(places, widths, 0.62, facecolor="white", edgecolor=look.colour, hatch=look.hatch,
-                label=f"{side} by {share:.0%} of its size")  # fmt: skip
+                label=f"it {side} by {share:.0%}")  # fmt: skip
     names = [f"{e.number.name} ({e.number.value:g})" if e.number.value is not None
              else e.number.name for e in drawn]  # fmt: skip
     ax.set_yticks(places, names)
     ax.axvline(0.0, color=INK, linewidth=1.0)
     dress_axes(ax, f"change of the optimum {effects.optimum.objective:.6g}", "")
-    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.25 - 0.6 / len(drawn)), ncols=2,
-              frameon=False, title="when the number")  # fmt: skip
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
     return ax

@@ -10,6 +10,7 @@ import pytest
 from formulations import MCMP, S3P, CVaR, FinitePenalty, MaxProb, MinCost, MinProb
 from refusing import refused
 from ssp_lp import SSP, Change, secondary_cost, solve
+from ssp_lp.plotting import plot_tornado
 from tests.campaigns import what_if_check
 
 plt.switch_backend("Agg")
@@ -178,6 +179,17 @@ def test_derivatives_are_differences_of_optima(seed):
 @pytest.mark.slow
 def test_more_draws_of_derivatives():
     assert what_if_check.main(["--count", "40", "--seed", "100", "--small"]) == 0
+
+
+def test_the_numbers_of_a_tornado_are_its_bars():
+    report = solve(MCMP(depot(), "depot", 0.05)).what_if()
+    axes = plot_tornado(report, share=0.2)
+    widths = sorted(abs(bar.get_width()) for bar in axes.patches)
+    expected = sorted(0.2 * effect.weight for effect in report.effects for _ in range(2))
+    assert widths == pytest.approx(expected)
+    plt.close("all")
+    nothing = SSP.from_transitions({"a": {"go": [(1.0, "home", 0.0)]}}, {"home"})
+    refused("nothing to draw", plot_tornado, solve(MaxProb(nothing, "a")).what_if())
 
 
 def test_a_change_is_a_vector():
