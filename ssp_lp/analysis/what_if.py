@@ -17,7 +17,7 @@ sides, and checked against differences of the optimum.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from time import perf_counter
 from typing import Any, cast
@@ -26,7 +26,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.accumulated_cost.written_out import OpenEnded
-from ssp_lp.arrays import FloatArray, IntArray, entries_of, read_only
+from ssp_lp.arrays import FloatArray, IntArray, entries_of
 from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, SSPError, optional_module
 from ssp_lp.model import SSP
@@ -91,7 +91,7 @@ class Change:
         """
         stated: dict[str, Any] = as_stated(problem)
         if self.probabilities or self.costs:
-            stated["model"] = self._applied_to_model(problem.model, step)
+            stated["model"] = problem.model.with_moves(self.probabilities, self.costs, step)
         if self.start:
             start = start_distribution(problem.model, problem.start).copy()
             for state, slope in self.start.items():
@@ -109,19 +109,6 @@ class Change:
             upper = None if limit.upper is None else limit.upper + slope
             limits[name] = replace(limit, lower=lower, upper=upper)
         return cast("Problem", replace(cast("Any", problem), constraints=limits, **stated))
-
-    def _applied_to_model(self, model: SSP, step: float) -> SSP:
-        """The model with its probabilities and costs moved by a step."""
-        probabilities, costs = model.probabilities.copy(), dict(model.costs_by_name)
-        for outcome, slope in self.probabilities.items():
-            probabilities[outcome] += step * slope
-        for name in {name for name, _ in self.costs}:
-            costs[name] = np.array(costs[name])
-        for (name, outcome), slope in self.costs.items():
-            costs[name][outcome] += step * slope
-        named = {name: read_only(costs[name]) for name in model.named_costs}
-        own = read_only(costs[next(iter(costs))])
-        return replace(model, probabilities=read_only(probabilities), costs=own, named_costs=named)
 
     def most(self, problem: Problem, sign: float) -> float:
         """The greatest step in a direction that leaves every number at least 0."""
@@ -431,33 +418,27 @@ class _Optimum:
         for state in np.flatnonzero(lost + quitting > 0.0).tolist():
             pairs = np.array(model.pairs_of(state), dtype=np.int64)
             pairs = pairs if quotient.dead[state] else pairs[staying[pairs]]
-            if pairs.size:
-                mass = float(lost[state] + quitting[state])
-                charges += [(*part, mass, some) for part, some in self._least_paid(pairs)]
+            for weight, costs in self.paid if pairs.size else ():
+                pair = int(pairs[np.argmin(cost_means(costs)[pairs])])
+                some = slice(*map(int, model.outcome_offsets[pair : pair + 2]))
+                charges.append((weight, costs, float(lost[state] + quitting[state]), some))
         return charges
-
-    def _least_paid(self, pairs: IntArray) -> Iterator[tuple[tuple[float, SSP], slice]]:
-        """For each cost that counts, the outcomes of the first pair that costs least."""
-        offsets = self.problem.model.outcome_offsets
-        for weight, costs in self.paid:
-            pair = int(pairs[np.argmin(cost_means(costs)[pairs])])
-            yield (weight, costs), slice(int(offsets[pair]), int(offsets[pair + 1]))
 
     @cached_property
     def by_start(self) -> FloatArray:
         """Derivative by the start's probability of each state, nan where nothing is known."""
         quotient, (entering, _) = self.measure.program.augmented.quotient, self.ends
-        live, model = quotient.node_of >= 0, self.problem.model
+        live = quotient.node_of >= 0
         begun = np.where(live, self.values[np.where(live, quotient.node_of, 0)], entering)
         for price, row in self.rows:
             for weight, term in row.terms:
                 if not (isinstance(term, StepTerm) or term.final):
                     begun = begun + price * weight * (term.states & live)
-        if not isinstance(model, ProductSSP):
+        if (counting := self.counting_steps) is None:
             return self.scale * begun
-        first = np.flatnonzero(model.labels.number == 0)
-        stated = np.full(model.original.n_states, np.nan)
-        stated[model.original_state[first]] = self.scale * begun[first]
+        first = np.flatnonzero(counting.labels.number == 0)
+        stated = np.full(counting.original.n_states, np.nan)
+        stated[counting.original_state[first]] = self.scale * begun[first]
         return stated
 
     @cached_property
@@ -472,13 +453,18 @@ class _Optimum:
         bounds["penalty"] = self.scale * float(measure.program.process.failure @ measure.visits)
         return bounds
 
+    @property
+    def counting_steps(self) -> ProductSSP | None:
+        """The model of (state, steps taken) that is solved with a horizon; None: there is none."""
+        model = self.problem.model
+        return model if isinstance(model, ProductSSP) and model.is_hidden else None
+
     def _stated(self, per_outcome: FloatArray) -> FloatArray:
         """Numbers by outcome of the model as stated, [outcomes], of those that are solved."""
-        model = self.problem.model
-        if not isinstance(model, ProductSSP):
+        if (counting := self.counting_steps) is None:
             return per_outcome
-        stated = np.bincount(model.original_outcome, per_outcome, model.original.n_outcomes)
-        return stated.astype(np.float64)
+        places, size = counting.original_outcome, counting.original.n_outcomes
+        return np.bincount(places, per_outcome, size).astype(np.float64)
 
     def along(self, change: Change) -> float:
         """Derivative of the optimum when numbers move together."""
@@ -728,7 +714,7 @@ def _check_criterion(problem: Problem) -> None:
         reason = "is no expected cost, cost given success or goal probability"
     elif problem.own_constraints:
         reason = "has limits of its own: state them as constraints of MCMP or MaxProb"
-    elif problem.ratio and not hasattr(type(problem), "cost_cap"):
+    elif problem.ratio and "cost_cap" not in {part.name for part in fields(cast("Any", problem))}:
         reason = "counts no totals: take S3P"
     elif problem.unrolled.model.failure_label is not None:
         reason = "limits what follows failing"
@@ -772,9 +758,9 @@ def _optimal_pairs(optimum: _Optimum) -> IntArray:
         measure.values.reduced_costs <= _SAME * scale)  # type: ignore[union-attr]  # fmt: skip
     charged = [np.arange(some.start, some.stop) for *_, some in optimum.charged]
     used = np.concatenate([outcome[best[column]], *charged]).astype(np.int64)
-    if isinstance(model, ProductSSP):
-        used = model.original_outcome[used].astype(np.int64)
-        model = model.original
+    if (counting := optimum.counting_steps) is not None:
+        used = counting.original_outcome[used].astype(np.int64)
+        model = counting.original
     return np.asarray(np.unique(np.searchsorted(model.outcome_offsets, used, side="right") - 1))
 
 
@@ -799,12 +785,9 @@ def _chances_of_pair(model: SSP, pair: int) -> Iterator[Number]:
             successor = model.states[int(model.successors[k])]
             change = Change(probabilities=_in_proportion(chances, outcomes, k))
             name = f"chance of {successor} by {action} in {state}"
-            at, others = (
-                float(chances[k]),
-                [float(chances[j]) for j in change.probabilities if j != k],
-            )
-            rest = len(others) == 1 and (at > others[0] or (at == others[0] and k > outcomes[0]))
-            yield Number("probability", name, at, change, state, action, successor, rest)
+            at, possible = float(chances[k]), [*change.probabilities]  # it comes first
+            rest = len(possible) == 2 and (at, k) > (chances[possible[1]], possible[1])
+            yield Number("probability", name, at, change, state, action, successor, bool(rest))
 
 
 def _costs_of_pair(model: SSP, pair: int, optimum: _Optimum) -> Iterator[Number]:

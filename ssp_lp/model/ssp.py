@@ -546,8 +546,7 @@ class SSP(Graph, ReadOnlyCopies):
 
         Example: see :class:`ssp_lp.Parameter`.
         """
-        chances, costs = self.probabilities.copy(), dict(self.costs_by_name)
-        placed = dict(self.parameters)
+        model, placed = self, dict(self.parameters)
         for name, value in values.items():
             if name not in placed:
                 nearest = did_you_mean(name, placed, "its parameters:")
@@ -556,20 +555,34 @@ class SSP(Graph, ReadOnlyCopies):
                 raise wrong_argument(name, "be a number", value)
             parameter, rise = placed[name], float(value) - placed[name].value
             placed[name] = replace(parameter, value=float(value))
-            for outcome, slope in parameter.probabilities.items():
-                chances[outcome] += rise * slope
-            for of in {of for of, _ in parameter.costs}:
-                costs[of] = np.array(costs[of])
-            for (of, outcome), slope in parameter.costs.items():
-                costs[of][outcome] += rise * slope
-        named = {name: read_only(costs[name]) for name in self.named_costs}
-        own = read_only(costs[next(iter(costs))])
-        stated: dict[str, Any] = {"costs": own, "named_costs": named, "parameters": placed}
-        draft = replace(self, probabilities=read_only(chances), **stated)
-        _check_numbers(draft, chances, "probability")
-        for name, paid in draft.costs_by_name.items():
-            _check_costs(draft, paid, name)
-        return replace(draft, probabilities=_with_unit_sums(draft, False))
+            model = model.with_moves(parameter.probabilities, parameter.costs, rise)
+        _check_numbers(model, model.probabilities, "probability")
+        for name, paid in model.costs_by_name.items():
+            _check_costs(model, paid, name)
+        return replace(model, parameters=placed, probabilities=_with_unit_sums(model, False))
+
+    def with_moves(
+        self,
+        probabilities: Mapping[int, float],
+        costs: Mapping[tuple[str, int], float],
+        step: float,
+    ) -> SSP:
+        """The same model with some of its numbers moved, unchecked.
+
+        Args:
+            probabilities: by how much each moves for a step of 1, by outcome.
+            costs: likewise, by name (of ``costs_by_name``) and outcome.
+            step: the length of the step.
+        """
+        chances, every = self.probabilities.copy(), dict(self.costs_by_name)
+        for outcome, slope in probabilities.items():
+            chances[outcome] += step * slope
+        every |= {name: np.array(every[name]) for name, _ in costs}
+        for (name, outcome), slope in costs.items():
+            every[name][outcome] += step * slope
+        named = {name: read_only(every[name]) for name in self.named_costs}
+        own = read_only(next(iter(every.values())))
+        return replace(self, probabilities=read_only(chances), costs=own, named_costs=named)
 
     @explained
     def with_labels(self, state_labels: Mapping[str, StateSet]) -> SSP:

@@ -7,9 +7,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from formulations import MCMP, S3P, CVaR, FinitePenalty, MaxProb, MinCost, MinProb
+from formulations import ISSPUDE, MCMP, S3P, CVaR, FinitePenalty, MaxProb, MinCost, MinProb
 from refusing import refused
-from ssp_lp import SSP, Change, secondary_cost, solve
+from ssp_lp import SSP, Change, secondary_cost, solve, within_steps
 from ssp_lp.plotting import plot_tornado
 from tests.campaigns import what_if_check
 
@@ -147,6 +147,15 @@ def test_a_horizon_counts_a_number_in_every_step():
     assert home.derivative == pytest.approx(3 * 0.7**2)
 
 
+def test_a_memory_of_the_users_has_numbers_of_its_own():
+    """On (state, tries) each try is an action of its own: the second is made with chance 0.7."""
+    tries = SSP.from_transitions({"a": {"try": [(0.3, "home", 1.0), (0.7, "a", 1.0)]}}, {"home"})
+    counted = within_steps(tries, 2, start={"a"})
+    report = solve(MaxProb(counted, counted.start("a"))).what_if()
+    found = {effect.number.state: effect for effect in report.effects}
+    assert sorted(effect.derivative for effect in found.values()) == pytest.approx([0.7, 0.7])
+
+
 def test_the_table_of_numbers():
     report = solve(MCMP(depot(), "depot", 0.05)).what_if()
     frame = report.to_frame()
@@ -159,7 +168,11 @@ def test_the_table_of_numbers():
 
 
 def test_other_criteria_are_refused_by_name():
-    for problem in (CVaR(depot(), "depot", 0.9, 0.05), MinProb(depot(), "depot")):
+    for problem in (
+        CVaR(depot(), "depot", 0.9, 0.05),
+        MinProb(depot(), "depot"),
+        ISSPUDE(depot(), "depot"),
+    ):
         refused(f"what_if answers.*{type(problem).__name__}", solve(problem).what_if)
 
 
