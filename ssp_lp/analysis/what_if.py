@@ -542,7 +542,6 @@ class WhatIf(Report):
 
     problem: Problem
     optimum: _Optimum = field(repr=False)
-    time_limit: float | None
     effects: tuple[Effect, ...] = ()
 
     def effect(self, number: Number | Change) -> Effect:
@@ -612,8 +611,8 @@ class WhatIf(Report):
         """Steps to the left and to the right up to which the same actions are optimal and used.
 
         Found by bisection, to a relative accuracy of 1e-6, on solutions of the program: the number
-        may move by any step between the two without a change of the lottery's actions. An end where
-        a number is 0, or beyond 1,000, is not passed.
+        may move by any step between the two without a change of the lottery's actions; at a kink
+        one of them is 0. An end where a number is 0, or beyond 1,000, is not passed.
         """
         change = number.change if isinstance(number, Number) else number
         return -self._reach(change, -1.0), self._reach(change, 1.0)
@@ -632,7 +631,7 @@ class WhatIf(Report):
         low, high = 0.0, min(_STEP, end)
         while high < end and holds(high):
             low, high = high, min(2.0 * high, end)
-        while high - low > _EDGE * high:
+        while high - low > max(_EDGE * high, _EDGE * _STEP):
             middle = (low + high) / 2.0
             low, high = (middle, high) if holds(middle) else (low, middle)
         return high if high == end else low
@@ -678,7 +677,7 @@ def what_if(
     """
     _check_criterion(problem)
     began, optimum = perf_counter(), _Optimum.of(problem)
-    report = WhatIf(problem, optimum, time_limit)
+    report = WhatIf(problem, optimum)
     numbers = [*_numbers(problem, optimum)]
     if by is None:
         numbers = [number for number in numbers if not number.is_rest]

@@ -58,6 +58,11 @@ def test_breakpoints_are_where_an_action_leaves_the_lottery():
     assert (low, high) == pytest.approx((ROAD - 0.05, ALLEY - 0.05), abs=1e-5)
     low, high = report.breakpoints(by_name(report)["cost of road in depot"].number)
     assert low == pytest.approx(4.0 - 9.0, abs=1e-4)
+    tie = SSP.from_transitions({"a": {"x": [(1.0, "home", 5.0)], "y": [(1.0, "home", 5.0)]}},
+                               {"home"})  # fmt: skip
+    report = solve(MinCost(tie, "a")).what_if()
+    ends = report.breakpoints(by_name(report)["cost of x in a"].number)
+    assert min(map(abs, ends)) < 1e-9
 
 
 def test_both_sides_of_a_kink_are_told():
