@@ -18,6 +18,12 @@ if TYPE_CHECKING:
         success_costs as success_costs,
     )
     from ssp_lp.analysis.simulation import simulate as simulate
+    from ssp_lp.analysis.what_if import (
+        Change as Change,
+        Effect as Effect,
+        Number as Number,
+        WhatIf as WhatIf,
+    )
     from ssp_lp.analysis.worst_case import WorstCase as WorstCase
     from ssp_lp.answers import Answers as Answers, solve_many as solve_many, sweep as sweep
     from ssp_lp.errors import (
@@ -67,6 +73,7 @@ if TYPE_CHECKING:
         Samples as Samples,
         discretise as discretise,
     )
+    from ssp_lp.model.parameters import Parameter as Parameter
     from ssp_lp.model.product import (
         HorizonSSP as HorizonSSP,
         Memory as Memory,
@@ -136,6 +143,7 @@ _MODULES = {
     "analysis.evaluation": "Evaluation evaluate success_costs",
     "analysis.simulation": "simulate",
     "analysis.worst_case": "WorstCase",
+    "analysis.what_if": "Change Effect Number WhatIf",
     "answers": "Answers solve_many sweep",
     "errors": (
         "InfeasibleError MissingDependencyError ModelError ModelWarning OutOfTimeError "
@@ -147,6 +155,7 @@ _MODULES = {
     "model.boxes": "Boxes posterior_draws",
     "model.continuous_model": "Axis ContinuousModel Distribution Grid WorldSimulator",
     "model.discretise": "Quadrature Samples discretise",
+    "model.parameters": "Parameter",
     "model.product": "HorizonSSP Memory ProductSSP product within_steps",
     "model.task": "Task reach task",
     "options": (

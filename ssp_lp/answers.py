@@ -14,6 +14,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from dataclasses import dataclass, fields, is_dataclass, replace
+from inspect import signature
 from itertools import product as combinations
 from math import inf, isfinite
 from pathlib import Path
@@ -34,6 +35,7 @@ from ssp_lp.errors import (
     in_short,
     is_number,
 )
+from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.report import Report, Table
 from ssp_lp.options import Method, deadline_of, options_of, parse_method, progress_shown
@@ -63,7 +65,7 @@ def sweep(criterion: Callable[..., Problem], *given: Any, **named: Any) -> list[
         criterion: such as ``MCMP``.
         given: its arguments in their order. Lists, ranges and arrays are swept, the last one
             fastest; anything else is the same in all problems.
-        named: its arguments by name, likewise.
+        named: its arguments by name, likewise, and parameters of the model.
 
     Raises:
         ModelError: as of the criterion, or a list is empty.
@@ -86,10 +88,20 @@ def sweep(criterion: Callable[..., Problem], *given: Any, **named: Any) -> list[
         if len(values) == 0:
             names = [*(f"argument {k}" for k in range(1, len(given) + 1)), *named]
             raise ModelError(f"nothing to sweep over: {names[place]} is empty")
-    return [
-        criterion(*chosen[: len(given)], **dict(zip(named, chosen[len(given) :], strict=True)))
-        for chosen in combinations(*swept)
-    ]
+    labels, made, problems = [*range(len(given)), *named], dict[Any, SSP](), list[Problem]()
+    of: Any = 0 if given else "model"  # whose argument is the model
+    models = swept[labels.index(of)] if of in labels else ()
+    known = {name for model in models if isinstance(model, SSP) for name in model.parameters}
+    known -= {*signature(criterion).parameters}
+    for chosen in combinations(*swept):
+        arguments: dict[Any, Any] = dict(zip(labels, chosen, strict=True))
+        moved = {name: arguments.pop(name) for name in labels if name in known}
+        if moved:
+            model, key = arguments[of], (id(arguments[of]), *moved.values())
+            arguments[of] = made[key] = made.get(key) or model.with_parameters(**moved)
+        first = [arguments.pop(k) for k in range(len(given))]
+        problems.append(criterion(*first, **arguments))
+    return problems
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -152,6 +164,8 @@ class Answers(Report):
             stated["model"] = numbers.setdefault(id(problem.model), len(numbers))
             parts: Sequence[Any] = fields(problem) if is_dataclass(problem) else ()
             names = [part.name for part in sorted(parts, key=lambda part: part.kw_only is True)]
+            values = {name: placed.value for name, placed in problem.model.parameters.items()}
+            stated, names = {**values, **stated}, [*names, *(values.keys() - {*names})]
             rows.append({name: _plain(stated.get(name)) for name in names})
         every = dict.fromkeys(name for row in rows for name in row)
         columns = {name: [row.get(name) for row in rows] for name in every}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -17,6 +17,7 @@ from ssp_lp.analysis.evaluation import (
     giving_up_in_words,
 )
 from ssp_lp.analysis.explanation import Explanation, explanation
+from ssp_lp.analysis.what_if import Number, WhatIf, what_if
 from ssp_lp.arrays import FloatArray, IntArray, ReadOnlyCopies, read_only
 from ssp_lp.column_generation.column import least_of, relative_gap
 from ssp_lp.column_generation.compiled_problem import CompiledExplicit
@@ -167,6 +168,45 @@ class Solution(Facts, ReadOnlyCopies):
         ratio = self.objective if self.problem.ratio else 0.0
         randomised = self.randomised_policy
         return explanation(self.values, self.prices, ratio, randomised, state, cost_paid)
+
+    @explained
+    def what_if(
+        self,
+        by: Callable[[Number], Hashable] | None = None,
+        *,
+        time_limit: float | None = None,
+    ) -> WhatIf:
+        """Derivatives of the optimum by each probability, cost, bound and start: which matter?
+
+        They follow from visits and values of the problem's program, which is solved for it. Where
+        lottery or prices are not the only optimal ones, the derivatives to the left and to the
+        right differ: the program is then solved four times for each number.
+
+        Args:
+            by: maps a :class:`Number` to the group with which it moves, since one number of yours
+                may stand in many places; None leaves it out.
+            time_limit: seconds, after which the remaining derivatives are None.
+
+        Raises:
+            ModelError: another criterion than MCMP, S3P, MaxProb, MinCost and FinitePenalty.
+            SolverError: the program is too large.
+
+        Example:
+            >>> from ssp_lp import MCMP, SSP, solve
+            >>> routes = {"alley": [(0.9, "home", 4.0), (0.1, "wreck", 4.0)],
+            ...           "road": [(0.99, "home", 9.0), (0.01, "wreck", 9.0)]}
+            >>> model = SSP.from_transitions({"depot": routes, "wreck": {}}, goal={"home"},
+            ...                              treat_actionless_as_dead_ends=True)
+            >>> print(solve(MCMP(model, "depot", failure_budget=0.05)).what_if())
+            the optimum 6.77777778 moves with each number by
+              number                              at  derivative   matters
+              cost of road in depot                9    0.555556         5
+              failure budget                    0.05    -55.5556   2.77778
+              chance of wreck by alley in depot  0.1     24.6914   2.46914
+              cost of alley in depot               4    0.444444   1.77778
+              chance of wreck by road in depot  0.01     30.8642  0.308642
+        """
+        return what_if(self.problem, by, time_limit=time_limit)
 
     @explained
     def policy_everywhere(

@@ -245,9 +245,9 @@ def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -
 @pytest.mark.parametrize(
     ("measure", "most"),
     [
-        (house.lines_in_all, 31_981),
-        (house.public_classes, 277),
-        (house.numeric_constants, 521),
+        (house.lines_in_all, 32_794),
+        (house.public_classes, 284),
+        (house.numeric_constants, 529),
         (house.questions_asked, 80),
         (house.written_past_freezing, 42),
     ],
@@ -270,10 +270,10 @@ def test_no_folder_grows() -> None:
 
 LINES = {
     "formulations": 458,
-    "formulations/command_line": 804,
-    "ssp_lp": 2_117,
+    "formulations/command_line": 833,
+    "ssp_lp": 2_149,
     "ssp_lp/accumulated_cost": 2_694,
-    "ssp_lp/analysis": 921,
+    "ssp_lp/analysis": 1_530,
     "ssp_lp/column_generation": 2_146,
     "ssp_lp/compiled": 1_734,
     "ssp_lp/distributed": 972,
@@ -282,8 +282,8 @@ LINES = {
     "ssp_lp/io": 3_033,
     "ssp_lp/linear_programming": 423,
     "ssp_lp/methods": 3_381,
-    "ssp_lp/model": 2_749,
-    "ssp_lp/plotting": 782,
+    "ssp_lp/model": 2_862,
+    "ssp_lp/plotting": 812,
     "ssp_lp/policies": 1_330,
     "ssp_lp/processes": 1_869,
     "ssp_lp/programs": 1_318,

@@ -116,6 +116,9 @@ def of_solving():
     yield ssp_lp.trace_frontier(criteria.S3P(MODEL, START, failure_budget=0.3))
     limits = {"seen": ssp_lp.visits(START) <= 2.0}
     yield ssp_lp.trace_frontier(criteria.MCMP(MODEL, START, constraints=limits), "seen")
+    effects = solve(criteria.MCMP(MODEL, START, failure_budget=0.2)).what_if()
+    yield from (effects, effects.effects[0], effects.effects[0].number)
+    yield from (effects.effects[0].number.change, ssp_lp.Parameter("crash", 0.1))
     asked = ssp_lp.sweep(criteria.MCMP, MODEL, START, failure_budget=[0.01, 0.2])
     yield ssp_lp.solve_many(asked, executor=ThreadPoolExecutor(1))
     comparison = criteria.compare_criteria(MODEL, START)

@@ -401,6 +401,20 @@ VERBS = {
   ssp-lp frontier roads.json --goal home --start depot --limit "cost <= 9" --over cost""",
         forms=_JSON | {"--csv": _taken("for tables; into a file", "FILE", nargs="?", const="-")},
     ),
+    "what-if": Verb(
+        "which number matters: derivatives of the optimum by every probability, cost and bound",
+        {
+            "the question": _QUESTION,
+            "": {
+                "--plot": _taken("draw a tornado of the numbers that matter most", "FILE"),
+                "--time-limit": _taken("then the derivatives so far", "SECONDS", float),
+            },
+        },
+        """\
+  ssp-lp what-if roads.json --goal home --start depot --failure-budget 0.05
+  ssp-lp what-if roads.json --goal home --start depot --criterion maxprob --plot tornado.png""",
+        forms=_JSON | {"--csv": _taken("for tables; into a file", "FILE", nargs="?", const="-")},
+    ),
     "explore": Verb(
         "a page of HTML with a slider along the frontier",
         {"the question": _QUESTION, "": _TRACE | _EXPLORE},

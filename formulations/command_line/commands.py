@@ -25,7 +25,7 @@ from ssp_lp.io.model_files.json_model import model_in_json, parse_json
 from ssp_lp.io.model_files.raw_model import FIRST_COST
 from ssp_lp.methods.labelled_program import program_of
 from ssp_lp.model.report import Table
-from ssp_lp.plotting import explore, plot_cost_law, plot_frontier, row_major
+from ssp_lp.plotting import explore, plot_cost_law, plot_frontier, plot_tornado, row_major
 from ssp_lp.policies.policy import Policy
 
 from ..maxprob import MaxProb
@@ -576,6 +576,23 @@ def _program_command(asked: Namespace) -> Iterable[str]:
     return [str(program)]
 
 
+def _what_if_command(asked: Namespace) -> Iterable[str]:
+    """The command ``what-if``."""
+    figure = figure_for(asked.plot)
+    asked = with_property(asked)
+    found = ssp_lp.solve(problem_of(asked, command_model(asked)))
+    effects = found.what_if(time_limit=asked.time_limit)
+    if figure is not None:
+        plot_tornado(effects, ax=figure.subplots())
+        figure.savefig(asked.plot)
+    (table,) = effects.tables()
+    if asked.json:
+        numbers = [row | {name: str(row[name]) for name in ("state", "action", "successor")}
+                   for row in table.records()]  # fmt: skip
+        return json_answer({"objective": found.objective, "numbers": numbers})
+    return _csv_answer(asked.csv, table) if asked.csv else table.lines()
+
+
 COMMANDS: dict[str, Callable[[Namespace], Iterable[str]]] = {
     "solve": _solve_command,
     "frontier": _frontier_command,
@@ -584,6 +601,7 @@ COMMANDS: dict[str, Callable[[Namespace], Iterable[str]]] = {
     "simulate": _simulate_command,
     "convert": _convert_command,
     "program": _program_command,
+    "what-if": _what_if_command,
     "check": _check_command,
 }
 """What a command prints, by its name."""

@@ -16,6 +16,7 @@ from fractions import Fraction
 from functools import cached_property, partial
 from itertools import compress, zip_longest
 from os import PathLike
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
@@ -43,6 +44,7 @@ from ssp_lp.errors import (
 )
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import Graph, dead_ends as lost_states, end_components
+from ssp_lp.model.parameters import Affine, PlacedParameter
 from ssp_lp.model.report import Table
 
 if TYPE_CHECKING:
@@ -95,6 +97,8 @@ class SSP(Graph, ReadOnlyCopies):
     ``secondary_cost("fuel")`` counts."""
     counts: FloatArray | None = field(kw_only=True, default=None)
     """How often each outcome was seen, [outcomes]; None: the model was not made of counts."""
+    parameters: Mapping[str, PlacedParameter] = field(kw_only=True, default_factory=dict)
+    """Parameters of which probabilities and costs are expressions, by name."""
 
     @classmethod
     @explained
@@ -115,7 +119,8 @@ class SSP(Graph, ReadOnlyCopies):
             transitions: every state that is not a goal must be a key, unless states without
                 actions are accepted. Actions listed at a goal state are left out: the episode ends
                 there. A cost may be several by name, ``{"time": 4.0, "fuel": 1.5}``, the same
-                names everywhere.
+                names everywhere. Probabilities and costs may be expressions of a
+                :class:`ssp_lp.Parameter`.
             goal: the labels of the goal states.
             cost: which of several costs is the model's own; the others are limited by
                 ``secondary_cost("fuel")``.
@@ -521,6 +526,7 @@ class SSP(Graph, ReadOnlyCopies):
         state_labels: Mapping[str, StateSet] | None = None,
         exact_costs: Mapping[float, Fraction] | None = None,
         named_costs: Mapping[str, npt.ArrayLike] | None = None,
+        parameters: Mapping[str, PlacedParameter] | None = None,
         dead_ends: DeadEnds | None = None,
         treat_actionless_as_dead_ends: bool = False,
         normalise: bool = False,
@@ -541,6 +547,7 @@ class SSP(Graph, ReadOnlyCopies):
             exact_costs: the fraction meant by a float cost such as 1/3; others mean their
                 shortest decimal. It decides the lattice of accumulated costs.
             named_costs: costs by name, each as ``costs`` is given, for ``secondary_cost("fuel")``.
+            parameters: named numbers on which probabilities and costs depend, with slopes.
             dead_ends: labels of states from which no action reaches the goal, or a predicate on
                 labels. Any other state without pairs that is not a goal is then an error.
             treat_actionless_as_dead_ends: without ``dead_ends``, accept all states without pairs
@@ -593,6 +600,7 @@ class SSP(Graph, ReadOnlyCopies):
             probabilities=chance,
             state_labels=_indexed_labels(draft, state_labels or {}),
             named_costs=named,
+            parameters=dict(parameters or {}),
         )
         _check_idle_states(model, dead_ends, accept=treat_actionless_as_dead_ends)
         return model
@@ -604,6 +612,56 @@ class SSP(Graph, ReadOnlyCopies):
             ModelError: it has no cost of this name.
         """
         return replace(self, costs=self.cost_named(name))
+
+    def with_parameters(self, **values: float) -> SSP:
+        """The same model with other values of its parameters.
+
+        Args:
+            values: by name; the other parameters keep theirs.
+
+        Raises:
+            ModelError: there is no such parameter, its value is no number, or a probability or a
+                cost is none then.
+
+        Example: see :class:`ssp_lp.Parameter`.
+        """
+        model, placed = self, dict(self.parameters)
+        for name, value in values.items():
+            if name not in placed:
+                nearest = did_you_mean(name, placed, "its parameters:")
+                raise ModelError(f"the model has no parameter {name!r}{nearest}")
+            if not is_number(value):
+                raise wrong_argument(name, "be a number", value)
+            parameter, rise = placed[name], float(value) - placed[name].value
+            placed[name] = replace(parameter, value=float(value))
+            model = model.with_moves(parameter.probabilities, parameter.costs, rise)
+        _check_numbers(model, model.probabilities, "probability")
+        for name, paid in model.costs_by_name.items():
+            _check_costs(model, paid, name)
+        return replace(model, parameters=placed, probabilities=_with_unit_sums(model, False))
+
+    def with_moves(
+        self,
+        probabilities: Mapping[int, float],
+        costs: Mapping[tuple[str, int], float],
+        step: float,
+    ) -> SSP:
+        """The same model with some of its numbers moved, unchecked.
+
+        Args:
+            probabilities: by how much each moves for a step of 1, by outcome.
+            costs: likewise, by name (of ``costs_by_name``) and outcome.
+            step: the length of the step.
+        """
+        chances, every = self.probabilities.copy(), dict(self.costs_by_name)
+        for outcome, slope in probabilities.items():
+            chances[outcome] += step * slope
+        every |= {name: np.array(every[name]) for name, _ in costs}
+        for (name, outcome), slope in costs.items():
+            every[name][outcome] += step * slope
+        named = {name: read_only(every[name]) for name in self.named_costs}
+        own = read_only(next(iter(every.values())))
+        return replace(self, probabilities=read_only(chances), costs=own, named_costs=named)
 
     @explained
     def with_labels(self, state_labels: Mapping[str, StateSet]) -> SSP:
@@ -803,6 +861,8 @@ class ImplicitSSP(SSP):
     :class:`NotExploredError`.
     """
 
+    parameters: Mapping[str, PlacedParameter] = MappingProxyType({})
+
     def __init__(
         self,
         begin: tuple[Hashable, ...],
@@ -874,7 +934,7 @@ class FlatModel:
         lists = ("actions", "goal_states", "successors", "probabilities", "costs")
         self.arrays: dict[str, Any] = {name: [] for name in lists}  # as ``from_arrays`` takes them
         self.arrays |= {"states": states, "pair_offsets": [0], "outcome_offsets": [0]}
-        self.arrays |= {"exact_costs": {}, "named_costs": {}}
+        self.arrays |= {"exact_costs": {}, "named_costs": {}, "parameters": {}}
 
     def place_of(self, state: Hashable) -> int:
         """Position of a state in the model, a new one at the end where it was not found before."""
@@ -923,6 +983,8 @@ class FlatModel:
                     states.append(successor)
                 successors.append(place)
                 if type(probability) is not float:
+                    if isinstance(probability, Affine):
+                        self._place(probability, None)
                     probability = _number(probability, "probability", state, action)
                 probabilities.append(probability)
                 if type(cost) is not float:
@@ -939,8 +1001,28 @@ class FlatModel:
             flat["goal_states"].append(len(flat["pair_offsets"]) - 1)
         flat["pair_offsets"].append(len(flat["actions"]))
 
-    def _paid(self, cost: Any, state: Hashable, action: Hashable) -> float:
-        """A cost as a float; a fraction is remembered."""
+    def _place(self, expression: Affine, cost: str | None) -> None:
+        """Remember that the next outcome's cost of this name depends on parameters of the model.
+
+        Args:
+            expression: of which the number is the value.
+            cost: its name; None: it is the probability.
+        """
+        outcome, placed = len(self.arrays["costs"]), self.arrays["parameters"]
+        for name, value in expression.values.items():
+            known = placed.setdefault(name, PlacedParameter(value))
+            if known.value != value:
+                raise ModelError(f"parameter {name!r} has two values: {known.value:g}, {value:g}")
+            slope = expression.slopes[name]
+            if cost is None:
+                known.probabilities[outcome] = slope
+            else:
+                known.costs[cost, outcome] = slope
+
+    def _paid(self, cost: Any, state: Hashable, action: Hashable, name: str = "cost") -> float:
+        """A cost as a float; a fraction and parameters are remembered."""
+        if isinstance(cost, Affine):
+            self._place(cost, name)
         paid = _number(cost, "cost", state, action)
         if isinstance(cost, Fraction):
             self.arrays["exact_costs"][paid] = cost
@@ -961,7 +1043,7 @@ class FlatModel:
             said = "" if self._cost is None else f", not {self._cost!r}"
             raise ModelError("say which cost counts (", Argument("cost"), f"): {known}{said}")
         for name, cost in costs.items():
-            named[name].append(self._paid(cost, state, action))
+            named[name].append(self._paid(cost, state, action, name))
         return named[self._cost or next(iter(named))][-1]
 
 

@@ -1,6 +1,12 @@
 """Pictures of frontiers, policies, episodes, bounds and laws of costs, and a page to explore."""
 
-from ssp_lp.plotting.curves import BoundsRecord, plot_bounds, plot_cost_law, plot_frontier
+from ssp_lp.plotting.curves import (
+    BoundsRecord,
+    plot_bounds,
+    plot_cost_law,
+    plot_frontier,
+    plot_tornado,
+)
 from ssp_lp.plotting.explorer import Explorer, explore
 from ssp_lp.plotting.plane import (
     plot_episodes,
@@ -21,5 +27,6 @@ __all__ = [
     "plot_grid_policy",
     "plot_lottery",
     "plot_paths",
+    "plot_tornado",
     "row_major",
 ]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ssp_lp.accumulated_cost.cost_law import CostLaw
+from ssp_lp.analysis.what_if import WhatIf
 from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.column import FailureRow
 from ssp_lp.errors import ModelError, SolverError, in_short, optional_module
@@ -357,3 +358,42 @@ def _bars_of_law(law: CostLaw) -> tuple[FloatArray, FloatArray, float]:
         return costs, shares, 0.85 * unit
     heights, edges = np.histogram(costs, _BARS, weights=shares)
     return 0.5 * (edges[1:] + edges[:-1]), heights, float(edges[1] - edges[0])
+
+
+@explained
+def plot_tornado(
+    effects: WhatIf, *, share: float = 0.1, most: int = 12, ax: Axes | None = None
+) -> Axes:
+    """Draw how far each number of a problem moves the optimum, those that matter most on top.
+
+    A bar shows the change of the optimum, by its derivative on that side, when the number falls or
+    rises by a share of its size; the size of a probability p is min(p, 1 - p).
+
+    Args:
+        effects: from ``solution.what_if()``.
+        share: of the size.
+        most: numbers that are drawn at most.
+        ax: where to draw; None: a new figure.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed.
+        ModelError: no number moves the optimum.
+    """
+    drawn = [effect for effect in effects.effects if effect.weight > 0.0][:most][::-1]
+    if not drawn:
+        raise ModelError("no number moves the optimum: there is nothing to draw")
+    ax = axes_or_new(ax, 7.2, 1.2 + 0.34 * len(drawn))
+    places = np.arange(len(drawn))
+    for side, sign, look in (("falls", -1.0, LOOKS[0]), ("rises", 1.0, LOOKS[1])):
+        slopes = [effect.left if sign < 0.0 else effect.right for effect in drawn]
+        moves = [sign * share * e.number.scale for e in drawn]
+        widths = [(slope or 0.0) * move for slope, move in zip(slopes, moves, strict=True)]
+        ax.barh(places, widths, 0.62, facecolor="white", edgecolor=look.colour, hatch=look.hatch,
+                label=f"it {side} by {share:.0%}")  # fmt: skip
+    names = [f"{e.number.name} ({e.number.value:g})" if e.number.value is not None
+             else e.number.name for e in drawn]  # fmt: skip
+    ax.set_yticks(places, names)
+    ax.axvline(0.0, color=INK, linewidth=1.0)
+    dress_axes(ax, f"change of the optimum {effects.optimum.objective:.6g}", "")
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
+    return ax

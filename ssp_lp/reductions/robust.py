@@ -73,7 +73,7 @@ def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | Non
                 ),
             )
         loss, decision, worst, rounds = _settled(boxes, semantics)
-    model = replace(problem.model, probabilities=read_only(worst), counts=None)
+    model = replace(problem.model, probabilities=read_only(worst), counts=None, parameters={})
     at_worst = replace(problem, model=model, box=None, **as_stated(problem))
     spent = time.perf_counter() - began
     left = None if time_limit is None else max(time_limit - spent, 0.0)

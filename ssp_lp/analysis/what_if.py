@@ -1,0 +1,806 @@
+"""Which number matters? Derivatives of the optimum by the numbers of a problem.
+
+By the envelope theorem the optimum moves as the Lagrangian of an optimal lottery x and optimal
+prices does. An outcome o of a pair is worth, at the prices,
+
+    worth(o) = cost + sum of price * quantity + value of its successor,
+
+where a dead-end has the price of failing and its charges as the value. Moving probability from
+outcome o to o' changes the optimum by x * (worth(o') - worth(o)), a cost by x * probability, a
+bound by minus its price, the start by a difference of values. In case S the same holds at each
+accumulated cost, with -c* as the value of the goal, divided by the goal probability.
+
+Where lottery or prices are not the only optimal ones, the formula is read a little beside, on both
+sides, and checked against differences of the optimum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from time import perf_counter
+from typing import Any, cast
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.accumulated_cost.written_out import OpenEnded
+from ssp_lp.arrays import FloatArray, IntArray, entries_of
+from ssp_lp.dynamic_programming.equations import System
+from ssp_lp.errors import InfeasibleError, ModelError, SolverError, SSPError, optional_module
+from ssp_lp.model import SSP
+from ssp_lp.model.graph import attention_pairs, attention_states, dead_ends
+from ssp_lp.model.product import ProductSSP
+from ssp_lp.model.report import Report, Table
+from ssp_lp.problem import Problem, as_stated
+from ssp_lp.processes.conditions import FAILURE_ROW, StepTerm, UpperRow
+from ssp_lp.processes.failure_semantics import (
+    Aim,
+    GiveUp,
+    dead_end_charges,
+    start_distribution,
+    survival_of,
+)
+from ssp_lp.processes.live_rows import cost_means, costless_pairs
+from ssp_lp.programs.occupation_measure import OccupationMeasure
+
+_SAME = 1e-9  # of the greatest value, or a probability: less is rounding
+_STEP = 1e-5  # beside the numbers of the problem, where one side is read
+_AGREES = 1e-4  # relative difference of a one-sided derivative and of optima
+_IDENTITY = 1e-6  # relative: worths of outcomes make up the values of their state
+_BEYOND = 1e-12  # probability of success beyond the last total that is told apart
+_FIRST_CAP, _LAST_CAP = 16.0, 5000.0  # totals told apart, in greatest costs of a step
+_SHOWN = 15  # rows of the text
+_EDGE = 1e-6  # relative accuracy of a breakpoint
+_FARTHEST = 1e3  # step of a number without an end of its own
+
+
+def _added(*parts: Mapping[Any, float]) -> dict[Any, float]:
+    """The sum of vectors that are stated by their entries."""
+    total = dict[Any, float]()
+    for part in parts:
+        for key, value in part.items():
+            total[key] = total.get(key, 0.0) + value
+    return total
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """A direction in which numbers of a problem move: how much each moves per unit of the step."""
+
+    probabilities: Mapping[int, float] = field(default_factory=dict)  # by outcome; sum 0 a pair
+    costs: Mapping[tuple[str, int], float] = field(default_factory=dict)  # by name and outcome
+    bounds: Mapping[str, float] = field(default_factory=dict)  # by name of the row, or "penalty"
+    start: Mapping[int, float] = field(default_factory=dict)  # by state; sum 0
+
+    def __add__(self, other: Change) -> Change:
+        """Both moves at once."""
+        return Change(
+            _added(self.probabilities, other.probabilities),
+            _added(self.costs, other.costs),
+            _added(self.bounds, other.bounds),
+            _added(self.start, other.start),
+        )
+
+    def applied(self, problem: Problem, step: float) -> Problem:
+        """The problem with its numbers moved by a step.
+
+        Raises:
+            ModelError: the criterion refuses the numbers.
+        """
+        stated: dict[str, Any] = as_stated(problem)
+        if self.probabilities or self.costs:
+            stated["model"] = problem.model.with_moves(self.probabilities, self.costs, step)
+        if self.start:
+            start = start_distribution(problem.model, problem.start).copy()
+            for state, slope in self.start.items():
+                start[state] += step * slope
+            used = np.flatnonzero(start).tolist()
+            stated["start"] = {problem.model.states[k]: float(start[k]) for k in used}
+        if "penalty" in self.bounds:
+            stated["penalty"] = problem.penalty + step * self.bounds["penalty"]
+        if FAILURE_ROW in self.bounds:
+            stated["failure_budget"] = problem.failure_budget + step * self.bounds[FAILURE_ROW]  # type: ignore[operator]
+        limits = dict(problem.constraints)
+        for name, limit in problem.constraints.items():
+            slope = step * self.bounds.get(name, 0.0)
+            lower = None if limit.lower is None else limit.lower + slope
+            upper = None if limit.upper is None else limit.upper + slope
+            limits[name] = replace(limit, lower=lower, upper=upper)
+        return cast("Problem", replace(cast("Any", problem), constraints=limits, **stated))
+
+    def most(self, problem: Problem, sign: float) -> float:
+        """The greatest step in a direction that leaves every number at least 0."""
+        costs = problem.model.costs_by_name
+        start = start_distribution(problem.model, problem.start) if self.start else np.zeros(0)
+        at = [
+            *((problem.model.probabilities[k], slope) for k, slope in self.probabilities.items()),
+            *((costs[name][k], slope) for (name, k), slope in self.costs.items()),
+            *((start[k], slope) for k, slope in self.start.items()),
+        ]
+        return min((-v / (sign * slope) for v, slope in at if sign * slope < 0.0), default=np.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class Number:
+    """A number of a problem, or several that move together."""
+
+    kind: str  # "probability", "cost", "bound", "start", "parameter" or "group"
+    name: str
+    value: float | None  # None: of a group
+    change: Change = field(repr=False)  # when it rises; a probability takes from the others
+    state: Hashable = None
+    action: Hashable = None
+    successor: Hashable = None
+    is_rest: bool = False  # the likelier of two outcomes: its derivative is that of the other, less
+
+    @property
+    def scale(self) -> float:
+        """Size of a number, by which its derivative counts: of a probability p min(p, 1 - p)."""
+        size = 1.0 if self.value is None else abs(self.value)
+        return min(size, 1.0 - size) if self.kind in ("probability", "start") else size
+
+
+@dataclass(frozen=True)
+class Effect:
+    """How the optimum moves with a number: its derivatives to the left and to the right."""
+
+    number: Number
+    left: float | None  # None: see the note
+    right: float | None
+    note: str = ""
+
+    @property
+    def derivative(self) -> float | None:
+        """The derivative where both sides agree; else None."""
+        left, right = self.left, self.right
+        if left is None or right is None:
+            return None
+        same = abs(left - right) <= _AGREES * max(abs(left), abs(right))
+        return (left + right) / 2.0 if same or left == right else None
+
+    @property
+    def weight(self) -> float:
+        """Change of the optimum, by the derivatives, when the number moves by all of its size."""
+        return max(abs(side or 0.0) for side in (self.left, self.right)) * self.number.scale
+
+
+@dataclass(frozen=True, eq=False)
+class _Optimum:
+    """An optimal lottery and optimal prices of a problem, and how the optimum moves with them.
+
+    Arrays are on the model that is solved: with a horizon that of (state, steps taken).
+    """
+
+    problem: Problem  # the one that is solved
+    measure: OccupationMeasure
+
+    @classmethod
+    def of(cls, problem: Problem) -> _Optimum:
+        """Solve the problem's program.
+
+        In case S totals are told apart until nothing succeeds beyond them.
+
+        Raises:
+            InfeasibleError: no policy satisfies the limits.
+            SolverError: the program is too large, or too many totals matter.
+        """
+        solved = problem.unrolled
+        if not solved.ratio:
+            return cls(solved, solved.program().solve())
+        most = max(float(solved.model.costs.max(initial=0.0)), 1.0)
+        size = _FIRST_CAP
+        while size <= _LAST_CAP:
+            own: dict[str, Any] = {"cost_cap": size * most, **as_stated(solved)}
+            measure = cast("Problem", replace(cast("Any", solved), **own)).program().solve()
+            if measure.beyond <= _BEYOND:
+                return cls(solved, measure)
+            size *= 2.0
+        raise SolverError("too many totals of the cost matter for derivatives given success")
+
+    @cached_property
+    def objective(self) -> float:
+        """The optimum."""
+        return self.measure.objective
+
+    @cached_property
+    def scale(self) -> float:
+        """Sign and divisor that turn the Lagrangian's derivative into the optimum's."""
+        program = self.measure.program
+        sign = 1.0 if program.sense.constant is None else -1.0
+        goal = float(program.process.goal @ self.measure.visits) if program.ratio else 1.0
+        return sign / goal
+
+    @cached_property
+    def values(self) -> FloatArray:
+        """Value of each node at each total, nan where no run comes, [copies * nodes]."""
+        augmented, found = self.measure.program.augmented, self.measure.values
+        if found is None:
+            raise SolverError("nothing is known of the duals of the program")
+        every = np.full(augmented.copies * augmented.quotient.n_nodes + 1, np.nan)
+        every[augmented.part.states] = found.states
+        return every
+
+    @cached_property
+    def rows(self) -> list[tuple[float, UpperRow]]:
+        """Limits of the problem that have a price, in the form that the program has."""
+        stated = [row for condition in self.problem.conditions for row in condition.rows]
+        prices, bounds = self.measure.prices, self.measure.program.bounds
+        priced = list[tuple[float, UpperRow]]()
+        for row in stated:
+            if row.name in bounds and prices.get(row.name, 0.0) > 0.0:
+                direct, bound = row.direct, bounds[row.name]
+                is_direct = direct is not None and bound == direct.bound != row.bound
+                priced.append((prices[row.name], cast("UpperRow", direct) if is_direct else row))
+        return priced
+
+    @cached_property
+    def paid(self) -> list[tuple[float, SSP]]:
+        """Costs of steps that count, as weights and models that have them as their own."""
+        model, semantics = self.problem.model, self.problem.semantics
+        counts = not self.problem.ratio and semantics.aim is Aim.LEAST_COST
+        own = [(1.0, model)] if counts else []
+        terms = ((price * w, term) for price, row in self.rows for w, term in row.terms)
+        return own + [(weight, term.model) for weight, term in terms if isinstance(term, StepTerm)]
+
+    @cached_property
+    def failing(self) -> float:
+        """Price of failing: of the budget, and the penalty."""
+        semantics = self.problem.semantics
+        if semantics.aim is Aim.GREATEST_GOAL:
+            return 1.0
+        penalty = 0.0 if semantics.forbids_failing else semantics.penalty
+        return float(self.measure.prices.get(FAILURE_ROW, 0.0)) + penalty
+
+    @cached_property
+    def ends(self) -> tuple[FloatArray, float]:
+        """Worth of entering each state, what follows in live ones apart, [states]; of leaking."""
+        quotient = self.measure.program.augmented.quotient
+        model, goal, dead = self.problem.model, self.problem.model.goal_mask, quotient.dead
+        ended, entering, leak = quotient.node_of < 0, np.zeros(model.n_states), self.failing
+        ratio = self.objective if self.problem.ratio else 0.0
+        entering += self.failing * dead - ratio * goal
+        for weight, costs in self.paid:
+            entering += weight * dead_end_charges(costs, dead, self.problem.semantics)
+        for price, row in self.rows:
+            entering += price * row.constant * ended
+            leak += price * row.constant
+            for weight, term in row.terms:
+                if isinstance(term, StepTerm):
+                    continue
+                if term.others:
+                    leak += price * weight
+                    is_goal = (term.states == goal).all()
+                    entering += price * weight * (dead if is_goal else ended & ~term.states)
+                else:
+                    entering += price * weight * term.states
+        return entering, leak
+
+    @cached_property
+    def outcomes(self) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
+        """Outcomes of the program's columns.
+
+        Returns:
+            Column, outcome, place among ``values`` of what follows (-1: an end), and worth of each,
+            [entries].
+        """
+        augmented, model = self.measure.program.augmented, self.problem.model
+        quotient, survival = augmented.quotient, survival_of(self.problem.discount)
+        numbers = augmented.part.pairs
+        own = np.flatnonzero(numbers < augmented.copies * augmented.width)
+        copy, inner = np.divmod(numbers[own], augmented.width)
+        pair = quotient.pair_at[inner]
+        own, copy, pair = own[pair >= 0], copy[pair >= 0], pair[pair >= 0]
+        outcome, _ = entries_of(model.outcome_offsets, pair)
+        each = np.repeat(np.arange(len(own)), np.diff(model.outcome_offsets)[pair])
+        successor = model.successors[outcome]
+        node = quotient.node_of[successor]
+        then: IntArray = np.zeros(len(each), dtype=np.int64)
+        entering, leak = self.ends
+        worth = survival * entering[successor]
+        for weight, costs in self.paid:
+            worth += weight * costs.costs[outcome]
+        if isinstance(augmented.inner, OpenEnded):
+            ahead = augmented.inner.base.step_classes.ahead
+            kinds, kind = np.unique(ahead, return_inverse=True)
+            then = augmented.inner.leads(kinds)[0][copy[each], kind[outcome]]
+            if self.problem.ratio:
+                total = augmented.inner.totals.values[copy[each]] + model.costs[outcome]
+                worth += np.where(model.goal_mask[successor], total, 0.0)
+        place = np.where(node >= 0, then * quotient.n_nodes + node, -1)
+        worth = worth + np.where(place >= 0, survival * self.values[place], 0.0)
+        self._check(own, copy, each, model.probabilities[outcome] * worth, (1 - survival) * leak)
+        return own[each], outcome, place, worth
+
+    def _check(
+        self, own: IntArray, copy: IntArray, each: IntArray, parts: FloatArray, leak: float
+    ) -> None:
+        """Check that worths of outcomes make up the values of their states.
+
+        Raises:
+            ModelError: they do not: something counts that is not known here.
+        """
+        found, augmented = self.measure.values, self.measure.program.augmented
+        process = self.measure.program.process
+        after = np.bincount(each, np.nan_to_num(parts), len(own)) + leak
+        value = (found.states[process.pair_state] + found.reduced_costs)[own]  # type: ignore[union-attr]
+        wrong = np.abs(after - value) > _IDENTITY * (1.0 + np.abs(value).max(initial=0.0))
+        wrong &= (copy < augmented.copies - 1) | (augmented.copies == 1)
+        if wrong.any():
+            label = self.measure.program.label(int(own[np.argmax(wrong)]))
+            raise ModelError(f"what {label} costs is more than its outcomes say: no derivatives")
+
+    @cached_property
+    def by_probability(self) -> FloatArray:
+        """Derivative by the probability of each outcome, up to a constant a pair, [outcomes]."""
+        column, outcome, _, worth = self.outcomes
+        taken = self.measure.visits[column]
+        change = np.where(taken > 0.0, taken * worth, 0.0)
+        total = np.bincount(outcome, change, self.problem.model.n_outcomes).astype(np.float64)
+        for weight, costs, mass, some in self.charged:
+            total[some] += weight * mass * costs.costs[some]
+        return self._stated(self.scale * total)
+
+    @cached_property
+    def by_cost(self) -> dict[str, FloatArray]:
+        """Derivative by each cost of the model, by name, [outcomes]."""
+        model, (column, outcome, _, _) = self.problem.model, self.outcomes
+        often = self.measure.visits[column] * model.probabilities[outcome]
+        met = np.bincount(outcome, often, model.n_outcomes)
+        total = {name: np.zeros(model.n_outcomes) for name in model.costs_by_name}
+        for weight, costs in self.paid:
+            if (name := self._name_of(costs)) is not None:
+                total[name] += weight * met
+        for weight, costs, mass, some in self.charged:
+            if (name := self._name_of(costs)) is not None:
+                total[name][some] += weight * mass * model.probabilities[some]
+        if self.problem.ratio:
+            total[next(iter(total))] += self._met_on_the_way_to_success
+        return {name: self._stated(self.scale * part) for name, part in total.items()}
+
+    @cached_property
+    def counts_cost(self) -> dict[str, bool]:
+        """Whether each cost of the model counts at the optimum, by name."""
+        by_name = self.problem.model.costs_by_name
+        paid = {self._name_of(costs) for _, costs in self.paid}
+        own = next(iter(by_name)) if self.problem.ratio else None
+        return {name: name in paid or name == own for name in by_name}
+
+    def _name_of(self, costs: SSP) -> str | None:
+        """Name of the model's cost that another model has as its own; None: it is not one."""
+        by_name = self.problem.model.costs_by_name.items()
+        same = (name for name, each in by_name if each is costs.costs)
+        own = next(iter(self.problem.model.costs_by_name))
+        is_own = costs is self.problem.model
+        return own if is_own else next(same, None)
+
+    @cached_property
+    def _met_on_the_way_to_success(self) -> FloatArray:
+        """How often each outcome is met by runs that succeed later, in case S, [outcomes]."""
+        model, (column, outcome, place, _) = self.problem.model, self.outcomes
+        process, visits = self.measure.program.process, self.measure.visits
+        survival, states = survival_of(self.problem.discount), process.n_states
+        outflow = np.bincount(process.pair_state, visits, states)[process.pair_state]
+        share = np.divide(visits, outflow, out=np.zeros_like(visits), where=outflow > 0.0)
+        pick = sp.csr_array((share, (process.pair_state, np.arange(process.n_pairs))),
+                            shape=(states, process.n_pairs))  # fmt: skip
+        exits = np.where(pick.sum(axis=1) > 0.0, pick @ process.dynamics.exits, 1.0)
+        chain = System(sp.csr_array(pick @ process.transitions), exits)
+        success = np.zeros_like(self.values)
+        part = self.measure.program.augmented.part
+        success[part.states] = chain.solve(pick @ process.goal / survival)
+        reached = np.where(place >= 0, survival * success[place], 0.0)
+        reached[model.goal_mask[model.successors[outcome]]] = 1.0
+        often = visits[column] * model.probabilities[outcome] * reached
+        return np.bincount(outcome, often, model.n_outcomes).astype(np.float64)
+
+    @cached_property
+    def charged(self) -> list[tuple[float, SSP, float, slice]]:
+        """Actions whose cost a failing run is charged: weight, model, failing mass, outcomes."""
+        if not self.problem.semantics.charge_failing_step:
+            return []
+        program, model = self.measure.program, self.problem.model
+        quotient, survival = program.augmented.quotient, survival_of(self.problem.discount)
+        column, outcome, _, _ = self.outcomes
+        often = survival * self.measure.visits[column] * model.probabilities[outcome]
+        lost = np.bincount(model.successors[outcome], often, model.n_states).astype(np.float64)
+        lost = lost * quotient.dead + start_distribution(model, self.problem.start) * quotient.dead
+        gives_up = np.flatnonzero(program.augmented.gives_up)
+        merged = quotient.merged if program.reduced is None else (
+            program.reduced.program.augmented.quotient.merged)  # fmt: skip
+        acting = quotient.first_states[quotient.pair_node[program.augmented.part.pairs[gives_up]]]
+        quitting = np.bincount(acting, self.measure.visits[gives_up], model.n_states) * ~merged
+        staying = attention_pairs(model, attention_states(model))
+        if self.problem.semantics.give_up is GiveUp.ANYWHERE:
+            staying = np.ones_like(staying)
+        charges = list[tuple[float, SSP, float, slice]]()
+        for state in np.flatnonzero(lost + quitting > 0.0).tolist():
+            pairs = np.array(model.pairs_of(state), dtype=np.int64)
+            pairs = pairs if quotient.dead[state] else pairs[staying[pairs]]
+            for weight, costs in self.paid if pairs.size else ():
+                pair = int(pairs[np.argmin(cost_means(costs)[pairs])])
+                some = slice(*map(int, model.outcome_offsets[pair : pair + 2]))
+                charges.append((weight, costs, float(lost[state] + quitting[state]), some))
+        return charges
+
+    @cached_property
+    def by_start(self) -> FloatArray:
+        """Derivative by the start's probability of each state, nan where nothing is known."""
+        quotient, (entering, _) = self.measure.program.augmented.quotient, self.ends
+        live = quotient.node_of >= 0
+        begun = np.where(live, self.values[np.where(live, quotient.node_of, 0)], entering)
+        for price, row in self.rows:
+            for weight, term in row.terms:
+                if not (isinstance(term, StepTerm) or term.final):
+                    begun = begun + price * weight * (term.states & live)
+        if (counting := self.counting_steps) is None:
+            return self.scale * begun
+        first = np.flatnonzero(counting.labels.number == 0)
+        stated = np.full(counting.original.n_states, np.nan)
+        stated[counting.original_state[first]] = self.scale * begun[first]
+        return stated
+
+    @cached_property
+    def by_bound(self) -> dict[str, float]:
+        """Derivative by each bound: the budget, limits by name, and the penalty."""
+        measure, bounds = self.measure, dict[str, float]()
+        for row in (row for condition in self.problem.conditions for row in condition.rows):
+            price = -self.scale * measure.prices.get(row.name, 0.0) * row.sign
+            bounds[row.condition.name] = bounds.get(row.condition.name, 0.0) + price
+        if FAILURE_ROW in measure.program.bounds:
+            bounds[FAILURE_ROW] = -self.scale * measure.prices.get(FAILURE_ROW, 0.0)
+        bounds["penalty"] = self.scale * float(measure.program.process.failure @ measure.visits)
+        return bounds
+
+    @property
+    def counting_steps(self) -> ProductSSP | None:
+        """The model of (state, steps taken) that is solved with a horizon; None: there is none."""
+        model = self.problem.model
+        return model if isinstance(model, ProductSSP) and model.is_hidden else None
+
+    def _stated(self, per_outcome: FloatArray) -> FloatArray:
+        """Numbers by outcome of the model as stated, [outcomes], of those that are solved."""
+        if (counting := self.counting_steps) is None:
+            return per_outcome
+        places, size = counting.original_outcome, counting.original.n_outcomes
+        return np.bincount(places, per_outcome, size).astype(np.float64)
+
+    def along(self, change: Change) -> float:
+        """Derivative of the optimum when numbers move together."""
+        return float(sum((
+            *(slope * self.by_probability[k] for k, slope in change.probabilities.items()),
+            *(slope * self.by_cost[name][k] for (name, k), slope in change.costs.items()),
+            *(slope * self.by_bound.get(name, np.nan) for name, slope in change.bounds.items()),
+            *(slope * self.by_start[k] for k, slope in change.start.items()),
+        ), start=0.0))  # fmt: skip
+
+    @cached_property
+    def support(self) -> frozenset[Hashable]:
+        """Columns that are taken, by their numbers among all copies, and rows with a price."""
+        pairs = self.measure.program.augmented.part.pairs[self.measure.visits > _SAME]
+        return frozenset(pairs.tolist()) | {n for n, y in self.measure.prices.items() if y > _SAME}
+
+    @cached_property
+    def is_unique(self) -> bool:
+        """Whether lottery and prices are the only optimal ones.
+
+        They are where every optimal pair of a visited state is used, where there are as many more
+        of these than states as there are rows with a price, and where every row that is met has
+        one; and no failing charge is met by two actions.
+        """
+        measure, process = self.measure, self.measure.program.process
+        scale = 1.0 + float(np.nanmax(np.abs(self.values)))
+        here = np.bincount(process.pair_state, measure.visits, process.n_states) > _SAME
+        best = measure.values.reduced_costs <= _SAME * scale  # type: ignore[union-attr]
+        best &= here[process.pair_state]
+        priced = sum(price > _SAME * scale for price in measure.prices.values())
+        met = sum(abs(measure.slack[row.name]) <= _SAME * (1.0 + abs(row.bound))
+                  for row in measure.program.rows)  # fmt: skip
+        unused = (best & (measure.visits <= _SAME)).any()
+        more = int(best.sum() - here.sum()) != priced
+        return not (unused or more or met != priced or self._charges_tie)
+
+    @property
+    def _charges_tie(self) -> bool:
+        """Whether another action than the one that is charged costs a failing run as little."""
+        model, means = self.problem.model, {id(m): cost_means(m) for _, m in self.paid}
+        for _, costs, _, some in self.charged:
+            pair = int(np.searchsorted(model.outcome_offsets, some.start, side="right")) - 1
+            mean = means[id(costs)][model.pairs_of(int(model.pair_state[pair]))]
+            if (np.abs(mean - means[id(costs)][pair]) <= _SAME * (1.0 + mean.max())).sum() > 1:
+                return True
+        return False
+
+    @cached_property
+    def chooses_among_safest(self) -> bool:
+        """Whether a visited state has two actions that attain the least failure."""
+        program = self.measure.program
+        acting = np.diff(program.process.pair_offsets)[program.process.pair_state] > 1
+        return program.at_least and bool((self.measure.visits[acting] > _SAME).any())
+
+
+def _facts(model: SSP) -> dict[str, Any]:
+    """Facts about a model's graph on which the kind of its optimum rests."""
+    attention = attention_states(model)
+    return {
+        "dead-ends": dead_ends(model),
+        "attention states": attention,
+        "actions that stay among attention states": attention_pairs(model, attention),
+        "free components": model.staying_free(costless_pairs(model)),
+    }
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class WhatIf(Report):
+    """Derivatives of an optimum by the numbers of its problem, those that matter most first.
+
+    A number matters by its derivative times its size, of a probability p by min(p, 1 - p). Numbers
+    that are not listed belong to actions that are not optimal: a small change of theirs changes
+    nothing.
+    """
+
+    problem: Problem
+    optimum: _Optimum = field(repr=False)
+    effects: tuple[Effect, ...] = ()
+
+    def effect(self, number: Number | Change) -> Effect:
+        """Derivatives of the optimum by a number, or by several that move together."""
+        if isinstance(number, Change):
+            number = Number("group", "change", None, number)
+        change = number.change
+        if note := self._refused(change):
+            return Effect(number, None, None, note)
+        own = next(iter(self.problem.model.costs_by_name))
+        if self.problem.ratio and any(name == own for name, _ in change.costs):
+            slope = self.optimum.along(change)
+            return Effect(number, slope, slope, "slope of the lottery as it stands")
+        ends = [change.most(self.problem, sign) for sign in (-1.0, 1.0)]
+        is_unique, slope = self.optimum.is_unique, self.optimum.along(change)
+        if is_unique and min(ends) > 0.0 and np.isfinite(slope) and not self._at_least_by_budget:
+            return Effect(number, slope, slope)
+        (left, why), (right, also) = (self._side(change, sign) for sign in (-1.0, 1.0))
+        return Effect(number, left, right, "; ".join(dict.fromkeys(filter(None, (why, also)))))
+
+    @property
+    def _at_least_by_budget(self) -> bool:
+        """Whether the failure budget is the least failure."""
+        return self.optimum.measure.program.at_least and self.problem.failure_budget is not None
+
+    def _refused(self, change: Change) -> str:
+        """Why the optimum has no derivative in a direction, in words; empty: it may have one."""
+        problem, model = self.problem, self.problem.model
+        if (change.probabilities or change.start) and problem.reach_fraction is not None:
+            return "the greatest goal probability, hence the budget, moves too"
+        of_budget = problem.failure_budget is None
+        if change.probabilities and of_budget and self.optimum.chooses_among_safest:
+            return "two actions are safest: the least failure decides between them"
+        costs = model.costs_by_name
+        rises = any(s > 0.0 == model.probabilities[k] for k, s in change.probabilities.items())
+        rises |= any(s > 0.0 == costs[name][k] for (name, k), s in change.costs.items())
+        if rises:
+            step = min(_STEP, change.most(problem, 1.0) / 2.0)
+            now, then = _facts(model), _facts(change.applied(problem, step).model)
+            for name, states in now.items():
+                if not np.array_equal(states, then[name]):
+                    return f"the model has other {name} then: the optimum may jump"
+        return ""
+
+    def _side(self, change: Change, sign: float) -> tuple[float | None, str]:
+        """One-sided derivative, read a little beside; None with the reason where it cannot be."""
+        side, most = "left" if sign < 0.0 else "right", change.most(self.problem, sign)
+        if most <= 0.0:
+            return None, f"{side}: a number would be negative"
+        step = sign * min(_STEP, most / 4.0)
+        try:
+            near, far = (_Optimum.of(change.applied(self.problem, k * step)) for k in (1.0, 2.0))
+            slopes = near.along(change), far.along(change)
+        except InfeasibleError:
+            return None, f"{side}: infeasible"
+        except SSPError as error:
+            return None, f"{side}: {error}"
+        slope, bend = 2.0 * slopes[0] - slopes[1], abs(slopes[1] - slopes[0])
+        between = (far.objective - near.objective) / step
+        before = (near.objective - self.optimum.objective) / step
+        room = _AGREES * (1.0 + abs(slope)) + bend
+        if abs(between - sum(slopes) / 2.0) > room or abs(before - slope) > room:
+            return None, f"{side}: the formula disagrees with the optima beside"
+        return float(slope), ""
+
+    def breakpoints(self, number: Number | Change) -> tuple[float, float]:
+        """Steps to the left and to the right up to which the same actions are optimal and used.
+
+        Found by bisection, to a relative accuracy of 1e-6, on solutions of the program: the number
+        may move by any step between the two without a change of the lottery's actions; at a kink
+        one of them is 0. An end where a number is 0, or beyond 1,000, is not passed.
+        """
+        change = number.change if isinstance(number, Number) else number
+        return -self._reach(change, -1.0), self._reach(change, 1.0)
+
+    def _reach(self, change: Change, sign: float) -> float:
+        """Length of the step in one direction up to the next breakpoint."""
+        end = min(change.most(self.problem, sign), _FARTHEST)
+
+        def holds(step: float) -> bool:
+            try:
+                beside = _Optimum.of(change.applied(self.problem, sign * step))
+            except SSPError:
+                return False
+            return beside.support == self.optimum.support
+
+        low, high = 0.0, min(_STEP, end)
+        while high < end and holds(high):
+            low, high = high, min(2.0 * high, end)
+        while high - low > max(_EDGE * high, _EDGE * _STEP):
+            middle = (low + high) / 2.0
+            low, high = (middle, high) if holds(middle) else (low, middle)
+        return high if high == end else low
+
+    def tables(self) -> list[Table]:
+        """One table with a row for each number, those that matter most first; text shows these."""
+        rows = [
+            (e.number.name, e.number.value, e.derivative, e.left, e.right, e.weight, e.note,
+             e.number.kind, e.number.state, e.number.action, e.number.successor)
+            for e in self.effects
+        ]  # fmt: skip
+        head = ("number", "at", "derivative", "left", "right", "matters", "note",
+                "kind", "state", "action", "successor")  # fmt: skip
+        smooth = all(effect.left == effect.right for effect in self.effects[:_SHOWN])
+        hidden = (*head[7:], *(("left", "right") if smooth else ()),
+                  *(() if any(row[6] for row in rows[:_SHOWN]) else ("note",)))  # fmt: skip
+        more = [f"and {len(rows) - _SHOWN:,} more: to_frame() has all"] * (len(rows) > _SHOWN)
+        title = f"the optimum {self.optimum.objective:.9g} moves with each number by"
+        shown = range(min(len(rows), _SHOWN))
+        return [Table(rows, head, title, more, shown=shown, hidden=hidden)]
+
+    def plot(self, *, share: float = 0.1, most: int = 12, ax: Any = None) -> Any:
+        """Draw a tornado of the numbers: :func:`ssp_lp.plotting.plot_tornado`."""
+        pictures = optional_module("ssp_lp.plotting.curves", "plot")
+        return pictures.plot_tornado(self, share=share, most=most, ax=ax)
+
+    def __repr__(self) -> str:
+        """One line: how many numbers, and which matters most."""
+        most = f", most: {self.effects[0].number.name}" if self.effects else ""
+        return f"WhatIf({len(self.effects):,} numbers{most})"
+
+
+def what_if(
+    problem: Problem,
+    by: Callable[[Number], Hashable] | None = None,
+    *,
+    time_limit: float | None = None,
+) -> WhatIf:
+    """Derivatives of a problem's optimum by its numbers: see :meth:`Solution.what_if`.
+
+    Raises:
+        ModelError: a criterion whose optimum has no such derivatives.
+    """
+    _check_criterion(problem)
+    began, optimum = perf_counter(), _Optimum.of(problem)
+    report = WhatIf(problem, optimum)
+    numbers = [*_numbers(problem, optimum)]
+    if by is None:
+        numbers = [number for number in numbers if not number.is_rest]
+    else:
+        groups = dict[Hashable, list[Number]]()
+        for number in numbers:
+            if (key := by(number)) is not None:
+                groups.setdefault(key, []).append(number)
+        numbers = [_together(str(key), some) for key, some in groups.items()]
+    effects = list[Effect]()
+    for number in numbers:
+        if time_limit is not None and perf_counter() - began > time_limit:
+            effects.append(Effect(number, None, None, "time_limit ended before"))
+        else:
+            effects.append(report.effect(number))
+    effects.sort(key=lambda effect: -effect.weight)
+    return replace(report, effects=tuple(effects))
+
+
+def _together(name: str, numbers: list[Number]) -> Number:
+    """Several numbers as one, all of which rise by the same step."""
+    if len(numbers) == 1:
+        return replace(numbers[0], name=name)
+    values = {number.value for number in numbers}
+    value = values.pop() if len(values) == 1 else None
+    return Number("group", name, value, sum((n.change for n in numbers), start=Change()))
+
+
+def _check_criterion(problem: Problem) -> None:
+    """Raise :class:`ModelError` for a criterion whose optimum has no derivatives here."""
+    semantics, name = problem.semantics, type(problem).__name__
+    if semantics.counts_law or semantics.aim is Aim.LEAST_GOAL or problem.quantity is not None:
+        reason = "is no expected cost, cost given success or goal probability"
+    elif problem.own_constraints:
+        reason = "has limits of its own: state them as constraints of MCMP or MaxProb"
+    elif problem.ratio and "cost_cap" not in {part.name for part in fields(cast("Any", problem))}:
+        reason = "counts no totals: take S3P"
+    elif problem.unrolled.model.failure_label is not None:
+        reason = "limits what follows failing"
+    else:
+        return
+    raise ModelError(f"what_if answers MCMP, S3P, MaxProb, MinCost and FinitePenalty: {name} "
+                     f"{reason}")  # fmt: skip
+
+
+def _numbers(problem: Problem, optimum: _Optimum) -> Iterator[Number]:
+    """Numbers of a problem that may matter: of bounds, of the start, and of optimal actions."""
+    model = problem.model
+    for parameter, placed in model.parameters.items():
+        moved = Change(probabilities=placed.probabilities, costs=placed.costs)
+        yield Number("parameter", f"parameter {parameter}", placed.value, moved)
+    budget = 1.0 if problem.reach_fraction is not None else problem.failure_budget
+    if budget is not None and budget < 1.0:
+        yield Number("bound", "failure budget", budget, Change(bounds={FAILURE_ROW: 1.0}))
+    if 0.0 < problem.penalty < np.inf:
+        yield Number("bound", "penalty", problem.penalty, Change(bounds={"penalty": 1.0}))
+    for name, limit in problem.constraints.items():
+        at = limit.lower if limit.upper is None else limit.upper
+        yield Number("bound", f"limit {name!r}", at, Change(bounds={name: 1.0}))
+    start = start_distribution(model, problem.start)
+    for state in np.flatnonzero(start).tolist() if (start > 0.0).sum() > 1 else ():
+        change = Change(start=_in_proportion(start, [*np.flatnonzero(start)], state))
+        name, at = f"start in {model.states[state]}", float(start[state])
+        yield Number("start", name, at, change, model.states[state])
+    for pair in _optimal_pairs(optimum).tolist():
+        yield from _chances_of_pair(model, pair)
+        yield from _costs_of_pair(model, pair, optimum)
+
+
+def _optimal_pairs(optimum: _Optimum) -> IntArray:
+    """Pairs of the model as stated that are optimal in a visited state, or charged to failing."""
+    measure, model = optimum.measure, optimum.problem.model
+    process, (column, outcome, _, _) = measure.program.process, optimum.outcomes
+    here = np.bincount(process.pair_state, measure.visits, process.n_states) > _SAME
+    scale = 1.0 + float(np.nanmax(np.abs(optimum.values)))
+    best = here[process.pair_state] & (
+        measure.values.reduced_costs <= _SAME * scale)  # type: ignore[union-attr]  # fmt: skip
+    charged = [np.arange(some.start, some.stop) for *_, some in optimum.charged]
+    used = np.concatenate([outcome[best[column]], *charged]).astype(np.int64)
+    if (counting := optimum.counting_steps) is not None:
+        used = counting.original_outcome[used].astype(np.int64)
+        model = counting.original
+    return np.asarray(np.unique(np.searchsorted(model.outcome_offsets, used, side="right") - 1))
+
+
+def _in_proportion(shares: FloatArray, places: list[int], place: int) -> dict[int, float]:
+    """One of several shares rises, the others pay for it in proportion."""
+    rest = 1.0 - float(shares[place])
+    paid = {k: -float(shares[k]) / rest for k in places if k != place and shares[k] > 0.0}
+    return {place: 1.0, **paid}
+
+
+def _outcomes_of(model: SSP, pair: int) -> list[int]:
+    """Outcomes of a pair."""
+    return [*range(int(model.outcome_offsets[pair]), int(model.outcome_offsets[pair + 1]))]
+
+
+def _chances_of_pair(model: SSP, pair: int) -> Iterator[Number]:
+    """Probabilities of a pair's outcomes."""
+    outcomes, chances = _outcomes_of(model, pair), model.probabilities
+    state, action = model.states[int(model.pair_state[pair])], model.action_of(pair)
+    for k in outcomes:
+        if 0.0 < chances[k] < 1.0:
+            successor = model.states[int(model.successors[k])]
+            change = Change(probabilities=_in_proportion(chances, outcomes, k))
+            name = f"chance of {successor} by {action} in {state}"
+            at, possible = float(chances[k]), [*change.probabilities]  # it comes first
+            rest = len(possible) == 2 and (at, k) > (chances[possible[1]], possible[1])
+            yield Number("probability", name, at, change, state, action, successor, bool(rest))
+
+
+def _costs_of_pair(model: SSP, pair: int, optimum: _Optimum) -> Iterator[Number]:
+    """Costs of a pair's outcomes that count; one where all outcomes cost the same."""
+    outcomes = _outcomes_of(model, pair)
+    state, action = model.states[int(model.pair_state[pair])], model.action_of(pair)
+    for cost, costs in model.costs_by_name.items():
+        if not optimum.counts_cost[cost]:
+            continue
+        word = f"{cost} of {action} in {state}"
+        if np.ptp(costs[outcomes]) == 0.0:
+            change = Change(costs={(cost, k): 1.0 for k in outcomes})
+            yield Number("cost", word, float(costs[outcomes[0]]), change, state, action)
+            continue
+        for k in outcomes:
+            to, change = model.states[int(model.successors[k])], Change(costs={(cost, k): 1.0})
+            yield Number("cost", f"{word} to {to}", float(costs[k]), change, state, action, to)

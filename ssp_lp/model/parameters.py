@@ -1,0 +1,123 @@
+"""Parameters of a model: named numbers of which probabilities and costs are affine expressions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from numbers import Real
+
+from ssp_lp.errors import ModelError, in_short, is_number
+
+
+class Affine:
+    """An affine expression of parameters: a constant and a slope for each parameter, by name."""
+
+    __array_ufunc__ = None  # numbers of numpy's go with it as others do
+
+    def __init__(
+        self, constant: float, slopes: Mapping[str, float], values: Mapping[str, float]
+    ) -> None:
+        """State the expression, with the values of its parameters."""
+        self.constant, self.slopes, self.values = constant, dict(slopes), dict(values)
+
+    def __float__(self) -> float:
+        """The expression at the values of its parameters."""
+        terms = (slope * self.values[name] for name, slope in self.slopes.items())
+        return float(self.constant + sum(terms))
+
+    def __add__(self, other: Affine | float) -> Affine:
+        """The sum.
+
+        Raises:
+            ModelError: one parameter has two values, or the other summand is no number.
+        """
+        if not isinstance(other, Affine):
+            return Affine(self.constant + _factor(other), self.slopes, self.values)
+        for name in self.values.keys() & other.values.keys():
+            if self.values[name] != other.values[name]:
+                both = f"{self.values[name]:g} and {other.values[name]:g}"
+                raise ModelError(f"parameter {name!r} has two values: {both}")
+        slopes = {
+            name: self.slopes.get(name, 0.0) + other.slopes.get(name, 0.0)
+            for name in {**self.slopes, **other.slopes}
+        }
+        return Affine(self.constant + other.constant, slopes, {**self.values, **other.values})
+
+    def __mul__(self, factor: float) -> Affine:
+        """The multiple by a number."""
+        times = _factor(factor)
+        slopes = {name: times * slope for name, slope in self.slopes.items()}
+        return Affine(times * self.constant, slopes, self.values)
+
+    __radd__ = __add__
+    __rmul__ = __mul__
+
+    def __truediv__(self, divisor: float) -> Affine:
+        """The quotient by a number."""
+        return self * (1.0 / _factor(divisor))
+
+    def __neg__(self) -> Affine:
+        """The opposite."""
+        return self * -1.0
+
+    def __sub__(self, other: Affine | float) -> Affine:
+        """The difference."""
+        return self + -other
+
+    def __rsub__(self, other: float) -> Affine:
+        """The difference."""
+        return -self + other
+
+    def __repr__(self) -> str:
+        """The expression as it would be typed."""
+        terms = [name if s == 1.0 else f"{s:g} * {name}" for name, s in self.slopes.items()]
+        constant = [f"{self.constant:g}"] if self.constant or not terms else []
+        return " + ".join([*constant, *terms])
+
+
+class Parameter(Affine):
+    """A named number, of which probabilities and costs of a model may be affine expressions.
+
+    Args:
+        name: by which ``model.with_parameters`` and ``sweep`` change it.
+        value: its value.
+
+    Raises:
+        ModelError: the name is no identifier, or the value is no number.
+
+    Example:
+        >>> from ssp_lp import SSP, Parameter
+        >>> crash = Parameter("crash", 0.1)
+        >>> model = SSP.from_transitions(
+        ...     {"road": {"go": [(1 - crash, "home", 2.0), (crash, "ditch", 1 + 2 * crash)]}},
+        ...     goal={"home"}, treat_actionless_as_dead_ends=True)
+        >>> model.with_parameters(crash=0.25).probabilities.tolist()
+        [0.75, 0.25]
+    """
+
+    def __init__(self, name: str, value: float) -> None:
+        """State the parameter."""
+        if not (isinstance(name, str) and name.isidentifier()):
+            raise ModelError(f"the name of a parameter is a word such as 'p_crash', not {name!r}")
+        if not is_number(value):
+            raise ModelError(f"the value of parameter {name!r} is no number: {in_short(value)}")
+        super().__init__(0.0, {name: 1.0}, {name: float(value)})
+
+
+def _factor(value: float) -> float:
+    """A number that goes with a parameter; :class:`ModelError` if it is none."""
+    if isinstance(value, Affine):
+        raise ModelError(f"{value!r} is multiplied by a parameter: expressions must be affine")
+    if not isinstance(value, Real):
+        raise ModelError(f"a parameter goes with numbers, not with {in_short(value)}")
+    return float(value)
+
+
+@dataclass(frozen=True)
+class PlacedParameter:
+    """A parameter of a model: its value, and how fast numbers rise with it."""
+
+    value: float
+    probabilities: dict[int, float] = field(default_factory=dict, repr=False)  # by outcome
+    costs: dict[tuple[str, int], float] = field(default_factory=dict, repr=False)
+    """By name of the cost ("cost" where it has none) and outcome."""

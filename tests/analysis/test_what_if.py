@@ -1,0 +1,219 @@
+"""Derivatives of the optimum by its numbers: closed forms, differences of optima, and refusals."""
+
+from argparse import Namespace
+from collections import Counter
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from formulations import ISSPUDE, MCMP, S3P, CVaR, FinitePenalty, MaxProb, MinCost, MinProb
+from refusing import refused
+from ssp_lp import SSP, Change, secondary_cost, solve, within_steps
+from ssp_lp.plotting import plot_tornado
+from tests.campaigns import what_if_check
+
+plt.switch_backend("Agg")
+
+ALLEY, ROAD = 0.10, 0.01  # chances of a wreck
+
+
+def depot(alley=4.0, road=9.0):
+    """One choice between a cheap and a safe way, whose wrecks cost as much as arriving."""
+    return SSP.from_transitions(
+        {
+            "depot": {
+                "alley": [(1 - ALLEY, "home", alley), (ALLEY, "wreck", alley)],
+                "road": [(1 - ROAD, "home", road), (ROAD, "wreck", road)],
+            },
+            "wreck": {},
+        },
+        goal={"home"},
+        treat_actionless_as_dead_ends=True,
+    )
+
+
+def by_name(report):
+    return {effect.number.name: effect for effect in report.effects}
+
+
+def test_a_lottery_of_two_actions_has_its_closed_form():
+    """At budget b the alley has weight w = (b - r) / (a - r); c* = w 4 + (1 - w) 9."""
+    budget = 0.05
+    weight = (budget - ROAD) / (ALLEY - ROAD)
+    slope = (4.0 - 9.0) / (ALLEY - ROAD)
+    found = by_name(solve(MCMP(depot(), "depot", budget)).what_if())
+    assert found["cost of alley in depot"].derivative == pytest.approx(weight)
+    assert found["cost of road in depot"].derivative == pytest.approx(1 - weight)
+    assert found["failure budget"].derivative == pytest.approx(slope)
+    wreck = found["chance of wreck by alley in depot"]
+    assert wreck.derivative == pytest.approx(-slope * weight)
+    assert wreck.left == wreck.right
+    assert "chance of home by alley in depot" not in found  # it is the rest
+
+
+def test_breakpoints_are_where_an_action_leaves_the_lottery():
+    report = solve(MCMP(depot(), "depot", 0.05)).what_if()
+    low, high = report.breakpoints(by_name(report)["failure budget"].number)
+    assert (low, high) == pytest.approx((ROAD - 0.05, ALLEY - 0.05), abs=1e-5)
+    low, high = report.breakpoints(by_name(report)["cost of road in depot"].number)
+    assert low == pytest.approx(4.0 - 9.0, abs=1e-4)
+    tie = SSP.from_transitions({"a": {"x": [(1.0, "home", 5.0)], "y": [(1.0, "home", 5.0)]}},
+                               {"home"})  # fmt: skip
+    report = solve(MinCost(tie, "a")).what_if()
+    ends = report.breakpoints(by_name(report)["cost of x in a"].number)
+    assert min(map(abs, ends)) < 1e-9
+
+
+def test_both_sides_of_a_kink_are_told():
+    """Of two ways of equal cost the optimum takes the cheaper one."""
+    ways = {"bus": [(1.0, "home", 5.0)], "tram": [(1.0, "home", 5.0)]}
+    model = SSP.from_transitions({"depot": ways}, {"home"})
+    found = by_name(solve(MinCost(model, "depot")).what_if())
+    for name in ("cost of bus in depot", "cost of tram in depot"):
+        assert (found[name].left, found[name].right) == pytest.approx((1.0, 0.0), abs=1e-9)
+        assert found[name].derivative is None
+
+
+def test_at_the_least_failure_one_side_is_infeasible():
+    found = by_name(solve(MCMP(depot(), "depot", ROAD)).what_if())
+    budget = found["failure budget"]
+    assert budget.left is None
+    assert "infeasible" in budget.note
+    assert budget.right == pytest.approx((4.0 - 9.0) / (ALLEY - ROAD), rel=1e-6)
+
+
+def test_a_dead_end_is_not_opened():
+    model = SSP.from_transitions(
+        {"a": {"go": [(0.5, "home", 1.0), (0.5, "b", 1.0)]},
+         "b": {"dig": [(1.0, "b", 1.0), (0.0, "home", 1.0)]}},
+        goal={"home"},
+    )  # fmt: skip
+    report = solve(MCMP(model, "a")).what_if()
+    opened = report.effect(Change(probabilities={2: -1.0, 3: 1.0}))
+    assert opened.right is None
+    assert "dead-ends" in opened.note
+
+
+def test_a_successor_that_an_action_does_not_have_may_be_added():
+    model = SSP.from_transitions(
+        {"a": {"go": [(1.0, "home", 1.0), (0.0, "pit", 1.0)]}, "pit": {}},
+        goal={"home"}, treat_actionless_as_dead_ends=True,
+    )  # fmt: skip
+    report = solve(MaxProb(model, "a")).what_if()
+    added = report.effect(Change(probabilities={0: -1.0, 1: 1.0}))
+    assert added.right == pytest.approx(-1.0)
+    assert added.left is None
+
+
+def test_a_free_component_is_not_made_costly():
+    model = SSP.from_transitions(
+        {"a": {"wait": [(1.0, "a", 0.0)], "go": [(0.5, "home", 1.0), (0.5, "pit", 1.0)]},
+         "pit": {}},
+        goal={"home"}, treat_actionless_as_dead_ends=True,
+    )  # fmt: skip
+    report = solve(FinitePenalty(model, "a", 1.0)).what_if()
+    changed = report.effect(Change(costs={("cost", 0): 1.0}))
+    assert changed.right is None
+    assert "free components" in changed.note
+
+
+def test_chances_that_decide_the_least_failure_are_refused():
+    equal = {"left": [(0.9, "home", 1.0), (0.1, "pit", 1.0)],
+             "right": [(0.9, "home", 2.0), (0.1, "pit", 2.0)]}  # fmt: skip
+    model = SSP.from_transitions({"a": equal, "pit": {}}, {"home"}, dead_ends={"pit"})
+    found = by_name(solve(MCMP(model, "a")).what_if())
+    assert found["chance of pit by left in a"].derivative is None
+    assert "safest" in found["chance of pit by left in a"].note
+    assert found["cost of left in a"].derivative == pytest.approx(1.0)
+
+
+def test_a_share_of_the_goal_moves_with_the_chances():
+    found = by_name(solve(MCMP(depot(), "depot", reach_fraction=0.95)).what_if())
+    assert found["chance of wreck by alley in depot"].derivative is None
+    assert found["cost of road in depot"].derivative > 0.0
+
+
+def test_numbers_move_together_by_a_key_of_the_users():
+    solution = solve(S3P(depot(), "depot", 0.05))
+    report = solution.what_if(by=lambda number: number.successor and f"to {number.successor}")
+    assert {effect.number.name for effect in report.effects} == {"to home", "to wreck"}
+    alone = by_name(solution.what_if())
+    apart = sum(alone[f"chance of wreck by {a} in depot"].derivative for a in ("alley", "road"))
+    assert by_name(report)["to wreck"].derivative == pytest.approx(apart)
+
+
+def test_a_horizon_counts_a_number_in_every_step():
+    """Three tries with success p each: 1 - (1 - p)^3."""
+    tries = {"a": {"try": [(0.3, "home", 1.0), (0.7, "a", 1.0)]}}
+    solution = solve(MaxProb(SSP.from_transitions(tries, {"home"}), "a", horizon=3))
+    (home,) = solution.what_if().effects
+    assert solution.objective == pytest.approx(1 - 0.7**3)
+    assert home.derivative == pytest.approx(3 * 0.7**2)
+
+
+def test_a_memory_of_the_users_has_numbers_of_its_own():
+    """On (state, tries) each try is an action of its own: the second is made with chance 0.7."""
+    tries = SSP.from_transitions({"a": {"try": [(0.3, "home", 1.0), (0.7, "a", 1.0)]}}, {"home"})
+    counted = within_steps(tries, 2, start={"a"})
+    report = solve(MaxProb(counted, counted.start("a"))).what_if()
+    found = {effect.number.state: effect for effect in report.effects}
+    assert sorted(effect.derivative for effect in found.values()) == pytest.approx([0.7, 0.7])
+
+
+def test_the_table_of_numbers():
+    report = solve(MCMP(depot(), "depot", 0.05)).what_if()
+    frame = report.to_frame()
+    assert list(frame["matters"]) == sorted(frame["matters"], reverse=True)
+    assert "failure budget" in str(report)
+    assert repr(report) == "WhatIf(5 numbers, most: cost of road in depot)"
+    axes = report.plot(most=3)
+    assert len(axes.patches) == 6
+    plt.close("all")
+
+
+def test_other_criteria_are_refused_by_name():
+    for problem in (
+        CVaR(depot(), "depot", 0.9, 0.05),
+        MinProb(depot(), "depot"),
+        ISSPUDE(depot(), "depot"),
+    ):
+        refused(f"what_if answers.*{type(problem).__name__}", solve(problem).what_if)
+
+
+def test_a_limit_has_a_price_on_both_its_numbers():
+    fuel = secondary_cost({"depot": {"alley": 3.0, "road": 1.0}}) <= 1.5
+    problem = MCMP(depot(), "depot", 0.9, constraints={"fuel": fuel})
+    found = by_name(solve(problem).what_if())
+    assert found["limit 'fuel'"].derivative == pytest.approx((4.0 - 9.0) / 2.0)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3, 5, 6, 7, 8])
+def test_derivatives_are_differences_of_optima(seed):
+    tally = Counter()
+    assert list(what_if_check.check(seed, tally, Namespace(small=True))) == []
+
+
+@pytest.mark.slow
+def test_more_draws_of_derivatives():
+    assert what_if_check.main(["--count", "40", "--seed", "100", "--small"]) == 0
+
+
+def test_the_numbers_of_a_tornado_are_its_bars():
+    report = solve(MCMP(depot(), "depot", 0.05)).what_if()
+    axes = plot_tornado(report, share=0.2)
+    widths = sorted(abs(bar.get_width()) for bar in axes.patches)
+    expected = sorted(0.2 * effect.weight for effect in report.effects for _ in range(2))
+    assert widths == pytest.approx(expected)
+    plt.close("all")
+    nothing = SSP.from_transitions({"a": {"go": [(1.0, "home", 0.0)]}}, {"home"})
+    refused("nothing to draw", plot_tornado, solve(MaxProb(nothing, "a")).what_if())
+
+
+def test_a_change_is_a_vector():
+    both = Change(bounds={"failure": 1.0}) + Change(bounds={"failure": 0.5}, start={0: 1.0})
+    assert dict(both.bounds) == {"failure": 1.5}
+    assert dict(both.start) == {0: 1.0}
+    problem = MCMP(depot(), "depot", 0.05)
+    moved = Change(bounds={"failure": 1.0}).applied(problem, 0.01)
+    assert np.isclose(moved.failure_budget, 0.06)
