@@ -166,16 +166,25 @@ class Sweep:
         return np.empty(size, dtype=least_integer_type(most))
 
     @with_twin
-    def minimise(self, priced: Priced, choice: IntArray) -> FloatArray:
+    def minimise(
+        self, priced: Priced, choice: IntArray, begun: FloatArray | None = None
+    ) -> FloatArray:
         """Best choice of a backward sweep, written; its measures from the start, [1 + counted].
+
+        Args:
+            priced: the weights, and what lies beyond the cap.
+            choice: written, [cap, nodes].
+            begun: written, the value of the start's nodes if an episode began in each layer, [cap].
 
         Raises:
             Stop: with the part of the sweep that was done.
         """
         base, values, measures = self.process.base, priced.beyond, priced.measures
         if (one_pass := self.one_pass) is not None:
-            blocks = self._blocks(one_pass, priced, values, measures, choice)
-            return np.asarray(self.start @ deque(blocks, maxlen=1)[0][2][0])
+            for some, swept, measured in self._blocks(one_pass, priced, values, measures, choice):
+                if begun is not None:
+                    begun[some] = swept @ self.start
+            return np.asarray(self.start @ measured[0])
         cost, inner = self._pair_costs(priced), self._first_choice
 
         def best(
@@ -192,6 +201,8 @@ class Sweep:
                 settled = iterate_policy(base.instant_dynamics, onward, _ONE, inner)
                 inner, least = settled.choice, settled.values
             choice[layer] = inner - self.first_pairs
+            if begun is not None:
+                begun[layer] = least @ self.start
             return (least,) if measured is None else (least, self._measures(layer, inner, measured))
 
         part = PartOfSweep(choice, priced.price, self.process.cap, None)

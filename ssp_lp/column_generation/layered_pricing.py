@@ -32,6 +32,7 @@ from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import FloatArray, IntArray, weighted
 from ssp_lp.column_generation.column import (
     Column,
+    FailureRow,
     PricingProblem,
     Proof,
     pricing_weights,
@@ -75,22 +76,68 @@ class LayeredPricing(PricingProblem):
         Whoever begins in its last layer as if nothing had been paid does what is best at the price
         less what the layer stands for. None where the charge is another one than the cost itself.
         """
-        process, base = self.process, self.process.base
-        if not isinstance(reached, PartOfSweep) or reached.layer == process.cap:
+        if not isinstance(reached, PartOfSweep) or reached.layer == self.process.cap:
             return None
-        if not process.grows_evenly or base.by_steps:
+        if not self.is_shifted:
             return None
-        paid = float(process.totals.values[reached.layer]) / base.survival
-        begun = replace(process, totals=base.totals(process.cap - reached.layer))
-        within, choice = replace(self, process=begun), reached.choice[reached.layer :]
-        price = reached.price - paid
-        if reached.measures is None:
-            measures = within.sweep.follow(choice, begun.measures_beyond(price))
-        else:
-            measures = base.start @ reached.measures
-            measures[0] -= paid * measures[2]
+        measures = reached.measures
+        if measures is not None:
+            measures = self.process.base.start @ measures
+            measures[0] -= float(self._paid[reached.layer]) * measures[2]
+        return self._begun_in(reached.layer, reached.choice, reached.price, measures)
+
+    @property
+    def covered(self) -> float:
+        """The total at the cap: the process is cut there, at whatever price."""
+        return float(self._paid[-1]) if self.is_shifted else 0.0
+
+    @property
+    def is_shifted(self) -> bool:
+        """Whether beginning in a later layer is beginning at a lower price of failure."""
+        return self.process.grows_evenly and not self.process.base.by_steps
+
+    @property
+    def _paid(self) -> FloatArray:
+        """What a price of failure falls by in each layer, [cap]."""
+        process = self.process
+        return process.totals.values[: process.cap] / process.base.survival
+
+    def _begun_in(
+        self, layer: int, choice: IntArray, price: float, measures: FloatArray | None = None
+    ) -> Column:
+        """The column of beginning in a layer as if nothing had been paid.
+
+        Args:
+            layer: the layer.
+            choice: of the whole process, [cap, nodes].
+            price: of failure, of the whole process.
+            measures: of the column; None: not known yet.
+        """
+        process, price = self.process, price - float(self._paid[layer])
+        begun = replace(process, totals=process.base.totals(process.cap - layer))
+        within, choice = replace(self, process=begun), choice[layer:]
+        if measures is None:
+            measures = within.sweep.measure(choice, begun.measures_beyond(price))
         policy = begun.policy(choice, price)
         return replace(within._column(measures, choice, price, 0), choice=None, policy=policy)
+
+    def beside(self, column: Column, row: FailureRow) -> tuple[Column, ...]:
+        """Columns of lower prices, next to the budget, that pricing a column found on its way.
+
+        One sweep prices every policy at its price less what each layer stands for. The best bound
+        among these prices lies next to the optimal one.
+        """
+        rest, choice, at = column.by_layer, column.choice, column.tail_price
+        if rest is None or choice is None or not (row.ratio and row.demanded > 0.0):
+            return ()
+        prices = at - self._paid
+        best = int(np.argmax(prices + np.where(rest >= 0.0, rest, rest / row.demanded)))
+        nearest = column if best == 0 else self._begun_in(best, choice, at)
+        other = best - 1 if row.breaks(nearest) else best + 1
+        if not 0 <= other < len(prices) or prices[other] <= 0.0:
+            return ()
+        beside = self._begun_in(other, choice, at)
+        return replace(nearest, found_at=float(prices[best])), beside
 
     def first(self) -> Column:
         """Layered pricing's first column: the tail that goes for the goal, from the start on."""
@@ -113,8 +160,17 @@ class LayeredPricing(PricingProblem):
         goal = tails.guess[1] if tails.guess else float(base.start @ tails.goal[0])
         # where no policy probably succeeds success is counted rather than failure
         failing = failure_price if goal + base.start_goal >= 0.5 else 0.0
-        measures = self.sweep.minimise(at_price(self.sweep, failure_price, failing), choice)
-        return self._column(measures, choice, failure_price, self.process.cap)
+        begun = np.empty(self.process.cap) if self.is_shifted else None
+        measures = self.sweep.minimise(at_price(self.sweep, failure_price, failing), choice, begun)
+        column = self._column(measures, choice, failure_price, self.process.cap)
+        if begun is None:
+            return column
+        prices = failure_price - self._paid
+        ended = base.start_goal
+        if failing:
+            begun -= self._paid * base.start.sum()
+            ended = 1.0 - base.start_failure
+        return replace(column, by_layer=begun - prices * ended)
 
     def measure(self, choice: IntArray, tail_price: float) -> Column:
         """Exact E[cost; goal] and failure of a choice in layered pricing.

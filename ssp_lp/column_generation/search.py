@@ -194,12 +194,29 @@ class Master:
     _spent: float = 0.0  # seconds on proofs
     _since: float = field(default_factory=time.perf_counter)
 
+    def begin_at_bound(self, row: FailureRow) -> None:
+        """Begin at a price at which a column is known to be best, and at the bound there.
+
+        Args:
+            row: the budget, which failure alone is limited by.
+        """
+        known = [column for column in self.pool.columns if column.found_at is not None]
+        if not (known and row.ratio) or self.rows.by_goal or not self.prices.size:
+            return
+        self.solve()
+        column, price = known[0], known[0].found_at - self.rows.ratio
+        self.bound = column.cost + known[0].found_at * column.failure - price * row.budget
+        self.prices = np.array([price])
+
     def seek(self, tolerance: float) -> Column | None:
         """A best column at the next prices; None where all limits are satisfied in phase 1."""
         self.solve()
         best, own = self.optimum.value, self.optimum.prices
-        if len(own) <= 1 or best - self.bound <= _NEAR * tolerance * self.size:
+        is_near = best - self.bound <= _NEAR * tolerance * self.size
+        if len(own) <= 1 or is_near:
             self.share = 0.0
+        if self.limit is not None and is_near and self.bound > 0.0:
+            return None
         if self.elastic and best <= _FEASIBLE:
             self.prices = own
             return None
@@ -461,7 +478,9 @@ def columns_by_pricing(
                 typical = last.cost / last.goal
             price = _STEEP * typical if typical > 0.0 else 1.0
         else:
-            price = guess.price
+            price = guess.price if guess.slack else guess.price * (1.0 + guess.spread)
+        if 0.0 < pricing.covered < price:
+            price = pricing.covered if guess is None else max(guess.price, pricing.covered)
     if search.stop:
         raise deadline.Stop(told=doing) from search.stop
     steps = _STEPS if guess is None else tuple(guess.spread * step for step in _HINTED_STEPS)
@@ -475,11 +494,12 @@ def columns_by_pricing(
             last, calls = pricing.minimise(price, last, inside, outside), calls + 1
             took = max(took, time.perf_counter() - began)
             work, value = work + last.work, row.objective(last.cost, last.goal)
-            if row.breaks(last):
-                outside = last
-            elif value < np.inf:
-                inside = last
-                deadline.ensure_incumbent(by_itself=True)
+            for column in (last, *pricing.beside(last, row)):
+                if row.breaks(column):
+                    outside = column
+                elif row.objective(column.cost, column.goal) < np.inf:
+                    inside = column
+                    deadline.ensure_incumbent(by_itself=True)
             if options.progress is not None:
                 options.progress(calls, price, value if last is inside else np.inf)
             enough = one_sided or outside is not None or deadline.is_late()
@@ -501,6 +521,7 @@ def columns_by_pricing(
         return None
     master = master_at(pricing, row, inside, outside, calls=calls, work=work, took=took)
     master.last, master.tried = last, np.array([1.0, price])
+    master.begin_at_bound(row)
     return master
 
 
