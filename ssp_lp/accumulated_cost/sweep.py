@@ -181,10 +181,11 @@ class Sweep:
         """
         base, values, measures = self.process.base, priced.beyond, priced.measures
         if (one_pass := self.one_pass) is not None:
-            for some, swept, measured in self._blocks(one_pass, priced, values, measures, choice):
+            for some, swept, last in self._blocks(one_pass, priced, values, measures, choice):
+                measures = last
                 if begun is not None:
                     begun[some] = swept @ self.start
-            return np.asarray(self.start @ measured[0])
+            return np.asarray(self.start @ measures[0])
         cost, inner = self._pair_costs(priced), self._first_choice
 
         def best(

@@ -19,6 +19,7 @@ from ssp_lp.accumulated_cost.policy_layers import (
     landed_chains,
 )
 from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray
+from ssp_lp.compiled.accelerator import with_twin
 from ssp_lp.compiled.deadline import limited
 from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model import SSP
@@ -450,6 +451,7 @@ def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> Stoch
     return StochasticPolicy.from_flows(model, *every, carrier)
 
 
+@with_twin
 def layered_measures(
     policy: Policy, problem: Problem, start: FloatArray, least_nodes: int = LARGE
 ) -> _Measures | None:
@@ -471,17 +473,23 @@ def layered_measures(
     if problem.conditions or problem.objective_condition is not None:
         return None
     moves, survivals = LayerMoves(model, layers), _survivals(problem)
-    hopeful, (charge, layer_totals) = hopeful_layers(moves)[0], _layer_costs(problem)
+    hopeful, costs = hopeful_layers(moves)[0], _LayerCosts.of(problem)
     waiting = np.zeros((moves.room, model.n_states, 3 * len(survivals)))
     waiting[0, :, ::3] = start[:, None]
     stopped = np.zeros((2, model.n_states))  # what ends in each state, and what gives up there
-    ends, parts = np.zeros(len(model.state_labels) + 3), list[FloatArray]()
-    for layer, here, pairs, visits in moves.follow(waiting, survivals, hopeful):
+    ends, parts, first = np.zeros(len(model.state_labels) + 3), list[FloatArray](), 0
+    for begin, end in moves.even_blocks() if len(survivals) == 1 else ():
+        block = costs.of_even_layers(moves, slice(begin, end), hopeful, waiting, stopped)
+        if block is None:
+            return None
+        parts.extend(block[:, None])
+        first = end
+    for layer, here, pairs, visits in moves.follow(waiting, survivals, hopeful, first):
         hopes, quits = hopeful[layer, here], pairs == GIVE_UP_CODE
-        if (quits & np.isinf(charge[here])).any() or (pairs == UNDECIDED).any():
+        if (quits & np.isinf(costs.charge[here])).any() or (pairs == UNDECIDED).any():
             return None
         stopped[quits.astype(np.int64), here] += np.where(hopes, visits[:, 0], visits[:, 2])
-        parts.append(layer_totals(here, pairs, hopes, visits))
+        parts.append(costs.of_layer(here, pairs, hopes, visits))
     try:
         for tail, mass in landed_chains(moves, waiting):
             counted, entering = tail.alive | (tail.goal > 0), mass.sum(axis=0)
@@ -498,40 +506,79 @@ def layered_measures(
     return _measures_of(totals, ends)
 
 
-_LayerTotals = Callable[[IntArray, IntArray, BoolArray, FloatArray], FloatArray]
+@dataclass(frozen=True, eq=False)
+class _LayerCosts:
+    """What the layers of a policy that remembers its cost add up, without limits."""
 
+    problem: Problem
+    stage: FloatArray  # [pairs] mean cost of a step
+    charge: FloatArray  # [states] of giving up, infinite where that is not allowed
+    stopping: FloatArray  # [states] what failing in one costs
 
-def _layer_costs(problem: Problem) -> tuple[FloatArray, _LayerTotals]:
-    """Charge of giving up in a problem without limits, and the totals that a layer adds.
+    @classmethod
+    def of(cls, problem: Problem) -> _LayerCosts:
+        """The layered costs of a problem."""
+        model, semantics, dead = problem.model, problem.semantics, dead_ends(problem.model)
+        charge = state_give_up_charges(model, semantics)
+        entering = dead_end_charges(model, dead, semantics)
+        stopping = np.where(dead, entering, np.where(np.isinf(charge), 0.0, charge))
+        return cls(problem, cost_means(model), charge, stopping)
 
-    Returns:
-        [states], infinite where giving up is not allowed; and a function of a layer's states and
-        pairs, [k], of where the goal is in reach, [k], and of visits as ``LayerMoves.follow`` has
-        them, [k, 3 * discounts], to goal, failure, cost of success and cost until failure,
-        [discounts, 4].
-    """
-    model, semantics, dead = problem.model, problem.semantics, dead_ends(problem.model)
-    stage, charge = cost_means(model), state_give_up_charges(model, semantics)
-    entering = dead_end_charges(model, dead, semantics)
-    stopping = np.where(dead, entering, np.where(np.isinf(charge), 0.0, charge))
+    @property
+    def goes_on(self) -> bool:
+        """Whether costs are paid where the goal is lost."""
+        return self.problem.semantics.give_up is GiveUp.DEAD_ENDS
 
-    def totals(here: IntArray, pairs: IntArray, hopes: BoolArray, visits: FloatArray) -> FloatArray:
-        """Totals of a layer of a policy that remembers its cost, [discounts, 4]."""
-        at_goal, moving, rows = model.goal_mask[here], pairs >= 0, []
-        cost = np.where(moving, stage[np.maximum(pairs, 0)], stopping[here])
+    def of_layer(
+        self, here: IntArray, pairs: IntArray, hopes: BoolArray, visits: FloatArray
+    ) -> FloatArray:
+        """Goal, failure, cost of success and cost until failure of a layer, [discounts, 4].
+
+        Args:
+            here: states, [k].
+            pairs: of them, [k].
+            hopes: whether the goal is in reach, [k].
+            visits: as of ``LayerMoves.follow``, [k, 3 * discounts].
+        """
+        stopping, rows = self.stopping[here], list[list[float]]()
+        at_goal, moving = self.problem.model.goal_mask[here], pairs >= 0
+        cost = np.where(moving, self.stage[np.maximum(pairs, 0)], stopping)
         cost[at_goal] = 0.0
         costly = ~hopes & (cost > 0.0)
-        for k, survival in enumerate(_survivals(problem)):
+        for k, survival in enumerate(_survivals(self.problem)):
             mass, paid, lost = visits[:, 3 * k : 3 * k + 3].T
             failed = mass[~hopes].sum() + (1.0 - survival) * mass[hopes & moving].sum()
-            after = mass @ (~hopes * stopping[here])
-            if semantics.give_up is GiveUp.DEAD_ENDS:  # costs go on where the goal is lost
-                after = lost[costly] @ cost[costly]
+            after = lost[costly] @ cost[costly] if self.goes_on else mass @ (~hopes * stopping)
             stopped = mass @ (hopes * cost) + after
             rows.append([mass[at_goal].sum(), failed, paid[at_goal].sum() / survival, stopped])
         return np.array(rows)
 
-    return charge, totals
+    def of_even_layers(
+        self,
+        moves: LayerMoves,
+        some: slice,
+        hopeful: BoolArray,
+        waiting: FloatArray,
+        stopped: FloatArray,
+    ) -> FloatArray | None:
+        """The same of some layers, [layers, 4]; None: a decision is missing or not allowed.
+
+        Args:
+            moves: of the policy.
+            some: the layers, of its even ones.
+            hopeful: whence the goal can be reached, [layers, states].
+            waiting: mass, written, as of ``LayerMoves.follow``.
+            stopped: what ends in each state, and what gives up there, written, [2, states].
+        """
+        from ssp_lp.compiled.layers import stream_evenly
+
+        model, layers, totals = moves.model, moves.layers, np.zeros((some.stop - some.start, 4))
+        is_decided = stream_evenly(
+            waiting, some.start, layers.decision[some], hopeful[some], moves.acting,
+            model.goal_mask, model.pair_offsets, *moves.outcomes, layers.leads(0), layers.costs,
+            self.stage, self.stopping, np.isinf(self.charge), self.goes_on, totals, stopped,
+        )  # fmt: skip
+        return totals if is_decided else None
 
 
 def give_up_costs(

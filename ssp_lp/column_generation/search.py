@@ -200,13 +200,13 @@ class Master:
         Args:
             row: the budget, which failure alone is limited by.
         """
-        known = [column for column in self.pool.columns if column.found_at is not None]
-        if not (known and row.ratio) or self.rows.by_goal or not self.prices.size:
-            return
-        self.solve()
-        column, price = known[0], known[0].found_at - self.rows.ratio
-        self.bound = column.cost + known[0].found_at * column.failure - price * row.budget
-        self.prices = np.array([price])
+        for column in self.pool.columns:
+            if (price := column.found_at) is None or not row.ratio or self.rows.by_goal:
+                continue
+            self.solve()
+            self.prices = np.full(len(self.prices), price - self.rows.ratio)
+            owed = float(self.prices.sum()) * row.budget
+            self.bound = column.cost + price * column.failure - owed
 
     def seek(self, tolerance: float) -> Column | None:
         """A best column at the next prices; None where all limits are satisfied in phase 1."""
