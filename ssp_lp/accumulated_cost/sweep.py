@@ -174,7 +174,8 @@ class Sweep:
         Args:
             priced: the weights, and what lies beyond the cap.
             choice: written, [cap, nodes].
-            begun: written, the value of the start's nodes if an episode began in each layer, [cap].
+            begun: written, from the start if an episode began in each layer: the value, and the
+                measures where the sweep has them, [cap, 1 + 1 + counted].
 
         Raises:
             Stop: with the part of the sweep that was done.
@@ -184,7 +185,8 @@ class Sweep:
             for some, swept, last in self._blocks(one_pass, priced, values, measures, choice):
                 measures = last
                 if begun is not None:
-                    begun[some] = swept @ self.start
+                    begun[some, 0] = swept @ self.start
+                    begun[some, 1:] = np.einsum("lnk,n->lk", measures, self.start)
             return np.asarray(self.start @ measures[0])
         cost, inner = self._pair_costs(priced), self._first_choice
 
@@ -203,7 +205,7 @@ class Sweep:
                 inner, least = settled.choice, settled.values
             choice[layer] = inner - self.first_pairs
             if begun is not None:
-                begun[layer] = least @ self.start
+                begun[layer, 0] = least @ self.start
             return (least,) if measured is None else (least, self._measures(layer, inner, measured))
 
         part = PartOfSweep(choice, priced.price, self.process.cap, None)

@@ -84,7 +84,8 @@ class LayeredPricing(PricingProblem):
         if measures is not None:
             measures = self.process.base.start @ measures
             measures[0] -= float(self._paid[reached.layer]) * measures[2]
-        return self._begun_in(reached.layer, reached.choice, reached.price, measures)
+        swept = Column(0.0, 0.0, 0.0, reached.choice, reached.price)
+        return self._begun_in(reached.layer, swept, measures)
 
     @property
     def covered(self) -> float:
@@ -102,24 +103,27 @@ class LayeredPricing(PricingProblem):
         process = self.process
         return process.totals.values[: process.cap] / process.base.survival
 
-    def _begun_in(
-        self, layer: int, choice: IntArray, price: float, measures: FloatArray | None = None
-    ) -> Column:
+    def _begun_in(self, layer: int, swept: Column, measures: FloatArray | None = None) -> Column:
         """The column of beginning in a layer as if nothing had been paid.
 
         Args:
             layer: the layer.
-            choice: of the whole process, [cap, nodes].
-            price: of failure, of the whole process.
+            swept: the column of beginning in the first one, as far as its choice is known.
             measures: of the column; None: not known yet.
         """
-        process, price = self.process, price - float(self._paid[layer])
-        begun = replace(process, totals=process.base.totals(process.cap - layer))
+        if layer == 0 and measures is None:
+            return swept
+        choice = required(swept.choice)
+        if measures is None and swept.by_layer is not None:
+            known = swept.by_layer[layer, 1:]
+            measures = None if np.isnan(known).any() else known
+        price = swept.tail_price - float(self._paid[layer])
+        begun = self._process_begun_in(layer)
         within, choice = replace(self, process=begun), choice[layer:]
         if measures is None:
             measures = within.sweep.measure(choice, begun.measures_beyond(price))
-        policy = begun.policy(choice, price)
-        return replace(within._column(measures, choice, price, 0), choice=None, policy=policy)
+        column, policy = within._column(measures, choice, price, 0), begun.policy(choice, price)
+        return replace(column, choice=None, policy=policy, swept=swept)
 
     def beside(self, column: Column, row: FailureRow) -> tuple[Column, ...]:
         """Columns of lower prices, next to the budget, that pricing a column found on its way.
@@ -127,17 +131,44 @@ class LayeredPricing(PricingProblem):
         One sweep prices every policy at its price less what each layer stands for. The best bound
         among these prices lies next to the optimal one.
         """
-        rest, choice, at = column.by_layer, column.choice, column.tail_price
-        if rest is None or choice is None or not (row.ratio and row.demanded > 0.0):
+        rest = column.by_layer
+        if rest is None or column.choice is None or not (row.ratio and row.demanded > 0.0):
             return ()
-        prices = at - self._paid
+        prices = column.tail_price - self._paid
+        rest = rest[:, 0]
         best = int(np.argmax(prices + np.where(rest >= 0.0, rest, rest / row.demanded)))
-        nearest = column if best == 0 else self._begun_in(best, choice, at)
+        nearest = self._begun_in(best, column)
         other = best - 1 if row.breaks(nearest) else best + 1
         if not 0 <= other < len(prices) or prices[other] <= 0.0:
             return ()
-        beside = self._begun_in(other, choice, at)
-        return replace(nearest, found_at=float(prices[best])), beside
+        return replace(nearest, found_at=float(prices[best])), self._begun_in(other, column)
+
+    def policy_failing(self, column: Column, failure: float, *, above: bool) -> Policy | None:
+        """Policy of a lower price, found on the way, that fails about as often as is asked for.
+
+        How often follows from the slope of the least values by price, whose steps lie between two
+        layers.
+
+        Args:
+            column: found by pricing, or on its way.
+            failure: the nearest one to it is taken.
+            above: whether it is to fail more rather than less.
+        """
+        swept = column.swept or column
+        if swept.by_layer is None or swept.choice is None:
+            return None
+        goal = np.diff(swept.by_layer[:, 0]) / np.diff(self._paid)  # between a layer and the next
+        fails = np.maximum.accumulate(1.0 - goal)
+        layer = int(np.searchsorted(fails, failure)) + int(above)
+        if layer >= len(fails):
+            return None
+        price = swept.tail_price - float(self._paid[layer])
+        return self._process_begun_in(layer).policy(swept.choice[layer:], price)
+
+    def _process_begun_in(self, layer: int) -> LayeredProcess:
+        """The process of beginning in a layer as if nothing had been paid."""
+        totals = self.process.base.totals(self.process.cap - layer)
+        return replace(self.process, totals=totals)
 
     def first(self) -> Column:
         """Layered pricing's first column: the tail that goes for the goal, from the start on."""
@@ -160,7 +191,7 @@ class LayeredPricing(PricingProblem):
         goal = tails.guess[1] if tails.guess else float(base.start @ tails.goal[0])
         # where no policy probably succeeds success is counted rather than failure
         failing = failure_price if goal + base.start_goal >= 0.5 else 0.0
-        begun = np.empty(self.process.cap) if self.is_shifted else None
+        begun = np.full((self.process.cap, 4), np.nan) if self.is_shifted else None
         measures = self.sweep.minimise(at_price(self.sweep, failure_price, failing), choice, begun)
         column = self._column(measures, choice, failure_price, self.process.cap)
         if begun is None:
@@ -168,9 +199,11 @@ class LayeredPricing(PricingProblem):
         prices = failure_price - self._paid
         ended = base.start_goal
         if failing:
-            begun -= self._paid * base.start.sum()
+            begun[:, 0] -= self._paid * base.start.sum()
             ended = 1.0 - base.start_failure
-        return replace(column, by_layer=begun - prices * ended)
+        begun[:, 0] -= prices * ended
+        begun[:, 1] -= self._paid * begun[:, 3]
+        return replace(column, by_layer=begun)
 
     def measure(self, choice: IntArray, tail_price: float) -> Column:
         """Exact E[cost; goal] and failure of a choice in layered pricing.
