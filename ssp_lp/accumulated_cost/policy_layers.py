@@ -231,20 +231,6 @@ class LayerMoves:
             self.send(sent, pairs, ring, waiting)
             yield layer, here, pairs, visits
 
-    def even_blocks(self) -> Iterator[tuple[int, int]]:
-        """First and last + 1 of blocks of layers that a compiled pass may follow mass through.
-
-        All their steps go on to a later layer, and equally many ahead from each.
-        """
-        layers, entries = self.layers, self.model.n_outcomes * self.layers.even
-        if not entries or (layers.leads(0) <= 0).any():
-            return
-        if accelerated(entries, "layers.stream_evenly"):
-            several = max(_AT_ONCE // max(self.model.n_states, 1), 1)
-            for begin in range(0, layers.even, several):
-                check_time()
-                yield begin, min(begin + several, layers.even)
-
     @with_twin
     def send(self, mass: FloatArray, pairs: IntArray, ring: IntArray, waiting: FloatArray) -> None:
         """Send the mass of k states by their pairs on to later layers, in place.

@@ -19,8 +19,8 @@ from ssp_lp.accumulated_cost.policy_layers import (
     landed_chains,
 )
 from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray
-from ssp_lp.compiled.accelerator import with_twin
-from ssp_lp.compiled.deadline import limited
+from ssp_lp.compiled.accelerator import accelerated, with_twin
+from ssp_lp.compiled.deadline import check_time, limited
 from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
@@ -451,7 +451,6 @@ def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> Stoch
     return StochasticPolicy.from_flows(model, *every, carrier)
 
 
-@with_twin
 def layered_measures(
     policy: Policy, problem: Problem, start: FloatArray, least_nodes: int = LARGE
 ) -> _Measures | None:
@@ -478,12 +477,11 @@ def layered_measures(
     waiting[0, :, ::3] = start[:, None]
     stopped = np.zeros((2, model.n_states))  # what ends in each state, and what gives up there
     ends, parts, first = np.zeros(len(model.state_labels) + 3), list[FloatArray](), 0
-    for begin, end in moves.even_blocks() if len(survivals) == 1 else ():
-        block = costs.of_even_layers(moves, slice(begin, end), hopeful, waiting, stopped)
-        if block is None:
+    if layers.even and len(survivals) == 1:
+        together = costs.of_even_layers(moves, hopeful, waiting, stopped)
+        if together is None:
             return None
-        parts.extend(block[:, None])
-        first = end
+        parts, first = list(together[:, None]), len(together)
     for layer, here, pairs, visits in moves.follow(waiting, survivals, hopeful, first):
         hopes, quits = hopeful[layer, here], pairs == GIVE_UP_CODE
         if (quits & np.isinf(costs.charge[here])).any() or (pairs == UNDECIDED).any():
@@ -504,6 +502,9 @@ def layered_measures(
     if problem.semantics.forbids_failing and totals[0, FAILED] > 0.0:
         totals[:, STOPPED] = np.inf
     return _measures_of(totals, ends)
+
+
+_AT_ONCE = 1_000_000  # decisions between two looks at the time
 
 
 @dataclass(frozen=True, eq=False)
@@ -553,32 +554,41 @@ class _LayerCosts:
             rows.append([mass[at_goal].sum(), failed, paid[at_goal].sum() / survival, stopped])
         return np.array(rows)
 
+    @with_twin
     def of_even_layers(
-        self,
-        moves: LayerMoves,
-        some: slice,
-        hopeful: BoolArray,
-        waiting: FloatArray,
-        stopped: FloatArray,
+        self, moves: LayerMoves, hopeful: BoolArray, waiting: FloatArray, stopped: FloatArray
     ) -> FloatArray | None:
-        """The same of some layers, [layers, 4]; None: a decision is missing or not allowed.
+        """The same of the first layers, [layers, 4], as many as one compiled pass may follow.
+
+        They are those whose steps all go on, and equally many layers ahead from each.
 
         Args:
             moves: of the policy.
-            some: the layers, of its even ones.
             hopeful: whence the goal can be reached, [layers, states].
             waiting: mass, written, as of ``LayerMoves.follow``.
             stopped: what ends in each state, and what gives up there, written, [2, states].
+
+        Returns:
+            None where a decision is missing or not allowed.
         """
+        model, layers, leads = moves.model, moves.layers, moves.layers.leads(0)
+        entries, several = model.n_outcomes * layers.even, _AT_ONCE // model.n_states + 1
+        if (leads <= 0).any() or not accelerated(entries, "layers.stream_evenly"):
+            return np.zeros((0, 4))
         from ssp_lp.compiled.layers import stream_evenly
 
-        model, layers, totals = moves.model, moves.layers, np.zeros((some.stop - some.start, 4))
-        is_decided = stream_evenly(
-            waiting, some.start, layers.decision[some], hopeful[some], moves.acting,
-            model.goal_mask, model.pair_offsets, *moves.outcomes, layers.leads(0), layers.costs,
-            self.stage, self.stopping, np.isinf(self.charge), self.goes_on, totals, stopped,
-        )  # fmt: skip
-        return totals if is_decided else None
+        totals = np.zeros((layers.even, 4))
+        for first in range(0, layers.even, several):
+            check_time()
+            some = slice(first, min(first + several, layers.even))
+            if not stream_evenly(
+                waiting, first, layers.decision[some], hopeful[some], moves.acting,
+                model.goal_mask, model.pair_offsets, *moves.outcomes, leads, layers.costs,
+                self.stage, self.stopping, np.isinf(self.charge), self.goes_on, totals[some],
+                stopped,
+            ):  # fmt: skip
+                return None
+        return totals
 
 
 def give_up_costs(

@@ -92,7 +92,7 @@ class LayeredPricing(PricingProblem):
         """The total at the cap: the process is cut there, at whatever price."""
         return float(self._paid[-1]) if self.is_shifted else 0.0
 
-    @property
+    @cached_property
     def is_shifted(self) -> bool:
         """Whether beginning in a later layer is beginning at a lower price of failure."""
         return self.process.grows_evenly and not self.process.base.by_steps
@@ -111,7 +111,7 @@ class LayeredPricing(PricingProblem):
             swept: the column of beginning in the first one, as far as its choice is known.
             measures: of the column; None: not known yet.
         """
-        if layer == 0 and measures is None:
+        if layer == 0 and swept.by_layer is not None:
             return swept
         choice = required(swept.choice)
         if measures is None and swept.by_layer is not None:

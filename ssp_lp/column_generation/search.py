@@ -201,7 +201,7 @@ class Master:
             row: the budget, which failure alone is limited by.
         """
         for column in self.pool.columns:
-            if (price := column.found_at) is None or not row.ratio or self.rows.by_goal:
+            if (price := column.found_at) is None or self.rows.by_goal:
                 continue
             self.solve()
             self.prices = np.full(len(self.prices), price - self.rows.ratio)
@@ -465,7 +465,7 @@ def columns_by_pricing(
     Returns:
         None where no column that keeps to the budget was found.
     """
-    last, doing = None, "the process was still being built"
+    last, dearest, doing = None, 0.0, "the process was still being built"
     with deadline.WithIncumbent() as search:
         pricing = compiled.pricing()
         if row.demanded < _SELDOM:
@@ -478,9 +478,11 @@ def columns_by_pricing(
                 typical = last.cost / last.goal
             price = _STEEP * typical if typical > 0.0 else 1.0
         else:
-            price = guess.price if guess.slack else guess.price * (1.0 + guess.spread)
-        if 0.0 < pricing.covered < price:
-            price = pricing.covered if guess is None else max(guess.price, pricing.covered)
+            price = guess.price
+        if row.ratio and (covered := pricing.covered) > 0.0 and not (guess and guess.slack):
+            dearest, price = price, covered  # one sweep tells of all prices below
+            if guess is not None:
+                price = min(max(guess.price, covered), guess.price * (1.0 + guess.spread))
     if search.stop:
         raise deadline.Stop(told=doing) from search.stop
     steps = _STEPS if guess is None else tuple(guess.spread * step for step in _HINTED_STEPS)
@@ -493,15 +495,15 @@ def columns_by_pricing(
             began = time.perf_counter()
             last, calls = pricing.minimise(price, last, inside, outside), calls + 1
             took = max(took, time.perf_counter() - began)
-            work, value = work + last.work, row.objective(last.cost, last.goal)
-            for column in (last, *pricing.beside(last, row)):
+            work, value = work + last.work, np.inf
+            for column in (last, *pricing.beside(last, row)) if row.ratio else (last,):
                 if row.breaks(column):
                     outside = column
-                elif row.objective(column.cost, column.goal) < np.inf:
-                    inside = column
+                elif (worth := row.objective(column.cost, column.goal)) < np.inf:
+                    inside, value = column, worth
                     deadline.ensure_incumbent(by_itself=True)
             if options.progress is not None:
-                options.progress(calls, price, value if last is inside else np.inf)
+                options.progress(calls, price, value)
             enough = one_sided or outside is not None or deadline.is_late()
             if step is None or (inside is not None and enough):
                 break
@@ -513,7 +515,8 @@ def columns_by_pricing(
                 # overshoots, so that the columns lie on both sides and not far apart
                 ratio = max(ends) / min(ends)
                 size = min(max(ratio * ratio, _LEAST_FACTOR), size)
-            price = price * size if row.spare(last) < 0.0 else price / size
+            price = max(price, dearest) * size if row.spare(last) < 0.0 else price / size
+            dearest = 0.0
     if search.stop:
         took = max(took, time.perf_counter() - began)
         inside = last = _initial_column_within(pricing, row, search.stop, inside, last)
@@ -521,7 +524,8 @@ def columns_by_pricing(
         return None
     master = master_at(pricing, row, inside, outside, calls=calls, work=work, took=took)
     master.last, master.tried = last, np.array([1.0, price])
-    master.begin_at_bound(row)
+    if row.ratio:
+        master.begin_at_bound(row)
     return master
 
 
