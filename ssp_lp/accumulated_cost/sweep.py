@@ -181,12 +181,14 @@ class Sweep:
             Stop: with the part of the sweep that was done.
         """
         base, values, measures = self.process.base, priced.beyond, priced.measures
+        entries = np.flatnonzero(self.start)
+        shares = self.start[entries]
         if (one_pass := self.one_pass) is not None:
             for some, swept, last in self._blocks(one_pass, priced, values, measures, choice):
                 measures = last
                 if begun is not None:
                     begun[some, 0] = swept @ self.start
-                    begun[some, 1:] = np.einsum("lnk,n->lk", measures, self.start)
+                    begun[some, 1:] = shares @ measures[:, entries]
             return np.asarray(self.start @ measures[0])
         cost, inner = self._pair_costs(priced), self._first_choice
 

@@ -477,11 +477,11 @@ def layered_measures(
     waiting[0, :, ::3] = start[:, None]
     stopped = np.zeros((2, model.n_states))  # what ends in each state, and what gives up there
     ends, parts, first = np.zeros(len(model.state_labels) + 3), list[FloatArray](), 0
-    if layers.even and len(survivals) == 1:
+    if layers.even:
         together = costs.of_even_layers(moves, hopeful, waiting, stopped)
         if together is None:
             return None
-        parts, first = list(together[:, None]), len(together)
+        parts, first = list(together), len(together)
     for layer, here, pairs, visits in moves.follow(waiting, survivals, hopeful, first):
         hopes, quits = hopeful[layer, here], pairs == GIVE_UP_CODE
         if (quits & np.isinf(costs.charge[here])).any() or (pairs == UNDECIDED).any():
@@ -558,7 +558,7 @@ class _LayerCosts:
     def of_even_layers(
         self, moves: LayerMoves, hopeful: BoolArray, waiting: FloatArray, stopped: FloatArray
     ) -> FloatArray | None:
-        """The same of the first layers, [layers, 4], as many as one compiled pass may follow.
+        """The same of the first layers, as many as one compiled pass may follow.
 
         They are those whose steps all go on, and equally many layers ahead from each.
 
@@ -569,26 +569,28 @@ class _LayerCosts:
             stopped: what ends in each state, and what gives up there, written, [2, states].
 
         Returns:
-            None where a decision is missing or not allowed.
+            [layers, discounts, 4]; None where a decision is missing or not allowed.
         """
         model, layers, leads = moves.model, moves.layers, moves.layers.leads(0)
         entries, several = model.n_outcomes * layers.even, _AT_ONCE // model.n_states + 1
         if (leads <= 0).any() or not accelerated(entries, "layers.stream_evenly"):
-            return np.zeros((0, 4))
+            return np.zeros((0, 1, 4))
         from ssp_lp.compiled.layers import stream_evenly
 
-        totals = np.zeros((layers.even, 4))
-        for first in range(0, layers.even, several):
-            check_time()
-            some = slice(first, min(first + several, layers.even))
-            if not stream_evenly(
-                waiting, first, layers.decision[some], hopeful[some], moves.acting,
-                model.goal_mask, model.pair_offsets, *moves.outcomes, leads, layers.costs,
-                self.stage, self.stopping, np.isinf(self.charge), self.goes_on, totals[some],
-                stopped,
-            ):  # fmt: skip
-                return None
-        return totals
+        totals = list[FloatArray]()
+        for k, survival in enumerate(_survivals(self.problem)):
+            totals.append(np.zeros((layers.even, 4)))
+            for first in range(0, layers.even, several):
+                check_time()
+                some = slice(first, min(first + several, layers.even))
+                if not stream_evenly(
+                    waiting, first, layers.decision[some], hopeful[some], moves.acting,
+                    model.goal_mask, model.pair_offsets, *moves.outcomes, leads, layers.costs,
+                    self.stage, self.stopping, np.isinf(self.charge), self.goes_on,
+                    3 * k, survival, totals[k][some], stopped if k == 0 else stopped.copy(),
+                ):  # fmt: skip
+                    return None
+        return np.stack(totals, axis=1)
 
 
 def give_up_costs(

@@ -119,7 +119,11 @@ def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solutio
         bound = solution.lower_bound
         yield replace(solution, note="")
     most, cheapest = _levels_asked(problem), float(step_costs(problem.model)[1][1])
-    units, guess, reach = list(_split_units(problem)), None, _REACH * _span_of_steps(problem)
+    units, guess, reach = (
+        list(_split_units(problem)),
+        None,
+        _MARGIN * _REACH * _span_of_steps(problem),
+    )
     finest = units[-1]
     while units:
         unit = units.pop(0)
@@ -132,8 +136,9 @@ def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solutio
         outcome = split_optimum(problem, unit, finer, guess, most, reach)
         generated, layers = outcome.generated, outcome.compiled.layers
         bound, calls = max(bound, generated.lower_bound), calls + outcome.calls
-        work, reach = work + outcome.work, generated.price
-        guess = DualGuess(reach, _SPREAD)
+        work, price, total = work + outcome.work, generated.price, layers * float(_unit_of(outcome))
+        reach = total if total > _FAR_BEYOND * price else _MARGIN * price
+        guess = DualGuess(price, _SPREAD, slack=len(generated.columns) == 1)
         if not for_price:  # a coarse unit only says where the price lies
             with WithIncumbent() as measuring, closing():
                 lottery = _true_lottery(problem, outcome)
@@ -153,7 +158,7 @@ def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solutio
                 sufficient = short_decimal(enough)
                 units = [sufficient, *(u for u in units if u < sufficient)]
         reason = f"costs split between {layers:,} layers, {calls} pricing calls"
-        answer = replace(best, bound=bound, price=max(reach - best.value, 0.0), note=note)
+        answer = replace(best, bound=bound, price=max(price - best.value, 0.0), note=note)
         yield assembled(problem, answer, Run(options.method, reason, calls, 0.0, work))
 
 
@@ -367,6 +372,7 @@ def _best_lottery(columns: list[Column], row: FailureRow) -> list[tuple[Column, 
 _WIDEST = 1_000.0  # times as dear may one step be as another, or a unit rounds too much to nothing
 _FEW_SUMS = 1_000  # that are told apart exactly rather than by a grid
 _SECONDS = 1.5e-8  # that a search takes for each sum and outcome
+_FAR_BEYOND = 1.5  # times the price: a cap that had to be so high is kept
 _MARGIN = 1.05  # beyond a price from a coarser unit: what is paid there still counts for something
 _TRIES = 6  # units, until levels are as few as is asked for
 _OUTCOMES = 1_000  # of a model that takes some time
@@ -535,7 +541,7 @@ def split_optimum(
         start, fixed = start_distribution(model, problem.start), None
         if most is not None and tried + 1 == _TRIES:
             fixed = (most - 0.5) * float(unit)
-        cap = None if np.isinf(reach) or fixed else int(np.ceil(_MARGIN * reach / float(unit))) + 1
+        cap = None if np.isinf(reach) or fixed else int(np.ceil(reach / float(unit))) + 1
         compiled = CompiledAccumulatedCost(model, start, problem.discount, fixed, cap)
         outcome = refined_optimum(compiled, budget, options, guess)
         layers = outcome.compiled.layers
