@@ -487,6 +487,7 @@ def columns_by_pricing(
         raise deadline.Stop(told=doing) from search.stop
     steps = _STEPS if guess is None else tuple(guess.spread * step for step in _HINTED_STEPS)
     one_sided = price == 0.0 or (guess is not None and guess.slack)
+    has_beside = row.ratio and not one_sided
     inside: Column | None = None
     outside: Column | None = None
     work, calls, began, took = Work(), 0, time.perf_counter(), 0.0
@@ -496,7 +497,7 @@ def columns_by_pricing(
             last, calls = pricing.minimise(price, last, inside, outside), calls + 1
             took = max(took, time.perf_counter() - began)
             work, value = work + last.work, np.inf
-            for column in (last, *pricing.beside(last, row)) if row.ratio else (last,):
+            for column in (last, *pricing.beside(last, row)) if has_beside else (last,):
                 if row.breaks(column):
                     outside = column
                 elif (worth := row.objective(column.cost, column.goal)) < np.inf:
