@@ -165,7 +165,7 @@ class LayerMoves:
 
             own = decision[begin:end], self.acting, model.pair_offsets
             rest = leads, self.free_order, hopeful[begin:]
-            stream_marks(decision[begin:end].size)(*own, *self._outcomes, *rest)
+            stream_marks(decision[begin:end].size)(*own, *self.outcomes, *rest)
             return
         everywhere = np.arange(model.n_states)
         for layer in backward(end, begin):
@@ -183,6 +183,7 @@ class LayerMoves:
         waiting: FloatArray,
         survivals: Sequence[float] = (1.0,),
         hopeful: BoolArray | None = None,
+        first: int = 0,
     ) -> Iterator[tuple[int, IntArray, IntArray, FloatArray]]:
         """Follow mass layer by layer; what comes to layers beyond the last one goes on waiting.
 
@@ -192,6 +193,7 @@ class LayerMoves:
                 of mass that has; emptied, and written.
             survivals: the discounts.
             hopeful: whence the goal can be reached, [layers, states]; None: one column is followed.
+            first: layer in which to begin.
 
         Yields:
             The layer, the states where mass is, their pairs, [k] each, and their expected visits,
@@ -199,7 +201,7 @@ class LayerMoves:
             the first column and in the third.
         """
         everywhere, layers = np.arange(self.model.n_states), self.layers
-        for layer in range(layers.count):
+        for layer in range(first, layers.count):
             share = layer / layers.count
             _LOG.debug("layer %d of %d", layer, layers.count, extra={"share": share})
             row, ring = waiting[layer % self.room], self.ring(layer)
@@ -244,7 +246,7 @@ class LayerMoves:
         if accelerated(self.model.n_outcomes, "layers.stream_mass"):
             from ssp_lp.compiled.layers import stream_mass
 
-            stream_mass(mass, pairs, *self._outcomes, ring, costs, waiting)
+            stream_mass(mass, pairs, *self.outcomes, ring, costs, waiting)
             return
         source, outcome, step = self._taken(pairs, ring >= 0)
         place, moved = (ring[step], self.model.successors[outcome]), mass[source]
@@ -287,7 +289,7 @@ class LayerMoves:
         return Staying(sp.csr_array((share, where), shape=shape), paid, onward)
 
     @property
-    def _outcomes(self) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
+    def outcomes(self) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
         """Arrays of a policy's moves by layer for a compiled pass."""
         model = self.model
         successors = model.successors.view(np.uint32)
@@ -358,9 +360,12 @@ def hopeful_layers(moves: LayerMoves) -> tuple[BoolArray, BoolArray]:
     hopeful[:count] = model.goal_mask
     for layer in range(count, len(hopeful)):
         hopeful[layer] = beyond[layers.tail_at(layer), np.arange(model.n_states)]
-    several = 1 if layers.unit is None else max(_AT_ONCE // max(model.n_states, 1), 1)
-    for end in range(count, 0, -several):
-        moves.meet(max(end - several, 0), end, hopeful)
+    end, several = count, max(_AT_ONCE // max(model.n_states, 1), 1)
+    while end > 0:
+        is_even = layers.unit is not None or end <= layers.even
+        begin = max(end - several, 0) if is_even else end - 1
+        moves.meet(begin, end, hopeful)
+        end = begin
     return hopeful, beyond
 
 

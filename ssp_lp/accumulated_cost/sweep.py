@@ -166,16 +166,30 @@ class Sweep:
         return np.empty(size, dtype=least_integer_type(most))
 
     @with_twin
-    def minimise(self, priced: Priced, choice: IntArray) -> FloatArray:
+    def minimise(
+        self, priced: Priced, choice: IntArray, begun: FloatArray | None = None
+    ) -> FloatArray:
         """Best choice of a backward sweep, written; its measures from the start, [1 + counted].
+
+        Args:
+            priced: the weights, and what lies beyond the cap.
+            choice: written, [cap, nodes].
+            begun: written, from the start if an episode began in each layer: the value, and the
+                measures where the sweep has them, [cap, 1 + 1 + counted].
 
         Raises:
             Stop: with the part of the sweep that was done.
         """
         base, values, measures = self.process.base, priced.beyond, priced.measures
+        entries = np.flatnonzero(self.start)
+        shares = self.start[entries]
         if (one_pass := self.one_pass) is not None:
-            blocks = self._blocks(one_pass, priced, values, measures, choice)
-            return np.asarray(self.start @ deque(blocks, maxlen=1)[0][2][0])
+            for some, swept, last in self._blocks(one_pass, priced, values, measures, choice):
+                measures = last
+                if begun is not None:
+                    begun[some, 0] = swept @ self.start
+                    begun[some, 1:] = shares @ measures[:, entries]
+            return np.asarray(self.start @ measures[0])
         cost, inner = self._pair_costs(priced), self._first_choice
 
         def best(
@@ -192,6 +206,8 @@ class Sweep:
                 settled = iterate_policy(base.instant_dynamics, onward, _ONE, inner)
                 inner, least = settled.choice, settled.values
             choice[layer] = inner - self.first_pairs
+            if begun is not None:
+                begun[layer, 0] = least @ self.start
             return (least,) if measured is None else (least, self._measures(layer, inner, measured))
 
         part = PartOfSweep(choice, priced.price, self.process.cap, None)

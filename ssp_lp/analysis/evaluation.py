@@ -20,7 +20,8 @@ from ssp_lp.accumulated_cost.policy_layers import (
 )
 from ssp_lp.analysis.worst_case import WorstCase, worst_case
 from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray
-from ssp_lp.compiled.deadline import limited
+from ssp_lp.compiled.accelerator import accelerated, with_twin
+from ssp_lp.compiled.deadline import check_time, limited
 from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
@@ -495,17 +496,22 @@ def layered_measures(
     if problem.conditions or problem.objective_condition is not None:
         return None
     moves, survivals = LayerMoves(model, layers), _survivals(problem)
-    hopeful, (charge, layer_totals) = hopeful_layers(moves)[0], _layer_costs(problem)
+    hopeful, costs = hopeful_layers(moves)[0], _LayerCosts.of(problem)
     waiting = np.zeros((moves.room, model.n_states, 3 * len(survivals)))
     waiting[0, :, ::3] = start[:, None]
     stopped = np.zeros((2, model.n_states))  # what ends in each state, and what gives up there
-    ends, parts = np.zeros(len(model.state_labels) + 3), list[FloatArray]()
-    for layer, here, pairs, visits in moves.follow(waiting, survivals, hopeful):
+    ends, parts, first = np.zeros(len(model.state_labels) + 3), list[FloatArray](), 0
+    if layers.even:
+        together = costs.of_even_layers(moves, hopeful, waiting, stopped)
+        if together is None:
+            return None
+        parts, first = list(together), len(together)
+    for layer, here, pairs, visits in moves.follow(waiting, survivals, hopeful, first):
         hopes, quits = hopeful[layer, here], pairs == GIVE_UP_CODE
-        if (quits & np.isinf(charge[here])).any() or (pairs == UNDECIDED).any():
+        if (quits & np.isinf(costs.charge[here])).any() or (pairs == UNDECIDED).any():
             return None
         stopped[quits.astype(np.int64), here] += np.where(hopes, visits[:, 0], visits[:, 2])
-        parts.append(layer_totals(here, pairs, hopes, visits))
+        parts.append(costs.of_layer(here, pairs, hopes, visits))
     try:
         for tail, mass in landed_chains(moves, waiting):
             counted, entering = tail.alive | (tail.goal > 0), mass.sum(axis=0)
@@ -522,40 +528,93 @@ def layered_measures(
     return _measures_of(totals, ends)
 
 
-_LayerTotals = Callable[[IntArray, IntArray, BoolArray, FloatArray], FloatArray]
+_AT_ONCE = 1_000_000  # decisions between two looks at the time
 
 
-def _layer_costs(problem: Problem) -> tuple[FloatArray, _LayerTotals]:
-    """Charge of giving up in a problem without limits, and the totals that a layer adds.
+@dataclass(frozen=True, eq=False)
+class _LayerCosts:
+    """What the layers of a policy that remembers its cost add up, without limits."""
 
-    Returns:
-        [states], infinite where giving up is not allowed; and a function of a layer's states and
-        pairs, [k], of where the goal is in reach, [k], and of visits as ``LayerMoves.follow`` has
-        them, [k, 3 * discounts], to goal, failure, cost of success and cost until failure,
-        [discounts, 4].
-    """
-    model, semantics, dead = problem.model, problem.semantics, dead_ends(problem.model)
-    stage, charge = cost_means(model), state_give_up_charges(model, semantics)
-    entering = dead_end_charges(model, dead, semantics)
-    stopping = np.where(dead, entering, np.where(np.isinf(charge), 0.0, charge))
+    problem: Problem
+    stage: FloatArray  # [pairs] mean cost of a step
+    charge: FloatArray  # [states] of giving up, infinite where that is not allowed
+    stopping: FloatArray  # [states] what failing in one costs
 
-    def totals(here: IntArray, pairs: IntArray, hopes: BoolArray, visits: FloatArray) -> FloatArray:
-        """Totals of a layer of a policy that remembers its cost, [discounts, 4]."""
-        at_goal, moving, rows = model.goal_mask[here], pairs >= 0, []
-        cost = np.where(moving, stage[np.maximum(pairs, 0)], stopping[here])
+    @classmethod
+    def of(cls, problem: Problem) -> _LayerCosts:
+        """The layered costs of a problem."""
+        model, semantics, dead = problem.model, problem.semantics, dead_ends(problem.model)
+        charge = state_give_up_charges(model, semantics)
+        entering = dead_end_charges(model, dead, semantics)
+        stopping = np.where(dead, entering, np.where(np.isinf(charge), 0.0, charge))
+        return cls(problem, cost_means(model), charge, stopping)
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether costs are paid where the goal is lost."""
+        return self.problem.semantics.give_up is GiveUp.DEAD_ENDS
+
+    def of_layer(
+        self, here: IntArray, pairs: IntArray, hopes: BoolArray, visits: FloatArray
+    ) -> FloatArray:
+        """Goal, failure, cost of success and cost until failure of a layer, [discounts, 4].
+
+        Args:
+            here: states, [k].
+            pairs: of them, [k].
+            hopes: whether the goal is in reach, [k].
+            visits: as of ``LayerMoves.follow``, [k, 3 * discounts].
+        """
+        stopping, rows = self.stopping[here], list[list[float]]()
+        at_goal, moving = self.problem.model.goal_mask[here], pairs >= 0
+        cost = np.where(moving, self.stage[np.maximum(pairs, 0)], stopping)
         cost[at_goal] = 0.0
         costly = ~hopes & (cost > 0.0)
-        for k, survival in enumerate(_survivals(problem)):
+        for k, survival in enumerate(_survivals(self.problem)):
             mass, paid, lost = visits[:, 3 * k : 3 * k + 3].T
             failed = mass[~hopes].sum() + (1.0 - survival) * mass[hopes & moving].sum()
-            after = mass @ (~hopes * stopping[here])
-            if semantics.give_up is GiveUp.DEAD_ENDS:  # costs go on where the goal is lost
-                after = lost[costly] @ cost[costly]
+            after = lost[costly] @ cost[costly] if self.goes_on else mass @ (~hopes * stopping)
             stopped = mass @ (hopes * cost) + after
             rows.append([mass[at_goal].sum(), failed, paid[at_goal].sum() / survival, stopped])
         return np.array(rows)
 
-    return charge, totals
+    @with_twin
+    def of_even_layers(
+        self, moves: LayerMoves, hopeful: BoolArray, waiting: FloatArray, stopped: FloatArray
+    ) -> FloatArray | None:
+        """The same of the first layers, as many as one compiled pass may follow.
+
+        They are those whose steps all go on, and equally many layers ahead from each.
+
+        Args:
+            moves: of the policy.
+            hopeful: whence the goal can be reached, [layers, states].
+            waiting: mass, written, as of ``LayerMoves.follow``.
+            stopped: what ends in each state, and what gives up there, written, [2, states].
+
+        Returns:
+            [layers, discounts, 4]; None where a decision is missing or not allowed.
+        """
+        model, layers, leads = moves.model, moves.layers, moves.layers.leads(0)
+        entries, several = model.n_outcomes * layers.even, _AT_ONCE // model.n_states + 1
+        if (leads <= 0).any() or not accelerated(entries, "layers.stream_evenly"):
+            return np.zeros((0, 1, 4))
+        from ssp_lp.compiled.layers import stream_evenly
+
+        totals = list[FloatArray]()
+        for k, survival in enumerate(_survivals(self.problem)):
+            totals.append(np.zeros((layers.even, 4)))
+            for first in range(0, layers.even, several):
+                check_time()
+                some = slice(first, min(first + several, layers.even))
+                if not stream_evenly(
+                    waiting, first, layers.decision[some], hopeful[some], moves.acting,
+                    model.goal_mask, model.pair_offsets, *moves.outcomes, leads, layers.costs,
+                    self.stage, self.stopping, np.isinf(self.charge), self.goes_on,
+                    3 * k, survival, totals[k][some], stopped if k == 0 else stopped.copy(),
+                ):  # fmt: skip
+                    return None
+        return np.stack(totals, axis=1)
 
 
 def give_up_costs(

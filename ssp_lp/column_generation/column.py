@@ -38,6 +38,10 @@ class Column:
     work: Work = field(default_factory=Work)  # what finding it took
     rows: tuple[float, ...] = ()  # what it takes of each row beside the failure row
     by_goal: bool = False  # the pricing counts success, as minus the goal, in place of failing
+    by_layer: FloatArray | None = None
+    """Case S, if begun in each layer as if nothing had been paid: the least cost - price * goal,
+    and the cost, failure and goal of going on from the start's nodes, or nan, [layers, 4]."""
+    swept: Column | None = None  # case S: whose sweep it was found in, where that is another one
     beyond: Column | None = None  # of layers without tails of their own: what is done beyond them
 
     @classmethod
@@ -134,6 +138,19 @@ class PricingProblem(ABC):
         Raises:
             Stop: the time ended, with a policy that may do where one was known.
         """
+
+    @property
+    def covered(self) -> float:
+        """Price of failure below which pricing a column prices all columns; 0: it does not."""
+        return 0.0
+
+    def beside(self, column: Column, row: FailureRow) -> tuple[Column, ...]:
+        """Columns of other prices, next to the budget, that pricing a column found on its way."""
+        return ()
+
+    def policy_failing(self, column: Column, failure: float, *, above: bool) -> Policy | None:
+        """Policy found on a column's way that fails about as often as is asked for; None: none."""
+        return None
 
     def taken_on(self, columns: Sequence[Column]) -> list[Column] | None:
         """Columns of the process with a lower cap, measured in this one; None: it has no cap."""

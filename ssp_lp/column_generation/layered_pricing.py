@@ -32,6 +32,7 @@ from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import FloatArray, IntArray, weighted
 from ssp_lp.column_generation.column import (
     Column,
+    FailureRow,
     PricingProblem,
     Proof,
     pricing_weights,
@@ -75,22 +76,99 @@ class LayeredPricing(PricingProblem):
         Whoever begins in its last layer as if nothing had been paid does what is best at the price
         less what the layer stands for. None where the charge is another one than the cost itself.
         """
-        process, base = self.process, self.process.base
-        if not isinstance(reached, PartOfSweep) or reached.layer == process.cap:
+        if not isinstance(reached, PartOfSweep) or reached.layer == self.process.cap:
             return None
-        if not process.grows_evenly or base.by_steps:
+        if not self.is_shifted:
             return None
-        paid = float(process.totals.values[reached.layer]) / base.survival
-        begun = replace(process, totals=base.totals(process.cap - reached.layer))
-        within, choice = replace(self, process=begun), reached.choice[reached.layer :]
-        price = reached.price - paid
-        if reached.measures is None:
-            measures = within.sweep.follow(choice, begun.measures_beyond(price))
-        else:
-            measures = base.start @ reached.measures
-            measures[0] -= paid * measures[2]
-        policy = begun.policy(choice, price)
-        return replace(within._column(measures, choice, price, 0), choice=None, policy=policy)
+        measures = reached.measures
+        if measures is not None:
+            measures = self.process.base.start @ measures
+            measures[0] -= float(self._paid[reached.layer]) * measures[2]
+        swept = Column(0.0, 0.0, 0.0, reached.choice, reached.price)
+        return self._begun_in(reached.layer, swept, measures)
+
+    @property
+    def covered(self) -> float:
+        """The total at the cap: the process is cut there, at whatever price."""
+        return float(self._paid[-1]) if self.is_shifted else 0.0
+
+    @cached_property
+    def is_shifted(self) -> bool:
+        """Whether beginning in a later layer is beginning at a lower price of failure."""
+        return self.process.grows_evenly and not self.process.base.by_steps
+
+    @property
+    def _paid(self) -> FloatArray:
+        """What a price of failure falls by in each layer, [cap]."""
+        process = self.process
+        return process.totals.values[: process.cap] / process.base.survival
+
+    def _begun_in(self, layer: int, swept: Column, measures: FloatArray | None = None) -> Column:
+        """The column of beginning in a layer as if nothing had been paid.
+
+        Args:
+            layer: the layer.
+            swept: the column of beginning in the first one, as far as its choice is known.
+            measures: of the column; None: not known yet.
+        """
+        if layer == 0 and swept.by_layer is not None:
+            return swept
+        choice = required(swept.choice)
+        if measures is None and swept.by_layer is not None:
+            known = swept.by_layer[layer, 1:]
+            measures = None if np.isnan(known).any() else known
+        price = swept.tail_price - float(self._paid[layer])
+        begun = self._process_begun_in(layer)
+        within, choice = replace(self, process=begun), choice[layer:]
+        if measures is None:
+            measures = within.sweep.measure(choice, begun.measures_beyond(price))
+        column, policy = within._column(measures, choice, price, 0), begun.policy(choice, price)
+        return replace(column, choice=None, policy=policy, swept=swept)
+
+    def beside(self, column: Column, row: FailureRow) -> tuple[Column, ...]:
+        """Columns of lower prices, next to the budget, that pricing a column found on its way.
+
+        One sweep prices every policy at its price less what each layer stands for. The best bound
+        among these prices lies next to the optimal one.
+        """
+        rest = column.by_layer
+        if rest is None or column.choice is None or not (row.ratio and row.demanded > 0.0):
+            return ()
+        prices = column.tail_price - self._paid
+        rest = rest[:, 0]
+        best = int(np.argmax(prices + np.where(rest >= 0.0, rest, rest / row.demanded)))
+        nearest = self._begun_in(best, column)
+        other = best - 1 if row.breaks(nearest) else best + 1
+        if not 0 <= other < len(prices) or prices[other] <= 0.0:
+            return ()
+        return replace(nearest, found_at=float(prices[best])), self._begun_in(other, column)
+
+    def policy_failing(self, column: Column, failure: float, *, above: bool) -> Policy | None:
+        """Policy of a lower price, found on the way, that fails about as often as is asked for.
+
+        How often follows from the slope of the least values by price, whose steps lie between two
+        layers.
+
+        Args:
+            column: found by pricing, or on its way.
+            failure: the nearest one to it is taken.
+            above: whether it is to fail more rather than less.
+        """
+        swept = column.swept or column
+        if swept.by_layer is None or swept.choice is None:
+            return None
+        goal = np.diff(swept.by_layer[:, 0]) / np.diff(self._paid)  # between a layer and the next
+        fails = np.maximum.accumulate(1.0 - goal)
+        layer = int(np.searchsorted(fails, failure)) + int(above)
+        if layer >= len(fails):
+            return None
+        price = swept.tail_price - float(self._paid[layer])
+        return self._process_begun_in(layer).policy(swept.choice[layer:], price)
+
+    def _process_begun_in(self, layer: int) -> LayeredProcess:
+        """The process of beginning in a layer as if nothing had been paid."""
+        totals = self.process.base.totals(self.process.cap - layer)
+        return replace(self.process, totals=totals)
 
     def first(self) -> Column:
         """Layered pricing's first column: the tail that goes for the goal, from the start on."""
@@ -113,8 +191,19 @@ class LayeredPricing(PricingProblem):
         goal = tails.guess[1] if tails.guess else float(base.start @ tails.goal[0])
         # where no policy probably succeeds success is counted rather than failure
         failing = failure_price if goal + base.start_goal >= 0.5 else 0.0
-        measures = self.sweep.minimise(at_price(self.sweep, failure_price, failing), choice)
-        return self._column(measures, choice, failure_price, self.process.cap)
+        begun = np.full((self.process.cap, 4), np.nan) if self.is_shifted else None
+        measures = self.sweep.minimise(at_price(self.sweep, failure_price, failing), choice, begun)
+        column = self._column(measures, choice, failure_price, self.process.cap)
+        if begun is None:
+            return column
+        prices = failure_price - self._paid
+        ended = base.start_goal
+        if failing:
+            begun[:, 0] -= self._paid * base.start.sum()
+            ended = 1.0 - base.start_failure
+        begun[:, 0] -= prices * ended
+        begun[:, 1] -= self._paid * begun[:, 3]
+        return replace(column, by_layer=begun)
 
     def measure(self, choice: IntArray, tail_price: float) -> Column:
         """Exact E[cost; goal] and failure of a choice in layered pricing.

@@ -194,12 +194,29 @@ class Master:
     _spent: float = 0.0  # seconds on proofs
     _since: float = field(default_factory=time.perf_counter)
 
+    def begin_at_bound(self, row: FailureRow) -> None:
+        """Begin at a price at which a column is known to be best, and at the bound there.
+
+        Args:
+            row: the budget, which failure alone is limited by.
+        """
+        for column in self.pool.columns:
+            if (price := column.found_at) is None or self.rows.by_goal:
+                continue
+            self.solve()
+            self.prices = np.full(len(self.prices), price - self.rows.ratio)
+            owed = float(self.prices.sum()) * row.budget
+            self.bound = column.cost + price * column.failure - owed
+
     def seek(self, tolerance: float) -> Column | None:
         """A best column at the next prices; None where all limits are satisfied in phase 1."""
         self.solve()
         best, own = self.optimum.value, self.optimum.prices
-        if len(own) <= 1 or best - self.bound <= _NEAR * tolerance * self.size:
+        is_near = best - self.bound <= _NEAR * tolerance * self.size
+        if len(own) <= 1 or is_near:
             self.share = 0.0
+        if self.limit is not None and is_near and self.bound > 0.0:
+            return None
         if self.elastic and best <= _FEASIBLE:
             self.prices = own
             return None
@@ -448,7 +465,7 @@ def columns_by_pricing(
     Returns:
         None where no column that keeps to the budget was found.
     """
-    last, doing = None, "the process was still being built"
+    last, dearest, doing = None, 0.0, "the process was still being built"
     with deadline.WithIncumbent() as search:
         pricing = compiled.pricing()
         if row.demanded < _SELDOM:
@@ -462,10 +479,15 @@ def columns_by_pricing(
             price = _STEEP * typical if typical > 0.0 else 1.0
         else:
             price = guess.price
+        if row.ratio and (covered := pricing.covered) > 0.0 and not (guess and guess.slack):
+            dearest, price = price, covered  # one sweep tells of all prices below
+            if guess is not None:
+                price = min(max(guess.price, covered), guess.price * (1.0 + guess.spread))
     if search.stop:
         raise deadline.Stop(told=doing) from search.stop
     steps = _STEPS if guess is None else tuple(guess.spread * step for step in _HINTED_STEPS)
     one_sided = price == 0.0 or (guess is not None and guess.slack)
+    has_beside = row.ratio and not one_sided
     inside: Column | None = None
     outside: Column | None = None
     work, calls, began, took = Work(), 0, time.perf_counter(), 0.0
@@ -474,14 +496,15 @@ def columns_by_pricing(
             began = time.perf_counter()
             last, calls = pricing.minimise(price, last, inside, outside), calls + 1
             took = max(took, time.perf_counter() - began)
-            work, value = work + last.work, row.objective(last.cost, last.goal)
-            if row.breaks(last):
-                outside = last
-            elif value < np.inf:
-                inside = last
-                deadline.ensure_incumbent(by_itself=True)
+            work, value = work + last.work, np.inf
+            for column in (last, *pricing.beside(last, row)) if has_beside else (last,):
+                if row.breaks(column):
+                    outside = column
+                elif (worth := row.objective(column.cost, column.goal)) < np.inf:
+                    inside, value = column, worth
+                    deadline.ensure_incumbent(by_itself=True)
             if options.progress is not None:
-                options.progress(calls, price, value if last is inside else np.inf)
+                options.progress(calls, price, value)
             enough = one_sided or outside is not None or deadline.is_late()
             if step is None or (inside is not None and enough):
                 break
@@ -493,7 +516,8 @@ def columns_by_pricing(
                 # overshoots, so that the columns lie on both sides and not far apart
                 ratio = max(ends) / min(ends)
                 size = min(max(ratio * ratio, _LEAST_FACTOR), size)
-            price = price * size if row.spare(last) < 0.0 else price / size
+            price = max(price, dearest) * size if row.spare(last) < 0.0 else price / size
+            dearest = 0.0
     if search.stop:
         took = max(took, time.perf_counter() - began)
         inside = last = _initial_column_within(pricing, row, search.stop, inside, last)
@@ -501,6 +525,8 @@ def columns_by_pricing(
         return None
     master = master_at(pricing, row, inside, outside, calls=calls, work=work, took=took)
     master.last, master.tried = last, np.array([1.0, price])
+    if row.ratio:
+        master.begin_at_bound(row)
     return master
 
 

@@ -274,6 +274,84 @@ def stream_mass(
 
 
 @compiled_loop
+def stream_evenly(
+    waiting: Array, first: int, decision: Array, hopeful: Array, acting: Array, at_goal: Array,
+    pair_offsets: Array, offsets: Array, successors: Array, probabilities: Array, classes: Array,
+    leads: Array, costs: Array, stage: Array, stopping: Array, forbidden: Array, goes_on: bool,
+    column: int, survival: float, totals: Array, stopped: Array,
+) -> bool:  # fmt: skip
+    """Compiled: follow a policy's mass through layers that all lead equally many layers ahead.
+
+    Args:
+        waiting: mass, that times the cost paid, and mass that lost the goal; written, [rows of the
+            ring, states, 3 * discounts].
+        first: the first layer.
+        decision: position in the state's pairs, or a code, [layers, states].
+        hopeful: whence the goal can be reached, [layers, states].
+        acting: states at which episodes go on, [states].
+        at_goal: [states].
+        pair_offsets: [states + 1].
+        offsets: outcomes of each pair, [pairs + 1].
+        successors: [outcomes].
+        probabilities: [outcomes].
+        classes: of the step costs, [outcomes]; empty: all outcomes are of class 0.
+        leads: layers that each class of steps passes, at least 1, [classes].
+        costs: [classes].
+        stage: mean cost of a step, [pairs].
+        stopping: what failing in a state costs, [states].
+        forbidden: where giving up is not allowed, [states].
+        goes_on: whether costs are paid where the goal is lost.
+        column: the first of three that are followed.
+        survival: the discount of these.
+        totals: goal, failure, cost of success, cost until failure; written, [layers, 4].
+        stopped: what ends in each state, and what gives up there; written, [2, states].
+
+    Returns:
+        Whether all decisions are there and allowed.
+    """
+    room = waiting.shape[0]
+    for layer in range(decision.shape[0]):
+        row, sums = waiting[(first + layer) % room].copy(), totals[layer]
+        waiting[(first + layer) % room, :, column : column + 3] = 0.0  # the longest lead here
+        for s in range(row.shape[0]):
+            mass, paid, lost = row[s, column], row[s, column + 1], row[s, column + 2]
+            if mass == 0.0 and lost == 0.0:
+                continue
+            hopes, code = hopeful[layer, s], np.int64(decision[layer, s])
+            quits, moves = acting[s] and code == -1, acting[s] and code >= 0
+            if (quits and forbidden[s]) or (acting[s] and code < -1):
+                return False
+            pair = pair_offsets[s] + max(code, np.int64(0))
+            cost = 0.0 if at_goal[s] else stage[pair] if moves else stopping[s]
+            if at_goal[s]:
+                sums[0] += mass
+                sums[2] += paid / survival
+            if not hopes:
+                sums[1] += mass
+                lost += mass
+            elif moves:
+                sums[1] += (1.0 - survival) * mass
+            if hopes:
+                sums[3] += mass * cost
+            elif goes_on:
+                sums[3] += lost * cost if cost > 0.0 else 0.0
+            else:
+                sums[3] += mass * stopping[s]
+            stopped[1 if quits else 0, s] += mass if hopes else lost
+            if not moves:
+                continue
+            mass, paid = mass if hopes else 0.0, paid if hopes else 0.0
+            for outcome in range(offsets[pair], offsets[pair + 1]):
+                step = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
+                to = waiting[(first + layer + leads[step]) % room, successors[outcome]]
+                share = survival * probabilities[outcome]
+                to[column] += mass * share
+                to[column + 1] += (paid + costs[step] * mass) * share
+                to[column + 2] += lost * share
+    return True
+
+
+@compiled_loop
 def stream_layers(
     waiting: Array, heads: Array, links: Array,
     indptr: Array, indices: Array, data: Array, first: int, arrived: Array,

@@ -81,7 +81,13 @@ _ENOUGH = 0.3  # of the tolerance: as exactly at least
 _SHARE = 0.1  # of the gap that splitting leaves: as exactly is the next one solved
 _ROUGH_COARSE = 1e-5  # how exactly a lattice of a coarser unit is solved, for its price
 _SPREAD = 1e-2  # relative uncertainty of a price from a coarser unit
+_HALFWAY = 1e-6  # of a level: a cost so near to the middle between two
+_STRETCH = 1e-7  # of levels, so that no cost is halfway
+_MET = 0.75  # of the tolerance: a unit is chosen that should leave so much
+_BELOW_FINEST = 0.6  # of the finest unit of all: one that meets the tolerance may be so small
 _BESIDE = (1.003, 1.01, 1.03, 1.1, 1.5, 10.0, 1e3)  # times the price: policies of the other side
+_SHIFT = 1e-9  # of a failure by rounding, from which policies beside are looked for
+_APART = (0.1, 0.5, 2.0)  # shifts beyond the budget at which a policy is tried
 _REACH = 0.5  # of the totals that matter: so far they are remembered at first
 _CELLS = 100_000_000  # states times levels that a policy measured truly may have
 _ROUNDING = 1e-12  # of the budget, or of what it leaves: so far a policy may seem to break it
@@ -113,9 +119,15 @@ def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solutio
         bound = solution.lower_bound
         yield replace(solution, note="")
     most, cheapest = _levels_asked(problem), float(step_costs(problem.model)[1][1])
-    units, guess, reach = list(_split_units(problem)), None, _REACH * _span_of_steps(problem)
-    for unit in units:
-        for_price = best is not None and unit != units[-1] and float(unit) > 2.0 * cheapest
+    units, guess, reach = (
+        list(_split_units(problem)),
+        None,
+        _MARGIN * _REACH * _span_of_steps(problem),
+    )
+    finest = units[-1]
+    while units:
+        unit = units.pop(0)
+        for_price = best is not None and unit != finest and float(unit) > 2.0 * cheapest
         value, gap = np.inf, np.inf
         if best is not None:
             value, gap = best.value, relative_gap(best.value, bound)
@@ -124,8 +136,9 @@ def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solutio
         outcome = split_optimum(problem, unit, finer, guess, most, reach)
         generated, layers = outcome.generated, outcome.compiled.layers
         bound, calls = max(bound, generated.lower_bound), calls + outcome.calls
-        work, reach = work + outcome.work, generated.price
-        guess = DualGuess(reach, _SPREAD)
+        work, price, total = work + outcome.work, generated.price, layers * float(_unit_of(outcome))
+        reach = total if total > _FAR_BEYOND * price else _MARGIN * price
+        guess = DualGuess(price, _SPREAD, slack=len(generated.columns) == 1)
         if not for_price:  # a coarse unit only says where the price lies
             with WithIncumbent() as measuring, closing():
                 lottery = _true_lottery(problem, outcome)
@@ -137,8 +150,15 @@ def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solutio
         levels = f"{layers:,} levels up to {layers * float(_unit_of(outcome)):.6g}"
         more = "more of them leave a smaller gap" if most else "no room for more of them"
         note = f"totals are rounded to {levels}: {more}" if generated.finished else CUT_SHORT
+        gap = relative_gap(best.value, bound)
+        if units and most is None and gap > options.tolerance and not for_price:
+            # the gap falls with the square of the unit
+            enough = float(_unit_of(outcome)) * np.sqrt(_MET * options.tolerance / gap)
+            if _BELOW_FINEST * float(finest) <= enough < float(unit):
+                sufficient = short_decimal(enough)
+                units = [sufficient, *(u for u in units if u < sufficient)]
         reason = f"costs split between {layers:,} layers, {calls} pricing calls"
-        answer = replace(best, bound=bound, price=max(reach - best.value, 0.0), note=note)
+        answer = replace(best, bound=bound, price=max(price - best.value, 0.0), note=note)
         yield assembled(problem, answer, Run(options.method, reason, calls, 0.0, work))
 
 
@@ -245,7 +265,11 @@ def _true_columns(problem: Problem, outcome: RefinedOutcome) -> list[Column]:
     generated, pricing, row = outcome.generated, outcome.compiled.pricing(), outcome.row
     columns, last, one_sided = list[Column](), generated.columns[0], len(generated.columns) == 1
     with WithIncumbent() as search:
-        for column in generated.columns:
+        columns.append(_true_column(problem, outcome, pricing.policy(generated.columns[0])))
+        shift = columns[0].failure - generated.columns[0].failure
+        if abs(shift) > _SHIFT:
+            columns += _columns_beside(problem, outcome, shift)
+        for column in generated.columns[1:] if len(columns) == 1 else ():
             columns.append(_true_column(problem, outcome, pricing.policy(column)))
         for factor in _BESIDE:
             within = [_keeps_to_budget(column, row) for column in columns]
@@ -270,12 +294,15 @@ def _true_column(problem: Problem, outcome: RefinedOutcome, policy: Policy) -> C
         # parts of which the cheapest step takes one at least
         parts = int(np.ceil(float(unit) / float(step_costs(problem.model)[1][1])))
         parts = max(min(parts, room // policy.cap), 1)
-        levels = read_only(totals_of(np.arange(policy.cap * parts + 1), unit / parts))
+        levels = totals_of(np.arange(policy.cap * parts + 1), unit / parts)
+        halves = step_costs(problem.model)[1] / float(unit / parts) % 1.0 - 0.5
+        if (np.abs(halves) < _HALFWAY).any():  # else rounding chooses the nearest level
+            levels = levels * (1.0 + _STRETCH)
         nearest = np.minimum((np.arange(policy.cap * parts) + parts // 2) // parts, policy.cap - 1)
         policy = replace(
             policy,
             model=problem.model,
-            levels=levels,
+            levels=read_only(levels),
             decision=policy.decision[nearest] if parts > 1 else policy.decision,
             tail_threshold=policy.tail_threshold * float(unit),
         )
@@ -287,6 +314,32 @@ def _true_column(problem: Problem, outcome: RefinedOutcome, policy: Policy) -> C
         goal = 1.0 - failure
     cost = evaluation.objective * goal if goal > 0.0 else 0.0
     return Column(cost, failure, goal, None, policy=policy)
+
+
+def _columns_beside(problem: Problem, outcome: RefinedOutcome, shift: float) -> list[Column]:
+    """Policies that split costs found on the way, measured truly, next to the budget on both sides.
+
+    Rounding shifts how often all of them fail by about as much.
+
+    Args:
+        problem: of case S.
+        outcome: of the search on split costs.
+        shift: of how often they fail, by rounding.
+    """
+    pricing, row, first = outcome.compiled.pricing(), outcome.row, outcome.generated.columns[0]
+    tried = {pricing.policy(first).memory_size}  # each has its own number of layers
+    columns = list[Column]()
+    for above in (False, True):
+        for apart in _APART:
+            off = (apart if above else -apart) * abs(shift) - shift
+            policy = pricing.policy_failing(first, row.budget + off, above=above)
+            if policy is None or policy.memory_size in tried:
+                continue
+            tried.add(policy.memory_size)
+            columns.append(_true_column(problem, outcome, policy))
+            if _keeps_to_budget(columns[-1], row) != above:
+                break
+    return columns
 
 
 def _keeps_to_budget(column: Column, row: FailureRow) -> bool:
@@ -319,7 +372,8 @@ def _best_lottery(columns: list[Column], row: FailureRow) -> list[tuple[Column, 
 _WIDEST = 1_000.0  # times as dear may one step be as another, or a unit rounds too much to nothing
 _FEW_SUMS = 1_000  # that are told apart exactly rather than by a grid
 _SECONDS = 1.5e-8  # that a search takes for each sum and outcome
-_MARGIN = 1.25  # beyond a price from a coarser unit: what is paid there still counts for something
+_FAR_BEYOND = 1.5  # times the price: a cap that had to be so high is kept
+_MARGIN = 1.05  # beyond a price from a coarser unit: what is paid there still counts for something
 _TRIES = 6  # units, until levels are as few as is asked for
 _OUTCOMES = 1_000  # of a model that takes some time
 _MANY = 200.0  # totals of a lattice at least that a coarser unit is worth looking at for
@@ -487,7 +541,7 @@ def split_optimum(
         start, fixed = start_distribution(model, problem.start), None
         if most is not None and tried + 1 == _TRIES:
             fixed = (most - 0.5) * float(unit)
-        cap = None if np.isinf(reach) or fixed else int(np.ceil(_MARGIN * reach / float(unit))) + 1
+        cap = None if np.isinf(reach) or fixed else int(np.ceil(reach / float(unit))) + 1
         compiled = CompiledAccumulatedCost(model, start, problem.discount, fixed, cap)
         outcome = refined_optimum(compiled, budget, options, guess)
         layers = outcome.compiled.layers

@@ -25,6 +25,7 @@ _MOST_BEYOND = 4_000_000  # states times layers beyond the last level, which are
 _FAR = 1e15  # layers: no step passes more
 _MOST_PASSED = 20_000_000  # states times layers that one step passes, where costs are rounded up
 _CHECKED = 1_000_000  # decisions looked at together
+_ROUNDING = 1e-9  # of a level: above the rounding of a total of many levels
 _NEAR = 1e-6  # of a layer or a level: far above the rounding of a sum of costs, far below a step
 
 
@@ -122,6 +123,7 @@ class CostAwarePolicy(Policy):
         if self.rounds_up and steps.max(initial=0.0) * self.model.n_states > _MOST_PASSED:
             return None
         passed = steps.astype(np.int64)
+        width = int(passed.max(initial=0)) + 1
         return CostLayers(
             decision=self.decision,
             tails=self.tails,
@@ -129,8 +131,9 @@ class CostAwarePolicy(Policy):
             costs=costs,
             leads=lambda layer: passed,
             unit=self.unit,
-            width=int(passed.max(initial=0)) + 1,
+            width=width,
             rounds_up=self.rounds_up,
+            even=max(self.cap - width, 0),
         )
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
@@ -197,8 +200,13 @@ class CostAwarePolicy(Policy):
             beyond = np.searchsorted(edges, total, side="right")
             return np.where(nearest < cap, nearest, cap + beyond)
 
+        passed = np.where(moving, reached(costs), 1)
+        even = _evenly_spaced(levels, costs[moving], int(passed.max(initial=0)))
+
         def leads(level: int) -> IntArray:
             """Layers that a step of each cost passes from a level, [costs]."""
+            if level < even:
+                return passed
             return np.where(moving, reached(levels[level] + costs) - level, 1)
 
         leads_to = reached(levels[:cap] + costs[moving].max(initial=0.0))
@@ -210,6 +218,7 @@ class CostAwarePolicy(Policy):
             leads=leads,
             unit=None,
             width=max(int((leads_to - np.arange(cap)).max(initial=1)), 1) + 1,
+            even=even,
         )
 
     def _told_apart(self, levels: FloatArray, costs: FloatArray) -> FloatArray:
@@ -242,6 +251,20 @@ class CostAwarePolicy(Policy):
         if self.levels is not None:
             return f"CostAwarePolicy({self.cap:,} levels below cost {self.levels[-1]:g})"
         return f"CostAwarePolicy({self.cap} layers of cost {self.unit:g})"
+
+
+def _evenly_spaced(levels: FloatArray, costs: FloatArray, most: int) -> int:
+    """Number of the first levels from which each step passes equally many, none beyond the last.
+
+    Args:
+        levels: of a cost-aware policy, [levels].
+        costs: of its steps.
+        most: levels that a step from the first one passes.
+    """
+    units, count = costs / levels[1], np.arange(len(levels))
+    is_even = np.abs(levels / levels[1] - count).max() <= _ROUNDING
+    is_apart = (np.abs(units - np.floor(units) - 0.5) > 2.0 * _ROUNDING).all()
+    return max(len(levels) - 2 - most, 0) if is_even and is_apart else 0
 
 
 def _nearest_cost_level(levels: FloatArray, totals: FloatArray) -> IntArray:

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from examples.domains.navigation import navigation
+from examples.domains.windy_field import windy_field
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
-from formulations import GUBS, MCMP, S3P, CostBoundedReach, CostQuantile, CVaR
+from formulations import GUBS, MCMP, S3P, CostBoundedReach, CostQuantile, CVaR, MaxProb
 from small_models import model_of
 from ssp_lp import (
     SSP,
@@ -37,6 +38,7 @@ from ssp_lp.processes.failure_semantics import FailureSemantics
 from written_models import drawn_table, written
 
 FIELD = navigation(6, 5)
+WINDY = windy_field(6, diagonal=1.4)
 
 
 # With a guess at the cap, which is no policy, and a bound at hand
@@ -77,6 +79,29 @@ def test_a_guess_is_no_policy_to_stop_with(budget):
     found = _initial_column_within(pricing, row, Stop(part), guess)
     assert (found.cost, found.failure, found.goal) == (half.cost, half.failure, half.goal)
     assert found.policy is not None
+
+
+@pytest.mark.parametrize("discount", [None, 0.97])
+@pytest.mark.parametrize("compiled", [False, True])
+def test_one_sweep_prices_all_lower_prices(compiled, discount, accelerate):
+    """Each layer's column is worth as much as pricing finds at its price, next to the budget."""
+    accelerate(compiled)
+    least = 1.0 - solve(MaxProb(*WINDY)).objective
+    for budget in (least + 0.05, 0.5, 0.8) if discount is None else (0.8,):
+        problem = S3P(*WINDY, budget, discount=discount)
+        pricing, row = problem.compile().pricing(), FailureRow(budget, ratio=True)
+        swept = pricing.minimise(pricing.covered)
+        nearest, other = pricing.beside(swept, row)
+        price = required(nearest.found_at)
+        anew = pricing.minimise(price)
+        worth = anew.cost + price * anew.failure
+        assert nearest.cost + price * nearest.failure == pytest.approx(worth, rel=1e-9)
+        assert row.breaks(nearest) != row.breaks(other)
+        for column in (nearest, other):
+            policy = pricing.policy(column)
+            played = evaluate(policy, problem)
+            assert played.goal_probability == pytest.approx(column.goal, rel=1e-9) or discount
+            assert column.cost / column.goal == pytest.approx(played.objective, rel=1e-9)
 
 
 @pytest.mark.parametrize("cost", [1.0, 0.7, Fraction(1, 3)])

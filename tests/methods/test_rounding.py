@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -22,6 +23,7 @@ from ssp_lp import (
     solve,
 )
 from ssp_lp.accumulated_cost.sweep import Sweep
+from ssp_lp.analysis import evaluation
 from ssp_lp.arrays import read_only
 from ssp_lp.column_generation.layered_pricing import LayeredPricing
 from ssp_lp.dynamic_programming.equations import System
@@ -34,6 +36,7 @@ from ssp_lp.verification.certify import certificate_of
 from written_models import written
 
 STEP = 2.0**0.5
+of_every_size = partial(evaluation.layered_measures, least_nodes=0)
 
 
 def corridor(costs, dear):
@@ -453,3 +456,52 @@ def test_a_coarser_unit_of_fractions_stays_one(monkeypatch):
     monkeypatch.setattr(rounding, "_MANY", np.inf)
     assert found.objective == pytest.approx(solve(problem).objective, rel=1e-9)
     assert max(found.gap, certify(found).gap) <= 1e-9
+
+
+@pytest.mark.parametrize("discount", [None, 0.97])
+def test_both_sides_of_many_levels_meet_and_enclose_the_optimum(discount):
+    """The unit follows from the first gap; the policies are measured at the true costs."""
+    for seed in range(3):
+        model, start = field(4, 5, seed)
+        exact = solve(S3P(model, start, 0.7, discount, cost_levels=EXACT))
+        split = S3P(model, start, 0.7, discount)
+        found = rounding.solve_on_split_costs(split, SolveOptions(1e-4))
+        check_enclosed(found, exact)
+        assert found.gap <= 1e-4
+        assert found.budget_used <= 0.7 * (1.0 + 1e-12)
+        played = evaluate(found.policy, split)
+        assert played.objective == pytest.approx(found.objective, rel=1e-12)
+        assert played.limited_failure == pytest.approx(found.budget_used, rel=1e-12)
+
+
+def test_levels_that_lie_evenly_lead_as_the_first_one_does():
+    """Also where costs lie halfway between two levels, which a trifle tells apart."""
+    model = corridor([0.75, 1.25, 0.5], 2.0)
+    problem = S3P(model, "r0", 0.3)
+    outcome = split_optimum(problem, Fraction(1, 2), SolveOptions(1e-6), None)
+    policy = outcome.generated.columns[0].policy or outcome.lottery.policies[0]
+    assert isinstance(policy, CostAwarePolicy)
+    column = rounding._true_column(problem, outcome, policy)
+    layers = column.policy.layers()
+    assert layers.even > 0
+    nearest = np.abs(column.policy.levels[:-1] - model.costs.max()).argmin()
+    for level in range(layers.even):
+        assert (layers.leads(level) == layers.leads(0)).all()
+    assert layers.leads(0).max() == nearest
+
+
+def test_compiled_layers_add_up_what_layer_after_layer_does(accelerate):
+    for discount in (None, 0.97):
+        problem = S3P(*field(6, 30, 1), 0.7, discount)
+        found = rounding.solve_on_split_costs(problem, SolveOptions(1e-4))
+        measured = []
+        for on in (False, True):
+            accelerate(on)
+            with pytest.MonkeyPatch.context() as patched:
+                patched.setattr(evaluation, "layered_measures", of_every_size)
+                measured.append(evaluate(found.policy, problem))
+        one, other = measured
+        assert one.objective == pytest.approx(other.objective, rel=1e-12)
+        assert one.goal_probability == pytest.approx(other.goal_probability, rel=1e-12)
+        assert one.expected_cost == pytest.approx(other.expected_cost, rel=1e-12)
+        assert one.ends == pytest.approx(other.ends, rel=1e-10, abs=1e-14)
