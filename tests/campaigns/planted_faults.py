@@ -165,8 +165,8 @@ FAULTS = (
     Fault(
         "pricing by layers: part of a sweep is followed at the full price",
         "ssp_lp/column_generation/layered_pricing.py",
-        "price = reached.price - paid",
-        "price = reached.price",
+        "begun = self._process_begun_in(layer)",
+        "begun = self.process",
         "tests/column_generation/test_layered_pricing.py",
     ),
     Fault(
