@@ -148,9 +148,10 @@ def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) 
         note = "; ".join(filter(None, [note, f"the least failure is proved only up to {shown}"]))
     elif not note and solution.gap > tolerance:
         note = f"the gap of {solution.gap:.1e} misses the tolerance of {tolerance:g}"
-    for limit in inner.conditions:
-        if limit.lower is not None:
-            note = "; ".join(filter(None, [note, _redundant_budget(inner.failure_budget, limit)]))
+    demanding = [limit for limit in inner.conditions if limit.lower is not None]
+    if demanding:
+        strictest = max(demanding, key=lambda limit: limit.least_goal)
+        note = "; ".join(filter(None, [note, _redundant_budget(inner.failure_budget, strictest)]))
     return replace(solution, note=note, status=deadline.status(solution.gap, tolerance))
 
 

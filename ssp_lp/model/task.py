@@ -35,7 +35,7 @@ _RIGHT = "->", "U", "R"  # operators that group to the right
 _UNARY = "!", "X", "N", "F", "G"
 _WORDS = {"true", "false", *_UNARY, *_LEVELS[-1]}  # no names, unless quoted
 _DUAL = {"and": "or", "or": "and", "X": "N", "N": "X", "U": "R", "R": "U"}
-_MOST_VALUES = 10_000
+_MOST_VALUES, _MOST_NAMES = 10_000, 62  # names are bits of a whole number
 
 
 class _Reader:
@@ -232,7 +232,12 @@ class Task:
         Raises:
             ModelError: the text is no formula.
         """
-        return _Reader(self.text).whole()
+        try:
+            formula = _Reader(self.text).whole()
+            _ = _text(formula)
+        except RecursionError:
+            raise ModelError(f"task: {in_short(self.text)} is nested too deeply") from None
+        return formula
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -256,8 +261,11 @@ class Task:
             Labels of each state, [states], and these with the action, [pairs].
 
         Raises:
-            ModelError: a name that is both a label and an action, or neither.
+            ModelError: a name that is both a label and an action, or neither; or too many names.
         """
+        if len(self.names) > _MOST_NAMES:
+            told = f"it has {len(self.names)} names, and at most {_MOST_NAMES} are told apart"
+            raise ModelError(f"{in_short(self)}: {told}: give several states one label")
         states = np.zeros(model.n_states, dtype=np.int64)
         actions = np.zeros(len(model.action_names), dtype=np.int64)
         for bit, name in enumerate(self.names):

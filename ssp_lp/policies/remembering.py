@@ -9,6 +9,7 @@ import enum
 from abc import abstractmethod
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from itertools import product as every_choice
 from math import prod
 from typing import ClassVar
@@ -191,6 +192,12 @@ class JointMemory(Policy):
         joint = [tuple(zip(*some, strict=True)) for some in parts]
         return [(int(np.ravel_multi_index(codes, self._sizes)), words) for codes, words in joint]
 
+    def listed_states(self, memory: int) -> IntArray:
+        """States that every keeper lists with its part of a joint memory, [states]."""
+        parts = zip(self.keepers, np.unravel_index(memory, self._sizes), strict=True)
+        listed = [keeper.listed_states(int(part)) for keeper, part in parts]
+        return reduce(np.intersect1d, listed, np.arange(self.model.n_states))
+
     def start_memory(self, states: IntArray) -> IntArray:
         """Start of a joint memory: each keeper's, [episodes]."""
         parts: list[IntArray] = [keeper.start_memory(states) for keeper in self.keepers]
@@ -266,9 +273,11 @@ class RememberingPolicy(_Carried):
         return self.product.memories
 
     def listed_states(self, memory: int) -> IntArray:
-        """States that the product has with this memory, [states]."""
-        number = memory % len(self.product.memories)
-        return np.flatnonzero(self.product.table[:, number] >= 0)
+        """States that the product has with this memory, and its policy with its own, [states]."""
+        inner, number = divmod(memory, len(self.product.memories))
+        listed = self.inner.listed_states(inner)
+        here = listed[self.product.labels.number[listed] == number]
+        return np.sort(self.product.original_state[here])
 
     def begins(self, states: IntArray) -> BoolArray:
         """Whether the product has these states with the memory's start, [episodes]."""

@@ -14,13 +14,15 @@ from math import isfinite
 import numpy as np
 
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, room_of, sums_of
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
 from ssp_lp.errors import ModelError, in_short, is_number
 from ssp_lp.model import SSP
 from ssp_lp.model.task import Task
 from ssp_lp.model.tracked_product import Automaton, TrackedSSP
 from ssp_lp.processes.conditions import ArrivalTerm
 from ssp_lp.processes.quantities import Followed, Quantity, QuantityFunction, run_amounts
+
+_ROUNDING = 8.0 * MACHINE_EPSILON
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,7 +45,10 @@ class _Total(Followed):
                 many totals.
         """
         amounts, begun = run_amounts(model, self.quantity)
-        bound = self.bound - self.quantity.constant
+        constant = self.quantity.constant
+        bound = self.bound - constant
+        if abs(bound) <= _ROUNDING * abs(constant):  # the constant is the bound, but for rounding
+            bound = 0.0
         used = np.minimum(np.append(amounts, begun), 2.0 * abs(bound) + 1.0)  # beyond it at once
         steps, letter = np.unique(used, return_inverse=True)
         moves = np.union1d(0.0, steps)
@@ -61,7 +66,7 @@ class _Total(Followed):
             nearest = np.searchsorted(totals, total - room)
             return np.where(total > bound + room, over, nearest)
 
-        words: list[Hashable] = [self.quantity.constant + total for total in totals.tolist()]
+        words: list[Hashable] = [constant + total for total in totals.tolist()]
         table = value_of(totals[:, None] + steps)
         words += [f"passes {self.bound:g}"] * self.passes + [f"over {self.bound:g}"]
         last = np.full((1 + self.passes, steps.size), over + self.passes)
@@ -99,7 +104,9 @@ def within(quantity: Quantity, bound: float) -> Quantity:
 
 @QuantityFunction
 def exceeds(quantity: Quantity, bound: float) -> Quantity:
-    """The probability that a run's total passes a bound before the goal or failing.
+    """The probability that a run's total passes a bound by the time it ends.
+
+    The step onto the goal, or into a dead-end, counts; what giving up is charged does not.
 
     Args:
         quantity: costs and visits that a run adds up, such as ``secondary_cost("fuel")``.

@@ -206,3 +206,11 @@ def test_operators_bind_as_documented():
         ("F G !key", "F (G (!key))"),
     ]:
         assert task(text).formula == task(same).formula
+
+
+def test_too_many_names_and_too_deep_formulas_are_refused_by_name():
+    model = SSP.from_transitions({"a": {f"a{i}": [(1.0, "g", 1.0)] for i in range(70)}}, goal={"g"})
+    every = task(" | ".join(f"a{i}" for i in range(70)))
+    refused("it has 70 names, and at most 62", every.automaton, model)
+    for text in ("(" * 2000 + "a0" + ")" * 2000, "X " * 2000 + "a0"):
+        refused("nested too deeply", task, text)

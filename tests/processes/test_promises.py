@@ -246,3 +246,29 @@ def test_the_robot_is_home_within_22_steps_with_95_percent():
         limits = {"in time": within(expected_cost(), 18) >= 0.95}
         late = criterion(model, start_state(grid), 0.05, constraints=limits)
         refused(r"at least 0\.12481", solve, late, error=InfeasibleError)
+
+
+def test_two_promises_are_explained_and_a_budget_is_called_redundant_once():
+    fuel = secondary_cost("f")
+    go = [(0.5, "g", {"t": 1.0, "f": 1.0}), (0.3, "b", {"t": 2.0, "f": 0.0})]
+    moves = {
+        "a": {"go": [*go, (0.2, "p", {"t": 1.0, "f": 5.0})]},
+        "b": {"go": [(1.0, "g", {"t": 1.0, "f": 2.0})], "back": [(1.0, "a", {"t": 0.5, "f": 0.0})]},
+        "p": {},
+    }
+    model = SSP.from_transitions(moves, goal={"g"}, cost="t", dead_ends={"p"})
+    limits = {"x": within(fuel, 1) >= 0.5, "z": within(fuel, 2) >= 0.6}
+    solution = solve(MCMP(model, "a", 0.5, constraints=limits))
+    assert solution.objective == pytest.approx(0.5 + 0.3 * 3.0 + 0.2)
+    (only,) = solution.explain("a").actions
+    assert (only.action, only.share) == ("go", pytest.approx(1.0))
+    assert solution.note.count("redundant") == 1
+    assert "limit 'z' lets at most 0.4 fail" in solution.note
+
+
+def test_a_constant_that_is_the_bound_is_not_above_it():
+    moves = {"a": {"go": [(1.0, "g", 1.0)]}}
+    model = SSP.from_transitions(moves, goal={"g"})
+    nothing = 0.0 * visits("g") + 0.1 + 0.2  # 0.30000000000000004
+    limit = {"kept": within(nothing, 0.3) >= 1.0}
+    assert solve(MCMP(model, "a", 1.0, constraints=limit)).objective == pytest.approx(1.0)
