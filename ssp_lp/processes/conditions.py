@@ -215,9 +215,9 @@ class Condition:
             if weight < 0.0:
                 if not (isinstance(term, ArrivalTerm) and term.final):
                     raise ModelError(
-                        f"constraint {self.name!r} bounds costs, visits or exceeding from below, which "
-                        "takes a policy that tosses coins on the way; without accumulated costs, a row "
-                        "added to the linear program says so"
+                        f"constraint {self.name!r} bounds costs, visits or exceeding from below, "
+                        "which takes a policy that tosses coins on the way; without accumulated "
+                        "costs, a row added to the linear program says so"
                     )
                 offset -= weight
                 term, weight = replace(term, others=not term.others), -weight
