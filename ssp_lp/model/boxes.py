@@ -24,7 +24,7 @@ from ssp_lp.arrays import (
     segment_sums,
 )
 from ssp_lp.errors import ModelError, check_whole, is_number, wrong_argument
-from ssp_lp.model.arguments import explained
+from ssp_lp.model.arguments import explained, explained_class
 from ssp_lp.model.report import Report, Table
 from ssp_lp.model.ssp import SSP
 
@@ -35,6 +35,7 @@ FORCED = 1e-12
 """By how much intervals must force one another to count: less is the rounding of their sums."""
 
 
+@explained_class
 @dataclass(frozen=True, eq=False, repr=False)
 class Boxes(Report, ReadOnlyCopies):
     """An interval for the probability of each outcome of a model.
@@ -116,12 +117,15 @@ class Boxes(Report, ReadOnlyCopies):
         return replace(self.model, probabilities=read_only(shares))
 
     def fits(self, model: SSP) -> bool:
-        """Whether a model has the outcomes of the boxes' model, perhaps of other probabilities."""
+        """Whether a model is the boxes' model by names and outcomes, whatever its probabilities."""
         own = self.model
         return model is own or (
             np.array_equal(model.pair_offsets, own.pair_offsets)
             and np.array_equal(model.outcome_offsets, own.outcome_offsets)
             and np.array_equal(model.successors, own.successors)
+            and np.array_equal(model.pair_action, own.pair_action)
+            and [*model.action_names] == [*own.action_names]
+            and [*model.states] == [*own.states]
         )
 
     def check_model(self, model: SSP) -> None:

@@ -65,7 +65,6 @@ ENDS = ("goal", "dead_end", "gave_up", "wandering", "unfinished")
 """Names that reports give to the ways in which an episode ends."""
 
 _UNHASHABLE = "list, dict or set, nor an array: write tuple(array.tolist())"
-_MISSING = object()  # stands where a column of a table is shorter than another
 _PROGRESS_EVERY = 10_000
 _EXPLORING = logging.getLogger("ssp_lp.exploring")
 _NO_REWARDS = (
@@ -440,37 +439,50 @@ class SSP(Graph, ReadOnlyCopies):
             ([0.9, 0.1], [90.0, 10.0])
         """
         costs = [cost] if isinstance(cost, str) else list(cost)
-        names = [state, action, successor, *costs, count]
+        several, form = not isinstance(cost, str), ["state", "action", "successor", "count", *costs]
+        needed, goals = ", ".join(form), dict.fromkeys(no_lone_string(goal, "goal"))
         if isinstance(table, (Sequence, Iterator)):
-            rows = [(*row[:3], *row[4:], row[3]) if len(row) > 3 else row for row in table]
+            listed = list(table)
+            for k, row in enumerate(listed):
+                is_row = isinstance(row, (Sequence, np.ndarray)) and not isinstance(row, str)
+                if not is_row or len(row) != len(form):
+                    raise ModelError(f"row {k} of the table must be ({needed}), not {row!r}")
+            columns = [*map(_checked_cells, zip(*listed, strict=True), form)]
         else:
-            rows = [*zip_longest(*(_column(table, name) for name in names), fillvalue=_MISSING)]
-        counted: Counter[tuple[Hashable, ...]] = Counter()
-        totals: Counter[tuple[Hashable, ...]] = Counter()
-        for row in rows:
-            number = row[-1] if len(row) == len(names) and _MISSING not in row else None
-            if not (is_number(number) and number >= 0 and number == number // 1):
-                form = ", ".join(["state", "action", "successor", *costs, "count"])
-                raise ModelError(f"row {row!r} of the table must be ({form}), a whole count >= 0")
-            counted[row[:-1]] += int(number)
-            totals[row[:2]] += int(number)
-        for (here, name), total in totals.items():
-            if total == 0:
+            columns = [_column(table, name) for name in (state, action, successor, count, *costs)]
+        if len({*map(len, columns)}) > 1:
+            raise ModelError("the columns of the table have different lengths")
+        if not any(columns):
+            raise ModelError("the table has no rows")
+        tally: dict[Hashable, dict[Hashable, Counter[tuple[Any, ...]]]] = {}
+        for row in zip(*columns, strict=True):
+            here, name, there, number, *paid = row
+            is_count = is_number(number) and not isinstance(number, bool)
+            if not (is_count and number >= 0 and number == number // 1):
+                raise ModelError(f"row {row!r} of the table, ({needed}): the count "
+                                 f"{number!r} is no whole number >= 0")  # fmt: skip
+            actions = tally.setdefault(here, {})
+            if here not in goals:  # whose rows are left out, as in from_transitions
+                actions.setdefault(name, Counter())[there, *paid] += int(number)
+        transitions: dict[Hashable, dict[Hashable, Outcomes]] = {here: {} for here in tally}
+        pairs = [(here, name, seen) for here, acts in tally.items() for name, seen in acts.items()]
+        for here, name, seen in pairs:
+            if not (total := seen.total()):
                 raise ModelError(f"action {name!r} of state {here!r} has no counts: leave it out")
-        columns = zip(*counted, strict=True)
-        listed = dict(zip(["state", "action", "successor", *costs], columns, strict=False))
-        model = cls.from_frame(
-            listed
-            | {"counts": [*counted.values()]}
-            | {"probability": [n / totals[key[:2]] for key, n in counted.items()]},
-            goal,
-            cost=[*costs, "counts"],
+            transitions[here][name] = [
+                (n / total, there, dict(zip(costs, paid, strict=True)) if several else paid[0])
+                for (there, *paid), n in seen.items()
+            ]
+        model = cls.from_transitions(
+            transitions,
+            goals,
+            cost=costs[0] if several else None,
             state_labels=state_labels,
             dead_ends=dead_ends,
+            treat_actionless_as_dead_ends=True,
         )
-        named = dict(model.named_costs)
-        counts = named.pop("counts")
-        return replace(model, counts=counts, named_costs={} if isinstance(cost, str) else named)
+        counts = [n for *_, seen in pairs for n in seen.values()]
+        return replace(model, counts=read_only(counts, np.float64))
 
     @classmethod
     @explained
@@ -1084,16 +1096,26 @@ def _column(table: Any, names: str | Sequence[str]) -> list[Any]:
     """
     if not isinstance(names, str):
         return list(zip(*(_column(table, name) for name in names), strict=True))
-    known = [*getattr(table, "columns", table)]
-    if names not in known:
+    known = getattr(table, "columns", table)
+    if isinstance(known, np.ndarray) or not isinstance(known, Iterable):
+        raise ModelError(
+            f"a table has columns by name, {{'state': [...], ...}}, and is not {in_short(table)}"
+        )
+    if names not in (known := [*known]):
         nearest = did_you_mean(names, known, "it has")
         raise ModelError(f"the table has no column {names!r}{nearest}")
-    column = table[names]
+    return _checked_cells(table[names], names)
+
+
+def _checked_cells(column: Any, name: str) -> list[Any]:
+    """Cells of a table's column as Python's own values; :class:`ModelError` for an empty cell."""
     cells = column.tolist() if hasattr(column, "tolist") else list(column)
     for row, cell in enumerate(cells):
-        _check_hashable(cell, f"row {row}, column {names!r} of the table")
+        if isinstance(cell, np.generic):
+            cell = cells[row] = cell.item()
+        _check_hashable(cell, f"row {row}, column {name!r} of the table")
         if cell is None or (cell == cell) is not True:  # not a number, or pandas's NA
-            raise ModelError(f"row {row} of the table has nothing in the column {names!r}")
+            raise ModelError(f"row {row} of the table has nothing in the column {name!r}")
     return cells
 
 

@@ -86,6 +86,7 @@ def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | Non
     if not maximised and slack > FORCED * max(abs(objective), 1.0) * len(loss):
         raise SolverError(f"the bound lies {slack:.1e} above the robust value; report the model")
     reason = f"{solution.run.reason}; at the worst probabilities in the boxes, of {rounds} rounds"
+    seconds = time.perf_counter() - began
     return replace(
         solution,
         policy=policy,
@@ -93,7 +94,7 @@ def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | Non
         lower_bound=objective if maximised else min(solution.lower_bound, objective),
         upper_bound=upper,
         budget_used=evaluate(policy, at_worst).failure_probability,
-        run=replace(solution.run, reason=reason, seconds=time.perf_counter() - began),
+        run=replace(solution.run, reason=reason, seconds=seconds, time_limit=time_limit),
     )
 
 

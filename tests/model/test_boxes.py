@@ -40,13 +40,45 @@ def test_rows_and_columns_are_the_same_table_and_goals_have_no_rows():
     assert two.counts.tolist() == model.counts.tolist()
 
 
+@pytest.mark.parametrize("name", ["counts", "probability", "state", "action", "successor"])
+def test_costs_are_those_of_the_column_whatever_its_name(name):
+    places = {"from": ["a", "a"], "by": ["go", "go"], "to": ["home", "a"], "count": [3, 1]}
+    columns = {"state": "from", "action": "by", "successor": "to"}
+    table = places | {name: [7, 5], "fuel": [1, 2]}
+    model = SSP.from_counts(table, {"home"}, cost=name, **columns)
+    both = SSP.from_counts(table, {"home"}, cost=["fuel", name], **columns)
+    assert model.costs.tolist() == both.named_costs[name].tolist() == [7.0, 5.0]
+    assert not model.named_costs
+    assert both.costs.tolist() == [1.0, 2.0]
+    assert model.counts.tolist() == both.counts.tolist() == [3.0, 1.0]
+
+
+def test_rows_in_turns_keep_their_counts_and_rows_at_a_goal_are_left_out():
+    rows = [("home", "stay", "home", 0, 0.0), ("b", "go", "home", 2, 1.0), *ROWS,
+            ("b", "go", "a", np.int64(6), np.float64(3.0))]  # fmt: skip
+    model = SSP.from_counts(rows, goal={"home"})
+    assert [*model.states] == ["home", "b", "a", "pit"]
+    assert model.counts.tolist() == [2.0, 6.0, 180.0, 0.0, 20.0, 7.0]
+    assert model.probabilities.tolist() == [0.25, 0.75, 0.9, 0.0, 0.1, 1.0]
+    assert model.costs.tolist() == [1.0, 3.0, 1.0, 1.0, 2.0, 0.5]
+
+
 @pytest.mark.parametrize(
     ("rows", "words"),
     [
-        ([("a", "go", "home", 1.5, 1.0)], "a whole count >= 0"),
-        ([("a", "go", "home", -1, 1.0)], "a whole count >= 0"),
+        ([("a", "go", "home", 1.5, 1.0)], "the count 1.5 is no whole number >= 0"),
+        ([("a", "go", "home", -1, 1.0)], "the count -1 is no whole number >= 0"),
         ([("a", "go", "home", 0, 1.0)], "no counts"),
         ([("a", "go", "home", 1)], "row .*'home', 1"),
+        ([("a", "go", "home", "90", 1.0)], "'90', 1.0.*count, cost.*the count '90' is no whole"),
+        ([("a", "go", "home", True, 1.0)], "the count True is no whole number"),
+        ([ROWS[0], {"state": "a"}], "row 1 of the table must be .state, action.* not .'state'"),
+        ([("a", "go", ["home"], 1, 1.0)], "row 0, column 'successor'"),
+        ([1, 2], "row 0 of the table must be .state, .* not 1"),
+        ([], "the table has no rows"),
+        (np.array([[1, 1, 2, 3, 1]]), "columns by name"),
+        (3, "columns by name"),
+        ({"state": "a", "action": "b", "successor": "c", "count": [1, 2], "cost": [1]}, "lengths"),
     ],
 )
 def test_wrong_tables_are_named(rows, words):
@@ -128,6 +160,10 @@ def test_boxes_are_narrowed_to_what_distributions_have_and_checked():
             Boxes(model, low=low, high=high)
     with pytest.raises(ModelError, match="each of 4 outcomes"):
         Boxes(model, low=[0.0], high=[1.0])
+    with pytest.raises(ModelError, match="low must be an array, not 'ab'"):
+        Boxes(model, "ab", "cd")
+    with pytest.raises(ModelError, match="model must be an SSP, not 3"):
+        Boxes(3, [0], [1])
     plain = SSP.from_transitions({"a": {"go": [(1.0, "b", 1.0)]}}, goal={"b"})
     with pytest.raises(ModelError, match="from_counts"):
         Boxes.from_counts(plain)

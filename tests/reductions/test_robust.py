@@ -144,10 +144,22 @@ def test_boxes_without_width_change_nothing():
         assert robust.objective == pytest.approx(solve(problem).objective)
 
 
+def test_the_time_limit_is_kept_as_without_boxes():
+    problem = MaxProb(ROAD, "road", box=Boxes(ROAD, LOW, HIGH))
+    assert solve(problem, time_limit=9).run.time_limit == 9
+    with pytest.raises(ModelError, match="time_limit"):
+        solve(problem, time_limit=-1)
+
+
 def test_wrong_questions_are_refused_by_name():
     boxes = Boxes(ROAD, LOW, HIGH)
     with pytest.raises(ModelError, match="another model"):
         MaxProb(SSP.from_transitions({"road": {"go": [(1.0, "b", 1.0)]}}, {"b"}), "road", box=boxes)
+    own = SSP.from_transitions({"a": {"go": [(1.0, "home", 1.0)]}}, {"home"})
+    for here, name in (("b", "go"), ("a", "run")):
+        other = SSP.from_transitions({here: {name: [(1.0, "home", 1.0)]}}, {"home"})
+        with pytest.raises(ModelError, match="another model"):
+            MaxProb(other, here, box=Boxes(own, [1.0], [1.0]))
     with pytest.raises(ModelError, match="must be Boxes"):
         MaxProb(ROAD, "road", box=0.1)
     with pytest.raises(ModelError, match="constraints"):
