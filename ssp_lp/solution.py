@@ -189,6 +189,7 @@ class Solution(Facts, ReadOnlyCopies):
 
         Raises:
             ModelError: another criterion than MCMP, S3P, MaxProb, MinCost and FinitePenalty.
+            OutOfTimeError: the program is not solved within ``time_limit``.
             SolverError: the program is too large.
 
         Example:
