@@ -68,7 +68,7 @@ def sweep(criterion: Callable[..., Problem], *given: Any, **named: Any) -> list[
         named: its arguments by name, likewise, and parameters of the model.
 
     Raises:
-        ModelError: as of the criterion, or a list is empty.
+        ModelError: as of the criterion, a list is empty, or a name is ambiguous.
 
     Example:
         >>> from ssp_lp import MCMP, SSP
@@ -92,7 +92,9 @@ def sweep(criterion: Callable[..., Problem], *given: Any, **named: Any) -> list[
     of: Any = 0 if given else "model"  # whose argument is the model
     models = swept[labels.index(of)] if of in labels else ()
     known = {name for model in models if isinstance(model, SSP) for name in model.parameters}
-    known -= {*signature(criterion).parameters}
+    if both := known & {*signature(criterion).parameters} & named.keys():
+        raise ModelError(f"{min(both)!r} names a parameter of the model and an argument of the "
+                         "criterion: rename the parameter")  # fmt: skip
     for chosen in combinations(*swept):
         arguments: dict[Any, Any] = dict(zip(labels, chosen, strict=True))
         moved = {name: arguments.pop(name) for name in labels if name in known}

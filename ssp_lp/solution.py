@@ -189,6 +189,7 @@ class Solution(Facts, ReadOnlyCopies):
 
         Raises:
             ModelError: another criterion than MCMP, S3P, MaxProb, MinCost and FinitePenalty.
+            OutOfTimeError: the program is not solved within ``time_limit``.
             SolverError: the program is too large.
 
         Example:
@@ -199,12 +200,12 @@ class Solution(Facts, ReadOnlyCopies):
             ...                              treat_actionless_as_dead_ends=True)
             >>> print(solve(MCMP(model, "depot", failure_budget=0.05)).what_if())
             the optimum 6.77777778 moves with each number by
-              number                              at  derivative   matters
-              cost of road in depot                9    0.555556         5
-              failure budget                    0.05    -55.5556   2.77778
-              chance of wreck by alley in depot  0.1     24.6914   2.46914
-              cost of alley in depot               4    0.444444   1.77778
-              chance of wreck by road in depot  0.01     30.8642  0.308642
+              number                               at  derivative   matters
+              cost of road in depot                 9    0.555556         5
+              failure budget                     0.05    -55.5556   2.77778
+              chance of wreck by alley in depot   0.1     24.6914   2.46914
+              cost of alley in depot                4    0.444444   1.77778
+              chance of wreck by road in depot   0.01     30.8642  0.308642
         """
         return what_if(self.problem, by, time_limit=time_limit)
 

@@ -17,9 +17,9 @@ sides, and checked against differences of the optimum.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from time import perf_counter
 from typing import Any, cast
 
 import numpy as np
@@ -27,6 +27,7 @@ import scipy.sparse as sp
 
 from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import FloatArray, IntArray, entries_of
+from ssp_lp.compiled.deadline import Stop, check_time, is_late, limited, seconds_left
 from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, SSPError, optional_module
 from ssp_lp.model import SSP
@@ -185,15 +186,16 @@ class _Optimum:
         Raises:
             InfeasibleError: no policy satisfies the limits.
             SolverError: the program is too large, or too many totals matter.
+            Stop: the deadline has passed.
         """
         solved = problem.unrolled
         if not solved.ratio:
-            return cls(solved, solved.program().solve())
+            return cls(solved, _solved_in_time(solved))
         most = max(float(solved.model.costs.max(initial=0.0)), 1.0)
         size = _FIRST_CAP
         while size <= _LAST_CAP:
             own: dict[str, Any] = {"cost_cap": size * most, **as_stated(solved)}
-            measure = cast("Problem", replace(cast("Any", solved), **own)).program().solve()
+            measure = _solved_in_time(cast("Problem", replace(cast("Any", solved), **own)))
             if measure.beyond <= _BEYOND:
                 return cls(solved, measure)
             size *= 2.0
@@ -520,6 +522,18 @@ class _Optimum:
         return program.at_least and bool((self.measure.visits[acting] > _SAME).any())
 
 
+def _solved_in_time(problem: Problem) -> OccupationMeasure:
+    """Solve a problem's program; :class:`Stop` if the deadline of the call passes before."""
+    check_time()
+    try:
+        measure: OccupationMeasure = problem.program().solve(time_limit=seconds_left())
+    except SolverError as error:
+        if is_late():
+            raise Stop from error
+        raise
+    return measure
+
+
 def _facts(model: SSP) -> dict[str, Any]:
     """Facts about a model's graph on which the kind of its optimum rests."""
     attention = attention_states(model)
@@ -674,27 +688,30 @@ def what_if(
 
     Raises:
         ModelError: a criterion whose optimum has no such derivatives.
+        OutOfTimeError: the time limit passed before the program was solved.
     """
-    _check_criterion(problem)
-    began, optimum = perf_counter(), _Optimum.of(problem)
-    report = WhatIf(problem, optimum)
-    numbers = [*_numbers(problem, optimum)]
-    if by is None:
-        numbers = [number for number in numbers if not number.is_rest]
-    else:
-        groups = dict[Hashable, list[Number]]()
-        for number in numbers:
-            if (key := by(number)) is not None:
-                groups.setdefault(key, []).append(number)
-        numbers = [_together(str(key), some) for key, some in groups.items()]
-    effects = list[Effect]()
-    for number in numbers:
-        if time_limit is not None and perf_counter() - began > time_limit:
-            effects.append(Effect(number, None, None, "time_limit ended before"))
-        else:
-            effects.append(report.effect(number))
+    with limited(time_limit, "the program was solved"):
+        _check_criterion(problem)
+        report = WhatIf(problem, _Optimum.of(problem))
+        effects = list[Effect]()
+        for number in _grouped(_numbers(problem, report.optimum), by):
+            effect = Effect(number, None, None, "time_limit ended before")
+            with suppress(Stop):
+                effect = effect if is_late() else report.effect(number)
+            effects.append(effect)
     effects.sort(key=lambda effect: -effect.weight)
     return replace(report, effects=tuple(effects))
+
+
+def _grouped(numbers: Iterator[Number], by: Callable[[Number], Hashable] | None) -> list[Number]:
+    """Numbers as ``by`` groups them; None: each by itself, without those that ``is_rest``."""
+    if by is None:
+        return [number for number in numbers if not number.is_rest]
+    groups = dict[Hashable, list[Number]]()
+    for number in numbers:
+        if (key := by(number)) is not None:
+            groups.setdefault(key, []).append(number)
+    return [_together(str(key), some) for key, some in groups.items()]
 
 
 def _together(name: str, numbers: list[Number]) -> Number:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from numbers import Real
+from typing import NoReturn
 
 from ssp_lp.errors import ModelError, in_short, is_number
 
@@ -56,6 +57,18 @@ class Affine:
         """The quotient by a number."""
         return self * (1.0 / _factor(divisor))
 
+    def _refuse(self, other: object) -> NoReturn:
+        """Refuse a power, a division by the expression, or a comparison.
+
+        Raises:
+            ModelError: always.
+        """
+        raise ModelError(
+            f"{self!r} is compared, divided by or raised to a power: expressions must be affine"
+        )
+
+    __rtruediv__ = __pow__ = __rpow__ = __lt__ = __le__ = __gt__ = __ge__ = _refuse
+
     def __neg__(self) -> Affine:
         """The opposite."""
         return self * -1.0
@@ -70,9 +83,10 @@ class Affine:
 
     def __repr__(self) -> str:
         """The expression as it would be typed."""
-        terms = [name if s == 1.0 else f"{s:g} * {name}" for name, s in self.slopes.items()]
+        signs = {1.0: "", -1.0: "-"}
+        terms = [signs.get(s, f"{s:g} * ") + name for name, s in self.slopes.items()]
         constant = [f"{self.constant:g}"] if self.constant or not terms else []
-        return " + ".join([*constant, *terms])
+        return " + ".join([*constant, *terms]).replace(" + -", " - ")
 
 
 class Parameter(Affine):
@@ -99,7 +113,7 @@ class Parameter(Affine):
         """State the parameter."""
         if not (isinstance(name, str) and name.isidentifier()):
             raise ModelError(f"the name of a parameter is a word such as 'p_crash', not {name!r}")
-        if not is_number(value):
+        if isinstance(value, bool) or not is_number(value):
             raise ModelError(f"the value of parameter {name!r} is no number: {in_short(value)}")
         super().__init__(0.0, {name: 1.0}, {name: float(value)})
 

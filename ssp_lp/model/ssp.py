@@ -647,10 +647,12 @@ class SSP(Graph, ReadOnlyCopies):
             parameter, rise = placed[name], float(value) - placed[name].value
             placed[name] = replace(parameter, value=float(value))
             model = model.with_moves(parameter.probabilities, parameter.costs, rise)
-        _check_numbers(model, model.probabilities, "probability")
-        for name, paid in model.costs_by_name.items():
-            _check_costs(model, paid, name)
-        return replace(model, parameters=placed, probabilities=_with_unit_sums(model, False))
+        try:
+            chances = _checked_probabilities(model)
+        except ModelError as error:
+            told = ", ".join(f"{name}={placed[name].value:g}" for name in values)
+            raise ModelError(f"with {told}, {error}") from error
+        return replace(model, parameters=placed, probabilities=chances)
 
     def with_moves(
         self,
@@ -996,7 +998,7 @@ class FlatModel:
                 successors.append(place)
                 if type(probability) is not float:
                     if isinstance(probability, Affine):
-                        self._place(probability, None)
+                        self._place(probability, None, state, action)
                     probability = _number(probability, "probability", state, action)
                 probabilities.append(probability)
                 if type(cost) is not float:
@@ -1013,18 +1015,28 @@ class FlatModel:
             flat["goal_states"].append(len(flat["pair_offsets"]) - 1)
         flat["pair_offsets"].append(len(flat["actions"]))
 
-    def _place(self, expression: Affine, cost: str | None) -> None:
+    def _place(
+        self, expression: Affine, cost: str | None, state: Hashable, action: Hashable
+    ) -> None:
         """Remember that the next outcome's cost of this name depends on parameters of the model.
 
         Args:
             expression: of which the number is the value.
             cost: its name; None: it is the probability.
+            state: for the error.
+            action: likewise.
+
+        Raises:
+            ModelError: a parameter has another value elsewhere in the model.
         """
         outcome, placed = len(self.arrays["costs"]), self.arrays["parameters"]
         for name, value in expression.values.items():
             known = placed.setdefault(name, PlacedParameter(value))
             if known.value != value:
-                raise ModelError(f"parameter {name!r} has two values: {known.value:g}, {value:g}")
+                raise ModelError(
+                    f"action {action!r} of state {state!r}: parameter {name!r} has two values: "
+                    f"{known.value:g}, {value:g}"
+                )
             slope = expression.slopes[name]
             if cost is None:
                 known.probabilities[outcome] = slope
@@ -1034,7 +1046,7 @@ class FlatModel:
     def _paid(self, cost: Any, state: Hashable, action: Hashable, name: str = "cost") -> float:
         """A cost as a float; a fraction and parameters are remembered."""
         if isinstance(cost, Affine):
-            self._place(cost, name)
+            self._place(cost, name, state, action)
         paid = _number(cost, "cost", state, action)
         if isinstance(cost, Fraction):
             self.arrays["exact_costs"][paid] = cost
@@ -1168,6 +1180,14 @@ def _check_costs(model: SSP, costs: FloatArray, name: str = "") -> None:
     """Raise :class:`ModelError`, naming the first outcome at fault, unless costs can be paid."""
     paid = costs[:1] if costs.strides == (0,) else costs  # one number for all
     _check_numbers(model, paid, f"cost {name!r}" if name else "cost", f": {_NO_REWARDS}")
+
+
+def _checked_probabilities(model: SSP) -> FloatArray:
+    """Probabilities with unit sums of a model; :class:`ModelError` for these or costs at fault."""
+    _check_numbers(model, model.probabilities, "probability")
+    for name, paid in model.costs_by_name.items():
+        _check_costs(model, paid, name)
+    return _with_unit_sums(model, False)
 
 
 def _check_numbers(model: SSP, numbers: FloatArray, what: str, remedy: str = "") -> None:

@@ -2,6 +2,7 @@
 
 from argparse import Namespace
 from collections import Counter
+from time import perf_counter, sleep
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from formulations import ISSPUDE, MCMP, S3P, CVaR, FinitePenalty, MaxProb, MinCost, MinProb
 from refusing import refused
-from ssp_lp import SSP, Change, secondary_cost, solve, within_steps
+from ssp_lp import SSP, Change, OutOfTimeError, secondary_cost, solve, within_steps
 from ssp_lp.plotting import plot_tornado
 from tests.campaigns import what_if_check
 
@@ -150,6 +151,28 @@ def test_a_horizon_counts_a_number_in_every_step():
     (home,) = solution.what_if().effects
     assert solution.objective == pytest.approx(1 - 0.7**3)
     assert home.derivative == pytest.approx(3 * 0.7**2)
+
+
+def test_the_time_limit_ends_a_program_of_ever_more_totals():
+    """Tries that succeed with chance 0.001 have more totals that matter than any cap allows."""
+    tries = {
+        k: {"try": [(0.001, "home", 1.0), (0.5, (k + 1) % 50, 1.0), (0.499, 2 * k % 50, 1.0)]}
+        for k in range(50)
+    }
+    solution = solve(S3P(SSP.from_transitions(tries, {"home"}), 0))
+    began = perf_counter()
+    refused("time limit of 0.1 s", solution.what_if, error=OutOfTimeError, time_limit=0.1)
+    assert perf_counter() - began < 3.0
+
+
+def test_numbers_beyond_the_time_limit_have_a_note():
+    def slowly(number):
+        return sleep(0.16) or number.name
+
+    solution = solve(MCMP(depot(), "depot", 0.05))
+    late = solution.what_if(by=slowly, time_limit=1.0).effects
+    assert {(effect.derivative, effect.note) for effect in late} == {
+        (None, "time_limit ended before")}  # fmt: skip
 
 
 def test_a_memory_of_the_users_has_numbers_of_its_own():

@@ -45,12 +45,19 @@ def test_values_may_be_changed_again_and_again():
 def test_expressions_are_affine():
     assert float(1 - 2 * CRASH) == pytest.approx(0.8)
     assert float((CRASH + FUEL) / 2 - FUEL) == pytest.approx(0.05 - 1.0)
-    assert repr(1 - CRASH) == "1 + -1 * crash"
-    refused("affine", lambda: CRASH * FUEL)
+    assert repr(1 - CRASH) == "1 - crash"
+    assert repr(FUEL - 2 * CRASH) == "fuel - 2 * crash"
+    for wrong in (lambda: CRASH * FUEL, lambda: 1 / CRASH, lambda: CRASH**2, lambda: 2**CRASH,
+                  lambda: CRASH < 1, lambda: CRASH >= 1):  # fmt: skip
+        refused("must be affine", wrong)
     refused("two values", lambda: CRASH + Parameter("crash", 0.2))
     refused("goes with numbers", lambda: CRASH + "1")
     refused("a word", Parameter, "p crash", 0.1)
     refused("no number", Parameter, "crash", "0.1")
+    refused("no number", Parameter, "crash", True)
+    two = [(CRASH, "home", 1.0), (1 - Parameter("crash", 0.2), "pit", 1.0)]
+    refused("'go' of state 'a'.*two values: 0.1, 0.2",
+            SSP.from_transitions, {"a": {"go": two}, "pit": {}}, {"home"})  # fmt: skip
 
 
 def test_costs_by_name_take_expressions():
@@ -71,8 +78,8 @@ def test_frames_take_expressions():
 def test_wrong_values_are_refused_by_name():
     model = road(CRASH, FUEL)
     refused("crash", model.with_parameters, crsh=0.2)
-    refused("negative probability", model.with_parameters, crash=1.5)
-    refused("negative cost", model.with_parameters, fuel=-1.0)
+    refused("with crash=1.5, .*negative probability", model.with_parameters, crash=1.5)
+    refused("with fuel=-1, .*negative cost", model.with_parameters, fuel=-1.0)
     refused("be a number", model.with_parameters, fuel="much")
     lone = {"a": {"go": [(0.9, "home", 1.0), (CRASH, "pit", 1.0)]}, "pit": {}}
     one_sided = SSP.from_transitions(lone, {"home"}, dead_ends={"pit"})
@@ -111,3 +118,9 @@ def test_a_sweep_over_a_parameter():
     assert answers.objectives[1] == pytest.approx(solve(MCMP(road(0.1), "depot", 0.1)).objective)
     assert [row["crash"] for row in answers.tables()[0].records()] == [0.05, 0.1]
     refused("crsh", sweep, MCMP, road(CRASH), "depot", 0.1, crsh=[0.1])
+
+
+def test_a_sweep_refuses_a_name_of_both_a_parameter_and_an_argument():
+    model = road(Parameter("discount", 0.1))
+    refused("'discount' names a parameter", sweep, MCMP, model, "depot", discount=[0.2, 0.3])
+    assert len(sweep(MCMP, model, "depot", failure_budget=[0.1, 0.2])) == 2
