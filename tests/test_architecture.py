@@ -245,7 +245,7 @@ def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -
 @pytest.mark.parametrize(
     ("measure", "most"),
     [
-        (house.lines_in_all, 34_371),
+        (house.lines_in_all, 34_383),
         (house.public_classes, 291),
         (house.numeric_constants, 540),
         (house.questions_asked, 80),
@@ -280,8 +280,8 @@ LINES = {
     "ssp_lp/dynamic_programming": 2_055,
     "ssp_lp/game": 1_036,
     "ssp_lp/io": 3_041,
-    "ssp_lp/linear_programming": 423,
-    "ssp_lp/methods": 3_423,
+    "ssp_lp/linear_programming": 430,
+    "ssp_lp/methods": 3_428,
     "ssp_lp/model": 3_496,
     "ssp_lp/plotting": 812,
     "ssp_lp/policies": 1_493,

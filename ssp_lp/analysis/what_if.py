@@ -635,7 +635,8 @@ class WhatIf(Report):
         """Length of the step in one direction up to the next breakpoint."""
         end = min(change.most(self.problem, sign), _FARTHEST)
 
-        def holds(step: float) -> bool:
+        def stays(step: float) -> bool:
+            """Whether the same actions are optimal and used after a step."""
             try:
                 beside = _Optimum.of(change.applied(self.problem, sign * step))
             except SSPError:
@@ -643,11 +644,11 @@ class WhatIf(Report):
             return beside.support == self.optimum.support
 
         low, high = 0.0, min(_STEP, end)
-        while high < end and holds(high):
+        while high < end and stays(high):
             low, high = high, min(2.0 * high, end)
         while high - low > max(_EDGE * high, _EDGE * _STEP):
             middle = (low + high) / 2.0
-            low, high = (middle, high) if holds(middle) else (low, middle)
+            low, high = (middle, high) if stays(middle) else (low, middle)
         return high if high == end else low
 
     def tables(self) -> list[Table]:

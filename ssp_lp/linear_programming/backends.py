@@ -27,12 +27,19 @@ _SIMPLEX_AT_LAST = 50_000  # columns up to which simplex is tried where interior
 _LOOK = 0.05  # seconds between two looks at the time while a solver works
 _LARGE = 300_000  # entries of a program that takes a solver seconds, and another process a share
 _SERVED = """
-import os, pickle, sys
+import os, pickle, sys, threading, time
+asker = os.getppid()
+def watch():
+    while os.getppid() == asker:
+        time.sleep(1.0)
+    os._exit(1)  # nobody is left to be told
+threading.Thread(target=watch, daemon=True).start()
 told = os.fdopen(os.dup(1), "wb")
 os.dup2(2, 1)  # what a solver prints is no answer
 sys.path[:] = pickle.load(sys.stdin.buffer)
 from ssp_lp.linear_programming.backends import serve_backend
 serve_backend(sys.stdin.buffer, told)
+told.close()
 """
 _DOUBTFUL = 1e-7  # of the objective: worth asking a further backend, policies agree to 1e-6
 _CLARABEL = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-9)

@@ -604,9 +604,14 @@ def _infeasible(
     named, names = [compiled.names[k] for k in places], [compiled.told[k] for k in places]
     every = "every policy of least failure" if at_least else "every policy"
     both = conflict.least, conflict.allowed
+    side = compiled.side[places[0] - 1] if len(places) == 1 and places[0] > 0 else None
+    if side is not None and side.sign < 0.0:  # the quantity itself, which is limited from below
+        both = side.offset - both[0], side.offset - both[1]
     digits = next((d for d in (6, 9, 12) if f"{both[0]:.{d}g}" != f"{both[1]:.{d}g}"), 17)
     least, allowed = (f"{number:.{digits}g}" for number in both)
-    if len(names) == 1:
+    if side is not None and side.sign < 0.0:
+        words = f"{side.condition.name!r} is at most {least} under {every}, {allowed} asked for"
+    elif len(names) == 1:
         words = f"{names[0]!r} is at least {least} under {every}, {allowed} allowed"
     else:
         bounds = rows.bounds[list(conflict.rows)]

@@ -1,5 +1,8 @@
 """Solvers of large programs end with the call's time, whatever they hear of it themselves."""
 
+import subprocess
+import sys
+import threading
 import time
 
 import highspy
@@ -43,6 +46,27 @@ def test_a_solver_that_hears_nothing_is_ended(monkeypatch):
     assert time.perf_counter() - began < 20.0
     with pytest.raises(OutOfTimeError, match="the time limit ended before there was an answer"):
         program.solve("cvxpy", time_limit=0.1)
+
+
+_ASKS_AND_DIES = f"""
+import subprocess, sys, time
+subprocess.Popen([sys.executable, "-c", {backends._SERVED!r}], stdin=sys.stdin)
+time.sleep(0.5)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a process keeps its parent's number there")
+def test_a_process_beside_one_that_was_killed_ends_by_itself():
+    """It waits for a program that never comes; what it would write to is closed when it ends."""
+    with subprocess.Popen(  # noqa: S603 (this very interpreter)
+        [sys.executable, "-c", _ASKS_AND_DIES], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as asker:
+        ended = threading.Thread(target=asker.stdout.read, daemon=True)
+        ended.start()
+        ended.join(timeout=30.0)
+        by_itself = not ended.is_alive()
+        asker.stdin.close()
+        assert by_itself
 
 
 def test_no_second_backend_is_asked_past_the_deadline(monkeypatch):
