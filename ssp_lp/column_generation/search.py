@@ -183,6 +183,7 @@ class Master:
     objective: float = np.inf  # of the lottery
     tried: FloatArray | None = None  # [rewards] weights of the last pricing call
     last: Column | None = None  # what it found
+    best: Column | None = None  # what was found at the best prices
     proof: Proof | None = None  # the best one on the way
     optimum: MasterOptimum = field(init=False)  # at the ratio
     basic: Column = field(init=False)  # of the optimum: its reduced cost is 0
@@ -252,7 +253,7 @@ class Master:
         if finished and self.given_success and self.objective > self.rows.ratio * (1.0 + _SETTLED):
             return self._begin_at_larger_ratio()
         if finished or value > self.bound:
-            self.prices, self.bound = self._asked, value
+            self.prices, self.bound, self.best = self._asked, value, column
         self.share = self.in_between if new and several else 0.0
         return finished
 
@@ -355,8 +356,7 @@ def secant(cost: FloatArray, taken: FloatArray, bounds: FloatArray) -> MasterOpt
         weights[inside] = 1.0
     else:  # each by itself, so that the small one is exact
         weights[[inside, outside]] = np.array([left, room]) / (left + room)
-    excess = np.zeros(len(bounds))
-    return MasterOptimum(float(value), weights, np.full(len(bounds), float(price)), excess)
+    return MasterOptimum(float(value), weights, np.full_like(bounds, price), np.zeros_like(bounds))
 
 
 def certified(master: Master, generated: Generated, tolerance: float) -> Generated:
@@ -374,7 +374,7 @@ def certified(master: Master, generated: Generated, tolerance: float) -> Generat
     row, pricing, pool = master.limit, master.pool.pricing, master.pool
     if row is None:
         raise ModelError("a search with several limits is certified by the prices of all")
-    price, last = generated.price, master.last or generated.columns[0]
+    price, last = generated.price, master.best or master.last or generated.columns[0]
     if len(generated.columns) > 1 and deadline.has_time_for(pool.took):
         with deadline.WithIncumbent(), deadline.closing():
             inside = pricing.aligned(generated.columns[0], price)
