@@ -23,7 +23,13 @@ from ssp_lp.arrays import (
     segment_ids,
     segment_sums,
 )
-from ssp_lp.errors import ModelError, check_whole, is_number, wrong_argument
+from ssp_lp.errors import (
+    ModelError,
+    check_between_0_and_1,
+    check_whole,
+    is_number,
+    wrong_argument,
+)
 from ssp_lp.model.arguments import explained, explained_class
 from ssp_lp.model.report import Report, Table
 from ssp_lp.model.ssp import SSP
@@ -62,6 +68,8 @@ class Boxes(Report, ReadOnlyCopies):
 
     def __post_init__(self) -> None:
         self.keep_read_only("low", "high", dtype=np.float64)
+        if self.confidence is not None:
+            check_between_0_and_1("confidence", self.confidence)
         model, low, high = self.model, self.low, self.high
         if low.shape != (model.n_outcomes,) or high.shape != low.shape:
             raise ModelError(f"low and high must have a number for each of {model.n_outcomes}"
@@ -96,8 +104,7 @@ class Boxes(Report, ReadOnlyCopies):
         Raises:
             ModelError: a model without counts, or a confidence out of range.
         """
-        if not (is_number(confidence) and 0.0 < confidence < 1.0):
-            raise wrong_argument("confidence", "be between 0 and 1", confidence)
+        check_between_0_and_1("confidence", confidence)
         counts, offsets = counts_of(model), model.outcome_offsets
         widths = np.diff(offsets)
         intervals = int(np.where(widths > 2, widths, widths - 1).sum())

@@ -373,6 +373,8 @@ class SSP(Graph, ReadOnlyCopies):
                 "the table is a list: give its columns, {'state': [...], ...}, or a frame"
             )
         costs = [cost] if isinstance(cost, str) else list(cost)
+        if not costs:
+            raise ModelError("cost: name at least one column")
         before, after, acts, chances, *paid = (
             _column(table, names) for names in (state, successor, action, probability, *costs)
         )
