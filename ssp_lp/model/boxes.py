@@ -23,13 +23,7 @@ from ssp_lp.arrays import (
     segment_ids,
     segment_sums,
 )
-from ssp_lp.errors import (
-    ModelError,
-    check_between_0_and_1,
-    check_whole,
-    is_number,
-    wrong_argument,
-)
+from ssp_lp.errors import ModelError, check_between_0_and_1, check_whole, is_number
 from ssp_lp.model.arguments import explained, explained_class
 from ssp_lp.model.report import Report, Table
 from ssp_lp.model.ssp import SSP
@@ -151,11 +145,10 @@ class Boxes(Report, ReadOnlyCopies):
         model = self.model
         pair = segment_ids(model.outcome_offsets)
         counts = np.full(len(pair), np.nan) if model.counts is None else model.counts
-        places = np.stack([model.pair_state[pair], model.successors], axis=1).tolist()
-        numbers = np.stack([counts, model.probabilities, self.low, self.high], axis=1).tolist()
+        columns = (pair, model.successors, counts, model.probabilities, self.low, self.high)
         rows = [
-            (model.states[here], model.action_of(k), model.states[there], *some)
-            for k, (here, there), some in zip(pair.tolist(), places, numbers, strict=True)
+            (model.states[model.pair_state[k]], model.action_of(k), model.states[there], *numbers)
+            for k, there, *numbers in zip(*(column.tolist() for column in columns), strict=True)
         ]
         head = ("state", "action", "successor", "count", "probability", "low", "high")
         title = "Boxes" if self.confidence is None else f"Boxes, confidence {self.confidence:g}"
@@ -206,7 +199,7 @@ def posterior_draws(
     """
     check_whole("draws", draws)
     if not (is_number(prior) and 0.0 < prior < float("inf")):
-        raise wrong_argument("prior", "be a positive number", prior)
+        raise ModelError(f"prior must be a positive number, not {prior!r}")
     offsets, rng = model.outcome_offsets, np.random.default_rng(seed)
     pair, shape = segment_ids(offsets), counts_of(model) + prior
     drawn = rng.standard_gamma(shape, (draws, shape.size))
@@ -229,9 +222,8 @@ def greatest_mean(
         worth: [entries].
         offsets: the box of segment k has the entries ``offsets[k] : offsets[k + 1]``.
     """
-    order = np.lexsort((-worth, segment_ids(offsets)))
+    order, lengths = np.lexsort((-worth, segment_ids(offsets))), np.diff(offsets)
     chosen, missing = np.array(low), 1.0 - segment_sums(low, offsets)
-    lengths = np.diff(offsets)
     for place in range(int(lengths.max(initial=0))):
         some = np.flatnonzero(lengths > place)
         best = order[offsets[some] + place]

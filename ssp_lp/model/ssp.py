@@ -372,8 +372,7 @@ class SSP(Graph, ReadOnlyCopies):
             raise ModelError(
                 "the table is a list: give its columns, {'state': [...], ...}, or a frame"
             )
-        costs = [cost] if isinstance(cost, str) else list(cost)
-        if not costs:
+        if not (costs := [cost] if isinstance(cost, str) else [*cost]):
             raise ModelError("cost: name at least one column")
         before, after, acts, chances, *paid = (
             _column(table, names) for names in (state, successor, action, probability, *costs)
