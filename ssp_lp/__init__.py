@@ -126,6 +126,7 @@ if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram as OccupationProgram
     from ssp_lp.solution import Solution as Solution
     from ssp_lp.solving import solve as solve
+    from ssp_lp.tightening import Tightened as Tightened, tighten as tighten
     from ssp_lp.verification.certificate_file import (
         Checked as Checked,
         check_certificate as check_certificate,
@@ -175,6 +176,7 @@ _MODULES = {
     "programs.occupation_program": "OccupationProgram",
     "solution": "Solution",
     "solving": "solve",
+    "tightening": "Tightened tighten",
     "verification.certificate_file": "Checked check_certificate sha256_of write_certificate",
     "verification.certify": "Certificate certify",
     "verification.cross_check": "CrossCheck cross_check",

@@ -206,7 +206,7 @@ class Formulation(Problem):
             if (number := getattr(self, name)) is not None:
                 check_whole(name, number)
         if self.box is not None:
-            check_boxed(self)
+            check_boxed(self, self.box)
         for condition in self.conditions:
             _ = condition.rows
         _ = self.objective_condition

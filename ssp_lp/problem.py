@@ -13,7 +13,7 @@ import numpy as np
 
 from ssp_lp.accumulated_cost.charges import TOTAL_COST, ExponentialUtility
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, Resolution, resolution_for, sums_in
-from ssp_lp.arrays import IntArray, ReadOnlyCopies
+from ssp_lp.arrays import IntArray, ReadOnlyCopies, segment_ids
 from ssp_lp.column_generation.compiled_problem import (
     CompiledArrivalCost,
     CompiledExplicit,
@@ -376,24 +376,27 @@ def check_explorable(problem: Problem) -> None:
             raise ModelError(f"limit {limit!r}: {fault}{more}")
 
 
-def check_boxed(problem: Problem) -> None:
+def check_boxed(problem: Problem, box: object) -> None:
     """Check that a problem over boxes of probabilities has a robust optimum to be found.
 
     Raises:
-        ModelError: no boxes, or those of another model; constraints, a horizon or a discount; or
-            another way to fail than giving up anywhere, free of charge.
+        ModelError: no boxes, or those of another model; constraints, a horizon or a discount;
+            failing at dead-ends only, or charged by costs that depend on the successor.
     """
-    box, name = problem.box, type(problem).__name__
+    name, semantics = type(problem).__name__, problem.semantics
     if not isinstance(box, Boxes):
         raise wrong_argument("box", "be Boxes, such as Boxes.from_counts(model)", box)
     box.check_model(problem.model)
     check_measures(problem)
-    semantics = problem.semantics
-    is_priced = semantics.penalty > 0.0 and not semantics.forbids_failing
-    is_charged = semantics.charge_failing_step or semantics.give_up is not GiveUp.ANYWHERE
-    if is_priced and is_charged:
+    if semantics.forbids_failing or semantics.aim is not Aim.LEAST_COST:
+        return
+    if semantics.give_up is GiveUp.DEAD_ENDS:
+        raise ModelError(f"{name} over boxes does not support give_up='dead_ends'")
+    costs, offsets = problem.model.costs, problem.model.outcome_offsets
+    if semantics.charge_failing_step and (costs != costs[offsets[segment_ids(offsets)]]).any():
         raise ModelError(
-            f"{name} over boxes supports give_up='anywhere' without charge_failing_step only"
+            f"{name} over boxes supports charge_failing_step only where the cost of each action is "
+            "the same for all its successors: use charge_failing_step=False"
         )
 
 

@@ -30,7 +30,7 @@ ORDER = [
     ("solution",),
     ("methods", "game", "reductions"),
     ("solving", "formulation", "verification", "io", "plotting"),
-    ("cargo", "answers", "distributed"),
+    ("cargo", "answers", "distributed", "tightening"),
 ]
 WITH_SOLVERS = {"deterministic.py", "convex_program.py"}
 
@@ -245,8 +245,8 @@ def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -
 @pytest.mark.parametrize(
     ("measure", "most"),
     [
-        (house.lines_in_all, 34_383),
-        (house.public_classes, 291),
+        (house.lines_in_all, 34_531),
+        (house.public_classes, 292),
         (house.numeric_constants, 540),
         (house.questions_asked, 80),
         (house.written_past_freezing, 43),
@@ -271,7 +271,7 @@ def test_no_folder_grows() -> None:
 LINES = {
     "formulations": 461,
     "formulations/command_line": 833,
-    "ssp_lp": 2_250,
+    "ssp_lp": 2_378,
     "ssp_lp/accumulated_cost": 2_708,
     "ssp_lp/analysis": 1_737,
     "ssp_lp/column_generation": 2_237,
@@ -287,7 +287,7 @@ LINES = {
     "ssp_lp/policies": 1_493,
     "ssp_lp/processes": 2_003,
     "ssp_lp/programs": 1_318,
-    "ssp_lp/reductions": 329,
+    "ssp_lp/reductions": 349,
     "ssp_lp/verification": 1_963,
 }
 """Code lines of each folder."""

@@ -146,7 +146,7 @@ def _cost(boxed: BoxedChain, semantics: FailureSemantics, boxes: Boxes, penalty:
     """Greatest cost until failure from the start, with a penalty for failing."""
     chain = boxed.chain
     inside = boxed.acting if semantics.give_up is GiveUp.DEAD_ENDS else chain.alive
-    stopping, entering = _charges(semantics, boxes)
+    stopping, entering = worst_charges(semantics, boxes)
     if np.isinf(stopping[chain.state[chain.give_up > 0.0]]).any():
         raise ModelError(f"the policy gives up where {semantics.give_up!s} does not allow it")
     lost = ~inside & (chain.goal == 0.0)
@@ -161,7 +161,7 @@ def _cost(boxed: BoxedChain, semantics: FailureSemantics, boxes: Boxes, penalty:
     return float(chain.start @ values)
 
 
-def _charges(semantics: FailureSemantics, boxes: Boxes) -> tuple[FloatArray, FloatArray]:
+def worst_charges(semantics: FailureSemantics, boxes: Boxes) -> tuple[FloatArray, FloatArray]:
     """Worst charges of giving up, infinite where it is not allowed, and of dead-ends, [states]."""
     model = boxes.support
     chosen = greatest_mean(boxes.low, boxes.high, model.costs, model.outcome_offsets)

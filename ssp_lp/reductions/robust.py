@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ssp_lp.analysis.evaluation import evaluate
+from ssp_lp.analysis.worst_case import worst_charges
 from ssp_lp.arrays import (
     IMPROVEMENT,
     BoolArray,
@@ -28,7 +29,7 @@ from ssp_lp.arrays import (
     segment_sums,
 )
 from ssp_lp.compiled.deadline import check_time, limited
-from ssp_lp.errors import InfeasibleError, SolverError
+from ssp_lp.errors import InfeasibleError, ModelError, SolverError
 from ssp_lp.model.boxes import FORCED, Boxes, greatest_mean
 from ssp_lp.model.graph import dead_ends
 from ssp_lp.policies import DeterministicPolicy
@@ -69,12 +70,12 @@ def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | Non
                 "the boxes: allow failing (MCMP, FinitePenalty), or collect more counts",
                 failure_budget=0.0,
                 least_failure=lambda: float(
-                    start @ _settled(boxes, FailureSemantics(aim=Aim.GREATEST_GOAL))[0]
+                    start @ settled(boxes, FailureSemantics(aim=Aim.GREATEST_GOAL))[0]
                 ),
             )
-        loss, decision, worst, rounds = _settled(boxes, semantics)
-    model = replace(problem.model, probabilities=read_only(worst), counts=None, parameters={})
-    at_worst = replace(problem, model=model, box=None, **as_stated(problem))
+        loss, decision, worst, rounds = settled(boxes, semantics)
+    at_worst = at_probabilities(replace(problem, box=None, **as_stated(problem)), worst)
+    model = at_worst.model
     spent = time.perf_counter() - began
     left = None if time_limit is None else max(time_limit - spent, 0.0)
     solution = solve(at_worst, time_limit=left)
@@ -98,7 +99,14 @@ def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | Non
     )
 
 
-def _settled(
+def at_probabilities(problem: Any, probabilities: FloatArray) -> Any:
+    """Return a problem on its model with other probabilities, [outcomes]."""
+    chosen = read_only(probabilities)
+    model = replace(problem.model, probabilities=chosen, counts=None, parameters={})
+    return replace(problem, model=model, **as_stated(problem))
+
+
+def settled(
     boxes: Boxes, semantics: FailureSemantics
 ) -> tuple[FloatArray, IntArray, FloatArray, int]:
     """Policy iteration against nature.
@@ -115,28 +123,26 @@ def _settled(
     usable = np.ones(model.n_pairs, dtype=np.bool_)
     reward = np.zeros(model.n_outcomes) if only_failing else model.costs
     rank: IntArray = np.zeros(model.n_states, dtype=np.int64)
-    penalty = 1.0
+    top, ends = 0.0, np.where(model.goal_mask, 0.0, 1.0)
+    decision = np.where(acting, model.pair_offsets[:-1], UNDECIDED)
     if semantics.forbids_failing:
         rank, decision, usable = _losing(boxes)
         acting &= rank == 0
-    elif only_failing:
-        decision = np.where(acting, model.pair_offsets[:-1], UNDECIDED)
-    else:
-        penalty = semantics.penalty
-        decision = np.where(acting, GIVE_UP_CODE, UNDECIDED)
-    top = 0.0
+    elif not only_failing:
+        decision, charges = ending(boxes, semantics)
+        ends *= semantics.penalty + charges
     for rounds in range(1, MOST_ROUNDS):
         check_time()
-        loss = np.where(model.goal_mask, 0.0, penalty)
+        loss = np.array(ends)
         loss[rank > 0] = top + rank.max() + 1.0 - rank[rank > 0]
         if acting.any():
             begin = acting / acting.sum()
             boxed = boxed_chain(boxes, DeterministicPolicy(model, decision), begin)
-            chain, ends = boxed.chain, np.where(boxed.chain.goal > 0.0, 0.0, penalty)
-            loss[chain.state] = (
+            state = boxed.chain.state
+            loss[state] = (
                 boxed.failing()
                 if only_failing
-                else boxed.greatest(reward[chain.outcome], ends, boxed.acting)
+                else boxed.greatest(reward[boxed.chain.outcome], ends[state], boxed.acting)
             )
         worth = reward + loss[model.successors]
         worst = greatest_mean(boxes.low, boxes.high, worth, model.outcome_offsets)
@@ -151,6 +157,33 @@ def _settled(
         best[np.diff(model.pair_offsets) > 0] = first_minimisers(mean, least, model.pair_offsets)
         decision = np.where(better, best, decision)
     raise SolverError("the policies do not settle against the boxes")
+
+
+def ending(boxes: Boxes, semantics: FailureSemantics) -> tuple[IntArray, FloatArray]:
+    """A policy that gives up wherever it may, and the charges of doing so.
+
+    Returns:
+        Its decisions, [states]; worst charges of giving up, or of entering a dead-end, [states].
+
+    Raises:
+        ModelError: nature can keep it from ever ending.
+    """
+    model = boxes.support
+    acting = ~(model.goal_mask | dead_ends(model))
+    stopping, entering = worst_charges(semantics, boxes)
+    may_stop = acting & np.isfinite(stopping)
+    decision = np.where(acting, model.pair_offsets[:-1], UNDECIDED)
+    decision[may_stop] = GIVE_UP_CODE
+    if not may_stop[acting].all():
+        boxed = boxed_chain(boxes, DeterministicPolicy(model, decision), acting / acting.sum())
+        going_on = boxed.staying(boxed.acting)
+        if going_on.any():
+            state = model.states[int(boxed.chain.state[np.argmax(going_on)])]
+            raise ModelError(
+                f"state {state!r}: the boxes allow probabilities with which a run never ends: use "
+                "give_up='anywhere', or give the outcomes that lead to an end a low above 0"
+            )
+    return decision, np.where(may_stop, stopping, entering)
 
 
 def _losing(boxes: Boxes) -> tuple[IntArray, IntArray, BoolArray]:

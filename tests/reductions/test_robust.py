@@ -1,7 +1,6 @@
 """Robust optima against an enumeration of policies and of the corners of the boxes."""
 
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 import pytest
@@ -22,18 +21,7 @@ from ssp_lp import (
     solve,
     visits,
 )
-from ssp_lp.policies.policy import GIVE_UP_CODE
-from tests.support.boxes import corners_of, drawn_boxes
-
-
-def policies_of(model, *, may_give_up):
-    """Every deterministic policy."""
-    each = []
-    for state in range(model.n_states):
-        pairs = [*model.pairs_of(state)]
-        each.append([*pairs, *[GIVE_UP_CODE] * may_give_up] if pairs else [-1])
-    for decision in product(*each):
-        yield DeterministicPolicy(model, np.array(decision))
+from tests.support.boxes import corners_of, drawn_boxes, policies_of, stopping_policies
 
 
 def worst_objective(policy, problem, boxes):
@@ -74,6 +62,21 @@ def test_the_robust_optimum_is_the_best_of_all_policies_at_their_worst_corners(s
         assert worst.objective == pytest.approx(solution.objective, rel=1e-9, abs=1e-12)
         own = evaluate(solution.policy, solution.problem)
         assert own.objective == pytest.approx(solution.objective, rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize("charged", [False, True])
+@pytest.mark.parametrize("seed", range(10))
+def test_failing_at_attention_states_is_robust_too(seed, charged):
+    rng = np.random.default_rng(300 + seed)
+    boxes = drawn_boxes(rng, n_states=2 + seed % 2, even=True)
+    given = {"give_up": "attention", "charge_failing_step": charged}
+    problem = FinitePenalty(boxes.model, "a", 5.0, **given)
+    best = min(
+        evaluate(policy, problem, box=boxes).objective for policy in stopping_policies(boxes.model)
+    )
+    solution = solve(replace(problem, box=boxes))
+    assert solution.objective == pytest.approx(best, rel=1e-8, abs=1e-10)
+    assert solution.gap <= 1e-9
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -166,8 +169,10 @@ def test_wrong_questions_are_refused_by_name():
         MaxProb(ROAD, "road", box=boxes, constraints={"few": visits("road") <= 2.0})
     with pytest.raises(ModelError, match="a horizon"):
         MinCost(ROAD, "road", box=boxes, horizon=4)
-    with pytest.raises(ModelError, match="anywhere"):
-        FinitePenalty(ROAD, "road", 3.0, give_up="attention", box=boxes)
+    with pytest.raises(ModelError, match="does not support give_up='dead_ends'"):
+        FinitePenalty(ROAD, "road", 3.0, give_up="dead_ends", box=boxes)
+    with pytest.raises(ModelError, match="use charge_failing_step=False"):
+        FinitePenalty(ROAD, "road", 3.0, charge_failing_step=True, box=boxes)
     with pytest.raises(ModelError, match="box"):
         MCMP(ROAD, "road", 0.1, box=boxes)
     problem = MaxProb(ROAD, "road", box=boxes)

@@ -1,0 +1,198 @@
+"""A failure budget that holds for all probabilities in boxes: a lottery over plans, and a bound.
+
+Each plan of the lottery is taken at its own worst cost and its own worst failure probability, so
+the lottery satisfies the budget whatever the probabilities are. The bound is the optimum of the
+problem at one choice of probabilities, which is adverse to the best plan at some price of failure
+(Lagrange): no lottery does better against all of the boxes. The two need not meet, as nature
+answers a lottery with one choice of probabilities and not with one for each plan and each measure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import cast
+
+import numpy as np
+
+from ssp_lp.analysis.worst_case import worst_case
+from ssp_lp.column_generation.column import two_sided_gap
+from ssp_lp.column_generation.restricted_master import MasterOptimum
+from ssp_lp.column_generation.search import secant
+from ssp_lp.compiled.deadline import WithIncumbent, limited
+from ssp_lp.errors import InfeasibleError, ModelError
+from ssp_lp.model.arguments import explained
+from ssp_lp.model.boxes import Boxes
+from ssp_lp.model.report import Facts, Table
+from ssp_lp.policies import DeterministicPolicy, MixedPolicy, Policy
+from ssp_lp.policies.boxed_chain import MOST_ROUNDS
+from ssp_lp.policies.policy import as_lottery
+from ssp_lp.problem import Problem, check_boxed, check_problem
+from ssp_lp.processes.failure_semantics import Aim, start_distribution
+from ssp_lp.reductions.robust import at_probabilities, ending, settled
+from ssp_lp.solving import solve
+
+
+@dataclass(frozen=True, repr=False)
+class Tightened(Facts):
+    """A lottery that satisfies a failure budget at all probabilities in boxes, and a lower bound.
+
+    ``objective`` and ``failure_probability`` bound the lottery's cost and failure from above at all
+    probabilities; ``lower_bound`` bounds the worst cost of every policy that satisfies the budget.
+    """
+
+    policy: MixedPolicy
+    objective: float  # each plan's worst cost until failure, weighted
+    lower_bound: float
+    failure_probability: float  # each plan's worst failure probability, weighted
+    failure_price: float  # cost of one unit of worst failure probability less
+    prices: int  # prices of failure that were tried
+
+    @property
+    def gap(self) -> float:
+        """Relative gap between the objective and the lower bound; it need not close."""
+        return two_sided_gap(self.objective, self.lower_bound)
+
+    def tables(self) -> list[Table]:
+        """The worst values of the lottery, the bound and the gap."""
+        weights = ", ".join(f"{weight:.6g}" for weight in self.policy.weights)
+        return [
+            Table([
+                ("cost until failure, at most", self.objective),
+                ("lower bound", self.lower_bound),
+                ("gap", f"{self.gap:.1e}"),
+                ("failure, at most", self.failure_probability),
+                ("failure price", self.failure_price),
+                ("weights", weights),
+            ])
+        ]  # fmt: skip
+
+
+@explained
+def tighten(
+    problem: Problem, box: Boxes, *, tolerance: float = 1e-9, time_limit: float | None = None
+) -> Tightened:
+    """Find a lottery that satisfies a failure budget at all probabilities in boxes.
+
+    Column generation: a price of failure is answered by the plan that is best against nature at
+    that price, and by the optimal lottery at nature's probabilities; both give plans, the latter a
+    bound. The next price is that lottery's, or the one of the best lottery over the worst values.
+
+    Args:
+        problem: ``MCMP`` with a failure budget.
+        box: of the problem's model.
+        tolerance: relative gap at which to stop, and distance of prices that count as one.
+        time_limit: seconds after which the best lottery so far is returned.
+
+    Raises:
+        ModelError: another criterion, no budget, a share of the goal, or as ``FinitePenalty`` over
+            boxes: constraints, a horizon, a discount, ``give_up="dead_ends"``, a charge that
+            depends on the successor.
+        InfeasibleError: every policy fails with more than the budget at some probabilities.
+        OutOfTimeError: the time limit passed before there was a lottery.
+
+    Example:
+        >>> from ssp_lp import MCMP, SSP, Boxes, tighten
+        >>> model = SSP.from_transitions(
+        ...     {"road": {"fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)],
+        ...               "safe": [(1.0, "home", 3.0)]}, "ditch": {}},
+        ...     goal={"home"}, dead_ends={"ditch"})
+        >>> boxes = Boxes(model, low=[0.8, 0.0, 1.0], high=[1.0, 0.2, 1.0])
+        >>> plan = tighten(MCMP(model, "road", failure_budget=0.05), boxes)
+        >>> round(plan.objective, 9), round(plan.lower_bound, 9), plan.policy.weights.round(9)
+        (2.5, 2.5, array([0.75, 0.25]))
+    """
+    check_problem(problem, "tighten")
+    semantics, budget = problem.semantics, problem.failure_budget
+    if budget is None or problem.reach_fraction is not None or not semantics.counts_cost_alone:
+        raise ModelError("tighten takes MCMP with a failure budget: MCMP(..., failure_budget=0.05)")
+    check_boxed(problem, box)
+    with limited(time_limit, "a lottery was found"):
+        pool = _safest(problem, box)
+        with WithIncumbent():
+            for price in pool.prices(solve(problem).failure_price or 0.0, tolerance):
+                _, decision, worst, _ = settled(box, replace(semantics, penalty=price))
+                at_worst = solve(at_probabilities(problem, worst))
+                pool.lower_bound = max(pool.lower_bound, at_worst.lower_bound)
+                pool.adverse_price = at_worst.failure_price or 0.0
+                for policy in (
+                    DeterministicPolicy(problem.model, decision),
+                    *as_lottery(at_worst.policy).policies,
+                ):
+                    pool.add(policy)
+        return pool.tightened()
+
+
+@dataclass(eq=False)
+class _Pool:
+    """Plans at their own worst cost and failure, and what is known at the prices tried."""
+
+    problem: Problem
+    box: Boxes
+    plans: dict[tuple[float, float], Policy] = field(default_factory=dict)  # by their worst values
+    lower_bound: float = 0.0
+    adverse_price: float = 0.0  # of the last optimum at adverse probabilities
+    tried: list[float] = field(default_factory=list)
+
+    def add(self, policy: Policy) -> None:
+        """Add a plan at its own worst cost and failure."""
+        policy = replace(cast("DeterministicPolicy", policy), model=self.problem.model)
+        worst = worst_case(policy, self.problem, self.box)
+        if np.isfinite(worst.objective):
+            self.plans.setdefault((worst.objective, worst.failure_probability), policy)
+
+    def lottery(self) -> MasterOptimum:
+        """The best lottery over the plans."""
+        cost, failure = np.array(list(self.plans)).T
+        return secant(cost, failure, np.array([self.problem.failure_budget]))
+
+    def prices(self, first: float, tolerance: float) -> Iterator[float]:
+        """Yield prices of failure until the gap is closed or no price is new."""
+        price = first
+        while len(self.tried) < MOST_ROUNDS:
+            self.tried.append(price)
+            yield price
+            best = self.lottery()
+            if two_sided_gap(best.value, self.lower_bound) <= tolerance:
+                return
+            known = np.array(self.tried)
+            for price in (self.adverse_price, float(best.prices[0])):
+                if (np.abs(known - price) > tolerance * price).all():
+                    break
+            else:
+                return
+
+    def tightened(self) -> Tightened:
+        """The best lottery with its bound."""
+        best, policies = self.lottery(), [*self.plans.values()]
+        used, failures = np.flatnonzero(best.weights), np.array([*self.plans])[:, 1]
+        return Tightened(
+            MixedPolicy(tuple(policies[k] for k in used), best.weights[used]),
+            best.value,
+            min(self.lower_bound, best.value),
+            float(best.weights @ failures),
+            float(best.prices[0]),
+            len(self.tried),
+        )
+
+
+def _safest(problem: Problem, box: Boxes) -> _Pool:
+    """The pool of the plan whose worst failure probability is least.
+
+    Raises:
+        InfeasibleError: even that one is above the budget.
+    """
+    budget, pool = problem.failure_budget, _Pool(problem, box)
+    loss, decision, *_ = settled(box, replace(problem.semantics, aim=Aim.GREATEST_GOAL))
+    least = float(start_distribution(problem.model, problem.start) @ loss)
+    if budget is not None and least > budget:
+        raise InfeasibleError(
+            f"every policy fails with probability {least:.6g} at some probabilities in the boxes, "
+            f"and the budget is {budget:.6g}: allow more, or collect more counts",
+            failure_budget=budget,
+            least_failure=least,
+        )
+    lost = (loss >= 1.0) & (decision >= 0)  # no policy earns anything there but costs
+    decision = np.where(lost, ending(box, problem.semantics)[0], decision)
+    pool.add(DeterministicPolicy(problem.model, decision))
+    return pool
