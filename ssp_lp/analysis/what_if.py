@@ -523,7 +523,12 @@ class _Optimum:
 
 
 def _solved_in_time(problem: Problem) -> OccupationMeasure:
-    """Solve a problem's program; :class:`Stop` if the deadline of the call passes before."""
+    """Solve a problem's program at a vertex.
+
+    Raises:
+        SolverError: no answer passes its check, or it is no vertex.
+        Stop: the deadline of the call passes before.
+    """
     check_time()
     try:
         measure: OccupationMeasure = problem.program().solve(time_limit=seconds_left())
@@ -531,6 +536,8 @@ def _solved_in_time(problem: Problem) -> OccupationMeasure:
         if is_late():
             raise Stop from error
         raise
+    if (measure.reduced or measure).basis is None:
+        raise SolverError("the program was solved by interior points alone, whose prices are rough")
     return measure
 
 
