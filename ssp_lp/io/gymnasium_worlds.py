@@ -391,7 +391,7 @@ def _table_of(env: gymnasium.Env[Any, Any]) -> _Table:
             f"{_name_of(env)} is not tabular: it has no table of transitions, env.unwrapped.P; "
             "where its state is coordinates, continuous_from_gymnasium(env, grid, goal=...) makes "
             "a world of it that discretise cuts into cells; where you know how likely its steps "
-            "are, SSP.from_successors takes a function (docs/guides/own_simulator.md)"
+            "are, SSP.from_successors takes a function (docs/models.md)"
         )
     # no lists of lists: their collector would take longer than all the rest
     names, tables = _keys(listed), list(_values(listed))
