@@ -23,11 +23,10 @@ PAGES = ["README.md", "CONTRIBUTING.md", "examples/README.md", *DOCS]
 
 SHOWN = {
     "README.md": 7,
-    "docs/checks.md": 0,
+    "docs/verification.md": 5,
     "docs/criteria.md": 6,
     "docs/gallery.md": 0,
     "docs/guides/big_models.md": 2,
-    "docs/guides/certificate.md": 5,
     "docs/guides/command_line.md": 2,
     "docs/guides/explorer.md": 1,
     "docs/guides/from_counts.md": 4,
