@@ -36,7 +36,7 @@ SHOWN = {
     "docs/guides/promises_and_tasks.md": 3,
     "docs/guides/what_if.md": 4,
     "docs/models.md": 6,
-    "docs/program.md": 16,
+    "docs/program.md": 14,
     "docs/solving.md": 3,
     "docs/tutorial.md": 6,
 }
