@@ -35,8 +35,8 @@ SHOWN = {
     "docs/guides/promises_and_tasks.md": 3,
     "docs/guides/what_if.md": 4,
     "docs/models.md": 6,
-    "docs/program.md": 14,
-    "docs/solving.md": 5,
+    "docs/program.md": 12,
+    "docs/solving.md": 4,
     "docs/tutorial.md": 6,
 }
 """Pages with code, and how often each shows what it prints."""
