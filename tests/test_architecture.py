@@ -134,7 +134,7 @@ def test_a_page_of_formulations_imports_from_one_place() -> None:
 
 def test_the_page_on_architecture_has_this_order() -> None:
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    ranks = re.findall(r"^\| (\d+) \| ((?:`\w+`(?:, )?)+) \|$", page, flags=re.MULTILINE)
+    ranks = re.findall(r"^(\d+)\. ((?:`\w+`(?:, )?)+)$", page, flags=re.MULTILINE)
     assert [tuple(re.findall(r"\w+", names)) for _, names in ranks] == ORDER
     assert [int(rank) for rank, _ in ranks] == list(range(1, len(ORDER) + 1))
 

@@ -35,7 +35,7 @@ SHOWN = {
     "docs/guides/promises_and_tasks.md": 3,
     "docs/guides/what_if.md": 4,
     "docs/models.md": 6,
-    "docs/program.md": 12,
+    "docs/program.md": 10,
     "docs/solving.md": 4,
     "docs/tutorial.md": 6,
 }
