@@ -132,6 +132,13 @@ def test_a_page_of_formulations_imports_from_one_place() -> None:
             assert one_place or name.split(".")[0] in allowed, f"{path.name} imports {name}"
 
 
+def test_the_page_on_architecture_has_this_order() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    ranks = re.findall(r"^(\d+)\. ((?:`\w+`(?:, )?)+)$", page, flags=re.MULTILINE)
+    assert [tuple(re.findall(r"\w+", names)) for _, names in ranks] == ORDER
+    assert [int(rank) for rank, _ in ranks] == list(range(1, len(ORDER) + 1))
+
+
 def test_the_page_on_solving_lists_every_logger() -> None:
     page = (ROOT / "docs" / "solving.md").read_text(encoding="utf-8")
     listed = re.search(r'such as "ssp_lp.search": ([\w\s,]+)\.', page)

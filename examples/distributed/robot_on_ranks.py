@@ -5,7 +5,7 @@
 finds the least cost within a failure budget of 5 % on 38,403 states in about ten seconds, and
 evaluates the lottery's policies on the rows of all ranks. Without mpiexec there is one rank.
 Options of PETSc, such as -ssp_lp_ksp_monitor or -log_view, come last. It needs petsc4py and mpi4py
-(docs/guides/big_models.md).
+(docs/solving.md).
 """
 
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
