@@ -36,6 +36,7 @@ SHOWN = {
     "docs/guides/own_simulator.md": 0,
     "docs/guides/promises_and_tasks.md": 3,
     "docs/guides/what_if.md": 4,
+    "docs/index.md": 1,
     "docs/models.md": 6,
     "docs/program.md": 16,
     "docs/solving.md": 3,
@@ -48,6 +49,7 @@ BY_THEMSELVES = {
     "docs/guides/from_counts.md",
     "docs/guides/own_simulator.md",
     "docs/guides/what_if.md",
+    "docs/index.md",
     "docs/program.md",
     "docs/tutorial.md",
 }

@@ -22,6 +22,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+from notebooks import page_of
+
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 
@@ -32,6 +34,17 @@ ADOPTED = {
     "examples.md": "examples/README.md",
 }
 """Pages of the site that lie elsewhere in the repository."""
+
+STORIES = {
+    f"stories/{path.stem}.md": path.relative_to(ROOT).as_posix()
+    for path in sorted((ROOT / "examples/notebooks").glob("*.ipynb"))
+}
+"""Notebooks, which become pages."""
+
+FRONT = "hide: [navigation, toc]"
+UNSEARCHED = "search: {exclude: true}"
+HEADS = {"index.md": FRONT, "readme.md": UNSEARCHED}
+"""Settings of pages; the README says what other pages say, too."""
 
 FOUND = ("end_probability", "failure_price")
 """Words that the pages use in code only, which the search must find."""
@@ -85,17 +98,21 @@ def assemble(work: Path, version: str, selector: bool) -> list[str]:
         (work / package).symlink_to(ROOT / package)
     shutil.copy(HERE / "docstrings.py", work)
     sources = {
-        path.relative_to(ROOT / "docs").as_posix(): path for path in (ROOT / "docs").rglob("*.md")
+        path.relative_to(ROOT / "docs").as_posix(): path.relative_to(ROOT).as_posix()
+        for path in (ROOT / "docs").rglob("*.md")
     }
-    sources |= {page: ROOT / source for page, source in ADOPTED.items()}
-    titles, problems = {}, []
-    texts = {page: source.read_text(encoding="utf-8") for page, source in sources.items()}
+    sources |= ADOPTED
+    texts = {page: (ROOT / path).read_text(encoding="utf-8") for page, path in sources.items()}
+    for page, path in STORIES.items():
+        texts[page] = page_of(ROOT / path, (work / "docs" / page).parent)
+    titles = {page: _HEADING.search(text)[1] for page, text in texts.items()}
+    problems = []
     for page, text in texts.items():
-        titles[page] = found[1] if (found := _HEADING.search(text)) else page
-    for page, text in texts.items():
-        source = sources[page].relative_to(ROOT).as_posix()
-        led = _LINK.sub(lambda found, at=(page, source): _led(found, *at, titles, problems), text)
-        (work / "docs" / page).write_text(led, encoding="utf-8")
+        at = page, (sources | STORIES)[page], titles, problems
+        text = _LINK.sub(lambda found, at=at: _led(found, *at), text)
+        head = f"---\n{HEADS[page]}\n---\n\n" if page in HEADS else ""
+        (work / "docs" / page).parent.mkdir(parents=True, exist_ok=True)
+        (work / "docs" / page).write_text(head + text, encoding="utf-8")
     config = (HERE / "mkdocs.yml").read_text(encoding="utf-8")
     config += f"copyright: ssp-lp {version}, MIT licence\n"
     if selector:
@@ -113,7 +130,7 @@ def _led(
         return found[0]
     path, mark, anchor = target.partition("#")
     meant = posixpath.normpath(posixpath.join(posixpath.dirname(source), path))
-    adopted = {original: page for page, original in ADOPTED.items()}
+    adopted = {original: page for page, original in (ADOPTED | STORIES).items()}
     inside = meant.removeprefix("docs/") if meant.startswith("docs/") else None
     place = adopted.get(meant, inside)
     if place is None:

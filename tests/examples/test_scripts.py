@@ -84,7 +84,7 @@ def test_the_week_goes_on_and_the_stock_goes_down():
 def test_the_key_and_the_door_and_the_gallery_are_drawn(tmp_path, capsys):
     matplotlib = pytest.importorskip("matplotlib")
     matplotlib.use("Agg")
-    from examples.formulating import gallery, key_and_door
+    from examples.formulating import front_page, gallery, key_and_door
 
     key_and_door.main(["--output", str(tmp_path / "plan.png")])
     assert "ends at D" in capsys.readouterr().out
@@ -95,6 +95,9 @@ def test_the_key_and_the_door_and_the_gallery_are_drawn(tmp_path, capsys):
     assert min(sizes.values()) > 10_000
     assert max(shown.values()) < 80_000
     assert sum(shown.values()) < 500_000
+    front_page.main(["--output", str(tmp_path / "front")])
+    drawn = {path.name for path in (tmp_path / "front").iterdir()}
+    assert drawn == {path.name for path in (ROOT / "docs" / "front").iterdir()}
     matplotlib.pyplot.close("all")
 
 
