@@ -31,6 +31,7 @@ SCRIPTS = sorted(
 )
 assert len(SCRIPTS) >= 12
 NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
+assert len(NOTEBOOKS) >= 3
 
 
 def test_a_field_is_explored_as_far_as_it_matters(capsys):
@@ -175,6 +176,12 @@ def test_the_drones_limits_hold_when_its_plan_is_flown(monkeypatch, tmp_path):
         assert flown.low <= ends[name] <= flown.high
     drone.draw({"rash": rash, "careful": careful}, tmp_path / "drone.png")
     assert (tmp_path / "drone.png").stat().st_size > 10_000
+
+
+def test_the_readme_names_every_notebook():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for path in NOTEBOOKS:
+        assert f"]({path.relative_to(ROOT).as_posix()})" in readme
 
 
 @pytest.mark.slow
