@@ -8,6 +8,7 @@ from markdown.treeprocessors import Treeprocessor
 
 _AFTER_INLINE = 5  # tree processors run by falling priority; cells are filled in at 20
 _LONG = 30  # a table with a cell of so many letters is one of text
+_OBVIOUS = 2  # with so many columns nobody needs a heading beside each cell
 
 
 class _Headings(Treeprocessor):
@@ -19,12 +20,13 @@ class _Headings(Treeprocessor):
             headings = ["".join(cell.itertext()).strip() for cell in table.iter("th")]
             cells = list(table.iter("td"))
             longest = max((len("".join(cell.itertext())) for cell in cells), default=0)
-            if longest < _LONG:
-                continue
+            if longest < _LONG or any("\\(" in heading for heading in headings):
+                continue  # numbers, or headings with formulas, which a style sheet cannot show
             table.set("data-text", "")
-            for row in table.iter("tr"):
+            for row in table.iter("tr") if len(headings) > _OBVIOUS else ():
                 for cell, heading in zip(row.findall("td"), headings, strict=False):
-                    cell.set("data-heading", heading)
+                    if heading:
+                        cell.set("data-heading", f"{heading}: ")
 
 
 class NarrowTables(Extension):
