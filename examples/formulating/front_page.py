@@ -63,19 +63,24 @@ COLOURS = {
 
 def pictures() -> Iterator[tuple[str, Axes]]:
     """Each picture by its name; the axes are in a figure of their own."""
-    model, start = warehouse(), found("S")
     yard = [row[WEST:-1] for row in PLAN[1:-1]]
     ends = {"~": "fall into a ditch", "D": "reach the door"}
     for risk in RISKS:
-        fastest = solve(MCMP(model, start, failure_budget=risk, give_up="dead_ends"))
         axes = ground(yard, {"S": "start", "D": "door"})
-        draw_runs(axes, fastest, in_the_yard, lambda at: ends.get(PLAN[at[0]][at[1]]), ROBOT_SEED)
+        draw_runs(
+            axes, crossing(risk), in_the_yard, lambda at: ends.get(PLAN[at[0]][at[1]]), ROBOT_SEED
+        )
         yield f"robot_{100 * risk:.0f}", axes
     axes = ground(TOWN, {"S": "depot", "H": "hospital", "m": "meadow"})
     careful = names_of("drone")["careful"]
     draw_runs(axes, careful, over_town, ENDINGS.get, DRONE_SEED)
     yield "drone", axes
     yield "treatment", weeks_against_toxicity(names_of("treatment")["plan"])
+
+
+def crossing(risk: float) -> Solution:
+    """The fastest way through the warehouse that ends in a ditch with at most this probability."""
+    return solve(MCMP(warehouse(), found("S"), failure_budget=risk, give_up="dead_ends"))
 
 
 def in_the_yard(cell: tuple[int, int]) -> tuple[int, int]:

@@ -178,6 +178,18 @@ def test_the_drones_limits_hold_when_its_plan_is_flown(monkeypatch, tmp_path):
     assert (tmp_path / "drone.png").stat().st_size > 10_000
 
 
+@pytest.mark.parametrize("risk", [0.01, 0.05, 0.2])
+def test_the_front_page_says_how_long_the_robot_takes(risk):
+    pytest.importorskip("matplotlib")
+    from examples.formulating import front_page
+
+    page = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    solution = front_page.crossing(risk)
+    shown = f"1 run in {1 / risk:.0f} may fail:** {solution.conditional_cost:.1f} steps"
+    assert shown in page
+    assert solution.failure_probability == pytest.approx(risk, abs=1e-9)
+
+
 def test_the_readme_names_every_notebook():
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     for path in NOTEBOOKS:
