@@ -1,4 +1,4 @@
-"""The script that builds the site: links lead to pages, notebooks become pages, errors are found."""
+"""The script that builds the site: it leads links, turns notebooks into pages, finds errors."""
 
 import json
 import sys
