@@ -31,6 +31,7 @@ SCRIPTS = sorted(
 )
 assert len(SCRIPTS) >= 12
 NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
+assert len(NOTEBOOKS) >= 3
 
 
 def test_a_field_is_explored_as_far_as_it_matters(capsys):
@@ -84,7 +85,7 @@ def test_the_week_goes_on_and_the_stock_goes_down():
 def test_the_key_and_the_door_and_the_gallery_are_drawn(tmp_path, capsys):
     matplotlib = pytest.importorskip("matplotlib")
     matplotlib.use("Agg")
-    from examples.formulating import gallery, key_and_door
+    from examples.formulating import front_page, gallery, key_and_door
 
     key_and_door.main(["--output", str(tmp_path / "plan.png")])
     assert "ends at D" in capsys.readouterr().out
@@ -95,6 +96,9 @@ def test_the_key_and_the_door_and_the_gallery_are_drawn(tmp_path, capsys):
     assert min(sizes.values()) > 10_000
     assert max(shown.values()) < 80_000
     assert sum(shown.values()) < 500_000
+    front_page.main(["--output", str(tmp_path / "front")])
+    drawn = {path.name for path in (tmp_path / "front").iterdir()}
+    assert drawn == {path.name for path in (ROOT / "docs" / "front").iterdir()}
     matplotlib.pyplot.close("all")
 
 
@@ -172,6 +176,24 @@ def test_the_drones_limits_hold_when_its_plan_is_flown(monkeypatch, tmp_path):
         assert flown.low <= ends[name] <= flown.high
     drone.draw({"rash": rash, "careful": careful}, tmp_path / "drone.png")
     assert (tmp_path / "drone.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("risk", [0.01, 0.05, 0.2])
+def test_the_front_page_says_how_long_the_robot_takes(risk):
+    pytest.importorskip("matplotlib")
+    from examples.formulating import front_page
+
+    page = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    solution = front_page.crossing(risk)
+    shown = f"1 run in {1 / risk:.0f} may fail:** {solution.conditional_cost:.1f} steps"
+    assert shown in page
+    assert solution.failure_probability == pytest.approx(risk, abs=1e-9)
+
+
+def test_the_readme_names_every_notebook():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for path in NOTEBOOKS:
+        assert f"]({path.relative_to(ROOT).as_posix()})" in readme
 
 
 @pytest.mark.slow
