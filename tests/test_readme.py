@@ -29,7 +29,7 @@ SHOWN = {
     "docs/gallery.md": 0,
     "docs/guides/command_line.md": 2,
     "docs/guides/explorer.md": 1,
-    "docs/guides/from_counts.md": 4,
+    "docs/guides/from_counts.md": 5,
     "docs/guides/promises_and_tasks.md": 3,
     "docs/guides/what_if.md": 4,
     "docs/index.md": 1,

@@ -227,10 +227,9 @@ class _Optimum:
     @cached_property
     def rows(self) -> list[tuple[float, UpperRow]]:
         """Limits of the problem that have a price, in the form that the program has."""
-        stated = [row for condition in self.problem.conditions for row in condition.rows]
         prices, bounds = self.measure.prices, self.measure.program.bounds
         priced = list[tuple[float, UpperRow]]()
-        for row in stated:
+        for row in (row for condition in self.problem.conditions for row in condition.rows):
             if row.name in bounds and prices.get(row.name, 0.0) > 0.0:
                 direct, bound = row.direct, bounds[row.name]
                 is_direct = direct is not None and bound == direct.bound != row.bound
@@ -672,8 +671,7 @@ class WhatIf(Report):
                   *(() if any(row[6] for row in rows[:_SHOWN]) else ("note",)))  # fmt: skip
         more = [f"and {len(rows) - _SHOWN:,} more: to_frame() has all"] * (len(rows) > _SHOWN)
         title = f"the optimum {self.optimum.objective:.9g} moves with each number by"
-        shown = range(min(len(rows), _SHOWN))
-        return [Table(rows, head, title, more, shown=shown, hidden=hidden)]
+        return [Table(rows, head, title, more, shown=range(min(len(rows), _SHOWN)), hidden=hidden)]
 
     def plot(self, *, share: float = 0.1, most: int = 12, ax: Any = None) -> Any:
         """Draw a tornado of the numbers: :func:`ssp_lp.plotting.plot_tornado`."""
