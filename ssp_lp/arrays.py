@@ -118,7 +118,7 @@ def unsigned(indices: IntArray) -> npt.NDArray[Any]:
 
 
 def csr_of(
-    data: FloatArray, indices: IntArray, indptr: IntArray, shape: tuple[int, int]
+    data: FloatArray | BoolArray, indices: IntArray, indptr: IntArray, shape: tuple[int, int]
 ) -> sp.csr_array:
     """Scipy's sparse matrix of three arrays that fit, without scipy's checks of them."""
     matrix = copy(_NO_ROWS)

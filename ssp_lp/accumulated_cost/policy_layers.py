@@ -50,6 +50,9 @@ ENDED = -3
 """In place of a pair where an episode is over."""
 
 _NO_CLASSES = np.zeros(0, dtype=np.uint8)
+_NO_MARKS = np.zeros((0, 0), dtype=np.bool_)
+_UNCHARGED = np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.bool_), False
+_AT_ONCE = 1_000_000  # decisions between two looks at the time
 _LOG = logging.getLogger("ssp_lp.evaluation")
 
 
@@ -231,6 +234,63 @@ class LayerMoves:
             self.send(sent, pairs, ring, waiting)
             yield layer, here, pairs, visits
 
+    def is_soon_followed(self, least_nodes: int) -> bool:
+        """Whether following the layers takes no longer than writing out the policy's chain.
+
+        Args:
+            least_nodes: states times layers from which that is so, whatever follows them.
+        """
+        layers, nodes = self.layers, self.layers.count * self.model.n_states
+        if nodes >= least_nodes or layers.even < layers.count or (layers.leads(0) <= 0).any():
+            return nodes >= least_nodes
+        return accelerated(nodes, "layers.stream_evenly")
+
+    @with_twin
+    def follow_evenly(
+        self,
+        waiting: FloatArray,
+        survivals: Sequence[float] = (1.0,),
+        hopeful: BoolArray = _NO_MARKS,
+        charged: tuple[FloatArray, FloatArray, BoolArray, bool] = _UNCHARGED,
+        stopped: FloatArray | None = None,
+    ) -> FloatArray | None:
+        """Follow mass through the first layers, as many as one compiled pass may follow.
+
+        They are those whose steps all go on, and equally many layers ahead from each.
+
+        Args:
+            waiting: as of ``follow``.
+            survivals: the discounts.
+            hopeful: whence the goal can be reached, [layers, states]; empty: of one column.
+            charged: mean cost of a step, [pairs], and of failing, [states], where giving up is not
+                allowed, [states], and whether costs are paid where the goal is lost.
+            stopped: what ends in each state, and what gives up there, written, [2, states].
+
+        Returns:
+            Goal, failure, cost of success and cost until failure, [layers, discounts, 4]; None
+            where a decision is missing or not allowed.
+        """
+        model, layers, leads = self.model, self.layers, self.layers.leads(0)
+        stopped = np.zeros((2, model.n_states)) if stopped is None else stopped
+        entries, several = model.n_outcomes * layers.even, _AT_ONCE // model.n_states + 1
+        if (leads <= 0).any() or not accelerated(entries, "layers.stream_evenly"):
+            return np.zeros((0, 1, 4))
+        from ssp_lp.compiled.layers import stream_evenly
+
+        totals = np.zeros((len(survivals), layers.even, 4))
+        for k, survival in enumerate(survivals):
+            ends = stopped if k == 0 else stopped.copy()
+            for first in range(0, layers.even, several):
+                check_time()
+                some = slice(first, min(first + several, layers.even))
+                if not stream_evenly(
+                    waiting, first, layers.decision[some], hopeful[some], self.acting,
+                    model.goal_mask, model.pair_offsets, *self.outcomes, leads, layers.costs,
+                    *charged, 3 * k, survival, totals[k, some], ends,
+                ):  # fmt: skip
+                    return None
+        return totals.swapaxes(0, 1)
+
     @with_twin
     def send(self, mass: FloatArray, pairs: IntArray, ring: IntArray, waiting: FloatArray) -> None:
         """Send the mass of k states by their pairs on to later layers, in place.
@@ -310,9 +370,6 @@ class LayerMoves:
         return source, outcome, self.classes[outcome] if self.classes.size else 0 * outcome
 
 
-_AT_ONCE = 1_000_000  # decisions between two looks at the time
-
-
 def giving_up_where_lost(policy: MixedPolicy) -> MixedPolicy:
     """A lottery whose members, layer by layer of cost, give up once the goal is lost.
 
@@ -362,8 +419,7 @@ def hopeful_layers(moves: LayerMoves) -> tuple[BoolArray, BoolArray]:
         hopeful[layer] = beyond[layers.tail_at(layer), np.arange(model.n_states)]
     end, several = count, max(_AT_ONCE // max(model.n_states, 1), 1)
     while end > 0:
-        is_even = layers.unit is not None or end <= layers.even
-        begin = max(end - several, 0) if is_even else end - 1
+        begin = max(end - several, 0) if end <= layers.even else end - 1
         moves.meet(begin, end, hopeful)
         end = begin
     return hopeful, beyond
@@ -417,8 +473,8 @@ def chain_of_law(
         ModelError: the policy has no decision in a state that it reaches.
     """
     layers = policy.layers()
-    if layers is not None and layers.count * model.n_states >= least_nodes:
-        moves = LayerMoves(model, layers)
+    moves = None if layers is None else LayerMoves(model, layers)
+    if moves is not None and moves.is_soon_followed(least_nodes):
         law = _law_forwards(moves, start)
         if law is not None:
             return _block_chain_of_law(moves, *law)
@@ -474,7 +530,10 @@ def _law_forwards(moves: LayerMoves, start: FloatArray) -> tuple[FloatArray, Flo
             return None
     waiting, goal = np.zeros((moves.room, len(start), 1)), np.zeros(layers.count)
     waiting[0, :, 0] = start
-    for layer, here, pairs, visits in moves.follow(waiting):
+    if (together := moves.follow_evenly(waiting)) is None:
+        return None
+    goal[: len(together)] = together[:, 0, 0]
+    for layer, here, pairs, visits in moves.follow(waiting, first=len(together)):
         if (pairs == UNDECIDED).any():
             return None
         goal[layer] = visits[moves.model.goal_mask[here], 0].sum()

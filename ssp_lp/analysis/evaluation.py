@@ -20,8 +20,7 @@ from ssp_lp.accumulated_cost.policy_layers import (
 )
 from ssp_lp.analysis.worst_case import WorstCase, worst_case
 from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray
-from ssp_lp.compiled.accelerator import accelerated, with_twin
-from ssp_lp.compiled.deadline import check_time, limited
+from ssp_lp.compiled.deadline import limited
 from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
@@ -491,18 +490,19 @@ def layered_measures(
         least_nodes: states times layers from which a policy is not written out.
     """
     model, layers = problem.model, policy.layers()
-    if layers is None or layers.count * model.n_states < least_nodes:
-        return None
-    if problem.conditions or problem.objective_condition is not None:
+    if layers is None or problem.conditions or problem.objective_condition is not None:
         return None
     moves, survivals = LayerMoves(model, layers), _survivals(problem)
+    if not moves.is_soon_followed(least_nodes):
+        return None
     hopeful, costs = hopeful_layers(moves)[0], _LayerCosts.of(problem)
     waiting = np.zeros((moves.room, model.n_states, 3 * len(survivals)))
     waiting[0, :, ::3] = start[:, None]
     stopped = np.zeros((2, model.n_states))  # what ends in each state, and what gives up there
     ends, parts, first = np.zeros(len(model.state_labels) + 3), list[FloatArray](), 0
     if layers.even:
-        together = costs.of_even_layers(moves, hopeful, waiting, stopped)
+        charged = costs.stage, costs.stopping, np.isinf(costs.charge), costs.goes_on
+        together = moves.follow_evenly(waiting, survivals, hopeful, charged, stopped)
         if together is None:
             return None
         parts, first = list(together), len(together)
@@ -526,9 +526,6 @@ def layered_measures(
     if problem.semantics.forbids_failing and totals[0, FAILED] > 0.0:
         totals[:, STOPPED] = np.inf
     return _measures_of(totals, ends)
-
-
-_AT_ONCE = 1_000_000  # decisions between two looks at the time
 
 
 @dataclass(frozen=True, eq=False)
@@ -577,44 +574,6 @@ class _LayerCosts:
             stopped = mass @ (hopes * cost) + after
             rows.append([mass[at_goal].sum(), failed, paid[at_goal].sum() / survival, stopped])
         return np.array(rows)
-
-    @with_twin
-    def of_even_layers(
-        self, moves: LayerMoves, hopeful: BoolArray, waiting: FloatArray, stopped: FloatArray
-    ) -> FloatArray | None:
-        """The same of the first layers, as many as one compiled pass may follow.
-
-        They are those whose steps all go on, and equally many layers ahead from each.
-
-        Args:
-            moves: of the policy.
-            hopeful: whence the goal can be reached, [layers, states].
-            waiting: mass, written, as of ``LayerMoves.follow``.
-            stopped: what ends in each state, and what gives up there, written, [2, states].
-
-        Returns:
-            [layers, discounts, 4]; None where a decision is missing or not allowed.
-        """
-        model, layers, leads = moves.model, moves.layers, moves.layers.leads(0)
-        entries, several = model.n_outcomes * layers.even, _AT_ONCE // model.n_states + 1
-        if (leads <= 0).any() or not accelerated(entries, "layers.stream_evenly"):
-            return np.zeros((0, 1, 4))
-        from ssp_lp.compiled.layers import stream_evenly
-
-        totals = list[FloatArray]()
-        for k, survival in enumerate(_survivals(self.problem)):
-            totals.append(np.zeros((layers.even, 4)))
-            for first in range(0, layers.even, several):
-                check_time()
-                some = slice(first, min(first + several, layers.even))
-                if not stream_evenly(
-                    waiting, first, layers.decision[some], hopeful[some], moves.acting,
-                    model.goal_mask, model.pair_offsets, *moves.outcomes, leads, layers.costs,
-                    self.stage, self.stopping, np.isinf(self.charge), self.goes_on,
-                    3 * k, survival, totals[k][some], stopped if k == 0 else stopped.copy(),
-                ):  # fmt: skip
-                    return None
-        return np.stack(totals, axis=1)
 
 
 def give_up_costs(

@@ -284,10 +284,10 @@ def stream_evenly(
 
     Args:
         waiting: mass, that times the cost paid, and mass that lost the goal; written, [rows of the
-            ring, states, 3 * discounts].
+            ring, states, 3 * discounts]; or mass alone, [rows, states, 1].
         first: the first layer.
         decision: position in the state's pairs, or a code, [layers, states].
-        hopeful: whence the goal can be reached, [layers, states].
+        hopeful: whence the goal can be reached, [layers, states]; empty: it does not matter.
         acting: states at which episodes go on, [states].
         at_goal: [states].
         pair_offsets: [states + 1].
@@ -297,7 +297,7 @@ def stream_evenly(
         classes: of the step costs, [outcomes]; empty: all outcomes are of class 0.
         leads: layers that each class of steps passes, at least 1, [classes].
         costs: [classes].
-        stage: mean cost of a step, [pairs].
+        stage: mean cost of a step, [pairs]; or empty, as the next two are.
         stopping: what failing in a state costs, [states].
         forbidden: where giving up is not allowed, [states].
         goes_on: whether costs are paid where the goal is lost.
@@ -309,20 +309,25 @@ def stream_evenly(
     Returns:
         Whether all decisions are there and allowed.
     """
-    room = waiting.shape[0]
+    room, several, is_charged = waiting.shape[0], waiting.shape[2] > 1, stage.size > 0
     for layer in range(decision.shape[0]):
         row, sums = waiting[(first + layer) % room].copy(), totals[layer]
         waiting[(first + layer) % room, :, column : column + 3] = 0.0  # the longest lead here
         for s in range(row.shape[0]):
-            mass, paid, lost = row[s, column], row[s, column + 1], row[s, column + 2]
+            mass, paid, lost = row[s, column], 0.0, 0.0
+            if several:
+                paid, lost = row[s, column + 1], row[s, column + 2]
             if mass == 0.0 and lost == 0.0:
                 continue
-            hopes, code = hopeful[layer, s], np.int64(decision[layer, s])
+            hopes = hopeful.size == 0 or hopeful[layer, s]
+            code = np.int64(decision[layer, s])
             quits, moves = acting[s] and code == -1, acting[s] and code >= 0
-            if (quits and forbidden[s]) or (acting[s] and code < -1):
+            if (quits and is_charged and forbidden[s]) or (acting[s] and code < -1):
                 return False
-            pair = pair_offsets[s] + max(code, np.int64(0))
-            cost = 0.0 if at_goal[s] else stage[pair] if moves else stopping[s]
+            pair, cost, failing = pair_offsets[s] + max(code, np.int64(0)), 0.0, 0.0
+            if is_charged and not at_goal[s]:
+                failing = stopping[s]
+                cost = stage[pair] if moves else failing
             if at_goal[s]:
                 sums[0] += mass
                 sums[2] += paid / survival
@@ -336,7 +341,7 @@ def stream_evenly(
             elif goes_on:
                 sums[3] += lost * cost if cost > 0.0 else 0.0
             else:
-                sums[3] += mass * stopping[s]
+                sums[3] += mass * failing
             stopped[1 if quits else 0, s] += mass if hopes else lost
             if not moves:
                 continue
@@ -346,6 +351,8 @@ def stream_evenly(
                 to = waiting[(first + layer + leads[step]) % room, successors[outcome]]
                 share = survival * probabilities[outcome]
                 to[column] += mass * share
+                if not several:
+                    continue
                 to[column + 1] += (paid + costs[step] * mass) * share
                 to[column + 2] += lost * share
     return True

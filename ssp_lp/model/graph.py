@@ -20,6 +20,7 @@ from ssp_lp.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
+    csr_of,
     entries_of,
     narrow,
     offsets_of,
@@ -36,7 +37,9 @@ if TYPE_CHECKING:
 Fact = TypeVar("Fact")
 
 _TURNS = 1_000  # of a search, between two looks at the clock
+_FAR = np.iinfo(np.int32).max - 1  # steps: nowhere
 _FEW, _FEW_ENTRIES = 32, 128  # states, and steps into them, that are faster one after the other
+_MANY_ENTRIES = 20  # of so many steps one, from which on looking at all of them is faster
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +87,8 @@ class Graph:
         """Graph turned round: the pairs that may lead to each state; found at first use, kept."""
         ends, columns = possible_steps(self.outcome_offsets, self.successors, self.probabilities)
         present, shape = np.ones(columns.size, dtype=np.bool_), (self.n_pairs, self.n_states)
-        rows = sp.csr_array((present, columns, narrow(ends)), shape=shape).tocsc()
+        ends = narrow(ends)
+        rows = csr_of(present, columns.astype(ends.dtype, copy=False), ends, shape).tocsc()
         offsets, pairs = rows.indptr.astype(np.int64), rows.indices.astype(np.int32, copy=False)
         return _Predecessors(read_only(offsets), read_only(pairs))
 
@@ -186,11 +190,11 @@ def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray, IntArray]:
         The states, goals included, [states]; the pairs that stay among them, [pairs]; and for each
         of the states such a pair by which it comes nearer to the goal, -1 elsewhere, [states].
     """
-    return surely_ending(model, model.goal_mask, goal_pairs(model), ~hopeless_states(model))
+    return surely_ending(model, model.goal_mask, goal_pairs(model))
 
 
 def surely_ending(
-    model: Graph, ends: BoolArray, leading: BoolArray, reaching: BoolArray
+    model: Graph, ends: BoolArray, leading: BoolArray
 ) -> tuple[BoolArray, BoolArray, IntArray]:
     """States from which some policy ends surely, by the graph, as :func:`surely_reaching`.
 
@@ -198,26 +202,27 @@ def surely_ending(
         model: the graph.
         ends: [states].
         leading: pairs that may lead to one of them, [pairs].
-        reaching: states from which some policy may end, [states].
     """
     open_pairs = np.ones(len(model.pair_state), dtype=np.bool_)
     open_counts = np.diff(model.pair_offsets) + ends  # what ends is never closed
-    lost = ~reaching
+    lost = open_counts == 0
     while True:
-        open_pairs &= ~lost[model.pair_state]
-        open_counts[lost] = 0
         drain(model, open_pairs, open_counts, lost.nonzero()[0])
         kept = open_counts > 0
         nearer = nearer_pairs(model, leading & open_pairs, open_pairs)
         lost = kept & ~ends & (nearer < 0)
         if not lost.any():
             return kept, open_pairs, nearer
+        open_pairs &= ~lost[model.pair_state]
+        open_counts[lost] = 0
 
 
 @kept
 def goal_pairs(model: SSP) -> BoolArray:
     """Pairs of the graph that may lead to a goal, [pairs]."""
-    return pairs_into(model, model.goal_mask)
+    before, leading = model.predecessors, np.zeros(model.n_pairs, dtype=np.bool_)
+    leading[before.pairs[entries_of(before.offsets, model.goal_mask.nonzero()[0])[0]]] = True
+    return leading
 
 
 def pairs_into(model: Graph, states: BoolArray) -> BoolArray:
@@ -226,7 +231,11 @@ def pairs_into(model: Graph, states: BoolArray) -> BoolArray:
     Args:
         states: [states].
     """
-    return _with_outcomes(model, states[model.successors])
+    check_time()
+    ends = narrow(model.outcome_offsets)
+    columns = model.successors.astype(ends.dtype, copy=False)
+    steps = csr_of(model.probabilities, columns, ends, (model.n_pairs, model.n_states))
+    return np.asarray(steps @ states.astype(np.float64) > 0.0)
 
 
 def _with_outcomes(model: Graph, marked: BoolArray) -> BoolArray:
@@ -276,8 +285,8 @@ def reached_along(columns: IntArray, offsets: IntArray, start: IntArray) -> Bool
 def edges(columns: IntArray, offsets: IntArray) -> sp.csr_array:
     """The model's graph for scipy's search of reachable states; weights take no room."""
     weights: FloatArray = np.broadcast_to(np.float64(1.0), columns.shape)
-    shape = len(offsets) - 1, len(offsets) - 1
-    return sp.csr_array((weights, columns, narrow(offsets)), shape=shape)
+    shape, offsets = (len(offsets) - 1, len(offsets) - 1), narrow(offsets)
+    return csr_of(weights, columns.astype(offsets.dtype, copy=False), offsets, shape)
 
 
 @kept
@@ -317,29 +326,30 @@ def nearer_pairs(
         [states] the pair taken; -1 where no leaving pair can be reached.
     """
     before, pair_state, n = graph.predecessors, graph.pair_state, graph.n_states
-    distance = np.zeros(n, dtype=np.int32) if distance is None else distance
     choice = np.full(n, -1, dtype=np.int64)
-    open_entries = None if usable is None else usable[before.pairs]
     useful: IntArray = (leaving if usable is None else leaving & usable).nonzero()[0]
-    # by the distance of each state, found by scipy from a node added behind all ends; its search
-    # of shortest paths took only numbers of 32 bits before version 1.15
-    offsets, pairs = before.offsets, before.pairs
-    if open_entries is not None and not open_entries.all():
-        kept = open_entries.nonzero()[0]
-        offsets, pairs = kept.searchsorted(offsets), pairs[kept]
+    # by the distance of each state from a node added behind all ends, to which pairs that may not
+    # be taken lead back: scipy's search says by which edge, and edges are followed two by two
+    home = pair_state if usable is None else np.where(usable, pair_state, n)
+    sources = np.concatenate([home[before.pairs], pair_state[useful]])
+    links = edges(sources, np.append(before.offsets, sources.size))
     check_time()
-    sources = pair_state[np.concatenate([pairs, useful])].astype(np.int32, copy=False)
-    links = edges(sources, np.append(offsets, sources.size))
+    parent = csgraph.breadth_first_order(links, n)[1]
     check_time()
-    steps: FloatArray = csgraph.dijkstra(  # type: ignore[call-overload]
-        links, indices=n, unweighted=True
-    )[:n]
+    reached = parent >= 0
+    steps, parent[~reached] = reached.astype(np.int32), n
+    while (more := steps[parent]).any():
+        steps += more
+        parent = parent[parent]
+    if distance is not None:
+        distance[:] = steps[:n] - reached[:n]
+    steps[:n][~reached[:n]] = _FAR
     check_time()
-    distance[:] = np.where(np.isfinite(steps), steps - 1.0, 0.0)
-    near = np.full(len(pair_state), np.inf)
-    np.minimum.at(near, pairs, np.repeat(steps, np.diff(offsets)) + 1.0)
-    near[useful] = 1.0
-    best = ((near == steps[pair_state]) & np.isfinite(near)).nonzero()[0]
+    after = np.repeat(steps[:n], np.diff(before.offsets)) + 1
+    nearest = np.zeros(len(pair_state), dtype=np.bool_)
+    nearest[before.pairs[steps[sources[: after.size]] == after]] = True
+    nearest[useful] = True
+    best: IntArray = nearest.nonzero()[0]
     first = best[run_starts(pair_state[best])]
     choice[pair_state[first]] = first
     return choice
@@ -360,12 +370,17 @@ def drain(
     before = model.predecessors
     while closed_states.size:
         check_time()
-        begun, ended = before.offsets[closed_states], before.offsets[closed_states + 1]
-        if closed_states.size < _FEW and (ended - begun).sum() < _FEW_ENTRIES:
+        entries = (before.offsets[closed_states + 1] - before.offsets[closed_states]).sum()
+        if closed_states.size < _FEW and entries < _FEW_ENTRIES:
             closed_states = _drain_one_by_one(model, open_pairs, open_counts, closed_states)
             continue
-        pairs = before.pairs[entries_of(before.offsets, closed_states)[0]]
-        pairs = sorted_unique(pairs[open_pairs[pairs]])
+        if _MANY_ENTRIES * entries > model.n_outcomes:
+            closed = np.zeros(model.n_states, dtype=np.bool_)
+            closed[closed_states] = True
+            pairs: IntArray = (open_pairs & pairs_into(model, closed)).nonzero()[0]
+        else:
+            pairs = before.pairs[entries_of(before.offsets, closed_states)[0]]
+            pairs = sorted_unique(pairs[open_pairs[pairs]])
         closed_states = close_pairs(model, open_pairs, open_counts, pairs)
 
 

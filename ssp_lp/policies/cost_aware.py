@@ -123,7 +123,6 @@ class CostAwarePolicy(Policy):
         if self.rounds_up and steps.max(initial=0.0) * self.model.n_states > _MOST_PASSED:
             return None
         passed = steps.astype(np.int64)
-        width = int(passed.max(initial=0)) + 1
         return CostLayers(
             decision=self.decision,
             tails=self.tails,
@@ -131,9 +130,9 @@ class CostAwarePolicy(Policy):
             costs=costs,
             leads=lambda layer: passed,
             unit=self.unit,
-            width=width,
+            width=int(passed.max(initial=0)) + 1,
             rounds_up=self.rounds_up,
-            even=max(self.cap - width, 0),
+            even=self.cap,
         )
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:

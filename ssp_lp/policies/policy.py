@@ -111,7 +111,7 @@ class CostLayers:
     unit: float | None  # cost of a layer; None: layers are levels that totals are rounded to
     width: int  # 1 + the most layers that a step passes
     rounds_up: bool = False  # whether steps that cost no whole number of units pass one layer more
-    even: int = 0  # so many of the first layers lead as the first one does, none to a tail
+    even: int = 0  # so many of the first layers lead as the first one does
 
     @property
     def count(self) -> int:

@@ -86,25 +86,28 @@ def greatest_goal_reach(
         start: where it is asked for, positive there, [states]; None: in every state.
         last_digits: whether all that attains it is asked for; else one policy and a bound.
     """
-    exact, hopeless = survival == 1.0, graph.hopeless_states(model)
+    exact, setting = survival == 1.0, (survival, start, last_digits)
+    if exact:
+        sure, keeping, nearer = graph.surely_reaching(model)
+        decision = np.where(nearer < 0, UNDECIDED, nearer)
+        inside = sure & ~model.goal_mask
+        surely, reached = keeping & inside[model.pair_state], sure.astype(np.float64)
+        if start is not None and model.failure_label is None and sure[start > 0.0].all():
+            return GoalReach(reached, np.ones(model.n_states), decision, surely)
+    hopeless = graph.hopeless_states(model)
     # after failing all pairs are as good
     lost = (hopeless & ~graph.dead_ends(model))[model.pair_state]
     if not exact:
         quotient = build_quotient(model, ended=model.goal_mask | hopeless)
-        setting = survival, start, last_digits
         return _extreme_reach(quotient, model.goal_mask, lost, *setting, greatest=True)
-    sure, keeping, nearer = graph.surely_reaching(model)
-    inside = sure & ~model.goal_mask
-    surely, starts = lost | (keeping & inside[model.pair_state]), ~hopeless
+    surely, starts = lost | surely, ~hopeless
     if start is not None:
         starts &= start > 0.0
     if not (starts & ~sure).any():  # the graph decides it all
-        reached, bound = sure.astype(np.float64), (~hopeless).astype(np.float64)
-        return GoalReach(reached, bound, np.where(nearer < 0, UNDECIDED, nearer), surely)
+        return GoalReach(reached, (~hopeless).astype(np.float64), decision, surely)
     everything = np.ones(model.n_pairs, dtype=np.bool_)
     # moving about in a component risks nothing
     quotient = build_quotient(model, free=everything, ended=sure | hopeless)
-    setting = survival, start, last_digits
     reach = _extreme_reach(quotient, sure, surely, *setting, greatest=True)
     return replace(reach, decision=np.where(inside, nearer, reach.decision))
 
