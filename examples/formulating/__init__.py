@@ -1,1 +1,1 @@
-"""Posing problems: a task of one's own as a memory, and every criterion on one model."""
+"""Formulating problems: tasks as memories, rows and objectives of your own, all criteria."""

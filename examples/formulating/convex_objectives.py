@@ -1,11 +1,11 @@
-"""Convex objectives: a fleet that is in its own way, and a robot that keeps its choices open.
+"""Convex objectives: a fleet with congestion, and a robot that is rewarded for random actions.
 
-Quadratic: three roads lead from the depot, and each becomes dearer the more of the fleet takes it.
-At the optimum another lorry costs the same on every road, its failure charged at its price.
+Quadratic: three roads lead from the depot, and the cost of each increases with the share of the
+fleet on it. At the optimum the marginal cost, with failure at its price, is equal on all roads.
 
-Entropy: a robot crosses a field where it may disappear, and each step earns the entropy of what it
-draws there. The optimum is what soft value iteration finds at the price of failure, v(s) =
--T log sum_a exp(-(cost + price * failure + E v) / T), and its policy draws by these weights.
+Entropy: a robot crosses a field where it may disappear, and each step earns the entropy of its
+action's distribution. The optimum is that of soft value iteration at the price of failure, v(s) =
+-T log sum_a exp(-(cost + price * failure + E v) / T), and its policy draws with these weights.
 
     python examples/formulating/convex_objectives.py
 """
@@ -20,15 +20,15 @@ from ssp_lp import MCMP, SSP
 from ssp_lp.programs.occupation_measure import OccupationMeasure
 
 ROADS = {"alley": (4.0, 0.10), "street": (6.0, 0.04), "bypass": (9.0, 0.01)}
-"""What a lorry costs on an empty road, and how often it ends in a wreck."""
+"""Cost of a lorry on an empty road, and its probability of a wreck."""
 
-CONGESTION = 4.0  # what the whole fleet on one road would cost more
+CONGESTION = 4.0  # additional cost if the whole fleet takes one road
 LOST_LORRIES, LOST_ROBOTS = 0.045, 0.25
 TEMPERATURE = 0.4  # worth of a nat of entropy
 
 
 def fleet() -> tuple[OccupationMeasure, dict[str, float]]:
-    """The least cost of the fleet, and each road's share by equal marginal costs."""
+    """Return the fleet's optimum, and each road's share by equal marginal costs."""
     depot = {
         road: [(1.0 - risk, "home", cost), (risk, "wreck", cost)]
         for road, (cost, risk) in ROADS.items()
@@ -47,7 +47,7 @@ def fleet() -> tuple[OccupationMeasure, dict[str, float]]:
 
 
 def robot() -> tuple[OccupationMeasure, float]:
-    """The least cost less what entropy earns, and the same by soft value iteration."""
+    """Return the optimum of cost minus entropy, and its value by soft value iteration."""
     model, start = navigation(4, 4)
     problem = MCMP(model, start, failure_budget=LOST_ROBOTS, give_up="dead_ends")
     program = problem.program()
@@ -64,7 +64,7 @@ def robot() -> tuple[OccupationMeasure, float]:
 
 
 def soft_values(model: SSP, price: float) -> np.ndarray:
-    """Least cost less entropy that can follow in each state, [states], failure at its price."""
+    """Compute each state's least cost minus entropy, with failure at its price, [states]."""
     failed = ~model.goal_mask & ~np.isin(np.arange(model.n_states), model.pair_state)
     ends, rows = np.where(failed, price, 0.0), model.outcome_offsets[:-1]
     values, before = ends, np.full(model.n_states, np.inf)
@@ -78,7 +78,7 @@ def soft_values(model: SSP, price: float) -> np.ndarray:
 
 
 def main() -> None:
-    """Print both optima beside what theory says."""
+    """Print both optima and their values in theory."""
     measure, theory = fleet()
     print(f"fleet: cost {measure.objective:.5f}, with congestion {measure.minimised:.5f},"
           f" a failure is worth {measure.duals['failure']:.3f}")  # fmt: skip

@@ -32,18 +32,18 @@ FRACTIONS = (0.1, 0.3, 0.5, 0.7, 0.9, 0.999)
 PENALTIES = (1.0, 5.0, 20.0, 100.0, 1000.0)
 
 Row = tuple[str, float, float]
-"""What, by its criterion, by the frontier."""
+"""Label, value by the criterion, value by the frontier."""
 
 
 def tour() -> Iterator[tuple[str, Domain]]:
-    """The stops: a name and a model with its start."""
+    """Yield the domains of the tour: a name and a model with its start."""
     yield "river, 5 x 15", river(5, 15)
     yield "navigation, 6 x 4", navigation(6, 4)
     yield "triangle tireworld, size 3", triangle_tireworld(3)
 
 
 def compared(domain: Domain) -> CriteriaComparison:
-    """Every criterion; the bound on the cost is what a run of least failure costs in the mean."""
+    """Compare all criteria; the cost bound is the mean cost of a run at least failure."""
     model, start = domain
     typical = solve(S3P(model, start)).objective
     return compare_criteria(
@@ -63,7 +63,7 @@ def free_frontier(domain: Domain) -> Frontier:
 
 
 def shares(domain: Domain, frontier: Frontier) -> list[Row]:
-    """Alpha-MCMP at several shares, and the frontier at the budgets that they mean."""
+    """Solve alpha-MCMP at several shares, and read the frontier at the same budgets."""
     model, start = domain
     rows = []
     for share in FRACTIONS:
@@ -74,7 +74,7 @@ def shares(domain: Domain, frontier: Frontier) -> list[Row]:
 
 
 def tangents(domain: Domain, frontier: Frontier) -> list[Row]:
-    """The finite penalty D, and the least cost + D * failure over the frontier's points."""
+    """Solve finite penalties D, and minimise cost + D * failure over the frontier's points."""
     model, start = domain
     rows = []
     for penalty in PENALTIES:

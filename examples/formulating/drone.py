@@ -3,10 +3,10 @@
     S the depot, H the hospital, # a tower, m a meadow on which it may land, . streets
 
 Each minute it flies one cell, or sprints two at three times the charge. Gusts blow it one cell to
-the east or to the south. What meets a tower crashes; where the battery is empty the drone falls; on
-a meadow it may land, so that the blood does not arrive, and nobody is hurt. Where the charge left
-cannot reach the hospital any more the delivery has failed, and it matters what the drone does next:
-limits on named ends are kept to the true end of the flight.
+the east or to the south. A drone that meets a tower crashes; one with an empty battery falls; on a
+meadow it may land, so that the blood does not arrive, and nobody is hurt. Once the remaining charge
+does not suffice for the hospital, the delivery has failed, but the next actions still matter:
+limits on named ends apply until the true end of the flight.
 
     python examples/formulating/drone.py    # prints the plans, saves drone.png
 """
@@ -45,13 +45,13 @@ Flight = tuple[int, int, int]
 
 
 def mark_at(column: int, row: int) -> str:
-    """What the plan says of a cell; the nearest one where there is none."""
+    """Return the plan's mark of a cell, or of the nearest cell within the plan."""
     inside = min(max(column, 0), len(PLAN[0]) - 1), min(max(row, 0), len(PLAN) - 1)
     return PLAN[len(PLAN) - 1 - inside[1]][inside[0]]
 
 
 def flown(flight: Flight, path: Sequence[tuple[int, int]], used: int) -> str | Flight:
-    """Where a path of single cells ends, or what it meets on the way."""
+    """Return the end of a path of single cells: a flight, or the end that it meets."""
     column, row, left = flight
     for east, north in path:
         column = min(max(column + east, 0), len(PLAN[0]) - 1)
@@ -64,7 +64,7 @@ def flown(flight: Flight, path: Sequence[tuple[int, int]], used: int) -> str | F
 
 
 def actions(state: str | Flight) -> dict[str, list[tuple[float, str | Flight, float]]]:
-    """What a drone can do: fly or sprint in four directions, or land; a minute costs 1."""
+    """Return a drone's actions: fly or sprint in four directions, or land; a minute costs 1."""
     if isinstance(state, str):
         return {}
     ways = {name: ([move], 1, GUST) for name, move in MOVES.items()}
@@ -81,7 +81,7 @@ def actions(state: str | Flight) -> dict[str, list[tuple[float, str | Flight, fl
 
 
 def town() -> tuple[SSP, Flight]:
-    """The model and its start."""
+    """Return the model and its start."""
     start = 0, 0, CHARGE
     model = SSP.from_successors(
         start,
@@ -94,17 +94,17 @@ def town() -> tuple[SSP, Flight]:
 
 
 def plan(model: SSP, start: Flight, **most: float) -> Solution:
-    """The fastest delivery that fails at most one time in ten, with limits on how it fails."""
+    """Find the fastest delivery that fails at most one time in ten, with limits on named ends."""
     limits = {name: end_probability(name) <= bound for name, bound in most.items()}
     return solve(S3P(model, start, BUDGET, constraints=limits))
 
 
 AT_LAST = {"delivered": (len(PLAN[0]) - 1, len(PLAN) - 1)}
-"""Where states that are no flights are drawn."""
+"""Places at which states that are no flights are drawn."""
 
 
 def draw(plans: dict[str, Solution], path: Path) -> None:
-    """Sixty flights of each plan over the town, by how they end."""
+    """Draw sixty flights of each plan over the town, coloured by their ends."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11.0, 4.8), layout="constrained")
@@ -128,7 +128,7 @@ def draw(plans: dict[str, Solution], path: Path) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Plan with and without limits, fly both plans, say how they end, draw them."""
+    """Plan with and without limits, simulate both plans, print how flights end, draw them."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--output", type=Path, default=Path("drone.png"))
     options = parser.parse_args(arguments)

@@ -1,9 +1,9 @@
 """Files: programs that are written, solved elsewhere, and read back by the names of their columns.
 
-The program of every criterion that has one goes to an `.mps` and an `.lp` file. HiGHS reads the
-first (its own executable where `highs` is on the path, else a fresh object of highspy) and writes a
-`.sol`. The numbers of the second go to Clarabel, and its answer is written as any solver might: a
-name and a value a line. Both are read back as measures.
+The program of every criterion that has one is written as an `.mps` and an `.lp` file. HiGHS reads
+the first (its own executable if `highs` is on the path, otherwise a new object of highspy) and
+writes a `.sol`. Clarabel solves the arrays of the second, and its answer is written with a name and
+a value in each line. Both are read back as measures.
 
     python examples/formulating/files.py --output files
 """
@@ -40,7 +40,7 @@ START = "depot yard"
 
 
 def depot() -> SSP:
-    """A way home past a yard; names with blanks and signs, as they come."""
+    """Return a model whose names have blanks and signs."""
     return SSP.from_transitions(
         {
             "depot yard": {
@@ -59,7 +59,7 @@ def depot() -> SSP:
 
 
 def problems() -> Iterator[tuple[str, Problem]]:
-    """A problem of each criterion, by its name."""
+    """Yield a problem of each criterion, by its name."""
     model = depot()
     yield "MCMP", MCMP(model, START, 0.05)
     yield "MCMP, limited", MCMP(model, START, 0.1, constraints={"stays": visits(START) <= 1.4})
@@ -86,7 +86,7 @@ def by_highs(file: Path, solution: Path) -> None:
 
 
 def by_clarabel(file: Path, solution: Path) -> None:
-    """Solve the numbers of a file by Clarabel, and write a name and a value a line."""
+    """Solve a file's program by Clarabel, and write a name and a value in each line."""
     highs = highspy.Highs()
     highs.setOptionValue("output_flag", False)
     highs.readModel(str(file))
@@ -110,7 +110,7 @@ def by_clarabel(file: Path, solution: Path) -> None:
 
 
 def round_trip(problem: Problem, folder: Path) -> tuple[OccupationMeasure, OccupationMeasure]:
-    """The measures that HiGHS and Clarabel found in the files of a problem's program."""
+    """Write a problem's program, and return the measures that HiGHS and Clarabel find."""
     program = problem.program()
     program.write(folder / "program.mps")
     program.write(folder / "program.lp")
@@ -122,7 +122,7 @@ def round_trip(problem: Problem, folder: Path) -> tuple[OccupationMeasure, Occup
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Print what each solver found, beside the library's own answer."""
+    """Print each solver's optimum beside the library's own."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,9 +1,9 @@
-"""Gymnasium's frozen lake: a certified policy, played back in the environment.
+"""Gymnasium's frozen lake: a certified policy, simulated in the environment.
 
     python examples/formulating/frozen_lake.py
 
-The environment cuts every episode off after 100 steps. A model that counts them fails no more often
-in the environment than certified; one that forgets them does.
+The environment ends every episode after 100 steps. The policy of a model that counts steps fails no
+more often in the environment than certified; the policy of a model without steps does.
 """
 
 import sys

@@ -1,10 +1,10 @@
 """A gallery: everything that `ssp_lp.plotting` draws, on a warehouse and a channel.
 
-The robot of `key_and_door.py` goes straight to the door and may fail in 5 % of the runs. Saves
-the frontier of cost against failure (traced to the end, and cut short), the members of its lottery,
-what it does in all, simulated episodes, the law of its cost, and the bounds while it was solved;
-and of a boat, which may run aground as often, its courses in the continuous world. They are the
-pictures of docs/gallery.md, which shows the lines that draw each.
+The robot of `key_and_door.py` goes straight to the door and may fail in 5 % of the runs. Saves the
+frontier of cost against failure (complete, and with few points), the members of the lottery, the
+whole policy, simulated episodes, the distribution of the cost, and the bounds during the solution.
+A boat may run aground in 5 % of the runs; its courses in the continuous world are saved as well.
+These are the pictures of docs/gallery.md, which shows the lines that draw each.
 
     python examples/formulating/gallery.py --output docs/gallery
 """
@@ -47,13 +47,13 @@ from ssp_lp.plotting import (
 )
 
 BUDGET = 0.05
-COLOURS = 256  # shades of a colour bar are then off by 3 levels of 255 at most, by 17 with 64
+COLOURS = 256  # shades of a colour bar differ by at most 3 levels of 255, with 64 by up to 17
 PLAIN = Image.Dither.NONE
 SAND = "#e9dcc3"
 
 
 def pictures() -> Iterator[tuple[str, Axes]]:
-    """Each picture by its name; the axes are in a figure of their own."""
+    """Yield each picture by its name, on the axes of its own figure."""
     model, start = warehouse(), found("S")
     problem = MCMP(model, start, failure_budget=BUDGET)
     solution = solve(problem)
@@ -73,7 +73,7 @@ def pictures() -> Iterator[tuple[str, Axes]]:
 
 
 def courses() -> Axes:
-    """Twenty courses of a boat in gusts, planned on cells and sailed in coordinates."""
+    """Draw twenty courses of a boat in gusts, planned on cells and simulated in coordinates."""
 
     def sail(point, turn, noise):
         (x, y), (gust,) = point, noise
@@ -113,7 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def save(axes: Axes, path: Path) -> None:
-    """Save a picture with a palette: pages are to be light."""
+    """Save a picture with a palette, to keep pages small."""
     drawn = BytesIO()
     axes.get_figure(root=True).savefig(drawn, dpi=150)
     Image.open(drawn).convert("RGB").quantize(COLOURS, dither=PLAIN).save(path, optimize=True)

@@ -1,9 +1,9 @@
 """Fetch the key before the door: a task as a memory, drawn before and after.
 
 A robot crosses a warehouse in the wind, past ditches; the key lies on one side, the door on the
-other. The task is no property of a place but of what happened before, so it is a
-memory: `product(model, Memory(...))` is again a model, every criterion applies, and the policy acts
-on the cells and carries the memory itself.
+other. The task depends on the past, not on the place alone, so it is stated by a memory:
+`product(model, Memory(...))` is again a model, every criterion applies, and the policy acts on the
+cells and updates the memory itself.
 
     python examples/formulating/key_and_door.py    # prints the numbers, saves key_and_door.png
 """
@@ -36,7 +36,7 @@ Cell = tuple[int, int]
 
 
 def place(cell: Cell) -> tuple[int, int]:
-    """Where a cell is drawn: (x, y), y upwards."""
+    """Return the place at which a cell is drawn: (x, y), y upwards."""
     return cell[1], -cell[0]
 
 
@@ -45,12 +45,12 @@ WALLS = [place((r, c)) for r, row in enumerate(PLAN) for c, mark in enumerate(ro
 
 
 def found(mark: str) -> Cell:
-    """The cell that bears a mark."""
+    """Return the cell with a mark."""
     return next((r, row.index(mark)) for r, row in enumerate(PLAN) if mark in row)
 
 
 def warehouse() -> SSP:
-    """Cells that are no walls; the ditch is a dead-end, the door the goal; a step costs 1."""
+    """Build the model of the free cells: ditches are dead-ends, the door the goal, steps cost 1."""
     cells = [(r, c) for r, row in enumerate(PLAN) for c, mark in enumerate(row) if mark not in "#~"]
     ditch = [(r, c) for r, row in enumerate(PLAN) for c, mark in enumerate(row) if mark == "~"]
 
@@ -77,7 +77,7 @@ def warehouse() -> SSP:
 
 
 def with_key(model: SSP) -> ProductSSP:
-    """The warehouse with the memory of whether the key was fetched."""
+    """Return the warehouse with a memory of whether the key was fetched."""
     key = found("K")
     memory = Memory(
         start=False,
@@ -88,7 +88,7 @@ def with_key(model: SSP) -> ProductSSP:
 
 
 def draw(solution: Solution, path: Path) -> None:
-    """Two plans side by side: where the robot is expected to be, and its moves."""
+    """Draw two plans side by side: the robot's expected visits, and its moves."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12.0, 3.4), layout="constrained")
@@ -109,7 +109,7 @@ def draw(solution: Solution, path: Path) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Solve the task, say what it costs, draw it, play one episode."""
+    """Solve the task, print its cost, draw it, simulate one episode."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--output", type=Path, default=Path("key_and_door.png"))
     options = parser.parse_args(arguments)

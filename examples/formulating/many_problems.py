@@ -1,10 +1,11 @@
-"""Many questions at once: failure budgets from the least to 60 % on five robots, side by side.
+"""Many problems in parallel: failure budgets from the least to 60 % on five robots.
 
-Each process maps the same five models into its memory; a question takes some two hundred bytes.
+All processes share the memory of the five models; a problem takes some two hundred bytes.
 
     python examples/formulating/many_problems.py --budgets 200 --workers 0 1 2
 
-asks a thousand, first in a loop of this process (0), then of one and of two; takes a minute.
+solves a thousand problems, first in this process (0), then by one and by two others; takes a
+minute.
 """
 
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
@@ -18,11 +19,11 @@ from ssp_lp import S3P, MaxProb, Solution, SSPError, solve, solve_many, sweep
 from ssp_lp.formulation import Problem
 
 SEGMENTS = (5, 6, 7, 8, 9)
-"""Of the grids along which the robots move, to a side."""
+"""Numbers of cells along each side of the robots' grids."""
 
 
 def questions(budgets: int, segments: Iterable[int] = SEGMENTS) -> list[Problem]:
-    """The least cost given success of each robot within so many failure budgets."""
+    """Return S3P of each robot for a number of failure budgets."""
     asked: list[Problem] = []
     for one in segments:
         grid = RobotGrid(segments=one, headings=6, quadrature=2)
@@ -45,7 +46,7 @@ def report(asked: Sequence[Problem], workers: Sequence[int]) -> None:
 
 
 def main() -> None:
-    """Ask and print."""
+    """Solve the problems and print the table."""
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--budgets", type=int, default=20, metavar="N", help="for each robot; 20")
     parser.add_argument("--workers", type=int, nargs="+", default=[0, 2], metavar="N", help="0 2")

@@ -1,10 +1,10 @@
-"""A large field and a near goal: the field is told by its steps and explored along the way only.
+"""A large field and a near goal: an implicit model, of which only a part is explored.
 
-Each cell that the robot enters swallows it with its own probability.
+Each cell that the robot enters swallows it with the cell's own probability.
 
     python examples/formulating/near_goal.py --side 10000 --distance 30
 
-With ``--whole`` the field is built and solved as a whole, too (600 cells to a side take seconds).
+With ``--whole`` the whole field is built and solved as well (600 cells to a side take seconds).
 """
 
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
@@ -31,7 +31,7 @@ class Field:
         self.goal = self.start[0] + distance, self.start[1] + distance
 
     def steps(self, cell: Any) -> Steps:
-        """What can be done in a cell."""
+        """Return the actions of a cell, with their outcomes."""
         if cell == LOST:
             return {}
         x, y = cell
@@ -44,14 +44,14 @@ class Field:
         return steps
 
     def least_steps(self, cell: Any) -> float:
-        """No policy comes to the goal in fewer steps, given that it does."""
+        """Return a lower bound of the number of steps from a cell to the goal."""
         if cell == LOST:
             return float("inf")
         return float(abs(cell[0] - self.goal[0]) + abs(cell[1] - self.goal[1]))
 
 
 def explored(field: Field, budget: float) -> float:
-    """Solve by exploring; print what was found and what was explored. The least cost."""
+    """Solve by exploring, print the solution and the explored part, return the least cost."""
     model = SSP.implicit(field.start, field.steps, {field.goal}, cost_bound=field.least_steps)
     began = perf_counter()
     solution = solve(MCMP(model, field.start, failure_budget=budget))
@@ -62,7 +62,7 @@ def explored(field: Field, budget: float) -> float:
 
 
 def whole(field: Field, budget: float) -> float:
-    """Build the field as a whole and solve it. The least cost."""
+    """Build and solve the whole field, and return the least cost."""
     began = perf_counter()
     most = field.side**2 + 1
     model = SSP.from_successors(

@@ -1,9 +1,9 @@
-"""One action in each state: policies that neither draw nor remember, as a mixed-integer program.
+"""One action in each state: deterministic policies of the state, as a mixed-integer program.
 
-Within a failure budget a lottery is cheapest. Who may not draw needs a whole number for each
-action of each state, one of them 1, which opens the action: this is harder, and dearer. A river is
-crossed by its bridge or, more or less of the way, by swimming. `solve(problem,
-DeterministicPolicies())` is the library's own method for the same, with a proof.
+Within a failure budget a lottery is cheapest. A deterministic policy needs a binary variable for
+each action of each state, exactly one of which is 1: this is harder to solve, and costs more. A
+river is crossed by its bridge or, for a part of the way, by swimming. `solve(problem,
+DeterministicPolicies())` is the library's own method for these policies, with a proof.
 
     python examples/formulating/one_action.py
 """
@@ -22,9 +22,9 @@ TAKEN = 1e-6  # visits: less is a solver's tolerance
 
 
 def deterministic(problem: MCMP) -> tuple[OccupationMeasure, dict[object, object]]:
-    """The least cost with one action a state, and the actions of the states that are visited.
+    """Find the optimum with one action for each state, and the actions of visited states.
 
-    Every step costs 1, so that no action is taken more often than the surest policy takes steps.
+    Every step costs 1, so that no action is taken more often than the safest policy takes steps.
     """
     program = problem.program()
     convex = program.to_cvxpy()
@@ -39,7 +39,7 @@ def deterministic(problem: MCMP) -> tuple[OccupationMeasure, dict[object, object
 
 
 def main() -> None:
-    """Print both optima within each budget, and the way that is chosen."""
+    """Print both optima within each budget, and the way of the deterministic policy."""
     model, start = river(4, 3)
     print(f"{'budget':>6} {'lottery':>9} {'one action':>11} {'failure':>9}  the way")
     for budget in BUDGETS:

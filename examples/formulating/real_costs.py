@@ -1,9 +1,9 @@
-"""Case S where costs share no unit: what the sums of steps that can occur cost, and what a grid.
+"""Case S for costs without a common unit: all possible sums of costs, or multiples of a unit.
 
 A windy field is crossed with a diagonal step of 1.4, 1.41 or sqrt(2), or with prices drawn between
-0.5 and 2. Where the sums of costs that can occur are few, all of them are told apart, and the
-answer is exact. Where they are too many, every cost is split between two multiples of a unit, and
-the answer lies between two bounds that finer units bring together.
+0.5 and 2. If the possible sums of costs are few, all of them are distinguished, and the answer is
+exact. If they are too many, every cost is split between two multiples of a unit, and the answer
+lies between two bounds, whose distance falls with the unit.
 
     python examples/formulating/real_costs.py --sizes 12 24 --time-limit 10
 
@@ -29,11 +29,11 @@ LAWS: dict[str, dict[str, float] | int] = {
     "10 prices": 10,
     "1000 prices": 1000,
 }
-"""Cost of a diagonal step, or how many prices are drawn."""
+"""Cost of a diagonal step, or number of prices that are drawn."""
 
 
 def field(size: int, law: str) -> Domain:
-    """The field with costs of a law."""
+    """Return the field with costs of a given kind."""
     how = LAWS[law]
     if isinstance(how, int):
         rng = Random(5)
@@ -42,13 +42,13 @@ def field(size: int, law: str) -> Domain:
 
 
 def told_apart(solution: Solution) -> int:
-    """How many totals the policies of a solution tell apart at most."""
+    """Return the greatest number of totals that a solution's policies distinguish."""
     members = solution.policy.policies
     return max((p.cap for p in members if isinstance(p, CostAwarePolicy)), default=0)
 
 
 def report(sizes: Sequence[int], time_limit: float) -> None:
-    """Print a line for each size and law of costs."""
+    """Print a line for each size and kind of costs."""
     print(f"S3P, failure budget {BUDGET}, at most {time_limit:g} s")
     print(f"{'size':>4} {'costs':>12} {'outcomes':>9} {'objective':>12} {'levels':>7}"
           f" {'gap':>8} {'seconds':>8}")  # fmt: skip
@@ -69,7 +69,7 @@ def report(sizes: Sequence[int], time_limit: float) -> None:
 def report_levels(size: int) -> None:
     """Print the gap for a thousand prices by the number of levels."""
     model, start = field(size, "1000 prices")
-    print(f"\nsize {size}, 1000 prices: the gap by the levels that may be told apart")
+    print(f"\nsize {size}, 1000 prices: the gap by the number of cost levels")
     print(f"{'levels':>7} {'lower bound':>12} {'objective':>12} {'gap':>8} {'seconds':>8}")
     for levels in LEVELS:
         began = perf_counter()

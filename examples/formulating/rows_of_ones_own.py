@@ -1,10 +1,10 @@
-"""Rows of one's own: how a river is crossed, and how not.
+"""Rows of your own: additional constraints on how a river is crossed.
 
-A river is crossed to the far foot of a waterfall, by the bridge or by swimming, which fails
-wherever the current carries one over the edge. Least cost within a failure budget buys failure
+A river is crossed to the far foot of a waterfall, by the bridge or by swimming, which fails if the
+current carries the swimmer over the edge. At least cost within a failure budget, failing happens
 where it is cheapest: from the bank, on purpose. Rows that no criterion has are added one after
-another: nobody jumps, so much failure per stroke, few strokes, seldom past one cell, and a convex
-one, strokes that are spread over the water.
+another: no jumps, a limit on failure per stroke, few strokes, few visits of one cell, and a convex
+row that spreads the strokes over the water.
 
     python examples/formulating/rows_of_ones_own.py
 """
@@ -28,13 +28,13 @@ PER_STROKE, STROKES, PASSES, SPREAD = 0.1, 2.5, 0.2, 0.8
 
 
 def crossing() -> MCMP:
-    """Across the river, and not to give up before the waterfall does."""
+    """State the crossing; a policy may give up only at the waterfall."""
     model, start = river(WIDTH, HEIGHT)
     return MCMP(model, start, failure_budget=BUDGET, give_up="dead_ends")
 
 
 def rows(convex: Any) -> Iterator[tuple[str, Any]]:
-    """The rows by name, stated on a program in cvxpy."""
+    """Yield the rows by name, stated on a program in cvxpy."""
     strokes = [convex.visits(cell) for cell in WATER]
     edge = [(x, 1) for x in range(WIDTH - 1)]
     yield "jumps", cp.sum([convex.visits(cell, "down") for cell in edge]) <= 0.0
@@ -45,7 +45,7 @@ def rows(convex: Any) -> Iterator[tuple[str, Any]]:
 
 
 def crossings(problem: MCMP) -> dict[str, OccupationMeasure]:
-    """The least cost without a row of one's own, and with one more each time, by its name."""
+    """Find the optimum without additional rows, and with one row more each time, by its name."""
     program = problem.program()
     convex, found = program.to_cvxpy(), {"none": program.solve()}
     for name, row in rows(convex):
@@ -55,7 +55,7 @@ def crossings(problem: MCMP) -> dict[str, OccupationMeasure]:
 
 
 def main() -> None:
-    """Print what one more row does to cost, failure and strokes, and its price."""
+    """Print the effect of each further row on cost, failure and strokes, and its price."""
     problem = crossing()
     print(f"{'row':>8} {'cost':>9} {'failure':>9} {'strokes':>9} {'price':>9}  as it is played")
     for name, measure in crossings(problem).items():

@@ -1,10 +1,10 @@
-"""Stations to build: where a drone is to be charged, as a mixed-integer program.
+"""Stations to build: the places at which a drone can be charged, as a mixed-integer program.
 
 A drone flies from place to place to the farm. A flight takes one unit of its battery, wind throws
-it back one time in ten, and an empty battery is a crash. Charging is possible where a station
-stands, and each station has a price: which ones, so that flights and stations together cost the
-least and at most 2 % of the drones crash? One whole number for each place opens its charging, in
-all states of the battery at once; what is found is a policy like any other.
+it back one time in ten, and an empty battery is a crash. Charging is possible at a station, and
+each station has a price: which stations minimise the cost of flights and stations together, if at
+most 2 % of the drones may crash? One binary variable for each place allows charging there, at all
+battery levels; the result is a policy like any other.
 
     python examples/formulating/stations.py
 """
@@ -33,7 +33,7 @@ START = "depot", BATTERY
 
 
 def country(stations: Collection[str]) -> SSP:
-    """Places and charges of the battery, with stations at some of the places."""
+    """Build the model of places and battery levels, with stations at some of the places."""
     transitions: dict[object, dict[str, list[tuple[float, object, float]]]] = {"crashed": {}}
     for place, nearby in FLIGHTS.items():
         for charge in range(1, BATTERY + 1):
@@ -55,15 +55,15 @@ def country(stations: Collection[str]) -> SSP:
 
 
 def delivery(stations: Collection[str]) -> MCMP:
-    """From the depot to the farm by these stations."""
+    """State the delivery from the depot to the farm with these stations."""
     return MCMP(country(stations), START, failure_budget=CRASHES, give_up="dead_ends")
 
 
 def built(problem: MCMP) -> tuple[OccupationMeasure, frozenset[str]]:
-    """The least cost of flights and stations, and the stations.
+    """Find the least cost of flights and stations, and the stations.
 
     Args:
-        problem: where there are stations everywhere.
+        problem: the delivery with stations everywhere.
     """
     program = problem.program()
     convex, prices = program.to_cvxpy(), np.array(list(PRICES.values()))
@@ -78,7 +78,7 @@ def built(problem: MCMP) -> tuple[OccupationMeasure, frozenset[str]]:
 
 
 def by_enumeration() -> Iterator[tuple[frozenset[str], float]]:
-    """Every set of stations with which few enough crash, and what flights and stations cost."""
+    """Yield every feasible set of stations, with the cost of flights and stations."""
     for number in range(len(PRICES) + 1):
         for stations in combinations(PRICES, number):
             try:
@@ -96,7 +96,7 @@ def main() -> None:
     print(f"stations at {', '.join(sorted(stations))}: {measure.minimised:.6f}, flights alone"
           f" {found.objective:.6f}, crashes {found.failure_probability:.6f}")  # fmt: skip
     every = sorted(by_enumeration(), key=lambda found: found[1])
-    print(f"of {2 ** len(PRICES)} sets {len(every)} keep to {CRASHES:g}:")
+    print(f"of {2 ** len(PRICES)} sets {len(every)} are within {CRASHES:g}:")
     for each, cost in every[:5]:
         print(f"  {cost:9.6f}  {', '.join(sorted(each))}")
 

@@ -1,9 +1,9 @@
-"""A sweep of a bound: the same program within many failure budgets.
+"""A sweep of a bound: one program within many failure budgets.
 
-Least cost: budgets are parameters of cvxpy, and `convex.solve(failure=...)` compiles nothing anew.
-Cost given success: `program.bounded_by` makes anew the accumulated costs that another budget needs
-told apart. Both walk along the frontier of a river, which `trace_frontier` traces by itself, and
-another unit of the bound saves its slope.
+Least cost: budgets are parameters of cvxpy, and `convex.solve(failure=...)` does not compile again.
+Cost given success: `program.bounded_by` recomputes the accumulated costs that another budget must
+distinguish. Both follow the frontier of a river, which `trace_frontier` computes directly, and one
+more unit of the bound saves the frontier's slope.
 
     python examples/formulating/sweep.py
 """
@@ -19,16 +19,16 @@ from ssp_lp import MCMP, S3P, trace_frontier
 from ssp_lp.programs.occupation_measure import OccupationMeasure
 
 BUDGETS = (0.2, 0.05, 0.3, 0.5, 0.15)
-"""Up and down: a program does not remember the bound before."""
+"""Not in order, as a program does not depend on the bound before."""
 
 
 def crossing() -> Domain:
-    """The river, and the start on its bank."""
+    """Return the river and the start on its bank."""
     return river(6, 5, current=0.2)
 
 
 def least_cost() -> Iterator[tuple[float, OccupationMeasure, float]]:
-    """Each budget with the least cost within it, and what the frontier says."""
+    """Yield each budget with the least cost within it, and the frontier's cost."""
     problem = MCMP(*crossing(), failure_budget=BUDGETS[0], give_up="dead_ends")
     convex, frontier = problem.program().to_cvxpy(), trace_frontier(problem)
     for budget in BUDGETS:
@@ -36,7 +36,7 @@ def least_cost() -> Iterator[tuple[float, OccupationMeasure, float]]:
 
 
 def cost_given_success() -> Iterator[tuple[float, OccupationMeasure, float]]:
-    """Each budget with the least cost given success, and what the frontier says."""
+    """Yield each budget with the least cost given success, and the frontier's cost."""
     problem = S3P(*crossing(), failure_budget=BUDGETS[0])
     program, frontier = problem.program(), trace_frontier(problem)
     for budget in BUDGETS:

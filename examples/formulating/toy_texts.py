@@ -1,9 +1,9 @@
-"""From `gym.make` to a certified policy, played back in the environment: three toy texts.
+"""From `gym.make` to a certified policy, simulated in the environment: three toy texts.
 
     python examples/formulating/toy_texts.py
 
-The lake and the taxi keep their own limits on steps, the cliff has none and is given one. What is
-certified lies in the interval of what is played.
+The lake and the taxi have limits on steps, the cliff has none and is given one. The certified
+failure lies in the confidence interval of the simulation.
 """
 
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
@@ -19,7 +19,7 @@ END_OF_CLIFF = 47
 
 
 def frozen_lake(episodes: int = EPISODES) -> tuple[Solution, RolloutReport]:
-    """Across the ice within 100 steps, drowning or late in at most 40 % of the episodes."""
+    """Cross the ice within 100 steps, drowning or late in at most 40 % of the episodes."""
     env = gym.make("FrozenLake-v1", map_name="8x8")
     world = from_gymnasium(env)
     solution = solve(MCMP(world.model, world.start, failure_budget=0.4))
@@ -27,7 +27,7 @@ def frozen_lake(episodes: int = EPISODES) -> tuple[Solution, RolloutReport]:
 
 
 def cliff_walking(episodes: int = EPISODES) -> tuple[Solution, RolloutReport]:
-    """Along the slippery cliff, given 100 steps; late in at most 10 % of the episodes."""
+    """Walk along the slippery cliff in 100 steps, late in at most 10 % of the episodes."""
     env = gym.make("CliffWalkingSlippery-v1", max_episode_steps=100)
     world = from_gymnasium(env, goal=lambda state: state == END_OF_CLIFF)
     solution = solve(MCMP(world.model, world.start, failure_budget=0.1))
@@ -35,7 +35,7 @@ def cliff_walking(episodes: int = EPISODES) -> tuple[Solution, RolloutReport]:
 
 
 def taxi(episodes: int = EPISODES) -> tuple[Solution, RolloutReport]:
-    """Passengers driven within 200 steps, as cheaply as it goes with one in twenty let down."""
+    """Drive passengers within 200 steps, at least cost if one in twenty may fail."""
     env = gym.make("Taxi-v4")
     world = from_gymnasium(env)
     solution = solve(MCMP(world.model, world.start, failure_budget=0.05))
@@ -50,7 +50,7 @@ TASKS: dict[str, Callable[[int], tuple[Solution, RolloutReport]]] = {
 
 
 def main() -> None:
-    """Solve and play them all."""
+    """Solve and simulate all tasks."""
     for name, task in TASKS.items():
         solution, report = task(EPISODES)
         proof = "certified" if certify(solution).accepted else "not certified"

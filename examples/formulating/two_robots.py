@@ -1,8 +1,8 @@
 """Two robots with one budget: two programs in one problem of cvxpy.
 
-One robot crosses a long river and another a slow one, and only so many of the two may be lost in
-expectation. The problem shares the budget out: to both the last bit of failure is worth
-the same. Merging the segments of their two frontiers, the steepest first, finds the same.
+One robot crosses a long river and another a slow one, and the expected number of lost robots is
+limited. The problem divides the budget so that the price of failure is equal for both. Merging the
+segments of their two frontiers, the steepest first, gives the same division.
 
     python examples/formulating/two_robots.py
 """
@@ -21,7 +21,7 @@ BUDGETS = (0.05, 0.1, 0.2, 0.4)
 
 
 def robots() -> tuple[MCMP, MCMP]:
-    """What each is to do, its own failure not limited."""
+    """State each robot's problem, without a limit on its own failure."""
     long, slow = river(5, 8), river(6, 5, current=0.2)
     return MCMP(*long, 1.0, give_up="dead_ends"), MCMP(*slow, 1.0, give_up="dead_ends")
 
@@ -29,7 +29,7 @@ def robots() -> tuple[MCMP, MCMP]:
 def shared(
     problems: tuple[MCMP, MCMP], budget: float
 ) -> tuple[OccupationMeasure, OccupationMeasure, float]:
-    """The measures of both within one budget, and the budget's price."""
+    """Return the measures of both within one budget, and the budget's price."""
     both = [problem.program().to_cvxpy() for problem in problems]
     lost = sum(robot.expression(failure_probability()) for robot in both) <= budget
     rows = [row for robot in both for row in robot.constraints.values()]
@@ -40,7 +40,7 @@ def shared(
 
 
 def merged(frontiers: tuple[Frontier, Frontier], budget: float) -> float:
-    """The least cost of both, by their frontiers alone: failure is bought where it saves most."""
+    """Return the least cost of both by their frontiers, taking the steepest segments first."""
     lost, cost = (sum(getattr(f, what)[0] for f in frontiers) for what in ("failure", "cost"))
     widths = np.concatenate([np.diff(f.failure) for f in frontiers])
     prices = np.concatenate([-np.diff(f.cost) / np.diff(f.failure) for f in frontiers])
@@ -51,7 +51,7 @@ def merged(frontiers: tuple[Frontier, Frontier], budget: float) -> float:
 
 
 def main() -> None:
-    """Print how each budget is shared, and what equal halves would cost."""
+    """Print the division of each budget, and the cost of equal halves."""
     problems = robots()
     frontiers = trace_frontier(problems[0]), trace_frontier(problems[1])
     print(f"{'budget':>6} {'long':>8} {'slow':>8} {'cost':>10} {'frontiers':>10} {'halves':>9}"

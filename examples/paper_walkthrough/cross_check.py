@@ -5,7 +5,7 @@ mixture of section 3.4 behaves as delta goes to 0.
 
     python examples/paper_walkthrough/cross_check.py
 
-Case S's linear program on the default grid has a million columns, too many to solve from nothing:
+Case S's linear program on the default grid has a million columns, too many to solve by default:
 there two methods speak. A coarse grid (``--segments 5 --headings 5 --budget 0.9``) has all three.
 """
 

@@ -1,1 +1,1 @@
-"""Inner loops compiled by numba; import a module of this package only where ``accelerated``."""
+"""Inner loops compiled by numba; import its modules only where ``accelerated`` returns true."""

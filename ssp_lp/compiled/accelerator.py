@@ -1,7 +1,7 @@
 """Whether inner loops run compiled by numba (extra ``fast``) or as numpy expressions.
 
-Every compiled loop has a numpy twin of the same shape; results agree to rounding. The modules of
-``ssp_lp.compiled`` import numba and are imported only when a loop is long enough to be worth it.
+Every compiled loop has a numpy version, called its twin; results agree to rounding. The modules of
+``ssp_lp.compiled`` import numba and are imported only for loops that are long enough.
 """
 
 from __future__ import annotations
@@ -27,45 +27,45 @@ Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
 SWITCH: Final = "SSP_LP_ACCELERATOR"
-"""Environment variable: "none", "numba" (every loop is compiled, however short), or unset: a
-loop is once that is worth it, where numba is installed."""
+"""Environment variable: "none", "numba" (compile every loop, however short), or unset (compile a
+loop once that saves time, if numba is installed)."""
 
 _RATE: Final = 50_000_000
-"""Entries that numpy expressions pass over in a second."""
+"""Entries that numpy expressions process in a second."""
 
 _CALL: Final = 3_000
-"""Entries that take as long as the calls around a short loop of numpy expressions."""
+"""Entries that take as long as the calls of a short numpy expression."""
 
 _NUMBA: Final = 0.6 * _RATE
-"""Entries passed over that are worth loading numba."""
+"""Entries processed by numpy after which numba is loaded."""
 
 _LOADED: Final = 0.03 * _RATE
-"""Entries passed over that are worth loading one compiled loop from numba's cache."""
+"""Entries processed by numpy after which a compiled loop is loaded from numba's cache."""
 
 _COMPILED: Final = 1.0 * _RATE
-"""Entries passed over that are worth compiling a loop; most take a third of a second to two."""
+"""Entries processed by numpy after which a loop is compiled, mostly in 0.3 to 2 seconds."""
 
 _EARLIER: Final = 0.25
-"""Weight of the entries that earlier processes passed over: short processes seldom end together
-with what they repeat, and compiling adds at most a quarter to the time of all of them."""
+"""Weight of the entries that earlier processes have processed: if many short processes repeat the
+same work, compiling adds at most a quarter to their total time."""
 
 _COMPILING: Final = 20.0
-"""Seconds that a call must have left where a loop is compiled in it: three times the slowest."""
+"""Least time left, in seconds, to compile a loop in a call: three times the slowest loop."""
 
 _LOADING: Final = 2.0
-"""Seconds that a call must have left where numba is loaded in it."""
+"""Least time left, in seconds, to load numba in a call."""
 
 _RECORDED: Final = 0.02 * _RATE
-"""Entries passed over between two entries in the record beside the cache, which take 0.2 ms."""
+"""Entries processed between two updates of the record beside the cache, of 0.2 ms each."""
 
 _RECORD: Final = "passed_over.json"
 
 
 def has_accelerator() -> bool:
-    """Whether the accelerator, numba's compiled loops, is installed and not switched off; load it.
+    """Return whether numba is installed and not switched off, and load it.
 
     Raises:
-        ModelError: the environment variable holds another word.
+        ModelError: the environment variable has another value.
     """
     wish = os.environ.get(SWITCH, "")
     if wish not in ("", "numba", "none"):
@@ -74,7 +74,7 @@ def has_accelerator() -> bool:
 
 
 def give_up_compiling() -> None:
-    """Go on in numpy until the process ends, as numba was left halfway."""
+    """Use numpy until the process ends, as numba was interrupted."""
     _loops.is_given_up = True
     message = "numba was interrupted while it compiled: this process goes on without it"
     logging.getLogger("ssp_lp.compiling").info(message)
@@ -82,16 +82,16 @@ def give_up_compiling() -> None:
 
 @cache
 def _load() -> bool:
-    """Load numba, once.
+    """Load numba once.
 
-    Ctrl-C waits for the second that loading takes: what is loaded by half would stay so, and every
-    later loop of the process would fail ("module 'numba' has no attribute 'core'"). After any other
-    exception from outside, such as an alarm of the caller's, numba is not used any more.
+    Ctrl-C is deferred for the second that loading takes: a partly loaded numba would remain so, and
+    every later loop of the process would fail ("module 'numba' has no attribute 'core'"). After any
+    other exception from outside, such as a caller's alarm, numba is not used any more.
     """
     try:
         with _interrupts_deferred():
             target = importlib.import_module("numba.core.registry").cpu_target
-            target.typing_context.refresh()  # what the first loop would load besides
+            target.typing_context.refresh()  # load what the first loop needs
             target.target_context.refresh()
             importlib.import_module("ssp_lp.compiled.half_compiled")
     except Exception:
@@ -101,15 +101,15 @@ def _load() -> bool:
 
 
 def accelerated(entries: float, *loops: str) -> bool:
-    """Whether compiled loops take the place of a numpy expression over so many entries.
+    """Return whether compiled loops replace a numpy expression.
 
-    Each loop is judged by itself. It is loaded from numba's cache, or compiled, once the entries
-    that its numpy twin has passed over took about as long as that takes: so time spent on it is at
-    most doubled. A loop that is to be compiled counts what earlier processes passed over, too.
+    Each loop is judged separately. It is loaded from numba's cache, or compiled, once its numpy
+    twin has taken about as long as that takes, so that the time spent on it is at most doubled.
+    For compiling, the entries of earlier processes count as well.
 
     Args:
-        entries: of the expression.
-        loops: the compiled loops that take its place, as "module.function" of ``ssp_lp.compiled``.
+        entries: number of entries of the expression.
+        loops: the compiled loops that replace it, as "module.function" of ``ssp_lp.compiled``.
     """
     wish = os.environ.get(SWITCH, "")
     if wish or not _is_installed():
@@ -120,7 +120,7 @@ def accelerated(entries: float, *loops: str) -> bool:
 
 
 def may_compile(loop: str) -> bool:
-    """Whether numba, which finds no compiled loop for an argument's types, is to compile it."""
+    """Return whether numba may compile a loop that it has not compiled for the given types."""
     if os.environ.get(SWITCH, "") == "numba" or _frames.depth == 0 or _loops.is_due(loop):
         _announce_compiling()
         return True
@@ -129,10 +129,10 @@ def may_compile(loop: str) -> bool:
 
 
 class NotCompiledError(Exception):
-    """A loop is not compiled for these types, and must not be now.
+    """Error for a loop that is not compiled for these types, and must not be compiled now.
 
     Args:
-        loop: its name.
+        loop: name of the loop.
     """
 
     def __init__(self, loop: str) -> None:
@@ -141,15 +141,15 @@ class NotCompiledError(Exception):
 
 
 def with_twin(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """Begin a function again with numpy's twin where one of its loops must not be compiled.
+    """Restart a function with a numpy twin if one of its loops must not be compiled.
 
-    The function asks ``accelerated`` about each of its loops, and changes nothing that it reads
-    before the first of them has run.
+    The function calls ``accelerated`` for each of its loops, and changes none of its inputs before
+    the first loop has run.
     """
 
     @wraps(function)
     def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
-        """The function, begun again for each loop that must not be compiled now."""
+        """Run the function, and restart it for each loop that must not be compiled now."""
         refused = set[str]()
         while True:
             _frames.depth += 1
@@ -157,7 +157,7 @@ def with_twin(function: Callable[Arguments, Result]) -> Callable[Arguments, Resu
                 return function(*args, **kwargs)
             except NotCompiledError as error:
                 if error.loop in refused:
-                    break  # the function has no twin of it
+                    break  # the loop has no twin here
                 refused.add(error.loop)
             finally:
                 _frames.depth -= 1
@@ -168,7 +168,7 @@ def with_twin(function: Callable[Arguments, Result]) -> Callable[Arguments, Resu
 
 @contextmanager
 def without_twins() -> Iterator[None]:
-    """Context in which no function begins again: a loop that is not compiled is compiled."""
+    """Return a context in which no function restarts: missing loops are compiled."""
     before, _frames.depth = _frames.depth, 0
     try:
         yield
@@ -177,7 +177,7 @@ def without_twins() -> Iterator[None]:
 
 
 class _Frames(threading.local):
-    """Functions with a twin that this thread is in."""
+    """Number of running functions with a twin, by thread."""
 
     depth = 0
 
@@ -187,20 +187,20 @@ _frames: Final = _Frames()
 
 @cache
 def _is_installed() -> bool:
-    """Whether numba can be imported."""
+    """Return whether numba can be imported."""
     return importlib.util.find_spec("numba") is not None
 
 
 @cache
 def _announce_compiling() -> None:
-    """Log, once, that the accelerator compiles loops for the first time."""
-    message = "inner loops for the first time, a second for most of them; kept"
+    """Log, once, that loops are compiled for the first time."""
+    message = "inner loops for the first time, about a second each; they are kept"
     logging.getLogger("ssp_lp.compiling").info(message)
 
 
 @contextmanager
 def _interrupts_deferred() -> Iterator[None]:
-    """While the accelerator is loaded Ctrl-C waits; only the main thread is interrupted."""
+    """Defer Ctrl-C during a block, on the main thread, which alone is interrupted."""
     before, heard = signal.getsignal(signal.SIGINT), list[int]()
     if threading.current_thread() is not threading.main_thread() or before is None:
         yield
@@ -215,21 +215,21 @@ def _interrupts_deferred() -> Iterator[None]:
 
 
 class _Loops:
-    """What is known of each compiled loop; it decides on speed only."""
+    """State of each compiled loop, which affects speed only."""
 
     def __init__(self) -> None:
         self.running = set[str]()  # in use in this process
         self.cached = set[str]()  # on disk, by the names of numba's files
-        self.passed = dict[str, float]()  # entries that its twin has passed over in this process
-        self.earlier = dict[str, float]()  # in earlier processes
-        self.recorded = dict[str, float]()  # of ``passed``, what the record knows
+        self.passed = dict[str, float]()  # entries that its twin has processed in this process
+        self.earlier = dict[str, float]()  # the same in earlier processes
+        self.recorded = dict[str, float]()  # part of ``passed`` that is in the record
         self.loadable = 0.0  # entries of loops that are on disk
         self.unrecorded = 0.0
-        self.is_given_up = False  # numba was left halfway
-        self.places: list[Path] | None = None  # folders of numba's cache; None: not looked for
+        self.is_given_up = False  # whether numba was interrupted
+        self.places: list[Path] | None = None  # folders of numba's cache; None: not known yet
 
     def is_worth(self, loop: str, entries: float) -> bool:
-        """Whether a loop is to run compiled, given the entries that it would pass over now."""
+        """Return whether a loop should run compiled, given the entries that it processes now."""
         if loop in self.running:
             return True
         if self.places is None:
@@ -252,20 +252,20 @@ class _Loops:
         return worth
 
     def is_due(self, loop: str) -> bool:
-        """Whether a loop is to be compiled: its twin took as long, and the call has the time."""
+        """Return whether to compile a loop: its twin took as long, and enough time is left."""
         passed = self.passed.get(loop, 0.0) + _EARLIER * self.earlier.get(loop, 0.0)
         return passed >= _COMPILED and seconds_left() >= _COMPILING
 
     def refuse(self, loop: str) -> None:
-        """Go on without a loop until it is due."""
+        """Use the twin of a loop until its compilation is due."""
         self.running.discard(loop)
         self.cached.discard(loop)
 
     def _record(self) -> None:
-        """Add what was passed over to the record beside the cache, and read what others did.
+        """Add the processed entries to the record beside the cache, and read other processes'.
 
-        A record that cannot be read counts as empty; where none can be written the process counts
-        alone. Of two processes that write at once the later one's numbers are kept.
+        An unreadable record counts as empty; if none can be written, the process counts its own
+        entries only. If two processes write at the same time, the later numbers are kept.
         """
         self.unrecorded = 0.0
         for place in self.places or ():
@@ -285,7 +285,7 @@ _loops: Final = _Loops()
 
 
 def cache_folders() -> list[Path]:
-    """The folders in which numba may keep this library's compiled loops, the first it can use."""
+    """Return the folders in which numba may cache this library's loops, in order of preference."""
     sources = Path(__file__).resolve().parent
     own = f"{sources.name}_{hashlib.sha1(str(sources).encode(), usedforsecurity=False).hexdigest()}"
     if wished := os.environ.get("NUMBA_CACHE_DIR"):
@@ -297,9 +297,9 @@ def cache_folders() -> list[Path]:
 
 
 def cached_loops() -> set[str]:
-    """Loops of this version of the library and of Python that numba's cache seems to hold.
+    """Return the loops of this version of library and Python with a file in numba's cache.
 
-    Whether it does for the types at hand, numba says once it is loaded.
+    Only numba, once loaded, can tell whether the file contains the needed types.
     """
     ending = f".py{sys.version_info[0]}{sys.version_info[1]}{getattr(sys, 'abiflags', '')}.nbi"
     found = set[str]()
@@ -313,7 +313,7 @@ def cached_loops() -> set[str]:
 
 
 def _read_record(path: Path) -> dict[str, float]:
-    """Entries passed over by processes so far, by loop; a damaged record is empty."""
+    """Read the entries processed so far, by loop; a damaged record is empty."""
     try:
         known = json.loads(path.read_text(encoding="utf-8"))
         return {str(loop): max(float(n), 0.0) for loop, n in known.items()}
@@ -322,7 +322,7 @@ def _read_record(path: Path) -> dict[str, float]:
 
 
 def _write_record(path: Path, passed: dict[str, float]) -> None:
-    """Write the record in one step, so that no other process reads a part of it."""
+    """Write the record atomically, so that no other process reads a part of it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_suffix(f".{os.getpid()}.tmp")
     try:

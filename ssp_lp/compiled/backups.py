@@ -1,7 +1,7 @@
-"""Compiled Bellman backups of a whole process; their twin is ``bellman``.
+"""Compiled Bellman backups of a whole process; the numpy version is in ``bellman``.
 
-No fast-math: sums run in the order of scipy's products, so that both agree to the last bit.
-Index arrays come as unsigned views: signed ones cost a test for negative positions at each access.
+Without fast-math sums run in the order of scipy's products, so that both agree to the last bit.
+Index arrays are unsigned views, as numba tests signed indices for negative values at each access.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def back_up(
     slope: Array, factor: float, values: Array, held: Array, minima: Array,
     choice: Array, here: Array,
 ) -> None:  # fmt: skip
-    """Compiled Bellman backup: least value, the first pair that attains it, held pair's value."""
+    """Compute the least value of each state, the first pair that attains it, the held pair's."""
     keeps = held.size > 0
     for s in prange(offsets.size - 1):
         least, pick, kept = np.inf, offsets[s], np.inf
@@ -50,9 +50,9 @@ def back_up_safely(
     magnitude: Array, slope: Array, factor: float, alone: Array, epsilon: float, values: Array,
     minima: Array, position: Array,
 ) -> None:  # fmt: skip
-    """Compiled Bellman backup from below: least values, rounding of each pair's sum counted.
+    """Compute lower bounds of each state's least value, with the rounding of each pair's sum.
 
-    ``position``, unless it is empty, is written: the first pair that attains it among the state's.
+    ``position``, unless it is empty, receives the number of the first best pair among the state's.
     """
     keeps = position.size > 0
     for s in prange(offsets.size - 1):

@@ -1,4 +1,4 @@
-"""How loops are compiled: each by itself when it is worth it; twice where all cores may help."""
+"""Compilation of loops: each separately when it pays off, for one core and for all cores."""
 
 from __future__ import annotations
 
@@ -16,47 +16,48 @@ from numba.core.caching import FunctionCache
 from ssp_lp.compiled.accelerator import NotCompiledError, accelerated, may_compile
 
 many_entries: Final = ContextVar("many_entries", default=1_000_000)
-"""Entries, a millisecond of one core, from which waking idle cores pays."""
+"""Entries from which on all cores are used: a millisecond of one core."""
 
 _OTHERS = 1.0
-"""Load beyond the cores from which none is idle: where others keep both of two cores busy, all wait
-for the last of two threads, and the robot in case S takes three times as long as on one."""
+"""Load in excess of the number of cores from which on no core is idle: if others keep both of two
+cores busy, the last of two threads delays the loop, and the robot in case S takes three times as
+long as on one core."""
 
 _HALVED: Final = 20
-"""Entries that a second core saves as long for as numpy takes for one."""
+"""Entries for which a second core saves as much time as numpy takes for one entry."""
 
 Loop = Callable[..., Any]
 
 
 class _Cache(FunctionCache):
-    """Numba's cache of a loop, in which files that cannot be read count as missing."""
+    """Numba's cache of a loop, with unreadable files treated as missing."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The compiled loop for these types; None: it has to be compiled."""
+        """Return the compiled loop for these types; None if it must be compiled."""
         with suppress(Exception):
             return super().load_overload(sig, target_context)
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep a compiled loop, in place of a damaged index if need be, or only in this process."""
+        """Save a compiled loop, replacing a damaged index; ignore further errors."""
         try:
             super().save_overload(sig, data)
-        except Exception:  # of whatever kind, as a damaged file may raise any
+        except Exception:  # a damaged file may raise any error
             with suppress(Exception):
                 self.flush()
                 super().save_overload(sig, data)
 
 
 class _Permission(event.Listener):
-    """Asks before numba compiles a loop of this package; loops within it come with it."""
+    """Listener that refuses to compile a loop of this package unless it is due."""
 
     depth = 0
 
     def on_start(self, event: Any) -> None:
-        """Numba's cache has no such loop for these types.
+        """Refuse the compilation of a loop that numba's cache lacks, unless it is due.
 
         Raises:
-            NotCompiledError: it must not be compiled now.
+            NotCompiledError: the loop must not be compiled now.
         """
         self.depth += 1
         function = event.data["dispatcher"].py_func
@@ -66,7 +67,7 @@ class _Permission(event.Listener):
             raise NotCompiledError(name)
 
     def on_end(self, event: Any) -> None:
-        """The loop is compiled, or was refused."""
+        """Note the end of a compilation or of its refusal."""
         self.depth -= 1
 
 
@@ -74,16 +75,16 @@ event.register("numba:compile", _Permission())
 
 
 def compiled_loop(function: Any = None, **options: Any) -> Any:
-    """Compile a loop at its first call, or load it from numba's cache where there is one.
+    """Compile a loop at its first call, or load it from numba's cache.
 
     Args:
         function: the loop.
-        options: numba's.
+        options: options of numba.
     """
     if function is None:
         return lambda function: compiled_loop(function, **options)
     dispatcher = njit(**options)(function)
-    with suppress(RuntimeError):  # no folder of the cache can be written: compiled in each process
+    with suppress(RuntimeError):  # no writable cache: compiled in each process
         dispatcher._cache = _Cache(function)
     return dispatcher
 
@@ -92,7 +93,7 @@ def one_or_all_cores(function: Any) -> Callable[[int], Loop]:
     """Compile a loop over ``prange`` for one core and for all.
 
     Returns:
-        A function of the number of entries that says which of both to run.
+        A function from the number of entries to the version to run.
     """
     copy = FunctionType(function.__code__, function.__globals__, f"{function.__name__}_everywhere")
     copy.__qualname__ = copy.__name__  # numba caches by this name
@@ -101,7 +102,7 @@ def one_or_all_cores(function: Any) -> Callable[[int], Loop]:
     name = f"{function.__module__.rpartition('.')[2]}.{copy.__qualname__}"
 
     def loop(entries: int) -> Loop:
-        """The loop for so many entries."""
+        """Return the version for a number of entries."""
         least = many_entries.get()
         if least > 0 and (entries < least or not _has_idle_cores()):
             return single
@@ -111,7 +112,7 @@ def one_or_all_cores(function: Any) -> Callable[[int], Loop]:
 
 
 def _has_idle_cores() -> bool:
-    """Whether the machine's load of the last minute leaves cores to loops on all of them."""
+    """Return whether the machine's load of the last minute leaves idle cores."""
     if not hasattr(os, "getloadavg"):
         return True
     return os.getloadavg()[0] < (os.cpu_count() or 1) + _OTHERS
@@ -119,7 +120,7 @@ def _has_idle_cores() -> bool:
 
 @contextmanager
 def on_all_cores() -> Iterator[None]:
-    """Context in which short loops too run on all cores: to compile what long ones will need."""
+    """Return a context in which short loops also run on all cores, to compile that version."""
     before = many_entries.set(0)
     try:
         yield

@@ -1,8 +1,8 @@
-"""The end of the time that a call was given, looked at inside its loops; Ctrl-C ends them alike.
+"""Time limits and Ctrl-C: long loops check whether the call should stop.
 
-The deadline belongs to the call: ``until`` sets it for all that runs within, on the same thread,
-and every pass over a process, compiled or not, looks at it. Loops that have an answer hand that
-on (``WithIncumbent``); where nobody has one, the stop reaches the caller.
+The deadline belongs to the call: ``until`` sets it for all code that runs within, on the same
+thread, and every pass over a process, compiled or not, checks it. Loops with an incumbent return it
+(``WithIncumbent``); if no loop has one, the stop reaches the caller.
 """
 
 from __future__ import annotations
@@ -22,29 +22,29 @@ from ssp_lp.errors import OutOfTimeError
 from ssp_lp.options import Status, deadline_of
 
 _GRACE = 0.25
-"""Seconds beyond the deadline for which a loop goes on: what small models need is soon done."""
+"""Seconds beyond the deadline for which a loop goes on, so that small models are finished."""
 
 _CLOSING = 0.65
-"""Seconds beyond the deadline by which what an answer still needs is done: measures, a proof."""
+"""Seconds beyond the deadline in which the answer is completed: evaluation and proof."""
 
 READING = 10.0
-"""Seconds that a number may take which is worked out where it is only read."""
+"""Seconds that an attribute may take which is computed when it is read."""
 
-_LEAST = 0.1  # seconds for each of them in any case
-_PREPARED = 1.0  # seconds of a search after which an answer is to be in hand
-_PREPARED_SHARE = 0.1  # of the time limit, where that is less
-_PREPARED_UNLIMITED = 10.0  # the same where only Ctrl-C ends the search
-_PREPARING = 0.9  # share of the time left that it may take
-_CLOSING_SHARE = 0.1  # of what was spent before, where it was Ctrl-C that stopped the search
-_PIECE = 1_000_000  # entries of a compiled loop between two looks: some hundredths of a second
+_LEAST = 0.1  # least seconds for completing an answer
+_PREPARED = 1.0  # seconds of a search after which an incumbent must exist
+_PREPARED_SHARE = 0.1  # share of the time limit for this, if less
+_PREPARED_UNLIMITED = 10.0  # seconds for this if only Ctrl-C ends the search
+_PREPARING = 0.9  # greatest share of the remaining time for finding an incumbent
+_CLOSING_SHARE = 0.1  # share of the time spent for completing an answer after Ctrl-C
+_PIECE = 1_000_000  # entries of a compiled loop between two checks: some hundredths of a second
 
 
-class Stop(Exception):  # noqa: N818 (it steers, as StopIteration does)
-    """A loop was told to end. It carries the policy that the loop had come to, if it had one.
+class Stop(Exception):  # noqa: N818 (no error, as StopIteration)
+    """Request to end a loop, with the policy that the loop has found so far, if any.
 
     Args:
-        choice: the policy, in the terms of the loop.
-        told: what was known by then, in words.
+        choice: the policy, in the loop's own form.
+        told: the results so far, in words.
     """
 
     def __init__(self, choice: Any = None, told: str = "") -> None:
@@ -53,7 +53,7 @@ class Stop(Exception):  # noqa: N818 (it steers, as StopIteration does)
 
 
 def interrupted(told: str = "") -> KeyboardInterrupt:
-    """The error of a call that Ctrl-C ended before it had an answer; ``told``: what was known."""
+    """Return the error for Ctrl-C before there was an answer; ``told``: the results so far."""
     return KeyboardInterrupt("interrupted before there was an answer" + (told and f" ({told})"))
 
 
@@ -62,33 +62,33 @@ STOPS: Final = (Stop, KeyboardInterrupt)
 
 @dataclass(eq=False)
 class Deadline:
-    """When a call has to end, and what ended it."""
+    """The time at which a call must end, and the reason for which it ended."""
 
-    at: float = float("inf")  # on the clock of time.perf_counter
+    at: float = float("inf")  # time by time.perf_counter
     grace: float = _GRACE
     began: float = 0.0
     is_interrupted: bool = False  # by Ctrl-C
-    closes: float = float("inf")  # what an answer still needs is to be done by then
+    closes: float = float("inf")  # time by which the answer must be completed
     was_met: bool = False  # whether some loop ended because of it
-    prepare: Callable[[], Any] | None = None  # finds an answer where none is in hand soon
-    prepared: Any = None  # what it found
-    due: float = 0.0  # when a look at it is due: an answer is to be prepared, or it is past
+    prepare: Callable[[], Any] | None = None  # finds an incumbent if there is none soon
+    prepared: Any = None  # the incumbent that ``prepare`` found
+    due: float = 0.0  # time of the next check: to prepare an incumbent, or to stop
     late: str = "the time limit ended before there was an answer: allow more time"
     _before: Token[Deadline | None] | None = None
 
     def __enter__(self) -> Deadline:
-        """All that runs from now on, on this thread, ends with it."""
+        """Set the deadline for all code that runs from now on, on this thread."""
         self._before = _running.set(self)
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        """What was the deadline before is it again; no stop leaves the outermost of a call.
+        """Restore the previous deadline; the outermost one turns a stop into an error.
 
-        Ctrl-C within it ends what is around it, too.
+        Ctrl-C also ends the surrounding calls.
 
         Raises:
-            OutOfTimeError: nobody within had an answer to go on with.
-            KeyboardInterrupt: the same where Ctrl-C came.
+            OutOfTimeError: the time ended before there was an answer.
+            KeyboardInterrupt: Ctrl-C was pressed before there was an answer.
         """
         if self._before is not None:
             _running.reset(self._before)
@@ -100,7 +100,7 @@ class Deadline:
             raise OutOfTimeError(self.late) from None
 
     def find_incumbent(self) -> None:
-        """Find an incumbent before the deadline, with a share of its time, where there is none."""
+        """Find an incumbent by ``prepare``, if set, in a share of the remaining time."""
         prepare, self.prepare, now = self.prepare, None, time.perf_counter()
         if prepare is None or self.is_past():
             return
@@ -108,10 +108,10 @@ class Deadline:
             self.prepared = prepare()
 
     def look(self) -> None:
-        """Raise Stop in the loop that asks if the deadline is past; before that find an incumbent.
+        """Raise Stop in the calling loop if the deadline has passed; find an incumbent before.
 
         Raises:
-            Stop: the deadline has passed, with its grace, or Ctrl-C came.
+            Stop: the deadline has passed, with its grace, or Ctrl-C was pressed.
         """
         if time.perf_counter() > self.due:
             self.find_incumbent()
@@ -120,13 +120,13 @@ class Deadline:
             raise Stop
 
     def is_past(self, grace: float = 0.0) -> bool:
-        """Whether the deadline is past, which is remembered."""
+        """Return whether the deadline has passed, and remember it."""
         past = self.is_interrupted or time.perf_counter() > self.at + grace
         self.was_met = self.was_met or past
         return past
 
     def status(self, gap: float, tolerance: float) -> Status:
-        """Why a call ended with an answer of this gap: tolerance met, deadline, or neither."""
+        """Return the status of a call by its gap: optimal, interrupted, time limit, or missed."""
         if gap <= tolerance:
             return Status.OPTIMAL
         if self.is_interrupted:
@@ -140,13 +140,13 @@ _running: ContextVar[Deadline | None] = ContextVar("deadline", default=None)
 def until(
     at: float, *, is_closing: bool = False, prepare: Callable[[], Any] | None = None
 ) -> Deadline:
-    """Context with a deadline: loops end at a point in time, or when Ctrl-C comes.
+    """Return a context with a deadline: loops end at a point in time, or with Ctrl-C.
 
     Args:
-        at: on the clock of ``time.perf_counter``; infinite: only Ctrl-C ends them.
-        is_closing: there is no grace after that.
-        prepare: finds an answer, and says what, if any. It is called in the middle of a search that
-            goes on for a moment without one, with a share of the time that is left.
+        at: time by ``time.perf_counter``; infinite: only Ctrl-C ends the loops.
+        is_closing: whether there is no grace after that.
+        prepare: finds an incumbent and returns it, or None. It is called during a search that has
+            no incumbent for a while, with a share of the remaining time.
     """
     grace, more = (0.0, 0.0) if is_closing else (_GRACE, _CLOSING)
     now = time.perf_counter()
@@ -157,15 +157,15 @@ def until(
 
 @contextmanager
 def limited(time_limit: float | None, doing: str) -> Iterator[None]:
-    """Context with a deadline some seconds ahead; None: the deadline of the surrounding call.
+    """Set a time limit for a context; None: the deadline of the surrounding call.
 
     Args:
         time_limit: seconds.
-        doing: what is not done then, in words.
+        doing: the task as a clause for the error, such as "a bound was proved".
 
     Raises:
-        ModelError: a limit that is no number of seconds.
-        OutOfTimeError: the time ended before that.
+        ModelError: the limit is not a number of seconds.
+        OutOfTimeError: the time ended before the task was done.
     """
     if time_limit is None:
         yield
@@ -180,9 +180,9 @@ def limited(time_limit: float | None, doing: str) -> Iterator[None]:
 
 @contextmanager
 def closing() -> Iterator[None]:
-    """Context past the deadline with a little time left to prove the incumbent.
+    """Allow a little time after the deadline to prove the incumbent.
 
-    Ctrl-C within it ends it at once. Nothing changes where the deadline is not past.
+    Ctrl-C ends this time at once. Before the deadline the context changes nothing.
     """
     outer = _running.get()
     if outer is None or not (outer.is_interrupted or time.perf_counter() > outer.at):
@@ -193,7 +193,7 @@ def closing() -> Iterator[None]:
 
 
 def has_time_for(seconds: float) -> bool:
-    """Whether so many seconds of work fit before the deadline, time to prove included."""
+    """Return whether so many seconds of work fit before the deadline, with the time to prove."""
     outer, now = _running.get(), time.perf_counter()
     if outer is None or not (outer.is_interrupted or now > outer.at):
         return True
@@ -201,10 +201,10 @@ def has_time_for(seconds: float) -> bool:
 
 
 def check_time() -> None:
-    """Raise Stop in the loop that asks if the deadline is past.
+    """Raise Stop in the calling loop if the deadline has passed.
 
     Raises:
-        Stop: the deadline has passed, with its grace, or Ctrl-C came.
+        Stop: the deadline has passed, with its grace, or Ctrl-C was pressed.
     """
     deadline = _running.get()
     if deadline is not None and (deadline.is_interrupted or time.perf_counter() > deadline.due):
@@ -212,11 +212,12 @@ def check_time() -> None:
 
 
 def ensure_incumbent(*, by_itself: bool = False) -> None:
-    """Make sure of an incumbent before a search that may last until the deadline.
+    """Find an incumbent before a search that may last until the deadline.
+
+    If only Ctrl-C ends the search, an incumbent is found later, as in every search.
 
     Args:
-        by_itself: the search has one: none need be prepared. Where only Ctrl-C ends it, one is
-            looked for as in every search, after some seconds.
+        by_itself: whether the search has an incumbent, so that none is prepared.
     """
     deadline = _running.get()
     if deadline is not None and by_itself:
@@ -226,39 +227,39 @@ def ensure_incumbent(*, by_itself: bool = False) -> None:
 
 
 def prepared() -> Any:
-    """The incumbent that was found beside the search; None: there is none."""
+    """Return the incumbent that was prepared during the search; None if there is none."""
     deadline = _running.get()
     return None if deadline is None else deadline.prepared
 
 
 def is_late() -> bool:
-    """Whether the deadline tells a loop with an incumbent to end."""
+    """Return whether a loop with an incumbent should end."""
     deadline = _running.get()
     return deadline is not None and deadline.is_past()
 
 
 def is_within_call() -> bool:
-    """Whether a deadline is set: this is part of a call that ends in time."""
+    """Return whether a deadline is set by a surrounding call."""
     return _running.get() is not None
 
 
 def is_limited() -> bool:
-    """Whether the deadline is a time limit, not Ctrl-C alone."""
+    """Return whether there is a time limit, not Ctrl-C alone."""
     deadline = _running.get()
     return deadline is not None and deadline.at < float("inf")
 
 
 def seconds_left() -> float:
-    """Seconds until the deadline; infinite where only Ctrl-C ends the call."""
+    """Return the seconds until the deadline; infinite if only Ctrl-C ends the call."""
     deadline = _running.get()
     return float("inf") if deadline is None else deadline.at - time.perf_counter()
 
 
 def end_with_incumbent(stop: BaseException) -> None:
-    """Tell the deadline that a stop was caught by who has an incumbent: other loops end too.
+    """Record that a loop with an incumbent caught a stop, so that other loops end as well.
 
     Raises:
-        KeyboardInterrupt: nobody said, by ``until``, that an answer so far is wanted.
+        KeyboardInterrupt: no deadline is set, so that no call returns an incumbent.
     """
     deadline = _running.get()
     if isinstance(stop, KeyboardInterrupt):
@@ -271,7 +272,7 @@ def end_with_incumbent(stop: BaseException) -> None:
 
 
 class WithIncumbent:
-    """Within it a stop, or Ctrl-C, ends the block and no more: there is an answer to go on with.
+    """Context in which a stop or Ctrl-C ends the block only, as there is an incumbent.
 
     with WithIncumbent() as search:
         column = pricing.minimise(price)
@@ -279,14 +280,14 @@ class WithIncumbent:
     """
 
     stop: BaseException | None = None
-    """What ended the block, if anything did."""
+    """The stop or interrupt that ended the block, if any."""
 
     def __enter__(self) -> WithIncumbent:
-        """The block begins."""
+        """Return the context itself."""
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> bool:
-        """Keep what ended it, if that was a stop."""
+        """Store and suppress a stop or interrupt that ended the block."""
         if not isinstance(error, STOPS):
             return False
         end_with_incumbent(error)
@@ -295,18 +296,18 @@ class WithIncumbent:
 
 
 def backward(end: int, begin: int = 0) -> Iterator[int]:
-    """Layers or points in time, the last first, with a look at the time before each."""
+    """Yield numbers of layers or points in time, the last first, checking the time before each."""
     for layer in reversed(range(begin, end)):
         check_time()
         yield layer
 
 
 def pieces(length: int, entries: int) -> Iterable[slice]:
-    """A long loop in pieces, with a look at the deadline, and at Ctrl-C, before each.
+    """Split a long loop into pieces, checking the deadline before each.
 
     Args:
-        length: turns of the loop.
-        entries: that it passes over in all.
+        length: number of turns of the loop.
+        entries: number of entries in all turns.
     """
     if entries > _PIECE:
         return _several_pieces(length, -(-entries // _PIECE))
@@ -315,7 +316,7 @@ def pieces(length: int, entries: int) -> Iterable[slice]:
 
 
 def _several_pieces(length: int, count: int) -> Iterator[slice]:
-    """Pieces of a loop between looks at the deadline, about as long as each other."""
+    """Yield pieces of a loop of about equal length, checking the deadline before each."""
     bounds = np.linspace(0, length, count + 1).astype(np.int64).tolist()
     for begin, end in pairwise(bounds):
         check_time()

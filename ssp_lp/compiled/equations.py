@@ -1,10 +1,10 @@
-"""Compiled equations of substochastic chains: reduced, swept, or summed in twice the precision.
+"""Compiled equations of substochastic chains: reduction, sweeps, sums in twice the precision.
 
-State reduction (Grassmann, Taksar and Heyman 1985): a state is taken out by sending what would
-enter it to where it goes next. The probability of departing is summed from where it goes, the exits
-among them, never formed as 1 - p; all numbers stay non-negative and keep their relative accuracy,
-however seldom the chain leaves (Alfa, Xue and Ye 2002). Large components are swept, with a Krylov
-method on top. Sums whose rounding is counted, or undone, are the twins of those in ``evaluation``.
+State reduction (Grassmann, Taksar and Heyman 1985): a state is eliminated by redirecting its inflow
+to its successors. The probability of departing is summed over successors and exits, never computed
+as 1 - p; all numbers stay non-negative and accurate relative to their size, however rarely the
+chain is left (Alfa, Xue and Ye 2002). Large components are solved by sweeps and a Krylov method.
+Sums with a bound of their rounding, or in twice the precision, have numpy twins in ``bellman``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def solve_by_elimination(
     indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
     order: Array, offsets: Array, first: int, last: int, most: int, rewards: Array, x: Array,
 ) -> int:  # fmt: skip
-    """Compiled: solve ``x = rewards + chain @ x`` on components ``first .. last - 1``, ends first.
+    """Solve ``x = rewards + chain @ x`` on components ``first .. last - 1``, ends first.
 
     Args:
         indptr: [rows + 1].
@@ -33,10 +33,10 @@ def solve_by_elimination(
         exits: probability of leaving the chain, [rows].
         rows: the row of each state, [states].
         order: states, component by component, [states].
-        offsets: of the components in the order, [components + 1].
-        first: component to begin with; all before it are solved.
-        last: where to end.
-        most: states of the largest component.
+        offsets: offsets of the components in the order, [components + 1].
+        first: first component to solve; all before it are solved.
+        last: component before which to stop.
+        most: number of states of the largest component.
         rewards: [states, rewards].
         x: written, [states, rewards].
 
@@ -72,7 +72,7 @@ def _eliminate_one_state(
     indptr: Array, indices: Array, data: Array, exits: Array, row: int, s: int,
     rewards: Array, x: Array,
 ) -> bool:  # fmt: skip
-    """Compiled: solve the equation of a component of one state; false if never left."""
+    """Solve the equation of a component of one state; return false if it is never left."""
     departs = exits[row]
     for j in range(x.shape[1]):
         x[s, j] = rewards[s, j]
@@ -95,11 +95,11 @@ def gather_component(
     order: Array, begin: int, size: int, place: Array, rewards: Array, by_row: bool, x: Array,
     inner: Array, low: Array, leaving: Array, right: Array,
 ) -> None:  # fmt: skip
-    """Compiled: a component's equations as a dense matrix, what leaves it, and its rewards.
+    """Write a component's equations as a dense matrix, its exits, and its right side.
 
-    ``low[i]`` is the first column of the lower triangle, and the first row of the upper one, that
-    is not zero beside the diagonal's entry i, when all later states have been taken out. ``rows``
-    says which row belongs to each state; rewards are those of rows or of states.
+    ``low[i]`` is the least index of an entry that is not zero in row i of the lower triangle or in
+    column i of the upper one, after all later states are eliminated. ``rows`` maps states to rows;
+    rewards are those of rows or of states.
     """
     for i in range(size):
         low[i] = i
@@ -135,7 +135,7 @@ def gather_component(
 
 @compiled_loop
 def eliminate_component(inner: Array, low: Array, leaving: Array, right: Array, size: int) -> bool:
-    """Compiled: solve a component's dense equations, in place; false if it is never left."""
+    """Solve a component's dense equations, in place; return false if it is never left."""
     flat, width = inner.reshape(-1), inner.shape[1]
     if not eliminate_states(flat, width, 0, low, leaving, size):
         return False
@@ -147,15 +147,15 @@ def eliminate_component(inner: Array, low: Array, leaving: Array, right: Array, 
 def eliminate_states(
     inner: Array, width: int, shift: int, low: Array, leaving: Array, size: int
 ) -> bool:
-    """Take the states of a chain out, last first, in place.
+    """Eliminate the states of a chain, last first, in place.
 
     Args:
-        inner: ``inner[i * width + shift + j]`` is the probability of going from i to j; then, for
-            j < i, what remains of it, divided by the probability of departing, which stands at
-            j = i, and for j > i the weight with which j is replaced.
-        width: of a row: as many as there are states, or twice the distance of a move in a band.
-        shift: where the first row begins.
-        low: the first state that each leads to or from, when all later ones are out, [states].
+        inner: ``inner[i * width + shift + j]`` is the probability of going from i to j. On return
+            it is, for j < i, the reduced probability divided by the probability of departing; for
+            j = i the probability of departing; for j > i the weight with which j is replaced.
+        width: length of a row: the number of states, or twice the bandwidth.
+        shift: position of the first row.
+        low: the first state that each leads to or from, after later ones are eliminated, [states].
         leaving: probability of leaving from each state, [states]; overwritten.
         size: number of states.
 
@@ -186,7 +186,7 @@ def eliminate_states(
 def solve_eliminated(
     inner: Array, width: int, shift: int, low: Array, right: Array, size: int
 ) -> None:
-    """Solve when the states are taken out, in place, [states, rewards]."""
+    """Solve for right sides, [states, rewards], in place, after the states are eliminated."""
     for i in range(size - 1, -1, -1):
         for k in range(right.shape[1]):
             right[i, k] /= inner[i * width + shift + i]
@@ -208,18 +208,18 @@ def gather_inside(
     indptr: Array, indices: Array, data: Array, exits: Array, states: Array, place: Array,
     own_indptr: Array, own_indices: Array, own_data: Array, departs: Array, leaving: Array,
 ) -> None:  # fmt: skip
-    """Compiled: equations of a component for sweeps, its inner moves seen on departing only.
+    """Write a component's equations for sweeps, with moves conditioned on departing.
 
     Args:
-        indptr: of the chain, [states + 1].
+        indptr: offsets of the chain's rows, [states + 1].
         indices: [entries].
         data: [entries].
         exits: [states].
         states: the members, in the order in which they are swept.
         place: position of each state among them, -1 elsewhere, [states].
-        own_indptr: the length of each member's row, [members + 1].
-        own_indices: written, positions, its own one where a move leads elsewhere, [own entries].
-        own_data: written, divided by the probability of departing, 0 there, [own entries].
+        own_indptr: offsets of the members' rows, [members + 1].
+        own_indices: written: positions; its own for unused entries, [own entries].
+        own_data: written: conditional probabilities; 0 for unused entries, [own entries].
         departs: written: the probability of departing, [members].
         leaving: written: the probability of leaving the component, [members].
     """
@@ -248,7 +248,7 @@ def from_beyond(
     indptr: Array, indices: Array, data: Array, states: Array, place: Array, departs: Array,
     rewards: Array, x: Array, right: Array,
 ) -> None:  # fmt: skip
-    """Compiled: right sides of a component's equations, with what moves outside are worth."""
+    """Write a component's right sides, including the totals of successors outside."""
     for i in prange(states.size):
         s = states[i]
         for j in range(rewards.shape[1]):
@@ -265,13 +265,13 @@ def from_beyond(
 def sweep(
     indptr: Array, indices: Array, data: Array, right: Array, x: Array
 ) -> tuple[float, float]:
-    """Compiled Gauss-Seidel sweep over equations: set each x in turn to ``right + rows @ x``.
+    """Sweep over equations by Gauss-Seidel: set each x in turn to ``right + rows @ x``.
 
-    One core only: so the result does not depend on timing, and two cores would save less than
-    using new values at once does.
+    It runs on one core, so that the result does not depend on timing; two cores would save less
+    time than the immediate use of new values.
 
     Returns:
-        The greatest change and the greatest size.
+        The greatest change and the greatest absolute value.
     """
     change, size = 0.0, 0.0
     if x.shape[1] == 2:  # each entry is read once
@@ -298,7 +298,7 @@ def sweep(
 
 @compiled_loop
 def _miss_of_sweep(indptr: Array, indices: Array, data: Array, x: Array, miss: Array) -> None:
-    """Compiled: residual ``x - G x`` of equations, G a Gauss-Seidel sweep without rewards."""
+    """Compute the residual ``x - G x``, with G a Gauss-Seidel sweep without rewards."""
     miss[:] = x
     for s in range(x.size):
         total = 0.0
@@ -310,7 +310,7 @@ def _miss_of_sweep(indptr: Array, indices: Array, data: Array, x: Array, miss: A
 
 
 def start_bicgstab(residual: Array) -> tuple[Array, Array, Array, Array]:
-    """Compiled: begin BiCGStab on equations, with shadow, p, v, [members], and rho, [1]."""
+    """Return the initial state of BiCGStab: shadow, p and v, [members], and rho, [1]."""
     rho = np.zeros(1)
     _square_in_sweep(residual, rho)
     return residual.copy(), residual.copy(), np.zeros_like(residual), rho
@@ -318,7 +318,7 @@ def start_bicgstab(residual: Array) -> tuple[Array, Array, Array, Array]:
 
 @compiled_loop
 def _square_in_sweep(residual: Array, rho: Array) -> None:
-    """Compiled: the squared norm of a residual of equations, summed in order."""
+    """Add the squared norm of a residual to ``rho``, summed in order."""
     for s in range(residual.size):
         rho[0] += residual[s] * residual[s]
 
@@ -329,14 +329,14 @@ def bicgstab(
     residual: Array, target: float, most_steps: int, x: Array,
     shadow: Array, p: Array, v: Array, scalar: Array,
 ) -> tuple[int, bool]:  # fmt: skip
-    """Compiled BiCGStab on equations: add to ``x`` until ``residual`` is at most ``target``.
+    """Run BiCGStab: add to ``x`` until ``residual`` is at most ``target``.
 
     BiCGStab of van der Vorst (1992) on ``x - G x = g``, where G is one sweep: the sweep is the
-    preconditioner and costs no more than a product. ``residual`` is ``g - (x - G x)``. What
-    ``start_bicgstab`` made is carried on, so that steps can be taken a few at a time.
+    preconditioner and costs no more than a product. ``residual`` is ``g - (x - G x)``. The state of
+    ``start_bicgstab`` is updated, so that steps can be taken a few at a time.
 
     Returns:
-        The number of sweeps, and whether it ended.
+        The number of sweeps, and whether the method ended.
     """
     n = residual.size
     t, rho = np.empty(n), scalar[0]
@@ -373,13 +373,13 @@ def bicgstab(
 
 @compiled_loop
 def work_of_levels(indptr: Array, indices: Array) -> tuple[int, float]:
-    """Compiled: how wide a component's equations are, by distances from its first state.
+    """Estimate the width of a component's equations, by distances from its first state.
 
-    A piece of m states is cut in two by a level of a piece as large, which is a dense block in the
-    end: multiplications of nested dissection (George 1973) are summed over pieces of all sizes.
+    A piece of m states is separated by a level of the first m states, which becomes a dense block:
+    the multiplications of nested dissection (George 1973) are summed over pieces of all sizes.
 
     Returns:
-        Most states at one distance, and the multiplications.
+        The greatest number of states at one distance, and the multiplications.
     """
     n = indptr.size - 1
     seen, queue = np.zeros(n, dtype=np.bool_), np.empty(n, dtype=np.uint32)
@@ -399,13 +399,13 @@ def work_of_levels(indptr: Array, indices: Array) -> tuple[int, float]:
     return widest, work
 
 
-_LOWERINGS = 8  # of a value by what it still lacks: after two of them nothing does, as a rule
+_LOWERINGS = 8  # most lowerings of a value by its lack; two usually suffice
 _SPLIT = 134217729.0  # 2**27 + 1 (Veltkamp)
 
 
 @compiled_loop(inline="always")
 def exact_sum(a: float, b: float) -> tuple[float, float]:
-    """Compiled: a + b in twice the precision, rounded, and what the rounding lost (Knuth)."""
+    """Return a + b, rounded, and the rounding error (Knuth)."""
     total = a + b
     back = total - a
     return total, (a - (total - back)) + (b - back)
@@ -413,7 +413,7 @@ def exact_sum(a: float, b: float) -> tuple[float, float]:
 
 @compiled_loop(inline="always")
 def _precise_product(a: float, b: float) -> tuple[float, float]:
-    """Compiled: a * b in twice the precision, rounded, and what the rounding lost (Dekker)."""
+    """Return a * b, rounded, and the rounding error (Dekker)."""
     total = a * b
     c, d = _SPLIT * a, _SPLIT * b
     a_high, b_high = c - (c - a), d - (d - b)
@@ -426,7 +426,7 @@ def precise_advantage(
     row: int, s: int, indptr: Array, indices: Array, data: Array, exits: Array, cost: float,
     high: Array, low: Array, epsilon: float,
 ) -> tuple[float, float]:  # fmt: skip
-    """Compiled: a pair's advantage in twice the precision, v = high + low, and its rounding."""
+    """Return a pair's advantage in twice the precision, at high + low, and its rounding."""
     total, rest, small, whole = cost, 0.0, 0.0, 0.0
     if exits[row] != 0.0:
         term, lost = _precise_product(-exits[row], high[s])
@@ -455,7 +455,7 @@ def safe_advantage(
     row: int, s: int, indptr: Array, indices: Array, data: Array, exits: Array, cost: float,
     values: Array, epsilon: float,
 ) -> float:  # fmt: skip
-    """Compiled: a pair's advantage in working precision, less a running bound of its rounding."""
+    """Return a lower bound of a pair's advantage: its value minus a bound of its rounding."""
     here, leaves = values[s], exits[row]
     total, rounded = cost, 0.0
     if leaves != 0.0:
@@ -477,7 +477,7 @@ def advantages_precisely(
     home: Array, indptr: Array, indices: Array, data: Array, exits: Array, cost: Array,
     high: Array, low: Array, epsilon: float, result: Array, rounding: Array,
 ) -> None:  # fmt: skip
-    """Compiled: all pairs' advantages in twice the precision, and bounds of rounding."""
+    """Compute all pairs' advantages in twice the precision, with bounds of their rounding."""
     for row in prange(home.size):
         result[row], rounding[row] = precise_advantage(
             row, home[row], indptr, indices, data, exits, cost[row], high, low, epsilon
@@ -489,7 +489,7 @@ def advantages_safely(
     home: Array, indptr: Array, indices: Array, data: Array, exits: Array, cost: Array,
     values: Array, epsilon: float, result: Array,
 ) -> None:  # fmt: skip
-    """Compiled: all pairs' advantages in working precision, never too high."""
+    """Compute lower bounds of all pairs' advantages in working precision."""
     for row in prange(home.size):
         result[row] = safe_advantage(
             row, home[row], indptr, indices, data, exits, cost[row], values, epsilon
@@ -501,7 +501,7 @@ def shortfalls_safely(
     offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array, cost: Array,
     values: Array, epsilon: float, result: Array,
 ) -> None:  # fmt: skip
-    """Compiled: how far each state's value exceeds its backup at most, rounding counted."""
+    """Compute upper bounds of the excess of each state's value over its backup."""
     for s in prange(result.size):
         worst = 0.0
         for row in range(offsets[s], offsets[s + np.uint32(1)]):
@@ -515,7 +515,7 @@ def lower_in_order(
     offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array, order: Array,
     cost: Array, epsilon: float, values: Array,
 ) -> None:  # fmt: skip
-    """Compiled: lower values of a process without cycles until none exceeds its backup.
+    """Lower values of a process without cycles until none exceeds its backup.
 
     Args:
         offsets: [states + 1].
@@ -525,7 +525,7 @@ def lower_in_order(
         exits: [pairs].
         order: states, ends first, [states].
         cost: [pairs].
-        epsilon: of the machine.
+        epsilon: the machine epsilon.
         values: [states].
     """
     for s in order:
@@ -548,7 +548,7 @@ def evaluate_precisely(
     order: Array, offsets: Array, most: int, rewards: Array, accuracy: float, corrections: int,
     epsilon: float, x: Array, low: Array, runs: Array, missed: Array,
 ) -> bool:  # fmt: skip
-    """Compiled: solve a policy's equations to ``x + low`` in twice the precision; run lengths.
+    """Solve a policy's equations to ``x + low`` in twice the precision, and check run lengths.
 
     Args:
         indptr: [rows + 1].
@@ -557,16 +557,16 @@ def evaluate_precisely(
         exits: [rows].
         rows: the row of each state, [states].
         order: states, component by component, ends first, [states].
-        offsets: of the components in the order, [components + 1].
-        most: states of the largest component.
-        rewards: of rows, [rows, rewards].
-        accuracy: error, relative to the greatest total, down to which to correct.
-        corrections: how often at most.
-        epsilon: of the machine.
+        offsets: offsets of the components in the order, [components + 1].
+        most: number of states of the largest component.
+        rewards: [rows, rewards].
+        accuracy: error to reach, relative to the greatest total.
+        corrections: most corrections.
+        epsilon: the machine epsilon.
         x: written, [states, rewards].
         low: written, [states, rewards].
-        runs: written, checked run lengths, [states].
-        missed: written, by what the equations are missed at most, [rewards].
+        runs: written: checked run lengths, [states].
+        missed: written: greatest residual of the equations, [rewards].
 
     Returns:
         Whether the run lengths are a super-solution.
@@ -613,7 +613,7 @@ def _precise_miss(
     indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
     rewards: Array, x: Array, low: Array, epsilon: float, off: Array, missed: Array,
 ) -> None:  # fmt: skip
-    """Compiled: residuals of equations in twice the working precision, and the greatest."""
+    """Compute residuals in twice the working precision, and the greatest for each reward."""
     for j in range(x.shape[1]):
         missed[j] = 0.0
         for s in range(x.shape[0]):

@@ -1,6 +1,6 @@
-"""Strong components of a policy's graph, compiled: each after all that it leads to.
+"""Compiled search of strong components, each after the components that it leads to.
 
-Indices are read through unsigned views: numba guards signed ones against counting from the end.
+Index arrays are unsigned views, as numba tests signed indices for negative values at each access.
 """
 
 from __future__ import annotations
@@ -16,24 +16,25 @@ from ssp_lp.compiled.deadline import check_time
 Array = np.ndarray[Any, Any]
 
 _CLOSED = np.uint32(2**32 - 1)  # above every number of a state that is still open
-_TURNS = 100_000  # of a search between two looks at the time
+_TURNS = 100_000  # turns of a search between two checks of the time
 
 
 def order_components(
     begin: IntArray, end: IntArray, indices: IntArray, data: FloatArray, *, by_height: bool = False
 ) -> tuple[IntArray, IntArray, int]:
-    """Compiled: number a graph's strong components, each after all that it leads to.
+    """Number a graph's strong components, each after the components that it leads to.
 
-    Within a component the states stand in the order in which the search was done with them, so
-    that most come after those that they lead to.
+    Within a component the states have the order in which the search finished them, so that most
+    come after the states that they lead to.
 
     Args:
         begin: first entry of each state, [states].
         end: past its last one, [states].
         indices: [entries].
         data: entries of 0 are no edges, [entries].
-        by_height: components that are as far from the ends stand in the order of their states, so
-            that passes along the order, where there are many, read rows that lie side by side.
+        by_height: whether components at equal distance from the ends have the order of their
+        states,
+            so that passes along the order read adjacent rows.
 
     Returns:
         The component of each state, [states]; the states, one component after the other, [states];
@@ -51,10 +52,10 @@ def order_components(
 def _found_components(
     begin: IntArray, end: IntArray, indices: IntArray, data: Array, label: IntArray
 ) -> tuple[IntArray, int]:
-    """Compiled: number the strong components of a graph in place, ends first.
+    """Number the strong components of a graph in place, ends first.
 
     Returns:
-        The states in the order in which the search was done with them, and how many components.
+        The states in the order in which the search finished them, and the number of components.
     """
     n, label[:] = label.size, -1
     number, low = np.zeros((2, n), dtype=np.uint32)
@@ -73,21 +74,22 @@ def _search_components(
     number: Array, low: Array, place: Array, opened: Array, calls: Array, finished: Array,
     counts: Array,
 ) -> bool:  # fmt: skip
-    """Compiled depth-first search of a graph for strong components; whether it has not ended.
+    """Continue a depth-first search for strong components; return whether it has not ended.
 
     Args:
-        begin: as in ``order_components``, like what follows.
+        begin: see ``order_components``, as for ``end``, ``indices`` and ``data``.
         end: [states].
         indices: [entries].
         data: [entries].
         label: written, [states].
-        number: when each state was met, 0: not yet, ``_CLOSED``: it has a component, [states].
-        low: the least number that is reached from each and still open, [states].
-        place: entry with which each state goes on, [states].
+        number: rank in which a state was found, 0: not yet, ``_CLOSED``: it has a component,
+            [states].
+        low: the least rank of an open state that is reached from each, [states].
+        place: next entry of each state, [states].
         opened: states without a component yet, [states].
-        calls: the states from which the search came, [states].
-        finished: states that it is done with, [states].
-        counts: states begun at, calls, open states, finished ones, states met, components.
+        calls: the stack of states on the search's path, [states].
+        finished: states that the search has finished, [states].
+        counts: roots tried, calls, open states, finished ones, states found, components.
     """
     root, depth, n_open = counts[0], counts[1], counts[2]
     n_finished, visited, n_components = counts[3], counts[4], counts[5]
@@ -130,7 +132,7 @@ def _not_entered(
     state: int, place: Array, end: Array, indices: Array, data: Array,
     number: Array, low: Array,
 ) -> np.int64:  # fmt: skip
-    """Compiled: the next successor that the graph's component search has not met, or -1."""
+    """Return the next successor that the search has not found yet, or -1."""
     k, past, least = place[state], end[state], low[state]
     while k < past:
         successor, met = indices[k], number[indices[k]]
@@ -148,7 +150,7 @@ def _not_entered(
 def _close_component(
     state: int, opened: Array, n_open: int, found: int, label: Array, number: Array
 ) -> int:
-    """Compiled: label a finished strong component of the graph; how many states stay open."""
+    """Label a finished strong component, and return the number of states still open."""
     while True:
         n_open -= 1
         label[opened[n_open]], number[opened[n_open]] = found, _CLOSED
@@ -160,7 +162,7 @@ def _close_component(
 def mark_leading(
     indptr: Array, indices: Array, data: Array, states: Array, marked: BoolArray
 ) -> None:
-    """Compiled: mark each of some states of a graph that leads to a marked one, one by one."""
+    """Mark each of some states, one by one, that leads to a marked state."""
     for s in states:
         for k in range(indptr[s], indptr[np.uint32(s + 1)]):
             if data[k] > 0.0 and marked[indices[k]]:
@@ -172,7 +174,7 @@ def mark_leading(
 def _number_by_height(
     begin: Array, end: Array, indices: Array, data: Array, finished: Array, found: int, label: Array
 ) -> None:
-    """Compiled: renumber a graph's components by the most steps to an end, then first states."""
+    """Renumber components by the most steps to an end, then by their first states."""
     height, number = np.zeros(found, dtype=np.int64), np.full(found, -1, dtype=np.int64)
     for s in finished:
         own = label[s]
@@ -196,7 +198,7 @@ def _number_by_height(
 
 @compiled_loop
 def _sort_by_component(label: Array, finished: Array, found: int, order: Array) -> None:
-    """Compiled counting sort of a graph's states by component, in order of finishing."""
+    """Sort states by component, then in the order of finishing (a counting sort)."""
     begin = np.zeros(found + 1, dtype=np.int64)
     for state in finished:
         begin[label[state] + 1] += 1

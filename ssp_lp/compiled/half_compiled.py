@@ -1,7 +1,7 @@
-"""Exceptions that end numba's compiler halfway, such as Ctrl-C or an alarm of the caller's.
+"""Detection of exceptions that interrupt numba's compiler, such as Ctrl-C or a caller's alarm.
 
-A loop that was left half compiled, or a registry of numba's that was left half filled, would break
-whatever is compiled later in the process ("no compiled object yet").
+A partly compiled loop, or a partly filled registry of numba, would break every later compilation in
+the process ("no compiled object yet").
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from ssp_lp.compiled.accelerator import give_up_compiling
 
 
 class _Compiling(event.Listener):
-    """Watches numba's compiler lock, which is held whenever anything is compiled or loaded."""
+    """Listener on numba's compiler lock, which is held while anything is compiled or loaded."""
 
     def __init__(self) -> None:
         self._thread = threading.local()
 
     def on_start(self, event: Any) -> None:
-        """The lock is taken, perhaps while an exception is being handled by the caller."""
+        """Note the exception that the caller is handling, if any, when the lock is taken."""
         self._thread.depth = getattr(self._thread, "depth", 0) + 1
         if self._thread.depth == 1:
             self._thread.handled = sys.exc_info()[1]
 
     def on_end(self, event: Any) -> None:
-        """The lock is given back; an exception that is on its way out of numba came in between.
+        """Give up compiling if an exception leaves numba when the lock is released.
 
-        An error of this package was raised before the compiler began.
+        Errors of this package are raised before the compiler starts, and do not count.
         """
         self._thread.depth -= 1
         error = sys.exc_info()[1]

@@ -1,7 +1,7 @@
 """Compiled passes over the layers of accumulated cost, backward and forward.
 
-No fast-math: sums run in the order of scipy's products, so that both agree to the last bit.
-Index arrays come as unsigned views: signed ones cost a test for negative positions at each access.
+Without fast-math sums run in the order of scipy's products, so that both agree to the last bit.
+Index arrays are unsigned views, as numba tests signed indices for negative values at each access.
 """
 
 from __future__ import annotations
@@ -17,46 +17,46 @@ from ssp_lp.compiled.cores import compiled_loop, one_or_all_cores
 Array = np.ndarray[Any, Any]
 
 ACCURATE = 1e-14
-"""Relative change of values and measures at which turns over a layer end: next to rounding."""
+"""Relative change of values and measures at which sweeps over a layer end: near rounding."""
 
 _LOWERINGS = 16
-"""Turns in which bounds within a layer follow each other's rounding: more than halving it takes."""
+"""Sweeps over a layer in which bounds are lowered by their rounding; a few suffice."""
 
 
 class OneLayer(NamedTuple):
-    """What changes from layer to layer of a compiled pass."""
+    """Data of a compiled pass that change from layer to layer."""
 
-    begin: Array  # [classes] where the values of the layer begin that a step leads to
-    charged: Array  # [columns] for arriving
-    factor: float  # of the growth
-    weight: float  # of the charge
-    owed: Array  # [pairs] cost beside the charge, non-negative
-    saved: Array  # [pairs] earned, non-negative
+    begin: Array  # [classes] position of the first value of the layer that a step leads to
+    charged: Array  # [columns] charge of arriving
+    factor: float  # factor of the growth
+    weight: float  # weight of the charge
+    owed: Array  # [pairs] cost in addition to the charge, non-negative
+    saved: Array  # [pairs] reward, non-negative
 
 
 class Layers(NamedTuple):
-    """A block of layers, as a compiled pass reads it."""
+    """A block of layers, as input of a compiled pass."""
 
-    order: Array  # [nodes] each after those that its free steps lead to, as far as may be
-    turns: int  # over a layer, at most; 1: free steps do not go round
+    order: Array  # [nodes] each after the nodes its free steps lead to, as far as possible
+    turns: int  # most sweeps over a layer; 1: free steps have no cycles
     offsets: Array  # [nodes + 1] pairs of each node
     indptr: Array  # [pairs + 1]
-    classes: Array  # [entries] of steps; 0: a free one, within the layer
-    nodes: Array  # [entries] to where it leads
+    classes: Array  # [entries] class of the step; 0: a free step within the layer
+    nodes: Array  # [entries] successor
     data: Array  # [entries]
-    leads: Array  # [layers, classes] layer that a step leads to; or [1, classes] how many ahead
+    leads: Array  # [layers, classes] layer that a step leads to; or [1, classes] layers ahead
     paid: Array  # [layers] total
-    charge: Array  # [layers or 1, columns] of arriving
-    column: Array  # [pairs] among them
-    growth: Array  # [pairs] what a unit of the total adds to the charge, or empty
-    counted: Array  # [pairs, counted] beside the charge
+    charge: Array  # [layers or 1, columns] charge of arriving
+    column: Array  # [pairs] column of the charge
+    growth: Array  # [pairs] increase of the charge per unit of the total, or empty
+    counted: Array  # [pairs, counted] quantities in addition to the charge
 
 
 @compiled_loop(inline="always")
 def _best_pair(
     pick: Any, past: Any, layers: Layers, one: OneLayer, values: Array,
 ) -> tuple[float, Any]:  # fmt: skip
-    """Compiled: least value of a node's pairs in a layer, and the first pair that attains it."""
+    """Return the least value of a node's pairs in a layer, and the first pair that attains it."""
     least = np.inf
     for pair in range(pick, past):
         total = 0.0
@@ -76,7 +76,7 @@ def _best_pair(
 def _measure_of(
     pick: Any, layers: Layers, one: OneLayer, measured: Array, here: Array,
 ) -> None:  # fmt: skip
-    """Compiled: measures of a pair in a layer, written, [1 + counted]."""
+    """Write the measures of a pair in a layer, [1 + counted]."""
     for j in range(here.size):
         here[j] = 0.0
     for k in range(layers.indptr[pick], layers.indptr[pick + 1]):
@@ -95,11 +95,11 @@ def _settle(
     layers: Layers, one: OneLayer, row: Any, values: Array, picks: Array, measured: Array,
     here: Array,
 ) -> None:  # fmt: skip
-    """Compiled: least values of a layer of cost, and the pairs that attain them, written.
+    """Write the least values of a layer, and the pairs that attain them.
 
-    Where free steps go round, the layer is gone over forwards and backwards (Gauss-Seidel): a
-    choice is followed until nothing changes, and then made anew. Where they do not, the measures
-    of the choice are written as well, while its pair is at hand.
+    If free steps have cycles, the layer is swept forwards and backwards (Gauss-Seidel): a choice is
+    followed until nothing changes, and then improved. Otherwise the measures of the choice are
+    written in the same pass.
     """
     n, is_greedy = picks.size, True
     if layers.turns == 1:
@@ -132,7 +132,7 @@ def _settle(
 def _measure(
     layers: Layers, one: OneLayer, picks: Array, row: Any, measured: Array, here: Array,
 ) -> None:  # fmt: skip
-    """Compiled: measures of a layer's choice, written; unmet nodes keep 0."""
+    """Write the measures of a layer's choice; nodes that are not reached keep 0."""
     n = picks.size
     for turn in range(layers.turns):
         is_same = True
@@ -152,11 +152,11 @@ def _measure(
 def _lower(
     layers: Layers, one: OneLayer, row: Any, values: Array, within: Array,
 ) -> None:  # fmt: skip
-    """Compiled: values of a layer lowered to their backups, rounding counted against each.
+    """Lower the values of a layer to their backups, with rounding counted against each.
 
-    Where free steps go round each value is lowered by its own. What values exceed their backups by
-    after some turns, times the steps that any policy takes within a layer, is taken off all of
-    them: then they are a sub-solution.
+    If free steps have cycles, each value is lowered to its own backup. The excess that remains
+    after some sweeps, times the steps that any policy takes within a layer, is subtracted from all
+    values, which makes them a sub-solution.
     """
     n, excess, largest = layers.order.size, 0.0, 0.0
     for turn in range(_LOWERINGS + 1 if layers.turns > 1 else 1):
@@ -177,7 +177,7 @@ def _lower(
                     stage += one.weight * one.factor * layers.growth[pair]
                     whole += one.weight * one.factor * layers.growth[pair]
                 total, size = stage + total, whole + size
-                if size != max(one.owed[pair], one.saved[pair], abs(own)):  # else all is one number
+                if size != max(one.owed[pair], one.saved[pair], abs(own)):  # a single term is exact
                     terms = float(layers.indptr[pair + 1] - layers.indptr[pair]) + 4.0
                     total -= (terms * MACHINE_EPSILON) * size
                 least = min(least, total)
@@ -197,20 +197,20 @@ def sweep_layers(
     layers: Layers, weight: float, owed: Array, saved: Array, values: Array, measured: Array,
     position: Array, keeps: bool, within: Array, given: Array,
 ) -> None:  # fmt: skip
-    """Compiled backward sweep over a block of layers in one pass, the last of them first.
+    """Sweep backward over a block of layers in one pass, the last layer first.
 
     Args:
-        layers: what the pass reads of the process.
-        weight: of the charge.
-        owed: what a pair costs beside the charge, non-negative, [pairs].
-        saved: and what it earns, [pairs].
-        values: of the layers and those that they lead to, these given, [all layers * nodes].
-        measured: the measures, likewise, [all layers * nodes, 1 + counted]; empty: not asked for.
+        layers: the block of layers.
+        weight: weight of the charge.
+        owed: cost of a pair in addition to the charge, non-negative, [pairs].
+        saved: reward of a pair, non-negative, [pairs].
+        values: values of the layers, written, and of later layers, given, [all layers * nodes].
+        measured: measures, likewise, [all layers * nodes, 1 + counted]; empty: not computed.
         position: the choice among each node's pairs, [layers, nodes].
-        keeps: whether the choice is given, rather than written; then values do not matter.
-        within: at least one more than after the free steps of any pair, [nodes].
-        given: what lower bounds are not to exceed, [layers, nodes]; empty: the least values
-            themselves are asked for.
+        keeps: whether the choice is given rather than written; values are then not used.
+        within: super-solution of the number of free steps, [nodes]: at least one more than its
+            mean after any pair.
+        given: upper limits of lower bounds, [layers, nodes]; empty: least values are computed.
     """
     n, is_bound = layers.order.size, given.size > 0
     rows = max(values.size, measured.shape[0]) // n
@@ -246,18 +246,18 @@ def stream_mass(
     mass: Array, pairs: Array, offsets: Array, successors: Array, probabilities: Array,
     classes: Array, ring: Array, costs: Array, waiting: Array,
 ) -> None:  # fmt: skip
-    """Send the mass of a layer on to later ones, in place; one core: the sums keep their order.
+    """Send the mass of a layer to later ones, in place, on one core so that sums keep their order.
 
     Args:
         mass: one column, or three for each discount, the second of which is the first times the
-            cost paid, [k, columns].
-        pairs: of the states that have it, negative where none is taken, [k].
+            accumulated cost, [k, columns].
+        pairs: pair taken in each state with mass, negative if none is taken, [k].
         offsets: outcomes of each pair, [pairs + 1].
         successors: [outcomes].
         probabilities: [outcomes].
-        classes: of the step costs, [outcomes]; empty: all outcomes are of class 0.
-        ring: row of the layer that a class of steps leads to, -1: this one, [classes].
-        costs: [classes].
+        classes: class of the step cost, [outcomes]; empty: all outcomes are of class 0.
+        ring: row of the layer that a class of steps leads to, -1: this layer, [classes].
+        costs: cost of each class, [classes].
         waiting: written, [rows, states, columns].
     """
     for s in range(pairs.size):
@@ -280,39 +280,39 @@ def stream_evenly(
     leads: Array, costs: Array, stage: Array, stopping: Array, forbidden: Array, goes_on: bool,
     column: int, survival: float, totals: Array, stopped: Array,
 ) -> bool:  # fmt: skip
-    """Compiled: follow a policy's mass through layers that all lead equally many layers ahead.
+    """Follow a policy's mass through layers in which each class leads equally many layers ahead.
 
     Args:
-        waiting: mass, that times the cost paid, and mass that lost the goal; written, [rows of the
-            ring, states, 3 * discounts]; or mass alone, [rows, states, 1].
+        waiting: mass, mass times the accumulated cost, and mass that has lost the goal; written,
+            [rows of the ring, states, 3 * discounts]; or the mass alone, [rows, states, 1].
         first: the first layer.
         decision: position in the state's pairs, or a code, [layers, states].
-        hopeful: whence the goal can be reached, [layers, states]; empty: it does not matter.
-        acting: states at which episodes go on, [states].
+        hopeful: whether the goal can be reached, [layers, states]; empty: everywhere.
+        acting: whether episodes go on, [states].
         at_goal: [states].
         pair_offsets: [states + 1].
         offsets: outcomes of each pair, [pairs + 1].
         successors: [outcomes].
         probabilities: [outcomes].
-        classes: of the step costs, [outcomes]; empty: all outcomes are of class 0.
+        classes: class of the step cost, [outcomes]; empty: all outcomes are of class 0.
         leads: layers that each class of steps passes, at least 1, [classes].
         costs: [classes].
-        stage: mean cost of a step, [pairs]; or empty, as the next two are.
-        stopping: what failing in a state costs, [states].
-        forbidden: where giving up is not allowed, [states].
-        goes_on: whether costs are paid where the goal is lost.
-        column: the first of three that are followed.
-        survival: the discount of these.
+        stage: mean cost of a step, [pairs]; or empty, as ``stopping`` and ``forbidden`` are then.
+        stopping: cost of failing in a state, [states].
+        forbidden: whether giving up is not allowed, [states].
+        goes_on: whether costs are paid after the goal is lost.
+        column: the first of the three columns that are followed.
+        survival: the discount of these columns.
         totals: goal, failure, cost of success, cost until failure; written, [layers, 4].
-        stopped: what ends in each state, and what gives up there; written, [2, states].
+        stopped: mass that ends in each state, and mass that gives up; written, [2, states].
 
     Returns:
-        Whether all decisions are there and allowed.
+        Whether all decisions exist and are allowed.
     """
     room, several, is_charged = waiting.shape[0], waiting.shape[2] > 1, stage.size > 0
     for layer in range(decision.shape[0]):
         row, sums = waiting[(first + layer) % room].copy(), totals[layer]
-        waiting[(first + layer) % room, :, column : column + 3] = 0.0  # the longest lead here
+        waiting[(first + layer) % room, :, column : column + 3] = 0.0  # the longest steps lead here
         for s in range(row.shape[0]):
             mass, paid, lost = row[s, column], 0.0, 0.0
             if several:
@@ -363,22 +363,22 @@ def stream_layers(
     waiting: Array, heads: Array, links: Array,
     indptr: Array, indices: Array, data: Array, first: int, arrived: Array,
 ) -> int:  # fmt: skip
-    """Compiled: settle the arrivals of a ring's layers one after the other, sending mass on.
+    """Collect the arrivals of a ring's layers one after the other, sending mass to later layers.
 
-    Only where mass waits is looked at: lists say so, of each layer of the ring.
+    Only places with mass are visited, by a linked list for each layer of the ring.
 
     Args:
-        waiting: mass, whose last node is the goal, [layers of the ring * nodes]; written.
-        heads: a place of each layer where mass waits, -1: none; written.
-        links: another place of the same layer, -1: none, like ``waiting``; written.
-        indptr: moves of each node but the goal, [nodes].
-        indices: to where they lead, counted from the node's own layer, [moves].
+        waiting: mass; each layer's last node is the goal, [layers of the ring * nodes]; written.
+        heads: first place of each layer with mass, -1: none; written.
+        links: next place of the same layer, -1: none, of ``waiting``'s shape; written.
+        indptr: offsets of the moves of each node except the goal, [nodes].
+        indices: successors, relative to the node's own layer, [moves].
         data: [moves].
         first: the first layer.
         arrived: written, [layers to settle].
 
     Returns:
-        Moves followed.
+        The number of moves followed.
     """
     size, followed = indptr.size, 0
     for ahead in range(arrived.size):
@@ -395,7 +395,7 @@ def stream_layers(
                 to = row * size + indices[k]
                 to = to if to < waiting.size else to - waiting.size
                 share = data[k] * mass
-                if waiting[to] == 0.0 and share > 0.0:  # what is too small for a number is nothing
+                if waiting[to] == 0.0 and share > 0.0:  # underflow counts as 0
                     links[to], heads[to // size] = heads[to // size], to
                 waiting[to] += share
     return followed
@@ -407,22 +407,22 @@ def follow_layer(
     offsets: Array, indptr: Array, begins: Array, indices: Array, data: Array,
     charge: Array, growth: Array, layer: float, counted: Array, onward: Array, sums: Array,
 ) -> None:  # fmt: skip
-    """Compiled: send the mass of a layer on by a choice; its measures.
+    """Send the mass of a layer on by a choice, and add to its measures.
 
     Args:
         mass: [nodes].
-        position: of the chosen pair among those of each node, [nodes].
+        position: position of the chosen pair among the node's pairs, [nodes].
         offsets: pairs of each node, [nodes + 1].
-        indptr: where the columns of each pair begin, [pairs + 1].
-        begins: and where its numbers do, [pairs].
+        indptr: position of each pair's first column, [pairs + 1].
+        begins: position of each pair's first number, [pairs].
         indices: columns.
         data: numbers.
-        charge: of arriving, [pairs].
-        growth: what a unit of the total adds to it, [pairs] or empty.
+        charge: charge of arriving, [pairs].
+        growth: increase of the charge per unit of the total, [pairs] or empty.
         layer: the total paid.
-        counted: beside the charge, [pairs, counted].
-        onward: mass of what the columns stand for, added to, [columns].
-        sums: the measures, and what was rounded off them, [1 + counted, 2], added to.
+        counted: quantities in addition to the charge, [pairs, counted].
+        onward: mass of the columns, added to, [columns].
+        sums: the measures and their rounding errors, [1 + counted, 2], added to.
     """
     terms = np.zeros(len(sums))
     for s in range(mass.size):
@@ -435,7 +435,7 @@ def follow_layer(
         terms[0] = stage
         for j in range(1, terms.size):
             terms[j] = counted[pair, j - 1]
-        for j in range(terms.size):  # what a sum loses is kept beside it
+        for j in range(terms.size):  # compensated summation
             term = mass[s] * terms[j]
             whole = sums[j, 0] + term
             if abs(sums[j, 0]) >= abs(term):
@@ -454,21 +454,21 @@ def stream_marks(
     offsets: Array, successors: Array, probabilities: Array, classes: Array,
     leads: Array, order: Array, hopeful: Array,
 ) -> None:  # fmt: skip
-    """Compiled: mark, layer by layer backwards, where decisions may lead to a marked state.
+    """Mark, layer by layer backwards, the states from which decisions may lead to a marked state.
 
-    Where free steps go round, a layer is gone over until nothing is marked any more.
+    If free steps have cycles, a layer is swept until no further state is marked.
 
     Args:
-        decision: position in the state's pairs, negative where none is taken, [layers, states].
-        acting: states at which episodes go on, [states].
+        decision: position in the state's pairs, negative if none is taken, [layers, states].
+        acting: whether episodes go on, [states].
         pair_offsets: [states + 1].
         offsets: outcomes of each pair, [pairs + 1].
         successors: [outcomes].
         probabilities: [outcomes].
-        classes: of the step costs, [outcomes]; empty: all outcomes are of class 0.
+        classes: class of the step cost, [outcomes]; empty: all outcomes are of class 0.
         leads: layers that each class of steps passes, [classes].
-        order: states, each after those that its free steps lead to, as far as may be, [states].
-        hopeful: written, [layers and those behind them, states].
+        order: states, each after the states its free steps lead to, as far as possible, [states].
+        hopeful: written, [layers and later layers, states].
     """
     n_layers, n = decision.shape
     stays = leads.min() == 0

@@ -1,4 +1,4 @@
-"""Compiled selection of rows: a process's from a model's outcomes, a policy's from a process."""
+"""Compiled selection of rows: of a process from a model's outcomes, of a policy from a process."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def count_rows(
     outcome_offsets: Array, successors: Array, probabilities: Array, node_of: Array, pair_at: Array,
     home: Array, counts: Array, departs: Array, leaks: Array,
 ) -> None:  # fmt: skip
-    """Compiled: count the entries of live rows, the mass that departs, and what ends there."""
+    """Count the entries of live rows, and sum the mass that departs and the mass that ends."""
     departing = home.size > 0
     for row in range(pair_at.size):
         entries, loops, leak, away = 0, 0, 0.0, 0.0
@@ -49,7 +49,7 @@ def fill_rows(
     n_nodes: int, pair_at: Array, home: Array, departs: Array, survival: float, indptr: Array,
     indices: Array, data: Array,
 ) -> None:  # fmt: skip
-    """Compiled: columns and probabilities of the rows' entries that ``count_rows`` counted."""
+    """Write columns and probabilities of the entries that ``count_rows`` counted."""
     departing, layered = home.size > 0, ahead.size > 0
     for row in range(pair_at.size):
         place, end = indptr[row], indptr[row + 1]
@@ -80,19 +80,19 @@ def fill_rows(
 def share_rows(
     indptr: Array, numbers: Array, begins: Array, data: Array, slots: Array, used: int
 ) -> int:
-    """Compiled: keep the numbers of the rows that differ, and say where those of each row are.
+    """Store the numbers of distinct rows, and the position of each row's numbers.
 
     Args:
-        indptr: where each row's numbers lie, [rows + 1].
+        indptr: offsets of each row's numbers, [rows + 1].
         numbers: positive, [entries].
-        begins: written: where each row's numbers begin among the data, [rows].
+        begins: written: position of each row's first number in the data, [rows].
         data: written from ``used`` on.
-        slots: where a row of this hash begins, -1: none so far; a power of two, and at least
-            twice as many as there are data.
-        used: how many of the data are.
+        slots: a hash table: position of a row with this hash, -1 if none; its size is a power of
+            two, and at least twice the size of the data.
+        used: number of data that are used.
 
     Returns:
-        How many of the data are used now; -1 where there is no room for more.
+        The number of data that are used now; -1 if the space does not suffice.
     """
     bits, shared = numbers.view(np.uint64), data.view(np.uint64)
     for row in range(begins.size):
@@ -125,7 +125,7 @@ def row_product(
     choice: Array, indptr: Array, begins: Array, indices: Array, data: Array, x: Array,
     result: Array,
 ) -> None:  # fmt: skip
-    """Compiled: chosen rows of a matrix times one vector."""
+    """Multiply chosen rows of a matrix by one vector."""
     for s in prange(choice.size):
         row = choice[s]
         total, first, begin = 0.0, indptr[row], begins[row]
@@ -139,7 +139,7 @@ def row_products(
     choice: Array, indptr: Array, begins: Array, indices: Array, data: Array, x: Array,
     result: Array,
 ) -> None:  # fmt: skip
-    """Compiled: chosen rows of a matrix times several vectors, [states, vectors]."""
+    """Multiply chosen rows of a matrix by several vectors, [states, vectors]."""
     for s in prange(choice.size):
         first, begin = indptr[choice[s]], begins[choice[s]]
         result[s] = 0.0
@@ -154,7 +154,7 @@ def copy_rows(
     choice: Array, indptr: Array, begins: Array, indices: Array, data: Array, own_indptr: Array,
     own_indices: Array, own_data: Array,
 ) -> None:  # fmt: skip
-    """Compiled: copy chosen rows of a matrix one after the other, to be read in order."""
+    """Copy chosen rows of a matrix one after the other."""
     for s in prange(choice.size):
         first, begin, place = indptr[choice[s]], begins[choice[s]], own_indptr[s]
         for k in range(own_indptr[s + 1] - place):
@@ -166,14 +166,14 @@ def copy_rows(
 def place_layers(
     choice: Array, first: Array, pair_at: Array, offsets: Array, node_of: Array, found: Array
 ) -> None:
-    """Compiled: choices of rows by node in many layers as positions among states' pairs.
+    """Convert choices by node in many layers to positions among states' pairs.
 
     Args:
         choice: [layers, nodes].
-        first: what it is counted from, [nodes].
+        first: first pair of each node, from which choices count, [nodes].
         pair_at: pair of the model, or a negative code, [pairs].
         offsets: first pair of each state, [states].
-        node_of: negative where nothing is decided, [states].
+        node_of: node of each state; negative if nothing is decided there, [states].
         found: written, [layers, states].
     """
     for s in range(node_of.size):

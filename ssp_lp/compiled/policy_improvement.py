@@ -12,14 +12,14 @@ from ssp_lp.compiled.equations import eliminate_component, gather_component
 
 Array = np.ndarray[Any, Any]
 Rows = tuple[Array, Array, Array, Array, Array]
-"""A process: where each state's pairs begin, [states + 1], and each pair's entries, [pairs + 1];
+"""A process: offsets of each state's pairs, [states + 1], and of each pair's entries, [pairs + 1];
 columns and probabilities, [entries] each; and the probability of leaving for good, [pairs]."""
 
 _MOST_ROUNDS = 1_000
-"""Rounds in one component that only rounding could need; what it costs shows in the bound."""
+"""Most rounds in one component, which only rounding could exceed; the bound shows the loss."""
 
 _ROUNDS = 50
-"""Howard's rounds in one component: more would be spent on what lies around it."""
+"""Most of Howard's rounds in one component before its neighbours are improved."""
 
 
 @compiled_loop
@@ -27,16 +27,16 @@ def improve_components(
     rows: Rows, order: Array, components: Array, most: int, cost: Array, noise: float,
     choice: Array, values: Array,
 ) -> int:  # fmt: skip
-    """Compiled policy improvement, component by component, ends first: least values.
+    """Improve a policy to least values component by component, ends first.
 
     A component of one state takes its best pair; in a larger one Howard's rounds start from the
     given policy, which leaves it.
 
     Args:
-        rows: of the process.
+        rows: the process.
         order: states, component by component, [states].
         components: offsets of the components in the order, [components + 1].
-        most: states of the largest component.
+        most: number of states of the largest component.
         cost: [pairs].
         noise: relative gain up to which a pair is kept.
         choice: pairs of a policy that leaves, improved in place, [states].
@@ -63,7 +63,7 @@ def improve_components(
         if least == np.inf:
             return c
         values[s] = least
-        if least < kept:  # else among equals the held one stays
+        if least < kept:  # the held pair is kept if equally good
             choice[s] = pick
     return -1
 
@@ -73,18 +73,18 @@ def improve_acyclic(
     rows: Rows, order: Array, rewards: Array, weights: Array, keeps: bool, epsilon: float,
     choice: Array, x: Array, runs: Array, missed: Array,
 ) -> bool:  # fmt: skip
-    """Compiled policy improvement in one pass over a process without cycles; all totals.
+    """Improve a policy in one pass over a process without cycles, and compute all totals.
 
-    The rounding of each total is summed beside it (a running error analysis, Higham 2002).
+    The rounding of each total is summed as well (a running error analysis, Higham 2002).
 
     Args:
-        rows: of the process.
+        rows: the process.
         order: states, ends first, [states].
         rewards: [pairs, rewards].
-        weights: of the rewards, whose sum is minimised, [rewards].
-        keeps: take the given pairs.
-        epsilon: of the machine.
-        choice: the given pairs, which stay among equals; written, [states].
+        weights: weights of the rewards, whose sum is minimised, [rewards].
+        keeps: whether to take the given pairs.
+        epsilon: the machine epsilon.
+        choice: the given pairs, kept if equally good; written, [states].
         x: written: expected totals, [states, rewards].
         runs: written: expected steps, [states].
         missed: written: half of the greatest error of each total per expected step, [rewards].
@@ -143,10 +143,10 @@ def improve_component(
     rows: Rows, states: Array, place: Array, cost: Array, noise: float, floor: float, rounds: int,
     choice: Array, values: Array, inner: Array, low: Array, leaving: Array, right: Array,
 ) -> tuple[int, bool]:  # fmt: skip
-    """Compiled policy improvement within a component by Howard's rounds, in place.
+    """Improve a policy within a component by Howard's rounds, in place.
 
     Returns:
-        How often a pair was changed, and whether all policies left.
+        The number of changes of a pair, and whether all policies left.
     """
     _, indptr, indices, data, exits = rows
     column, rewards = values.reshape(values.size, 1), cost.reshape(cost.size, 1)
@@ -187,7 +187,7 @@ def improve_component(
 def _best_pair(
     rows: Rows, cost: Array, values: Array, s: int, held: int
 ) -> tuple[int, float, float, float]:
-    """Compiled: a state's first best pair, for policy improvement, and the least value."""
+    """Return the first best pair, its value, the held pair's value, and the size of its terms."""
     offsets, indptr, indices, data, exits = rows
     pick, least, kept, size = held, np.inf, np.inf, 0.0
     for pair in range(offsets[s], offsets[s + np.uint32(1)]):
@@ -212,22 +212,22 @@ def improve_blocks(
     cost: Array, noise: float, floor: float, entering: Array, entering_offsets: Array, owner: Array,
     choice: Array, values: Array, stale: Array,
 ) -> int:  # fmt: skip
-    """Compiled policy improvement block by block, in place, at the latest values around.
+    """Improve a policy block by block, in place, with the current values of other blocks.
 
-    A block is solved exactly and improved by Howard's rounds until none of its states changes.
-    Blocks without a stale state, one that leads to values that are newer than its own, are passed
-    over.
+    A block is solved exactly and improved by Howard's rounds until none of its states changes. A
+    state is stale if a successor's value has changed since; blocks without stale states are
+    skipped.
 
     Args:
-        rows: of the process.
+        rows: the process.
         order: states, block by block, [states].
         blocks: offsets of the blocks in the order, [blocks + 1].
-        is_forward: whether blocks are visited in order; else from the last on.
-        most: states of the largest block.
+        is_forward: whether blocks are visited in order, otherwise from the last on.
+        most: number of states of the largest block.
         cost: [pairs].
         noise: relative gain up to which a pair is kept.
         floor: absolute gain up to which a pair is kept.
-        entering: the pairs that lead to each state, [entries].
+        entering: pairs that lead to each state, [entries].
         entering_offsets: [states + 1].
         owner: the state of each pair, [pairs].
         choice: pair of each state, [states].
@@ -235,7 +235,7 @@ def improve_blocks(
         stale: [states].
 
     Returns:
-        How often a pair was changed.
+        The number of changes of a pair.
     """
     inner, right = np.empty((most, most)), np.empty((most, 1))
     low, leaving = np.empty(most, dtype=np.int64), np.empty(most)
@@ -278,7 +278,7 @@ def improve_blocks(
 def _mark_entering(
     entering: Array, entering_offsets: Array, owner: Array, s: int, stale: Array
 ) -> None:
-    """Compiled: mark states for policy improvement again, as a successor's value has changed."""
+    """Mark the states that lead to a state whose value has changed as stale."""
     for k in range(entering_offsets[s], entering_offsets[s + np.uint32(1)]):
         stale[owner[entering[k]]] = True
 
@@ -287,19 +287,19 @@ def _mark_entering(
 def improve_states(
     rows: Rows, order: Array, cost: Array, noise: float, floor: float, choice: Array, values: Array
 ) -> int:
-    """Compiled policy improvement, state by state: pairs change for gains above the noise.
+    """Improve a policy state by state; pairs change for gains above the noise.
 
     Args:
-        rows: of the process.
+        rows: the process.
         order: the states to visit.
         cost: [pairs].
-        noise: relative to the values compared.
-        floor: absolute gain that is none.
+        noise: relative gain up to which a pair is kept.
+        floor: absolute gain up to which a pair is kept.
         choice: pair of each state, [states].
         values: [states].
 
     Returns:
-        How many pairs were changed.
+        The number of pairs that changed.
     """
     offsets, indptr, indices, data, _ = rows
     changed = 0
@@ -326,16 +326,16 @@ def improve_states(
 def sweep_reach(
     rows: Rows, order: Array, wanted: Array, epsilon: float, up: bool, choice: Array, values: Array
 ) -> float:
-    """Compiled policy improvement of the greatest probabilities of leaving, state by state.
+    """Improve the greatest probabilities of leaving by an exit, state by state.
 
-    Rounded down they only rise, and a state that rises takes the pair that it rises by; rounded up
-    they are at most 1, and the choice stays.
+    Rounded down, values only rise, and a state that rises takes the pair by which it rises; rounded
+    up, values are at most 1, and the choice does not change.
 
     Args:
-        rows: of the process.
+        rows: the process.
         order: the states to visit.
-        wanted: probability of leaving so, [pairs].
-        epsilon: of the machine.
+        wanted: probability of leaving by the exit, [pairs].
+        epsilon: the machine epsilon.
         up: whether to round up.
         choice: pair of each state, [states].
         values: [states].
@@ -367,7 +367,7 @@ def sweep_reach(
 def follow_reach(
     rows: Rows, order: Array, wanted: Array, epsilon: float, choice: Array, values: Array
 ) -> None:
-    """Compiled: probabilities of leaving along the chosen pairs, state by state, rounded down."""
+    """Update probabilities of leaving along the chosen pairs, state by state, rounded down."""
     _, indptr, indices, data, _ = rows
     for s in order:
         pair = choice[s]

@@ -1,4 +1,4 @@
-"""Models whose rows lie with several processes or machines: the extra ``distributed``."""
+"""Models whose rows are distributed over processes or machines: the extra ``distributed``."""
 
 from ssp_lp.distributed.partitioned_model import (
     Measured as Measured,

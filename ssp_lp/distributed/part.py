@@ -1,9 +1,9 @@
 """A rank's part of a model: the pairs of its own states, and the states to which these lead.
 
-A part is a model in all that concerns one pair at a time: expected costs, successors, what a limit
-counts. Its states are those that the rank knows: its own, then the ghosts, which have no
-pairs here. Their labels are their numbers in the model. Facts about the whole graph are found by
-all ranks together and kept with each part.
+A part acts as a model in everything that concerns single pairs: expected costs, successors,
+coefficients of a limit. Its states are those that the rank knows: its own, then the ghosts, which
+have no pairs here. Their labels are their numbers in the model. All ranks compute facts about the
+whole graph together, and each part stores them.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from ssp_lp.model import SSP
 from ssp_lp.model.graph import Graph
 from ssp_lp.model.state_rows import Rows, checked_rows
 
-_MIXER, _HALF = np.uint64(0x9E3779B97F4A7C15), np.uint64(32)  # an odd number of bits as if drawn
-_PROBES = 256  # states that are tried to see how many outcomes there are
+_MIXER, _HALF = np.uint64(0x9E3779B97F4A7C15), np.uint64(32)  # odd, pseudo-random
+_PROBES = 256  # states that are sampled to estimate the number of outcomes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -35,16 +35,16 @@ class Part(SSP):
     sets: Mapping[str, IntArray] = field(kw_only=True)  # named sets: numbers of their states
     facts: dict[str, Any] = field(kw_only=True, default_factory=dict)  # of the whole graph
     wanted: set[int] = field(kw_only=True, default_factory=set)
-    """Numbers of states that were asked for and are not known here."""
+    """Numbers of states that were looked up and are not known here."""
 
     @property
     def kept_facts(self) -> dict[str, Any]:
-        """Facts about the graph of which the part is one, for the states known here."""
+        """Facts about the whole graph, for the states known here."""
         return self.facts
 
     @property
     def predecessors(self) -> Any:
-        """Refused: other ranks' pairs lead to states of this part, too.
+        """Predecessors are not available: pairs of other ranks also lead to states of this part.
 
         Raises:
             ModelError: always.
@@ -53,17 +53,17 @@ class Part(SSP):
 
     @property
     def graph(self) -> Graph:
-        """The part as a graph of its own, made for one search."""
+        """The part as a separate graph, built for one search."""
         return Graph(self.pair_offsets, self.outcome_offsets, self.successors, self.probabilities)
 
     def of_all_states(self, made: FloatArray) -> FloatArray:
-        """What was made of each own state's pairs, for all states of the part, [states]."""
+        """Extend values of the own states to all states of the part, [states]."""
         return self.halo.filled(made)
 
     def find(self, state: Any) -> int | None:
-        """Place in the part of the state with this number; None: the model has none.
+        """Return the place in the part of a state's number; None if the model has no such state.
 
-        A state that the part does not know is noted as wanted, and any place is returned.
+        A state that the part does not know is added to ``wanted``, and 0 is returned.
         """
         if not isinstance(state, (int, np.integer)) or not 0 <= state < self.halo.n_all:
             return None
@@ -73,15 +73,15 @@ class Part(SSP):
         return int(places[0]) if places.size else 0
 
     def hint(self, state: Any) -> str:
-        """Clause for errors: what may be meant by what is no state of the model."""
+        """Return a clause for errors that names the states of the model."""
         return f": states are 0 .. {self.halo.n_all - 1}"
 
     @cached_property
     def words(self) -> str:
-        """Sizes and a checksum of the model, the same on any number of ranks; all ask together.
+        """Sizes and a checksum of the model, equal on any number of ranks, which must all read it.
 
-        The checksum is a sum modulo 2^64 of mixed words, one of each outcome: its number among all
-        outcomes, its pair's, its successor, probability and costs.
+        The checksum is a sum modulo 2^64 of one mixed word for each outcome: its number among all
+        outcomes, its pair, its successor, probability and costs.
         """
         comm, sizes = self.halo.ranks.comm, [self.halo.n_own, self.n_pairs, self.n_outcomes]
         before, every = comm.scan(np.array(sizes)) - sizes, comm.allreduce(np.array(sizes))
@@ -96,7 +96,7 @@ class Part(SSP):
         return f"{every[0]} states, {every[1]} pairs, checksum {total:x}"
 
     def knowing(self, numbers: Iterable[int]) -> Part:
-        """Return the part with further states of other ranks as ghosts; all ranks ask together."""
+        """Return the part with further ghosts; all ranks must call this."""
         more = np.setdiff1d(np.array([*numbers], dtype=np.int64), self.halo.numbers)
         halo = Halo(self.halo.ranks, self.halo.n_own, np.append(self.halo.ghosts, more))
         offsets = np.append(self.pair_offsets, np.full(len(more), self.n_pairs))
@@ -107,7 +107,7 @@ class Part(SSP):
 
 
 def _named(halo: Halo, sets: Mapping[str, IntArray]) -> dict[str, Any]:
-    """Labels of the known states, which are their numbers, and the known members of named sets."""
+    """Return labels of the known states, their numbers, and the known members of named sets."""
     labels = {name: np.flatnonzero(np.isin(halo.numbers, of)) for name, of in sets.items()}
     return {"states": array("q", halo.numbers.tobytes()), "state_labels": labels}
 
@@ -115,17 +115,17 @@ def _named(halo: Halo, sets: Mapping[str, IntArray]) -> dict[str, Any]:
 def made_part(
     ranks: Ranks, rows: Rows, goals: IntArray, sets: Mapping[str, IntArray], bounds: IntArray
 ) -> Part:
-    """Make each rank's part, with the facts about the whole graph; all ranks make theirs together.
+    """Build each rank's part, with facts about the whole graph; all ranks must call this.
 
     Args:
-        ranks: all of them.
-        rows: makes the rows of some states.
+        ranks: all ranks.
+        rows: returns the rows of a range of states.
         goals: numbers of the goal states, ascending.
         sets: numbers of the states of each named set.
         bounds: first state of each rank, and the end, [ranks + 1].
 
     Raises:
-        ModelError: naming the state and the action at fault.
+        ModelError: a row is invalid; the message names the state and the action.
     """
     first, end = bounds[ranks.comm.rank :][:2].tolist()
 
@@ -137,7 +137,7 @@ def made_part(
         remote = inside & ((successors < first) | (successors >= end))
         away = goals[:1][(goals[:1] < first) | (goals[:1] >= end)]  # each part has a goal
         ghosts = np.union1d(successors[remote], away).astype(np.int64)
-        places = np.where(inside, successors - first, -1)  # what is no state is named below
+        places = np.where(inside, successors - first, -1)  # invalid states are reported below
         places[remote] = n_own + np.searchsorted(ghosts, successors[remote])
         numbers = np.append(np.arange(first, end), ghosts)
         arrays = {
@@ -150,7 +150,7 @@ def made_part(
         }
         try:
             return SSP.from_arrays(**arrays), ghosts
-        except ModelError:  # again, for the numbers of states in the error
+        except ModelError:  # again, so that the error names the states' numbers
             return SSP.from_arrays(**arrays, states=numbers.tolist()), ghosts
 
     plain, ghosts = ranks.agreed(made)
@@ -160,19 +160,19 @@ def made_part(
     goal, every = part.goal_mask, np.ones(part.n_pairs, dtype=np.bool_)
     lost = part.facts["hopeless_states"] = ~halo.reaching(part.graph, goal)
     part.facts["attention_states"] = halo.staying(part.graph, every, goal)
-    # an end of each set is known to all ranks, so that all agree whether an episode ends in it
+    # all ranks know an end of each set, so that all agree whether an episode ends in it
     own_lost = halo.numbers[: halo.n_own][lost[: halo.n_own]]
     ended = [own_lost[np.isin(own_lost, of)][:1] for of in sets.values()]
     return part.knowing(k for some in ranks.comm.allgather(ended) for one in some for k in one)
 
 
 def balanced_bounds(ranks: Ranks, rows: Rows, n_states: int) -> IntArray:
-    """Return bounds by which all ranks have about as many outcomes, [ranks + 1].
+    """Return bounds of the ranks' states with about equal numbers of outcomes, [ranks + 1].
 
-    Some states are tried, each rank its share of them.
+    The numbers are estimated from a sample of states, which the ranks share.
 
     Raises:
-        ModelError: as of the rows that are tried.
+        ModelError: a row of the sample is invalid.
     """
     rank, size = ranks.comm.rank, ranks.comm.size
     ends = np.unique(np.linspace(0, n_states, _PROBES + 1).astype(np.int64))

@@ -1,4 +1,4 @@
-"""Models whose rows lie with several ranks, and questions on them."""
+"""Models whose rows are distributed over several ranks, and the problems on them."""
 
 from __future__ import annotations
 
@@ -35,35 +35,35 @@ from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.solution import Run
 
-_PIECE = 1 << 14  # cells that are discretised at a time
+_PIECE = 1 << 14  # number of cells that are discretised at a time
 _SURE = 1e-6  # relative uncertainty of a price in a checkpoint
-_AGAIN = 3  # policies of an earlier run that are measured to begin with
-_FINER = 1e-3  # of the tolerance, where a complement is minimised, which may be much larger
+_AGAIN = 3  # number of policies of an earlier run that are evaluated first
+_FINER = 1e-3  # factor of the tolerance if a complement is minimised, which may be much larger
 _WHOLE = "solve it with ssp_lp.solve on a model held whole"
 
 
 @dataclass(frozen=True, eq=False)
 class Measured(ReadOnlyCopies):
-    """What a policy of a partitioned model is worth, the same on every rank."""
+    """Objective, failure and limited quantities of a policy, the same on every rank."""
 
     objective: float
-    failure: float  # discounted where that is limited
+    failure: float  # discounted if the budget limits the discounted failure
     spent: Mapping[str, float]  # each limited quantity, by name
-    figures: FloatArray  # [members, 2 + limits] the same of each member
+    figures: FloatArray  # [members, 2 + limits] objective, failure and quantities of each member
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PartitionedSolution(Measured):
-    """The optimum of a question on a partitioned model, the same on every rank."""
+    """The optimum of a problem on a partitioned model, the same on every rank."""
 
-    lower_bound: float  # of the optimum, certified; of a greatest one it is an upper bound
-    policy: PartitionedPolicy  # each rank has the decisions of its own states
+    lower_bound: float  # certified bound of the optimum; an upper bound if it is a maximum
+    policy: PartitionedPolicy  # each rank holds the decisions of its own states
     prices: Mapping[str, float]  # multiplier of each row, by name
     run: Run
     problem: Formulation  # on this rank's part of the model
 
     def __repr__(self) -> str:
-        """One line: what was asked, the objective with its gap, the failure, and the lottery."""
+        """Return criterion, objective with gap, failure and lottery in one line."""
         return (
             f"PartitionedSolution({type(self.problem).__name__}: objective {self.objective:.9g}, "
             f"gap {self.gap:.1e}, failure {self.failure:.6g}, {self.policy!r})"
@@ -71,26 +71,26 @@ class PartitionedSolution(Measured):
 
     @property
     def gap(self) -> float:
-        """Relative gap between the partitioned solution's objective and its bound."""
+        """Relative gap between the objective and its bound."""
         return two_sided_gap(self.objective, self.lower_bound)
 
     @property
     def failure_price(self) -> float:
-        """Multiplier of the partitioned solution's failure row."""
+        """Multiplier of the failure row."""
         return self.prices.get(FAILURE_ROW, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class PartitionedModel:
-    """A model whose rows lie with several ranks, by state, and nowhere all together.
+    """A model whose rows are distributed over several ranks by state.
 
-    Under ``mpiexec -n 4 python plan.py`` every rank makes its part, and asks the same:
+    Under ``mpiexec -n 4 python plan.py`` every rank builds its part, and makes the same calls:
 
         model = PartitionedModel.from_rows(rows, n_states, goal_states=[n_states - 1])
         answer = model.solve(MCMP, start=0, failure_budget=0.05)
     """
 
-    part: Part  # this rank's
+    part: Part  # this rank's part
     ranks: Ranks = field(repr=False)
 
     @classmethod
@@ -103,18 +103,18 @@ class PartitionedModel:
         state_labels: Mapping[str, npt.ArrayLike] | None = None,
         bounds: npt.ArrayLike | None = None,
     ) -> PartitionedModel:
-        """Make each rank's part by a vectorised function on a range of states.
+        """Build each rank's part by a vectorised function on a range of states.
 
         Args:
-            rows: ``rows(first, end)`` gives the rows of the states first .. end - 1, as arrays;
-                each rank asks for its own, after a few states one by one.
+            rows: ``rows(first, end)`` returns the rows of the states first .. end - 1, as arrays;
+                each rank calls it for a sample of single states, then for its own states.
             n_states: number of states.
             goal_states: numbers of the goal states, which have no actions.
             state_labels: names for sets of states, each given by the numbers of its states.
             bounds: first state of each rank, and the end, [ranks + 1]; None: outcomes are balanced.
 
         Raises:
-            ModelError: naming the state and the action at fault.
+            ModelError: a row is invalid; the message names the state and the action.
         """
         ranks, named = Ranks(), {"goal_states": goal_states, **(state_labels or {})}
 
@@ -126,7 +126,7 @@ class PartitionedModel:
                 if of.size and (of.dtype.kind not in "iu" or of[0] < 0 or of[-1] >= n_states):
                     raise ModelError(f"{name} must be numbers of states, 0 .. {n_states - 1}")
             if not sets["goal_states"].size:
-                raise ModelError("the model has no goal state; name at least one")
+                raise ModelError("the model has no goal state: name at least one in goal_states")
             return sets
 
         sets = ranks.agreed(checked)
@@ -142,18 +142,18 @@ class PartitionedModel:
     def from_continuous(
         cls, world: ContinuousModel, points: Quadrature = MIDPOINTS
     ) -> PartitionedModel:
-        """Discretise each rank's cells of a continuous world: the rows of ``discretise``'s model.
+        """Discretise each rank's cells of a continuous world, as ``discretise`` does.
 
         Args:
             world: the step function and the grid, the same on every rank.
-            points: a ``Quadrature``; samples are drawn in one order and cannot be shared.
+            points: a ``Quadrature``; random samples depend on one order and cannot be shared.
 
         Raises:
-            ModelError: samples are asked for, or what ``discretise`` raises.
+            ModelError: ``points`` are random samples, or any error of ``discretise``.
         """
 
         def rows(first: int, end: int) -> StateRows:
-            """Return the rows of some cells, and of the ends behind them, worked out in pieces."""
+            """Return the rows of cells, and of the ends numbered after them, computed in pieces."""
             begins = [*range(first, end, _PIECE)] or [first]
             made = [discretised_rows(world, points, *own) for own in pairwise([*begins, end])]
             parts = [(own, np.diff(found.outcome_offsets), *found[1:]) for own, found in made]
@@ -165,7 +165,7 @@ class PartitionedModel:
         if not isinstance(world, ContinuousModel):
             raise wrong_argument("world", "be a ContinuousModel", world)
         if not isinstance(points, Quadrature):
-            raise ModelError(f"the ranks share points such as Quadrature(4), not {points!r}")
+            raise ModelError(f"points must be a Quadrature, such as Quadrature(4), not {points!r}")
         labels = {name: [world.end_state(name)] for name in world.dead_ends}
         return cls.from_rows(rows, world.n_states, [world.end_state("goal")], state_labels=labels)
 
@@ -174,10 +174,10 @@ class PartitionedModel:
         """Read each rank's part of a file of ``save_model``; states and actions are numbers.
 
         Args:
-            path: of the file, which every rank can open.
+            path: path of the file, which every rank can open.
 
         Raises:
-            ModelError: naming the file: it is none of this format, or damaged.
+            ModelError: the file has another format, or is damaged; the message names it.
             OSError: the file cannot be opened.
         """
         file = Ranks().agreed(lambda: ModelFile(path))
@@ -194,19 +194,20 @@ class PartitionedModel:
         checkpoint: str | Path | None = None,
         **asked: Any,
     ) -> PartitionedSolution:
-        """Solve a question of case M, on all ranks together.
+        """Solve a problem of case M; all ranks must call this.
 
         Args:
-            criterion: such as ``MCMP`` or ``MaxProb``, stated with what else: ``start=``,
-                ``failure_budget=``, ``discount=``, ``constraints=``, ...; secondary costs by name.
+            criterion: a class such as ``MCMP`` or ``MaxProb``. Its arguments are given as keywords:
+                ``start=``, ``failure_budget=``, ``discount=``, ``constraints=``, ..., with
+                secondary costs by name.
             tolerance: relative gap to reach.
-            progress: as ``solve`` takes it; called on the first rank.
-            checkpoint: a folder to which each policy goes that is found, each rank's part of it; a
-                later run of the same question, on any number of ranks, begins with them.
+            progress: a callback, see ``solve``; called on the first rank.
+            checkpoint: a folder in which every policy is saved when it is found, by each rank its
+                part; a later run of the same problem, on any number of ranks, starts from them.
 
         Raises:
-            ModelError: another question, or one that needs the whole graph.
-            InfeasibleError: no policy keeps to the budget and the limits.
+            ModelError: the ranks state different problems, or the problem needs the whole graph.
+            InfeasibleError: no policy satisfies the budget and the limits.
         """
         began, ranks, method = time.perf_counter(), self.ranks, ColumnGeneration()
         told = progress if ranks.comm.rank == 0 else None
@@ -216,23 +217,23 @@ class PartitionedModel:
         return ranks.together(lambda: self._solved(problem, options, checkpoint))
 
     def evaluate(self, policy: PartitionedPolicy, criterion: type[Any], **asked: Any) -> Measured:
-        """Evaluate a policy on the rows of all ranks, with a bound of the error.
+        """Evaluate a policy on the rows of all ranks, to a bounded error; all ranks must call this.
 
-        All ranks ask together, and get the same. As in ``ssp_lp.evaluate`` a policy has failed as
-        soon as it has lost the goal by its own steps, where it may give up.
+        As in ``ssp_lp.evaluate``, a policy has failed as soon as it can no longer reach the goal by
+        its own decisions, in states where it may give up.
 
         Args:
-            policy: on this model; an answer's, or one that was loaded.
-            criterion: such as ``MCMP``, stated as in :meth:`solve`.
+            policy: a policy on this model: that of a solution, or one that was loaded.
+            criterion: a class such as ``MCMP``, with arguments as in :meth:`solve`.
 
         Raises:
-            ModelError: the policy is of another model, has no decision in a state, or gives up
-                where it may not.
+            ModelError: the policy belongs to another model, has no decision in a state, or gives
+                up where it may not.
         """
         problem = self._stated(criterion, asked)
 
         def checked() -> None:
-            """Check that the policy is one of this model."""
+            """Check that the policy belongs to this model."""
             if not isinstance(policy, PartitionedPolicy) or policy.part is not self.part:
                 wanted = "be a policy of this model: answer.policy, or PartitionedPolicy.load(...)"
                 raise wrong_argument("policy", wanted, policy)
@@ -242,7 +243,7 @@ class PartitionedModel:
         self.ranks.alike("policies", {"the members' weights": policy.weights.tolist()})
 
         def measured() -> Measured:
-            """Measure each member as a column of the process."""
+            """Evaluate each member as a column of the process."""
             compiled = self._compiled(problem)
             columns = [compiled.pricing().evaluated(own) for own in policy.positions]
             return Measured(**_figures(compiled, policy.weights, columns))
@@ -250,10 +251,10 @@ class PartitionedModel:
         return self.ranks.together(measured)
 
     def _stated(self, criterion: type[Any], asked: Mapping[str, Any]) -> Formulation:
-        """State a question on the rank's part of the model, with the states that it names.
+        """State a problem on the rank's part of the model, extended by the states that it names.
 
         Raises:
-            ModelError: another question, or one that needs the whole graph.
+            ModelError: the ranks state different problems, or the problem needs the whole graph.
         """
         part: Part = self.part
         while True:
@@ -266,10 +267,10 @@ class PartitionedModel:
             part.wanted.clear()
             if not wanted:
                 break
-            part = part.knowing(wanted)  # what a rank did not know may have been at fault
+            part = part.knowing(wanted)  # an unknown state may have caused the error
 
         def made() -> Formulation:
-            """Return the problem, or raise what was wrong with it."""
+            """Return the problem, or raise its error."""
             if problem is None:
                 raise error or ModelError("the question cannot be stated")
             return problem
@@ -279,10 +280,10 @@ class PartitionedModel:
         return stated
 
     def _compiled(self, problem: Formulation, **more: Any) -> CompiledPartitioned:
-        """Compile a question on this rank's part; bounds of rows are those of the first rank."""
+        """Compile a problem on this rank's part, with the first rank's bounds of rows."""
 
         def told(row: Any) -> Any:
-            """Return a row with the numbers of the first rank, which follow from its sums."""
+            """Return a row with the numbers of the first rank, as sums may differ by rounding."""
             if row is None:
                 return None
             own = {name: getattr(row, name) for name in ("constant", "bound", "offset")}
@@ -296,10 +297,10 @@ class PartitionedModel:
     def _solved(
         self, problem: Formulation, options: SolveOptions, checkpoint: str | Path | None
     ) -> PartitionedSolution:
-        """Search, as every rank does, for the optimum of a checked question.
+        """Find the optimum of a checked problem, as every rank does.
 
         Raises:
-            InfeasibleError: no policy keeps to the budget and the limits.
+            InfeasibleError: no policy satisfies the budget and the limits.
         """
         began = time.perf_counter()
         kept = _Checkpoint(self.part, checkpoint, repr(_words(problem)))
@@ -330,30 +331,30 @@ class PartitionedModel:
 
 
 class _Checkpoint:
-    """Policies that a search has found, in a folder: each a partitioned policy, saved as such."""
+    """A folder with the policies that a search has found, each saved as a partitioned policy."""
 
     def __init__(self, part: Part, folder: str | Path | None, question: str) -> None:
-        """Find what an earlier run has left; all ranks do so together.
+        """Find the policies of an earlier run; all ranks must call this.
 
         Raises:
-            ModelError: the checkpoint is in no folder, or is none.
+            ModelError: the checkpoint is not a folder, or its parent folder does not exist.
         """
         self._part, self._folder, self._question = part, Path(folder) if folder else None, question
         self._earlier: list[Path] = part.halo.ranks.agreed(self._found)
 
     def _found(self) -> list[Path]:
-        """Return the policies that are there whole."""
+        """Return the folders of complete policies."""
         if self._folder is None:
             return []
         if not self._folder.parent.is_dir() or self._folder.is_file():
-            raise ModelError(f"the checkpoint {self._folder} must be a folder, in one that exists")
+            raise ModelError(f"the checkpoint {self._folder} must be a folder in an existing one")
         return sorted(one.parent for one in self._folder.glob("*/policy.npz"))
 
     def begun(self, process: PartitionedProcess) -> DualGuess | None:
-        """Measure the last policies of an earlier run; their price is where the search begins.
+        """Evaluate the last policies of an earlier run, and return their price to start from.
 
         Raises:
-            ModelError: they are of another question or another model, or a file is damaged.
+            ModelError: the policies answer another problem or model, or a file is damaged.
         """
         prices = [0.0, 0.0]
         for one in self._earlier[-_AGAIN:]:
@@ -376,7 +377,7 @@ class _Checkpoint:
 def _figures(
     compiled: CompiledPartitioned, weights: FloatArray, members: Sequence[Any]
 ) -> dict[str, Any]:
-    """Objective, failure and limited quantities of a lottery and of each member, as asked for."""
+    """Return objective, failure and limited quantities of a lottery and of each member."""
     figures = np.stack([one.figures for one in members])
     figures[:, 0] = [compiled.sense.worth(cost) for cost in figures[:, 0].tolist()]
     for place, row in enumerate(compiled.side, 2):
@@ -388,40 +389,40 @@ def _figures(
 
 
 def _checked_problem(criterion: type[Any], part: Part, asked: Mapping[str, Any]) -> Formulation:
-    """Return the question on a part of the model, where ranks can answer it.
+    """Return the problem on a part of the model, checked to be solvable by ranks.
 
     Raises:
-        ModelError: they cannot; it says what to do.
+        ModelError: ranks do not support the problem; the message says what to do.
     """
     if not isinstance(criterion, type):
         raise wrong_argument("criterion", "be a class such as MCMP, its arguments beside it",
                              criterion)  # fmt: skip
     name = criterion.__name__
     if asked.get("horizon") is not None or asked.get("reach_fraction") is not None:
-        raise ModelError("ranks know no horizon and no reach_fraction: state the budget, and steps "
-                         "as a part of the states")  # fmt: skip
+        raise ModelError("ranks support no horizon and no reach_fraction: state the budget, and "
+                         "make the steps a part of the states")  # fmt: skip
     try:
         problem: Formulation = criterion(part, **asked)
     except TypeError as error:
-        raise ModelError(f"{name} cannot be stated so: {error}") from error
+        raise ModelError(f"the arguments do not fit {name}: {error}") from error
     if problem.semantics.charge(problem.ratio) is not None:
-        raise ModelError(f"{name} counts the total cost of a run: {_WHOLE}, or ask MCMP of ranks")
+        raise ModelError(f"{name} counts the total cost of a run: {_WHOLE}, or use MCMP on ranks")
     if problem.semantics.forbids_failing or problem.semantics.aim is Aim.LEAST_GOAL:
         raise ModelError(
-            f"{name} asks for the whole graph: {_WHOLE}, or give MCMP a failure budget"
+            f"{name} needs the whole graph: {_WHOLE}, or use MCMP with a failure budget"
         )
     try:
         is_told = problem.unrolled is problem
     except ModelError:
         is_told = False
     if not is_told:
-        raise ModelError("a limit counts what may come after failing, which ranks do not tell "
-                         "apart: visits() counts until then")  # fmt: skip
+        raise ModelError("a limit counts events after failing, which ranks do not support: use "
+                         "visits(), which counts until then")  # fmt: skip
     return problem
 
 
 def _words(problem: Formulation) -> dict[str, Any]:
-    """Return what is asked, by name, in words and numbers that ranks compare."""
+    """Return the problem's parts, by name, in words and numbers that ranks compare."""
     asked = repr((problem.semantics, problem.quantity, problem.start))
     return {
         "the criterion": type(problem).__name__,

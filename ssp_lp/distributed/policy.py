@@ -1,4 +1,4 @@
-"""Policies of a partitioned model: each rank has the decisions of its own states, and a file."""
+"""Policies of a partitioned model: each rank holds the decisions of its own states."""
 
 from __future__ import annotations
 
@@ -19,33 +19,34 @@ from ssp_lp.model import SSP
 from ssp_lp.policies import DeterministicPolicy, MixedPolicy
 from ssp_lp.policies.policy import UNDECIDED, check_decisions
 
-_WHOLE = "policy.npz"  # the file of a saved policy that says what the others are
+_WHOLE = "policy.npz"  # the file of a saved policy that describes its parts
 _KIND, _PART = "partitioned policy", "part of a policy"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PartitionedPolicy(ReadOnlyCopies):
-    """A lottery over policies of a partitioned model; decisions lie with the states' ranks."""
+    """A lottery over policies of a partitioned model; each rank holds its own states' decisions."""
 
     part: Part  # of the model
     weights: FloatArray  # [members]
     positions: IntArray  # [members, own states] among the actions, GIVE_UP_CODE or UNDECIDED
-    told: Mapping[str, Any] = field(default_factory=dict)  # what else is saved with it
+    told: Mapping[str, Any] = field(default_factory=dict)  # further data that are saved with it
 
     def __post_init__(self) -> None:
         self.keep_read_only("weights", dtype=np.float64)
         self.keep_read_only("positions", dtype=np.int32)
 
     def __repr__(self) -> str:
-        """One line: the members' weights and how many states they decide in."""
+        """Return the number of states and the members' weights in one line."""
         weights = ", ".join(f"{weight:.6g}" for weight in self.weights)
         return f"PartitionedPolicy({self.part.halo.n_all:,} states, members' weights {weights})"
 
     def check(self) -> None:
-        """Check this rank's part of the partitioned policy.
+        """Check this rank's part of the policy.
 
         Raises:
-            ModelError: weights that are no distribution, or a decision that is none of the state's.
+            ModelError: the weights are no distribution, or a decision is not an action of its
+            state.
         """
         weights, decision = self.weights, np.full(self.part.n_states, UNDECIDED)
         if not (weights.min(initial=1.0) >= 0.0 and abs(weights.sum() - 1.0) <= 1e-9):
@@ -57,7 +58,7 @@ class PartitionedPolicy(ReadOnlyCopies):
             check_decisions(self.part, decision, as_positions=True)
 
     def on(self, model: SSP) -> MixedPolicy:
-        """Join the partitioned policy on the same model, held whole; all ranks ask together.
+        """Return the policy on the same model, held as a whole; all ranks must call this.
 
         Raises:
             ModelError: the model has another number of states.
@@ -70,13 +71,14 @@ class PartitionedPolicy(ReadOnlyCopies):
         return MixedPolicy(tuple(DeterministicPolicy(model, own) for own in pairs), self.weights)
 
     def save(self, folder: str | Path) -> None:
-        """Write the partitioned policy, each rank a file of its own; all ranks ask together.
+        """Write the policy, each rank a file of its own; all ranks must call this.
 
         Args:
-            folder: that all ranks can write to; it is made if need be. A policy in it is replaced.
+            folder: a folder that all ranks can write to, created if missing. A policy in it is
+                replaced.
 
         Raises:
-            ModelError: it has decisions that are none.
+            ModelError: the policy has invalid decisions.
             OSError: a file cannot be written.
         """
         halo, whole = self.part.halo, Path(folder) / _WHOLE
@@ -86,7 +88,7 @@ class PartitionedPolicy(ReadOnlyCopies):
         bounds = np.array([*ranks.comm.allgather(halo.first), halo.n_all])
 
         def opened() -> None:
-            """Make the folder, and take away what said that the parts are of one policy."""
+            """Create the folder, and delete the file that describes an earlier policy's parts."""
             if is_first:
                 whole.parent.mkdir(parents=True, exist_ok=True)
                 whole.unlink(missing_ok=True)
@@ -99,14 +101,14 @@ class PartitionedPolicy(ReadOnlyCopies):
 
     @classmethod
     def load(cls, model: Any, folder: str | Path) -> PartitionedPolicy:
-        """Read a partitioned policy, each rank the decisions of its own states.
+        """Read a policy, each rank the decisions of its own states.
 
         Args:
             model: the ``PartitionedModel`` for which it was saved, by any number of ranks.
-            folder: of :meth:`save`.
+            folder: the folder of :meth:`save`.
 
         Raises:
-            ModelError: it was saved for another model, or a file is damaged.
+            ModelError: the policy was saved for another model, or a file is damaged.
             OSError: a file cannot be opened.
         """
         part: Part = model if isinstance(model, Part) else model.part

@@ -1,9 +1,9 @@
-"""The process of case M on rows that lie with several ranks, and its pricing problem.
+"""The process of case M on rows that are distributed over ranks, and its pricing problem.
 
-Each rank has the pairs of its own nodes. Policies are improved by sweeps of each rank over its own
-nodes, in place, with the ghosts' values exchanged in between; the equations of a policy are solved
-by PETSc's Krylov methods. Columns are measured with a bound of their error, and a lower bound is
-checked by one backup of all rows, rounding counted against it, as in one process.
+Each rank has the pairs of its own nodes. Each rank improves policies by sweeps over its own nodes,
+in place, and the ranks exchange the ghosts' values in between; PETSc's Krylov methods solve the
+equations of a policy. Columns are evaluated with a bound of their error, and one backup of all
+rows, with rounding counted against it, checks a lower bound, as in a single process.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ from ssp_lp.processes.failure_label import FailureLabelled, counting_of, label_f
 from ssp_lp.processes.failure_semantics import Aim, GiveUp, free_pairs, giving_up_states
 from ssp_lp.processes.quotient import build_quotient
 
-_STEPS = 200  # of a Krylov method in one run
-_RUNS = 12  # of it, or corrections, each from the residual that the last one left
-_FINEST = 1e-8  # relative residual of one run
-_LET_PASS = 1e-9  # relative residual that will do where no method gets further
-_GATHERED = 1_000_000  # entries of a policy's rows that may be gathered to be factorised
-_DUST = 1e-14  # of the greatest: a total below it may be what a solver leaves of nothing
+_STEPS = 200  # most steps of a Krylov method in one run
+_RUNS = 12  # most runs, or corrections, each of the last one's residual
+_FINEST = 1e-8  # least relative residual of one run
+_LET_PASS = 1e-9  # relative residual that suffices if no method reaches less
+_GATHERED = 1_000_000  # most entries of a policy's rows that are gathered for a factorisation
+_DUST = 1e-14  # share of the greatest total below which a total may be a solver's error
 _SWEEPS, _EXCHANGED = 20, 4  # sweeps between two evaluations, and between two exchanges
-_MOST_ROUNDS = 1_000  # of policy iteration: each improves what the last one left
+_MOST_ROUNDS = 1_000  # most rounds of policy iteration
 _SHRUNK = (0.0, *10.0 ** np.arange(-13.0, 0.0))  # shares by which values move to the floor
-_BELOW = 0.1  # of such a share, by which all values go down
-_LOWERINGS = 160  # of shrunk values, after which a larger share is tried
-_STEEPER = 10.0 ** np.arange(1, 14, 3)  # prices of failure, by the cost, for one that fails least
-_SAME = 1e-13  # of failing or not, the rarer: distance of failures that are one
+_BELOW = 0.1  # share of that share by which all values are lowered
+_LOWERINGS = 160  # sweeps of lowering, after which a larger share is tried
+_STEEPER = 10.0 ** np.arange(1, 14, 3)  # prices of failure to try, in multiples of the cost
+_SAME = 1e-13  # equal failures, relative to the rarer of failure and success
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,31 +56,32 @@ class OwnDecisions(Policy):
 
     model: Part
     positions: IntArray  # [own states] among the actions, GIVE_UP_CODE or UNDECIDED
-    figures: FloatArray  # [rewards] as measured
+    figures: FloatArray  # [rewards] totals of the policy
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Refused: a rank has the decisions of its own states alone.
+        """Refuse: a rank has the decisions of its own states only.
 
         Raises:
             ModelError: always.
         """
-        raise ModelError("decisions lie with the ranks: PartitionedPolicy.on(model) joins them")
+        raise ModelError("a rank has its own decisions only: use PartitionedPolicy.on(model)")
 
 
 def _kept_nowhere(positions: IntArray, weights: FloatArray) -> None:
-    """Keep a column nowhere."""
+    """Discard a column."""
 
 
 class _Equations:
     """Equations ``x = right + rows @ x`` of a policy, solved by all ranks together."""
 
     def __init__(self, process: PartitionedProcess, choice: IntArray, values: FloatArray) -> None:
-        """State them.
+        """State the equations of a policy.
 
         Args:
-            process: of which it is a policy.
-            choice: [own nodes].
-            values: about its values: PETSc has small ones, near the ends, first, [own nodes].
+            process: the process.
+            choice: a pair of each own node, [own nodes].
+            values: approximate values of the policy, [own nodes]; PETSc's unknowns are sorted by
+                them, nodes near the ends first.
         """
         self.halo, self.choice, dynamics = process.halo, choice, process.dynamics
         self._order, own = np.argsort(values, kind="stable"), np.arange(self.halo.n_own)
@@ -89,7 +90,7 @@ class _Equations:
         self.products, self._entries = 0, self.halo.ranks.total(rows.nnz)
 
     def leading(self, marked: BoolArray) -> BoolArray:
-        """Return the own nodes from which the policy may come to marked ones, [own nodes]."""
+        """Return the own nodes from which the policy may reach marked nodes, [own nodes]."""
         rows, n, size = self.moves.transitions, self.halo.n_own, self.halo.size
         offsets, ends = np.append(np.arange(n + 1), np.full(size - n, n)), np.zeros(size, np.bool_)
         ends[:n] = marked
@@ -98,14 +99,14 @@ class _Equations:
 
     @cached_property
     def _solver(self) -> tuple[Any, ...]:
-        """BiCGStab, own rows half factorised, or LU of few rows; two vectors; the matrix."""
+        """PETSc's solver (BiCGStab with block ILU; LU if few rows), two vectors, the matrix."""
         halo, order, petsc = self.halo, self._order, self.halo.ranks.petsc
         place, rows = np.empty(halo.n_own), self.moves.transitions
         place[order] = np.arange(halo.n_own)
         numbers = halo.filled(halo.first + place).astype(petsc.IntType)
         shape = halo.n_own, halo.n_all
         step = sp.csr_array((rows.data, numbers[rows.indices], rows.indptr), shape=shape)[order]
-        # PETSc keeps the last of duplicates: scipy adds them up
+        # scipy adds up duplicates, of which PETSc would keep the last
         rows = sp.csr_array(sp.eye(*shape, k=halo.first, format="csr")) - step
         csr = rows.indptr.astype(petsc.IntType), rows.indices.astype(petsc.IntType), rows.data
         matrix = petsc.Mat().createAIJ(size=(shape, shape), csr=csr, comm=halo.ranks.comm)
@@ -119,20 +120,20 @@ class _Equations:
         return ksp, *matrix.createVecs(), matrix
 
     def clear(self) -> None:
-        """Destroy PETSc's objects, which all ranks do together and no garbage collector does."""
+        """Destroy PETSc's objects; all ranks must call this, as no garbage collector does it."""
         for one in vars(self).pop("_solver", ()):
             one.destroy()
 
     def solve(self, right: FloatArray, guess: FloatArray, accuracy: float = EXACT) -> FloatArray:
-        """Return the solution of the equations to a relative residual; 0 where nothing is paid.
+        """Solve the equations to a relative residual, with exact 0 where nothing is paid.
 
         Args:
-            right: [own nodes].
-            guess: where to begin, likewise.
-            accuracy: greatest residual, relative to the solution, that is enough.
+            right: right side, [own nodes].
+            guess: first iterate, [own nodes].
+            accuracy: greatest residual, relative to the solution, that suffices.
 
         Raises:
-            SolverError: no method comes near to it.
+            SolverError: no method reaches the accuracy.
         """
         ranks, x = self.halo.ranks, guess.copy()
         if not ranks.any(right):
@@ -157,7 +158,7 @@ class _Equations:
             else:
                 break
         if not missed <= max(accuracy, _LET_PASS):
-            raise SolverError("PETSc does not solve a policy's equations: -ssp_lp_ksp_type gmres?")
+            raise SolverError("PETSc cannot solve a policy's equations: try -ssp_lp_ksp_type gmres")
         if ranks.any((x != 0.0) & (np.abs(x) <= _DUST * scale)):
             x[~self.leading(right != 0.0)] = 0.0
         return x
@@ -170,10 +171,10 @@ class _Equations:
         return missed / max(*scale, 1e-300), residual, max(scale)
 
     def runs(self, guess: FloatArray) -> FloatArray:
-        """Return run lengths: twice these are at least the expected steps, [own nodes].
+        """Return run lengths, twice of which bound the expected steps from above, [own nodes].
 
         Raises:
-            SolverError: some nodes are never left, or no solver comes near.
+            SolverError: some nodes are never left, or no solver reaches the accuracy.
         """
         half = np.full(self.halo.n_own, -0.5)
         for accuracy in (RUN_ACCURACY, _FINEST, EXACT):
@@ -186,15 +187,15 @@ class _Equations:
     def verified(
         self, right: FloatArray, guess: FloatArray, longest: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Return a reward's totals as sums of two numbers, to a bounded error, [own nodes] each.
+        """Compute a reward's totals as sums of two numbers, to a bounded error, [own nodes] each.
 
         Args:
             right: the reward of each node's pair, [own nodes].
-            guess: about the totals, likewise.
+            guess: approximate totals, [own nodes].
             longest: the greatest run length of all ranks.
 
         Raises:
-            SolverError: no solver comes near enough.
+            SolverError: no solver reaches the accuracy.
         """
         filled, greatest, x = self.halo.filled, self.halo.ranks.greatest, self.solve(right, guess)
         low, sides = np.zeros_like(x), self.moves.advantage_bounds(right, filled(x))
@@ -207,21 +208,21 @@ class _Equations:
             missed = [float(greatest((np.abs(off) + rounding).max(initial=0.0)))]
             if 2.0 * longest * max(missed) > EVALUATED * scale:
                 x, low = exact_sum(x, low + self.solve(off, np.zeros_like(x)))
-        raise SolverError("the totals of a policy cannot be verified: runs are too long")
+        raise SolverError("runs are too long to evaluate a policy's totals accurately")
 
 
 @dataclass(frozen=True, eq=False)
 class PartitionedProcess(PricingProblem):
-    """The process of case M on the rows of all ranks; what it is made of here are a rank's own."""
+    """The process of case M on the rows of all ranks; each rank has the arrays of its own nodes."""
 
     labelled: FailureLabelled
     halo: Halo  # over the nodes of the process
     rewards: FloatArray  # [own pairs, rewards] cost, failure, rows
-    at_once: FloatArray  # [rewards] of what begins in goals and dead-ends
+    at_once: FloatArray  # [rewards] rewards of start mass on goals and dead-ends
     start: FloatArray  # [own nodes]
-    asks_for_ends: bool  # whether ends other than the goal count, or nobody may give up
-    stays: IntArray  # [own nodes] a pair that stays for ever for nothing, where one may only stay
-    kept: Callable[[IntArray, FloatArray], None] = _kept_nowhere  # told of each found column
+    asks_for_ends: bool  # whether ends other than the goal count, or giving up is not allowed
+    stays: IntArray  # [own nodes] a free pair that stays for ever; -1 if giving up is allowed
+    kept: Callable[[IntArray, FloatArray], None] = _kept_nowhere  # called with each new column
     earlier: list[Column] = field(default_factory=list)  # columns of an earlier run
 
     @property
@@ -247,12 +248,12 @@ class PartitionedProcess(PricingProblem):
 
     @property
     def value_shape(self) -> tuple[int, ...]:
-        """[own nodes]: a rank has the values of its own nodes."""
+        """Shape of a rank's values, [own nodes]."""
         return (self.halo.n_own,)
 
     @cached_property
     def _leaving(self) -> IntArray:
-        """A policy that leaves from every node, towards the goal first, [own nodes]."""
+        """A policy that leaves every node, towards the goal if possible, [own nodes]."""
         graph, goal = replace(self.dynamics).graph, self.labelled.process.goal > 0.0
         nearer = self.halo.approaching(graph, goal)
         if self.ranks.any(nearer < 0):
@@ -261,16 +262,16 @@ class PartitionedProcess(PricingProblem):
         return nearer
 
     def first(self) -> Column:
-        """The column of a policy that goes for the goal."""
+        """Return the column of a policy that moves towards the goal."""
         return self._first
 
     @cached_property
     def _first(self) -> Column:
-        """The column of the leaving policy."""
+        """Column of the leaving policy."""
         return self.measured(self._leaving)
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
-        """A column of least priced cost by policy iteration, measured with a bound of its error."""
+        """Find a column of least priced cost by policy iteration, evaluated to a bounded error."""
         weights, known = self._weights(price), [one for one in (*warm, *self.earlier) if one]
         known = [one for one in known if one.totals is not None] or [self.first()]
         best = min(known, key=lambda column: float(weights @ column.figures))
@@ -294,7 +295,7 @@ class PartitionedProcess(PricingProblem):
             choice = np.where(better, backup.choice, choice).astype(np.int32)
         if weights[0] > 0.0:
             totals[:, 0] = (values - totals[:, 1:-1] @ weights[1:]) / weights[0]
-        # what costs nothing at these weights may cost a limit
+        # decisions that are free at these weights may count in a limit
         choice = self._staying(self._giving_up(equations))
         if self.ranks.any(choice != equations.choice):
             equations.clear()
@@ -304,21 +305,21 @@ class PartitionedProcess(PricingProblem):
         return column
 
     def _weights(self, price: float | FloatArray) -> FloatArray:
-        """Weights of all rewards at a price of failure, or at weights."""
+        """Return the weights of all rewards, from a price of failure or from weights."""
         weights = pricing_weights(price)
         return np.append(weights, np.zeros(self.n_rewards - len(weights)))
 
     def _swept(self, cost: FloatArray, choice: IntArray, values: FloatArray) -> IntArray:
-        """Improve a policy by sweeps of each rank over its own nodes, and its values in place.
+        """Improve a policy, and its values in place, by sweeps of each rank over its own nodes.
 
         Args:
             cost: [own pairs].
             choice: [own nodes].
-            values: of no better policy, [own nodes].
+            values: values that are at least the policy's, [own nodes].
         """
         n, entries = self.halo.n_own, len(self.dynamics.transitions.indices)
         if self.ranks.any(not accelerated(entries, "policy_improvement.improve_states")):
-            return choice  # rounds alone get there, too
+            return choice  # policy iteration alone converges as well
         at_once, changed = _SWEEPS if self.ranks.comm.size == 1 else _EXCHANGED, [0.0]
         full, known = np.zeros(self.halo.size, dtype=np.int32), self.halo.filled(values)
         full[:n] = choice
@@ -333,7 +334,7 @@ class PartitionedProcess(PricingProblem):
         return full[:n]
 
     def _leaving_equations(self, choice: IntArray, values: FloatArray) -> _Equations:
-        """The equations of a policy; nodes that it never leaves take the pairs of one that does."""
+        """State the equations of a policy; nodes that it never leaves take the leaving policy's."""
         equations = _Equations(self, choice, values)
         closed = ~equations.leading(equations.moves.exits > 0.0)
         if not self.ranks.any(closed):
@@ -341,11 +342,11 @@ class PartitionedProcess(PricingProblem):
         return _Equations(self, np.where(closed, self._leaving, choice).astype(np.int32), values)
 
     def _giving_up(self, equations: _Equations) -> IntArray:
-        """A policy that gives up where it has failed, [own nodes].
+        """Return the policy with giving up where it has failed, [own nodes].
 
-        It has failed where it cannot come to the goal any more by its own steps, if it may give up
-        there; where ends are asked for, or nobody may give up, only where it stays for ever and
-        nothing is counted.
+        It has failed where it can no longer reach the goal by its own decisions and may give up. If
+        other ends count, or giving up is not allowed, it has failed only where it stays for ever
+        and nothing is counted.
         """
         choice = equations.choice
         leads = self.labelled.process.goal[choice] > 0.0
@@ -355,14 +356,14 @@ class PartitionedProcess(PricingProblem):
         return np.where(lost, self._exits, choice).astype(np.int32)
 
     def _staying(self, choice: IntArray) -> IntArray:
-        """A policy whose every node that gives up by staying leads to such nodes, [own nodes]."""
+        """Keep giving up by staying only at nodes that lead to such nodes alone, [own nodes]."""
         quits = (choice == self._exits) & (self.stays >= 0)
         if not self.ranks.any(quits):
             return choice
         rows = chosen_rows(self.dynamics.transitions, np.where(quits, self.stays, choice))
 
         def sweep(mask: BoolArray) -> BoolArray:
-            """Keep the nodes that lead to kept ones alone; others are worth as much by moving."""
+            """Keep the nodes that lead to kept nodes alone; others have equal values by moving."""
             return np.asarray(mask[: len(quits)] & (rows @ ~mask == 0.0))
 
         kept = self.halo.settled(sweep, self.halo.filled(quits))[: len(quits)]
@@ -370,28 +371,28 @@ class PartitionedProcess(PricingProblem):
 
     @cached_property
     def _exits(self) -> IntArray:
-        """The pair of each own node that gives up; -1: nobody may there, [own nodes]."""
+        """The pair of each own node that gives up; -1 if giving up is not allowed, [own nodes]."""
         quotient, n = self.labelled.quotient, self.halo.n_own
         exits, gives_up = np.full(quotient.n_nodes, -1), np.flatnonzero(quotient.gives_up)
         exits[quotient.pair_node[gives_up]] = gives_up
         return exits[:n]
 
     def measured(self, choice: IntArray) -> Column:
-        """The column of a policy, [own nodes]: its totals with a bound of their error.
+        """Evaluate a policy, [own nodes], as a column: its totals to a bounded error.
 
         Raises:
-            SolverError: it never leaves some nodes, or no solver comes near to its totals.
+            SolverError: the policy never leaves some nodes, or no solver reaches the accuracy.
         """
         nothing = np.zeros((self.halo.n_own, self.n_rewards + 1))
         return self._measured(_Equations(self, choice, nothing[:, 0]), nothing, Work())
 
     def _measured(self, equations: _Equations, guess: FloatArray, work: Work) -> Column:
-        """The column of the policy whose equations are stated.
+        """Evaluate the policy whose equations are stated, as a column.
 
         Args:
-            equations: of the policy.
-            guess: about its totals, [own nodes, rewards and steps].
-            work: what finding it took.
+            equations: equations of the policy.
+            guess: approximate totals, [own nodes, rewards and steps].
+            work: the work that it took to find the policy.
         """
         choice, totals, figures = equations.choice, np.empty_like(guess), self.at_once.copy()
         totals[:, -1] = equations.runs(guess[:, -1])
@@ -405,12 +406,12 @@ class PartitionedProcess(PricingProblem):
         return Column.of_figures(figures, choice, totals=totals, work=work)
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
-        """Lower bound of every column's priced value, by the values of a best policy."""
+        """Prove a lower bound of every column's priced value, by the values of a best policy."""
         totals = np.asarray(best.totals)[:, :-1]
         return self.check(price, weighted(totals, self._weights(price)))
 
     def prove_afresh(self, weights: FloatArray, warm: Column) -> Proof:
-        """Best lower bound at weights that nothing has been priced at yet."""
+        """Prove the best lower bound at weights at which no column has been priced yet."""
         return self.prove(weights, self.minimise(weights, warm))
 
     def check(self, price: float | FloatArray, values: FloatArray, *, slack: bool = False) -> Proof:
@@ -429,12 +430,12 @@ class PartitionedProcess(PricingProblem):
         return Proof(float(weights[1]), float(weights[1]), bound, values)
 
     def _lowered(self, weights: FloatArray, values: FloatArray) -> FloatArray:
-        """Values lowered to a sub-solution that a backup of all rows confirms, [own nodes].
+        """Lower values to a sub-solution that a backup of all rows confirms, [own nodes].
 
-        They are moved towards a constant that is one by a share, the least that will do: a step
-        that costs has that share of its cost to spare then. Where nothing is paid values are
-        lowered to those ahead. All go down a little besides, so that what is free is not left with
-        the dust of its equations, of which such sweeps take a part at a time without end.
+        The values move towards a constant sub-solution by the least share that suffices: a step
+        with a cost then has slack of that share of its cost. Where nothing is paid, values are
+        lowered to those of the successors. All values are lowered by a little more, as in free
+        components the sweeps would remove the solver's errors only a part at a time, without end.
         """
         dynamics, greatest, n = self.dynamics, self.ranks.greatest, self.halo.n_own
         cost = weighted(self.rewards, weights)
@@ -456,12 +457,12 @@ class PartitionedProcess(PricingProblem):
         return np.full_like(values, floor)
 
     def pulled_back(self, column: Column) -> Policy:
-        """The decisions that a column takes in the rank's own states of the model."""
+        """Return the decisions of a column in the rank's own states of the model."""
         part: Any = self.labelled.quotient.model
         return OwnDecisions(part, self._positions(column), column.figures)
 
     def _positions(self, column: Column) -> IntArray:
-        """Decisions of a column in the own states, as positions among the actions or codes."""
+        """Return a column's decisions in the own states, as positions among actions or codes."""
         quotient, choice = self.labelled.quotient, np.asarray(column.choice)
         positions = np.full(self.n_states, UNDECIDED, dtype=np.int32)
         stays = (choice == self._exits) & (self.stays >= 0)
@@ -472,10 +473,10 @@ class PartitionedProcess(PricingProblem):
         return positions
 
     def choice_of(self, positions: IntArray) -> IntArray:
-        """The choice of decisions in the own states, [own nodes].
+        """Return the pairs of decisions in the own states, [own nodes].
 
         Raises:
-            ModelError: there is none in some state, or one that may not be taken.
+            ModelError: a state has no decision, or one that is not allowed.
         """
         quotient, live = (
             self.labelled.quotient,
@@ -490,28 +491,28 @@ class PartitionedProcess(PricingProblem):
         return choice.astype(np.int32)
 
     def evaluated(self, positions: IntArray) -> Column:
-        """The column of a policy's decisions in the own states, which gives up where it failed."""
+        """Evaluate decisions in the own states as a column, giving up where they have failed."""
         choice = self.ranks.agreed(lambda: self.choice_of(positions))
         nothing = np.zeros(self.halo.n_own)
         return self.measured(self._giving_up(_Equations(self, choice, nothing)))
 
 
 def partitioned_process(compiled: CompiledExplicit, **more: Any) -> PartitionedProcess:
-    """State the process of a compiled problem of case M on a part of its model.
+    """State the process of a compiled problem of case M on a part; all ranks must call this.
 
-    Where one may stay for ever at no cost anyone may give up: nothing is collapsed there. All ranks
-    make theirs together.
+    States in which a policy may stay for ever at no cost get a pair for giving up, and are not
+    collapsed.
 
     Args:
         compiled: the problem.
-        more: fields of the process.
+        more: further fields of the process.
     """
     part: Any = compiled.model
     semantics, discount, halo = compiled.semantics, compiled.discount, part.halo
     own = np.arange(part.n_states) < halo.n_own
     exits, free = giving_up_states(part, semantics.give_up), np.zeros(part.n_states, dtype=np.bool_)
     stays = np.full(part.n_states, -1)
-    if discount is None and semantics.give_up is GiveUp.DEAD_ENDS:  # else one may give up there
+    if discount is None and semantics.give_up is GiveUp.DEAD_ENDS:  # else giving up is allowed
         pairs = free_pairs(part, semantics.aim, compiled.side, compiled.objective)
         ended = part.goal_mask | part.facts["hopeless_states"] | (np.diff(part.pair_offsets) == 0)
         free = halo.staying(part.graph, pairs, ended)
@@ -551,26 +552,26 @@ class CompiledPartitioned(CompiledExplicit):
 
     more: dict[str, Any] = field(kw_only=True, default_factory=dict)  # fields of the process
 
-    is_whole = False  # another question is labelled in place of this one
+    is_whole = False  # such a problem cannot be relabelled as another one
 
     def pricing(self) -> PartitionedProcess:  # type: ignore[override]
-        """The pricing problem, with a price for each row."""
+        """Return the pricing problem, with a price for each row."""
         return self._priced
 
     @cached_property
     def _priced(self) -> PartitionedProcess:
-        """The process, stated once."""
+        """The process."""
         return partitioned_process(self, **self.more)
 
     def counting_rare_success(self, budget: float | None) -> CompiledPartitioned:
-        """The compiled problem itself: failing is what ranks count."""
+        """Return the problem itself, as ranks count failure and not success."""
         return self
 
     def least_failure(self) -> LeastFailure:
-        """The cheapest of the policies that fail least, by a price of failure at which it does.
+        """Find the cheapest policy of least failure, by a steep price of failure.
 
-        What attains the least of ``cost + price * failure`` and fails least is the cheapest of all
-        that do. Where no price is steep enough: one that fails least, whatever it costs.
+        A policy that minimises ``cost + price * failure`` and has least failure is the cheapest of
+        all policies of least failure. If no price is steep enough, any of these is returned.
         """
         pricing = self.pricing()
         cost, failure = np.eye(2, pricing.n_rewards)
@@ -585,12 +586,12 @@ class CompiledPartitioned(CompiledExplicit):
         return LeastFailure(pricing.policy(column), column, 0.0, proved)
 
     def failure_at_least(self, discount: float | None) -> float:
-        """The least failure of all policies, for an error."""
+        """Return the least failure of all policies, for an error."""
         other = CompiledPartitioned(self.model, self.start, self.semantics, discount)
         return other.least_failure().column.failure
 
     def settled(self, *known: Column) -> CompiledPartitioned:
-        """The compiled problem with the least failure as its budget, where that is no less.
+        """Return the problem, with the least failure as budget if the budget is not greater.
 
         Raises:
             InfeasibleError: the budget is below the least failure by more than rounding.
@@ -599,5 +600,5 @@ class CompiledPartitioned(CompiledExplicit):
         return self if (self.budget or 0.0) > least else replace(self, budget=least)
 
     def refined(self, price: float) -> None:
-        """Nothing: the process truncates nothing, and is evaluated as finely as it can be."""
+        """Return None, as the process truncates nothing and cannot be refined."""
         return

@@ -1,7 +1,7 @@
-"""The ranks of a communicator, and values of states that lie with other ranks.
+"""The ranks of a communicator, and the exchange of values of states between ranks.
 
-Every rank runs the same program on rows of its own. What they decide together follows from numbers
-that are the same on all of them: reductions, and what each makes of these.
+Every rank runs the same program on its own rows. Joint decisions depend only on numbers that are
+equal on all ranks: reductions, and values computed from them.
 """
 
 from __future__ import annotations
@@ -40,18 +40,19 @@ class Ranks:
         self.comm = self.mpi.COMM_WORLD
 
     def __reduce__(self) -> Any:
-        """Refused: what lies with several ranks has no meaning in another process.
+        """Refuse to be pickled: objects that span several ranks have no meaning in another process.
 
         Raises:
             ModelError: always.
         """
-        raise ModelError("what lies with ranks cannot be pickled: answer.policy.save() keeps it")
+        raise ModelError("objects of several ranks cannot be pickled: use answer.policy.save()")
 
     def agreed(self, make: Callable[[], _Made]) -> _Made:
-        """Return what every rank makes by itself; where one cannot, all ranks raise its error.
+        """Run a function on every rank; if it fails on one, all ranks raise an error.
 
         Raises:
-            SSPError: the rank's own, or of the first rank that failed; of others the words.
+            SSPError: the rank's own error, or the error of the first rank that failed; other
+                exceptions become a ModelError with their text.
         """
         made: Any = None
         try:
@@ -66,14 +67,14 @@ class Ranks:
         return made  # type: ignore[no-any-return]
 
     def alike(self, what: str, mine: Mapping[str, Any]) -> None:
-        """Check that every rank states the same.
+        """Check that every rank has the same values.
 
         Args:
-            what: is stated, for the error.
-            mine: values that can be sent and compared, by name.
+            what: name of the things compared, for the error.
+            mine: this rank's values by name, which can be sent and compared.
 
         Raises:
-            ModelError: naming two ranks and their values, on every rank.
+            ModelError: values differ; every rank raises it, naming two ranks and their values.
         """
         every = self.comm.allgather(mine)
         for rank, other in enumerate(every):
@@ -83,10 +84,10 @@ class Ranks:
                                      f"on rank 0, {in_short(two)} on rank {rank}")  # fmt: skip
 
     def together(self, make: Callable[[], _Made]) -> _Made:
-        """Return what the ranks make with each other; an error of one alone ends all of them.
+        """Run a function on all ranks jointly; an error on one rank alone ends all of them.
 
-        Errors of the library are raised by all ranks at the same point. After any other one, or an
-        interrupt, the other ranks would wait for messages without end.
+        All ranks raise errors of the library at the same point. After any other error, or an
+        interrupt, the other ranks would wait for messages for ever.
         """
         try:
             return make()
@@ -103,11 +104,11 @@ class Ranks:
         return self._reduced(own, self.mpi.SUM)
 
     def greatest(self, own: npt.ArrayLike) -> Any:
-        """Return the greatest of numbers over all ranks."""
+        """Return the maxima of numbers over all ranks, the same on each."""
         return self._reduced(own, self.mpi.MAX)
 
     def any(self, own: Any) -> bool:
-        """Return whether something holds on any rank."""
+        """Return whether any entry is true on any rank."""
         return bool(self.greatest(float(np.any(own))) > 0.0)
 
     def _reduced(self, own: npt.ArrayLike, operation: Any) -> Any:
@@ -120,15 +121,15 @@ class Ranks:
 class Halo:
     """A rank's own states, and the ghosts: states of other ranks whose values it needs.
 
-    Arrays over known states have the own states first, then the ghosts. All ranks make theirs, and
-    fill, at the same time.
+    Arrays over known states have the own states first, then the ghosts. All ranks must create their
+    halos, and exchange values, at the same time.
     """
 
     def __init__(self, ranks: Ranks, n_own: int, ghosts: IntArray) -> None:
-        """Make the ghosted vector.
+        """Create the ghosted vector.
 
         Args:
-            ranks: all of them.
+            ranks: all ranks.
             n_own: number of own states; states are numbered from rank to rank.
             ghosts: numbers of states of other ranks.
         """
@@ -140,10 +141,10 @@ class Halo:
         self._vector = ranks.petsc.Vec().createGhost(index, sizes, comm=ranks.comm)
 
     def filled(self, own: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Return values of all known states, those of ghosts brought from their owners.
+        """Return values of all known states, with the ghosts' values received from their owners.
 
         Args:
-            own: values of own states; what follows them is overwritten, [own states or more].
+            own: values of own states; further entries are overwritten, [own states or more].
         """
         with self._vector.localForm() as local:
             local.array[: self.n_own] = own[: self.n_own]
@@ -157,11 +158,11 @@ class Halo:
         return np.append(np.arange(self.first, self.end), self.ghosts)
 
     def settled(self, sweep: Callable[[BoolArray], BoolArray], mask: BoolArray) -> BoolArray:
-        """Repeat sweeps of each rank's own rows until nothing changes on any of them.
+        """Repeat sweeps of each rank's own rows until nothing changes on any rank.
 
         Args:
-            sweep: makes a mask of a mask, as far as the rank's own rows lead, [known states].
-            mask: to begin with, [known states].
+            sweep: maps a mask to a mask by the rank's own rows, [known states].
+            mask: the first mask, [known states].
         """
         while True:
             found = self.filled(sweep(mask))
@@ -170,16 +171,16 @@ class Halo:
             mask = found
 
     def reaching(self, graph: Graph, ends: BoolArray) -> BoolArray:
-        """Return the states from which own rows lead to one of the ends, [known states]."""
+        """Return the states from which an end can be reached, [known states]."""
         return self.settled(lambda mask: reaching_states(graph, mask), self.filled(ends))
 
     def staying(self, graph: Graph, usable: BoolArray, outside: BoolArray) -> BoolArray:
-        """Return the greatest set of states that each have no pair, or one that stays in it.
+        """Return the greatest set in which each state has no pair, or one that stays in the set.
 
         Args:
             graph: the known states, and the pairs of the own ones.
-            usable: pairs that may be taken, [pairs].
-            outside: states that are not in it, [known states].
+            usable: whether a pair may be taken, [pairs].
+            outside: whether a state is excluded, [known states].
         """
         acting = np.diff(graph.pair_offsets) > 0
 
@@ -194,11 +195,11 @@ class Halo:
         return ~self.settled(sweep, self.filled(outside))
 
     def approaching(self, graph: Graph, leaving: BoolArray) -> IntArray:
-        """Return a pair of each own state that comes nearer to a leaving pair; -1: there is none.
+        """Return a pair of each own state that leads nearer to a leaving pair; -1 if none does.
 
         Args:
             graph: the known states, and the pairs of the own ones.
-            leaving: [pairs].
+            leaving: whether a pair leaves, [pairs].
         """
         choice = np.full(graph.n_states, -1)
 

@@ -1,8 +1,8 @@
-"""Bellman backups and policy products on sparse state-action pairs, compiled where that pays.
+"""Bellman backups and policy products on sparse state-action pairs, compiled if large.
 
-What an action does is often the same wherever it is taken: each cell of a grid has the same few
-distributions, one row after another. Where rows repeat each other their numbers are stored once
-(``SharedRows``): a sweep then reads the columns alone, a third of the memory.
+An action often has equal probabilities in many states: each cell of a grid has the same few
+distributions, one row after another. Numbers of repeated rows are stored once (``SharedRows``): a
+sweep then reads only the columns, a third of the memory.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ _SPLIT = 134217729.0  # 2**27 + 1 (Veltkamp)
 
 @dataclass(frozen=True)
 class Work:
-    """Passes over a process: what most of a pricing problem's time is spent on."""
+    """Numbers of passes over a process, which take most of a pricing problem's time."""
 
-    backups: int = 0  # over all pairs
-    products: int = 0  # over one pair per state
+    backups: int = 0  # passes over all pairs
+    products: int = 0  # passes over one pair per state
 
     def __add__(self, other: Work) -> Work:
-        """Both together."""
+        """Return the sums of both numbers."""
         return Work(self.backups + other.backups, self.products + other.products)
 
 
@@ -49,7 +49,7 @@ class Work:
 class Backup:
     """One application of the Bellman operator."""
 
-    minima: FloatArray  # [states] infinite where a state has no pairs
+    minima: FloatArray  # [states] infinite if a state has no pairs
     choice: IntArray  # [states] the first pair that attains the minimum
     here: FloatArray  # [states] value of the held pair; empty if none was given
 
@@ -64,14 +64,14 @@ class PairCost:
 
     @property
     def total(self) -> FloatArray:
-        """The cost of each pair in a Bellman backup, [pairs]."""
+        """Cost of each pair, [pairs]."""
         if self.slope is None or self.factor == 0.0:
             return self.fixed
         return self.fixed + self.factor * self.slope
 
     @property
     def parts(self) -> tuple[FloatArray, FloatArray, float]:
-        """In a Bellman backup (fixed, slope, factor), an array in place of a missing slope."""
+        """The fixed costs, the slopes (an empty array if there are none) and the factor."""
         return self.fixed, _NONE if self.slope is None else self.slope, float(self.factor)
 
 
@@ -83,14 +83,14 @@ def best_pairs(
     values: FloatArray,
     held: IntArray | None = None,
 ) -> Backup:
-    """Bellman backup: minimise ``pair_cost + transitions @ values`` over the pairs of each state.
+    """Minimise ``pair_cost + transitions @ values`` over the pairs of each state: a Bellman backup.
 
     Args:
         pair_offsets: [states + 1].
         transitions: [pairs, columns].
         pair_cost: [pairs].
         values: [columns].
-        held: a pair of each state whose value is wanted beside the least one, [states].
+        held: a pair of each state whose value is returned as well, [states].
     """
     check_time()
     cost = pair_cost if isinstance(pair_cost, PairCost) else PairCost(pair_cost)
@@ -123,20 +123,20 @@ def safe_minima(
     values: FloatArray,
     position: IntArray | None = None,
 ) -> FloatArray:
-    """Bellman backup from below: the rounding of each pair's sum counts against it.
+    """Compute a lower bound of a Bellman backup, with the rounding of each pair's sum.
 
     Args:
         pair_offsets: [states + 1].
         transitions: [pairs, columns].
         pair_cost: costs, positive or negative.
-        magnitude: sum of the sizes of the parts of the fixed cost, [pairs].
-        alone: size of a sum that is a single number, of which nothing was rounded, [pairs].
+        magnitude: sum of the absolute values of the fixed cost's terms, [pairs].
+        alone: absolute value of a sum with a single term, which is not rounded, [pairs].
         values: [columns].
-        position: written by compiled loops: the first pair that attains it among the state's,
+        position: written by compiled loops: number of the first best pair among the state's,
             [states].
 
     Returns:
-        [states], infinite where a state has no pairs.
+        [states], infinite if a state has no pairs.
     """
     check_time()
     if not accelerated(len(transitions.indices), "backups.back_up_safely"):
@@ -157,15 +157,15 @@ def safe_minima(
 
 
 def backup_rounding(transitions: SparseRows) -> FloatArray:
-    """Rounding of a Bellman backup, relative to its terms' magnitudes, per pair, [pairs]."""
+    """Return the rounding of a backup relative to its terms' magnitudes, [pairs]."""
     return np.asarray((np.diff(transitions.indptr) + 4.0) * MACHINE_EPSILON)
 
 
 @with_twin
 def chosen_product(transitions: SparseRows, choice: IntArray, x: FloatArray) -> FloatArray:
-    """A policy's backup without costs, ``transitions[choice] @ x``, one vector or several.
+    """Compute ``transitions[choice] @ x`` for one vector or several.
 
-    Picking rows costs more than products of few entries.
+    For few entries all rows are multiplied, as selecting rows costs more.
     """
     check_time()
     if len(transitions.indices) <= _FEW_ENTRIES:
@@ -185,7 +185,7 @@ def chosen_product(transitions: SparseRows, choice: IntArray, x: FloatArray) -> 
 
 @with_twin
 def chosen_rows(transitions: SparseRows, choice: IntArray) -> sp.csr_array:
-    """A policy's rows of a Bellman backup's transitions, ``transitions[choice]``, in order.
+    """Return a policy's rows, ``transitions[choice]``, in order.
 
     Args:
         transitions: [pairs, columns].
@@ -210,26 +210,26 @@ def chosen_rows(transitions: SparseRows, choice: IntArray) -> sp.csr_array:
 
 @dataclass(frozen=True, eq=False)
 class SharedRows:
-    """A sparse matrix with rows that may lie anywhere among its numbers, several in one place."""
+    """A sparse matrix in which several rows may share their numbers."""
 
-    indptr: IntArray  # [rows + 1] where each row's columns begin
-    begins: IntArray  # [rows] where its numbers begin
+    indptr: IntArray  # [rows + 1] position of each row's first column
+    begins: IntArray  # [rows] position of its first number
     indices: IntArray  # [entries] columns
     data: FloatArray  # the numbers, fewer than entries
     shape: tuple[int, int]
 
     @property
     def nnz(self) -> int:
-        """Entries of a Bellman backup's transitions, as if rows shared no number."""
+        """Number of entries, shared ones counted in each row."""
         return len(self.indices)
 
     def written_out(self) -> sp.csr_array:
-        """A Bellman backup's transitions with each entry's number beside its column."""
+        """Return the matrix in scipy's form, with a number for each entry."""
         data = self.data[concatenated_ranges(self.begins, np.diff(self.indptr))]
         return csr_of(data, self.indices, self.indptr, self.shape)
 
     def __matmul__(self, x: FloatArray) -> FloatArray:
-        """Product with a vector, [columns], or several, [columns, vectors]."""
+        """Return the product with a vector, [columns], or several, [columns, vectors]."""
         return np.asarray(self.written_out() @ x)
 
 
@@ -237,12 +237,12 @@ SparseRows = sp.csr_array | SharedRows
 
 
 def written_out(rows: SparseRows) -> sp.csr_array:
-    """A Bellman backup's transitions in scipy's form, rows no longer shared."""
+    """Return a matrix in scipy's form, with a number for each entry."""
     return rows.written_out() if isinstance(rows, SharedRows) else rows
 
 
 def row_parts(rows: SparseRows) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-    """Arrays of a Bellman backup's transitions: rows' beginnings, columns, numbers."""
+    """Return a matrix's arrays: rows' first columns and numbers, columns, numbers."""
     indptr = unsigned(rows.indptr)
     begins = unsigned(rows.begins) if isinstance(rows, SharedRows) else indptr[:-1]
     return indptr, begins, unsigned(rows.indices), rows.data
@@ -251,14 +251,14 @@ def row_parts(rows: SparseRows) -> tuple[IntArray, IntArray, IntArray, FloatArra
 def unsigned_parts(
     offsets: IntArray, matrix: sp.csr_array
 ) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-    """Offsets and arrays of a Bellman backup's transitions as compiled loops take them."""
+    """Return offsets and a matrix's arrays in the types of compiled loops."""
     return unsigned(offsets), unsigned(matrix.indptr), unsigned(matrix.indices), matrix.data
 
 
 class Moves(NamedTuple):
-    """The pairs of a process, and the advantages of a Bellman backup that they have at values."""
+    """The pairs of a process, with methods for their advantages at given values."""
 
-    home: IntArray  # [pairs] the state of each
+    home: IntArray  # [pairs] state of each pair
     transitions: sp.csr_array  # [pairs, states]
     exits: FloatArray  # [pairs] probability of leaving for good
 
@@ -266,7 +266,7 @@ class Moves(NamedTuple):
     def precise_advantages(
         self, cost: FloatArray, high: FloatArray, low: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Advantages at evaluated totals ``high + low``, and bounds of their rounding, [pairs].
+        """Compute advantages at values ``high + low``, in twice the working precision.
 
         Args:
             cost: [pairs].
@@ -274,7 +274,7 @@ class Moves(NamedTuple):
             low: [states].
 
         Returns:
-            Advantages and bounds of what each may be wrong by, [pairs] each.
+            Advantages and bounds of their errors, [pairs] each.
         """
         home, transitions, exits = self
         if accelerated(len(transitions.indices), "equations.advantages_precisely"):
@@ -314,7 +314,7 @@ class Moves(NamedTuple):
 
     @with_twin
     def safe_advantages(self, cost: FloatArray, values: FloatArray) -> FloatArray:
-        """Advantages at evaluated totals less bounds of their rounding: never too high, [pairs].
+        """Return lower bounds of advantages, with their rounding subtracted, [pairs].
 
         Args:
             cost: [pairs].
@@ -347,7 +347,7 @@ class Moves(NamedTuple):
     def advantage_bounds(
         self, cost: FloatArray, values: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Bounds of advantages at evaluated totals from below and above, [pairs] each.
+        """Return lower and upper bounds of advantages, [pairs] each.
 
         Args:
             cost: [pairs].
@@ -372,14 +372,14 @@ class Moves(NamedTuple):
 
 
 def exact_sum(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """``a + b`` of arrays rounded, for verified evaluation, and what the rounding lost (Knuth)."""
+    """Return ``a + b`` of arrays, rounded, and the rounding error (Knuth)."""
     total = a + b
     back = total - a
     return total, (a - (total - back)) + (b - back)
 
 
 def exact_product(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """``a * b`` of arrays rounded, for verified evaluation, and what that lost (Dekker)."""
+    """Return ``a * b`` of arrays, rounded, and the rounding error (Dekker)."""
     total = a * b
     c, d = _SPLIT * a, _SPLIT * b
     a_high, b_high = c - (c - a), d - (d - b)

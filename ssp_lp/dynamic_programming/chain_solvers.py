@@ -1,11 +1,10 @@
-"""Solvers of a chain's equations: iterated, reduced as a band, by factors, or densely.
+"""Solvers of a chain's equations: iteration, reduction of a band, sparse factors, or dense LU.
 
-A large strong component is iterated for as long as that takes less than solving it directly. Sweeps
-are best where it is left soon; where they contract too slowly, BiCGStab takes a sweep as its
-preconditioner. Either goes on until it has taken as much work as a direct solution would, as far as
-that can be foreseen: so no choice costs more than about twice the best one. Solved directly, a
-component that is narrow in some order is reduced state by state without subtractions; others take
-sparse factors.
+A large strong component is solved iteratively as long as that takes less work than a direct
+solution. Sweeps are best if it is left soon; if they contract too slowly, BiCGStab takes a sweep as
+its preconditioner. Either method stops after the estimated work of a direct solution, so that no
+choice costs more than about twice the best one. Directly, a component that is narrow in some order
+is reduced state by state without subtractions; others are solved by sparse factors.
 """
 
 from __future__ import annotations
@@ -30,27 +29,27 @@ from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time, pieces
 from ssp_lp.errors import SolverError
 
-HOLDS_MASS = "a policy's chain holds mass for ever: from some states it is never left"
+HOLDS_MASS = "a policy stays in the process for ever from some states"
 
 
 Solver = Callable[[FloatArray], FloatArray]
 
 _MOST_STATES = 200_000
-"""States above which sparse factors may exceed memory."""
+"""Most states of sparse factors, which may exceed the memory beyond."""
 
 _BAND_WORK = 6e8
-"""States times the square of the bandwidth: about a second of compiled reduction."""
+"""Number of states times the squared bandwidth: about a second of compiled reduction."""
 
-_BANDED = 4.0  # times the work of sparse factors that are worth a reduction without subtractions
-_MOST_BAND_WORK = 1e10  # the same where nothing else is precise enough
-_TRIAL = 6  # sweeps over which the contraction is judged
-_CONTRACTION = 0.7  # per sweep; slower components are left to other methods
+_BANDED = 4.0  # most work of a reduction, in multiples of the work of sparse factors
+_MOST_BAND_WORK = 1e10  # most work of a reduction if no other method is precise enough
+_TRIAL = 6  # sweeps over which the contraction is measured
+_CONTRACTION = 0.7  # greatest factor per sweep; slower components use other methods
 _KRYLOV_STEPS = 400
-_AT_ONCE = 10_000_000  # entries of steps between two looks at the time
+_AT_ONCE = 10_000_000  # entries of steps between two checks of the time
 _RESTARTS = 8
-_SWEEPS_BETWEEN = 20  # where a Krylov run broke down
+_SWEEPS_BETWEEN = 20  # sweeps after a breakdown of a Krylov run
 _LEAST_RESIDUAL = 1e-12
-"""Relative residual of a Krylov method that is let pass: what is missed is corrected later."""
+"""Relative residual of a Krylov method that is accepted, as later corrections remove it."""
 
 _LITTLE_WORK = 1e6
 """Multiplications of a direct solution that take as long as the calls around a Krylov method."""
@@ -59,8 +58,8 @@ _FACTOR_STATE, _FACTOR_BLOCK = 2_000.0, 0.1
 """Work of sparse factors, as measured: for each state, and for each multiplication of dense
 separators, of which several run at once."""
 
-_BLOCK = 32  # states that are taken out together
-_DEAR = 200  # passes for a reward from which the others are left out until they are needed
+_BLOCK = 32  # states that are eliminated together
+_DEAR = 200  # passes for one reward above which the others are computed only when needed
 _ENTRY = 2.0  # multiplications of a direct solution that take as long as an entry of a sweep
 
 
@@ -69,14 +68,14 @@ _KRYLOV = "equations.bicgstab", "equations._square_in_sweep"
 
 
 class LargeComponent:
-    """Equations ``y = right + own @ y`` of one component, seen on departing only."""
+    """Equations ``y = right + own @ y`` of one component, conditioned on departing from a state."""
 
     def __init__(self, matrix: sp.csr_array, exits: FloatArray, states: IntArray) -> None:
-        """Take the component out of its chain.
+        """Extract the component from its chain.
 
         Args:
-            matrix: of the whole chain, [states, states].
-            exits: of the whole chain, [states].
+            matrix: transitions of the whole chain, [states, states].
+            exits: exits of the whole chain, [states].
             states: the members, in the order in which they are swept.
         """
         self._chain, self._states = matrix, states
@@ -84,18 +83,18 @@ class LargeComponent:
         self._place[states] = np.arange(len(states), dtype=np.int32)
         self._own, self._departs, self._leaving = on_departing(matrix, exits, states, self._place)
         self._direct: Solver | None = None
-        weak = proxy(self)  # in a ring of references large arrays would wait for its collection
+        weak = proxy(self)  # a reference cycle would keep large arrays until garbage collection
         self._iteration = Iteration(self._own, lambda: weak.direct_work)
 
     @property
     def is_solved_reward_by_reward(self) -> bool:
-        """Whether the component's Krylov solver took long for each reward by itself."""
+        """Whether the Krylov method took long for a single reward."""
         return self._iteration.dearest > _DEAR
 
     @cached_property
     @with_twin
     def direct_work(self) -> float:
-        """Multiplications of a direct solver of the component, as a band or by sparse factors."""
+        """Multiplications of a direct solution, as a band or by sparse factors."""
         size = len(self._states)
         if not accelerated(self._own.nnz, "equations.work_of_levels"):
             return float(size) * self._band[1] ** 2
@@ -110,7 +109,7 @@ class LargeComponent:
 
     @cached_property
     def _band(self) -> tuple[IntArray, int]:
-        """An order in which the large component is a narrow band, and how wide."""
+        """An order in which the component is a narrow band, and the bandwidth."""
         order = csgraph.reverse_cuthill_mckee(self._own, symmetric_mode=False)
         place = np.empty(len(order), dtype=np.int64)
         place[order] = np.arange(len(order))
@@ -118,18 +117,18 @@ class LargeComponent:
         return order, int(np.abs(place[entry.row] - place[entry.col]).max(initial=0))
 
     def solve(self, rewards: FloatArray, x: FloatArray, accuracy: float) -> int:
-        """Solve a large component's equations, in place, given the totals of all it leads to.
+        """Solve the equations in place, given the totals of the states that it leads to.
 
         Args:
-            rewards: of the whole chain, [states, rewards].
-            x: of the whole chain, [states, rewards]; members hold a guess.
+            rewards: rewards of the whole chain, [states, rewards].
+            x: totals of the whole chain, [states, rewards]; a guess for the members.
             accuracy: relative residual.
 
         Returns:
-            Passes over the component's matrix.
+            The number of passes over the component's matrix.
 
         Raises:
-            SolverError: no method gets anywhere.
+            SolverError: no method converges.
         """
         right, y, before = self._right(rewards, x), x[self._states], self._iteration.products
         if self._direct is None and not self._iteration.solve(right, y, accuracy):
@@ -138,17 +137,17 @@ class LargeComponent:
         return max(self._iteration.products - before, 1)
 
     def reduce(self, rewards: FloatArray, x: FloatArray) -> None:
-        """Solve a large component's equations by reduction without any subtraction.
+        """Solve the equations by state reduction without any subtraction.
 
         Raises:
             SolverError: the component is not narrow enough, or numba is missing.
         """
         order, width = self._band
-        is_compiled = accelerated(_MOST_BAND_WORK, *_ELIMINATION)  # numpy has no twin of it
+        is_compiled = accelerated(_MOST_BAND_WORK, *_ELIMINATION)  # there is no numpy twin
         if not is_compiled or len(order) * width**2 > _MOST_BAND_WORK:
-            hint = "" if is_compiled else "; numba reduces it: pip install '.[fast]'"
+            hint = "" if is_compiled else ": install numba, pip install '.[fast]'"
             raise SolverError(
-                "a policy's totals could not be verified: its chain is left too seldom for double "
+                "a policy leaves the process too rarely to compute its totals in double "
                 f"precision{hint}"
             )
         exits, right = self._leaving / self._departs, self._right(rewards, x)
@@ -156,12 +155,12 @@ class LargeComponent:
 
     @property
     def _arrays(self) -> tuple[IntArray, IntArray, FloatArray]:
-        """The chain's arrays as the compiled solvers of a large component read them."""
+        """The chain's arrays in the types of compiled loops."""
         return unsigned(self._chain.indptr), unsigned(self._chain.indices), self._chain.data
 
     @with_twin
     def _right(self, rewards: FloatArray, x: FloatArray) -> FloatArray:
-        """Right side for a component's solver, on departing, [members, rewards]."""
+        """Compute the right side, conditioned on departing, [members, rewards]."""
         if not accelerated(self._own.nnz, "equations.from_beyond"):
             outside = np.where((self._place < 0)[:, None], x, 0.0)
             beyond = rewards[self._states] + self._chain[self._states] @ outside
@@ -175,7 +174,7 @@ class LargeComponent:
 
     @with_twin
     def _direct_solver(self) -> Solver:
-        """Direct solver of the component: reduced as a band if narrow, else sparse factors."""
+        """Build the direct solver: reduction of a band if narrow, otherwise sparse factors."""
         exits = self._leaving / self._departs
         if self.direct_work <= _BAND_WORK:
             order, width = self._band
@@ -189,28 +188,28 @@ class LargeComponent:
 class Iteration:
     """Equations ``y = right + own @ y`` whose iteration converges."""
 
-    most_sweeps: ClassVar[int] = 300  # of one run of them
+    most_sweeps: ClassVar[int] = 300  # most sweeps of one run
 
     def __init__(self, own: sp.csr_array, direct_work: Callable[[], float]) -> None:
-        """Iterate the equations of a chain seen on departing only, or those of its visits.
+        """Set up the iteration of a chain's equations, or of the equations of its visits.
 
         Args:
-            own: in the order in which it is swept, without a diagonal, [members, members].
-            direct_work: about the multiplications of a direct solution.
+            own: the matrix in the order of sweeps, without a diagonal, [members, members].
+            direct_work: returns the approximate multiplications of a direct solution.
         """
         self.own, self._direct_work = own, direct_work
         self.products = 0  # passes over the matrix
-        self.dearest = 1  # passes that one reward has taken: the next ones will take as many
+        self.dearest = 1  # most passes that one reward has taken, an estimate for the next ones
 
     @property
     def _passes_left(self) -> int:
-        """Passes that an iterative solver has left before a direct one would have been cheaper."""
+        """Number of passes left until a direct solution would have been cheaper."""
         work = self._direct_work()
         most = work / (_ENTRY * max(self.own.nnz, 1)) if work > _LITTLE_WORK else 0.0
         return max(int(most) - self.products, 0)
 
     def solve(self, right: FloatArray, y: FloatArray, accuracy: float) -> bool:
-        """Solve in place by the iterative solver that converges; false: a direct one takes less.
+        """Solve in place by sweeps or BiCGStab; false if a direct solution takes less work.
 
         Args:
             right: [members, rewards].
@@ -224,7 +223,7 @@ class Iteration:
             return True
         missed = right + self.own @ y - y
         poor = np.greater(*(np.abs(x.T, order="C").max(axis=1) for x in (missed, right)))
-        if poor.any():  # the guess misses by more than 0 does
+        if poor.any():  # the residual of 0 is smaller than the guess's
             y[:, poor] = 0.0
             if self._swept(right, y, accuracy):
                 return True
@@ -233,16 +232,16 @@ class Iteration:
 
     @cached_property
     def _own_arrays(self) -> tuple[IntArray, IntArray, FloatArray]:
-        """The arrays of the matrix, as the iterative solver's compiled sweeps read them."""
+        """The matrix's arrays in the types of compiled loops."""
         return unsigned(self.own.indptr), unsigned(self.own.indices), self.own.data
 
     @with_twin
     def sweep(self, right: FloatArray, y: FloatArray) -> tuple[float, float]:
-        """One sweep of the iterative solver, in place: greatest change and greatest size.
+        """Sweep once, in place; return the greatest change and the greatest absolute value.
 
         Args:
             right: [members, rewards].
-            y: of the members, and of what else the rows lead to, which stays, [columns, rewards].
+            y: values of the members, and of other columns, which do not change, [columns, rewards].
         """
         check_time()
         self.products += 1
@@ -258,19 +257,19 @@ class Iteration:
         return change, float(np.abs(ahead).max(initial=0.0))
 
     def greatest(self, *numbers: float) -> tuple[float, ...]:
-        """The greatest of each number over all who share the iterative solver: here, itself."""
+        """Return the greatest of each number over all processes that share the equations."""
         return numbers
 
     def change_left(self, right: FloatArray, y: FloatArray, target: float) -> float:
-        """Relative change of the last sweep of the iterative solver, while they contract well.
+        """Sweep while the changes contract well; return the last sweep's relative change.
 
         Args:
-            right: as :meth:`sweep` takes it.
-            y: improved in place, likewise.
+            right: see :meth:`sweep`.
+            y: see :meth:`sweep`; improved in place.
             target: a change that is small enough.
 
         Returns:
-            Infinity where they contract slowly.
+            The relative change; infinity if the sweeps contract slowly.
 
         Raises:
             SolverError: the totals overflow.
@@ -291,11 +290,11 @@ class Iteration:
         return relative
 
     def _swept(self, right: FloatArray, y: FloatArray, target: float) -> bool:
-        """Sweeps of the iterative solver while they contract well; whether the target is met."""
+        """Sweep while the changes contract well; return whether the target is met."""
         return self.change_left(right, y, target) <= target
 
     def _by_krylov(self, right: FloatArray, y: FloatArray, target: float) -> bool:
-        """BiCGStab, the iterative solver for each reward; whether all met the target."""
+        """Solve each reward by BiCGStab; return whether all rewards met the target."""
         for j in range(right.shape[1]):
             before = self.products
             column, wanted = np.ascontiguousarray(y[:, j]), np.ascontiguousarray(right[:, j])
@@ -307,7 +306,7 @@ class Iteration:
         return True
 
     def _krylov(self, right: FloatArray, y: FloatArray, target: float) -> float:
-        """BiCGStab on one reward, in place; the relative change of one more sweep."""
+        """Solve one reward by BiCGStab, in place; return the relative change of another sweep."""
         kept, before = y.copy(), np.inf
         for attempt in range(_RESTARTS + 1):
             swept = y.copy()
@@ -316,7 +315,7 @@ class Iteration:
             change = float(np.abs(residual).max())
             scale = float(np.abs(y).max()) + float(np.abs(right).max())
             relative = change / scale if scale > 0.0 else 0.0
-            if not relative < before:  # it broke down: go on from before by sweeps
+            if not relative < before:  # it broke down: sweep from the last iterate
                 y[:] = kept
                 for _ in range(_SWEEPS_BETWEEN):
                     self.sweep(right[:, None], y[:, None])
@@ -330,7 +329,7 @@ class Iteration:
 
     @with_twin
     def _step(self, residual: FloatArray, target: float) -> FloatArray:
-        """Correction of the iterative solver BiCGStab to a residual of at most the target."""
+        """Return BiCGStab's correction, with a residual of at most the target."""
         most = min(_KRYLOV_STEPS, self._passes_left // 2 + 1)
         if accelerated(most * self.own.nnz, *_KRYLOV):
             from ssp_lp.compiled.equations import bicgstab, start_bicgstab
@@ -347,7 +346,7 @@ class Iteration:
             return step
 
         def missed(y: FloatArray) -> FloatArray:
-            """By how much y exceeds what the component's own steps make of it."""
+            """Return ``y - own @ y``."""
             self.products += 1
             return np.asarray(y - self.own @ y)
 
@@ -366,7 +365,7 @@ def dense_solver(matrix: sp.csr_array, exits: FloatArray) -> Solver:
         exits: [states].
 
     Raises:
-        SolverError: some state is never left; also when solving, where that shows only then.
+        SolverError: some state is never left; the solver may raise it as well.
     """
     system = -matrix.toarray()
     np.fill_diagonal(system, 0.0)
@@ -376,7 +375,7 @@ def dense_solver(matrix: sp.csr_array, exits: FloatArray) -> Solver:
     np.fill_diagonal(system, departs)
 
     def solve(rewards: FloatArray) -> FloatArray:
-        """Totals of these rewards, refined once."""
+        """Return the totals of rewards, refined once."""
         try:
             x = np.linalg.solve(system, rewards)
             return np.asarray(x + np.linalg.solve(system, rewards - system @ x))
@@ -392,22 +391,22 @@ def factor_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray | Non
     Args:
         matrix: [states, states].
         exits: [states].
-        order: states in the order to be kept; None: in one that fills in little.
+        order: order of the states; None: one with little fill-in.
 
     Raises:
-        SolverError: there are too many states, or they are never left.
+        SolverError: there are too many states, or some are never left.
     """
     size = len(exits)
     if size > _MOST_STATES and order is None:
         raise SolverError(
-            f"no method solves the equations of a policy on {size:,} states that hang together; a "
-            "discount may help"
+            f"a policy's equations on {size:,} states that reach each other are too many to solve "
+            "directly: a discount may help"
         )
     system = equations(matrix, exits, order)
     factors = factorised(system, in_order=order is not None)
 
     def solve(right: FloatArray) -> FloatArray:
-        """The totals of a right side, refined once, like ``right``."""
+        """Return the totals of a right side, refined once, of its shape."""
         ordered = right if order is None else right[order]
         solution = factors.solve(ordered)
         solution = solution + factors.solve(ordered - system @ solution)
@@ -417,15 +416,13 @@ def factor_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray | Non
 
 
 def band_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray, width: int) -> Solver:
-    """Solve the equations of a narrow chain, reduced state by state without subtractions.
-
-    Compiled.
+    """Solve the equations of a narrow chain by compiled state reduction without subtractions.
 
     Args:
         matrix: without self-loops, [states, states].
         exits: [states].
         order: states in the order in which the chain is narrow.
-        width: greatest distance of two states that a move joins in that order.
+        width: greatest distance of a state and its successor in that order.
 
     Raises:
         SolverError: the chain is never left.
@@ -442,7 +439,7 @@ def band_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray, width:
         raise SolverError(HOLDS_MASS)
 
     def solve(right: FloatArray) -> FloatArray:
-        """The totals of a right side, like ``right``."""
+        """Return the totals of a right side, of its shape."""
         ordered = right[order]
         solve_eliminated(*band, ordered, size)
         return _solved_in_place(ordered, order)
@@ -451,7 +448,7 @@ def band_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray, width:
 
 
 def _solved_in_place(ordered: FloatArray, order: IntArray | None) -> FloatArray:
-    """A solver's results in the order of the states, from that in which it worked."""
+    """Return results in the order of the states, from the order of the solver."""
     if order is None:
         return np.asarray(ordered)
     result = np.empty_like(ordered)
@@ -463,18 +460,18 @@ def _solved_in_place(ordered: FloatArray, order: IntArray | None) -> FloatArray:
 def on_departing(
     chain: sp.csr_array, exits: FloatArray, states: IntArray, place: IntArray
 ) -> tuple[sp.csr_array, FloatArray, FloatArray]:
-    """Rows of some states of a chain for a solver, seen on departing only.
+    """Return rows of some states of a chain, conditioned on departing from the state.
 
     Args:
         chain: probabilities of going on, [states, columns].
-        exits: of the whole chain, [states].
-        states: whose rows they are, in the order in which they are swept, [members].
-        place: where each column stands among those of the result, -1: it is left out, [columns];
-            the members stand first, in their order.
+        exits: exits of the whole chain, [states].
+        states: states of the rows, in the order in which they are swept, [members].
+        place: position of each column in the result, -1 if it is left out, [columns]; the members
+            come first, in their order.
 
     Returns:
-        Moves by departing, [members, places]; the probability of departing, and what of it is left
-        out, [members] each.
+        Conditional moves, [members, places]; the probability of departing, and its part into exits
+        and columns that are left out, [members] each.
 
     Raises:
         SolverError: some state is never departed from.
@@ -507,14 +504,14 @@ def on_departing(
 def departures(
     matrix: sp.csr_array, exits: FloatArray
 ) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-    """Moves of a chain to other states, and the probability of departing, summed, never 1 - p.
+    """Return a chain's moves to other states, and the probability of departing, a sum, not 1 - p.
 
     Args:
         matrix: [states, columns], of which the states come first.
         exits: [states].
 
     Returns:
-        From where, where to, and how likely, [moves] each; and [states].
+        Rows, columns and probabilities of the moves, [moves] each; departures, [states].
 
     Raises:
         SolverError: some state is never departed from.
@@ -531,7 +528,7 @@ def departures(
 def equations(
     matrix: sp.csr_array, exits: FloatArray, order: IntArray | None = None
 ) -> sp.csc_array:
-    """Matrix of a direct solver: ``I - chain``, its diagonal summed from what departs.
+    """Build the matrix ``I - chain``, with its diagonal as the sum of departures.
 
     Args:
         matrix: [states, states].
@@ -557,7 +554,7 @@ def equations(
 
 
 def factorised(system: sp.csc_array, *, in_order: bool = False) -> linalg.SuperLU:
-    """Sparse factors for a direct solver; in the given order where that is topological.
+    """Compute sparse factors, in the given order if that is topological.
 
     Raises:
         SolverError: the matrix is singular.
@@ -567,8 +564,8 @@ def factorised(system: sp.csc_array, *, in_order: bool = False) -> linalg.SuperL
         factors: linalg.SuperLU = linalg.splu(
             system,  # type: ignore[call-overload]
             permc_spec=order,
-            diag_pivot_thresh=0.0,  # diagonally dominant by rows: no pivot is needed
-            options={"SymmetricMode": not in_order},  # fill in as the order foresees
+            diag_pivot_thresh=0.0,  # diagonally dominant by rows: no pivoting
+            options={"SymmetricMode": not in_order},  # fill-in as the order predicts
         )
         return factors
     except RuntimeError as error:
@@ -576,11 +573,11 @@ def factorised(system: sp.csc_array, *, in_order: bool = False) -> linalg.SuperL
 
 
 def reduction_solver(inner: FloatArray, leaving: FloatArray) -> Solver:
-    """Direct solver by state reduction: totals with relative accuracy in every entry.
+    """Build a direct solver by state reduction, accurate relative to every entry.
 
-    Grassmann, Taksar and Heyman (1985): a state is taken out by sending what would enter it to
-    where it goes next; the probability of departing is summed, never formed as 1 - p. States are
-    taken out in blocks, whose effect on all others is one product of matrices.
+    Grassmann, Taksar and Heyman (1985): a state is eliminated by redirecting its inflow to its
+    successors; the probability of departing is summed, never computed as 1 - p. States are
+    eliminated in blocks, whose effect on all others is one product of matrices.
 
     Args:
         inner: probabilities among the states, [states, states]; overwritten.
@@ -609,7 +606,7 @@ def reduction_solver(inner: FloatArray, leaving: FloatArray) -> Solver:
     np.fill_diagonal(factors, departs)
 
     def solve(rewards: FloatArray) -> FloatArray:
-        """Totals of these rewards: entries below 0 off the diagonal add, and nothing cancels."""
+        """Return the totals of rewards; off-diagonal entries are negative, so nothing cancels."""
         entered = solve_triangular(factors, rewards)
         return np.asarray(solve_triangular(factors, entered, lower=True, unit_diagonal=True))
 

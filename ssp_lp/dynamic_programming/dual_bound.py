@@ -1,13 +1,13 @@
 """Certified lower bounds: values v with v <= T v, checked by one backup with its rounding.
 
 If v satisfies v_s <= c_u + P_u v for every pair u of s, then v bounds the cost of every policy from
-below: of those that leave the process by iterating the inequality, and of those that stay for ever
-since staying is failure, which costs at least as much as v says. The inequality is checked as
-``c_u + sum_j p_uj (v_j - v_s) - exit_u v_s >= 0`` (see ``evaluation``).
+below: for policies that leave the process by iterating the inequality, and for policies that stay
+for ever since staying is failure, which costs at least v. The inequality is checked as ``c_u +
+sum_j p_uj (v_j - v_s) - exit_u v_s >= 0`` (see ``evaluation``).
 
-Near-optimal values lack rounding only, and are lowered by as little as is needed. Lowering a state
-by what it lacks makes its predecessors lack as much, so that in a process that is long in leaving
-the lack of a step is met again and again: values are lowered by what is gathered along a whole run.
+Near-optimal values violate it by rounding only, and are lowered as little as possible. A state's
+violation is called its lack. Lowering a state by its lack makes its predecessors lack as much, so
+that in long runs the lack of a step accumulates: values are lowered by the sum along a whole run.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ from ssp_lp.dynamic_programming.policy_iteration import improve_backwards, itera
 from ssp_lp.errors import SolverError
 
 _ROUNDS = 12
-_SPARE = 16.0  # lacks within which a pair is taken to be as good as the best
-_LOWERINGS = 4  # by what is lacking, before looking at where it is met again
-_ROUNDED = 2e-15  # of a value: its own rounding and that of a backup
-_TIED = 1024.0  # lacks within which a pair may turn out to be the best after lowering
+_SPARE = 16.0  # reduced cost, in lacks, up to which a pair counts as optimal
+_LOWERINGS = 4  # lowerings by the lack alone, before runs are considered
+_ROUNDED = 2e-15  # relative rounding of a value and of its backup
+_TIED = 1024.0  # reduced cost, in lacks, up to which a pair may become optimal by lowering
 _STEPWISE = 4.0  # lacks by which values are lowered in every step
-_LARGE = 50_000  # states from which looking for the least that will do takes too long
+_LARGE = 50_000  # number of states from which on the least lowering takes too long to find
 _HOPELESS = 1e-3
-"""Lack, relative to the values, from which they are those of no near-optimal policy."""
+"""Lack, relative to the values, above which the values are not near-optimal."""
 
-_LONGEST = 1e9  # steps, beyond which shrinking by the lack's share cannot help
-_RAISING, _MOST_RAISING = 20, 5_000  # sweeps between two looks at what is lost still, and of all
-_RAISED = 0.9  # share of the loss from which sweeps are too slow
-_RAISED_OF_FEW = 0.6  # the same where equations of few states are solved in less time than sweeps
+_LONGEST = 1e9  # run length above which shrinking by the lack's share cannot help
+_RAISING, _MOST_RAISING = 20, 5_000  # sweeps between two checks of the loss, and most sweeps
+_RAISED = 0.9  # remaining share of the loss from which on sweeps are too slow
+_RAISED_OF_FEW = 0.6  # the same for few states, whose equations are solved faster than sweeps
 _ONE = np.ones(1)
 
 
@@ -64,19 +64,19 @@ class DualBound:
 
     @property
     def rounded(self) -> FloatArray:
-        """The dual bound of each state as one number, rounded down, [states]."""
+        """The bound of each state as one number, rounded down, [states]."""
         below = np.nextafter(self.values, -np.inf)
         return np.where(self.low == 0.0, self.values, below)
 
     def at(self, start: FloatArray) -> float:
-        """The dual bound at the start of an episode, rounded down.
+        """Return the bound at the start of an episode, rounded down.
 
         Args:
             start: distribution, [states].
         """
         used = start.nonzero()[0]
         parts = start[used] * self.values[used]
-        rounding = np.where(start[used] == 1.0, 0.0, np.abs(parts))  # a term of its own is exact
+        rounding = np.where(start[used] == 1.0, 0.0, np.abs(parts))  # a single term is exact
         summands = float(used.size - 1)
         lost = float(rounding.sum()) + summands * float(np.abs(parts).sum())
         correction = float(start[used] @ self.low[used])
@@ -95,20 +95,20 @@ def dual_bound(
     start: FloatArray | None = None,
     least_loss: float | None = None,
 ) -> DualBound:
-    """Lower given values as little as possible to a checked sub-solution, a dual bound.
+    """Lower given values as little as possible to a checked sub-solution.
 
-    Values that are optimal but for rounding, and would have to be lowered by more than rounding
-    since the process is hardly ever left, are worked out in twice the working precision.
+    Values that are optimal to rounding, but would have to be lowered by more since the process is
+    hardly ever left, are recomputed in twice the working precision.
 
     Args:
         dynamics: the process.
         pair_cost: [pairs].
         values: near-optimal values, or any others (the bound is then worse), [states].
-        floor: a constant that is known to be a sub-solution: 0 where no pair cost is negative.
-        choice: a policy of about these values, which leaves, [states].
-        start: where the bound is to be near the values, positive there, [states]; None: everywhere.
-        least_loss: how far below the values it may be, for probabilities, of which none is worked
-            out more precisely where there are many; None: a share of their size.
+        floor: a constant that is known to be a sub-solution: 0 if no pair cost is negative.
+        choice: a policy that leaves and has about these values, [states].
+        start: positive in states where the bound must be near the values, [states]; None: all.
+        least_loss: distance from the values that suffices, for probabilities, which are not
+            recomputed more precisely if there are many states; None: a share of the values' size.
 
     Returns:
         Values that are checked lower bounds of the optimum.
@@ -123,11 +123,11 @@ def dual_bound(
     enough = PROVED * scale if least_loss is None else least_loss
     lack, worst = shortfall(dynamics, pair_cost, values), np.inf
     lowered = np.full_like(values, floor)
-    if lack.any() and least_loss is not None:  # of probabilities, which sweeps often settle
+    if lack.any() and least_loss is not None:  # for probabilities, sweeps often suffice
         lowered, worst = raised(dynamics, pair_cost, lowered, values, starts, enough)
     if worst > enough:
         found = lowered_to_backups(dynamics, pair_cost, values, lack, floor)
-        lowered = np.maximum(lowered, found)  # of two sub-solutions the greater is one
+        lowered = np.maximum(lowered, found)  # the maximum of two sub-solutions is one
         lowered, worst = raised(dynamics, pair_cost, lowered, values, starts, enough)
     bound = DualBound(lowered, np.zeros_like(lowered))
     many = dynamics.n_states > DIRECT_STATES
@@ -142,7 +142,7 @@ def dual_bound(
 def sub_solution(
     dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray, floor: float = 0.0
 ) -> FloatArray:
-    """A dual bound checked in working precision: the given values, lowered.
+    """Lower given values to a sub-solution that is checked in working precision.
 
     Args:
         dynamics: the process.
@@ -158,7 +158,7 @@ def sub_solution(
 def _precise_bound(
     dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray
 ) -> DualBound | None:
-    """Dual bound by a policy optimal in twice the working precision; None: there is none."""
+    """Compute a bound by policy iteration in twice the working precision; None if that fails."""
     choice = best_pairs(dynamics.pair_offsets, dynamics.transitions, pair_cost, values).choice
     try:
         nearest = approach_leaving(dynamics, dynamics.exits > 0.0)
@@ -174,8 +174,8 @@ def _precise_bound(
             steps = -np.ones((kept.size, 1))
             longest = iterate_policy(dynamics.restricted(kept), steps, _ONE, place[settled.choice])
             with np.errstate(over="ignore"):
-                fall = -4.0 * lack * longest.values  # absorbs the lack wherever it is met again
-            if not (fall < np.abs(settled.values)).any():  # and it only grows: nothing is proved
+                fall = -4.0 * lack * longest.values  # absorbs the lack along the longest run
+            if not (fall < np.abs(settled.values)).any():  # nothing can be proved
                 return None
             lowered = exact_sum(settled.values, settled.low - fall)
             if (_bound_advantages(dynamics, pair_cost, *lowered) >= 0.0).all():
@@ -191,14 +191,14 @@ def _precise_bound(
 def _bound_advantages(
     dynamics: Dynamics, pair_cost: FloatArray, high: FloatArray, low: FloatArray
 ) -> FloatArray:
-    """Advantages for a dual bound in twice the precision, less their rounding, [pairs]."""
+    """Return advantages in twice the precision minus their rounding, [pairs]."""
     ahead, rounding = dynamics.moves.precise_advantages(pair_cost, high, low)
     return ahead - rounding
 
 
 @with_twin
 def shortfall(dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray) -> FloatArray:
-    """Excess of a dual bound's values over their backups, rounding counted, [states]."""
+    """Return the excess of values over their backups, with rounding, [states]."""
     check_time()
     if accelerated(len(dynamics.transitions.indices), "equations.shortfalls_safely"):
         from ssp_lp.compiled.equations import shortfalls_safely
@@ -215,11 +215,11 @@ def shortfall(dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray) -> 
 def lowered_along_longest_run(
     dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray, floor: float, choice: IntArray
 ) -> FloatArray | None:
-    """Dual bound by values lowered along the worst near-optimal policy; None: too much.
+    """Lower values along the worst near-optimal policy; None if by more than rounding.
 
-    A step gathers a few times the greatest lack, less what its pair is worse than the best: of
-    least such totals w, ``v + w`` lacks nothing. Without cycles each value is lowered to its backup
-    in turn, ends first, which is the least that will do.
+    Let each step cost minus a few times the greatest lack, plus its pair's reduced cost. With the
+    least totals w of these costs, ``v + w`` is a sub-solution. Without cycles each value is lowered
+    to its backup in turn, ends first, which is the least possible lowering.
     """
     if not dynamics.is_solved_backwards:
         return None
@@ -257,16 +257,16 @@ def lowered_to_backups(
     lack: FloatArray,
     floor: float,
 ) -> FloatArray:
-    """Dual bound by values lowered again and again until no backup is exceeded."""
+    """Lower values repeatedly until none exceeds its backup."""
     if not lack.any():
         return values
 
     def passes(lowered: FloatArray) -> bool:
-        """Whether lowered values lack nothing."""
+        """Return whether lowered values are a sub-solution."""
         return not shortfall(dynamics, pair_cost, lowered).any()
 
     def shrunk(share: float) -> FloatArray:
-        """The values, moved towards the floor by a share."""
+        """Return the values moved towards the floor by a share."""
         return np.asarray(floor + (1.0 - share) * (values - floor))
 
     if floor == 0.0 and len(values) > _LARGE and passes(lowered := shrunk(IMPROVEMENT)):
@@ -303,20 +303,20 @@ def raised(
     asked: IntArray,
     enough: float,
 ) -> tuple[FloatArray, float]:
-    """A dual bound raised again by backups rounded down, which keep it a sub-solution.
+    """Raise a sub-solution by backups rounded down, which remain sub-solutions.
 
-    Sweeps end where no value that counts has lost more than enough, or where they are slow.
+    Sweeps end if the loss at all states ``asked`` is small enough, or if they are too slow.
 
     Args:
         dynamics: the process.
         pair_cost: [pairs].
         lowered: a checked sub-solution, [states].
-        values: what it was lowered from, [states].
+        values: the values before lowering, [states].
         asked: the states that count.
-        enough: what may be lost there.
+        enough: the loss that is allowed there.
 
     Returns:
-        The sub-solution, and the most that is lost where it counts.
+        The sub-solution, and the greatest loss at the states that count.
     """
     lost, size = values - lowered, np.abs(pair_cost)
     offsets, rows, cost = dynamics.pair_offsets, dynamics.transitions, PairCost(pair_cost)
@@ -339,11 +339,11 @@ def _longest_run(
     lack: FloatArray,
     least: FloatArray,
 ) -> FloatArray | None:
-    """Total by which a dual bound is lowered along the worst near-optimal policy; None: endless.
+    """Sum the lack along the worst near-optimal policy, [states]; None if it never ends.
 
-    A state that comes to lack something counts with at least ``least``, [states]. Lowering the
-    values by this amount absorbs the lack wherever it is met again: the violation times the longest
-    expected run (mathematics, section 5). States that never meet it are left alone.
+    A state that lacks something counts with at least ``least``, [states]. Lowering the values by
+    this sum absorbs the lack along whole runs: the violation times the longest expected run
+    (mathematics, section 5). States from which no lack is reached do not change.
     """
     pair_offsets, transitions = dynamics.pair_offsets, dynamics.transitions
     worst_lack, met = float(lack.max()), lack > 0

@@ -1,6 +1,6 @@
-"""What a substochastic process does, whatever it costs: transitions, exits, their graph.
+"""Dynamics of substochastic processes: transitions, exits and their graph, without costs.
 
-Below: policies that leave a process, for only of those are there totals.
+Also policies that leave a process, as only these have finite totals.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ from ssp_lp.errors import SolverError
 from ssp_lp.model.graph import Graph, nearer_pairs
 
 _KEPT_CHAINS = 4
-"""Layers of accumulated cost ask for the equations of the same few policies again and again."""
+"""Number of policies whose equations are kept, as layers of accumulated cost reuse a few."""
 
-_KEPT_STATES = 100_000  # states up to which they are kept
+_KEPT_STATES = 100_000  # most states of equations that are kept
 SETTLED = 0.1  # share of the first sweep's changes below which sweeping stops
 _BACKWARDS = (
     "policy_improvement.improve_components",
@@ -54,72 +54,71 @@ _BACKWARDS = (
     *COMPONENTS,
     *BY_HEIGHT,
 )
-_LAYERS = 500  # passes that a process is good for where it is one layer of many
+_LAYERS = 500  # number of passes over a process that is one layer of many
 _SMALL = 48
-"""States of a component up to which it is solved by itself, by dense state reduction."""
+"""Most states of a component that is solved separately, by dense state reduction."""
 
 
 Level = tuple[IntArray, IntArray, IntArray, sp.csr_array, FloatArray]
-"""States that lead to earlier levels only, [some states], with their pairs, [some pairs]; the
-offsets of each state's pairs among these; their rows, [some pairs, states], without self-loops;
-and the probability of departing, 0 where a pair only waits, [some pairs]."""
+"""States that lead to earlier levels only, [some states]; their pairs, [some pairs]; the offsets of
+each state's pairs among these; their rows, [some pairs, states], without self-loops; and the
+probability of departing, 0 if a pair only waits, [some pairs]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """Pairs of each state, where they lead, and with what probability they leave for good.
+    """Pairs of each state, their transitions, and their probabilities of leaving for good.
 
-    The exits are carried as data: formed as ``1 - sum`` they would be lost to rounding where a
-    process is hardly ever left. A row and its exits are the truth together: their sum is what is
-    called one.
+    The exits are stored: computed as ``1 - sum`` they would be lost to rounding if a process is
+    hardly ever left. Row and exit are exact data, even if their sum differs from 1 by rounding.
     """
 
     pair_offsets: IntArray  # [states + 1]
     transitions: sp.csr_array  # [pairs, states]
     exits: FloatArray  # [pairs]
-    few: ClassVar[int] = DIRECT_STATES  # states up to which totals show that a policy never leaves
-    is_reused: bool = False  # solved again and again, as in every layer of accumulated cost
+    few: ClassVar[int] = DIRECT_STATES  # most states for which totals show held mass
+    is_reused: bool = False  # whether it is solved many times, as a layer of accumulated cost
 
     @cached_property
     def n_states(self) -> int:
-        """Number of states of the dynamics."""
+        """Number of states."""
         return len(self.pair_offsets) - 1
 
     @cached_property
     def pair_state(self) -> IntArray:
-        """The state of each pair of the dynamics, [pairs]."""
+        """State of each pair, [pairs]."""
         return segment_ids(self.pair_offsets)
 
     @property
     def n_entries(self) -> int:
-        """Number of probabilities in the rows of the dynamics."""
+        """Number of entries of the transitions."""
         return len(self.transitions.indices)
 
     @cached_property
     def components(self) -> StrongComponents:
-        """Strong components of the dynamics' graph of all pairs, ends first; found once."""
+        """Strong components of the graph of all pairs, ends first; computed once."""
         rows = self.transitions
         entries = rows.indptr[self.pair_offsets], rows.indices, rows.data
         return strong_components(*entries, by_height=True)
 
     @cached_property
     def graph(self) -> Graph:
-        """The dynamics' graph, which pairs lead where, in the number types of a model's."""
+        """The graph of pairs and successors, in the number types of a model's graph."""
         rows = self.transitions
         offsets = self.pair_offsets.astype(np.int64), rows.indptr.astype(np.int64)
         return Graph(*offsets, rows.indices, rows.data)
 
     @property
     def moves(self) -> Moves:
-        """The dynamics' pairs, with their states and exits, for graph searches."""
+        """The pairs with their states, rows and exits, to compute advantages."""
         return Moves(self.pair_state, self.transitions, self.exits)
 
     @cached_property
     def rows(self) -> tuple[IntArray, IntArray, IntArray, FloatArray, FloatArray]:
-        """The dynamics' arrays as compiled loops take them.
+        """The arrays in the types of compiled loops.
 
-        Integers have 32 bits where that is enough: numba 0.60 takes tuples for one another whose
-        arrays differ in it.
+        Integers have 32 bits if that suffices, and all have the same number: numba 0.60 confuses
+        tuples of arrays that differ in it.
         """
         rows, most = self.transitions, np.iinfo(np.int32).max
         integer = np.dtype(np.int32 if len(rows.indices) <= most else np.int64)
@@ -131,27 +130,27 @@ class Dynamics:
 
     @property
     def is_compiled_backwards(self) -> bool:
-        """Whether a backward pass over the dynamics runs compiled: sooner if passed often."""
+        """Whether a backward pass runs compiled, if passes are repeated on fewer entries."""
         passes = _LAYERS if self.is_reused else 1
         return accelerated(passes * len(self.transitions.indices), *_BACKWARDS)
 
     @property
     def is_solved_backwards(self) -> bool:
-        """Whether the dynamics' components are so small that each is solved once and for all."""
+        """Whether all components are small enough to be solved once, in one backward pass."""
         few = self.n_states <= DIRECT_STATES
         if self.is_compiled_backwards:
             return self.components.largest <= (EXACTLY_SOLVED if few else _SMALL)
         if few and not self.is_reused:
-            return False  # looking at the structure would take longer than it saves
+            return False  # analysing the structure would take longer than it saves
         return self.components.largest <= 1
 
     @cached_property
     def levels(self) -> list[Level]:
-        """States of dynamics without cycles by their greatest distance from an end."""
+        """States by their greatest distance from an end, for dynamics without cycles."""
         return list(_levels_of_dynamics(self))
 
     def back_up(self, pair_cost: FloatArray, values: FloatArray, held: IntArray) -> Backup:
-        """Bellman backup of the dynamics: the least values ahead, beside those of the held pairs.
+        """Compute the Bellman backup: the least value of each state, and the held pairs' values.
 
         Args:
             pair_cost: [pairs].
@@ -161,7 +160,7 @@ class Dynamics:
         return best_pairs(self.pair_offsets, self.transitions, pair_cost, values, held)
 
     def taken(self, rewards: FloatArray, choice: IntArray) -> FloatArray:
-        """Rewards of a policy's pairs in the dynamics, [states] or [states, rewards].
+        """Return the rewards of a policy's pairs, [states] or [states, rewards].
 
         Args:
             rewards: [pairs] or [pairs, rewards].
@@ -172,7 +171,7 @@ class Dynamics:
     def precise_gains(
         self, pair_cost: FloatArray, values: FloatArray, low: FloatArray
     ) -> tuple[FloatArray, IntArray]:
-        """Gain of each state's best pair in the dynamics in twice the working precision.
+        """Compute the gain of each state's best pair in twice the working precision.
 
         Args:
             pair_cost: [pairs].
@@ -180,7 +179,7 @@ class Dynamics:
             low: [states] to be added to the values.
 
         Returns:
-            What the best pair saves at least, its rounding counted, and the pair, [states] each.
+            A lower bound of the best pair's gain, with its rounding, and the pair, [states] each.
         """
         offsets = self.pair_offsets
         ahead, rounding = self.moves.precise_advantages(pair_cost, values, low)
@@ -200,16 +199,16 @@ class Dynamics:
         is_sorted_anew: bool,
         states: IntArray | None = None,
     ) -> int:
-        """Improve a policy of the dynamics by sweeps, in place, while many states change.
+        """Improve a policy by sweeps, in place, while many states change.
 
         Args:
             pair_cost: [pairs].
             choice: [states].
-            values: of no better policy, [states].
-            floor: gain of a step that is none.
+            values: values that are at least the policy's, [states].
+            floor: gain of a step that counts as none.
             most_sweeps: number of sweeps at most.
-            is_sorted_anew: sweep in the order of the values as they have become.
-            states: that are swept; None: all.
+            is_sorted_anew: whether to sort the states by their values before every second sweep.
+            states: states to sweep; None: all.
 
         Returns:
             The number of backups of all states.
@@ -220,7 +219,7 @@ class Dynamics:
         order, most = order.astype(np.uint32), 0
         for sweep in range(1, most_sweeps + 1):
             if sweep == 1 or (is_sorted_anew and sweep % 2):
-                # small values first: so news travels on from the ends, then towards them
+                # small values first: changes spread from the ends, then towards them
                 order = order[np.argsort(values[order], kind="stable")]
             direction, changed = order if sweep % 2 else np.ascontiguousarray(order[::-1]), 0
             for some in pieces(order.size, self.n_entries):
@@ -229,12 +228,12 @@ class Dynamics:
                     choice.view(np.uint32), values,
                 )  # fmt: skip
             most = max(most, changed)
-            if changed <= SETTLED * most and sweep > 1:  # one way changed nothing, the other may
+            if changed <= SETTLED * most and sweep > 1:  # one direction alone may change none
                 return sweep
         return most_sweeps
 
     def chain(self, choice: IntArray) -> System:
-        """Equations of a policy in the dynamics, [states]; the last few are kept with factors."""
+        """Return the equations of a policy, [states]; the last few are kept with factors."""
         if self.n_states > _KEPT_STATES:
             return self._chain(choice)
         key, kept = choice.astype(np.int32, copy=False).tobytes(), self._chains
@@ -245,9 +244,9 @@ class Dynamics:
         return kept[key]
 
     def restricted(self, kept: IntArray) -> Dynamics:
-        """The dynamics with some of the pairs only, ascending, at least one for each state."""
+        """Return the dynamics with some pairs only, ascending, at least one for each state."""
         if len(kept) == len(self.exits):
-            return self  # with what has been solved of it
+            return self  # keeps the equations solved so far
         counts = np.bincount(self.pair_state[kept], minlength=self.n_states)
         return Dynamics(
             pair_offsets=offsets_of(counts).astype(self.pair_offsets.dtype),
@@ -256,23 +255,23 @@ class Dynamics:
         )
 
     def _chain(self, choice: IntArray) -> System:
-        """The equations of a policy in the dynamics, afresh."""
+        """Build the equations of a policy."""
         return System(chosen_rows(self.transitions, choice), self.exits[choice])
 
     @cached_property
     def _chains(self) -> dict[bytes, System]:
-        """The last few chains of the dynamics that were solved."""
+        """The last few equations that were used, by policy."""
         return {}
 
 
 def _levels_of_dynamics(dynamics: Dynamics) -> Iterator[Level]:
-    """States of the dynamics level by level, from those that lead nowhere."""
+    """Yield the states level by level, from those without successors."""
     home, entry = dynamics.pair_state, dynamics.transitions.tocoo()
     away = (home[entry.row] != entry.col) & (entry.data > 0.0)
     shape = dynamics.transitions.shape
     moving = sp.csr_array((entry.data[away], (entry.row[away], entry.col[away])), shape=shape)
     before = moving.tocsc()
-    owner = np.repeat(home, np.diff(moving.indptr))  # of each entry, duplicates summed
+    owner = np.repeat(home, np.diff(moving.indptr))  # state of each entry, duplicates summed
     waiting = np.bincount(owner, minlength=dynamics.n_states)
     states: IntArray = np.flatnonzero(waiting == 0)
     while states.size:
@@ -292,15 +291,15 @@ def _levels_of_dynamics(dynamics: Dynamics) -> Iterator[Level]:
 def without_self_loops(
     rows: sp.csr_array, home: IntArray, leak: FloatArray
 ) -> tuple[sp.csr_array, FloatArray]:
-    """Transitions of the dynamics seen only when the process departs from where it is.
+    """Remove self-loops by conditioning each row on departing from its state.
 
-    Waiting in place changes no total but divides everything else by the probability of departing.
-    That is summed from what leaves, never formed as 1 - p, which would cancel for slow loops.
+    A self-loop changes no total, but divides everything else by the probability of departing. This
+    is summed from the other entries, never computed as 1 - p, which would cancel for slow loops.
 
     Args:
         rows: [rows, states], without duplicates.
         home: the state that each row belongs to, [rows].
-        leak: mass of each row that goes elsewhere than into ``rows``, [rows].
+        leak: mass of each row that leaves ``rows``, [rows].
 
     Returns:
         The rows without self-loops, divided by the probability of departing, and that
@@ -319,16 +318,16 @@ def without_self_loops(
 
 
 def approach_leaving(dynamics: Dynamics, leaving: BoolArray) -> IntArray:
-    """A policy in the dynamics under which every state leaves through a leaving pair.
+    """Find a policy under which every state leaves through a leaving pair.
 
-    Each state takes a pair by which it may come nearer, in number of steps, to such a pair.
+    Each state takes a pair that may lead nearer, in number of steps, to such a pair.
 
     Args:
         dynamics: the process.
         leaving: pairs that leave with positive probability, [pairs].
 
     Returns:
-        [states] the pair taken; -1 where no leaving pair can be reached.
+        [states] the pair taken; -1 if no leaving pair can be reached.
     """
     return nearer_pairs(dynamics.graph, leaving)
 
@@ -336,12 +335,12 @@ def approach_leaving(dynamics: Dynamics, leaving: BoolArray) -> IntArray:
 def leaving_choice(
     dynamics: Dynamics, goal: FloatArray, to_goal: IntArray | None = None
 ) -> IntArray:
-    """A policy that leaves the dynamics from every state, towards the goal first, [states].
+    """Find a policy that leaves from every state, towards the goal if possible, [states].
 
     Args:
         dynamics: the process.
         goal: probability of reaching the goal by each pair, [pairs].
-        to_goal: pairs that come nearer to the goal where that is known, -1: none, [states].
+        to_goal: known pairs that lead nearer to the goal, -1 if none, [states].
     """
     to_goal = approach_leaving(dynamics, goal > 0.0) if to_goal is None else to_goal
     if to_goal.min(initial=0) >= 0:
@@ -352,18 +351,18 @@ def leaving_choice(
 def leaving_chain(
     dynamics: Dynamics, choice: IntArray, before: IntArray | None
 ) -> tuple[System, IntArray]:
-    """The chain in the dynamics of a policy that leaves: states that fail to keep their pair.
+    """Return the chain of a policy in which states that never leave take their earlier pair.
 
     Args:
         dynamics: the process.
         choice: the policy, [states].
-        before: the policy that it is to improve; None: there is none.
+        before: the policy before an improvement; None: there is none.
 
     Returns:
-        The chain and the policy whose chain it is.
+        The chain and its policy.
 
     Raises:
-        SolverError: they did not leave before either.
+        SolverError: the states did not leave by their earlier pairs either.
     """
     system = dynamics.chain(choice)
     while (closed := system.closed).size:

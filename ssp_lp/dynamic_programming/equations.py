@@ -1,10 +1,10 @@
 """The equations of a policy, ``x = reward + chain @ x``, solved along the structure of its chain.
 
-The chain's strong components are solved ends first, each by what suits it: by substitution where it
-is one state, by state reduction without subtractions where it is small or narrow, and where it is
-large by sweeps, then by a Krylov method on top of them, then by sparse factors (``solvers``). State
-reduction keeps the relative accuracy of every entry whatever the condition (Grassmann, Taksar and
-Heyman 1985); what the other methods return is judged by ``evaluate_chain``.
+The chain's strong components are solved ends first: a single state by substitution, a small or
+narrow component by state reduction without subtractions, a large one by sweeps, then by a Krylov
+method preconditioned by them, then by sparse factors (``chain_solvers``). State reduction is
+accurate relative to each entry whatever the condition (Grassmann, Taksar and Heyman 1985);
+``evaluate_chain`` checks the results of the other methods.
 """
 
 from __future__ import annotations
@@ -46,24 +46,24 @@ COMPONENTS = "graphs._search_components", "graphs._sort_by_component"
 """The compiled loops that find strong components."""
 
 BY_HEIGHT = ("graphs._number_by_height",)
-"""The loop that sorts them."""
+"""The compiled loop that sorts strong components."""
 
 _DENSE_STATES = 40
-"""Up to here a dense solve costs less than setting up a sparse one."""
+"""Most states for which a dense solve costs less than setting up a sparse one."""
 
 DIRECT_STATES = 1_000
-"""Up to here one sparse factorisation costs less than looking at the structure."""
+"""Most states for which one sparse factorisation costs less than analysing the structure."""
 
 EXACTLY_SOLVED = 256
-"""States of a component up to which a compiled dense reduction costs no more than other ways."""
+"""Most states of a component for which a compiled dense reduction is the fastest method."""
 
-_KEPT_ENTRIES = 10_000_000  # of components that are reduced and kept so, 80 MB
+_KEPT_ENTRIES = 10_000_000  # most entries of reduced components that are kept, 80 MB
 EXACT = 4e-15  # relative residual: a few units in the last place of the totals
 _NOBODY = np.zeros(0, dtype=np.int64)
 
 
 class System:
-    """Equations of a substochastic chain whose exits are carried as data."""
+    """Equations of a substochastic chain whose exits are stored."""
 
     def __init__(self, matrix: sp.csr_array, exits: FloatArray) -> None:
         """State the equations.
@@ -79,48 +79,48 @@ class System:
         self._reductions: dict[int, tuple[sp.csr_array, Solver]] = {}
 
     def __reduce__(self) -> tuple[type[System], tuple[sp.csr_array, FloatArray]]:
-        """Copies and pickles carry the equations alone: factors cannot be, and are found again."""
+        """Copy and pickle the equations without factors, which are computed again."""
         return System, (self.matrix, self.exits)
 
     @property
     def size(self) -> int:
-        """Number of states of a policy's equations."""
+        """Number of states."""
         return len(self.exits)
 
     @property
     def n_entries(self) -> int:
-        """Number of probabilities in the equations."""
+        """Number of entries of the matrix."""
         return len(self.matrix.indices)
 
     @cached_property
     def components(self) -> StrongComponents:
-        """Strong components of the chain whose equations these are, ends first."""
+        """Strong components of the chain, ends first."""
         check_time()
         return strong_components(self.matrix.indptr, self.matrix.indices, self.matrix.data)
 
     @property
     def is_solved_exactly(self) -> bool:
-        """Whether the equations are solved exactly whatever is asked for: no component is large."""
+        """Whether the equations are solved exactly at any accuracy, as no component is large."""
         return self.components.largest <= EXACTLY_SOLVED
 
     @property
     def is_solved_reward_by_reward(self) -> bool:
-        """Whether the equations took twice as long for two rewards as for one, and long."""
+        """Whether the time of an iterative solution is long and proportional to the rewards."""
         return any(block.is_solved_reward_by_reward for block in self._large.values())
 
     @cached_property
     def home(self) -> IntArray:
-        """Each state's own row of the equations, [states]."""
+        """Number of each state, which is its row, [states]."""
         return np.arange(self.size, dtype=np.int32)
 
     @property
     def moves(self) -> Moves:
-        """The chain of the equations as a process of one pair per state."""
+        """The chain as a process of one pair per state."""
         return Moves(self.home, self.matrix, self.exits)
 
     @cached_property
     def closed(self) -> IntArray:
-        """States from which the chain of the equations never leaves, [some states]."""
+        """States that the chain never leaves, [some states]."""
         strong, rows = self.components, self.matrix
         left = np.zeros(strong.n_components, dtype=np.bool_)
         entry = rows.tocoo()
@@ -138,13 +138,13 @@ class System:
         Args:
             rewards: [states] or [states, rewards].
             guess: warm start of the iterative methods, like ``rewards``.
-            accuracy: relative residual of the iterative methods; the others are always exact.
+            accuracy: relative residual of the iterative methods; other methods are always exact.
 
         Returns:
             Totals, of the shape of ``rewards``.
 
         Raises:
-            SolverError: the chain holds mass for ever, or no method gets anywhere.
+            SolverError: the chain never leaves some states, or no method converges.
         """
         if self.size == 0 or len(self.matrix.indices) == 0:
             if (self.exits <= 0.0).any():
@@ -165,10 +165,10 @@ class System:
 
     @with_twin
     def solve_by_reduction(self, rewards: FloatArray) -> FloatArray:
-        """Solve the equations without any subtraction: for chains that are hardly left.
+        """Solve the equations without any subtraction, for chains that are hardly left.
 
         Raises:
-            SolverError: the chain holds mass for ever, or a component is too large for that.
+            SolverError: the chain never leaves some states, or a component is too large.
         """
         columns, x = rewards.reshape(self.size, -1), np.zeros((self.size, rewards[0].size))
         is_compiled = accelerated(len(self.matrix.indices), *_ELIMINATION)
@@ -185,7 +185,7 @@ class System:
         return x.reshape(rewards.shape)
 
     def _reduced(self, c: int) -> tuple[sp.csr_array, Solver]:
-        """Rows of a component's equations, and their solver by state reduction; kept if small."""
+        """Return a component's rows and its solver by state reduction, which is kept if small."""
         if c not in self._reductions:
             states = self.components.members(c)
             rows, beyond = sp.csr_array(self.matrix[states]), np.ones(self.size)
@@ -198,10 +198,10 @@ class System:
         return self._reductions[c]
 
     def solve_transposed(self, inflow: FloatArray) -> FloatArray:
-        """Solve the transposed equations: expected visits of each state, given what enters.
+        """Solve the transposed equations: expected visits of each state for a given inflow.
 
         Raises:
-            SolverError: the chain holds mass for ever.
+            SolverError: the chain never leaves some states.
         """
         if self.size == 0:
             return inflow.copy()
@@ -218,7 +218,7 @@ class System:
 
     @cached_property
     def _transposed_factors(self) -> tuple[IntArray, linalg.SuperLU]:
-        """Sparse factors of the transposed equations, for visits, and the states' order in them."""
+        """Order of the states, and sparse factors for the transposed equations."""
         if self.components.largest > EXACTLY_SOLVED:
             return self.home, factorised(equations(self.matrix, self.exits))
         order = self.components.order
@@ -226,9 +226,9 @@ class System:
 
     @cached_property
     def _transposed_iteration(self) -> tuple[FloatArray, IntArray, Iteration]:
-        """Transposed equations to be iterated: departures, [states], order, iteration.
+        """Departures, [states], order, and iteration of the transposed equations.
 
-        It is of how often each state is departed from, in that order.
+        The unknowns are the expected numbers of departures from the states, in that order.
         """
         strong, (row, column, data, departs) = self.components, departures(self.matrix, self.exits)
         order, place = strong.order[::-1], np.empty(self.size, dtype=np.int32)
@@ -237,21 +237,21 @@ class System:
         own = sp.csr_array((data / departs[row], to_from), shape=self.matrix.shape)
         large = (strong.sizes > EXACTLY_SOLVED).nonzero()[0].tolist()
 
-        weak = proxy(self)  # in a ring of references large arrays would wait for its collection
+        weak = proxy(self)  # a reference cycle would keep large arrays until garbage collection
 
         def direct_work() -> float:
-            """That of all large components."""
+            """Return the work of direct solutions of all large components."""
             return float(sum(weak._block(c).direct_work for c in large))
 
         return departs, order, Iteration(own, direct_work)
 
     @cached_property
     def _runs(self) -> list[tuple[int, int]]:
-        """Ranges of components whose equations are solved at once: small ones, or one large."""
+        """Ranges of components that are solved together: small ones, or a single large one."""
         return self._runs_above(EXACTLY_SOLVED)
 
     def _runs_above(self, few: int) -> list[tuple[int, int]]:
-        """Ranges of the equations' components of so few states at most, or of one that has more."""
+        """Return ranges of components of at most ``few`` states, and larger ones one by one."""
         sizes = self.components.sizes
         large = (sizes > few).nonzero()[0].tolist()
         runs, begin = [], 0
@@ -266,13 +266,13 @@ class System:
 
     @cached_property
     def _factors(self) -> Solver:
-        """Solve all of the equations at once, by factors that are kept."""
+        """Solver of all equations together, by factors."""
         if self.size <= _DENSE_STATES:
             return dense_solver(self.matrix, self.exits)
         return factor_solver(self.matrix, self.exits)
 
     def _solve_small(self, first: int, last: int, rewards: FloatArray, x: FloatArray) -> None:
-        """Solve the equations of a run of small components, in place."""
+        """Solve a range of small components, in place."""
         if accelerated(len(self.matrix.indices), *_ELIMINATION):
             self._solve_compiled(first, last, rewards, x)
             return
@@ -291,11 +291,11 @@ class System:
 
     @cached_property
     def _kept(self) -> dict[tuple[int, int], Solver]:
-        """The solvers kept for these equations, by range of components."""
+        """Solvers that are kept, by range of components."""
         return {}
 
     def _solve_compiled(self, first: int, last: int, rewards: FloatArray, x: FloatArray) -> None:
-        """Solve the equations of a range of components by compiled elimination, in place."""
+        """Solve a range of components by compiled elimination, in place."""
         from ssp_lp.compiled.equations import solve_by_elimination
 
         strong, rows = self.components, self.matrix
@@ -309,7 +309,7 @@ class System:
             raise SolverError(HOLDS_MASS)
 
     def _block(self, c: int) -> LargeComponent:
-        """The equations of one large component, with their solvers."""
+        """Return a large component's equations, with their solvers."""
         if c not in self._large:
             self._large[c] = LargeComponent(self.matrix, self.exits, self.components.members(c))
         return self._large[c]
@@ -317,29 +317,29 @@ class System:
 
 @dataclass(frozen=True, eq=False)
 class StrongComponents:
-    """Strong components, each after all that it leads to: ends first."""
+    """Strong components, each after the components that it leads to: ends first."""
 
     label: IntArray  # [states] component of each state
     order: IntArray  # [states] the states, component by component
-    offsets: IntArray  # [components + 1] where each component lies in the order
+    offsets: IntArray  # [components + 1] position of each component in the order
 
     @property
     def n_components(self) -> int:
-        """Number of strong components of the equations' chain."""
+        """Number of strong components."""
         return len(self.offsets) - 1
 
     @cached_property
     def sizes(self) -> IntArray:
-        """Number of states of each strong component, [components]."""
+        """Number of states of each component, [components]."""
         return np.diff(self.offsets)
 
     @cached_property
     def largest(self) -> int:
-        """Number of states of the largest strong component."""
+        """Number of states of the largest component."""
         return int(self.sizes.max(initial=0))
 
     def members(self, component: int) -> IntArray:
-        """The states of a strong component."""
+        """Return the states of a component."""
         return self.order[self.offsets[component] : self.offsets[component + 1]]
 
 
@@ -347,31 +347,31 @@ class StrongComponents:
 def strong_components(
     indptr: IntArray, indices: IntArray, data: FloatArray, *, by_height: bool = False
 ) -> StrongComponents:
-    """Strong components of the equations' matrix in topological order (Tarjan 1972).
+    """Find the strong components of a matrix in topological order (Tarjan 1972).
 
     Args:
         indptr: offsets of each state's entries, [states + 1].
         indices: successors, [entries].
         data: probabilities; entries of 0 are no edges, [entries].
-        by_height: sorted, where compiled, by the most steps to an end: for passes along the order.
+        by_height: whether compiled loops sort them by the most steps to an end, for ordered passes.
     """
     n = len(indptr) - 1
     if accelerated(len(indices), *COMPONENTS, *(BY_HEIGHT if by_height else ())):
         return _compiled_components(indptr[:-1], indptr[1:], indices, data, by_height=by_height)
     graph = sp.csr_array((data, indices, indptr), shape=(n, n))
-    edges: sp.csr_array = graph.copy()  # each once and none of weight 0, as scipy needs them
+    edges: sp.csr_array = graph.copy()  # scipy needs edges without duplicates and zeros
     edges.sum_duplicates()
     edges.eliminate_zeros()
     label = csgraph.connected_components(edges, connection="strong")[1]
     entry = edges.tocoo()
-    if (label[entry.row] < label[entry.col]).any():  # not documented, and hence checked
+    if (label[entry.row] < label[entry.col]).any():  # scipy does not document the order
         raise SolverError("the strong components that scipy found are in no topological order")
     order = np.argsort(label, kind="stable").astype(np.int32)
     return StrongComponents(label, order, offsets_of(np.bincount(label)))
 
 
 def chosen_components(rows: sp.csr_array, choice: IntArray) -> StrongComponents:
-    """Strong components of the equations ``rows[choice]``, by a compiled search in place.
+    """Find the strong components of ``rows[choice]`` by a compiled search without copying rows.
 
     Args:
         rows: [pairs, states].
@@ -384,7 +384,7 @@ def chosen_components(rows: sp.csr_array, choice: IntArray) -> StrongComponents:
 def _compiled_components(
     begin: IntArray, end: IntArray, indices: IntArray, data: FloatArray, *, by_height: bool = False
 ) -> StrongComponents:
-    """Strong components of the equations' matrix by a compiled search."""
+    """Find strong components by a compiled search."""
     from ssp_lp.compiled.graphs import order_components
 
     label, order, count = order_components(begin, end, indices, data, by_height=by_height)

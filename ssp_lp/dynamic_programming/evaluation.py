@@ -1,14 +1,14 @@
-"""Expected totals of a policy with a bound of their error that was verified: the last digits.
+"""Evaluation of a policy: expected totals with a verified bound of their error.
 
 Let t be a super-solution of the run length: t - chain @ t >= 1/2, checked with its rounding. If
-computed totals x miss their equations by at most r in every state, then they are wrong by at most
-2 r t: (I - chain)^-1 is non-negative. Where r, bounded in working precision, is too large, what x
-misses is worked out in twice that precision (``precise_advantages``), and x is corrected, as a sum
-of two numbers, until the bound is small.
+computed totals x have residuals of at most r in every state, then their error is at most 2 r t, as
+(I - chain)^-1 is non-negative. If r, bounded in working precision, is too large, the residual is
+computed in twice that precision (``precise_advantages``), and x is corrected, as a sum of two
+numbers, until the bound is small.
 
 The advantage of pair u in state s at values v is ``c_u + P_u v - v_s``, written as ``c_u + sum_j
-p_uj (v_j - v_s) - exit_u v_s``: where a process is hardly left all v_j are near v_s, and what
-counts is small beside them. Values of twice the working precision are sums ``high + low``; sums and
+p_uj (v_j - v_s) - exit_u v_s``: if a process is hardly left, all v_j are near v_s, and their
+differences matter. Values of twice the working precision are sums ``high + low``; sums and
 products are then exact to twice the precision (Dekker 1971; Ogita, Rump and Oishi 2005).
 """
 
@@ -34,21 +34,21 @@ from ssp_lp.dynamic_programming.equations import DIRECT_STATES, EXACT, System
 from ssp_lp.errors import SolverError
 
 EVALUATED = 1e-12
-"""Largest error of totals, relative to the greatest of them, that is let pass uncorrected."""
+"""Largest error of totals, relative to the greatest of them, that is not corrected."""
 
-_ROUNDED = 4e-16  # of small chains, where a correction costs next to nothing
-PRECISE = 1e-24  # of evaluations in twice the working precision
+_ROUNDED = 4e-16  # accuracy for small chains, where a correction costs little
+PRECISE = 1e-24  # accuracy of evaluations in twice the working precision
 PROVED = 1e-11
-"""Gap, relative, that rounding may leave between a policy's totals and what is proved of others."""
+"""Relative gap that rounding may leave between a policy's totals and the bound of all policies."""
 
 PROVED_OF_MANY = 5e-10
-"""The same where there are many states, and each evaluation in twice the precision takes long."""
+"""This gap for many states, where an evaluation in twice the precision takes long."""
 
 NEARLY = 1e-9
 """Relative distance up to which two values may differ by rounding alone."""
 
-RUN_ACCURACY = 1e-3  # of run lengths, which are checked and used times 1.5 or 2
-_FINE_RUN_ACCURACY = 1e-8  # where that is not enough
+RUN_ACCURACY = 1e-3  # accuracy of run lengths, which are checked and multiplied by 1.5 or 2
+_FINE_RUN_ACCURACY = 1e-8  # accuracy of run lengths if their check fails
 _CORRECTIONS = 6
 
 
@@ -57,12 +57,12 @@ _Solve = Callable[[FloatArray, FloatArray | None, float], FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Totals:
-    """Expected totals, as sums of two numbers, and how wrong they may be."""
+    """Expected totals, as sums of two numbers, with a bound of their error."""
 
     values: FloatArray  # [states, rewards]
-    low: FloatArray  # [states, rewards] what the rounding of the values lost
+    low: FloatArray  # [states, rewards] rounding errors of the values
     runs: FloatArray  # [states] checked: twice this is at least the expected number of steps
-    missed: FloatArray  # [rewards] the most by which the equations are missed
+    missed: FloatArray  # [rewards] greatest residual of the equations
 
     @property
     def error(self) -> FloatArray:
@@ -70,7 +70,7 @@ class Totals:
         return 2.0 * np.outer(self.runs, self.missed)
 
     def are_within(self, accuracy: float) -> bool:
-        """Whether no evaluated total is wrong by more, relative to the greatest of its reward."""
+        """Return whether all errors are within an accuracy, relative to each reward's greatest."""
         longest = float(self.runs.max(initial=0.0))
         scale = _sizes_of_totals(self.values)
         return bool((2.0 * longest * self.missed <= accuracy * scale).all())
@@ -80,16 +80,16 @@ class Totals:
 def evaluate_policy(
     dynamics: Dynamics, choice: IntArray, rewards: FloatArray, accuracy: float | None = None
 ) -> Totals:
-    """Policy evaluation: verified totals, in one go where the process is solved backwards.
+    """Evaluate a policy to verified totals, in one pass if the process is solved backwards.
 
     Args:
         dynamics: the process.
         choice: [states].
         rewards: [pairs, rewards].
-        accuracy: as ``evaluate_chain`` takes it.
+        accuracy: see ``evaluate_chain``.
 
     Raises:
-        SolverError: as ``evaluate_chain``.
+        SolverError: see ``evaluate_chain``.
     """
     if accuracy is None and (one_pass := acyclic_totals(dynamics, choice, rewards)) is not None:
         return one_pass[1]
@@ -105,7 +105,7 @@ def evaluate_policy(
 def _evaluated_policy(
     dynamics: Dynamics, choice: IntArray, rewards: FloatArray, accuracy: float | None
 ) -> Totals | None:
-    """Policy evaluation in compiled loops; None where the totals cannot be verified."""
+    """Evaluate a policy by compiled loops; None if the totals cannot be verified."""
     from ssp_lp.compiled.equations import evaluate_precisely
 
     strong, rows, shape = dynamics.components, dynamics.transitions, (len(choice), rewards.shape[1])
@@ -127,16 +127,17 @@ def _evaluated_policy(
 def acyclic_totals(
     dynamics: Dynamics, choice: IntArray, rewards: FloatArray, weights: FloatArray | None = None
 ) -> tuple[IntArray, Totals] | None:
-    """Best pairs and verified totals of a large process without cycles, in one pass.
+    """Compute best pairs and verified totals of a large process without cycles, in one pass.
 
     Args:
         dynamics: the process.
-        choice: pairs, which stay among equals, [states].
+        choice: pairs, which are kept among equally good ones, [states].
         rewards: [pairs, rewards].
         weights: of the rewards, whose sum is minimised, [rewards]; None: the pairs stay.
 
     Returns:
-        None where the process is of another kind, or where rounding may exceed ``EVALUATED``.
+        Pairs and totals; None if the process is of another kind, or rounding may exceed
+        ``EVALUATED``.
 
     Raises:
         SolverError: some state is never left.
@@ -166,18 +167,17 @@ def evaluate_chain(
     *,
     accuracy: float | None = None,
 ) -> Totals:
-    """Evaluate a policy's chain: expected totals of several rewards, to a small verified error.
+    """Evaluate a policy's chain: expected totals of several rewards, with a verified error.
 
     Args:
         system: the chain's equations.
         rewards: [states, rewards].
-        solved: totals that were worked out before, like ``rewards``.
-        accuracy: error, relative to each reward's greatest total, down to which to correct; None:
+        solved: totals that were computed before, [states, rewards].
+        accuracy: error to reach by corrections, relative to each reward's greatest total; None:
             rounding for small chains, ``EVALUATED`` for large ones.
 
     Raises:
-        SolverError: the chain holds mass for ever, or its totals cannot be had to
-            ``EVALUATED``.
+        SolverError: the chain never leaves some states, or the error stays above ``EVALUATED``.
     """
     if accuracy is None:
         accuracy = _ROUNDED if system.size <= DIRECT_STATES else EVALUATED
@@ -197,10 +197,10 @@ def evaluate_chain(
 
 
 def _reduced_totals(system: System, rewards: FloatArray) -> Totals:
-    """Evaluate a chain left too seldom for residuals, by state reduction alone.
+    """Evaluate a chain that is left too rarely to verify residuals, by state reduction alone.
 
-    It subtracts nothing, so that every total of rewards of one sign is accurate whatever the
-    condition (Alfa, Xue and Ye 2002); gains and losses are totalled apart.
+    State reduction subtracts nothing, so that every total of rewards of one sign is accurate
+    whatever the condition (Alfa, Xue and Ye 2002); gains and losses are summed separately.
 
     Raises:
         SolverError: a component is too large for state reduction.
@@ -215,7 +215,7 @@ def _reduced_totals(system: System, rewards: FloatArray) -> Totals:
 def _verified_totals(
     system: System, rewards: FloatArray, x: FloatArray, solve: _Solve, accuracy: float
 ) -> Totals | None:
-    """Totals of a policy corrected and verified; None where that fails."""
+    """Correct and verify a policy's totals; None if that fails."""
     runs = system.kept_runs
     if runs is None:
         runs = system.kept_runs = _run_lengths(system, solve)
@@ -228,7 +228,7 @@ def _verified_totals(
             return plain
     before = np.full(rewards.shape[1], np.inf)
     for _ in range(_CORRECTIONS):
-        # by what totals miss their equations, [states, rewards], and the most of it
+        # residuals, [states, rewards], and their greatest bounds
         off, missed = np.empty_like(x), np.zeros(rewards.shape[1])
         for j in range(rewards.shape[1]):
             check_time()
@@ -246,7 +246,7 @@ def _verified_totals(
 
 
 def _greatest_residual(system: System, rewards: FloatArray, x: FloatArray) -> FloatArray:
-    """Residual of a policy's evaluated totals, bounded in working precision, [rewards]."""
+    """Bound the greatest residual of a policy's totals in working precision, [rewards]."""
     most = np.empty(rewards.shape[1])
     for j in range(most.size):
         check_time()
@@ -257,7 +257,7 @@ def _greatest_residual(system: System, rewards: FloatArray, x: FloatArray) -> Fl
 
 
 def _run_lengths(system: System, solve: _Solve) -> FloatArray | None:
-    """Run lengths of a policy, evaluated and checked: half a step above what follows, [states]."""
+    """Compute run lengths t of a policy, checked to satisfy t - chain @ t >= 1/2, [states]."""
     ones, half = np.ones((system.size, 1)), np.full(system.size, -0.5)
     for accuracy in (RUN_ACCURACY, _FINE_RUN_ACCURACY):
         runs = solve(ones, None, accuracy)[:, 0]
@@ -269,5 +269,5 @@ def _run_lengths(system: System, solve: _Solve) -> FloatArray | None:
 
 
 def _sizes_of_totals(x: FloatArray) -> FloatArray:
-    """The greatest evaluated total of each reward, [rewards], quickly for few columns."""
+    """Return the greatest absolute total of each reward, [rewards], fast for few columns."""
     return np.asarray(np.abs(x.T, order="C").max(axis=1, initial=0.0))

@@ -1,10 +1,10 @@
-"""Extreme probabilities of leaving a process by one of two ways, and the pairs that attain them.
+"""Extreme probabilities of leaving a process by one of two exits, and the pairs that attain them.
 
-Hitting and missing are each summed from their own exits, so that both keep their relative accuracy
-where they are small. A pair is as good as the best where taking it, as often as it comes round,
-loses no more than rounding: one that loses little at a time, in a loop that is hardly ever left,
-may lose everything. Where a component is too large to be solved state by state, a pair may lose a
-hundred ``FAILURE_FLOOR`` a step, and ``LEAST_BUDGET`` over the longest run of the quickest policy.
+The probabilities of hitting and missing are each summed from their own exits, so that both are
+accurate relative to their size. A pair attains the extreme if taking it, as often as a run returns
+to it, loses no more than rounding: a small loss in a loop that is hardly ever left may add up to
+everything. If a component is too large for state reduction, a pair may lose a hundred
+``FAILURE_FLOOR`` a step, and ``LEAST_BUDGET`` over the longest run of the quickest policy.
 """
 
 from __future__ import annotations
@@ -44,28 +44,28 @@ from ssp_lp.model.graph import nearer_pairs
 
 _ONE, _WANTED, _OTHER = np.ones(1), np.array([1.0, 0.0]), np.array([0.0, 1.0])
 _SMALL = 1e-2
-_SWEEPS = 25  # before the first evaluation: more than most distances take to spread both ways
-_MOST_SWEEPS = 300  # where sweeps alone are to enclose the optimum
-_FOLLOWED = 8  # sweeps along the policy after each one over all pairs
-_NEARER = 0.1  # so much nearer it is before it is tried again from above
-_WAITED = 5  # sweeps from above that cost as much as one from below with what follows it
-_SLOWEST = 0.9999  # share of a sweep's gain that the next one is taken to gain at most
-_QUICK = 0.1  # the same below which states that nobody asked for are waited for, too
-_SOUGHT = 0.1  # floors that a step has to gain for it to be taken
-_ALIKE = 100.0  # floors that a step may lose where cost decides: far more than values are off by
+_SWEEPS = 25  # sweeps before the first evaluation, more than most distances need in both directions
+_MOST_SWEEPS = 300  # most sweeps if they alone enclose the optimum
+_FOLLOWED = 8  # sweeps along the policy after each sweep over all pairs
+_NEARER = 0.1  # factor of the distance between two attempts from above
+_WAITED = 5  # sweeps from above that cost as much as one from below and those along the policy
+_SLOWEST = 0.9999  # greatest rate of convergence at which an attempt from above is made
+_QUICK = 0.1  # rate below which all states must be near, not the requested ones alone
+_SOUGHT = 0.1  # least gain of a step, in floors
+_ALIKE = 100.0  # loss of a step, in floors, that is allowed: far above the error of values
 
 
 @dataclass(frozen=True, eq=False)
 class ExtremeReach:
-    """The greatest or the least probability of hitting, from every state, and who attains it."""
+    """The greatest or least probability of hitting, and a policy that attains it."""
 
     dynamics: Dynamics
-    both: FloatArray  # [pairs, 2] probability of leaving as is wanted, and otherwise
+    both: FloatArray  # [pairs, 2] probability of leaving by the wanted exit, and by the other
     choice: IntArray  # [states] a policy that attains it
-    totals: Totals | None  # of both under it, where they were worked out
+    totals: Totals | None  # totals of both under this policy, if computed
     reach: FloatArray  # [states]
     bound: FloatArray  # [states] checked: no policy hits more often (greatest), or less often
-    floor: float  # share of what is wanted below which probabilities are alike
+    floor: float  # relative difference below which probabilities count as equal
 
 
 def extreme_reach(
@@ -77,23 +77,24 @@ def extreme_reach(
     start: FloatArray | None = None,
     last_digits: bool = True,
 ) -> ExtremeReach:
-    """Greatest or least probability of reaching what is hit, from every state of a process.
+    """Compute the greatest or least probability of hitting, from every state of a process.
 
-    No policy may be able to stay for ever (end components are contracted, or there are none).
+    No policy may be able to stay for ever (end components are collapsed, or there are none).
 
     Args:
         dynamics: the process.
         hit: probability of leaving it by hitting, [pairs].
         miss: probability of leaving it otherwise, [pairs].
-        greatest: or least.
-        start: where the bound is to be tight, positive there, [states]; None: everywhere.
-        last_digits: whether all that attains it is asked for, too. Else sweeps may enclose the
-            greatest from both sides, and where the time ends it is that of the policy so far.
+        greatest: whether to maximise; else the probability is minimised.
+        start: positive in the states in which the bound must be tight, [states]; None: all.
+        last_digits: whether all pairs that attain it are needed as well. Otherwise sweeps may
+            enclose the greatest probability from both sides, and if the time ends the result is
+            that of the policy found so far.
 
     Raises:
         Stop: the time ended.
     """
-    # what is wanted is maximised, which is to minimise the other: each is exact where it is small
+    # maximise the wanted exit, that is minimise the other: each is exact if it is small
     both = np.stack([hit, miss] if greatest else [miss, hit], axis=1)
     last_digits = last_digits or not greatest
     floor = 0.0 if dynamics.components.largest <= EXACTLY_SOLVED else FAILURE_FLOOR
@@ -127,7 +128,7 @@ def _settled_reach(
     start: FloatArray | None,
     last_digits: bool,
 ) -> ExtremeReach:
-    """Extreme probability of reaching by policy iteration, with a checked bound of it."""
+    """Compute the extreme probability by policy iteration, with a checked bound."""
     wanted, other = (np.ascontiguousarray(column) for column in both.T)
     run = partial(
         iterate_policy, dynamics, both, _OTHER, floor=floor * (_SOUGHT if last_digits else 1.0)
@@ -135,7 +136,7 @@ def _settled_reach(
     few = dynamics.n_states <= DIRECT_STATES
     enough = None if few or last_digits else False
     settled = run(choice, precise=enough)
-    if settled.totals[:, 0].min(initial=1.0) < _SMALL:  # so small that the other cannot tell
+    if settled.totals[:, 0].min(initial=1.0) < _SMALL:  # too small to be computed from the other
         choice = iterate_policy(dynamics, wanted[:, None], -_ONE, settled.choice).choice
         settled = run(choice, precise=enough)
     starts = (np.ones(dynamics.n_states) if start is None else start).nonzero()[0]
@@ -151,7 +152,7 @@ def _settled_reach(
     reach, missed = np.clip(totals.values, 0.0, 1.0).T
     least = np.minimum(least, missed)
     most = 1.0 - least
-    if reach[starts].min(initial=1.0) < _SMALL:  # so small that 1 - least loses digits of it
+    if reach[starts].min(initial=1.0) < _SMALL:  # so small that 1 - least loses digits
         tight = partial(dual_bound, choice=settled.choice, start=start)
         most = np.minimum(most, -tight(dynamics, -wanted, -reach, floor=-1.0).values)
     highest = np.clip(most, reach, 1.0)
@@ -167,22 +168,22 @@ def _settled_reach(
 def _swept_towards(
     dynamics: Dynamics, wanted: FloatArray, asked: IntArray, last_digits: bool
 ) -> tuple[IntArray, FloatArray, FloatArray | None]:
-    """A policy of extreme reach that leaves, improved by sweeps in the order of distance.
+    """Improve a policy of extreme reach that leaves by sweeps in the order of distance.
 
     Values rise from 0, each rounded down when it takes a better pair, so that the policy attains
-    them and leaves: what goes round loses. A little above them, values are swept on, rounded up,
-    until a sweep raises none, which proves that no policy attains more (optimistic value iteration:
-    Hartmanns and Kaminski, CAV 2020).
+    them and leaves, as cycles lose by rounding. Values a little above are then swept, rounded up,
+    until a sweep raises none of them, which proves that no policy attains more (optimistic value
+    iteration: Hartmanns and Kaminski, CAV 2020).
 
     Args:
         dynamics: the process.
-        wanted: probability of leaving as is wanted, [pairs].
-        asked: states where it is to be enclosed.
-        last_digits: whether it is to be settled otherwise anyway.
+        wanted: probability of leaving by the wanted exit, [pairs].
+        asked: states at which the optimum must be enclosed.
+        last_digits: whether policy iteration follows in any case.
 
     Returns:
-        The policy, what it attains at least and, None where that is not proved, what encloses the
-        optimum from above where it is asked for, [states] each.
+        The policy, lower bounds of its values and upper bounds of the optimum at the states
+        ``asked``, [states] each; None for upper bounds that are not proved.
     """
     distance = np.zeros(dynamics.n_states, dtype=np.int32)
     choice = nearer_pairs(dynamics.graph, wanted > 0.0, distance=distance)
@@ -206,7 +207,7 @@ def _swept_towards(
             step, size = low - begun, float(low[asked].min(initial=1.0))
             most = float(step.max(initial=0.0))
             rate = most / max(most_before, most, LEAST_RISE)
-            # values go on to rise by that share of the last rise; where that is quick, all settle
+            # later rises are this share of the last one; at a low rate, all states converge
             slower = max(rate, rate_before)
             if not last_digits and size > 0.0 and slower < _SLOWEST and turn >= next_attempt:
                 ahead = step * (2.0 * slower / (1.0 - slower))
@@ -215,13 +216,13 @@ def _swept_towards(
                     high, near = np.minimum(low + ahead + 0.5 * PROVED * size, 1.0), _NEARER * near
                     for ups in range(1, max(turn, _SWEEPS) + 1):
                         settled = sweep(high, up=True) <= 0.0
-                        next_attempt = turn + 1 + ups // _WAITED  # at most half the time is lost
+                        next_attempt = turn + 1 + ups // _WAITED  # at most half of the time
                         if ((high - low)[asked] > PROVED * size).any():
                             break
                         if settled:
                             return choice, low, high
             if rise == 0.0 or (turn > _SWEEPS and size >= 2.0 * size_before):
-                break  # all is settled, or most of the way is still ahead
+                break  # converged, or far from it
     except STOPS as stop:
         if last_digits or not low[asked].all():
             raise
@@ -239,16 +240,16 @@ def _sweep(
     *,
     up: bool = False,
 ) -> float:
-    """Sweep over all pairs for the extreme reach, more along the chosen ones; greatest rise.
+    """Sweep over all pairs, then along the chosen ones; return the greatest rise.
 
     Args:
         dynamics: the process.
-        wanted: probability of leaving as is wanted, [pairs].
-        directions: the states to be swept, in turn there and back.
-        is_compiled: run compiled; else numpy sweeps all states at once.
+        wanted: probability of leaving by the wanted exit, [pairs].
+        directions: orders of the states, alternately forward and backward.
+        is_compiled: whether to run compiled; otherwise numpy sweeps all states at once.
         choice: pairs by which values rise, changed in place, [states].
         values: changed in place, [states].
-        up: round up, and keep the choice; else round down.
+        up: whether to round up and leave the choice; otherwise round down.
     """
     order, rows, rise = next(directions), dynamics.transitions, 0.0
     if not is_compiled:
@@ -278,7 +279,7 @@ def _sweep(
 
 
 def attaining_pairs(found: ExtremeReach) -> BoolArray:
-    """Pairs that attain the extreme reach, however often they come round, [pairs]."""
+    """Return whether a pair attains the extreme, however often it is taken, [pairs]."""
     dynamics, choice, both = found.dynamics, found.choice, found.both
     totals = found.totals or evaluate_policy(dynamics, choice, both, PRECISE)
     high, lost = totals.values.T
@@ -287,8 +288,8 @@ def attaining_pairs(found: ExtremeReach) -> BoolArray:
         dynamics.moves.precise_advantages(*map(np.ascontiguousarray, parts))[0]
         for parts in zip(both.T, totals.values.T, totals.low.T, strict=True)
     )
-    ahead = np.where((high < lost)[home], gain, -loss)  # each is exact where it is small
-    size = np.minimum(high, lost)[home]  # the smaller of both is known to that relative accuracy
+    ahead = np.where((high < lost)[home], gain, -loss)  # each is exact if it is small
+    size = np.minimum(high, lost)[home]  # the smaller one is accurate relative to its size
     slack = MAXIMISER * size if found.floor == 0.0 else _ALIKE * found.floor * high[home]
     slack = np.where(slack > 0.0, slack, MAXIMISER * lost[home])
     tied: BoolArray = np.asarray(ahead >= -slack)
@@ -297,9 +298,9 @@ def attaining_pairs(found: ExtremeReach) -> BoolArray:
     chosen[choice] = True
     if found.floor > 0.0:
         lost = np.where(tied, np.maximum(-ahead, 0.0), np.inf)
-        # what is lost at each of many steps adds up
+        # losses of many steps add up
         allowed = LEAST_BUDGET / (2.0 * float(totals.runs.max()))
-        if (tied & ~chosen & (lost > allowed)).any():  # this policy may be slower than it need be
+        if (tied & ~chosen & (lost > allowed)).any():  # another policy may be quicker
             kept, among, same = _with_pairs(dynamics, tied, choice)
             quickest = iterate_policy(among, np.ones((kept.size, 1)), _ONE, same)
             allowed = LEAST_BUDGET / (2.0 * float(quickest.runs.max()))
@@ -325,7 +326,7 @@ def attaining_pairs(found: ExtremeReach) -> BoolArray:
 def _with_pairs(
     dynamics: Dynamics, tied: BoolArray, choice: IntArray
 ) -> tuple[IntArray, Dynamics, IntArray]:
-    """The pairs kept, the dynamics with them alone, and a policy by its places there."""
+    """Return the tied pairs, the dynamics restricted to them, and the policy's places there."""
     kept = tied.nonzero()[0]
     place = np.full(len(tied), -1, dtype=np.int32)
     place[kept] = np.arange(kept.size)

@@ -1,16 +1,15 @@
-"""Policy iteration from a policy that leaves: improvement along the structure of a process.
+"""Policy iteration from a policy that leaves, along the structure of a process.
 
 A process of small components is solved in one pass, ends first; others by Howard's rounds, whose
-evaluations become exact as the gains shrink. Rounds alone are as many as a run is long: between two
-of them a policy is improved in place, along its chain's components, ends first and back, where they
-are small, else by Bellman backups in the order of the values. What a state gains spreads in both
-directions: to the states that lead to it, which come later when ends come first, and, once a better
-pair leads to a state that had none before, the other way round.
+evaluations become exact as the gains shrink. Rounds alone are as many as a run is long. So the
+policy is also improved in place between two rounds: along its chain's components, ends first and
+back, if they are small, otherwise by Bellman backups in the order of the values. Gains spread in
+both directions: to the predecessors of a state, which come later if ends come first, and in the
+other direction once a better pair leads to states that were not successors before.
 
-The last policy is evaluated with a verified bound of its error; where the process is left so seldom
-that double precision cannot tell which pair is better, improvement goes on in twice that precision:
-the advantage of a pair in a loop that is left with probability q is q times what the choice is
-worth.
+The last policy is evaluated with a verified bound of its error. If the process is left so rarely
+that double precision cannot compare two pairs, improvement continues in twice that precision: the
+advantage of a pair in a loop that is left with probability q is q times the gain of the choice.
 """
 
 from __future__ import annotations
@@ -55,25 +54,25 @@ from ssp_lp.dynamic_programming.evaluation import (
 from ssp_lp.errors import SolverError
 
 _WORTHLESS = 1e-16
-"""Worth of all gains, relative to the values, for which policies could go round in circles."""
+"""Sum of all gains, relative to the values, below which policies could cycle."""
 
 MOST_ROUNDS = 10_000
-"""Rounds that only a defect could need: every round improves what the last one left."""
+"""Number of rounds that only a defect could exceed, as every round improves the policy."""
 
 _ROUGH = 0.1  # relative residual of the first evaluation
-_LAST_GAINS = 1e-4  # gains, relative to the values, after which evaluations are exact
-_FORCING = 0.1  # share of the last gain, relative to the values, that an evaluation may miss by
-_NOISE = 0.01  # of a rough residual: changes for less may go back and forth
+_LAST_GAINS = 1e-4  # gains, relative to the values, below which evaluations are exact
+_FORCING = 0.1  # residual of an evaluation as a share of the last gain, relative to the values
+_NOISE = 0.01  # share of a rough residual that a gain must exceed, so that changes do not cycle
 _STEADY = 0.3
-"""Share of the last round's changes from which the next round would hardly be shorter."""
+"""Ratio of changes of two rounds above which sweeps are needed between rounds."""
 
-_SWEEPS = 20  # of Bellman backups between two evaluations
+_SWEEPS = 20  # most sweeps between two evaluations
 _LEAST_SWEEPS = 6
-_DIRECT = 2  # passes over a chain that an evaluation takes which does not iterate
-_FEW_CHANGES = 0.05  # share of the states from whose changes on sweeps do better than passes
+_DIRECT = 2  # most passes over a chain by an evaluation that does not iterate
+_FEW_CHANGES = 0.05  # share of changed states above which sweeps are better than passes
 _IN_PLACE = "policy_improvement.improve_blocks", "policy_improvement.improve_states", *COMPONENTS
-_MOST_PASSES = 40  # along a chain, there and back
-_RISEN = 10.0  # times the last size of the values, which no improvement makes of them
+_MOST_PASSES = 40  # most passes along a chain, in both directions
+_RISEN = 10.0  # growth of the values that no improvement can cause
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +82,7 @@ class Settled:
     choice: IntArray  # [states]
     totals: FloatArray  # [states, rewards]
     values: FloatArray  # [states] the totals, weighted
-    low: FloatArray  # [states] what the rounding of the values lost, where that was worked out
+    low: FloatArray  # [states] rounding error of the values, if it was computed
     runs: FloatArray  # [states] checked: twice this is at least the expected number of steps
     work: Work
 
@@ -99,12 +98,12 @@ def iterate_policy(
     precise: bool | None = None,
     floor: float = 0.0,
 ) -> Settled:
-    """Policy iteration: minimise the expected total of ``rewards @ weights`` from every state.
+    """Minimise the expected total of ``rewards @ weights`` from every state by policy iteration.
 
-    A state changes its pair only for a gain above rounding. Started from a policy whose chain is
-    transient, every later policy is transient too, provided that an end component either does not
-    exist or costs something (mathematics, section 4): then the fixed point reached is the optimum.
-    That rounding did not lead elsewhere is seen on each chain's graph before it is evaluated.
+    A state changes its pair only for a gain above rounding. If the first policy's chain is
+    transient, and every end component has a cost, then every later policy is transient as well, and
+    the fixed point is the optimum (mathematics, section 4). The graph of each chain is checked
+    before its evaluation, as rounding could violate this.
 
     Args:
         dynamics: the process.
@@ -112,18 +111,18 @@ def iterate_policy(
         weights: [rewards].
         choice: pair of the first policy in each state, [states].
         guess: totals to start the first evaluation from, [states, rewards].
-        precise: compare pairs in twice the working precision, in the end; None: where rounding may
-            hide gains.
-        floor: gain that is none, in units of the totals.
+        precise: whether to compare pairs in twice the working precision at the end; None: if
+            rounding may hide gains.
+        floor: gain that counts as none, in units of the totals.
 
     Raises:
-        Stop: the time ended, with the policy so far.
-        SolverError: a policy that never leaves the process, or totals that cannot be verified.
+        Stop: the time ended; it carries the policy found so far.
+        SolverError: a policy never leaves the process, or totals cannot be verified.
     """
     check_time()
     choice = np.array(choice, dtype=np.int32)
-    if choice.min(initial=0) < 0:  # compiled loops do not look whether a pair is one
-        raise SolverError("policy iteration needs a pair of each state to begin with")
+    if choice.min(initial=0) < 0:  # compiled loops do not check pairs
+        raise SolverError("policy iteration needs a first policy with a pair for every state")
     work, left, latest = Work(1, 0), 0.0, [choice]
     try:
         one_pass = (
@@ -134,7 +133,7 @@ def iterate_policy(
         elif dynamics.is_solved_backwards:
             pair_cost = weighted(rewards, weights)
             choice, values = improve_backwards(dynamics, pair_cost, choice)
-            if dynamics.is_reused and not precise:  # what is made of all layers is checked
+            if dynamics.is_reused and not precise:  # the caller checks all layers together
                 nothing = np.zeros_like(values)
                 return Settled(choice, values[:, None], values, nothing, nothing, work)
             offsets, transitions = dynamics.pair_offsets, dynamics.transitions
@@ -159,12 +158,12 @@ def iterate_policy(
 
 
 def _gains_may_add_up(values: FloatArray, runs: FloatArray, left: float) -> bool:
-    """Whether gains that policy iteration takes for rounding may add up along a run.
+    """Return whether gains that count as rounding may add up along a run.
 
     Args:
         values: [states].
-        runs: about the expected steps, [states].
-        left: the greatest gain that was seen and declined.
+        runs: approximate expected steps, [states].
+        left: the greatest gain that was not taken.
     """
     scale, longest = float(np.abs(values).max(initial=0.0)), float(runs.max(initial=0.0))
     hidden = (left + 4.0 * MACHINE_EPSILON * scale) * longest
@@ -180,19 +179,19 @@ def howard_rounds(
     totals: FloatArray | None,
     floor: float,
 ) -> tuple[IntArray, System, FloatArray, float, Work]:
-    """Howard's policy iteration: evaluate the policy, improve it, until no pair is better.
+    """Run Howard's policy iteration: evaluate and improve the policy until no pair is better.
 
     Args:
         dynamics: the process.
         rewards: [pairs, rewards].
         weights: [rewards].
-        latest: the policy to begin with; the last one that was evaluated takes its place.
-        totals: about those of the first policy, [states, rewards].
-        floor: gain of a step that is none, in units of the values.
+        latest: the first policy; replaced by the last policy that was evaluated.
+        totals: approximate totals of the first policy, [states, rewards].
+        floor: gain of a step that counts as none, in units of the values.
 
     Returns:
-        The policy, its equations and totals, the greatest gain that was left to be rounding, and
-        the work.
+        The policy, its equations and totals, the greatest gain that counted as rounding, and the
+        work.
     """
     evaluation = _Evaluation(dynamics, rewards, weights, totals, floor)
     choice, before, work = latest[0], None, Work()
@@ -205,20 +204,20 @@ def howard_rounds(
         values, n_rounds, work = evaluation.values, n_rounds + 1, work + Work(1, products)
         backup = dynamics.back_up(evaluation.pair_cost, values, choice)
         better = evaluation.judge(backup)
-        if better is None:  # the evaluation was too rough: the same policy again
+        if better is None:  # too rough: evaluate the same policy again
             continue
         if not better.any():
             totals = evaluation.totals_of(system, choice)
             return choice, system, totals, greatest_gain(backup), work
         if n_rounds > MOST_ROUNDS:
-            raise SolverError("policy iteration goes round in circles")
+            raise SolverError("policy iteration does not converge, as policies repeat")
         before, changed_before, changed = choice, changed, int(np.count_nonzero(better))
         choice = np.where(better, backup.choice, choice).astype(np.int32, copy=False)
         if changed > _STEADY * changed_before and accelerated(dynamics.n_entries, *_IN_PLACE):
             in_place, backups = (evaluation.pair_cost, choice, values, floor), 0
             if system.is_solved_exactly and changed <= _FEW_CHANGES * dynamics.n_states:
                 backups = improve_along_chain(dynamics, *in_place)
-            if not backups:  # about as long as the last evaluation took, if that was an iteration
+            if not backups:  # for about as long as the last evaluation, if that was iterative
                 share = system.n_entries / max(dynamics.n_entries, 1)
                 as_long = max(int(products * share), _LEAST_SWEEPS)
                 sweeps = min(as_long, _SWEEPS) if products > _DIRECT else _SWEEPS
@@ -228,15 +227,16 @@ def howard_rounds(
 
 
 def greatest_gain(backup: Backup) -> float:
-    """Greatest gain of a change in policy iteration's rounds, made or taken for rounding."""
+    """Return the greatest gain of a change of pair, made or counted as rounding."""
     return float((backup.here - backup.minima).max(initial=0.0))
 
 
 class _Evaluation:
     """Evaluations in Howard's rounds, which become exact as the gains shrink.
 
-    Chains without a large component are solved exactly in any case. Others are iterated, not much
-    finer than the last gain; where each reward takes long, only the weighted one until the end.
+    Chains without a large component are always solved exactly. Others are solved iteratively, to an
+    accuracy a little finer than the last gain; if each reward takes long, only the weighted sum is
+    evaluated until the end.
     """
 
     def __init__(
@@ -250,22 +250,22 @@ class _Evaluation:
         self.dynamics, self.rewards, self.weights = dynamics, rewards, weights
         self.totals, self.floor, self.pair_cost = totals, floor, weighted(rewards, weights)
         self.values, self._is_single = np.zeros(0), False
-        # where a floor is promised, rough evaluations of long runs would undo what sweeps settled
+        # with a floor, rough evaluations of long runs would undo improvements by sweeps
         rough = dynamics.n_states > DIRECT_STATES and floor == 0.0
         self._accuracy, self._scale = _ROUGH if rough else EXACT, np.inf
-        self._above: FloatArray | None = None  # values of the last policy, where they were exact
+        self._above: FloatArray | None = None  # values of the last policy, if exact
 
     def leaving(self, choice: IntArray, before: IntArray | None) -> tuple[System, IntArray]:
-        """Chain of an improved policy in policy iteration; small ones show held mass in totals."""
+        """Return an improved policy's chain, checked to leave (few states show it in totals)."""
         if self.dynamics.n_states <= self.dynamics.few:
             return self.dynamics.chain(choice), choice
         return leaving_chain(self.dynamics, choice, before)
 
     def evaluate(self, system: System, choice: IntArray) -> int:
-        """Evaluation step of policy iteration; how many products it took.
+        """Evaluate a policy, and return the number of products that it took.
 
         Raises:
-            SolverError: it is worse than the last one.
+            SolverError: the policy is worse than the last one.
         """
         self._is_iterated = not system.is_solved_exactly
         self._is_exact = not self._is_iterated or self._accuracy <= EXACT
@@ -281,13 +281,13 @@ class _Evaluation:
         if self._is_exact and self._above is not None:
             rounding = NEARLY * float(np.abs(self._above).max(initial=0.0))
             if not (self.values <= self._above + rounding).all():
-                raise SolverError("a policy that was to improve the last one is worse")
+                raise SolverError("policy iteration made a policy worse, by rounding")
         self._above = self.values if self._is_exact else None
         products, system.products = system.products, 0
         return products
 
     def judge(self, backup: Backup) -> BoolArray | None:
-        """States that policy iteration's change improves beyond noise; None: evaluate exactly."""
+        """Return the states that improve by more than noise; None if the values are too rough."""
         scale = max(float(np.abs(self.values).max(initial=0.0)), 1e-300)
         grown, self._scale = scale > _RISEN * self._scale, scale
         noise = IMPROVEMENT * np.abs(backup.here) + self.floor
@@ -303,7 +303,7 @@ class _Evaluation:
         return better
 
     def totals_of(self, system: System, choice: IntArray) -> FloatArray:
-        """Exact totals of policy iteration's last policy, [states, rewards]."""
+        """Return the exact totals of the last policy, [states, rewards]."""
         if self._is_evaluated and self.totals is not None:
             return self.totals
         return system.solve(self.dynamics.taken(self.rewards, choice), self.totals)
@@ -316,19 +316,19 @@ def improve_along_chain(
     values: FloatArray,
     floor: float = 0.0,
 ) -> int:
-    """Policy iteration's improvement along the policy's chain, in place, to and fro.
+    """Improve a policy along its chain, in place, forward and backward.
 
-    Each pass takes the components anew: those of the chain of the policy as it has become.
+    Each pass recomputes the components of the current policy's chain.
 
     Args:
         dynamics: the process.
         pair_cost: [pairs].
         choice: pair of each state of a policy that leaves, [states].
-        values: of no better policy, [states].
-        floor: gain of a step that is none.
+        values: values that are at least the policy's, [states].
+        floor: gain of a step that counts as none.
 
     Returns:
-        The number of backups of all states; 0 where the components are too large.
+        The number of backups of all states; 0 if the components are too large.
     """
     from ssp_lp.compiled.policy_improvement import improve_blocks
 
@@ -357,7 +357,7 @@ def improve_along_chain(
 def improve_backwards(
     dynamics: Dynamics, pair_cost: FloatArray, choice: IntArray
 ) -> tuple[IntArray, FloatArray]:
-    """Best pairs and values of a process solved backwards, in place of policy iteration.
+    """Compute best pairs and values in one backward pass over small components.
 
     Args:
         dynamics: the process.
@@ -396,19 +396,19 @@ def improve_precisely(
     work: Work,
     floor: float = 0.0,
 ) -> Settled:
-    """Policy iteration in twice the working precision.
+    """Run policy iteration in twice the working precision.
 
     Args:
         dynamics: the process.
         rewards: [pairs, rewards].
         weights: [rewards].
         choice: a policy that leaves, [states].
-        work: done before.
-        floor: worth of all gains that is none, in units of the values.
+        work: work done before.
+        floor: sum of all gains that counts as none, in units of the values.
 
     Raises:
         Stop: the time ended.
-        SolverError: a policy that never leaves, or totals that cannot be verified.
+        SolverError: a policy never leaves the process, or totals cannot be verified.
     """
     pair_cost = weighted(rewards, weights)
     before: IntArray | None = None
@@ -433,13 +433,13 @@ def improve_precisely(
             return Settled(choice, totals.values, values, low, totals.runs, work)
         before, choice = choice, choice.copy()
         choice[better] = picks[better]
-    raise SolverError("policy iteration goes round in circles")
+    raise SolverError("policy iteration does not converge, as policies repeat")
 
 
 def switched(
     dynamics: Dynamics, choices: Sequence[IntArray], values: Sequence[FloatArray]
 ) -> tuple[IntArray, IntArray]:
-    """A policy no worse than any of several that leave, by one step of policy iteration.
+    """Combine several policies that leave into one that is at least as good as each of them.
 
     Args:
         dynamics: the process.
@@ -447,7 +447,7 @@ def switched(
         values: their values, [states] each.
 
     Returns:
-        The policy, and which of the given ones it follows in each state, [states] each.
+        The policy, and the number of the given policy that it follows in each state, [states] each.
     """
     choice, least = choices[0], values[0]
     follows = np.zeros(len(choice), dtype=np.int8)

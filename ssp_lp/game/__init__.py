@@ -1,4 +1,4 @@
-"""The paper's own construction as a second opinion: value iteration and a game, no LP anywhere."""
+"""The paper's construction as an independent method: value iteration and a game, without any LP."""
 
 from ssp_lp.game.equilibrium import (
     Equilibrium as Equilibrium,

@@ -3,7 +3,7 @@
 The adversary mixes the objective MDP, with weight alpha, and the failure MDP; the player chooses a
 policy. The payoff ``alpha * J_obj + (1 - alpha) * (eta / epsilon) * J_cond`` is linear in alpha for
 each policy, so the least payoff ``J*(alpha)`` is concave and piecewise linear: its maximum lies
-where the line of a policy that fails less crosses that of a policy that costs less.
+at the crossing of two lines, of a policy that fails less and a policy that costs less.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from ssp_lp.policies import MixedPolicy
 _MOST_ROUNDS = 1_000
 _ACCURACY = 1e-12
 _LEVEL = 1e-12
-"""Slopes this small, as a share of eta, are rounding: such a line is level and counts as rising,
-so that of all alpha that attain a flat maximum the greatest is found, which bounds c* best."""
+"""Slope, as a share of eta, up to which a line is level. Level lines count as rising, so that among
+all alpha of a flat maximum the greatest is found, which gives the best bound of c*."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Game:
 
     stake: float  # eta(epsilon; c): c in case M, c * (1 - epsilon) in case S
     budget: float  # epsilon
-    room: float | None = None  # epsilon - origin, where that has digits that the budget has lost
+    room: float | None = None  # epsilon - origin, if it has more digits than the budget
 
     def __post_init__(self) -> None:
         """Raise :class:`ModelError` for a stake below 0, or a budget that is not above 0."""
@@ -41,40 +41,40 @@ class Game:
 
     @property
     def scale(self) -> float:
-        """Worth of a unit of failure in the game, eta(epsilon; c) / epsilon."""
+        """Weight of J_cond, eta(epsilon; c) / epsilon."""
         return self.stake / self.budget
 
     def payoff(self, alpha: float, response: BestResponse) -> float:
-        """Payoff J_{c,gamma,epsilon}(x', alpha, pi) of a policy in the game, less its origin."""
+        """Return the payoff J_{c,gamma,epsilon}(x', alpha, pi), J_cond counted from its origin."""
         return response.payoff(alpha, (1.0 - alpha) * self.scale)
 
     def size(self, alpha: float, response: BestResponse) -> float:
-        """Size of the game's payoff in its parts."""
+        """Return the sum of the absolute values of the payoff's terms."""
         return response.size(alpha, (1.0 - alpha) * self.scale)
 
     def owed(self, alpha: float, origin: float) -> float:
-        """Payoff (1 - alpha) eta of J_cond in the game where the budget is spent."""
+        """Return the term (1 - alpha) eta of the payoff if J_cond equals the budget."""
         if origin == 0.0:
             return (1.0 - alpha) * self.stake
         room = self.budget - origin if self.room is None else self.room
         return (1.0 - alpha) * self.scale * room
 
     def excess(self, response: BestResponse) -> float:
-        """Slope in alpha of a policy's payoff in the game: J_obj less failure's worth."""
+        """Return the slope in alpha of a policy's payoff: J_obj - scale * J_cond."""
         return response.objective - self.scale * response.condition
 
     def rises(self, response: BestResponse) -> bool:
-        """Whether a policy's payoff in the game rises with alpha (or is level)."""
+        """Return whether a policy's payoff increases with alpha or is level."""
         return self.excess(response) >= -_LEVEL * self.stake
 
     def best_response(self, player: Player, alpha: float, accuracy: float) -> BestResponse:
-        """The player's best response to alpha in the game; it bounds J*(x', alpha)."""
+        """Find the player's best response to alpha, which bounds J*(x', alpha)."""
         return player.response(alpha, (1.0 - alpha) * self.scale, accuracy)
 
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """A lottery over two policies, with the weights that solve the 2 x 2 game of section 3.4."""
+    """A lottery over two policies, weighted by the solution of the 2 x 2 game of section 3.4."""
 
     game: Game
     minus: BestResponse  # optimal just below alpha*: it fails less and costs more
@@ -93,13 +93,13 @@ class Mixture:
         return min(weights, key=lambda weight: self._worst(*self._costs(weight)))
 
     def _costs(self, weight: float) -> tuple[float, float]:
-        """J_obj and J_cond of a mixture with this weight of ``plus``."""
+        """Return J_obj and J_cond of the mixture with a given weight of ``plus``."""
         minus, plus = self.minus, self.plus
         objective = (1.0 - weight) * minus.objective + weight * plus.objective
         return objective, (1.0 - weight) * minus.condition + weight * plus.condition
 
     def _worst(self, objective: float, condition: float) -> float:
-        """What a mixture pays against the worse MDP for it."""
+        """Return the greater of the payoffs against the two MDPs."""
         return max(objective, self.game.scale * condition)
 
     @property
@@ -118,7 +118,7 @@ class Mixture:
         return self._worst(self.objective, self.condition)
 
     def policy(self, player: Player) -> MixedPolicy:
-        """The mixture on the original states."""
+        """Return the mixture as a policy on the original states."""
         weights = np.array([1.0 - self.weight, self.weight])
         used = np.flatnonzero(weights > 0.0)
         members = tuple(player.policy((self.minus, self.plus)[k]) for k in used)
@@ -127,46 +127,47 @@ class Mixture:
 
 @dataclass(frozen=True, eq=False)
 class Equilibrium(Mixture):
-    """The value of a game, between two bounds, and the two policies that meet there."""
+    """Bounds of a game's value, and the two policies whose payoffs are equal at alpha*."""
 
     alpha: float  # alpha*: the adversary's weight of the objective MDP
-    least: float  # J*(alpha), J_cond counted from the origin, is at least this
-    most: float  # what the mixture of the two policies pays at most, counted likewise
-    responses: tuple[BestResponse, ...]  # every policy met on the way
+    least: float  # lower bound of J*(alpha), with J_cond counted from the origin
+    most: float  # upper bound of the mixture's payoff, with J_cond counted from the origin
+    responses: tuple[BestResponse, ...]  # every policy found during the search
 
     @property
     def origin(self) -> float:
-        """Origin from which the equilibrium's responses count J_cond."""
+        """Origin from which J_cond is counted."""
         return self.minus.origin
 
     @property
     def lower(self) -> float:
-        """Lower value of the equilibrium: no policy guarantees less than J*(alpha)."""
+        """Lower bound of the game's value: no policy guarantees less than J*(alpha)."""
         return self.least + self._shift
 
     @property
     def upper(self) -> float:
-        """Upper value of the equilibrium: what the mixture of the two policies pays at most."""
+        """Upper bound of the game's value: the mixture of the two policies pays at most this."""
         return self.most + self._shift
 
     @property
     def _shift(self) -> float:
-        """Origin from which an equilibrium's payoffs are counted."""
+        """Payoff of the origin of J_cond."""
         return (1.0 - self.alpha) * self.game.scale * self.origin
 
     @property
     def failure_price(self) -> float:
-        """Price of failure at the equilibrium, in J_obj: (eta / epsilon) (1 - alpha) / alpha.
+        """Price of failure in units of J_obj: (eta / epsilon) (1 - alpha) / alpha.
 
-        At c* lambda in case M, kappa in case S.
+        At c* it is lambda in case M, kappa in case S.
         """
         return self.game.scale * (1.0 - self.alpha) / self.alpha if self.alpha > 0.0 else np.inf
 
 
 def crossing(game: Game, minus: BestResponse, plus: BestResponse) -> float:
-    """The equilibrium of two policies: the alpha in [0, 1] at which they pay the same.
+    """Return the alpha in [0, 1] at which two policies have equal payoffs.
 
-    Two that differ by rounding alone may cross outside: one of them then dominates the other.
+    The lines of policies that differ by rounding alone may cross outside of [0, 1]; the nearer end
+    is returned, as one policy then dominates the other.
     """
     spared = minus.objective - plus.objective
     risked = game.scale * (plus.failing - minus.failing)
@@ -179,14 +180,14 @@ def play(
 ) -> Equilibrium:
     """Find the equilibrium of a game: the adversary's alpha* and the policies that meet there.
 
-    The peak of the concave ``J*(alpha)`` is cut off between the lines of two policies until no best
-    response lies below it (paper, sections 3.2 and 3.4).
+    The maximum of the concave ``J*(alpha)`` is bounded by the crossing of two policies' lines,
+    until no best response lies below the crossing (paper, sections 3.2 and 3.4).
 
     Args:
         player: finds best responses, such as ``stationary_player(problem)``.
         game: its stake, in units of cost, and the failure budget.
-        known: policies met before; they are strategies of every game, whatever c.
-        accuracy: relative distance between the two bounds of the value to reach, in (0, 1).
+        known: policies found before, which are strategies of the game at every c.
+        accuracy: relative distance between the two bounds of the value, in (0, 1).
 
     Returns:
         alpha*, the bounds of the value, in units of cost, and the policies on its two sides.
@@ -207,7 +208,7 @@ def play(
         responses.append(plus)
         if game.rises(plus):
             return _met(game, 1.0, (plus, plus), plus.bound, responses)
-    while True:  # cut off the peak between two lines until no response lies below it
+    while True:  # until no response lies below the crossing of the two lines
         alpha = crossing(game, minus, plus)
         upper = min(game.payoff(alpha, minus), game.payoff(alpha, plus))
         size = min(game.size(alpha, minus), game.size(alpha, plus))
@@ -224,7 +225,7 @@ def play(
 
 
 def unplayed_game(game: Game, responses: Sequence[BestResponse]) -> Equilibrium:
-    """Equilibrium from policies met before, where time is up: no bound from below."""
+    """Return the equilibrium of known policies when time is up, without a lower bound."""
     minus, plus = _closest_to_equilibrium(game, responses)
     if minus is None or plus is None:
         minus = plus = minus or plus or responses[0]
@@ -239,14 +240,14 @@ def _met(
     bound: float,
     responses: Sequence[BestResponse],
 ) -> Equilibrium:
-    """Equilibrium at an alpha where two policies meet; of one twice, the adversary is sure of it.
+    """Build the equilibrium at an alpha; both sides are the same policy at alpha 0 or 1.
 
     Args:
         game: the game.
         alpha: the adversary's weight.
-        sides: the policies just below and above it.
-        bound: no policy pays less.
-        responses: every policy met on the way.
+        sides: the policies that are optimal just below and just above alpha.
+        bound: lower bound of every policy's payoff.
+        responses: every policy found during the search.
     """
     upper = min(game.payoff(alpha, side) for side in sides)
     return Equilibrium(game, *sides, alpha, min(bound, upper), upper, tuple(responses))
@@ -255,10 +256,10 @@ def _met(
 def _closest_to_equilibrium(
     game: Game, responses: Sequence[BestResponse]
 ) -> tuple[BestResponse | None, BestResponse | None]:
-    """Policies nearest to the equilibrium on both sides of the diagonal; None: no such side.
+    """Find the policies nearest to the equilibrium on both sides of the diagonal; None if missing.
 
-    A point is (J_obj, (eta / epsilon) J_cond); the mixture that pays equally against both MDPs
-    lies where the segment between two points meets the diagonal.
+    A policy is the point (J_obj, (eta / epsilon) J_cond); the mixture with equal payoffs against
+    both MDPs is the intersection of a segment between two points with the diagonal.
     """
     rising = [r for r in responses if game.rises(r)]
     falling = [r for r in responses if not game.rises(r)]
@@ -273,12 +274,12 @@ def cheapest_crossing(
     right: Sequence[BestResponse],
     position: Callable[[BestResponse], float],
 ) -> tuple[BestResponse, BestResponse, float, float]:
-    """The lottery over two policies on either side of an equilibrium that costs least.
+    """Find the cheapest lottery over a policy on each side of position 0.
 
     Args:
-        left: policies at positions that are not above 0, or hardly.
+        left: policies at positions up to 0, to rounding.
         right: policies at positions above 0.
-        position: of a policy; that of the lottery is 0.
+        position: position of a policy; the position of the lottery is 0.
 
     Returns:
         The policy on each side, the weight of the second, and the lottery's J_obj.
@@ -294,17 +295,18 @@ def cheapest_crossing(
 def delta_mixture(player: Player, game: Game, alpha: float, delta: float) -> Mixture:
     """Mix the best responses to alpha* - delta and alpha* + delta (Theorem 3-4).
 
-    The mixture's worst payoff tends to the equilibrium's value as delta goes to 0. Where no other
-    kink of ``J*(alpha)`` lies within delta of alpha*, the two are the policies that meet there and
-    the mixture is optimal. Otherwise each pays at alpha* at most delta times its slope more than
-    the game is worth, and so does the mixture, which pays at worst what both pay where they cross
-    (the proof of Theorem 3-4 allows 2 delta times the steepest slope).
+    The mixture's worst payoff tends to the equilibrium's value as delta goes to 0. If no other kink
+    of ``J*(alpha)`` lies within delta of alpha*, the two policies are those of the equilibrium, and
+    the mixture is optimal. Otherwise the payoff of each policy at alpha* exceeds the game's value
+    by at most delta times its slope. So does the mixture's worst payoff, which is the payoff of
+    both policies at their crossing (the proof of Theorem 3-4 allows 2 delta times the steepest
+    slope).
 
     Args:
         player: finds best responses.
-        game: at c*, and in case S at epsilon*.
+        game: the game at c*, in case S also at epsilon*.
         alpha: alpha*.
-        delta: distance from it, above 0; the two sides end at 0 and 1.
+        delta: distance from alpha*, above 0; the two arguments are clipped to [0, 1].
 
     Raises:
         ModelError: an alpha or a delta out of range.

@@ -1,10 +1,11 @@
-"""c* of a problem by the game alone: at its budget, or in case S at the best epsilon' below it.
+"""The optimum c* of a problem by the paper's game, without linear programs.
 
-At one epsilon it is the least c whose game the player can hold at eta (eq. def_c*), in section 3.5
-c-hat.
+At a given epsilon, c* is the least c for which the game's value is at most eta (eq. def_c*);
+section 3.5 calls it c-hat. In case M epsilon is the budget, in case S the best epsilon' up to the
+budget.
 
-No linear program anywhere. ``stationary_game`` finds c-hat and the mixed policy of section 3.5 of
-the paper, where J_obj is discounted as J_cond is; ``bayes_adaptive`` the unapproximated c*.
+``stationary_game`` finds c-hat and the mixed policy of section 3.5 of the paper, where J_obj is
+discounted like J_cond; ``bayes_adaptive`` finds c* without this approximation.
 """
 
 from __future__ import annotations
@@ -38,56 +39,57 @@ from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import goal_out_of_reach, start_distribution
 from ssp_lp.processes.goal_reach import max_goal_probability
 
-_MOST_ROUNDS = 100  # games, or responses in a row
+_MOST_ROUNDS = 100  # most games, and most responses in a row
 _MARGINS = (0.25, 4.0, 64.0, 1024.0)
-"""Multiples of the tolerance by which a bound of the least ratio is put below it."""
+"""Multiples of the tolerance by which a bound of the least ratio is lowered."""
 
 _STEEP = (1e3, 1e6, 1e9)
-"""Prices of failure at which cheap policies among those of least failure are looked for, as
-multiples of what the goal costs under one of them."""
+"""Prices of failure to search for cheap policies of least failure, in multiples of the cost of
+reaching the goal under one of these policies."""
 
 _LEAST_SUCCESS = 1e-6
-"""Success that a price of failing is related to, where success is what failing leaves over."""
+"""Least success by which a cost is divided to scale a price, if success is 1 - failure."""
 
 _ROOM = 1.0 + 1e-6
-"""A budget below the least failure times this counts as tight."""
+"""A budget up to this multiple of the least failure counts as tight."""
 
 _CANCELLED = 4.0 * MACHINE_EPSILON
-"""Relative rounding of the difference in which a steep price cancels."""
+"""Relative rounding of a difference in which a steep price cancels."""
 
 _LEAST_ACCURACY = 1e-9
-"""Relative accuracy of the least failure, on which feasibility hangs, however coarse the search."""
+"""Greatest relative error of the least failure, on which feasibility depends."""
 
 _SAME = 1e-13
-"""Failures this near to the least are the least, computed twice: the cheaper policy may be used.
-Relative to the success where that is what is counted."""
+"""Distance of failures that counts as rounding, so that the cheaper policy may be used; relative to
+the success if J_cond is counted from 1."""
 
 _STALLED = 0.75
-"""Two games, one of them halfway, halve the bracket, unless rounding has the last word."""
+"""Two games, one of them at the midpoint, shrink the bracket to less than this share, unless
+rounding prevents it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Threshold:
-    """c* of one epsilon between two bounds, and the mixed policy that attains the upper one."""
+    """Bounds of c* at one epsilon, and the mixed policy that attains the upper bound."""
 
     budget: float  # epsilon
     low: float  # no policy within the budget is cheaper
-    high: float  # what the mixture costs
-    game: Equilibrium  # the last game, at c = high where the search was not cut short
+    high: float  # cost of the mixture
+    game: Equilibrium  # the last game, at c = high unless the search was stopped
     members: tuple[BestResponse, ...]  # one or two policies
     weights: tuple[float, ...]
-    games: int  # played, each at another c: whether it can be held says on which side c* lies
+    games: int  # number of games, each at another c
     responses: tuple[BestResponse, ...]
-    in_time: bool = True  # whether the search ended by itself, not by its deadline
+    in_time: bool = True  # whether the search ended before its deadline
 
     @property
     def failure_price(self) -> float:
-        """Price of failure at the threshold c: lambda in case M, kappa in case S."""
+        """Price of failure: lambda in case M, kappa in case S."""
         return self.game.failure_price
 
     @property
     def condition(self) -> float:
-        """J_cond of the mixture at the threshold c."""
+        """J_cond of the mixture."""
         return sum(w * r.condition for w, r in zip(self.weights, self.members, strict=True))
 
 
@@ -101,22 +103,22 @@ def find_threshold(
     tolerance: float,
     progress: Progress | None = None,
 ) -> Threshold:
-    """Bracket the threshold ``min{c > 0 : game value <= eta(epsilon; c) = share * c}``, and close.
+    """Bracket ``min{c > 0 : game value <= eta(epsilon; c) = share * c}`` to a tolerance.
 
     Each game moves an end of the bracket. Its value at alpha*, a bound for every policy, gives
-    ``J_obj >= (value - (1 - alpha*) eta) / alpha*`` for all that keep to the budget: the lower end.
-    Its policies, mixed so as to spend the budget, give the upper end. The next game is played at
-    the upper end, every second one halfway, so that the bracket shrinks whatever happens.
+    ``J_obj >= (value - (1 - alpha*) eta) / alpha*`` for all policies within the budget: the lower
+    end. Its policies, mixed so that they use the whole budget, give the upper end. The next game is
+    played at the upper end, every second one at the midpoint, so that the bracket always shrinks.
 
     Args:
         player: finds best responses.
         budget: epsilon.
         share: 1 in case M, 1 - epsilon in case S.
-        previous: responses met before, ``extremes`` at least. A budget that none of them keeps to
-            is the least failure but for their accuracy, and counts as equal to it.
-        room: the budget counted from the responses' origin, where that has more digits.
+        previous: responses found before, ``extremes`` at least. A budget that all of them exceed
+            differs from the least failure by rounding, and counts as equal to it.
+        room: the budget counted from the responses' origin, if it has more digits.
         tolerance: relative width of the bracket to reach.
-        progress: told after each game of (responses, price of failure, upper end).
+        progress: called after each game with (responses, price of failure, upper end).
     """
     accuracy = 0.1 * tolerance
     responses = [*previous, *_cheap_near_least_failure(player, budget, previous, accuracy)]
@@ -143,7 +145,7 @@ def find_threshold(
         answer = Threshold(
             budget, min(low, high), high, played, members, weights, games, tuple(responses)
         )  # fmt: skip
-        with WithIncumbent():  # a stop that is asked for by who is told ends the search
+        with WithIncumbent():  # the callback may stop the search
             if progress is not None:
                 progress(len(responses), answer.failure_price, high)
         late = is_late() or games >= _MOST_ROUNDS
@@ -156,7 +158,7 @@ def find_threshold(
 
 
 def extremes(player: Player, accuracy: float) -> tuple[BestResponse, ...]:
-    """Policies between which the threshold c is sought: that of least failure, and the cheapest."""
+    """Find the policy of least failure and the cheapest policy."""
     safest = player.response(0.0, 1.0, min(accuracy, _LEAST_ACCURACY))
     with WithIncumbent():
         return safest, player.response(1.0, 0.0, accuracy)
@@ -166,9 +168,9 @@ def extremes(player: Player, accuracy: float) -> tuple[BestResponse, ...]:
 def _cheap_near_least_failure(
     player: Player, budget: float, previous: Sequence[BestResponse], accuracy: float
 ) -> Iterator[BestResponse]:
-    """At a threshold without room, cheap policies among those that fail least.
+    """Yield cheap policies of least failure if the budget is tight.
 
-    The least failure alone does not ask what its policy costs.
+    The response of least failure ignores the cost.
     """
     safest = min(previous, key=lambda r: r.failing)
     if budget > safest.condition * _ROOM + LEAST_BUDGET:
@@ -185,7 +187,7 @@ def _cheap_near_least_failure(
 
 
 def _threshold_from_game_value(played: Equilibrium) -> float:
-    """Threshold c implied by the game's value at alpha*: the cost of policies within the budget."""
+    """Return the lower bound of J_obj within the budget that the game's value at alpha* implies."""
     if played.alpha == 0.0:
         return 0.0
     owed = played.game.owed(played.alpha, played.origin)
@@ -196,10 +198,10 @@ def _threshold_from_game_value(played: Equilibrium) -> float:
 def cheapest_mixture(
     responses: Sequence[BestResponse], room: float
 ) -> tuple[tuple[BestResponse, ...], tuple[float, ...], float]:
-    """Cheapest lottery over one or two policies within the budget of the threshold.
+    """Find the cheapest lottery over one or two policies within the budget.
 
     Args:
-        responses: some of which keep to it.
+        responses: policies, at least one of them within the budget.
         room: the budget, counted from the responses' origin.
 
     Returns:
@@ -216,15 +218,15 @@ def cheapest_mixture(
 
 
 def checked_setting(problem: Problem) -> tuple[float, float]:
-    """Failure budget and discount of the game's setting, checked.
+    """Return the failure budget and the discount, checked for the game.
 
     Raises:
-        ModelError: the paper's construction needs a discount and a budget above 0.
+        ModelError: no discount, no budget above 0, or a criterion other than expected cost.
     """
     budget, discount = problem.failure_budget, problem.discount
     if not problem.semantics.counts_cost_alone:
         raise ModelError(
-            f"the game is about cost and a failure budget, {type(problem).__name__} is not: take ",
+            f"the game supports costs with a failure budget, not {type(problem).__name__}: use ",
             Argument("method", "columns"),
         )
     if discount is None:
@@ -238,7 +240,7 @@ def checked_setting(problem: Problem) -> tuple[float, float]:
         raise ModelError(
             "the game needs ",
             Argument("failure_budget"),
-            f" above 0, not {budget!r}: its stakes are divided by it (paper, eq. j_c_gamma_def)",
+            f" above 0, not {budget!r}, as its stakes are divided by it (paper, eq. j_c_gamma_def)",
         )
     return budget, discount
 
@@ -246,7 +248,7 @@ def checked_setting(problem: Problem) -> tuple[float, float]:
 def check_budget(
     problem: Problem, budget: float, safest: BestResponse, tail: float | None = None
 ) -> None:
-    """Raise :class:`InfeasibleError` where the game has no policy within the discounted budget."""
+    """Raise :class:`InfeasibleError` if every policy's discounted failure exceeds the budget."""
     discounted = safest.bound + safest.origin
     if discounted <= budget + LEAST_BUDGET:
         return
@@ -269,7 +271,7 @@ def check_budget(
 
 
 def construct(kind: type[Player], problem: Problem, tail: float | None = None) -> Player:
-    """Construct the game's M_o and M_{d,gamma} of section 3.1, and the player on both.
+    """Build M_o and M_{d,gamma} of section 3.1, and the player on both.
 
     Raises:
         ModelError: no discount, or a budget that is not above 0.
@@ -289,19 +291,19 @@ def construct(kind: type[Player], problem: Problem, tail: float | None = None) -
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GameSolution(Facts):
-    """c* of a problem under one construction of the paper, with its proof."""
+    """The optimum c* of a problem by the paper's game, with a bound and a mixed policy."""
 
     problem: Problem
-    player: Player  # the construction: which policies there are and how their costs are counted
+    player: Player  # the construction: the class of policies and their costs
     threshold: Threshold  # the games at epsilon*, with the mixed policy
     spent: float  # epsilon*: the budget; in case S the epsilon' in (0, epsilon] of least c*
-    objective: float  # c*, attained by the policy; under the stationary construction c-hat
-    lower_bound: float  # no policy whose J_cond keeps to the budget has less
+    objective: float  # c*, attained by the policy; c-hat of the stationary construction
+    lower_bound: float  # no policy with J_cond within the budget has less
     alpha: float  # alpha*: the adversary's weight of the objective MDP at epsilon*
     price: float  # weight of J_cond against J_obj at alpha*: lambda in case M, kappa in case S
 
     def tables(self) -> list[Table]:
-        """The optimum of the game, its bound, the adversary's weight and the price."""
+        """Return a table of the optimum, its bound, the adversary's weight and the price."""
         facts = [
             ("c*", self.objective),
             ("lower bound", self.lower_bound),
@@ -314,7 +316,7 @@ class GameSolution(Facts):
 
     @property
     def policy(self) -> MixedPolicy:
-        """The game's optimal lottery over one or two policies on the original states."""
+        """The optimal lottery over one or two policies on the original states."""
         members = tuple(self.player.policy(r) for r in self.threshold.members)
         return MixedPolicy(members, np.array(self.threshold.weights))
 
@@ -322,18 +324,19 @@ class GameSolution(Facts):
 def find_optimum(
     problem: Problem, player: Player, *, tolerance: float, progress: Progress | None = None
 ) -> GameSolution:
-    """Find the optimum c* by the game's player and best responses.
+    """Find the optimum c* by best responses of a player.
 
-    Case M: the least c whose game value is at most c. Case S: the least such value over all
-    epsilon' in (0, epsilon] (Theorem 3-1): c* = F(e) / (1 - e), with F the convex least J_obj at
-    J_cond = e, falls while ``-F'(e) > c*`` and rises after. Either it still falls at the budget, or
-    its minimum is where failing is worth exactly c*, at a single policy.
+    Case M: c* is the least c whose game value is at most c. Case S: c* is the least such c over all
+    epsilon' in (0, epsilon] (Theorem 3-1). There c*(e) = F(e) / (1 - e), where F(e) is the least
+    J_obj at J_cond = e, a convex function; c* falls while ``-F'(e) > c*`` and rises after that.
+    Either it still falls at the budget, or its minimum is attained by a single policy, where the
+    price of failing is exactly c*.
 
     Args:
-        problem: says the case and the budget.
-        player: of the same case.
+        problem: states the case and the budget.
+        player: a player of the same case.
         tolerance: relative distance between c* and its lower bound to reach.
-        progress: told after each game of (responses, price of failure, upper end).
+        progress: called after each game with (responses, price of failure, upper end).
 
     Raises:
         InfeasibleError: the discounted failure of every policy exceeds the budget.
@@ -344,7 +347,7 @@ def find_optimum(
     check_budget(problem, budget, responses[0], player.tail)
     if problem.ratio:
         best, responses, is_least = _least_ratio(player, responses, tolerance)
-        at_goal = best.condition == 0.0  # from the start on: c* of every epsilon' is 0
+        at_goal = best.condition == 0.0  # the goal is the start: c* of every epsilon' is 0
         room = 0.5 * budget if at_goal else min(best.failing, budget - best.origin)
         share, spent = (1.0 - best.origin) - room, best.origin + room
     threshold = find_threshold(
@@ -360,10 +363,10 @@ def find_optimum(
 
 
 def _slack_bound_of_optimum(player: Player, ratio: float, budget: float, tolerance: float) -> float:
-    """Ratio a little below the game's optimum, such that every policy is seen to have more.
+    """Prove a lower bound of all ratios, a little below the optimum.
 
-    There it is strictly best to fail, by a margin that no rounding reaches. Where rounding does
-    reach it, a policy within the budget has lost at most its share of it.
+    At such a ratio it is strictly best to fail, usually by a margin above rounding. If rounding
+    exceeds the margin, the bound is lowered by the possible loss of a policy within the budget.
     """
     best = 0.0
     for share in _MARGINS:
@@ -384,22 +387,22 @@ def _slack_bound_of_optimum(player: Player, ratio: float, budget: float, toleran
 def _least_ratio(
     player: Player, responses: tuple[BestResponse, ...], tolerance: float
 ) -> tuple[BestResponse, tuple[BestResponse, ...], bool]:
-    """The game's policy of least J_obj / (1 - J_cond), and all responses so far.
+    """Find the policy of least J_obj / (1 - J_cond) by Dinkelbach's iteration.
 
-    A ratio c is least if no policy has less than c of ``J_obj + c J_cond``: a policy that has less
-    has a smaller ratio, which is tried next.
+    A ratio c is the least one if ``J_obj + c J_cond >= c`` for every policy: a policy below c has a
+    smaller ratio, which is tried next.
 
     Returns:
-        The policy, the responses, and whether the search came to its end.
+        The policy, all responses, and whether the search was completed.
 
     Raises:
-        SolverError: every policy fails but for rounding.
+        SolverError: every policy fails with probability 1 to rounding.
     """
     tried = list(responses)
     hopeful = [r for r in tried if r.is_hopeful]
     if not hopeful:
         raise SolverError(
-            "the game cannot tell costs given success: the goal is reached with a (discounted) "
+            "the game cannot compute costs given success: the goal is reached with a (discounted) "
             f"probability of at most {responses[0].success:.1e}"
         )
     best = min(hopeful, key=lambda r: r.ratio)
@@ -420,19 +423,19 @@ def _least_ratio(
 
 @explained
 def stationary_player(problem: Problem, tail: float | None = None) -> Player:
-    """Player of the game for the optimum: operator T_alpha of the problem's case.
+    """Build the player of the stationary game, with the operator T_alpha of the problem's case.
 
     Args:
-        problem: says the case, the start and the discount.
+        problem: states the case, the start and the discount.
         tail: in case S the M of section 3.5.1, a total cost: pi'_or is followed once it is paid,
             with J_obj undiscounted from there on. None: M grows until nothing is lost beyond it.
 
     Raises:
-        ModelError: no discount, a budget that is not above 0, or a tail that is none or in case M.
+        ModelError: no discount, a budget that is not above 0, an invalid tail, or one in case M.
         InfeasibleError: case S, and the goal cannot be reached from the start.
     """
     if tail is not None and not problem.ratio:
-        raise wrong_argument("tail", "be None in case M, whose states hold no cost paid", tail)
+        raise wrong_argument("tail", "be None in case M, where no cost is accumulated", tail)
     return construct(Player, problem, None if tail is None else check_tail(tail))
 
 
@@ -446,19 +449,19 @@ def stationary_game(
 ) -> GameSolution:
     """Solve a problem by the paper's game and value iteration (Theorems 3-5 and 3-11).
 
-    The policies are stationary in the state, in case S in the state and the cost paid; J_obj and
-    J_cond are both discounted.
+    The policies are stationary in the state, in case S in the state and the accumulated cost; J_obj
+    and J_cond are both discounted.
 
     Args:
         problem: with a discount and a failure budget above 0.
-        tail: in case S the M of section 3.5.1 (see :func:`stationary_player`): then c-hat is
-            c-hat_M, the least within Pi_{M,pi'_or}. It falls to c-hat of None as M grows.
+        tail: in case S the M of section 3.5.1 (see :func:`stationary_player`): the result is then
+            c-hat_M, the least within Pi_{M,pi'_or}, which falls to the c-hat of None as M grows.
         tolerance: relative distance between c-hat and its lower bound to reach.
-        progress: told after each game of (responses, price of failure, upper end).
+        progress: called after each game with (responses, price of failure, upper end).
 
     Raises:
-        ModelError: no discount, no budget or one of 0, a tolerance outside (0, 1), a tail that is
-            none, or a table of decisions that would be too large.
+        ModelError: no discount, no budget or one of 0, a tolerance outside (0, 1), an invalid
+            tail, or a table of decisions that would be too large.
         InfeasibleError: the discounted failure of every policy exceeds the budget.
     """
     check_between_0_and_1("tolerance", tolerance)
@@ -467,9 +470,9 @@ def stationary_game(
 
 
 def value_function(solution: GameSolution) -> FloatArray:
-    """Checked values of the game at the optimum: lower bounds of ``J_obj + price * J_cond``.
+    """Compute checked lower bounds of ``J_obj + price * J_cond`` at the optimum.
 
-    Infinite throughout where no time is left.
+    All values are infinite if no time is left.
 
     Raises:
         ModelError: not a solution of ``stationary_game``.
@@ -490,13 +493,13 @@ def thresholds(
     tail: float | None = None,
     tolerance: float = 1e-9,
 ) -> list[Threshold]:
-    """Optimum c* of each epsilon' by itself: the curve that Theorem 3-1 minimises in case S.
+    """Compute c* of each epsilon' separately: the curve that Theorem 3-1 minimises in case S.
 
     Args:
-        problem: says the case, the start and the discount; of its own budget only that there is
-            one above 0.
+        problem: states the case, the start and the discount; its own budget must be above 0, and
+            is not used otherwise.
         budgets: each at least the least discounted failure, and in case S below 1.
-        tail: the M of section 3.5.1, as of :func:`stationary_game`.
+        tail: the M of section 3.5.1, as in :func:`stationary_game`.
         tolerance: relative distance between each c* and its lower bound to reach.
 
     Raises:
@@ -520,7 +523,7 @@ def thresholds(
 
 @explained
 def bayes_player(problem: Problem) -> Player:
-    """Player of the Bayes-adaptive game for the optimum: operator T of section 3.3.
+    """Build the player of the Bayes-adaptive game, with the operator T of section 3.3.
 
     Raises:
         ModelError: no discount, or a budget that is not above 0.
@@ -533,21 +536,22 @@ def bayes_player(problem: Problem) -> Player:
 def bayes_adaptive(
     problem: Problem, *, tolerance: float = 1e-7, progress: Progress | None = None
 ) -> GameSolution:
-    """Optimum of the Bayes-adaptive game of section 3.2, by the iteration of section 3.3.
+    """Solve the Bayes-adaptive game of section 3.2 by the iteration of section 3.3.
 
-    J_obj is undiscounted and J_cond discounted: the problem that sections 3.2 to 3.4 solve, and
-    that section 3.5 approximates by discounting J_obj as well. The adversary's weight is a belief
-    about which MDP is being played. Both move alike, but M_{d,gamma} ends with probability
-    1 - gamma in each step. So a run that goes on is evidence for M_o, the same evidence whatever
-    happens in it: the belief follows one trajectory from each start.
+    J_obj is undiscounted and J_cond discounted: sections 3.2 to 3.4 solve this problem, and
+    section 3.5 approximates it by discounting J_obj as well. The adversary's weight is a belief
+    about which MDP is being played. Both have the same transitions, but M_{d,gamma} ends with
+    probability 1 - gamma in each step. So a run that goes on is evidence for M_o, whatever happens
+    in it, and the belief follows one trajectory from each initial value.
 
     Args:
-        problem: with a discount, which only J_cond sees, and a failure budget above 0.
+        problem: with a discount, which applies to J_cond only, and a failure budget above 0.
         tolerance: relative distance between c* and its lower bound to reach.
-        progress: told after each game of (responses, price of failure, upper end).
+        progress: called after each game with (responses, price of failure, upper end).
 
     Returns:
-        c*: in case M J_obj, in case S J_obj / (1 - J_cond); its policies depend on time.
+        c*, which is J_obj in case M and J_obj / (1 - J_cond) in case S, with policies that depend
+        on time.
 
     Raises:
         ModelError: no discount, no budget or one of 0, a tolerance outside (0, 1), or a table of
@@ -560,7 +564,7 @@ def bayes_adaptive(
 
 
 def posterior(alpha: float, discount: float) -> float:
-    """Adversary's weight nu(alpha)(M_o) in the Bayes-adaptive game after one step.
+    """Return the adversary's weight nu(alpha)(M_o) in the Bayes-adaptive game after one step.
 
     Args:
         alpha: the weight before the step, in [0, 1].
@@ -576,7 +580,7 @@ def posterior(alpha: float, discount: float) -> float:
 
 
 def belief_at(alpha: float, discount: float, time: IntArray) -> FloatArray:
-    """Adversary's weight of M_o in the Bayes-adaptive game after so many steps.
+    """Return the adversary's weight of M_o in the Bayes-adaptive game after numbers of steps.
 
     Args:
         alpha: the weight at the start, in [0, 1].
@@ -596,5 +600,5 @@ def belief_at(alpha: float, discount: float, time: IntArray) -> FloatArray:
     if not np.issubdtype(steps.dtype, np.integer) or (steps < 0).any():
         raise wrong_argument("time", "be whole numbers >= 0", time)
     if alpha == 0.0:
-        return np.zeros(steps.shape)  # also where gamma^t is 0 in double precision
+        return np.zeros(steps.shape)  # even if gamma^t is 0 in double precision
     return np.asarray(alpha / (alpha + discount**steps * (1.0 - alpha)), dtype=np.float64)

@@ -1,14 +1,14 @@
-"""The game's player: best responses on a process of layers of accumulated cost (paper, 3.1 to 3.5).
+"""The player of the game: best responses on layers of accumulated cost (paper, 3.1 to 3.5).
 
-M_o and M_{d,gamma} have the same states, actions and successors; they differ in what a step costs,
-and in that a step of M_{d,gamma} goes on with probability gamma only. In case S a state holds the
-cost paid so far (section 3.1.1). Case M (section 3.1.2) has a single layer, the live states that
-are labelled s. States labelled f are left out: nothing is paid there, and the failure cost from
-there on is ``sum (1 - gamma) gamma^t = 1``. So are dead-ends, where giving up at once is best.
-Wandering for ever at no cost costs the same as giving up free of charge, so that a pair of that
-kind is added where the model allows wandering.
+M_o and M_{d,gamma} have the same states, actions and successors; they differ in the costs, and a
+step of M_{d,gamma} goes on with probability gamma only. In case S a state includes the accumulated
+cost (section 3.1.1). Case M (section 3.1.2) has a single layer, the live states with label s.
+States with label f are left out: nothing is paid there, and the failure cost from there on is ``sum
+(1 - gamma) gamma^t = 1``. Dead-ends are left out as well, as giving up at once is best there.
+Wandering for ever at no cost is equal to giving up free of charge, so that a pair for giving up is
+added in states where the model allows wandering.
 
-Value iteration from below has a stopping rule that is a bound (sections 3.3 and 3.5).
+The stopping rule of value iteration from below is a proved bound (sections 3.3 and 3.5).
 """
 
 from __future__ import annotations
@@ -55,40 +55,40 @@ from ssp_lp.processes.live_rows import cost_means, costless_pairs, successor_mea
 from ssp_lp.processes.quotient import build_quotient
 
 _MOST_ENTRIES = 200_000_000
-"""Largest table of decisions, nodes x layers."""
+"""Most entries of a table of decisions, nodes x layers."""
 
 _MOST_LAYERS = 500_000
 _FIRST_LAYERS = 16
 
 _LAYER_ROUNDING = 16.0 * MACHINE_EPSILON
-"""Relative rounding of a bound, per layer of the sweep: more layers cannot undo it."""
+"""Relative rounding of a bound, per layer of the sweep, which more layers cannot reduce."""
 
 _RARE = 1e-3
-"""Greatest success up to which J_cond is counted from 1; above it few digits are lost without."""
+"""Greatest success at which J_cond is counted from 1; above it few digits are lost."""
 
 _STALLED = 1e-8
-"""Relative distance below which one that more layers leave as it was is rounding."""
+"""Relative gap that counts as rounding if more layers do not reduce it."""
 
-_ACCURACY = 1e-13  # relative, of the tails' values, and of a sum of many products at best
-_SETTLED = 1e-10  # accuracy at which it is settled how many layers a value function has
+_ACCURACY = 1e-13  # relative accuracy of the tails' values, the best of a sum of many products
+_SETTLED = 1e-10  # accuracy that determines the number of layers of a value function
 _TIGHT = 1e-12  # accuracy of a value function of one layer
-_ROUNDED = 8.0 * MACHINE_EPSILON  # relative, of what a tail is worth
-_DEAREST = 1e100  # a price of J_cond at which nothing else counts
+_ROUNDED = 8.0 * MACHINE_EPSILON  # relative rounding of a tail's value
+_DEAREST = 1e100  # a price of J_cond at which J_obj is negligible
 
 _FIRST_HORIZON = 32
-_SLOW = 0.9  # of the gap: a longer horizon that leaves more of it is not what was missing
+_SLOW = 0.9  # share of the gap from which on doubling the horizon does not help
 _MOST_STEPS = 100_000
 _MOST_TIMED_ENTRIES = 100_000_000
-"""Largest table of decisions, nodes x layers x time."""
+"""Most entries of a table of decisions, nodes x layers x time."""
 
 _ROUGH = 1e-6
-"""Accuracy of a bound that only counts as far as a run lasts until the horizon."""
+"""Accuracy of a bound that counts only for runs that last until the horizon."""
 
 _ROUNDED_SUCCESS = 1e-12
-"""Success up to which it is rounding, where it is what J_cond leaves over."""
+"""Success that counts as rounding if it is computed as 1 - J_cond."""
 
 _BACKUP_ROUNDING = 64.0 * MACHINE_EPSILON
-"""Relative rounding of one backup; over a run it adds up to this share of 1 / (1 - gamma)."""
+"""Relative rounding of one backup; over a run it adds up to this times 1 / (1 - gamma)."""
 
 
 def check_alpha(alpha: object) -> None:
@@ -101,51 +101,51 @@ def check_alpha(alpha: object) -> None:
 class BestResponse:
     """A deterministic policy that minimises a weighted sum of the game's two costs.
 
-    Where the goal is hardly ever reached J_cond is 1 but for rounding. Its player then counts it
-    from ``origin`` 1: minus the success, a sum of its own in which no digit is lost.
+    If the goal is hardly ever reached, J_cond is 1 to rounding. It is then counted from ``origin``
+    1: J_cond - 1 is minus the success, which is summed separately and loses no digits.
     """
 
     objective: float  # J_obj(x'; pi), exact for the policy
     failing: float  # J_cond(x'; pi) - origin, exact for the policy
-    bound: float  # no policy has less of weight * J_obj + weight * failing, at the weights asked
+    bound: float  # lower bound of all policies' weighted sum of J_obj and failing
     strategy: Any = None  # the policy in the player's own form
-    sweeps: int = 0  # Bellman backups that it took
-    origin: float = 0.0  # 0, or 1 where the goal is hardly ever reached
+    sweeps: int = 0  # number of Bellman backups
+    origin: float = 0.0  # 0, or 1 if the goal is hardly ever reached
 
     @property
     def condition(self) -> float:
-        """J_cond(x'; pi) of the best response."""
+        """J_cond(x'; pi)."""
         return self.origin + self.failing
 
     @property
     def success(self) -> float:
-        """1 - J_cond of the best response: in case S E[gamma^T; goal]."""
+        """1 - J_cond; in case S E[gamma^T; goal]."""
         return (1.0 - self.origin) - self.failing
 
     @property
     def is_hopeful(self) -> bool:
-        """Whether the best response's cost given success can be told."""
+        """Whether the success is large enough to compute the cost given success."""
         return self.success > (0.0 if self.origin else _ROUNDED_SUCCESS)
 
     @property
     def ratio(self) -> float:
-        """The best response's cost given success, J_obj / (1 - J_cond)."""
+        """The cost given success, J_obj / (1 - J_cond)."""
         return self.objective / self.success
 
     def payoff(self, objective_weight: float, condition_weight: float) -> float:
-        """Payoff of the best response at other weights, J_cond counted from its origin."""
+        """Return the payoff at given weights, J_cond counted from its origin."""
         return objective_weight * self.objective + condition_weight * self.failing
 
     def size(self, objective_weight: float, condition_weight: float) -> float:
-        """Size of the best response's payoff in its parts, to which rounding is relative."""
+        """Return the sum of the payoff's terms in absolute value, to which rounding is relative."""
         return objective_weight * self.objective + condition_weight * abs(self.failing)
 
 
 @dataclass(frozen=True, eq=False)
 class Iterated:
-    """Result of value iteration: a policy, its exact costs, and a bound below all policies."""
+    """Result of value iteration: a policy, its exact costs, and a lower bound of all policies."""
 
-    values: FloatArray  # [nodes] checked: at most the optimal value everywhere
+    values: FloatArray  # [nodes] checked: at most the optimal value at every node
     choice: IntArray  # [nodes] greedy pairs
     totals: FloatArray  # [nodes, costs] exact expected costs of that policy
     sweeps: int
@@ -162,24 +162,24 @@ def iterate_values(
     first_sweeps: int = 16,
     most_sweeps: int = 1 << 14,
 ) -> Iterated:
-    """Best response by value iteration, T_alpha of section 3.5: minimise ``weights @ costs``.
+    """Minimise ``weights @ costs`` by value iteration, with T_alpha of section 3.5.
 
-    The iterates ``T^N J_0`` increase to the optimum from ``J_0 = 0``. The greedy policy, improved
-    by its own values while that helps, bounds the optimum from above with its exact value; the
-    iterate, once a backup with its rounding has confirmed it, from below. The iteration ends when
-    the two meet where a run may begin; it is lifted to the policy's own value, lowered as far as
-    that backup demands, so that slow loops do not hold it up. Where rounding keeps the two apart it
-    ends too, with the distance that is left.
+    The iterates ``T^N J_0`` increase to the optimum from ``J_0 = 0``. The exact value of the greedy
+    policy, after policy iteration from it, is an upper bound of the optimum. The iterate is a lower
+    bound once a backup with its rounding has confirmed it. It is also raised to the policy's value,
+    lowered as far as that backup requires, so that slow cycles do not delay convergence. The
+    iteration ends when the two bounds agree at the start, or when rounding keeps them from
+    agreeing.
 
     Args:
         dynamics: every transition scaled by gamma, so that T is a contraction.
-        costs: of each pair, non-negative, [pairs, costs].
+        costs: costs of each pair, non-negative, [pairs, costs].
         discount: gamma.
-        weights: of the costs, non-negative, [costs].
-        watched: how much each node counts when bounds are compared, [nodes].
+        weights: weights of the costs, non-negative, [costs].
+        watched: weight of each node in the comparison of bounds, [nodes].
         accuracy: relative distance of the two bounds to reach.
-        first_sweeps: before a policy is improved by its own values.
-        most_sweeps: beyond them sweeps only fight rounding.
+        first_sweeps: number of sweeps before the first policy iteration.
+        most_sweeps: number of sweeps after which only rounding is left.
     """
     pair_cost = costs @ weights
     values = np.zeros(dynamics.n_states)
@@ -188,7 +188,7 @@ def iterate_values(
     choice: IntArray | None = None
     while True:
         if choice is None:
-            for _ in range(block):  # of values that are nowhere above their backup
+            for _ in range(block):  # of values that are at most their backup
                 backup = best_pairs(dynamics.pair_offsets, dynamics.transitions, pair_cost, values)
                 values = np.maximum(values, backup.minima)
             choice, sweeps = backup.choice, sweeps + block
@@ -210,7 +210,7 @@ def improved_response(
     choice: IntArray,
     most_steps: float = 100,
 ) -> tuple[IntArray, FloatArray, int]:
-    """A best response improved by its own values, its exact costs, and the backups that took."""
+    """Improve a choice by policy iteration; return it, its exact costs, and the number of steps."""
     pair_cost, steps = costs @ weights, 0
     offsets, transitions = dynamics.pair_offsets, dynamics.transitions
     while True:
@@ -226,18 +226,18 @@ def improved_response(
 def label_process(
     model: SSP, start: FloatArray, semantics: FailureSemantics, discount: float, *, later: float
 ) -> tuple[AccumulatedCost, float]:
-    """Build the process of case M: one layer, whose pairs pay all of their expected cost in it.
+    """Build the process of case M: one layer, in which pairs pay all of their expected cost.
 
     Args:
         model: the model.
         start: distribution over states, [states].
         semantics: where giving up is allowed and whether failing is charged.
         discount: gamma.
-        later: weight of the charge of a dead-end, paid one step after the step that enters it:
+        later: weight of a dead-end's charge, which is paid one step after the step that enters it:
             gamma in M_{o,gamma}^(M) of section 3.5, 1 in M_o^(M).
 
     Returns:
-        The process, with E[G_o] as ``gain_cost`` and E[G_{d,gamma}] as ``failure`` of its pairs,
+        The process, with E[G_o] as ``gain_cost`` and E[G_{d,gamma}] as ``failure`` of its pairs;
         and J_obj of start mass on dead-ends.
     """
     attention = attention_states(model)
@@ -270,12 +270,12 @@ def label_process(
 
 
 class Strategy(NamedTuple):
-    """A decision for each (time, layer, node), of which the last time's is for good."""
+    """A decision for each (time, layer, node); the last time's decisions apply ever after."""
 
     choice: IntArray  # [times, layers, nodes] position among the pairs of the node
-    totals: Totals  # of the layers
-    values: FloatArray | None = None  # [nodes] checked lower bounds, where there is one layer
-    process: LayeredProcess | None = None  # with what follows beyond the layers, if anything does
+    totals: Totals  # accumulated costs of the layers
+    values: FloatArray | None = None  # [nodes] checked lower bounds, if there is one layer
+    process: LayeredProcess | None = None  # layers and tails, if costs are accumulated
     price: float = 0.0  # J_cond's weight in units of J_obj's, by which tails are chosen
 
 
@@ -283,15 +283,15 @@ class Strategy(NamedTuple):
 class Player:
     """Best responses among policies of (state, accumulated cost), by the operator T_alpha.
 
-    A single layer is solved by value iteration. Of several, up to M, the tables are swept backward
-    over the accumulated cost, and M grows until nothing is lost beyond it. With a ``tail`` M is
-    that, and pi'_or is followed once it is paid (section 3.5.1): J_obj is then discounted below M
-    only, J_cond everywhere, V of the paper as it is printed, and bounds are of the policies of
+    A single layer is solved by value iteration. Several layers, up to M, are solved by one backward
+    sweep over the accumulated cost, and M grows until nothing is lost beyond it. With a ``tail``, M
+    is fixed to it, and pi'_or is followed once M is paid (section 3.5.1): J_obj is then discounted
+    below M only, J_cond everywhere, V as printed in the paper, and bounds hold for the policies of
     that class, Pi_{M,pi'_or}.
     """
 
     base: AccumulatedCost
-    counts_total: bool = True  # whether states hold the cost paid: case S
+    counts_total: bool = True  # whether states include the accumulated cost: case S
     start_cost: float = 0.0  # J_obj of start mass on dead-ends
     tail: float | None = None  # M, in units of cost
 
@@ -299,15 +299,15 @@ class Player:
     def outer_tails(self) -> tuple[IntArray, LayeredTails]:
         """The tails that fail least and most, MAXPROB and MINPROB (section 2.3).
 
-        Both are value iterations on the discounted process without accumulated cost. The paper
-        follows pi'_or, which fails most, beyond M. Where failing is dear, M would have to be very
-        large for that: there the policy that fails least is followed until as much has been paid
-        that failing most is no worse. The paper leaves pi'_or and J_obj undiscounted there
-        (``undiscounted_tail``); both are discounted here as before M, so that c-hat does not depend
+        Both are found by value iteration on the discounted process without accumulated cost. Beyond
+        M the paper follows pi'_or, which fails most. If failing is expensive, this needs a very
+        large M; here the policy that fails least is followed until so much has been paid that
+        failing most is no worse. The paper leaves pi'_or and J_obj undiscounted beyond M
+        (``undiscounted_tail``); here both are discounted as below M, so that c-hat does not depend
         on M once M is large.
 
         Returns:
-            The pairs of both, [2, nodes], and what they attain, with bounds of every policy.
+            The pairs of both tails, [2, nodes], and their values, with bounds of every policy.
         """
         base, gamma = self.base, self.base.survival
         dynamics, _ = base.quotient.dynamics(gamma, departing=False)
@@ -329,12 +329,12 @@ class Player:
 
     @property
     def tails(self) -> LayeredTails:
-        """What follows beyond M: the policies that fail least and most."""
+        """The policies that are followed beyond M: those that fail least and most."""
         return self.outer_tails[1]
 
     @cached_property
     def origin(self) -> float:
-        """Origin of J_cond (see ``BestResponse``): neither success nor failure loses digits."""
+        """Origin of J_cond, chosen so that no digits are lost (see ``BestResponse``)."""
         base, is_rare = self.base, False
         if self.counts_total:
             is_rare = float(base.start @ self.tails.greatest_goal) + base.start_goal <= _RARE
@@ -344,8 +344,8 @@ class Player:
     def undiscounted_tail(self) -> LayeredTails:
         """The tail pi'_or of section 3.5.1, of Pi_{d,or}: undiscounted MINPROB (section 2.3).
 
-        It gives up at attention states; of pairs that reach the goal with equal probability it
-        takes the one stated first. J_obj is undiscounted, J_cond discounted.
+        It gives up at attention states; among pairs that reach the goal with equal probability it
+        takes the one that was stated first. J_obj is undiscounted, J_cond discounted.
         """
         base, quotient = self.base, self.base.quotient
         giving_up = np.full(base.n_nodes, -1, dtype=np.int32)
@@ -359,7 +359,7 @@ class Player:
         return replace(self.tails, decisions=quotient.pull_back(pairs[0])[None], values=values)
 
     def followed_tails(self, choices: IntArray, survival: float) -> tuple[FloatArray, FloatArray]:
-        """Goal and cost E[survival^(T-1) * ...; goal] of some choices, [policies, nodes] each."""
+        """Evaluate choices: goal and cost E[survival^(T-1) * ...; goal], [policies, nodes] each."""
         quotient, (early, cost) = self.base.quotient, np.zeros((2, *choices.shape))
         dynamics, _ = quotient.dynamics(survival, departing=False)
         for k, choice in enumerate(choices):
@@ -372,15 +372,15 @@ class Player:
 
     @property
     def dearest(self) -> float:
-        """Units by which M moves at least: the dearest step's and a little more."""
+        """Least increase of M, in units: at least the greatest cost of a step."""
         steps = step_costs(self.base.quotient.model)[1]
         return float(steps[-1]) if self.base.by_steps else float(self.base.width)
 
     def totals(self, cap: float) -> Totals:
-        """Totals below M, and those at which tails take over.
+        """Return the totals below M, and the totals from which the tails are followed.
 
         Raises:
-            ModelError: they are too many.
+            ModelError: the totals are too many.
         """
         base, most = self.base, _MOST_ENTRIES // max(self.base.n_nodes, 1)
         most = min(most, _MOST_LAYERS)
@@ -398,12 +398,12 @@ class Player:
     def response(
         self, objective_weight: float, condition_weight: float, accuracy: float
     ) -> BestResponse:
-        """Best response: a policy of least ``objective_weight J_obj + condition_weight J_cond``.
+        """Find a policy of least ``objective_weight J_obj + condition_weight J_cond``.
 
-        All responses of a player count J_cond from the same origin. M is first put where failing
-        at attention states has become optimal, ``w_o r = w_d``, as far as that is near; then it
-        grows until the bound that holds for every policy comes within the accuracy, or only
-        rounding is left. What the cap costs falls geometrically, so two caps foretell a third.
+        All responses of a player count J_cond from the same origin. The first M is the total from
+        which failing at attention states is optimal, ``w_o r = w_d``, if that is not too large. M
+        then grows until the bound of every policy is within the accuracy, or only rounding is left.
+        The loss due to the cap decreases geometrically, so the next M is extrapolated from two.
 
         Args:
             objective_weight: alpha(M_o) of section 3.2 of the paper, not negative.
@@ -437,13 +437,13 @@ class Player:
             cap = self._whole(_larger_cap(lost, wanted)) + self.dearest
 
     def _whole(self, cap: float) -> float:
-        """A cap M as a whole number of layers, if a unit makes them."""
+        """Round a cap M up to a whole number of layers, if the layers have a common unit."""
         return cap if self.base.by_steps else float(np.ceil(cap))
 
     def _first_cap(self, weights: FloatArray) -> float:
-        """Units after which it is best to fail, where that is surely possible, if they are few.
+        """Return the first M: the total after which it is best to fail, if that is not too large.
 
-        Otherwise as many as the least failing policies may need, to be doubled soon.
+        Otherwise it is a small number of steps at the greatest cost, which grows soon.
         """
         base, cap = self.base, _FIRST_LAYERS * self.dearest
         if weights[0] == 0.0:
@@ -453,14 +453,14 @@ class Player:
         return self._whole(lossless) + once_more if lossless <= 8 * cap else cap
 
     def values_of(self, weights: FloatArray, watched: FloatArray, accuracy: float) -> Iterated:
-        """Value iteration on one layer, at weights of J_obj and J_cond."""
+        """Run value iteration on one layer, at weights of J_obj and J_cond."""
         base = self.base
         costs = np.stack([base.gain_cost, base.failure], axis=1)
         dynamics, gamma = base.instant_dynamics, base.survival
         return iterate_values(dynamics, costs, gamma, weights, watched, accuracy=accuracy)
 
     def _iterated(self, weights: FloatArray, accuracy: float) -> BestResponse:
-        """Best response on one layer: a policy of the state alone."""
+        """Find the best response on one layer: a policy of the state alone."""
         base = self.base
         iterated = self.values_of(weights, base.start, accuracy)
         fixed = np.array([self.start_cost, base.start_failure])
@@ -471,7 +471,7 @@ class Player:
         return BestResponse(objective, condition, bound, strategy, iterated.sweeps)
 
     def _swept(self, weights: FloatArray, cap: float) -> BestResponse:
-        """Best response with a tail from M = cap units on, by one sweep backward, and its bound."""
+        """Find the best response with tails from M = cap on, by one backward sweep, and a bound."""
         base, is_fixed = self.base, self.tail is not None
         tails = self.undiscounted_tail if is_fixed else self.tails
         process = LayeredProcess(base, self.totals(cap), tails)
@@ -490,15 +490,16 @@ class Player:
     def lower_bounds(
         self, sweep: Sweep, price: float, failing: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Lower bounds of J_obj and, at a price, J_cond: of every policy, or of those of the tail.
+        """Bound J_obj + price * J_cond from below, for all policies or for those with the tail.
 
         Args:
-            sweep: over the process cut at M.
-            price: of J_cond.
-            failing: the price, or 0 where J_cond is counted from 1.
+            sweep: sweep over the process cut at M.
+            price: price of J_cond.
+            failing: the price, or 0 if J_cond is counted from 1.
 
         Returns:
-            If a run began in each layer, [layers]; and of each state, [layers, nodes].
+            Bounds for a run that starts in each layer, [layers], and for each state, [layers,
+            nodes].
         """
         process: Any = sweep.process
         priced = at_price(sweep, price, failing, bounds=True)
@@ -511,21 +512,22 @@ class Player:
         return sweep.bound(priced, anything)
 
     def surplus(self, price: float, accuracy: float) -> float:
-        """Lower bound of ``J_obj - price * (1 - J_cond)``, rounding counted.
+        """Bound ``J_obj - price * (1 - J_cond)`` from below for all policies, with rounding.
 
-        Sure failure counts 0 here, so that a policy that is a little worse than it is not lost in
-        the rounding of ``price``. The sign says whether ``J_obj / (1 - J_cond) >= price`` for all.
+        A policy that fails surely has 0 here, so that a small difference from it is not lost in the
+        rounding of ``price``. A bound >= 0 proves ``J_obj / (1 - J_cond) >= price`` for all
+        policies.
         """
         process = self.response(1.0, price, accuracy).strategy.process
         return float(self.lower_bounds(Sweep.of_ends(process), price, 0.0)[0][0])
 
     def value_function(self, price: float) -> FloatArray:
-        """Checked lower bounds of ``J_obj + price * J_cond``.
+        """Compute checked lower bounds of ``J_obj + price * J_cond``.
 
         Returns:
-            In case M [nodes], and at the end that of the start, where it is not live with
-            certainty. In case S infinite values, to ask ``certify`` for the best by so many
-            layers, [layers, nodes]; [1] where costs have no common unit.
+            In case M [nodes], followed by the start's value if start mass lies on goals or
+            dead-ends. In case S infinite values, [layers, nodes], for which ``certify`` computes
+            the best values on so many layers; [1] if costs have no common unit.
         """
         if self.counts_total and self.base.by_steps:
             return np.array([np.inf])
@@ -536,7 +538,7 @@ class Player:
         return np.append(values, response.bound) if self._is_settled_at_start else values
 
     def value_shape(self, responses: Sequence[BestResponse]) -> tuple[int, ...]:
-        """Shape of the value function: in case S as many layers as responses had."""
+        """Return the shape of the value function, in case S with the greatest number of layers."""
         if self.counts_total:
             return max(response.strategy.choice.shape[1:] for response in responses)
         return (self.base.n_nodes + int(self._is_settled_at_start),)
@@ -547,9 +549,9 @@ class Player:
         return self.base.start_goal + self.base.start_failure > 0.0
 
     def policy(self, response: BestResponse) -> Policy:
-        """The best response's policy on the original states, with what it remembers.
+        """Return a best response as a policy on the original states, with its memory.
 
-        Successive stages that decide alike are one object.
+        Successive stages with equal decisions are one object.
         """
         strategy: Strategy = response.strategy
         stages: list[Policy] = []
@@ -560,7 +562,7 @@ class Player:
         return TimedPolicy(tuple(stages)) if len(stages) > 1 else stages[0]
 
     def _stage_policy(self, strategy: Strategy, choice: IntArray) -> Policy:
-        """The policy on the original states of a choice at one time, [layers, nodes]."""
+        """Return the policy on the original states of a choice at one time, [layers, nodes]."""
         if strategy.process is not None:
             return strategy.process.policy(choice, strategy.price)
         quotient, first = self.base.quotient, self.base.pair_offsets[:-1]
@@ -568,7 +570,7 @@ class Player:
 
 
 def _larger_cap(lost: Mapping[float, float], wanted: float) -> float:
-    """A larger cap M, 1.25 to 4 times the last one, to lose as little beyond it as wanted."""
+    """Extrapolate a larger M, 1.25 to 4 times the last one, that loses at most ``wanted``."""
     cap = max(lost)
     needed = 2.0 * cap
     smaller = max((c for c in lost if c < cap), default=cap)
@@ -582,32 +584,32 @@ def _larger_cap(lost: Mapping[float, float], wanted: float) -> float:
 class BayesPlayer(Player):
     """Best responses among all policies, by backward induction over time (paper, section 3.3).
 
-    J_obj is not discounted here and J_cond is, so the two MDPs move alike at different speeds and
-    the best action depends on the belief, that is on time. Weighed by how likely a run is to go
-    on, the operator T of section 3.3 along the trajectory of the belief is a backward induction:
+    J_obj is undiscounted here and J_cond discounted, so that the best action depends on the belief,
+    that is on time. Weighted by the probability that a run goes on, the operator T of section 3.3
+    along the trajectory of the belief is a backward induction:
 
         W_t(x) = min_u w_o G_o(x, u) + gamma^t w_d G_d(x, u) + sum_y p(y | x, u) W_{t+1}(y),
 
-    with W_t = (w_o + gamma^t w_d) J(x, alpha_t). (T as printed weighs G-bar twice.)
+    with W_t = (w_o + gamma^t w_d) J(x, alpha_t). (T as printed in the paper weights G-bar twice.)
     """
 
     @cached_property
     def origin(self) -> float:
-        """Origin of J_cond: failure itself is counted."""
+        """Origin of J_cond, which is 0 here."""
         return 0.0
 
     @cached_property
     def stationary(self) -> Player:
-        """The player of section 3.5, whose game is a lower bound of the Bayesian one."""
+        """The player of section 3.5, whose game bounds the Bayesian one from below."""
         return Player(self.base, self.counts_total, self.start_cost)
 
     @cached_property
     def last_tail(self) -> tuple[IntArray, LayeredTails]:
-        """The pairs of the policy followed beyond cap and horizon, [nodes], and what it attains.
+        """The policy that is followed beyond cap and horizon: its pairs, [nodes], and its values.
 
-        In case S the one that fails most under the discount: where M and the horizon are not
-        given, undiscounted MINPROB (``undiscounted_tail``) would need much greater ones. In case M
-        the one of least J_obj. J_obj is undiscounted, while J_cond stays discounted (section 3.3).
+        In case S it is the policy that fails most under the discount, as undiscounted MINPROB
+        (``undiscounted_tail``) would need much greater M and horizon. In case M it is the policy of
+        least J_obj. J_obj is undiscounted, while J_cond remains discounted (section 3.3).
         """
         if not self.counts_total:
             return self._cheapest()
@@ -617,9 +619,9 @@ class BayesPlayer(Player):
         return pairs[1], replace(tails, decisions=tails.decisions[1:], values=values)
 
     def _cheapest(self) -> tuple[IntArray, LayeredTails]:
-        """The policy of least undiscounted J_obj in case M, by policy iteration.
+        """Find the policy of least undiscounted J_obj in case M, by policy iteration.
 
-        Only strict gains are taken, so that every policy on the way leaves for good.
+        Only strict improvements are made, so that every intermediate policy leaves with certainty.
         """
         base, quotient, cost = self.base, self.base.quotient, self.base.gain_cost
         dynamics = quotient.dynamics(1.0, departing=False)[0]
@@ -639,11 +641,11 @@ class BayesPlayer(Player):
         return choice, tails
 
     def _surplus(self, paid: FloatArray, weights: FloatArray) -> FloatArray:
-        """Lower bound of weighted cost less that of sure failure, [totals, nodes].
+        """Bound the weighted cost minus that of sure failure from below, [totals, nodes].
 
-        Whoever succeeds with weight E[gamma^T; goal] succeeds with at least that probability, and
-        pays for it what has been paid, undiscounted: linear in the success, which lies between two
-        bounds.
+        A policy with discounted success E[gamma^T; goal] reaches the goal with at least that
+        probability, and then pays at least the accumulated cost, undiscounted. This bound is linear
+        in the success, which lies between two known bounds.
         """
         per_success = weights[0] * paid[:, None] - weights[1]
         tails = self.last_tail[1]
@@ -653,11 +655,11 @@ class BayesPlayer(Player):
     def response(
         self, objective_weight: float, condition_weight: float, accuracy: float
     ) -> BestResponse:
-        """Best response: a policy of (time, state), in case S of (time, state, accumulated cost).
+        """Find the best policy of (time, state), in case S of (time, state, accumulated cost).
 
-        The cap is the stationary player's. The horizon is doubled until the bound meets what the
-        policy pays; where that no longer helps, so is the cap. In case M the bound meets at the
-        horizon that gamma prescribes (``horizon_of``) whatever the model.
+        The first cap is the stationary player's. The horizon is doubled until the bound equals the
+        policy's payoff within the accuracy; if that no longer helps, the cap is doubled as well. In
+        case M the horizon of ``horizon_of`` always suffices, whatever the model.
 
         Raises:
             ModelError: the table of decisions would be too large.
@@ -681,9 +683,9 @@ class BayesPlayer(Player):
             cap *= 2.0 if self.counts_total and gap > _SLOW * before else 1.0
 
     def surplus(self, price: float, accuracy: float) -> float:
-        """Lower bound of ``J_obj - price * (1 - J_cond)``.
+        """Bound ``J_obj - price * (1 - J_cond)`` from below for all policies, with rounding.
 
-        Sure failure counts exactly 0 here: rounding is counted where something is summed.
+        A policy that fails surely has exactly 0 here.
         """
         base, gamma = self.base, self.base.survival
         strategy: Strategy = self.response(1.0, price, accuracy).strategy
@@ -707,43 +709,43 @@ class BayesPlayer(Player):
         return (longest + 4) * MACHINE_EPSILON
 
     def _stage(self, totals: Totals) -> FloatArray:
-        """E[G_o] of each pair in each layer, [pairs, layers]."""
+        """Return E[G_o] of each pair in each layer, [pairs, layers]."""
         paid = totals.values[:-1]
         return np.asarray(self.base.gain[:, None] * paid + self.base.gain_cost[:, None])
 
     @cached_property
     def _blocks(self) -> list[sp.csr_array]:
-        """Real probabilities of the steps that lead 0, 1, ... layers ahead, each [pairs, nodes]."""
+        """Undiscounted probabilities of steps 0, 1, ... layers ahead, [pairs, nodes] each."""
         base, n = self.base, self.base.n_nodes
         steps = sp.csc_array(base.steps / base.survival)
         return [sp.csr_array(steps[:, k * n : (k + 1) * n]) for k in range(base.width)]
 
     def _ahead(self, values: FloatArray, totals: Totals) -> FloatArray:
-        """E[value after the step] of each pair in each layer, [pairs, layers].
+        """Return E[value after the step] of each pair in each layer, [pairs, layers].
 
         Args:
             values: [nodes, totals].
-            totals: the totals, and which step leads where.
+            totals: the totals, and the layer to which each step leads.
         """
         leads = totals.reached
         parts = (b @ values[:, leads[:, k]] for k, b in enumerate(self._blocks) if b.nnz)
         return np.asarray(sum(parts, np.zeros((len(self.base.gain), totals.size))))
 
     def _response(self, weights: FloatArray, cap: float, horizon: int) -> BestResponse:
-        """Backward induction from the horizon, beyond which and the cap one tail is followed.
+        """Run backward induction from a horizon; one tail is followed beyond it and the cap.
 
         Args:
-            weights: of J_obj and J_cond, [2].
+            weights: weights of J_obj and J_cond, [2].
             cap: M, in units.
-            horizon: steps.
+            horizon: number of steps.
         """
         base, gamma, totals = self.base, self.base.survival, self.totals(cap)
         cap, every = totals.size, totals.with_beyond
         if cap * horizon * base.n_nodes > _MOST_TIMED_ENTRIES or horizon > _MOST_STEPS:
             layers = f" x {cap:,} layers of accumulated cost" if self.counts_total else ""
             raise ModelError(
-                f"{horizon:,} steps{layers} on {base.n_nodes:,} states are too many for the "
-                "Bayes-adaptive iteration: runs are too long"
+                f"runs are too long for the Bayes-adaptive iteration ({horizon:,} steps{layers} on "
+                f"{base.n_nodes:,} states): lower the discount or raise the tolerance"
             )
         tail, tails = self.last_tail
         last, first = tails.first, base.pair_offsets[:-1]
@@ -773,19 +775,19 @@ class BayesPlayer(Player):
         return BestResponse(
             objective=float(base.start @ objective[:, 0] + fixed[0]),
             failing=float(base.start @ condition[:, 0] + fixed[1]),
-            bound=bound * (1.0 - (horizon + 1) * self._lost),  # of non-negative sums
+            bound=bound * (1.0 - (horizon + 1) * self._lost),  # sums of non-negative terms
             strategy=Strategy(choice, totals, process=process),
             sweeps=horizon * cap,
         )
 
     def _beyond(self, totals: Totals, weights: FloatArray) -> FloatArray:
-        """Lower bound of every policy's weighted cost from the horizon on, [nodes, totals].
+        """Bound every policy's weighted cost from the horizon on from below, [nodes, totals].
 
-        Discounting the objective too can only lower it, so the stationary game bounds this one.
+        Discounting the objective as well can only lower it, so that the stationary game is a bound.
 
         Args:
             totals: the totals.
-            weights: with that of J_cond as it has faded by then.
+            weights: weights of J_obj and J_cond, the latter discounted to the horizon.
         """
         stationary, n = self.stationary, max(self.base.n_nodes, 1)
         bound, cap = weights[1] + self._surplus(totals.with_beyond, weights), totals.size
@@ -802,7 +804,7 @@ class BayesPlayer(Player):
         return np.asarray(bound.T)
 
     def _least(self, priced: FloatArray) -> tuple[IntArray, FloatArray]:
-        """The first best pair of each (node, layer), and its value."""
+        """Return the first best pair of each (node, layer), and its value."""
         first = self.base.pair_offsets[:-1]
         least = np.minimum.reduceat(priced, first, axis=0)
         attains = priced == np.repeat(least, np.diff(self.base.pair_offsets), axis=0)
@@ -811,9 +813,9 @@ class BayesPlayer(Player):
 
 
 def horizon_of(discount: float, condition_weight: float, error: float) -> int:
-    """Horizon of a Bayesian player: steps until ``condition_weight * gamma^N`` is at most error.
+    """Return the number of steps N after which ``condition_weight * gamma^N`` is at most error.
 
-    By then J of section 3.3 and that of a player who ignores failing differ by no more.
+    From then on, J of section 3.3 and the J of a player who ignores failing differ by at most that.
     """
     if condition_weight <= error:
         return 1

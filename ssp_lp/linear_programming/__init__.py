@@ -1,1 +1,1 @@
-"""Linear programs as arrays, and the solvers they are handed to; nothing here knows a process."""
+"""Linear programs as arrays, and LP solvers; independent of processes."""

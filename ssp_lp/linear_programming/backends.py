@@ -1,4 +1,4 @@
-"""Solve a program by the backend that its size asks for, and never accept a solver's word."""
+"""LP backends: the choice by size, fallbacks, and the check of their answers."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer, answer_faults
 from ssp_lp.options import BACKENDS
 
-_SIMPLEX = (None, "highs", "highs-simplex")  # what may begin at a basis
-_SIMPLEX_COLUMNS = 3_000  # above: IPX wins by far on these programs
-_SIMPLEX_AT_LAST = 50_000  # columns up to which simplex is tried where interior points fail
-_LOOK = 0.05  # seconds between two looks at the time while a solver works
-_LARGE = 300_000  # entries of a program that takes a solver seconds, and another process a share
+_SIMPLEX = (None, "highs", "highs-simplex")  # backends that accept a first basis
+_SIMPLEX_COLUMNS = 3_000  # with more columns, IPX is much faster on these programs
+_SIMPLEX_AT_LAST = 50_000  # most columns for simplex as the last resort
+_LOOK = 0.05  # seconds between two checks of the time while a solver works
+_LARGE = 300_000  # entries of a program from which on it is solved in another process
 _SERVED = """
 import os, pickle, sys, threading, time
 asker = os.getppid()
@@ -41,15 +41,15 @@ from ssp_lp.linear_programming.backends import serve_backend
 serve_backend(sys.stdin.buffer, told)
 told.close()
 """
-_DOUBTFUL = 1e-7  # of the objective: worth asking a further backend, policies agree to 1e-6
+_DOUBTFUL = 1e-7  # relative doubt in the objective from which on another backend is tried
 _CLARABEL = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-9)
-"""Tighter than Clarabel's own: rows of a process that is hardly left multiply what they miss by."""
+"""Tolerances below Clarabel's own, as rows of a process that is hardly left amplify violations."""
 
 _REMEDY = "column generation needs no LP solver"
 
 
 def backends_for(program: LinearProgram, backend: str | None) -> tuple[str, ...]:
-    """The LP backend asked for, or the one for the program's size, and those to fall back on.
+    """Return the requested LP backend, or the one for the program's size, and its fallbacks.
 
     Raises:
         ModelError: an unknown backend.
@@ -67,12 +67,12 @@ def backends_for(program: LinearProgram, backend: str | None) -> tuple[str, ...]
 def first_accepted(
     program: LinearProgram, backend: str | None, deadline: float
 ) -> tuple[LPAnswer, float]:
-    """Answer of the first LP backend, in turn, that passes its check.
+    """Return the first answer that passes its check, trying one LP backend after another.
 
     Args:
         program: the program.
         backend: one of BACKENDS; None: the one for the program's size.
-        deadline: on the clock of ``time.perf_counter``.
+        deadline: time at which to stop, by ``time.perf_counter``.
 
     Returns:
         The answer and its worst residual.
@@ -80,7 +80,7 @@ def first_accepted(
     Raises:
         ModelError: an unknown backend.
         SolverError: no answer passes.
-        Stop: the time ended before one did.
+        Stop: the time ended before an answer passed.
     """
     tried, accepted = list[str](), list[tuple[float, LPAnswer, float]]()
     for answer in answers_in_turn(program, backend, deadline - time.perf_counter()):
@@ -104,18 +104,18 @@ def first_accepted(
 def answers_in_turn(
     program: LinearProgram, backend: str | None, time_limit: float, basis: BoolArray | None = None
 ) -> Iterator[LPAnswer]:
-    """Answers of one LP backend after another, unchecked; nan where the time ended before.
+    """Yield unchecked answers of one LP backend after another; nan if the time ended before.
 
     Args:
         program: the program.
         backend: one of BACKENDS; None: the one for the program's size.
-        time_limit: seconds, for all of them.
-        basis: of an answer to another program; where that has as many columns and rows, HiGHS's
-            simplex begins there, if no other backend is asked for, and the others come after it.
+        time_limit: seconds, for all backends together.
+        basis: basis of an answer to another program. If that has as many columns and rows and no
+            other backend is requested, HiGHS's simplex starts from it, before the other backends.
 
     Raises:
         ModelError: an unknown backend.
-        SolverError: as of a backend.
+        SolverError: a backend failed.
     """
     deadline = time.perf_counter() + time_limit
     fits = basis is not None and basis.size == sum(program.matrix.shape) and backend in _SIMPLEX
@@ -135,19 +135,19 @@ def answers_in_turn(
 def run_backend(
     program: LinearProgram, backend: str, time_limit: float, basis: BoolArray | None = None
 ) -> LPAnswer:
-    """Answer of one LP backend, unchecked.
+    """Solve a program by one LP backend, without a check of the answer.
 
-    The call ends with the deadline of what it is part of, or with Ctrl-C, whatever the solver hears
-    of its own: a large program is solved in a process beside this one, which is ended then.
+    The call ends at the deadline of the surrounding call, or with Ctrl-C, even if the solver
+    ignores both: a large program is solved in another process, which is then killed.
 
     Args:
         program: the program.
         backend: "highs-simplex", "highs-ipx" or "cvxpy".
         time_limit: seconds, for the solver.
-        basis: where HiGHS's simplex begins.
+        basis: the basis from which HiGHS's simplex starts.
 
     Raises:
-        SolverError: as of the backend.
+        SolverError: the backend failed.
         Stop: the deadline has passed, with its grace.
     """
     if program.matrix.nnz < _LARGE or not sys.executable:
@@ -156,7 +156,7 @@ def run_backend(
     with TemporaryFile() as question:
 
         def write(part: bytes) -> int:
-            """Write an array of the program, with a look at the time before it."""
+            """Check the time, and write an array of the program."""
             check_time()
             return question.write(part)
 
@@ -178,22 +178,22 @@ def run_backend(
                 beside.kill()
     if not reply:
         raise SolverError(f"{backend} ended with code {beside.returncode}; {_REMEDY}")
-    answer: LPAnswer | Exception = pickle.loads(reply)  # noqa: S301 (of the process begun here)
+    answer: LPAnswer | Exception = pickle.loads(reply)  # noqa: S301 (of the process started here)
     if isinstance(answer, Exception):
         raise answer
     return answer
 
 
 def serve_backend(question: BinaryIO, reply: BinaryIO) -> None:
-    """Run an LP backend on one program in a process of its own.
+    """Run an LP backend on one program in a separate process.
 
     Args:
         question: the arguments of :func:`run_backend`, pickled.
-        reply: where the answer is written, or what was raised.
+        reply: the file to which the answer, or the error, is pickled.
     """
     try:
         answer: LPAnswer | Exception = _backend_answer(*pickle.load(question))  # noqa: S301
-    except Exception as error:  # it is raised where the answer is asked for
+    except Exception as error:  # the asking process raises it
         answer = error
     pickle.dump(answer, reply)
 
@@ -201,8 +201,8 @@ def serve_backend(question: BinaryIO, reply: BinaryIO) -> None:
 def _backend_answer(
     program: LinearProgram, backend: str, time_limit: float, basis: BoolArray | None
 ) -> LPAnswer:
-    """Primal and dual solution by a named LP backend."""
-    if backend == "cvxpy":  # each solver is imported only when it is asked for
+    """Compute a primal and dual solution by a named LP backend."""
+    if backend == "cvxpy":  # import only the solver that is used
         return solve_with_cvxpy(program, time_limit)
     from ssp_lp.linear_programming.highs import solve_with_highs
 
@@ -210,7 +210,7 @@ def _backend_answer(
 
 
 def solve_with_cvxpy(program: LinearProgram, time_limit: float) -> LPAnswer:
-    """The LP backend cvxpy: state the program row by row, solve it by Clarabel.
+    """Solve a program by the LP backend cvxpy, stated row by row, with Clarabel.
 
     Args:
         time_limit: seconds.
@@ -228,7 +228,7 @@ def solve_with_cvxpy(program: LinearProgram, time_limit: float) -> LPAnswer:
     problem = cp.Problem(cp.Minimize(program.cost @ visits), [row for _, row in constraints])
     limit = {"time_limit": max(time_limit, 1e-3)} if np.isfinite(time_limit) else {}
     with suppress(cp.SolverError), catch_warnings():
-        simplefilter("ignore")  # that the answer may be inaccurate: it is checked
+        simplefilter("ignore")  # the answer may be inaccurate, and is checked
         problem.solve(solver=cp.CLARABEL, **limit, **_CLARABEL)  # type: ignore[no-untyped-call]
     x, dual = (np.full(size, np.nan) for size in program.matrix.shape[::-1])
     for rows, constraint in constraints:

@@ -1,4 +1,4 @@
-"""HiGHS, called directly through highspy with CSC arrays; it writes programs to files, too."""
+"""HiGHS, called directly through highspy with CSC arrays; also reads and writes its files."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ _DOUBTED = (
     highspy.HighsModelStatus.kInfeasible,
 )
 _BASIC, _NONBASIC = highspy.HighsBasisStatus.kBasic, highspy.HighsBasisStatus.kNonbasic
-_POLL = 0.1  # seconds between two looks at whether HiGHS has ended
-_BROKEN = 1e-6  # violation of a row of an answer that is called optimal
-_NUMBERED = "x"  # before a column's number, with which its name begins
+_POLL = 0.1  # seconds between two checks whether HiGHS has ended
+_BROKEN = 1e-6  # violation of a row from which on an optimal answer is doubted
+_NUMBERED = "x"  # prefix of a column's number, with which its name begins
 ENDINGS = (".mps", ".lp", ".mps.gz", ".lp.gz")
 
 
@@ -40,14 +40,14 @@ def solve_with_highs(
 ) -> LPAnswer:
     """Solve with HiGHS' dual simplex or its interior point IPX (with crossover).
 
-    IPX ignores the time limit. The name ``ipm`` is avoided: it means another solver where
+    IPX ignores the time limit. The name ``ipm`` is avoided, as it means another solver if
     ``highspy-extras`` is installed.
 
     Args:
         backend: "highs-simplex" or "highs-ipx".
         time_limit: seconds.
-        basis: where the simplex begins, as the answer to a program of this shape has it. It may
-            stop before the optimum, where beginning anew is as fast.
+        basis: basis of an answer to a program of this shape, from which the simplex starts. It
+            may stop before the optimum if a cold start is about as fast.
 
     Raises:
         SolverError: HiGHS refuses an option or the model.
@@ -63,10 +63,9 @@ def solve_with_highs(
 
 
 def bound_ranges(program: LinearProgram, rows: Iterable[str]) -> dict[str, tuple[float, float]]:
-    """HiGHS' ranging: how far each row's upper bound may move before its dual changes.
+    """Return the range of each row's upper bound in which its dual stays constant, by HiGHS.
 
-    At a vertex where more meet than need to, it is the range of one of its bases: of one of the
-    duals that are optimal there.
+    At a degenerate vertex it is the range of one of its bases, that is of one of the optimal duals.
 
     Raises:
         SolverError: HiGHS finds no optimum, or no ranges.
@@ -88,16 +87,16 @@ def bound_ranges(program: LinearProgram, rows: Iterable[str]) -> dict[str, tuple
 def _solved_by_highs(
     program: LinearProgram, backend: str, time_limit: float = np.inf, basis: BoolArray | None = None
 ) -> highspy.Highs:
-    """HiGHS, having solved a program, from a basis if given.
+    """Solve a program by HiGHS, from a basis if given, and return the solver.
 
-    An answer that is worth a second attempt is asked for again without presolve: with it HiGHS 1.15
-    calls sound programs infeasible.
+    After a doubtful answer the program is solved again without presolve, with which HiGHS 1.15
+    calls some feasible programs infeasible.
     """
     options: HighsOptions = {
         "solver": _SOLVERS[backend],
         "primal_feasibility_tolerance": 1e-10,
         "dual_feasibility_tolerance": 1e-10,
-        "small_matrix_value": 1e-12,  # smaller entries are dropped; this is the least it takes
+        "small_matrix_value": 1e-12,  # smaller entries are dropped; the least value allowed
     }
     if np.isfinite(time_limit):
         options["time_limit"] = max(time_limit, 1e-3)
@@ -109,7 +108,7 @@ def _solved_by_highs(
         n_columns = program.matrix.shape[1]
         begun.col_status, begun.row_status = statuses[:n_columns], statuses[n_columns:]
         begun.valid, begun.alien = True, False
-        solver.setBasis(begun)  # one that it refuses is none
+        solver.setBasis(begun)  # if refused, HiGHS starts without one
     run_highs(solver)
     status, broken = solver.getModelStatus(), solver.getInfo().max_primal_infeasibility
     is_optimal = status == highspy.HighsModelStatus.kOptimal
@@ -121,19 +120,19 @@ def _solved_by_highs(
 
 
 class _SilentHighs(highspy.Highs):
-    """HiGHS whose output is off before it names itself, once in a process, on standard output."""
+    """HiGHS with output turned off before it prints its banner."""
 
     def enableCallbacks(self) -> None:  # noqa: N802 (the first that its constructor calls)
-        """Turn the output off first."""
+        """Turn the output off, then enable callbacks."""
         self.setOptionValue("output_flag", False)
         super().enableCallbacks()  # type: ignore[no-untyped-call]
 
 
 def highs_solver(lp: highspy.HighsLp, options: HighsOptions) -> highspy.Highs:
-    """An instance of HiGHS with a program and options, silent and on one core.
+    """Create an instance of HiGHS with a program and options, silent and on one core.
 
     Raises:
-        SolverError: it refuses an option or the program.
+        SolverError: HiGHS refuses an option or the program.
     """
     solver = _SilentHighs()  # type: ignore[no-untyped-call]
     for name, value in {"output_flag": False, "threads": 1, **options}.items():
@@ -145,13 +144,13 @@ def highs_solver(lp: highspy.HighsLp, options: HighsOptions) -> highspy.Highs:
 
 
 def run_highs(solver: highspy.Highs) -> None:
-    """Run HiGHS beside this thread, which so hears of Ctrl-C and ends it.
+    """Run HiGHS in another thread, so that Ctrl-C ends it.
 
-    Where it ran before in this process, as cvxpy's, it runs on as many threads as then: once it has
-    threads it refuses any other number.
+    If it ran before in this process, for example by cvxpy, it runs on as many threads as then, as
+    HiGHS refuses any other number.
 
     Raises:
-        KeyboardInterrupt: Ctrl-C came.
+        KeyboardInterrupt: Ctrl-C was pressed.
     """
     solver.HandleUserInterrupt = True
     if _run_beside(solver) == highspy.HighsStatus.kError:
@@ -160,7 +159,7 @@ def run_highs(solver: highspy.Highs) -> None:
 
 
 def _run_beside(solver: highspy.Highs) -> highspy.HighsStatus | None:
-    """Status of a run of HiGHS in a thread of its own."""
+    """Run HiGHS in a separate thread and return its status."""
     solver.startSolve()
     try:
         while not (ended := solver.wait(_POLL))[0]:
@@ -173,7 +172,7 @@ def _run_beside(solver: highspy.Highs) -> highspy.HighsStatus | None:
 
 
 def highs_lp(program: LinearProgram) -> highspy.HighsLp:
-    """A program in HiGHS' own form."""
+    """Return a program in HiGHS' own form."""
     n_rows, n_columns = program.matrix.shape
     lp = highspy.HighsLp()
     lp.num_col_, lp.num_row_ = n_columns, n_rows
@@ -194,8 +193,9 @@ def write_program(program: LinearProgram, path: Path, columns: Sequence[str]) ->
 
     Args:
         program: the program.
-        path: ends in ``.mps`` or ``.lp``, or in these and ``.gz``.
-        columns: names, behind their numbers; what the formats do not allow becomes an underscore.
+        path: ends in ``.mps`` or ``.lp``, optionally followed by ``.gz``.
+        columns: names, written after their numbers; characters that the formats do not allow
+            become underscores.
 
     Raises:
         ModelError: another ending.
@@ -226,12 +226,12 @@ def write_program(program: LinearProgram, path: Path, columns: Sequence[str]) ->
 
 
 def read_columns(path: Path, n_columns: int) -> FloatArray:
-    """A solution file of a program that HiGHS' :func:`write_program` wrote, by columns' names.
+    """Read a solution file of a program that :func:`write_program` wrote, by columns' names.
 
     Args:
         path: text in which a column's name is followed by its value; columns that it does not name
             are 0.
-        n_columns: of the program.
+        n_columns: number of columns of the program.
 
     Raises:
         ModelError: the file cannot be read, or names no column.
@@ -240,7 +240,7 @@ def read_columns(path: Path, n_columns: int) -> FloatArray:
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise ModelError(f"{str(path)!r} is no solution that can be read: {error}") from error
+        raise ModelError(f"the solution file {str(path)!r} cannot be read: {error}") from error
     for line in lines:
         for name, word in pairwise(line.split()):
             named = re.fullmatch(rf"{_NUMBERED}(\d+)\..*", name)
@@ -248,12 +248,12 @@ def read_columns(path: Path, n_columns: int) -> FloatArray:
             if place < n_columns and place not in named_columns:
                 with suppress(ValueError):  # no number
                     x[place] = float(word)
-                    named_columns.add(place)  # duals that follow under the same names are left
+                    named_columns.add(place)  # duals that follow under the same names are ignored
     if not named_columns:
-        raise ModelError(f"{str(path)!r} names no column of the program: is it another's?")
+        raise ModelError(f"{str(path)!r} names no column of the program: check the file")
     return x
 
 
 def _allowed_in_highs(names: Iterable[str]) -> list[str]:
-    """Names that HiGHS may write: letters, digits, dots and single underscores."""
+    """Convert names to the characters HiGHS may write: letters, digits, dots, underscores."""
     return [re.sub(r"[^A-Za-z0-9.]+", "_", name).strip("_") or "_" for name in names]

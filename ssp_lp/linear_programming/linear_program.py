@@ -1,4 +1,4 @@
-"""A linear program with named rows, as arrays and printed, and an answer with its residuals."""
+"""Linear programs with named rows, as arrays and in print, and answers with residuals."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.errors import is_number, wrong_argument
 from ssp_lp.model.report import Table
 
-_WIDEST = 100  # characters of a table that can be read
-_MOST = 12  # columns, and as many rows
+_WIDEST = 100  # most characters in a line of a table
+_MOST = 12  # most columns, and rows, of a program printed in full
 
 _SIGNS = {False: r"{x \ge 0}", True: r"{x \ge 0,\ t \ge 0}"}  # without and with a scale
 _RELATIONS = {"=": "=", "<=": r"\le"}
@@ -33,17 +33,17 @@ class LinearProgram:
 
     @property
     def equality(self) -> BoolArray:
-        """Rows of the linear program that are equations, [rows]."""
+        """Whether a row is an equation, [rows]."""
         return np.asarray(self.lower == self.upper)
 
     @property
     def is_small(self) -> bool:
-        """Whether the linear program is small enough to be printed in full."""
+        """Whether the program is small enough to be printed in full."""
         return max(self.matrix.shape) <= _MOST
 
     @property
     def sides(self) -> list[tuple[str, float]]:
-        """Relation and bound of each row of a linear program that is printed in full."""
+        """Relation and bound of each row."""
         relations = np.where(self.equality, "=", "<=").tolist()
         return list(zip(relations, self.upper.tolist(), strict=True))
 
@@ -57,26 +57,26 @@ class LPAnswer:
     dual: FloatArray  # [rows]
     status: str
     seconds: float
-    basis: BoolArray | None = None  # [columns + rows] those that are basic; None: not a vertex
+    basis: BoolArray | None = None  # [columns + rows] whether basic; None: not a vertex
 
 
 class MeasuredRow(NamedTuple):
-    """A row at a measure: what is spent, and what its bound is worth."""
+    """A row at a measure: its activity, bound and dual."""
 
     name: str
     spent: float
     bound: float
     relation: str = "<="
-    price: float | None = None  # its multiplier; None: nothing is known of it
-    dual: float | None = None  # what another unit of its bound improves: the price, in case M
+    price: float | None = None  # its multiplier; None: unknown
+    dual: float | None = None  # improvement by one more unit of the bound; in case M the price
 
     @property
     def slack(self) -> float:
-        """Slack of a linear program's row: what is left of its bound."""
+        """Distance of the activity from the bound, positive if satisfied."""
         return self.spent - self.bound if self.relation == ">=" else self.bound - self.spent
 
     def __str__(self) -> str:
-        """The row with its numbers for its words."""
+        """Return the row with its activity, bound and price."""
         worth = "" if self.price is None else f"   price {self.price:.6g}"
         if self.dual is not None and self.dual != self.price:
             worth += f" of the ratio: {self.dual:.6g} for another unit of the bound"
@@ -84,23 +84,23 @@ class MeasuredRow(NamedTuple):
 
 
 def check_bounds(bounds: Mapping[str, object]) -> None:
-    """Raise :class:`ModelError`, naming the row, unless a linear program's bounds are numbers."""
+    """Raise :class:`ModelError`, naming the row, unless all bounds are numbers."""
     for name, bound in bounds.items():
         if not (is_number(bound) and float(bound) > -np.inf):
             raise wrong_argument(name, "be a number, the bound of its row", bound)
 
 
 def answer_faults(program: LinearProgram, answer: LPAnswer) -> tuple[float, float]:
-    """How well an answer satisfies a program, and how much that may be worth in the objective.
+    """Measure how far an answer violates a program, and the possible effect on the objective.
 
-    Where a process is left with probability 1e-6 a step, what a row misses by counts a million
-    times: in the objective violations are priced at the duals, negative reduced costs at the
-    visits.
+    If a process is left with probability 1e-6 a step, the violation of a row counts a million
+    times. The effect on the objective is a violation times its dual, or a negative reduced cost
+    times the visits.
 
     Returns:
-        The largest of the violation of a row or of x >= 0, the negative reduced cost, and the gap
-        between the primal and the dual objective, each relative to the numbers at hand, nan
-        counting as infinite; and what is worth most, relative to the objective.
+        The largest of three residuals: violation of a row or of x >= 0, negative reduced cost, and
+        gap between primal and dual objective, each relative to the size of its numbers, with nan
+        counted as infinite; and the greatest effect, relative to the objective.
     """
     x, dual, activity = answer.x, answer.dual, program.matrix @ answer.x
     short = np.maximum(np.maximum(program.lower - activity, activity - program.upper), 0.0)
@@ -121,9 +121,7 @@ def answer_faults(program: LinearProgram, answer: LPAnswer) -> tuple[float, floa
 
 
 def as_table(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]) -> Table | None:
-    """A linear program printed in full: a row for each column, then the bounds.
-
-    None where that is wider than a page.
+    """Return a program in full, a row for each column, then the bounds; None if too wide.
 
     Args:
         program: the program.
@@ -143,7 +141,7 @@ def as_table(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]
 def as_latex(
     program: LinearProgram, columns: Sequence[str], rows: Sequence[str], *, scaled: bool
 ) -> str:
-    """A linear program in full in LaTeX: objective and rows as sums over their columns.
+    """Return a program in full in LaTeX: objective and rows as sums over their columns.
 
     Args:
         program: the program.
@@ -163,11 +161,11 @@ def as_latex(
 
 
 def words_as_latex(verb: str, aim: str, rows: Iterable[tuple[str, str]], *, scaled: bool) -> str:
-    """A linear program told in words, in LaTeX, ``<cost, x>`` being a product.
+    """Return a program stated in words in LaTeX, with ``<cost, x>`` as an inner product.
 
     Args:
         verb: minimise or maximise.
-        aim: what.
+        aim: the objective in words.
         rows: names, and rows in words.
         scaled: whether the scale t is a variable as well.
     """
@@ -177,26 +175,26 @@ def words_as_latex(verb: str, aim: str, rows: Iterable[tuple[str, str]], *, scal
 
 
 def _products(words: str) -> str:
-    """Words of a linear program's row in LaTeX."""
+    """Return a row in words as LaTeX, with inner products and relations."""
     text = re.sub(r"<(.*?), x>", r"\\langle \\text{\1}, x \\rangle", _latex_text(words))
     text = re.sub(r"= (t )?start$", r"= \1\\text{start}", text)
     return re.sub(r" t$", r" \\, t", text.replace(" <= ", r" \le "))
 
 
 def _aligned(lines: list[str]) -> str:
-    """Lines of a linear program's equations in LaTeX, aligned."""
+    """Return lines of equations in LaTeX, aligned."""
     body = " \\\\\n".join(lines)
     return f"\\begin{{aligned}}\n{body}\n\\end{{aligned}}"
 
 
 def _latex_text(text: str) -> str:
-    """Text for a program in LaTeX, special characters escaped."""
+    """Return text with LaTeX's special characters escaped."""
     escaped = re.sub(r"([#$%&_{}])", r"\\\1", text.replace("\\", "/"))
     return re.sub(r"([~^])", r"\\\1{}", escaped)
 
 
 def _sum_of(taken: FloatArray, columns: Sequence[str]) -> str:
-    """A row of a program in LaTeX as a sum over columns."""
+    """Return a row in LaTeX as a sum over columns."""
     text = ""
     for k in np.flatnonzero(taken).tolist():
         sign, size = ("-" if taken[k] < 0.0 else "+"), abs(float(taken[k]))

@@ -1,6 +1,7 @@
-"""What a program needs of an augmented process: names of its pairs, and the way back.
+"""Augmented processes of programs: labels of their pairs, and policies led back to the model.
 
-Case M's process, the failure label of the paper's section 3.1.2, is the first that has it.
+`LabelledModel` is case M's process with the failure label of the paper's section 3.1.2,
+`LayeredModel` case S's process, whose states include the accumulated cost.
 """
 
 from __future__ import annotations
@@ -38,39 +39,39 @@ from ssp_lp.processes.quotient import (
 class ColumnLabel(NamedTuple):
     """Label of a column: an action taken in a state, at an accumulated cost."""
 
-    state: Hashable  # of a collapsed component the member that acts, or the first one
+    state: Hashable  # for a collapsed component: the member that acts, or its first member
     action: Hashable  # an action of the model, ``GIVE_UP``, or one of the words below
-    cost: float | None = None  # the cost paid before, where the process counts it
+    cost: float | None = None  # accumulated cost, if the process counts it
 
     @property
     def paid(self) -> str:
-        """The cost paid before a column of the augmented process, in words, where there is one."""
+        """The accumulated cost in words, such as " at cost 3"; empty if it is not counted."""
         return "" if self.cost is None else f" at cost {self.cost:g}"
 
     def __str__(self) -> str:
-        """The state and the action, and the cost where there is one."""
+        """Return the state, the action and, if it is counted, the accumulated cost."""
         action = "give up" if self.action is GIVE_UP else self.action
         return f"({self.state}, {action}){self.paid}"
 
 
 START = "start"
-"""Action of the column by which start mass on goals and dead-ends enters; its state is None."""
+"""Action of the column through which start mass on goals and dead-ends enters; state None."""
 
 STAY = "stay for ever"
-"""Action of the column by which a policy wanders for ever, at no cost, from one of its states."""
+"""Action of the column by which a policy wanders for ever at no cost."""
 
 
 @dataclass(frozen=True, eq=False)
 class Augmented(ABC):
-    """A process written out, with its way back to the model.
+    """An augmented process written out explicitly, and the mapping of its policies to the model.
 
-    Its pairs are numbered as those of all copies of the live part, one copy after another, and then
-    the source's. The process has those of them that some policy comes to.
+    Pairs are numbered over all copies of the live part, one copy after another, followed by the
+    pair of the source. The process contains only the pairs that some policy reaches.
     """
 
-    inner: FailureLabelled | OpenEnded  # what is written out
+    inner: FailureLabelled | OpenEnded  # the process in its compact form
     start: FloatArray  # [states] distribution
-    semantics: FailureSemantics  # who may give up
+    semantics: FailureSemantics  # where giving up is allowed
     part: ReachablePart  # the process, with the numbers of its states and pairs
 
     @property
@@ -81,26 +82,26 @@ class Augmented(ABC):
     @property
     @abstractmethod
     def live(self) -> FailureLabelled | AccumulatedCost:
-        """The live part of the augmented process, once for each cost told apart."""
+        """The live part of the process, copied once for each distinct accumulated cost."""
 
     @property
     def copies(self) -> int:
-        """Number of copies of the live part in the augmented process."""
+        """Number of copies of the live part."""
         return 1
 
     @property
     def quotient(self) -> Quotient:
-        """The live part of the augmented model."""
+        """The model's live part with its free components collapsed."""
         return self.live.quotient
 
     @property
     def departs(self) -> FloatArray:
-        """Divisors of the rows of an augmented copy, see ``live_rows``, [quotient pairs]."""
+        """Divisors of the rows of a copy, see ``live_rows``, [quotient pairs]."""
         return self.live.departs
 
     @abstractmethod
     def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
-        """The model's flow in each augmented copy, moves within collapsed components included.
+        """Yield the model's flow in each copy, including moves within collapsed components.
 
         Args:
             visits: expected visits, [process pairs].
@@ -108,60 +109,64 @@ class Augmented(ABC):
 
     @abstractmethod
     def spread(self, spread: Spread) -> Augmented:
-        """The augmented process with nothing collapsed and every self-loop in its place."""
+        """Return the process with no component collapsed and with every self-loop."""
 
     @abstractmethod
     def counted(self, term: Term) -> FloatArray:
-        """Coefficient of a quantity at each pair of the augmented process, [process pairs]."""
+        """Return the coefficient of a quantity at each pair of the process, [process pairs]."""
 
     @property
     def width(self) -> int:
-        """Number of pairs of a copy of the live part of the augmented model."""
+        """Number of pairs of one copy of the live part."""
         return len(self.quotient.pair_at)
 
     def in_all_copies(self, values: FloatArray) -> FloatArray:
-        """Numbers per pair of the process, [process pairs], with 0 for augmented pairs left out.
+        """Return numbers per pair of all copies, with 0 for pairs that the process lacks.
 
-        [copies * width + 1].
+        Args:
+            values: numbers per pair of the process, [process pairs].
+
+        Returns:
+            [copies * width + 1].
         """
         every = np.zeros(self.copies * self.width + 1)
         every[self.part.pairs] = values
         return every
 
     def paid(self, copy: int) -> float | None:
-        """The cost paid before, in one of the augmented copies; None: it is not counted."""
+        """Return the accumulated cost of a copy, or None if the process does not count it."""
         return None
 
     @property
     def model(self) -> SSP:
-        """The model that is augmented."""
+        """The model that the process augments."""
         return self.quotient.model
 
     @property
     def gives_up(self) -> BoolArray:
-        """Pairs of the augmented process by which a policy gives up, [process pairs]."""
+        """Whether a policy gives up by a pair, [process pairs]."""
         return self._of_copies(self.quotient.gives_up)
 
     def _of_copies(self, chosen: BoolArray) -> BoolArray:
-        """Pairs of the augmented process that are copies of some, [process pairs] of [width]."""
+        """Return a mask of the pairs of one copy, [width], for all copies, [process pairs]."""
         return np.append(np.tile(chosen, self.copies), False)[self.part.pairs]
 
     def label(self, number: int) -> ColumnLabel:
-        """The column label of a pair among those of all augmented copies; of the source, last."""
+        """Return the label of a pair, numbered over all copies with the source's pair last."""
         if number >= self.copies * self.width:
             return ColumnLabel(None, START, self.paid(0))
         copy, inner = divmod(number, self.width)
         return ColumnLabel(*self.quotient.named(inner), self.paid(copy))
 
     def pairs_of(self, states: IntArray, action: Hashable | None) -> IntArray:
-        """Pairs of the augmented process in some states of the model, by an action or any.
+        """Find the pairs of the process that take an action, or any action, in given states.
 
         Args:
-            states: of the model.
-            action: an action that one of them has, ``GIVE_UP``, ``STAY``, or None for all.
+            states: numbers of states of the model.
+            action: an action of one of these states, ``GIVE_UP``, ``STAY``, or None for all.
 
         Raises:
-            ModelError: none has the action.
+            ModelError: none of the states has the action.
         """
         quotient, live = self.quotient, states[self.quotient.node_of[states] >= 0]
         inner = np.isin(quotient.pair_node, quotient.node_of[live])
@@ -171,14 +176,14 @@ class Augmented(ABC):
             model = self.model
             named = np.array([name == action for name in model.action_names], dtype=np.bool_)
             taken = np.flatnonzero(np.isin(model.pair_state, states) & named[model.pair_action])
-            acts = np.diff(model.pair_offsets)[states] > 0  # no copy that is out of time does
+            acts = np.diff(model.pair_offsets)[states] > 0  # copies that are out of time do not act
             if not taken.size and (acts.any() or not isinstance(model, ProductSSP)):
                 raise ModelError(model.no_such_action(int(states[np.argmax(acts)]), action))
             inner &= np.isin(quotient.pair_at, taken)
         return np.flatnonzero(self._of_copies(inner))
 
     def policy(self, choice: IntArray) -> DeterministicPolicy | CostAwarePolicy:
-        """A deterministic choice in the augmented process as a policy on the model.
+        """Return the policy on the model that a deterministic choice in the process describes.
 
         Args:
             choice: one pair of each state of the process, [process states].
@@ -186,11 +191,11 @@ class Augmented(ABC):
         return self.inner.policy(choice)
 
     def randomised_policy(self, visits: FloatArray, choice: IntArray) -> StochasticPolicy:
-        """The policy on the model by shares of the augmented process's visits.
+        """Return the policy on the model that draws each pair by its share of its state's visits.
 
         Args:
             visits: expected visits, [process pairs].
-            choice: pairs for the states that are never visited, [process states].
+            choice: the pairs that are taken in states that are never visited, [process states].
         """
         carrier, n_states, drawn = self.policy(choice), self.model.n_states, []
         for copy, flow in enumerate(self.flows(visits)):
@@ -204,7 +209,7 @@ class Augmented(ABC):
 
 @dataclass(frozen=True, eq=False)
 class LabelledModel(Augmented):
-    """The states that have not failed yet; what fails leaves the process."""
+    """The process of case M: states that have not failed; failing mass leaves the process."""
 
     inner: FailureLabelled
     discount: float | None
@@ -217,30 +222,30 @@ class LabelledModel(Augmented):
         semantics: FailureSemantics,
         discount: float | None,
     ) -> LabelledModel:
-        """The augmented model of labelled states, all of them.
+        """Build the augmented model that has all labelled states.
 
         Args:
             inner: the labelled states.
             start: distribution over states, [states].
-            semantics: who may give up.
-            discount: None: none.
+            semantics: where giving up is allowed.
+            discount: a factor in (0, 1), or None for no discount.
         """
         every = np.arange(inner.process.n_states), np.arange(inner.process.n_pairs)
         return cls(inner, start, semantics, ReachablePart(inner.process, *every), discount)
 
     @property
     def live(self) -> FailureLabelled:
-        """The labelled states, the augmented model's live part where no cost counts."""
+        """The labelled states; there is one copy, as no cost is accumulated."""
         return self.inner
 
     def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
-        """The augmented model's one flow with labels."""
+        """Yield the one flow, as there is one copy."""
         quotient = self.quotient
         flow = model_flow(quotient, visits[: self.width] / self.departs)
         yield moving_within(quotient, flow, self.start + flow.entering(quotient))
 
     def spread(self, spread: Spread) -> LabelledModel:
-        """Rows of the augmented model's live states themselves, nothing collapsed."""
+        """Return the augmented model of the live states with no component collapsed."""
         process, single, width = self.process, spread.quotient, self.width
         rows = single.transitions(1.0, departing=False).matrix  # a discount collapses nothing
         start, offsets, shape = single.gather(self.start), single.pair_offsets, rows.shape
@@ -262,7 +267,7 @@ class LabelledModel(Augmented):
         return LabelledModel.of(labelled, self.start, self.semantics, self.discount)
 
     def started(self, start: FloatArray) -> LabelledModel | None:
-        """The augmented model from another start; None: an episode may end where it begins."""
+        """Return the model from another start; None if an episode may end where it begins."""
         ends = self.quotient.node_of < 0
         if start[ends].any() or self.start[ends].any():
             return None
@@ -271,38 +276,38 @@ class LabelledModel(Augmented):
         return LabelledModel.of(labelled, start, self.semantics, self.discount)
 
     def counted(self, term: Term) -> FloatArray:
-        """Coefficient of a quantity in the augmented model with labels, [process pairs]."""
+        """Return the coefficient of a quantity at each pair, [process pairs]."""
         counting = counting_of(self.inner, self.start, self.semantics, self.discount)
         return np.append(*term.at(counting))[: self.process.n_pairs]
 
 
 @dataclass(frozen=True, eq=False)
 class LayeredModel(Augmented):
-    """States and the cost paid so far; from the cap on one policy for all costs.
+    """The process of case S: states and accumulated costs, without distinction above the cap.
 
-    The process has the totals that a run can come to.
+    The process contains only the totals that a run can reach.
     """
 
     inner: OpenEnded
 
     @classmethod
     def of(cls, inner: OpenEnded, start: FloatArray, semantics: FailureSemantics) -> LayeredModel:
-        """The augmented model of a table of layers, of which nothing else is kept written out.
+        """Build the augmented model of a table of layers, keeping only the reachable part of it.
 
         Args:
             inner: the table.
             start: distribution over states, [states].
-            semantics: who may give up.
+            semantics: where giving up is allowed.
         """
         return cls(replace(inner), start, semantics, inner.reachable_part())
 
     @property
     def live(self) -> AccumulatedCost:
-        """A layer, the augmented model's live part where the cost paid counts."""
+        """One layer, which is copied for each accumulated cost."""
         return self.inner.base
 
     def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
-        """The augmented model's flow in each layer; what enters a layer left another."""
+        """Yield the flow in each layer; mass that enters a layer has left an earlier one."""
         base, quotient, n_pairs = self.inner.base, self.quotient, self.width
         model, merged = quotient.model, bool(quotient.merged.any())
         entering = np.zeros((self.copies + base.width if merged else 0, model.n_states))
@@ -322,19 +327,19 @@ class LayeredModel(Augmented):
             yield flow
 
     def spread(self, spread: Spread) -> LayeredModel:
-        """The augmented model's layers with nothing collapsed."""
+        """Return the layers with no component collapsed."""
         base = spread_layer(self.inner.base, spread, self.start)
         return LayeredModel.of(replace(self.inner, base=base), self.start, self.semantics)
 
     def counted(self, term: Term) -> FloatArray:
-        """Coefficient of a quantity in all layers of the augmented model, [process pairs]."""
+        """Return the coefficient of a quantity at each pair of all layers, [process pairs]."""
         taken = self.inner.everywhere(*term.at(self.inner.counting(self.semantics)))
         return taken[self.part.pairs]
 
     def policy(self, choice: IntArray) -> CostAwarePolicy:
-        """The cost-aware policy of a choice in the augmented process.
+        """Return the cost-aware policy that a choice in the process describes.
 
-        At a total that no run comes to it decides as at the one before.
+        At a total that no run reaches, it decides as at the next smaller total.
 
         Args:
             choice: one pair of each state of the process, [process states].
@@ -352,9 +357,9 @@ class LayeredModel(Augmented):
 
     @property
     def copies(self) -> int:
-        """Layers of the augmented model, up to the cap, which stands for all beyond it."""
+        """Number of layers up to the cap, whose layer stands for all greater totals."""
         return self.inner.cap + 1
 
     def paid(self, copy: int) -> float:
-        """The cost paid in a layer of the augmented model; the last stands for more."""
+        """Return the accumulated cost of a layer; the last layer stands for all greater costs."""
         return float(self.inner.totals.values[copy])

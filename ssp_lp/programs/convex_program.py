@@ -1,4 +1,4 @@
-"""The bridge to cvxpy: the same program, open to any convex objective, row and solver."""
+"""Occupation programs in cvxpy, with any convex objective, convex constraints and any solver."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from ssp_lp.programs.occupation_measure import NOISES, OccupationMeasure
 if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram
 
-_ATOMS: Any = cp  # which mypy knows in part
-_ACCEPTED = 1e-5  # of a row's bound: what an answer may break of it
-_NOISES = (0.0, 1e-9, 1e-7, 1e-5)  # of a solver's prices
+_ATOMS: Any = cp  # mypy knows only some attributes
+_ACCEPTED = 1e-5  # largest accepted violation, relative to a row's bound
+_NOISES = (0.0, 1e-9, 1e-7, 1e-5)  # relative errors of prices to try
 _OBJECTIVE = "the objective's value"
-_EXCUSED = 1e-7  # what a solver's tolerance breaks of a row
+_EXCUSED = 1e-7  # violation of a row that a solver's tolerance allows
 _SOLVED = ("optimal", "optimal_inaccurate")
 _INFEASIBLE = ("infeasible", "infeasible_inaccurate")
-_PLAIN: Mapping[str, Mapping[str, Any]] = {  # HiGHS's presolve calls sound programs infeasible
+_PLAIN: Mapping[str, Mapping[str, Any]] = {  # HiGHS's presolve rejects feasible programs
     "HIGHS": {"presolve": "off"},
     "SCIPY": {"scipy_options": {"presolve": False}},
 }
@@ -46,72 +46,72 @@ _HOW = "a convex expression <= a concave one, or == between affine ones, such as
 
 
 class ScaledExpression:
-    """An affine expression of the visits of a ratio: what it is compared with is scaled, too.
+    """An affine expression of the visits in case S, whose bounds are scaled automatically.
 
-    ``scaled`` is the expression of cvxpy's variables: the visits' value times ``scale``.
+    ``scaled`` is the expression in cvxpy's variables: the value for the visits times ``scale``.
     """
 
-    __array_ufunc__ = None  # numbers of numpy's go with it as others do
+    __array_ufunc__ = None  # numpy's numbers leave the operators to this class
 
     def __init__(self, scaled: Any, scale: Any) -> None:
-        """An expression that is already scaled, and the scale."""
+        """Take an expression that is already scaled, and the scale."""
         self.scaled, self._scale = scaled, scale
 
     def __array__(self, *_: object) -> None:
-        """Refused: ``parameter * expression`` takes it for an array.
+        """Refuse the conversion to an array, as ``parameter * expression`` would attempt.
 
         Raises:
             ModelError: always.
         """
-        raise ModelError("an expression of a cost given success stands to the left of what goes "
-                         "with it: expression * parameter, expression <= parameter")  # fmt: skip
+        raise ModelError("an expression of a cost given success must be the left operand: "
+                         "write expression * parameter, expression <= parameter")  # fmt: skip
 
     def _other(self, other: Any) -> Any:
-        """The other operand of a convex row: an expression of visits, a number or a parameter."""
+        """Return the other operand, scaled: an expression of visits, a number or a parameter."""
         return other.scaled if isinstance(other, ScaledExpression) else other * self._scale
 
     def __add__(self, other: Any) -> ScaledExpression:
-        """The sum."""
+        """Return the sum."""
         return ScaledExpression(self.scaled + self._other(other), self._scale)
 
     def __mul__(self, factor: Any) -> ScaledExpression:
-        """The multiple by a number or a parameter."""
+        """Return the product with a number or a parameter."""
         return ScaledExpression(factor * self.scaled, self._scale)
 
     __radd__, __rmul__ = __add__, __mul__
 
     def __neg__(self) -> ScaledExpression:
-        """The opposite."""
+        """Return the negative."""
         return self * -1.0
 
     def __sub__(self, other: Any) -> ScaledExpression:
-        """The difference."""
+        """Return the difference."""
         return ScaledExpression(self.scaled - self._other(other), self._scale)
 
     def __rsub__(self, other: Any) -> ScaledExpression:
-        """The difference."""
+        """Return the difference."""
         return ScaledExpression(self._other(other) - self.scaled, self._scale)
 
     def __le__(self, bound: Any) -> Any:
-        """A constraint of cvxpy: at most."""
+        """Return cvxpy's constraint that the expression is at most a bound."""
         return self.scaled <= self._other(bound)
 
     def __ge__(self, bound: Any) -> Any:
-        """A constraint of cvxpy: at least."""
+        """Return cvxpy's constraint that the expression is at least a bound."""
         return self.scaled >= self._other(bound)
 
     def __eq__(self, value: Any) -> Any:
-        """A constraint of cvxpy: equal."""
+        """Return cvxpy's constraint that the expression equals a value."""
         return self.scaled == self._other(value)
 
     __hash__ = None  # type: ignore[assignment]
 
 
 class Conflict(dict[str, str]):
-    """Rows that contradict each other, by name, each with its bound."""
+    """Rows that cannot be satisfied together: name -> bound in short."""
 
     def __repr__(self) -> str:
-        """A line for each row."""
+        """Return a line for each row."""
         if not self:
             return "no rows contradict each other"
         lines = (f"\n  {name}: {told}" for name, told in self.items())
@@ -124,12 +124,12 @@ class ConvexProgram:
     ``x`` is the variable, ``constraints`` holds the rows by name and takes further ones,
     ``objective`` may be replaced by any convex expression. Bounds, start and costs are parameters
     of cvxpy: setting ``bounds[name].value`` and solving again, or :meth:`solve` with a start or an
-    objective, compiles nothing anew. In case S ``x`` is the visits times ``scale``, chosen so that
-    the goal's probability is 1.
+    objective, does not compile the problem again. In case S ``x`` is the visits times ``scale``, so
+    that the goal probability is 1.
     """
 
     def __init__(self, program: OccupationProgram) -> None:
-        """State the program.
+        """State an occupation program in cvxpy.
 
         Args:
             program: the program.
@@ -146,7 +146,7 @@ class ConvexProgram:
         self.bounds = {row.name: cp.Parameter(value=row.bound, name=row.name) for row in rows}
         balance = program.linear.matrix[program.linear.rows["balance"], : process.n_pairs]
         begun: Any = self.start
-        if program.ratio:  # a product of matrices is compiled in a hundredth of the time
+        if program.ratio:  # cvxpy compiles a product of matrices a hundred times faster
             column = _ATOMS.reshape(begun, (process.n_states, 1), order="F")
             begun = column @ _ATOMS.reshape(self.scale, (1,), order="F")
         self.constraints: dict[str, Any] = {"balance": balance @ self.x == begun}
@@ -159,11 +159,11 @@ class ConvexProgram:
         self._compiled: tuple[tuple[int, ...], Any] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """Copies and pickles carry what is stated; what a solver holds of it cannot be copied."""
+        """Return the state without the compiled problem, which cannot be copied or pickled."""
         return vars(self) | {"_compiled": None}
 
     def __repr__(self) -> str:
-        """The program as the page of a paper, and what is stated in cvxpy besides."""
+        """Return the program as in a paper, with the objective and rows changed in cvxpy."""
         own = self.program.rows
         named = {"balance", "normaliser", *(row.name for row in own)}
         added = [f"{name}: {row}" for name, row in self.constraints.items() if name not in named]
@@ -171,10 +171,10 @@ class ConvexProgram:
         return "\n  ".join(["ConvexProgram in cvxpy: " + repr(self.program), *changed, *added])
 
     def visits(self, state: Hashable, action: Hashable | None = None) -> Any:
-        """Expected visits of a state or action as an expression of cvxpy, over all copies.
+        """Return the expected visits of a state or action, over all copies, as a cvxpy expression.
 
-        An expression of cvxpy; of a ratio (case S) one that is compared with numbers as it is,
-        see :class:`ScaledExpression`.
+        In case S the result is a :class:`ScaledExpression`, which may be compared with unscaled
+        numbers.
 
         Raises:
             ModelError: unknown state or action.
@@ -182,7 +182,7 @@ class ConvexProgram:
         return self._expressed(self.program.visits(state, action), 0.0)
 
     def expression(self, quantity: Quantity) -> Any:
-        """A quantity as a cvxpy expression of the convex program's visits.
+        """Return a quantity as a cvxpy expression of the visits.
 
         Raises:
             ModelError: unknown states, actions or ends, or costs of the wrong shape.
@@ -190,16 +190,17 @@ class ConvexProgram:
         return self._expressed(*self.program.expression(quantity))
 
     def _expressed(self, coefficients: FloatArray, constant: float) -> Any:
-        """A cvxpy expression, affine in the convex program's visits."""
+        """Return an affine cvxpy expression of the visits, scaled in case S."""
         scaled = coefficients @ self.x + constant * self.scale
         return ScaledExpression(scaled, self.scale) if self.program.ratio else scaled
 
     @property
     def problem(self) -> Any:
-        """The cvxpy problem; the same object until a constraint or the objective is changed.
+        """The cvxpy problem; the same object until a constraint or the objective is replaced.
 
         Raises:
-            ModelError: a constraint is none, or it or the objective is not convex; says which.
+            ModelError: an entry of ``constraints`` is not a constraint, or it or the objective is
+                not convex; the message names it.
         """
         key = (id(self.objective), *(id(c) for c in self.constraints.values()))
         if self._compiled is None or self._compiled[0] != key:
@@ -214,38 +215,39 @@ class ConvexProgram:
         objective: Quantity | None = None,
         **options: Any,
     ) -> OccupationMeasure:
-        """Solve the convex program by cvxpy; where a row is not kept, again as exactly as it can.
+        """Solve the program by cvxpy; if a row is violated, again at the tightest tolerances.
 
-        Bounds, start and costs that are given here stand until others are.
+        Bounds, start and costs that are given here remain until others are given.
 
         Args:
-            solver: one of cvxpy's; None: as it chooses.
-            start: another one, as a problem has it. Where the program is made for its start (costs
-                told apart, episodes that end where they begin) it is made anew, and ``x`` with it.
-            objective: a quantity in place of the costs; what else the objective has is kept.
+            solver: a solver of cvxpy; None: cvxpy's choice.
+            start: another start: a state, or {state: probability}. A program that depends on its
+                start (distinguished costs, episodes that end where they begin) is rebuilt with
+                another ``x``.
+            objective: a quantity in place of the costs; other terms of the objective remain.
             options: bounds of rows by name, ``failure=0.2``; others are passed on to the solver.
 
         Raises:
-            ModelError: no such row or start, a start that needs another program though constraints
-                were changed, a parameter without a value, an option that is none of the solver's,
-                or something that is not convex.
-            InfeasibleError: no visits satisfy the constraints; :meth:`conflict` says which.
-            SolverError: the solver failed, stopped without an answer, or breaks a row.
+            ModelError: no such row or start, a start that needs another program although
+                constraints were changed, a parameter without a value, an option that the solver
+                does not have, or an objective or constraint that is not convex.
+            InfeasibleError: no visits satisfy the constraints; :meth:`conflict` names them.
+            SolverError: the solver failed, stopped without an answer, or violates a row.
         """
         began, as_stated = time.perf_counter(), self._is_as_stated
         opened = {"failure"} if self.program.at_least and as_stated else set[str]()
         bounds = {n: options.pop(n) for n in self.bounds.keys() | opened if n in options}
         check_bounds(bounds)
         for name in (name for name, bound in bounds.items() if bound == np.inf):
-            hint = f"; del convex.constraints[{name!r}] takes the row away"
+            hint = f"; del convex.constraints[{name!r}] removes the row"
             raise wrong_argument(name, "be finite", np.inf, hint)
         start = self._begun if start is None else start
         program = self.program.bounded_by(self._now | bounds) if as_stated else self.program
         program = program if start is None else program.started(start)
-        if program.process.transitions is not self.program.process.transitions:  # made anew
+        if program.process.transitions is not self.program.process.transitions:  # rebuilt
             if not as_stated:
-                raise ModelError("the program is made for its start, and the constraints that were "
-                                 "changed for its columns: make another from there, "
+                raise ModelError("the columns of this program depend on its start, and constraints "
+                                 "were changed: build a program from the new start, "
                                  "replace(problem, start=...).program()")  # fmt: skip
             vars(self).update(vars(ConvexProgram(program)))
         self.start.value = program.process.start
@@ -262,16 +264,16 @@ class ConvexProgram:
         name = max(broken, key=lambda row: broken[row])
         excess = f"by {broken[name]:.1e}, relative to its bound"
         if name in solvers:
-            raise SolverError(f"cvxpy: the answer breaks {name!r} {excess}; another solver, or its "
-                              "options, may keep it")  # fmt: skip
+            raise SolverError(f"cvxpy: the answer breaks {name!r} {excess}: try another solver, "
+                              "or tighter tolerances by its options")  # fmt: skip
         kept = _OBJECTIVE if name == _OBJECTIVE else f"constraint {name!r}"
-        raise SolverError(f"{kept} is kept only by visits that go round for ever and that no "
-                          f"policy comes to: those of the policy break it {excess}")  # fmt: skip
+        raise SolverError(f"{kept} is attained only with visits that circulate for ever and that "
+                          f"no policy makes: the policy's visits break it {excess}")  # fmt: skip
 
     def _answer(self, began: float) -> tuple[OccupationMeasure, dict[str, float], set[str]]:
-        """The convex program's answer as a policy's visits, by how much rows are broken, and which.
+        """Return a policy's visits, each row's violation, and the rows that the solver violates.
 
-        As little is taken for a solver's noise as makes them a policy's that keeps the rows.
+        The smallest noise level is removed that makes the visits those of a policy within the rows.
         """
         problem, given, solvers = self.problem, self.measure(), broken_rows(self._added)
         program, scale = given.program, self._scale
@@ -301,16 +303,16 @@ class ConvexProgram:
         return measure, broken, by_solver
 
     def _least_proved(self) -> float | None:
-        """Lower bound of the convex program by the duals of all rows, recomputed from the model.
+        """Return a lower bound by the duals of all rows, recomputed from the model.
 
-        Objective and rows at their prices make one linear function of the visits, to be minimised
-        over all that balance. Prices of what is to be enough, too high by a solver's tolerance, may
-        make going round gainful and prove nothing: then they are lowered by as much, what is as
-        small is left out, and a ratio is asked a little less.
+        Objective and rows at their prices form one linear function of the visits, which is
+        minimised over all visits that balance. Prices of lower limits that are too high by a
+        solver's tolerance can make circulation profitable, and the bound infinite: these prices are
+        then lowered by the tolerance, terms of that size are left out, and the ratio is lowered.
 
         Returns:
-            None where a row or the objective is not linear, or counts other variables than the
-            program's; where a row has no dual, as in integer programs; or nothing is proved.
+            The bound; None if a row or the objective is not linear or has other variables than
+            the program's, if a row has no dual (integer programs), or if nothing is proved.
         """
         program, rows = self._bounded, dict(self.constraints)
         own, priced = self._affine(self._minimised), list[FloatArray]()
@@ -341,9 +343,10 @@ class ConvexProgram:
         return None
 
     def _affine(self, expression: Any) -> FloatArray | None:
-        """Coefficients of ``x`` and ``scale`` in an affine expression of cvxpy, and its constant.
+        """Return the coefficients of ``x`` and ``scale`` in an affine expression, and its constant.
 
-        [pairs + 2]; None where it is not affine, or counts other variables.
+        The result has shape [pairs + 2]; None if the expression is not affine or has other
+        variables.
         """
         variables, own = expression.variables(), {id(self.x), id(self.scale)}
         if not expression.is_affine() or not own.issuperset(map(id, variables)):
@@ -361,7 +364,7 @@ class ConvexProgram:
         return np.append(np.zeros(self.x.size) + np.ravel(dense), [by_scale, constant])
 
     def _sides(self, row: Any) -> tuple[Any, str, Any]:
-        """Both sides of a row with <= or ==: the one that counts ``x``, the sign, and the bound."""
+        """Split a row with <= or == into the side that contains ``x``, the sign, and the bound."""
         (left, right), relation = row.args, "<="
         if id(self.x) not in map(id, left.variables()):
             left, right, relation = right, left, ">="
@@ -370,7 +373,7 @@ class ConvexProgram:
         return left, "==" if isinstance(row, Equality) else relation, right
 
     def _measured_rows(self) -> Iterator[MeasuredRow]:
-        """Added rows with <= or == at the variables' values, entry by entry."""
+        """Yield the added rows with <= or ==, entry by entry, at the variables' values."""
         for name, row in self._added.items():
             if not isinstance(row, Equality | Inequality):
                 continue
@@ -385,26 +388,26 @@ class ConvexProgram:
 
     @property
     def _minimised(self) -> Any:
-        """The convex program's objective as a cvxpy expression."""
+        """The objective as a cvxpy expression."""
         own = self.objective
         return own.scaled if isinstance(own, ScaledExpression) else own
 
     @property
     def _minimises_cost(self) -> bool:
-        """Whether the convex program's objective is still the stated one, with its costs."""
+        """Whether the objective and its costs are unchanged."""
         unchanged = np.array_equal(np.asarray(self.cost.value), self.program.process.cost)
         return self.objective is self._stated[1] and unchanged and self._constant.value == 0.0
 
     def conflict(self, solver: str | None = None, **options: Any) -> Conflict:
-        """Rows of the convex program that contradict each other, added ones too; empty: none do.
+        """Find rows that cannot be satisfied together, added ones included; empty if there is none.
 
-        Without any of them the others can be kept: one after another is left out, and put back
-        where that helps. (HiGHS's irreducible subsets are of single rows of balance, and know no
-        row that is not linear.)
+        The set is irreducible: without any one of its rows the others can be satisfied. Each row
+        is left out in turn, and put back if the rest becomes feasible. (HiGHS's irreducible subsets
+        split the flow balance into single rows, and do not support nonlinear rows.)
 
         Args:
-            solver: one of cvxpy's; None: as it chooses.
-            options: of the solver.
+            solver: a solver of cvxpy; None: cvxpy's choice.
+            options: options of the solver.
 
         Raises:
             SolverError: the solver failed.
@@ -423,11 +426,11 @@ class ConvexProgram:
             if not can_be_kept(fewer):
                 names = fewer
         if self.program.ratio:
-            self.scale.value = 1.0  # where bounds are told
+            self.scale.value = 1.0  # so that bounds are reported unscaled
         return Conflict({name: self._bound_in_short(self.constraints[name]) for name in names})
 
     def _bound_in_short(self, row: Any) -> str:
-        """The bound of a row in short, where it is one number."""
+        """Return a row's bound, such as "<= 3", or "as it is stated" if it is no single number."""
         if isinstance(row, Equality | Inequality):
             _, relation, bound = self._sides(row)
             if bound.value is not None and np.size(bound.value) == 1:
@@ -435,10 +438,10 @@ class ConvexProgram:
         return "as it is stated"
 
     def measure(self) -> OccupationMeasure:
-        """The occupation measure of the cvxpy variables' values, whatever problem was solved.
+        """Return the occupation measure at the variables' values, whatever problem was solved.
 
         Raises:
-            SolverError: they have no values.
+            SolverError: the variables have no values.
         """
         if self.x.value is None:
             raise SolverError("the program's variables have no values yet: solve a problem first")
@@ -446,40 +449,40 @@ class ConvexProgram:
 
     @property
     def _scale(self) -> float:
-        """Value of the convex program's scale."""
+        """Value of the scale t; 1 in case M."""
         return float(self.scale.value) if self.program.ratio else 1.0
 
     @property
     def _is_as_stated(self) -> bool:
-        """Whether objective, costs and constraints of the convex program are unchanged."""
+        """Whether objective, costs and constraints are unchanged."""
         left = [(name, id(row)) for name, row in self.constraints.items()]
         return self._minimises_cost and left == [(n, id(row)) for n, row in self._stated[0].items()]
 
     @property
     def _added(self) -> dict[str, Any]:
-        """Constraints that were added to the convex program."""
+        """Constraints that the user added or replaced, by name."""
         return {n: row for n, row in self.constraints.items() if not self._is_stated(n)}
 
     @property
     def _now(self) -> dict[str, float]:
-        """Bounds that the convex program's cvxpy parameters have now, by name."""
+        """Current values of the bounds' parameters, by name."""
         return {name: np.asarray(bound.value).item() for name, bound in self.bounds.items()}
 
     @property
     def _begun(self) -> dict[Hashable, float] | None:
-        """Start that the convex program's parameter has now; None: the stated one."""
+        """Current value of the start's parameter, by state; None if it is unchanged."""
         start, augmented = np.asarray(self.start.value), self.program.augmented
         if np.array_equal(start, self.program.process.start):
             return None
         states = augmented.quotient.first_states.tolist()
         if augmented.copies > 1 or len(states) != len(start):
-            raise ModelError("start.value of a program that is made for its start is its own: "
-                             "solve(start=...) makes the program anew")  # fmt: skip
+            raise ModelError("start.value cannot be set where the columns depend on the start: "
+                             "use solve(start=...), which rebuilds the program")  # fmt: skip
         return {augmented.model.states[k]: p for k, p in zip(states, start.tolist(), strict=True)}
 
     @property
     def _bounded(self) -> OccupationProgram:
-        """The linear program with the convex program's remaining rows, bounds and start."""
+        """The linear program with the rows that are unchanged, at the current bounds and start."""
         program = self.program if self._begun is None else self.program.started(self._begun)
         program = program.bounded_by(self._now, anew=False)
         if all(map(self._is_stated, self.bounds)):
@@ -488,11 +491,11 @@ class ConvexProgram:
         return replace(left, remade=None)
 
     def _is_stated(self, name: str) -> bool:
-        """Whether a row of the convex program is still as it was stated."""
+        """Return whether a row is unchanged."""
         return name in self._stated[0] and self.constraints.get(name) is self._stated[0][name]
 
     def _price(self, name: str, sign: float = 1.0) -> float:
-        """Multiplier of a row of the convex program from cvxpy; 0 where it has none."""
+        """Return cvxpy's multiplier of a row, at least 0; 0 if the row has none."""
         row = self.constraints.get(name)
         if row is None or row.dual_value is None:
             return 0.0
@@ -500,10 +503,11 @@ class ConvexProgram:
 
 
 def stated_problem(objective: Any, constraints: Mapping[str, Any]) -> Any:
-    """The convex problem, in cvxpy, of minimising an objective within named constraints.
+    """Build the cvxpy problem of minimising an objective within named constraints.
 
     Raises:
-        ModelError: something is no constraint, or not convex; says which, and what is.
+        ModelError: an entry is not a constraint, or not convex; the message names it and says
+            what is allowed.
     """
     for name, row in constraints.items():
         if not isinstance(row, Constraint):
@@ -514,10 +518,10 @@ def stated_problem(objective: Any, constraints: Mapping[str, Any]) -> Any:
     try:
         problem = cp.Problem(cp.Minimize(objective), list(constraints.values()))
     except (TypeError, ValueError) as error:
-        raise ModelError(f"the objective must be one number of cvxpy's: {error}") from error
+        raise ModelError(f"the objective must be a scalar cvxpy expression: {error}") from error
     if not problem.objective.is_dcp():
-        raise ModelError("the objective is not convex as cvxpy reads it, and is to be minimised: "
-                         "add what is convex, such as cp.square(x), or subtract what is concave, "
+        raise ModelError("the objective is minimised, and is not convex as cvxpy reads it: "
+                         "add convex terms, such as cp.square(x), or subtract concave ones, "
                          "such as cp.entr(x)")  # fmt: skip
     return problem
 
@@ -525,21 +529,22 @@ def stated_problem(objective: Any, constraints: Mapping[str, Any]) -> Any:
 def solve_stated(
     problem: Any, solver: str | None, options: Mapping[str, Any], *, tight: bool = False
 ) -> bool:
-    """Solve a convex problem by cvxpy; where HiGHS fails, again without its presolve.
+    """Solve a convex problem by cvxpy.
 
-    Where the solver that cvxpy chooses fails, by HiGHS.
+    If HiGHS fails, it runs again without its presolve; if the solver that cvxpy chooses fails,
+    HiGHS runs.
 
     Args:
         problem: the problem.
-        solver: one of cvxpy's; None: as it chooses.
-        options: of the solver.
-        tight: with tolerances as small as it takes; of those that are not known, as it is.
+        solver: a solver of cvxpy; None: cvxpy's choice.
+        options: options of the solver.
+        tight: whether to set the smallest tolerances that the solver supports, if it is known.
 
     Returns:
-        Whether there is an optimum; else nothing satisfies the constraints.
+        Whether there is an optimum; otherwise the constraints are infeasible.
 
     Raises:
-        ModelError: a parameter has no value, or an option is none of the solver's.
+        ModelError: a parameter has no value, or the solver does not have an option.
         SolverError: the solver failed, or stopped without an answer.
     """
     if missing := [each.name() for each in problem.parameters() if each.value is None]:
@@ -555,15 +560,15 @@ def solve_stated(
     for one, attempt in attempts:
         try:
             with warnings.catch_warnings():
-                if tight:  # an answer that is not as exact is judged as it is
+                if tight:  # the answer is judged by its residuals, not by its status
                     warnings.simplefilter("ignore")
                 problem.solve(solver=one, **attempt)
         except cp.SolverError as error:
             failure = failure or str(error)
             continue
         except (TypeError, ValueError, AttributeError) as error:
-            raise ModelError(f"cvxpy: {error}; what is no bound of a row by its name is an option "
-                             "of the solver") from error  # fmt: skip
+            raise ModelError(f"cvxpy: {error}; keywords other than names of rows are options of "
+                             "the solver") from error  # fmt: skip
         failure = f"the problem is {problem.status}"
         if problem.status in _SOLVED:
             return True
@@ -575,7 +580,7 @@ def solve_stated(
 
 
 def broken_rows(rows: Mapping[str, Any]) -> dict[str, float]:
-    """Violation of each convex row at the variables' values, relative to its sides; 0 if little."""
+    """Return each row's violation relative to its sides; 0 if within a solver's tolerance."""
     broken = dict[str, float]()
     for name, row in rows.items():
         off = max(float(np.max(row.violation(), initial=0.0)) - _EXCUSED, 0.0)

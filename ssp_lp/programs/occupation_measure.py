@@ -1,4 +1,4 @@
-"""The answer to an occupation-measure program: visits, duals, and the policies they make."""
+"""Solutions of occupation-measure programs: visits, duals, and the policies they describe."""
 
 from __future__ import annotations
 
@@ -33,53 +33,53 @@ from ssp_lp.programs.augmented import ColumnLabel
 if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram
 
-_SEEN = 1e-9  # outflow that a solver's tolerance leaves meaningful
+_SEEN = 1e-9  # outflow of a state below which a solver's answer counts as 0
 _LEVELS = (1e-8, 1e-7, 1e-6)
 NOISES = ((_SEEN, 0.0), *((level, 0.0) for level in _LEVELS), *zip(_LEVELS, _LEVELS, strict=True))
-"""Visits of states, and shares of them, that interior points leave where there are none."""
+"""Noise levels to try: outflow of a state, and share of it, up to which visits count as 0."""
 
-_DUST = 1e-12  # of a state's visits, or of all weight: less is rounding
-_ROUNDED = 1e-15  # of them: what subtracting leaves
-_ABOVE = 10.0  # times rounding: visits that count
-_WRONG = 1e-8  # of a state's visits: what members may have too many
-_USED_UP = 1e-9  # share of a pair's visits that rounding may leave of it
-_BALANCED = 1e-13  # imbalance of visits that are taken as a policy's own
-_LISTED = 20  # rows that are printed
-_BEYOND = 1e-9  # probability of passing the last total from which it is told
+_DUST = 1e-12  # share of a state's visits, or of all weight, below which the rest is rounding
+_ROUNDED = 1e-15  # share of a state's visits that is left by subtraction
+_ABOVE = 10.0  # visits count from this multiple of rounding on
+_WRONG = 1e-8  # share of a state's visits by which members may exceed the measure
+_USED_UP = 1e-9  # share of a pair's visits that counts as 0 after subtraction
+_BALANCED = 1e-13  # imbalance up to which visits count as those of a policy
+_LISTED = 20  # number of rows that are printed
+_BEYOND = 1e-9  # probability of passing the last total from which it is reported
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OccupationMeasure:
-    """Expected visits of every pair of the process, with what the solver said besides.
+    """Expected visits of every pair of the process, with the prices and the status of the solver.
 
-    A solver's word is not taken: the visits are those of the policy that its answer makes, to
-    rounding; objective, activity and residual are recomputed from them and the program. The
-    residual says by how much a row is exceeded, which a solver's tolerance allows.
+    The visits are, to rounding, those of the policy that the solver's answer describes. Objective,
+    activity and residual are recomputed from these visits and the program. The residual is the
+    amount by which a row is exceeded, which a solver's tolerance allows.
     """
 
     program: OccupationProgram
-    visits: FloatArray  # [pairs] expected number of times that each is taken
+    visits: FloatArray  # [pairs] expected number of times that each pair is taken
     prices: Mapping[str, float]  # multiplier of each row, as ``Solution.prices``
-    optimal_value_from_dual: float | None  # c*, as the duals of all rows prove it
+    optimal_value_from_dual: float | None  # c*, as proved by the duals of all rows
     solver: str
     status: str
     seconds: float
-    values: StateValues | None = None  # duals of balance; None where c* is
-    reduced: OccupationMeasure | None = None  # where it was found on the reduced program
-    own: tuple[MeasuredRow, ...] = ()  # rows that were added
-    minimised: float | None = None  # the objective, where that was changed
-    basis: BoolArray | None = None  # of a vertex: [columns + rows] of what was solved
+    values: StateValues | None = None  # duals of balance; None if they are not known
+    reduced: OccupationMeasure | None = None  # of the reduced program, if that was solved
+    own: tuple[MeasuredRow, ...] = ()  # rows that the user added
+    minimised: float | None = None  # value of the user's objective, if it was changed
+    basis: BoolArray | None = None  # basis at a vertex: [columns + rows] of the solved program
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "prices", ByName(self.prices))
 
     @cached_property
     def rows(self) -> tuple[MeasuredRow, ...]:
-        """Rows of the occupation measure's program with activity and dual, added ones last.
+        """Rows of the program with activity and dual, rows that the user added last.
 
-        In case S the price is that of the ratio: at it, ``cost + price * (spent - bound)`` over the
-        goal's probability is c* at least, whatever the policy. Another unit of the bound improves
-        c* by the price over the goal's probability; where nothing succeeds there is no c*.
+        In case S the price is that of the ratio: for every policy, ``cost + price * (spent -
+        bound)`` divided by the goal probability is at least c*. One more unit of the bound improves
+        c* by the price divided by the goal probability. With goal probability 0 there is no c*.
         """
         success = self._goal if self.program.ratio else 1.0
         stated = []
@@ -92,27 +92,27 @@ class OccupationMeasure:
 
     @cached_property
     def duals(self) -> Mapping[str, float]:
-        """Dual of each row at the occupation measure, by name: gain in c* per unit of bound."""
+        """Dual of each row, by name: improvement of c* per unit of the bound."""
         return ByName({row.name: row.dual for row in self.rows if row.dual is not None})
 
     @cached_property
     def activity(self) -> Mapping[str, float]:
-        """Activity of each row at the occupation measure, by name."""
+        """Activity of each row, by name."""
         return ByName({row.name: row.spent for row in self.rows})
 
     @cached_property
     def slack(self) -> Mapping[str, float]:
-        """Slack of each row at the occupation measure, by name."""
+        """Slack of each row, by name."""
         return ByName({row.name: row.slack for row in self.rows})
 
     @property
     def _goal(self) -> float:
-        """Goal probability of the occupation measure, discounted where the problem is."""
+        """Goal probability, discounted if the problem is."""
         return float(self.program.process.goal @ self.visits)
 
     @cached_property
     def objective(self) -> float:
-        """The program's objective at the occupation measure; infinite where success is missing."""
+        """The program's objective; infinite in case S if the goal probability is 0."""
         cost, goal = float(self.program.process.cost @ self.visits), self._goal
         if self.program.ratio:
             cost = cost / goal if goal > 0.0 else np.inf
@@ -120,7 +120,7 @@ class OccupationMeasure:
 
     @cached_property
     def imbalance(self) -> float:
-        """Greatest violation of flow balance or x >= 0 by the occupation measure."""
+        """Greatest violation of flow balance or x >= 0."""
         process = self.program.process
         outflow = np.bincount(process.pair_state, weights=self.visits, minlength=process.n_states)
         off = np.abs(outflow - process.transitions.T @ self.visits - process.start).max(initial=0.0)
@@ -128,27 +128,27 @@ class OccupationMeasure:
 
     @property
     def residual(self) -> float:
-        """Greatest violation of flow balance, x >= 0 or a row by the occupation measure."""
+        """Greatest violation of flow balance, x >= 0 or a row."""
         over = [row.violation(self.activity[row.name]) for row in self.program.rows]
         return max(self.imbalance, *over, 0.0)
 
     @explained
     def value(self, state: Hashable, cost: float | None = None) -> float:
-        """Dual of a state's flow balance at the occupation measure, as :meth:`StateValues.at`.
+        """Return the dual of a state's flow balance, see :meth:`StateValues.at`.
 
         Raises:
-            ModelError: no such state, or none that the program has, or nothing is known of duals.
+            ModelError: no such state, a state without a row in the program, or unknown duals.
         """
         if self.values is None:
-            raise ModelError("nothing is known of duals where rows or objectives were added")
+            raise ModelError("duals are unknown if rows or objectives were added to the program")
         return self.values.at(state, cost=cost)
 
     @property
     def beyond(self) -> float:
-        """The occupation measure's probability of succeeding beyond the costs told apart.
+        """Probability of reaching the goal at a total above the last one that is distinguished.
 
-        Such successes are charged as if the last of them had just been reached, too little; a
-        greater ``cost_cap`` of the problem tells more apart.
+        Such successes are charged the last distinguished total, which is too little: a greater
+        ``cost_cap`` of the problem distinguishes more totals.
         """
         augmented = self.program.augmented
         if augmented.copies == 1:
@@ -159,19 +159,20 @@ class OccupationMeasure:
 
     @property
     def gap(self) -> float:
-        """Relative gap of the occupation measure's objective to what the duals prove; or nan."""
+        """Relative gap between the objective and the proved bound; nan without a bound."""
         if self.optimal_value_from_dual is None:
             return float("nan")
         value = self.objective if self.minimised is None else self.minimised
         return abs(value - self.optimal_value_from_dual) / max(abs(value), 1.0)
 
     def balanced(self, noise: tuple[float, float] = NOISES[0]) -> OccupationMeasure:
-        """The occupation measure of the policy that draws each pair by its share of visits.
+        """Return the measure of the policy that draws each pair by its share of its state's visits.
 
-        They are the same where they balance, but for what goes round and is never come to.
+        If the visits balance, the result is equal to this measure without circulation in cycles
+        that the policy never enters.
 
         Args:
-            noise: outflow of a state, and share of it, up to which visits are none.
+            noise: outflow of a state, and share of it, up to which visits count as 0.
         """
         process = self.program.process
         otherwise = leaving_choice(process.dynamics, process.goal)
@@ -179,13 +180,13 @@ class OccupationMeasure:
         return replace(self, visits=visits)
 
     def randomised_policy(self) -> StochasticPolicy:
-        """Randomised policy of the occupation measure: x / outflow.
+        """Return the randomised policy that draws each pair with probability x / outflow.
 
-        It lives on the model's states with the memory of the process, and visits every pair as
-        often as the measure says (paper, section 2.2).
+        The policy acts on the model's states with the memory of the process, and visits every pair
+        as often as the measure says (paper, section 2.2).
 
         Raises:
-            ModelError: case S, and the measure follows both tails from one accumulated cost.
+            ModelError: in case S, if the measure follows both tails from one accumulated cost.
         """
         process = self.program.process
         return self.program.augmented.randomised_policy(
@@ -193,19 +194,20 @@ class OccupationMeasure:
         )
 
     def mixed_policy(self) -> MixedPolicy:
-        """Lottery over deterministic policies, drawn at the start, with this occupation measure.
+        """Return a lottery over deterministic policies, drawn at the start, with these visits.
 
-        Where the measure is a vertex of the program there is at most one more member than there
-        are rows met with equality; else finitely many. Of an optimal measure objective and failure
-        are kept. Secondary costs, and the cost of a measure that other objectives or rows made, may
-        come out lower: visits that go round for ever belong to no deterministic policy that
-        leaves, and a member that cannot reach the goal any more has failed and pays no more.
+        If the measure is a vertex of the program, there is at most one more member than there are
+        rows met with equality; otherwise there are finitely many. The objective and the failure of
+        an optimal measure are preserved. Secondary costs, and the cost of a measure found with
+        other objectives or rows, may be lower: visits that circulate for ever belong to no
+        deterministic policy that leaves, and a member that can no longer reach the goal has failed
+        and pays nothing more.
 
-        Of visits that balance within a solver's tolerance only, as little is taken for its noise
-        as makes them a policy's own.
+        If the visits balance only within a solver's tolerance, the smallest noise level is removed
+        that makes them the visits of a policy.
 
         Raises:
-            SolverError: no policy that leaves has such visits; or the lottery breaks a row by more
+            SolverError: no policy that leaves has such visits, or the lottery breaks a row by more
                 than the measure does.
         """
         if self.reduced is not None:
@@ -222,17 +224,17 @@ class OccupationMeasure:
             if (worst := max(over, default=0.0)) <= max(self.residual, RESIDUAL):
                 return MixedPolicy(tuple(map(self.program.augmented.policy, choices)), weights)
             refusal = (
-                f"without what may be noise, the lottery of these visits breaks "
-                f"{over[worst].name!r} by {worst:.1e}, relative to its bound: visits that balance "
-                "better, of a simplex method or at tighter tolerances, make one that does not"
+                "without solver noise, the lottery of these visits breaks "
+                f"{over[worst].name!r} by {worst:.1e}, relative to its bound: find visits that "
+                "balance better, by a simplex method or at tighter tolerances"
             )
         raise SolverError(refusal)
 
     def to_frame(self) -> Any:
-        """Columns of the occupation measure as a pandas ``DataFrame``, a row for each.
+        """Return a pandas ``DataFrame`` with a row for each column of the program.
 
-        Columns: state, action, cost (paid before, in case S), visits, probability (the share of the
-        visits of its state); where duals are known, value (where it is taken first) and advantage.
+        Its columns: state, action, cost (accumulated before, in case S), visits, probability (share
+        of the state's visits); if duals are known, also value (of taking it first) and advantage.
 
         Raises:
             MissingDependencyError: pandas is not installed.
@@ -249,11 +251,11 @@ class OccupationMeasure:
         return frame
 
     def summary(self) -> str:
-        """What :func:`repr` says."""
+        """Return the text of :func:`repr`."""
         return repr(self)
 
     def __repr__(self) -> str:
-        """The objective, what c* is made of, and each row with what is spent and its price."""
+        """Return the objective, the derivation of c*, and each row's activity and price."""
         lines = [f"objective {self.objective:.9g}   ({self.solver}: {self.status})"]
         if self.minimised is not None:
             lines.append(f"  minimised {self.minimised:.9g}")
@@ -266,52 +268,52 @@ class OccupationMeasure:
             stated = self.program.aim[1].replace(f"<{self.program.objective}, x>", made)
             sentence = f"c* {optimum} = {stated}"
             if self.program.ratio:
-                sentence = f"c* {optimum}, taken off for success, leaves {made} = 0"
+                sentence = f"c* {optimum}, subtracted at the goal, leaves {made} = 0"
             lines.append(f"  {sentence}: v(start) less price x bound of each row")
         lines += [f"  {row}" for row in self.rows[:_LISTED]]
         if len(self.rows) > _LISTED:
-            lines.append(f"  and {len(self.rows) - _LISTED:,} rows more")
+            lines.append(f"  and {len(self.rows) - _LISTED:,} more rows")
         if self.program.ratio and self.values is not None and self._goal > 0.0:
             lines.append(f"  normaliser: <goal, x> = 1   dual c*, at the scale t = 1 / "
                          f"{self._goal:.6g} = {1.0 / self._goal:.6g}")  # fmt: skip
         if self.beyond > _BEYOND:
             lines.append(
-                f"  {self.beyond:.3g} succeed beyond the last total that is told apart, charged "
-                "as if there: a greater cost_cap tells more"
+                f"  {self.beyond:.3g} succeed beyond the last total that is distinguished, and are "
+                "charged that total: raise cost_cap to distinguish more"
             )
         return "\n".join(lines)
 
 
 @dataclass(frozen=True, eq=False)
 class StateValues:
-    """The least that can follow, what each row counts charged at its price.
+    """Dual values of states: the least expected cost from there, rows charged at their prices.
 
-    ``values["depot"]`` is a state's value. Over the start they sum to c* plus price times bound of
-    each row. In case S what follows is the cost less c* times the goal's probability, so that the
-    sum is price times bound alone.
+    ``values["depot"]`` is the value of a state. Their mean over the start is c* plus the price
+    times the bound of each row. In case S the cost is reduced by c* times the goal probability, so
+    that the mean is the sum of price times bound alone.
     """
 
     program: OccupationProgram
     states: FloatArray  # [process states]
-    reduced_costs: FloatArray  # [pairs] what each costs more than the best of its state
+    reduced_costs: FloatArray  # [pairs] excess over the best pair of the same state
 
     def __getitem__(self, state: Hashable) -> float:
-        """A state's value."""
+        """Return the value of a state."""
         return self.at(state)
 
     @explained
     def at(
         self, state: Hashable, action: Hashable | None = None, cost: float | None = None
     ) -> float:
-        """Dual value of a state; with an action, of taking that first.
+        """Return the dual value of a state or, given an action, of taking this action first.
 
         Args:
-            state: a state in which the problem is open.
+            state: a live state: neither goal nor dead-end.
             action: one of its actions, ``GIVE_UP`` or ``"stay for ever"``.
-            cost: in case S the cost paid before, one that the program tells apart.
+            cost: in case S the accumulated cost, one that the program distinguishes.
 
         Raises:
-            ModelError: no such state or action, or none that the program has.
+            ModelError: no such state or action, or one that the program has no row for.
         """
         if action is not None:
             return self.at(state, cost=cost) + self.advantage(state, action, cost)
@@ -322,12 +324,12 @@ class StateValues:
             like = map(program.label, columns[:1])
             such = "".join(f", such as that of {label.state!r}{label.paid}" for label in like)
             complaint = f"state {state!r} has {len(rows):,} rows of balance at this cost"
-            raise ModelError(f"{complaint}: one is asked for{such}")
+            raise ModelError(f"{complaint}: name exactly one{such}")
         return float(self.states[rows[0]])
 
     @explained
     def advantage(self, state: Hashable, action: Hashable, cost: float | None = None) -> float:
-        """Reduced cost of an action by the dual values: 0 of those that are optimal.
+        """Return the reduced cost of an action, which is 0 for optimal actions.
 
         Raises:
             ModelError: no such column, or several.
@@ -342,19 +344,19 @@ def balanced_visits(
     gives_up: BoolArray | None = None,
     noise: tuple[float, float] = NOISES[0],
 ) -> FloatArray:
-    """Occupation measure of the policy that draws pairs by shares of a solver's visits, [pairs].
+    """Return the visits of the policy that draws pairs by shares of a solver's visits, [pairs].
 
-    A solver's answer balances within its tolerance only; these are a policy's own, to rounding.
-    Where nothing can come of going on, the policy gives up, if it may and ``gives_up`` is given.
-    Visits that go round for ever are left out: no policy comes to them.
+    A solver's visits balance only within its tolerance; the result balances to rounding. In states
+    from which the goal cannot be reached, the policy gives up if it may and ``gives_up`` is given.
+    Visits that circulate for ever are left out, as no policy enters such cycles.
 
     Args:
         process: the process.
-        visits: the solver's, [pairs].
-        otherwise: a policy that leaves, for states that the solver's tolerance does not tell from
-            unvisited ones, [states].
-        gives_up: pairs by which a policy gives up, [pairs].
-        noise: outflow of a state, and share of it, up to which a solver's visits are none.
+        visits: the solver's visits, [pairs].
+        otherwise: a policy that leaves, used in states whose outflow is within the solver's
+            tolerance of 0, [states].
+        gives_up: whether a policy gives up by a pair, [pairs].
+        noise: outflow of a state, and share of it, up to which a solver's visits count as 0.
     """
     kept = np.maximum(visits, 0.0)
     outflow = segment_sums(kept, process.pair_offsets)
@@ -384,7 +386,7 @@ def balanced_visits(
 def _decomposed_shares(
     process: ExplicitProcess, visits: FloatArray, unseen: BoolArray, otherwise: IntArray
 ) -> FloatArray:
-    """Share of each pair in its state's visits, to decompose an occupation measure, [pairs]."""
+    """Return the share of each pair in the visits of its state, [pairs]."""
     share = np.where(unseen[process.pair_state], 0.0, visits)
     share[otherwise[unseen]] = 1.0
     return np.asarray(share / segment_sums(share, process.pair_offsets)[process.pair_state])
@@ -395,24 +397,24 @@ def decomposed(
 ) -> tuple[tuple[IntArray, ...], FloatArray, FloatArray]:
     """Decompose an occupation measure into deterministic policies and weights.
 
-    The measures of a process are a polytope whose vertices are those of deterministic policies
-    (Altman 1999; paper, section 2.2). A policy that only takes pairs with positive visits is split
-    off with the greatest weight that leaves no visit negative: one pair at least is used up, so
-    that there are at most as many members as pairs beyond one per state, and one more. At a vertex
-    of a program these are as many as its rows that are met with equality. What is left in the end
-    are visits that go round for ever; they cost nothing where the measure is optimal, and no policy
-    needs them.
+    The measures of a process are a polytope whose vertices are the measures of deterministic
+    policies (Altman 1999; paper, section 2.2). A policy that only takes pairs with positive visits
+    is split off with the greatest weight that leaves no visit negative. This uses up at least one
+    pair, so that the number of members is at most one plus the number of pairs beyond one per
+    state. At a vertex of a program, the pairs beyond one per state are as many as the rows that are
+    met with equality. The remainder are visits that circulate for ever; they cost nothing if the
+    measure is optimal, and no policy needs them.
 
     Args:
         process: the process.
-        visits: of a measure that balances, [pairs].
+        visits: visits that balance, [pairs].
 
     Returns:
         A pair of each state for each policy, the policies' weights, which sum to one, and the
         visits of this lottery, [pairs].
 
     Raises:
-        SolverError: the visits are not those of any policy.
+        SolverError: the visits are those of no policy.
     """
     left, members, weights = visits.copy(), [], []
     followed = np.zeros_like(visits)
@@ -446,19 +448,19 @@ def decomposed(
     excess = (followed - visits - subtracted)[taken] / often[taken]
     wrong = max(float(excess.max(initial=0.0)), remaining)
     if wrong > _WRONG:
-        raise SolverError(f"the visits are no policy's: those of the lottery differ by {wrong:.1e}")
+        raise SolverError(f"the visits are those of no policy: the lottery's differ by {wrong:.1e}")
     total = np.sum(weights)
     return tuple(members), np.array(weights) / total, followed / total
 
 
 def _least_pairs(process: ExplicitProcess, values: FloatArray) -> IntArray:
-    """The pair of least value in each state, to decompose an occupation measure, [states]."""
+    """Return the pair of least value in each state, [states]."""
     offsets = process.pair_offsets
     return first_minimisers(values, segment_minima(values, offsets), offsets)
 
 
 def _nearer_to_leaving(process: ExplicitProcess, visits: FloatArray, safe: IntArray) -> IntArray:
-    """Visited pairs, of an occupation measure, that come nearer to leaving; else ``safe``."""
+    """Return a visited pair of each state that leads nearer to leaving, else ``safe``, [states]."""
     supported, dynamics = visits > 0.0, process.dynamics
     nearer = nearer_pairs(dynamics.graph, supported & (dynamics.exits > 0.0), supported)
     return np.where(nearer >= 0, nearer, safe)

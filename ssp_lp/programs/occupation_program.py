@@ -1,4 +1,4 @@
-"""The occupation-measure program of a problem: labelled, readable, and open to every solver.
+"""Occupation-measure programs with labelled columns and rows, for any solver.
 
     minimise    <cost, x>                     (case S: <cost, x> / <goal, x>)
     subject to  outflow(x) - inflow(x) = start
@@ -7,10 +7,10 @@
                 x >= 0
 
 x counts the expected visits of each pair of the augmented process (paper, eq. JMCMP_def and
-JS3P_def; mathematics, section 3). The ratio of case S becomes linear by Charnes and Cooper's
-scaling: x and the start are scaled by t >= 0 so that <goal, x> = 1, and the failure row becomes
-<failure, x> - budget * t <= 0, every other one likewise. The normalising row then has the only
-nonzero right side, so that its dual is c*.
+JS3P_def; mathematics, section 3). The ratio of case S becomes linear by the Charnes-Cooper
+transformation: x and the start are scaled by t >= 0 so that <goal, x> = 1, and the failure row
+becomes <failure, x> - budget * t <= 0; other rows likewise. Only the normalising row has a nonzero
+right side, so that its dual is c*.
 """
 
 from __future__ import annotations
@@ -53,34 +53,34 @@ from ssp_lp.programs.occupation_measure import OccupationMeasure, StateValues, b
 if TYPE_CHECKING:
     from ssp_lp.programs.convex_program import Conflict, ConvexProgram
 
-_TRIFLE = 1e-13  # of the greatest cost: a row worth less counts as nothing, as rounding of a 0
-_RATIOS = 4  # steps of Dinkelbach's iteration, which begins at a solver's optimum
-_ROUNDING = 1e-9  # of the greatest coefficient: a solver's tolerance
+_TRIFLE = 1e-13  # price times scale of a row, relative to the greatest cost, that counts as 0
+_RATIOS = 4  # steps of Dinkelbach's iteration, which starts at a solver's optimum
+_ROUNDING = 1e-9  # a solver's tolerance, relative to the greatest coefficient
 
 
 @dataclass(frozen=True, eq=False)
 class ProgramRow:
-    """``<coefficients, x> <= bound``: a quantity of the visits and how much of it is allowed."""
+    """A row ``<coefficients, x> <= bound``: a quantity of the visits and its upper limit."""
 
     name: str
     coefficients: FloatArray  # [pairs]
     bound: float
-    words: str  # what is bounded
+    words: str  # the bounded quantity
 
     @property
     def largest(self) -> float:
-        """Size of the program row's greatest coefficient."""
+        """Absolute value of the greatest coefficient."""
         return float(np.abs(self.coefficients).max(initial=0.0))
 
     @property
     def scale(self) -> float:
-        """Scale of a program row: its bound, or its greatest coefficient."""
+        """The greater of the bound and the greatest coefficient, in absolute value."""
         return max(abs(self.bound), self.largest)
 
     def violation(self, activity: float) -> float:
-        """Violation of a program row by an activity, relative to the bound; 0 if kept.
+        """Return the violation by an activity, relative to the bound; 0 if the row is satisfied.
 
-        What is nothing beside the coefficients is excused.
+        An excess within rounding of the greatest coefficient does not count.
         """
         excused = _ROUNDING * self.largest
         left = max(activity - self.bound - excused, 0.0)
@@ -90,7 +90,7 @@ class ProgramRow:
 def rows_program(
     process: ExplicitProcess, limits: Mapping[str, tuple[FloatArray, float]], ratio: bool
 ) -> LinearProgram:
-    """The occupation program of a process with any named program rows.
+    """Build the linear program of a process with named rows.
 
     Args:
         process: the substochastic process.
@@ -107,7 +107,7 @@ def rows_program(
     if ratio:
         taken, last = [*taken, process.goal], n_states + n_limits
         rows["normaliser"] = slice(last, last + 1)
-    # a column of the program for each pair, gathered as rows of the transposed matrix
+    # one column for each pair, assembled as rows of the transposed matrix
     columns = list[sp.csr_array]()
     for some in pieces(n_pairs, process.transitions.nnz):
         count = some.stop - some.start
@@ -127,29 +127,29 @@ def rows_program(
 
 @dataclass(frozen=True, eq=False)
 class _Reduction:
-    """A program as methods solve it, and the way between its pairs and those that are stated."""
+    """The collapsed program that methods solve, and the mapping to the stated program's pairs."""
 
     program: OccupationProgram
     spread: Spread
 
     def _by_copy(self, values: FloatArray, made: Callable[[FloatArray], FloatArray]) -> FloatArray:
-        """Numbers made of those of each copy of the live part, and of the source, which stays."""
+        """Apply a function to the numbers of each copy; keep the source's number."""
         copies = self.program.augmented.copies
         own = map(made, values[:-1].reshape(copies, -1))
         return np.concatenate([*own, values[-1:]])
 
     def row(self, stated: Augmented, coefficients: FloatArray) -> FloatArray:
-        """What a row takes of each stated pair, [stated pairs], of what it takes here, [pairs]."""
+        """Return a row's coefficients at the stated pairs, [stated pairs], from [pairs] here."""
         taken = self.program.augmented.in_all_copies(coefficients)
         return self._by_copy(taken, self.spread.per_taking)[stated.part.pairs]
 
     def departures(self, stated: Augmented, visits: FloatArray) -> FloatArray:
-        """Visits of the pairs here, [pairs], of those that are stated, [stated pairs]."""
+        """Return visits of the pairs here, [pairs], from those stated, [stated pairs]."""
         gone = self._by_copy(stated.in_all_copies(visits), self.spread.departures)
         return gone[self.program.augmented.part.pairs]
 
     def lifted(self, stated: OccupationProgram, measure: OccupationMeasure) -> OccupationMeasure:
-        """A measure of the stated program, of one of this; moves within components included."""
+        """Return a measure here as one of the stated program, with moves in components."""
         augmented = self.program.augmented
         own = map(self.spread.visits, augmented.flows(measure.visits))
         source = augmented.in_all_copies(measure.visits)[-1:]
@@ -158,7 +158,7 @@ class _Reduction:
         return replace(measure, program=stated, visits=visits, values=values, reduced=measure)
 
     def values(self, stated: OccupationProgram, found: StateValues) -> StateValues:
-        """Values of the states of the stated program, of those of this."""
+        """Return values of this program's states as values of the stated program's states."""
         augmented = self.program.augmented
         nodes = augmented.quotient.node_of[self.spread.quotient.first_states]
         every = np.zeros(augmented.copies * augmented.quotient.n_nodes + 1)
@@ -172,44 +172,44 @@ class _Reduction:
 class OccupationProgram(Report):
     """A linear program over the visits of an augmented process.
 
-    Columns are the pairs of the process, self-loops and steps that cost nothing included: x is how
-    often each is taken. In case S there is one more, the scale t of Charnes and Cooper, by which
-    visits are multiplied so that the goal's probability is 1.
+    Columns are the pairs of the process, including self-loops and steps of cost 0; x is the
+    expected number of times that each is taken. Case S has one more column, the Charnes-Cooper
+    scale t: visits are multiplied by it so that the goal probability is 1.
     """
 
     title: str  # the formulation
-    objective: str  # what is minimised, in a word
+    objective: str  # the minimised quantity, in a word
     augmented: Augmented
     rows: tuple[ProgramRow, ...]
     ratio: bool = False  # <cost, x> / <goal, x>
-    sense: ObjectiveSense = AS_ASKED  # how <objective, x> stands for what is asked
-    wants_ends: bool = False  # a row asks for an end that is not the goal
-    at_least: bool = False  # over the actions that attain the greatest goal probability
-    reduced: _Reduction | None = None  # what is solved; None: itself
-    remade: Callable[..., OccupationProgram] | None = None  # by the problem: bounds, start
+    sense: ObjectiveSense = AS_ASKED  # relation of <objective, x> to the problem's objective
+    wants_ends: bool = False  # whether a row counts an end other than the goal
+    at_least: bool = False  # whether only actions of greatest goal probability are included
+    reduced: _Reduction | None = None  # the program that is solved; None: this one
+    remade: Callable[..., OccupationProgram] | None = None  # rebuild from bounds and start
 
     @property
     def process(self) -> ExplicitProcess:
-        """The occupation program's process, whose pairs are the columns."""
+        """The process whose pairs are the columns."""
         return self.augmented.process
 
     @property
     def bounds(self) -> dict[str, float]:
-        """Bound of each row of the occupation program, by name."""
+        """Bound of each row, by name."""
         return {row.name: row.bound for row in self.rows}
 
     def bounded_by(self, bounds: Mapping[str, float], *, anew: bool = True) -> OccupationProgram:
-        """The occupation program with other bounds, by name of the row; see :meth:`row`.
+        """Return the program with other bounds, by name of the row; see :meth:`row`.
 
-        What was cut off for the old ones is made anew: accumulated costs that are told apart, and
-        the actions that attain the least failure.
+        Parts that depend on the bounds are rebuilt: the accumulated costs that are distinguished,
+        and the actions that attain the least failure.
 
         Args:
             bounds: by name of the row.
-            anew: False: with the columns that it has.
+            anew: False: with the present columns.
 
         Raises:
-            ModelError: there is no such row, or a bound is no number.
+            ModelError: there is no such row, or a bound is not a number.
             InfeasibleError: the budget is below the least failure.
         """
         check_bounds(bounds)
@@ -225,20 +225,20 @@ class OccupationProgram(Report):
 
     @explained
     def with_rows(self, changed: Callable[[ProgramRow], ProgramRow | None]) -> OccupationProgram:
-        """The occupation program with each row changed, or without it where it becomes None."""
+        """Return the program with a function applied to each row, without rows that become None."""
         inner = self.reduced and replace(
             self.reduced, program=self.reduced.program.with_rows(changed)
         )
         return replace(self, rows=tuple(filter(None, map(changed, self.rows))), reduced=inner)
 
     def started(self, start: Hashable | Mapping[Hashable, float]) -> OccupationProgram:
-        """The occupation program from another start: a state, or a distribution.
+        """Return the program from another start: a state, or a distribution.
 
-        What was made for the old one is made anew: accumulated costs that are told apart, steps
-        under a horizon, and the source of episodes that end where they begin.
+        Parts that depend on the start are rebuilt: the accumulated costs that are distinguished,
+        steps under a horizon, and the source of episodes that end where they begin.
 
         Raises:
-            ModelError: unknown states, or no distribution.
+            ModelError: unknown states, or probabilities that are no distribution.
             InfeasibleError: the budget is below the least failure.
         """
         augmented, reduced, make = self.augmented, self.reduced, self.remade
@@ -252,15 +252,15 @@ class OccupationProgram(Report):
                 return replace(self, augmented=there, reduced=inner, remade=make)
         if make is None:
             raise ModelError(
-                "the program is made for its start, and its rows were changed: make another from "
-                "there, replace(problem, start=...).program()"
+                "the columns of this program depend on its start, and its rows were changed: build "
+                "a program from the new start, replace(problem, start=...).program()"
             )
         return make(self.bounds, start=start)
 
     def spread_out(self) -> OccupationProgram:
-        """The occupation program with a column for each pair of the model, nothing collapsed.
+        """Return the program with a column for each pair of the model.
 
-        These collapse components in which moving is free, and leave out self-loops.
+        No component is collapsed, and self-loops are columns as well.
         """
         spread = spread_out(self.augmented.quotient, self.augmented.departs)
         if spread is None:
@@ -274,22 +274,22 @@ class OccupationProgram(Report):
 
     @cached_property
     def linear(self) -> LinearProgram:
-        """Arrays of the occupation program for a solver."""
+        """The program's arrays, for a solver."""
         return self._stated_on(self.process, ratio=self.ratio)
 
     def _stated_on(self, process: ExplicitProcess, *, ratio: bool) -> LinearProgram:
-        """Arrays of the occupation program with other costs, or without the ratio."""
+        """Return the arrays with other costs, or without the ratio."""
         limits = {row.name: (row.coefficients, row.bound) for row in self.rows}
         return rows_program(process, limits, ratio)
 
     def label(self, column: int) -> ColumnLabel:
-        """State, action and cost paid that a column of the occupation program counts.
+        """Return the state, action and accumulated cost whose visits a column counts.
 
         Raises:
             ModelError: there is no such pair; the scale t of case S has no label.
         """
         if not 0 <= column < self.process.n_pairs:
-            raise ModelError(f"column {column} is no pair: there are {self.process.n_pairs:,}")
+            raise ModelError(f"no pair has column {column}: there are {self.process.n_pairs:,}")
         label = self.augmented.label(int(self.augmented.part.pairs[column]))
         if label.action is GIVE_UP and self.reduced is not None:
             merged = self.reduced.program.augmented.quotient.merged
@@ -299,10 +299,10 @@ class OccupationProgram(Report):
 
     @explained
     def columns(self, state: Hashable, action: Hashable | None = None) -> tuple[int, ...]:
-        """Indices in x of an action in a state: of all copies, one per accumulated cost in case S.
+        """Return the indices in x of an action in a state, in case S one per accumulated cost.
 
         Args:
-            state: a state of the model, or of the one that it is a product of.
+            state: a state of the model, or of the model from which it was built as a product.
             action: one of its actions, ``GIVE_UP``, ``"stay for ever"``, or None for all of them.
 
         Raises:
@@ -313,11 +313,11 @@ class OccupationProgram(Report):
 
     @explained
     def visits(self, state: Hashable, action: Hashable | None = None) -> FloatArray:
-        """Coefficients in the occupation program that count visits of a state or action, [pairs].
+        """Return the coefficients of x that count visits of a state or action, [pairs].
 
         Args:
-            state: a state of the model, or of the one that it is a product of; where episodes end,
-                arrivals there are counted.
+            state: a state of the model, or of the model from which it was built as a product; for
+                states in which episodes end, arrivals are counted.
             action: as in :meth:`columns`.
 
         Raises:
@@ -335,11 +335,11 @@ class OccupationProgram(Report):
 
     @explained
     def expression(self, quantity: Quantity) -> tuple[FloatArray, float]:
-        """A quantity as coefficients of x in the occupation program, [pairs], and a constant.
+        """Return a quantity as coefficients of x, [pairs], and a constant.
 
         Raises:
-            ModelError: unknown states, actions or ends, costs of the wrong shape, or what happens
-                after failing, which the program does not tell apart.
+            ModelError: unknown states, actions or ends, costs of the wrong shape, or events after
+                failing, which the program does not distinguish.
         """
         model, start = self.augmented.model, self.augmented.start
         stated = objective = objective_of(model, start, quantity, signed=True)
@@ -352,7 +352,7 @@ class OccupationProgram(Report):
 
     @explained
     def column(self, state: Hashable, action: Hashable, cost: float | None = None) -> int:
-        """Index in x of an action in a state, in case S at an accumulated cost.
+        """Return the index in x of an action in a state, in case S at an accumulated cost.
 
         Raises:
             ModelError: no such column, or several.
@@ -364,19 +364,19 @@ class OccupationProgram(Report):
             return columns[0]
         at = "" if cost is None else f" at cost {cost:g}"
         if not columns:
-            raise ModelError(f"action {action!r} of state {state!r}{at} is no column: the program "
+            raise ModelError(f"action {action!r} of state {state!r}{at} has no column: the program "
                              "needs no such visits")  # fmt: skip
         raise ModelError(
             f"action {action!r} of state {state!r} has {len(columns):,} columns, one for each "
-            "accumulated cost: say cost=..., or take columns(...)"
+            "accumulated cost: give cost=..., or use columns(...)"
         )
 
     @explained
     def row(self, name: str) -> ProgramRow:
-        """A named row of the occupation program.
+        """Return the row of a name.
 
         Raises:
-            ModelError: there is none.
+            ModelError: no row has this name.
         """
         for row in self.rows:
             if row.name == name:
@@ -392,13 +392,13 @@ class OccupationProgram(Report):
         time_limit: float = np.inf,
         warm_start: OccupationMeasure | None = None,
     ) -> OccupationMeasure:
-        """Solve the occupation program and recompute what the solver says.
+        """Solve the program, and recompute the solver's answer from the model.
 
         Args:
             backend: "highs", "highs-simplex", "highs-ipx" or "cvxpy"; None: by size.
             time_limit: seconds.
-            warm_start: the optimum at other bounds, costs or starts, from which HiGHS's simplex
-                goes on where columns and rows are as many as there; others begin anew.
+            warm_start: the optimum at other bounds, costs or starts. HiGHS's simplex starts from it
+                if columns and rows have the same number; other backends do not use it.
 
         Raises:
             ModelError: an unknown backend.
@@ -431,32 +431,31 @@ class OccupationProgram(Report):
         raise SolverError(f"no backend's answer passes its check ({'; '.join(tried)})")
 
     def infeasible(self) -> InfeasibleError:
-        """The error that no visits satisfy all rows of the occupation program."""
+        """Return the error that no visits satisfy all rows."""
         if self.remade is not None:
-            try:  # names the least failure, or what contradicts what
+            try:  # names the least failure, or the rows in conflict
                 self.remade(self.bounds)
             except InfeasibleError as error:
                 return error
         return InfeasibleError(
-            "no expected visits satisfy all rows of the program; its conflict() names those that "
-            "contradict each other",
+            "no expected visits satisfy all rows of the program: call its conflict() for the rows "
+            "that contradict each other",
             failure_budget=self.bounds.get("failure"),
             least_failure=float("nan"),
         )
 
     @explained
     def measure(self, x: npt.ArrayLike) -> OccupationMeasure:
-        """Any solution of the occupation program's rows, however it was found, as a measure.
+        """Return a solution of the rows, however it was found, as a measure without duals.
 
-        It is taken as it is; ``residual`` says how far it is from keeping to the rows. Nothing is
-        known of duals.
+        The visits are not changed; ``residual`` is the amount by which they violate the rows.
 
         Args:
             x: expected visits of each pair, [pairs]; or, in case S, a value of each column of
                 ``linear``, visits times the scale and then the scale, [pairs + 1].
 
         Raises:
-            ModelError: another shape, or values that are no finite numbers.
+            ModelError: another shape, or values that are not finite numbers.
         """
         values, n_pairs = np.asarray(x, dtype=np.float64), self.process.n_pairs
         if self.ratio and values.shape == (n_pairs + 1,):
@@ -466,11 +465,11 @@ class OccupationProgram(Report):
         return OccupationMeasure(self, values, {}, None, "given", "as given", 0.0)
 
     def read_solution(self, path: str | Path) -> OccupationMeasure:
-        """A solver's solution file of the program that :meth:`write` wrote, as a measure.
+        """Read a solver's solution of the program that :meth:`write` wrote, as a measure.
 
         Args:
-            path: a ``.sol`` of HiGHS, or any text in which a name is followed by its value; columns
-                that it does not name are 0.
+            path: a ``.sol`` file of HiGHS, or any text in which each name is followed by its value;
+                columns that it does not name are 0.
 
         Raises:
             ModelError: the file cannot be read, or names no column of the program.
@@ -480,7 +479,7 @@ class OccupationProgram(Report):
         return self.measure(read_columns(Path(path), self.process.n_pairs + self.ratio))
 
     def _answered(self, answer: LPAnswer) -> OccupationMeasure:
-        """A solver's answer to the occupation program as a measure."""
+        """Return a solver's answer as a measure."""
         program, dual = self.linear, answer.dual
         scale = float(answer.x[-1]) if self.ratio else 1.0
         prices = {row.name: max(-float(dual[program.rows[row.name]][0]), 0.0) for row in self.rows}
@@ -491,11 +490,11 @@ class OccupationProgram(Report):
         return self.optimal(measure, ratio)
 
     def optimal(self, measure: OccupationMeasure, ratio: float) -> OccupationMeasure:
-        """A solver's optimum of the occupation program, with what its duals prove.
+        """Return a solver's optimum with balanced visits and the bound that its duals prove.
 
         Args:
-            measure: what the solver said, its visits not balanced yet.
-            ratio: of case S: the normaliser's dual.
+            measure: the solver's answer, its visits not balanced yet.
+            ratio: in case S the normaliser's dual.
         """
         if self.reduced is not None:
             departures = self.reduced.departures(self.augmented, measure.visits)
@@ -504,20 +503,20 @@ class OccupationProgram(Report):
             return self.reduced.lifted(self, reduced)
         proved, value = self.proved(measure.prices, ratio)
         visits = proved.without_noise(measure.visits)
-        gives_up = None if self.wants_ends else self.augmented.gives_up  # as it ends all the same
+        gives_up = None if self.wants_ends else self.augmented.gives_up  # a run ends in either case
         visits = balanced_visits(self.process, visits, proved.choice, gives_up)
         values = StateValues(self, proved.values, proved.excess)
         return replace(measure, visits=visits, optimal_value_from_dual=value, values=values)
 
     def values_at(self, prices: Mapping[str, float], ratio: float = 0.0) -> StateValues:
-        """State values of the occupation program at any prices of the rows.
+        """Return the values of states at given prices of the rows.
 
         Args:
-            prices: >= 0, by name; a row that is not named costs nothing.
-            ratio: in case S what success earns; c* where the prices are optimal.
+            prices: >= 0, by name; a row that is not named has price 0.
+            ratio: in case S the reward for reaching the goal; c* if the prices are optimal.
 
         Raises:
-            ModelError: a price or the ratio is no finite number.
+            ModelError: a price or the ratio is not a finite number.
         """
         for name, price in {"ratio": ratio, **prices}.items():
             if not (is_number(price) and np.isfinite(float(price))):
@@ -532,15 +531,15 @@ class OccupationProgram(Report):
     def proved(
         self, prices: Mapping[str, float], ratio: float = 0.0
     ) -> tuple[PricedMinimum, float]:
-        """Optimum of the occupation program as far as prices prove it, and the best at them.
+        """Return the best policy at prices of the rows, and the bound that they prove.
 
-        For prices l >= 0 of the rows <q, x> <= b every measure satisfies ``<cost, x> >= <cost +
-        l q, x> - l b``, and what is minimised there has no rows but balance. Of a program that
-        nothing can be left out of.
+        For prices l >= 0 of the rows <q, x> <= b, every measure satisfies ``<cost, x> >= <cost +
+        l q, x> - l b``, and the right side is minimised subject to balance alone. The bound holds
+        for the program with these columns, which must be complete.
 
         Args:
             prices: of the rows, by name, >= 0.
-            ratio: of case S, near the optimum.
+            ratio: in case S a value near the optimum.
         """
         least_worth = _TRIFLE * float(np.abs(self.process.cost).max(initial=0.0))
         worth = {row.name: prices.get(row.name, 0.0) * row.scale for row in self.rows}
@@ -551,19 +550,18 @@ class OccupationProgram(Report):
     def least_of_visits(
         self, cost: FloatArray, constant: float, ratio: float = 0.0
     ) -> tuple[PricedMinimum, float]:
-        """The least of ``<cost, x> + constant`` over all visits, in case S over ``<goal, x>``.
+        """Minimise ``<cost, x> + constant`` over all visits, in case S divided by ``<goal, x>``.
 
-        In case S the same is asked of ``cost - c goal`` for a ratio c: where that cannot fall below
-        D <= 0, no ratio lies below ``c + D / g`` for the least goal probability g that the rows
-        leave.
+        In case S, ``cost - c goal`` is minimised for a ratio c: if its minimum is at least D <= 0,
+        no ratio is below ``c + D / g``, where g is the least goal probability within the rows.
 
         Args:
             cost: [pairs].
-            constant: beside it.
-            ratio: of case S, near the optimum: Dinkelbach's iteration goes on from it.
+            constant: added to the cost.
+            ratio: in case S a value near the optimum, at which Dinkelbach's iteration starts.
 
         Returns:
-            A policy that is best, and a proved bound of the least.
+            A best policy, and a proved lower bound of the minimum.
         """
         minimum, value = priced_minimum(self.process, cost - ratio * self.process.goal), -np.inf
         if not self.ratio:
@@ -571,7 +569,7 @@ class OccupationProgram(Report):
         for _ in range(_RATIOS):
             left = minimum.bound + constant
             least = 1.0 if left >= 0.0 else self._least_goal
-            if least <= 0.0:  # then failing is free: strictly best where success earns less
+            if least <= 0.0:  # failing is free: lower the ratio so that it is strictly best
                 ratio *= BELOW_RATIO
             else:
                 if ratio + left / least <= value:
@@ -584,16 +582,16 @@ class OccupationProgram(Report):
         return minimum, value
 
     def _lagrangian(self, prices: Mapping[str, float]) -> tuple[FloatArray, float]:
-        """Lagrangian of the occupation program at prices of the rows: costs, [pairs], constant."""
+        """Return the Lagrangian at prices of the rows: costs, [pairs], and a constant."""
         cost, constant = self.process.cost, 0.0
         for row in self.rows:
-            if price := prices.get(row.name, 0.0):  # a bound that limits nothing may be infinite
+            if price := prices.get(row.name, 0.0):  # a bound with price 0 may be infinite
                 cost, constant = cost + price * row.coefficients, constant - price * row.bound
         return cost, constant
 
     @cached_property
     def _least_goal(self) -> float:
-        """Least goal probability of the measures within the occupation program's rows."""
+        """Proved lower bound of the goal probability of all measures within the rows."""
         priced, budget = self.process.goal, self.bounds.get("failure", np.inf)
         least = max(priced_minimum(self.process, priced).bound, 1.0 - budget)
         if least > 0.0:
@@ -601,24 +599,24 @@ class OccupationProgram(Report):
         reach = self._stated_on(replace(self.process, cost=priced), ratio=False)
         name = backends_for(reach, None)[0]
         dual, paid = run_backend(reach, name, np.inf).dual, 0.0
-        for row in self.rows:  # whatever a solver says, prices >= 0 prove what they prove
+        for row in self.rows:  # any prices >= 0 prove a bound
             price = max(-float(np.nan_to_num(dual[reach.rows[row.name]][0])), 0.0)
             priced, paid = priced + price * row.coefficients, paid + price * row.bound
         return max(priced_minimum(self.process, priced).bound - paid, 0.0)
 
     def to_cvxpy(self) -> ConvexProgram:
-        """The occupation program in cvxpy, to add convex objectives and constraints."""
+        """State the program in cvxpy, to add convex objectives and constraints."""
         from ssp_lp.programs.convex_program import ConvexProgram
 
         return ConvexProgram(self)
 
     def conflict(self, solver: str | None = None) -> Conflict:
-        """Rows of the occupation program that contradict each other; empty: none do."""
+        """Find rows that cannot be satisfied together; empty if there are none."""
         return self.to_cvxpy().conflict(solver)
 
     @explained
     def write(self, path: str | Path) -> None:
-        """Write the occupation program as ``.mps``, ``.mps.gz`` or ``.lp``, with names.
+        """Write the program as ``.mps``, ``.mps.gz`` or ``.lp``, with names.
 
         Raises:
             ModelError: another ending.
@@ -629,37 +627,37 @@ class OccupationProgram(Report):
         write_program(self.linear, Path(path), self._columns)
 
     def ranges(self) -> Mapping[str, tuple[float, float]]:
-        """Range of each bound of the occupation program in which its price stays, by name.
+        """Compute the range of each bound in which its price stays constant, by name.
 
-        Worked out by HiGHS at a vertex; where the optimum has several prices, for one of them.
+        HiGHS computes the ranges at a vertex; if several prices are optimal, for one of them.
 
         Raises:
-            ModelError: case S, whose bounds stand beside the scale and make prices change at once.
+            ModelError: case S, in which prices change with every bound.
             SolverError: the program has no optimum.
         """
         from ssp_lp.linear_programming.highs import bound_ranges
 
         if self.ratio:
-            raise ModelError("prices of a cost given success change with every bound: where the "
-                             "policies do, trace_frontier(problem) tells")  # fmt: skip
+            raise ModelError("prices of a cost given success change with every bound: use "
+                             "trace_frontier(problem) to see where policies change")  # fmt: skip
         program = self if self.reduced is None else self.reduced.program
         return ByName(bound_ranges(program.linear, [row.name for row in self.rows]))
 
     @property
     def _columns(self) -> list[str]:
-        """Names of the occupation program's columns, as their labels."""
+        """Names of the columns: their labels, and "t" in case S."""
         return [*map(str, map(self.label, range(self.process.n_pairs))), *["t"] * self.ratio]
 
     @property
     def _rows(self) -> list[str]:
-        """Names of the occupation program's rows: states, and the cost paid there."""
+        """Names of all rows: states with their accumulated cost, named rows, the normaliser."""
         acting = map(self.label, self.process.pair_offsets[:-1].tolist())
         states = [START if k.state is None else f"{k.state}{k.paid}" for k in acting]
         return [*states, *(row.name for row in self.rows), *["normaliser"] * self.ratio]
 
     @property
     def aim(self) -> tuple[str, str]:
-        """The occupation program's aim: minimise or maximise, and what."""
+        """The verb, "minimise" or "maximise", and the objective in words."""
         verb, aim = "minimise", f"<{self.objective}, x>"
         if self.sense.offset:
             aim = f"{aim} - {self.sense.offset:g}"
@@ -669,14 +667,14 @@ class OccupationProgram(Report):
 
     @property
     def _stated_rows(self) -> list[tuple[str, str]]:
-        """The occupation program's rows but balance: names, and what each says of x, in words."""
+        """Names of all rows except balance, and each row in words."""
         times = " t" * self.ratio
         rows = [(row.name, f"<{row.words}, x> <= {row.bound:g}{times}") for row in self.rows]
         return rows + [("normaliser", "<goal, x> = 1")] * self.ratio
 
     @property
     def _dual_of_normaliser(self) -> str:
-        """Remark on the normaliser of case S: its dual, in words."""
+        """Remark on the normaliser's dual in case S."""
         sense, optimum = self.sense, "c*"
         if sense.constant is not None:
             optimum = f"{sense.constant:g} - c*"
@@ -685,7 +683,7 @@ class OccupationProgram(Report):
         return f" (its dual is {optimum})"
 
     def to_latex(self) -> str:
-        """The occupation program in LaTeX, for a displayed equation; in full if small."""
+        """Return the program in LaTeX, for a displayed equation; in full if it is small."""
         if self.linear.is_small:
             names = self._rows
             if self.ratio:
@@ -698,16 +696,16 @@ class OccupationProgram(Report):
         return words_as_latex(*self.aim, stated, scaled=self.ratio)
 
     def tables(self) -> list[Table]:
-        """The page of a paper, and a small program in full: a row for each column."""
+        """Return the program in words and, if it is small, in full: a row for each column."""
         full = as_table(self.linear, self._columns, self._rows) if self.linear.is_small else None
         return [Table(self._page(), title=self.title), *([] if full is None else [full])]
 
     def __repr__(self) -> str:
-        """The program as the page of a paper would have it."""
+        """Return the program in words, as in a paper."""
         return "\n".join(Table(self._page(), title=self.title).lines())
 
     def _page(self) -> list[tuple[str, str]]:
-        """Objective, rows and variables of the occupation program in words."""
+        """Return objective, rows and variables in words."""
         process, scale = self.process, "t " * self.ratio
         width = max((len(name) for name, _ in self._stated_rows), default=0) + 1
         page = [f"balance: outflow(x) - inflow(x) = {scale}start   ({process.n_states:,} rows)"]

@@ -1,1 +1,1 @@
-"""Answers checked anew: certificates, and methods held against each other."""
+"""Verification of solutions: certificates, and the comparison of methods."""

@@ -1,8 +1,8 @@
-"""Certificates in files: a problem's question and model, exactly, and a proof of its optimum.
+"""Certificate files: a problem's question and model, exactly, and a proof of its optimum.
 
-What a file proves of which question is said by ``certificate_lines.py``, with ``expand.py`` and
-``prove.py``, which share nothing with the library; nothing in here has to be believed. A float
-means its shortest decimal, a cost that was given as a fraction that fraction.
+``certificate_lines.py``, with ``expand.py`` and ``prove.py``, checks a file and prints the question
+and the result. These scripts share nothing with the library, so that this module need not be
+trusted. A float means its shortest decimal; a cost given as a fraction means that fraction.
 """
 
 from __future__ import annotations
@@ -48,29 +48,29 @@ from ssp_lp.verification.exact_proof import Decide, Member, Nodes, Proved, line_
 from ssp_lp.verification.expand import Program
 from ssp_lp.verification.prove import Bounds, RefusedError, number
 
-_CAPS, _NARROW = 12, 1e-10  # totals tried as caps, until an interval is as narrow as this
+_CAPS, _NARROW = 12, 1e-10  # number of caps to try, and the relative width that ends the trials
 _MOST_NODES = 2_000_000
-_STEEP = 1000.0  # costs: price of failing where failing is to be least
-_FARTHEST, _USED_UP = 10**6, 1e-11  # total up to which a utility is stated, or what is left there
+_STEEP = 1000.0  # price of failing at least failure, times 1 + |objective|
+_FARTHEST, _USED_UP = 10**6, 1e-11  # total, and share left of a utility, at which its steps end
 _TOTAL = [[">=", "0", "0", "1"]]
 _IN_MEMORY = ": certify(solution) proves it in memory"
 
 
 @dataclass(frozen=True)
 class Checked:
-    """Proved result of a certificate: an interval that contains the optimum, or a refusal."""
+    """Result of checking a certificate: an interval that contains the optimum, or a refusal."""
 
     accepted: bool
-    reason: str = ""  # of the refusal: the inequality that fails, and where
+    reason: str = ""  # reason for a refusal: the inequality that fails, and where
     lower: Fraction = Fraction(0)
-    upper: Fraction = Fraction(0)  # what the lottery attains
-    exceeded: Mapping[str, Fraction] = field(default_factory=dict)  # rows, and by how much
-    asked: str = ""  # the question in the file, in words made from it
+    upper: Fraction = Fraction(0)  # objective of the lottery
+    exceeded: Mapping[str, Fraction] = field(default_factory=dict)  # row -> the lottery's excess
+    asked: str = ""  # the question in the file, in words
     digest: str = ""  # SHA-256 of the question and the model
     programs: tuple[str, ...] = ()  # SHA-256 of the text of each program
 
     def __str__(self) -> str:
-        """The verdict in a few lines."""
+        """Return the verdict in a few lines."""
         if not self.accepted:
             return f"refused: {self.reason}"
         lines = [f"accepted: {self.asked}", f"  SHA-256   {self.digest}"]
@@ -87,19 +87,19 @@ class Checked:
 
 @explained
 def check_certificate(path: str | Path, *, problem: Problem | None = None) -> Checked:
-    """Check the certificate in a file: an interval that contains the optimum of its question.
+    """Check the certificate in a file, which proves an interval that contains the optimum.
 
     Args:
-        path: of the file.
-        problem: what you ask, of your own model; a file that answers another question is refused.
-            None: whatever the file asks, which the verdict says in words.
+        path: path of the file.
+        problem: the problem that the file must answer, with your own model; a file that answers
+            another one is refused. None: any; the verdict states the file's question in words.
 
     Returns:
-        The verdict. Where it is not ``accepted``, it says which inequality fails where.
+        The verdict. If it is not ``accepted``, it names the inequality that fails, and where.
     """
     if not isinstance(path, (str, Path)) and not hasattr(path, "__fspath__"):
-        how = "no path of a file, which ssp_lp.write_certificate(solution, path) writes"
-        return Checked(False, f"{type(path).__name__} is {how}")
+        how = "is no path of a file: write one by ssp_lp.write_certificate(solution, path)"
+        return Checked(False, f"{type(path).__name__} {how}")
     try:
         expected = None if problem is None else sha256_of(problem)
         return _checked(reading.lines_of(path), expected)
@@ -111,13 +111,13 @@ def check_certificate(path: str | Path, *, problem: Problem | None = None) -> Ch
         if isinstance(error, ModelError) or error.errno:  # there is no such file
             raise
         reason = f"the file is damaged: {error}"
-    except Exception as error:  # whatever a damaged file may lead to
+    except Exception as error:  # damaged files may raise any error
         reason = f"the file is damaged: {type(error).__name__}: {ascii(str(error))[:200]}"
     return Checked(False, reason)
 
 
 def _checked(lines: reading.Lines, expected: str | None = None) -> Checked:
-    """Verdict on lines of a certificate that is accepted."""
+    """Return the verdict on the lines of a certificate that is accepted."""
     bounds, question, digests = reading.check(lines, expected)
     names = {}
     states = islice(lines(), 1, 1 + question["states"])
@@ -130,15 +130,15 @@ def _checked(lines: reading.Lines, expected: str | None = None) -> Checked:
 
 
 def in_words(question: Mapping[str, Any], names: Mapping[int, str]) -> str:
-    """A checked question in words, all of which are its own.
+    """Return a checked question in words, using its own names.
 
     Args:
-        question: of a certificate.
-        names: of the states in which it begins.
+        question: question of a certificate.
+        names: names of the states in which it begins.
     """
 
     def quantity(stated: Mapping[str, Any]) -> str:
-        """A quantity of the question in words."""
+        """Return a quantity of the question in words."""
         words = [f"{weight} {kind} {what!a}" for weight, kind, what in stated["terms"]]
         constant = stated["constant"]
         return " + ".join([*words, *([constant] if constant != "0" or not words else [])])
@@ -166,22 +166,22 @@ def in_words(question: Mapping[str, Any], names: Mapping[int, str]) -> str:
 
 @explained
 def sha256_of(problem: Problem) -> str:
-    """SHA-256 of a problem's question and model, by which a certificate names what it answers.
+    """Return the SHA-256 of a problem's question and model, which identifies it in certificates.
 
     Raises:
-        ModelError: a question that no certificate in a file answers.
+        ModelError: certificate files do not cover the question.
     """
     check_problem(problem, "sha256_of")
     return sha256(b"".join(Statement(problem).lines())).hexdigest()
 
 
 def _refused(problem: Problem, why: str) -> ModelError:
-    """The error for a question that no certificate in a file answers."""
+    """Return the error that certificate files do not cover a question."""
     return ModelError(f"no certificate file of {type(problem).__name__}: {why}")
 
 
 class Statement:
-    """A problem's question and model in a certificate's words, as they stand without a horizon."""
+    """A problem's question and model in a certificate's format, the horizon not unrolled."""
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem = problem.tracked
@@ -218,11 +218,11 @@ class Statement:
         self.states = list(self._states())
 
     def lines(self) -> list[bytes]:
-        """The question and the model, a line each state."""
+        """Return the lines of the question and of the model, one for each state."""
         return [line_of(self.question), *self.states]
 
     def _question(self) -> dict[str, Any]:
-        """The question, in the words of the format."""
+        """Return the question in the certificate's format."""
         problem, semantics, flat = self.problem, self.problem.semantics, self.flat
         objective, charge = flat.objective_condition, self.charge
         penalty = 0.0 if semantics.forbids_failing else semantics.penalty
@@ -276,7 +276,7 @@ class Statement:
         return question
 
     def _steps(self, question: dict[str, Any], charge: Charge) -> list[list[str]]:
-        """A charge of totals; where it is no line, at each total at which the goal can be."""
+        """Return a charge as steps, one at each total at the goal if the charge is not linear."""
         if isinstance(charge, TotalCostCharge):
             return _TOTAL
         if isinstance(charge, WithinBound):
@@ -285,7 +285,7 @@ class Statement:
         worth = charge.offset - float(charge.at(np.zeros(1))[0])
         if isinstance(charge, ExpectedArrivalCost):
             most = Fraction(charge.affine_from)
-        while isinstance(charge, Reward) and most < _FARTHEST:  # until a utility is used up
+        while isinstance(charge, Reward) and most < _FARTHEST:  # until little is left
             if charge.offset - float(charge.at(np.array([float(most)]))[0]) <= _USED_UP * worth:
                 break
             most *= 2
@@ -298,7 +298,7 @@ class Statement:
         return [*steps, [">", str(totals[-1]), text_of(sign * charge.offset), "0"]]
 
     def _quantity(self, condition: Condition, stated: Any) -> dict[str, Any]:
-        """A quantity of the model, looked up."""
+        """Return a quantity in the certificate's format, registering its costs and sets."""
         terms = list[list[Any]]()
         constant = Fraction(text_of(condition.constant if stated is None else stated.constant))
         for weight, term in condition.terms:
@@ -314,7 +314,7 @@ class Statement:
         return {"constant": str(constant), "terms": terms}
 
     def _cost(self, model: SSP) -> int:
-        """Position of a cost among those of the file."""
+        """Return the position of a cost among those of the file, adding a new one."""
         for position, (costs, exact) in enumerate(self.costs):
             if exact == model.exact_costs and np.array_equal(costs, model.costs):
                 return position
@@ -322,7 +322,7 @@ class Statement:
         return len(self.costs) - 1
 
     def _set(self, mask: BoolArray) -> str:
-        """Name of a set of states: the goal, out of time, a label, a state, or a number."""
+        """Return a set's name, adding a new set: goal, out of time, a label, a state, a number."""
         model, members = self.flat.model, mask.nonzero()[0]
         if np.array_equal(mask, model.goal_mask):
             return "goal"
@@ -339,7 +339,7 @@ class Statement:
         return known
 
     def _states(self) -> Iterator[bytes]:
-        """Lines of the model's states."""
+        """Yield the lines of the model's states."""
         model = self.flat.model
         texts = [[str(exact[c]) if c in exact else text_of(c) for c in costs.tolist()]
                  for costs, exact in self.costs]  # fmt: skip
@@ -359,7 +359,7 @@ class Statement:
 
 @lru_cache(1 << 14)
 def text_of(value: float | Fraction) -> str:
-    """A number as a text: a fraction as it is, a float as its shortest decimal."""
+    """Return a number as a text: a fraction as it is, a float as its shortest decimal."""
     if isinstance(value, (int, Fraction)):
         return str(value)
     return repr(float(value)).removesuffix(".0")
@@ -368,10 +368,10 @@ def text_of(value: float | Fraction) -> str:
 def program_of(
     asked: dict[str, Any], lines: Sequence[bytes], cap: Fraction = Fraction(0)
 ) -> Program:
-    """The program of a step's question, with as many nodes as fit.
+    """Build the program of a step's question.
 
     Raises:
-        ModelError: they are too many.
+        ModelError: the program has too many nodes, or the question is refused.
     """
     try:
         states = [reading.read_state(line, asked) for line in lines]
@@ -381,7 +381,7 @@ def program_of(
 
 
 def goal_totals(question: dict[str, Any], states: Iterable[bytes], cap: Fraction) -> list[Fraction]:
-    """Totals at which the goal can be reached by steps from below a cap, and 0."""
+    """Return 0 and the totals with which steps from below a cap can reach the goal."""
     any_failure = {
         **question,
         "failure": (Fraction(1), Fraction(1)),
@@ -396,33 +396,38 @@ def goal_totals(question: dict[str, Any], states: Iterable[bytes], cap: Fraction
 
 @explained
 def write_certificate(solution: Solution, path: str | Path, *, tolerance: float = 1e-6) -> Checked:
-    """Write a certificate: a proof of a solution's optimum, to check without this library.
+    """Write a certificate: a proof of a solution's optimum, to be checked without this library.
 
-    Covered are expected costs and quantities, also with a discount, with a failure budget, a share
-    of the greatest goal probability, a penalty or failing forbidden, the greatest and the least
-    goal probability; of the total cost its mean given success, quantiles, utilities, what arriving
-    costs, and the goal within a cost; each with any limits and any start, within a horizon, too.
-    Not covered, but proved by :func:`ssp_lp.certify` in memory, are tail means (CVaR), what is
-    counted after failing, and that no deterministic policy is better.
+    Covered criteria, each with any limits and any start, also within a horizon:
+
+    - expected costs and quantities, also discounted, with a failure budget, a share of the greatest
+      goal probability, a penalty for failing, or failing forbidden;
+    - the greatest and the least goal probability;
+    - of the total cost: the mean given success, quantiles, utilities, arrival costs, and the
+      probability of reaching the goal within a cost.
+
+    Not covered, but proved by :func:`ssp_lp.certify` in memory: tail means (CVaR), quantities that
+    count after failing, and the optimality of deterministic policies.
 
     Args:
-        solution: of ``solve``.
-        path: of the file, which is gzip whatever it is called.
-        tolerance: a file is written only if what it proves is the solution's objective and bound,
-            and the solution's policy attains its objective, but for this part of it (or of 1).
+        solution: a solution of ``solve``.
+        path: path of the file, which is gzip whatever its name.
+        tolerance: a file is written only if the proved interval agrees with the solution's
+            objective and bound, and the policy attains the objective, up to this share of the
+            objective (or of 1, if that is greater).
 
     Returns:
-        What the file proves.
+        The proved result.
 
     Raises:
-        ModelError: a criterion that is not covered, or an implicit model.
-        SolverError: the answer is not proved: no policy satisfies a row but for rounding, or the
-            solution says something else than the proof.
+        ModelError: the criterion is not covered, or the model is implicit.
+        SolverError: the solution is not proved: no policy satisfies a row to rounding, or the
+            solution disagrees with the proof.
     """
     if isinstance(solution.problem.model, ExploredSSP):
         raise ModelError(
-            "a file proves the optimum of a whole model, of which a part was explored here: "
-            "certify(solution) proves it in memory, and says what it assumes"
+            "a certificate file needs the whole model, of which only a part was explored: use "
+            "certify(solution), which proves the optimum in memory and states its assumption"
         )
     problem, evaluation, said = solution.problem, solution.evaluation, solution.objective
     room, budget = tolerance * max(1.0, abs(said)), problem.failure_budget
@@ -443,7 +448,7 @@ def write_certificate(solution: Solution, path: str | Path, *, tolerance: float 
         least, most = said - room, solution.upper_bound + room
     if checked.lower < least or checked.upper > most:
         lower, upper = float(checked.lower), float(checked.upper)
-        raise SolverError(f"the answer is not proved: proved is {lower!r} to {upper!r}, the "
+        raise SolverError(f"the answer is not proved: the proof gives {lower!r} to {upper!r}, the "
                           f"solution says {least!r} to {most!r}")  # fmt: skip
     with open(path, "wb") as raw, gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as file:
         file.writelines(lines)
@@ -451,16 +456,16 @@ def write_certificate(solution: Solution, path: str | Path, *, tolerance: float 
 
 
 def certificate_of(solution: Solution) -> list[bytes]:
-    """Lines of a solution's certificate.
+    """Return the lines of a solution's certificate.
 
     Raises:
-        ModelError: a criterion that is not covered.
-        SolverError: the solution's policy is not what it says.
+        ModelError: the criterion is not covered.
+        SolverError: the solution's policy does not fit the solution.
     """
     solved = as_solved(solution, "write_certificate")
     problem = solution.problem
     if solution.run.deterministic and problem.failure_budget is not None:
-        raise _refused(problem, f"that no deterministic policy is better takes a tree{_IN_MEMORY}")
+        raise _refused(problem, f"deterministic optimality needs a search tree{_IN_MEMORY}")
     statement = Statement(problem)
     question, answer, done = statement.question, None, dict[str, Bounds]()
     if question["quantile"] is not None:
@@ -479,7 +484,7 @@ def certificate_of(solution: Solution) -> list[bytes]:
 def _best_proof(
     asked: dict[str, Any], states: Sequence[bytes], solved: Solution, step: str
 ) -> Proved:
-    """The best proof of a program, at a cap that is doubled until it is narrow."""
+    """Return the best proof of a program, doubling the cap until the interval is narrow."""
     cap, widths = _first_cap(asked, solved), [math.inf]
     for _ in range(_CAPS):
         nodes = Nodes(program_of(asked, states, cap), len(states))
@@ -501,7 +506,7 @@ def _best_proof(
 
 
 def _prices(program: Program, solved: Solution) -> list[Fraction]:
-    """Prices of rows to begin with: the solution's, a ratio's on top of that of failure."""
+    """Return the solution's prices of rows as first prices; failure's price includes the ratio."""
     of_failure = solved.failure_price
     ratio = Fraction(text_of(solved.objective)) * program.question["ratio"]
     if of_failure is None or not math.isfinite(of_failure):
@@ -512,7 +517,7 @@ def _prices(program: Program, solved: Solution) -> list[Fraction]:
 
 
 def _first_cap(asked: Mapping[str, Any], solved: Solution) -> Fraction:
-    """Total from which on totals are not distinguished, at first."""
+    """Return the first total to try as the cap, from which on totals are not distinguished."""
     if not asked["charge"]:
         return Fraction(0)
     cap = max(number(at) for _, at, _, _ in asked["charge"]) + 1
@@ -526,10 +531,10 @@ def _first_cap(asked: Mapping[str, Any], solved: Solution) -> Fraction:
 
 
 def _decider(nodes: Nodes, policy: Policy, solved: Solution) -> Decide:
-    """The column that a policy of an answer takes at a node.
+    """Return the function from a node to the column that a policy takes there.
 
     Raises:
-        ModelError: it remembers something else than totals, draws its actions, or lacks a decision.
+        ModelError: the policy remembers more than totals, draws its actions, or lacks a decision.
     """
     model, program = solved.problem.model, nodes.program
     n_states, offsets = program.question["states"], model.pair_offsets
@@ -541,7 +546,7 @@ def _decider(nodes: Nodes, policy: Policy, solved: Solution) -> Decide:
         table = dict(zip(live.tolist(), branches.pair.tolist(), strict=True))
 
     def pair_at(s: int, total: Fraction) -> int:
-        """Pair, or a code below 0, of a state at a total."""
+        """Return the pair, or a code below 0, of a state at a total."""
         if not isinstance(policy, CostAwarePolicy) or not program.steps:
             return int(table.get(s, UNDECIDED))
         paid = float(total)
@@ -554,7 +559,7 @@ def _decider(nodes: Nodes, policy: Policy, solved: Solution) -> Decide:
         return int(policy.tails[len(policy.tails) - 1 if late else 0, s])
 
     def decide(i: int) -> int:
-        """Position of the policy's column among a node's."""
+        """Return the position of the policy's column among the node's columns."""
         x, r = nodes.where.get(i, (nodes.state_of(i), program.cap))
         s, actions = x, nodes.actions[x]
         if isinstance(model, HorizonSSP) and program.question["horizon"] is not None:

@@ -1,10 +1,10 @@
-"""Check a certificate: ``python certificate_lines.py FILE`` says what it proves of which question.
+"""Check a certificate: ``python certificate_lines.py FILE`` prints the question and the result.
 
-With ``expand.py`` and ``prove.py`` beside it this needs Python's standard library alone. A file is
+With ``expand.py`` and ``prove.py`` beside it, this needs Python's standard library alone. A file is
 unpacked and read line by line: the question, a line for each state, and the proof of each program
 of the question. Least failure, or a share of the greatest goal probability, is proved first, and
-bounds the failure that the second program allows. A quantile B is two programs, too: given
-success, the total exceeds B rarely enough under a lottery, and is at least B too often under all.
+bounds the failure that the second program allows. A quantile B needs two programs as well: given
+success, the total exceeds B rarely enough under one lottery, and is at least B too often under all.
 """
 
 import gzip
@@ -31,20 +31,20 @@ KINDS = {
     "discount": object, "horizon": object, "rows": list, "ratio": bool, "charge": list,
     "quantile": object,
 }  # fmt: skip
-LINE, TIMES = 1 << 24, 100  # most bytes of a line; of all, per byte of the file, behind a line's
-LARGE = 10**400  # than which units and counts of steps are smaller
+LINE, TIMES = 1 << 24, 100  # most bytes of a line; most bytes beyond one line, per byte of the file
+LARGE = 10**400  # limit of units and of counts of steps
 NOTHING: dict[str, Any] = {"constant": "0", "terms": []}
 ALONE = {"ratio": True, "greatest": False, "charge": [], "discount": None, "objective": NOTHING}
 FAILING = {"constant": "1", "terms": [["-1", "end", "goal"]]}
 Question = dict[str, Any]
-Lines = Callable[[], Iterator[bytes]]  # of a file, from the first one on each time
+Lines = Callable[[], Iterator[bytes]]  # lines of a file, from the first one at each call
 
 
 def lines_of(path: Any) -> Lines:
-    """Lines of a file, no more and no longer than its size allows."""
+    """Return a reader of a file's lines, which refuses more or longer ones than its size allows."""
 
     def lines() -> Iterator[bytes]:
-        """The lines, from the first one on."""
+        """Yield the lines from the first one on."""
         with open(path, "rb") as packed, gzip.open(packed) as file:
             left = LINE + TIMES * packed.seek(0, 2)
             packed.seek(0)
@@ -58,7 +58,7 @@ def lines_of(path: Any) -> Lines:
 
 
 def read(line: bytes, **kinds: type) -> Any:
-    """Content of a line: an object of these keys, else a list; no key comes twice."""
+    """Return a line's content: an object of these keys or, without keys, a list."""
 
     def once(pairs: list[tuple[str, Any]]) -> Question:
         need(len(dict(pairs)) == len(pairs), "a key comes twice:", *(key for key, _ in pairs))
@@ -72,7 +72,7 @@ def read(line: bytes, **kinds: type) -> Any:
 
 
 def read_question(lines: Iterator[bytes]) -> tuple[Question, str, Any]:
-    """The question, the SHA-256 of it and the model, and the total that a quantile is."""
+    """Read the question, the SHA-256 of it and the model, and the value of a quantile."""
     question, digest = read(first := next(lines), **KINDS), hashlib.sha256(first)
     need(question["format"] == FORMAT, "this is no certificate of this format")
     for line in islice(lines, whole(question["states"], LARGE)):
@@ -85,7 +85,7 @@ def read_question(lines: Iterator[bytes]) -> tuple[Question, str, Any]:
 
 
 def read_state(line: bytes, question: Question) -> State:
-    """A state of the model, its chances divided by their sum, its costs averaged."""
+    """Read a state of the model, with normalised probabilities and mean costs."""
     stated, actions = read(line, name=str, sets=list, actions=list), list[Action]()
     for name, outcomes, costs in stated["actions"]:
         weights, _ = in_parts([number(p) for p, _ in outcomes])
@@ -108,12 +108,12 @@ def read_state(line: bytes, question: Question) -> State:
 
 
 def model_of(lines: Lines, question: Question) -> Iterator[State]:
-    """States of the model in a file."""
+    """Yield the states of the model in a file."""
     return (read_state(line, question) for line in islice(lines(), 1, 1 + question["states"]))
 
 
 def read_proof(lines: Iterator[bytes], *, ratio: bool) -> tuple[Proof, str, int]:
-    """The next proof of a file, its cap, and how many nodes it has a line for."""
+    """Read the next proof of a file, its cap, and the number of nodes that it has a line for."""
     kinds = {"cap": str, "prices": list, "weights": list, "unit": int, "lines": int}
     head = read(next(lines), **kinds, **({"ratio": str} if ratio else {}))
     prices, weights = (list(map(number, head[key])) for key in ("prices", "weights"))
@@ -135,19 +135,19 @@ def read_proof(lines: Iterator[bytes], *, ratio: bool) -> tuple[Proof, str, int]
 
 
 def in_units(text: Any) -> int:
-    """Whole number of units that a text states."""
+    """Return the whole number of units that a text states."""
     need(number(text).denominator == 1, "no whole number of units:", text)
     return int(number(text))
 
 
 def steps_of(question: Question) -> list[str]:
-    """Names of the programs of a question, in their order."""
+    """Return the names of a question's programs, in their order."""
     is_share = type(question["failure"]) is dict or question["failure"] == "least"
     return ["least"] * is_share + (["main"] if question["quantile"] is None else ["late", "from"])
 
 
 def stated(question: Question, step: str, answer: Any, done: dict[str, Bounds]) -> Question:
-    """The question of a program: the failure that it allows is an interval, a quantile a charge."""
+    """Return a program's question, with an interval of allowed failure, and a quantile's charge."""
     if step == "least":
         return {**question, "failure": (Fraction(1), Fraction(1)), "objective": FAILING, "rows": [],
                 "charge": [], "ratio": False, "greatest": False}  # fmt: skip
@@ -169,13 +169,16 @@ def stated(question: Question, step: str, answer: Any, done: dict[str, Bounds]) 
 def proved_steps(
     lines: Lines, rest: Iterator[bytes], question: Question, answer: Any
 ) -> Iterator[tuple[Program, Proof, Bounds, str]]:
-    """Check the proofs of a question's programs, whose texts have a SHA-256, one after the other.
+    """Check the proofs of a question's programs one by one.
 
     Args:
-        lines: of the file.
-        rest: the same, behind the model.
-        question: of the file.
-        answer: the total that a quantile is; None: none is asked.
+        lines: lines of the file.
+        rest: the file's remaining lines, after the model.
+        question: the question of the file.
+        answer: the value of a quantile; None: the question asks for no quantile.
+
+    Yields:
+        Each program, its proof, the interval that it proves, and the SHA-256 of its text.
     """
     done = dict[str, Bounds]()
     for name in steps_of(question):
@@ -189,7 +192,7 @@ def proved_steps(
 
 
 def digested(program: Program, digest: Any) -> Iterator[Any]:
-    """Columns of a program, while its text is digested, for others to compare with."""
+    """Yield the columns of a program while hashing its text."""
     rows = [[row.name, str(row.least), str(row.most)] for row in program.rows]
     head = [program.size, str(program.objective.constant), rows, list(program.follows.items())]
     digest.update(json.dumps(head, separators=(",", ":")).encode() + b"\n")
@@ -200,11 +203,11 @@ def digested(program: Program, digest: Any) -> Iterator[Any]:
 
 
 def check(lines: Lines, expected: str | None = None) -> tuple[Bounds, Question, list[str]]:
-    """Interval that a file's lines prove, the question, and the SHA-256 of it and each program.
+    """Return the proved interval, the question, and the SHA-256 of it and of each program.
 
     Args:
-        lines: of the file, from the first one on each time.
-        expected: SHA-256 of the question and the model that are asked about; None: any.
+        lines: lines of the file, from the first one at each call.
+        expected: SHA-256 that the question and the model must have; None: any.
 
     Raises:
         RefusedError: the claim does not follow.
@@ -226,7 +229,7 @@ def check(lines: Lines, expected: str | None = None) -> tuple[Bounds, Question, 
 
 
 def main(path: str, expected: str | None = None) -> int:
-    """Print what a file proves of the question in it, or why it is refused."""
+    """Print the question of a file and the interval that it proves, or why it is refused."""
     try:
         bounds, question, digests = check(lines_of(path), expected)
     except Exception as error:  # whatever a damaged file may lead to

@@ -1,4 +1,4 @@
-"""Certificates: both sides of an answer recomputed from the model, trusting no solver."""
+"""Certificates: the objective and the bound of a solution, recomputed without any solver."""
 
 from __future__ import annotations
 
@@ -32,28 +32,28 @@ _LOG = logging.getLogger("ssp_lp.certificate")
 def certify(
     solution: Solution, *, verbose: bool = False, time_limit: float | None = None
 ) -> Certificate:
-    """Certify a solution: recompute both sides from model, policy, price and value function.
+    """Certify a solution: recompute objective and bound from model, policy, price and values.
 
-    The objective and the failure come from an exact evaluation of the policy on the model; where
-    the law of its costs takes too large a table, the objective is a bound of it by mean and
-    variance, never better than the exact one. The lower bound comes from the price and the value
-    function alone: the latter is lowered until one backup, rounding counted against it, shows that
-    it bounds the priced cost of every policy from below. A wrong policy, price or value function is
-    thus refused or widens the gap.
+    The objective and the failure come from an exact evaluation of the policy on the model; if the
+    distribution of its total cost needs too large a table, the objective is replaced by a bound
+    from mean and variance, which is never better. The lower bound comes from the price and the
+    value function alone: the value function is lowered until one backup, with rounding counted
+    against it, shows that it bounds the priced cost of every policy from below. A wrong policy,
+    price or value function is therefore refused or widens the gap.
 
     Args:
-        solution: a solution, of ``solve`` or put together by hand.
-        verbose: show how far it has come (``ssp_lp.progress_shown``).
-        time_limit: seconds; None: any number. A bound that is not proved again by then is, of what
-            is made of totals, that of the cheapest way to the goal.
+        solution: a solution of ``solve``, or one put together by hand.
+        verbose: whether to show the progress (``ssp_lp.progress_shown``).
+        time_limit: seconds; None: no limit. If the bound of a criterion of the total cost is not
+            proved in time, the bound of the cheapest way to the goal takes its place.
 
     Returns:
-        The certificate. ``accepted`` is false where the policy breaks the budget or a limit.
+        The certificate. ``accepted`` is false if the policy breaks the budget or a limit.
 
     Raises:
         ModelError: the policy or the value function does not fit the problem.
-        OutOfTimeError: the time limit passed before the policy was evaluated, or before a bound of
-            something else was proved.
+        OutOfTimeError: the time limit passed before the policy was evaluated or, for other
+            criteria, before a bound was proved.
     """
     solution, began = as_solved(solution, "certify"), perf_counter()
     with progress_shown(verbose):
@@ -87,7 +87,7 @@ def certify(
 
 
 def _evaluated(solution: Solution) -> tuple[Evaluation, list[Evaluation]]:
-    """Evaluation of a policy to be certified, and its members'; by moments if laws are long."""
+    """Evaluate a policy and its members, by moments if distributions of costs are too long."""
     problem = solution.problem
     try:
         return evaluate_each(solution.policy, problem)
@@ -100,7 +100,7 @@ def _evaluated(solution: Solution) -> tuple[Evaluation, list[Evaluation]]:
 
 
 def _proved(solution: Solution, evaluation: Evaluation, members: list[Evaluation]) -> Proved:
-    """Bound to certify by, which the problem's approach proves; else the one without a search."""
+    """Prove a bound by the problem's approach, or by the cheapest way if that fails or is worse."""
     case = Case.of_solution(solution)
     approach = approach_to(case)
     unsearched = solution.value_function is None and solution.status is not Status.OPTIMAL
@@ -109,7 +109,7 @@ def _proved(solution: Solution, evaluation: Evaluation, members: list[Evaluation
     attained = min(member.limited_failure for member in members)
     try:
         proved = approach.prove(solution, evaluation, attained)
-    except ModelError:  # a table that cannot be made
+    except ModelError:  # a table that is too large
         if (
             not (approach.afresh and case.has_cheapest_way)
             or solution.problem.failure_budget is None
@@ -127,25 +127,25 @@ _BUDGET_ROUNDING = 1e-12
 
 @dataclass(frozen=True, repr=False)
 class Certificate(Facts):
-    """Recomputed values. ``accepted`` says that the policy keeps to the budget and all limits."""
+    """Recomputed values; ``accepted`` if the policy satisfies the budget and all limits."""
 
     objective: float  # exact value of the policy
     lower_bound: float  # no policy within the budget is cheaper
-    failure: float  # what the budget limits: exact, or discounted under a discount
+    failure: float  # the failure that the budget limits: exact, or discounted under a discount
     budget: float  # largest failure allowed; at least failure: a certified upper bound of it
     budget_slack: float  # budget - failure
     tail_gap: float  # case S: the part of the relative gap that the cap M leaves; 0 if lossless
     accepted: bool
     reason: str  # why it was refused; empty if accepted
-    upper_bound: float | None = None  # of a greatest probability; None where little is better
+    upper_bound: float | None = None  # of a maximised probability; None if the problem minimises
     least_failure_bound: float | None = None  # at least failure: no policy fails less
-    assumption: str = ""  # of a model told by its successor function: what its bounds say
+    assumption: str = ""  # of a model given by its successor function: what its bounds assume
 
     @property
     def gap(self) -> float:
         """Certified relative gap between objective and bound; infinite if refused.
 
-        At least failure that of the goal probability, if it is wider.
+        At least failure, the gap of the goal probability if that is wider.
         """
         if not self.accepted:
             return float("inf")
@@ -155,7 +155,7 @@ class Certificate(Facts):
         return max(relative_gap(self.objective, self.lower_bound), failing)
 
     def tables(self) -> list[Table]:
-        """Accepted or why not, both sides, and what is left of the budget."""
+        """Return a table of the verdict, both sides of the gap, and the failure."""
         upper = self.upper_bound
         side, bound = ("lower", self.lower_bound) if upper is None else ("upper", upper)
         facts = [
@@ -179,15 +179,15 @@ def certificate_of(
     tail: float = 0.0,
     above: bool = False,
 ) -> Certificate:
-    """Certificate with the verdict on a policy.
+    """Build the certificate with the verdict on a policy.
 
     Args:
-        evaluation: what it attains.
-        bound: of every policy's objective.
+        evaluation: exact evaluation of the policy.
+        bound: bound of every policy's objective.
         budget: the largest failure allowed.
-        reason: why it is refused, if that is known already.
+        reason: why the policy is refused, if that is known already.
         tail: the part of the relative gap that a cap leaves.
-        above: whether the bound is one from above.
+        above: whether the bound is an upper bound.
     """
     failure = evaluation.limited_failure
     if not reason and np.isnan(evaluation.objective) and evaluation.goal_probability == 0.0:

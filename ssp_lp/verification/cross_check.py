@@ -1,7 +1,7 @@
-"""The agreement of the methods: the linear program, column generation and the paper's game.
+"""Cross-checks: a problem solved by the linear program, column generation and the paper's game.
 
-What they all take from one room is read a second time: dead-ends, attention states, what failing
-charges and where wandering is free, by the loops of ``ssp_lp.verification.expand``, in fractions.
+The methods share one reading of the model: dead-ends, attention states, charges of failing and
+states where wandering is free. ``ssp_lp.verification.expand`` recomputes it in fractions.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from ssp_lp.verification.certificate_file import Statement, program_of
 METHODS = ("lp", "columns", "game")
 
 MOST_COLUMNS = 60_000
-"""Largest program that is solved from nothing. The paper's robot has 24,000 columns in case M,
-seconds for an interior point; case S has one to two millions, which take it many minutes."""
+"""Most columns of a program that is solved by default. The paper's robot has 24,000 columns in case
+M, which an interior point solves in seconds, and one to two million in case S, many minutes."""
 
 
 @dataclass(frozen=True)
@@ -47,17 +47,17 @@ class Member:
 
     weight: float
     cost: float  # J_obj: case M E[r_tau], case S E[cost; goal]; discounted where the problem is
-    failure: float  # J_cond: what the budget limits
+    failure: float  # J_cond: the failure that the budget limits
 
 
 @dataclass(frozen=True)
 class MethodResult:
-    """One method in a cross-check. A method that gave no answer has a note and no numbers."""
+    """Result of one method in a cross-check; without an answer it has a note and no numbers."""
 
     name: str
     note: str = ""
-    failed: bool = False  # it was asked and gave no answer
-    infeasible: InfeasibleError | None = None  # what it raised, where no policy keeps the budget
+    failed: bool = False  # whether it ran and gave no answer
+    infeasible: InfeasibleError | None = None  # the error that it raised, if infeasible
     objective: float | None = None  # c*
     lower_bound: float | None = None
     gap: float | None = None
@@ -73,23 +73,23 @@ class MethodResult:
 
     @property
     def answered(self) -> bool:
-        """Whether a cross-checked method has an answer to compare."""
+        """Whether the method has an answer to compare."""
         return self.objective is not None
 
     @property
     def spent(self) -> float | None:
-        """Failure of a cross-checked method that the budget limits: discounted under a discount."""
+        """The failure that the budget limits: discounted under a discount."""
         surrogate = self.discounted_failure
         return self.failure_probability if surrogate is None else surrogate
 
     def overrun(self, budget: float) -> float:
-        """By how much its policy breaks a budget; 0 if it keeps to it."""
+        """Return the excess of the policy's failure over a budget; 0 within rounding of it."""
         spent = self.spent
         return 0.0 if spent is None or spent <= budget + LEAST_BUDGET else spent - budget
 
 
 def result_of(name: str, solution: Solution) -> MethodResult:
-    """Row of the cross-check for a solution, its policy and members evaluated on the model."""
+    """Evaluate a solution's policy and its members on the model, as a row of the cross-check."""
     evaluation, each = evaluate_each(solution.policy, solution.problem)
     members = []
     for member, weight in zip(each, solution.policy.weights, strict=True):
@@ -118,7 +118,7 @@ def result_of(name: str, solution: Solution) -> MethodResult:
 def result_by(
     name: str, problem: Problem, lp_backend: str | None = None, time_limit: float | None = None
 ) -> MethodResult:
-    """Ask one method for the cross-check, unless it cannot be asked.
+    """Solve a problem by one method, or note why the method cannot solve it.
 
     Args:
         name: "lp", "columns" or "game".
@@ -131,13 +131,13 @@ def result_by(
     if name == LinearProgramming.name:
         method = LinearProgramming(lp_backend)
         if problem.failure_budget is None:
-            reason = "at least failure there is one method, the two stages of column generation"
+            reason = "least failure is solved by column generation in two stages only"
         elif lp_backend is None:
             columns = problem.compile().for_program().n_columns
             if columns > MOST_COLUMNS:
-                reason = f"{columns:,} columns are too many to solve from nothing"
+                reason = f"{columns:,} columns are too many: give lp_backend to solve it"
     if reason:
-        return MethodResult(name, note=f"not asked: {reason}")
+        return MethodResult(name, note=f"not run: {reason}")
     began = time.perf_counter()
     try:
         solution = solve(problem, method, time_limit=time_limit)
@@ -153,16 +153,16 @@ def result_by(
 
 
 _NOTHING = 1e-12
-"""Costs are compared relative to their size, but never to less than this share of the costliest
-step: below it lies the rounding of sums of such steps."""
+"""Costs are compared relative to their size, but at least to this share of the greatest step cost:
+below it lies the rounding of sums of such costs."""
 
 _EDGE = 1e-9
-"""A budget this near to the least failure may be feasible for one method and not for another."""
+"""Distance of a budget from the least failure within which methods may differ on feasibility."""
 
 MOST_OUTCOMES = 1_000_000
-"""Outcomes up to which a model is read a second time: some ten microseconds each."""
+"""Most outcomes of a model that is read a second time, at some ten microseconds each."""
 
-_SAME = 1e-9  # relative, of a charge: the library's is a sum of rounded terms
+_SAME = 1e-9  # relative distance of two charges: the library's is a sum of rounded terms
 
 _LOG = logging.getLogger("ssp_lp.comparison")
 
@@ -185,7 +185,7 @@ _DIGITS = {"objective": 10, "bound": 10, "gap": 2, "seconds": 2}
 
 @dataclass(frozen=True)
 class SecondReading:
-    """How many states play which part, and where two readings of a model differ."""
+    """Numbers of dead-ends and other kinds of states, and differences between two readings."""
 
     dead_ends: int
     giving_up: int  # states in which a policy may give up
@@ -193,48 +193,52 @@ class SecondReading:
     faults: tuple[str, ...]  # a sentence for each difference
 
     def __str__(self) -> str:
-        """The second reading as one line."""
+        """Return the second reading as one line."""
         counts = f"{self.dead_ends:,} dead-ends, {self.giving_up:,} states to give up in"
         return f"read twice: {counts}, {self.free:,} where wandering is free"
 
 
 @dataclass(frozen=True, repr=False)
 class CrossCheck(Report):
-    """The methods side by side, and what they disagree about.
+    """Results of all methods, and their disagreements.
 
-    A method is named in ``disagreeing`` where its c* lies outside the tolerance of the majority
-    (where no two methods agree, all are named), where its policy breaks the budget or evaluates to
-    another objective than stated, where its lower bound exceeds what another method's policy
-    attains, or where it alone calls the problem infeasible. At a kink of the frontier the price is
-    an interval: different prices are no disagreement as long as each is proved by its bound.
+    A method is named in ``disagreeing`` if
+
+    - its c* lies outside the tolerance of the majority (all are named if no two methods agree),
+    - its policy breaks the budget, or evaluates to another objective than stated,
+    - its lower bound exceeds the value that another method's policy attains, or
+    - it calls the problem infeasible and another method solves it.
+
+    At a kink of the frontier the price is an interval: different prices are no disagreement if each
+    is proved by its bound.
     """
 
     methods: tuple[MethodResult, ...]
     objective_distance: float  # largest relative distance between two c*
     weight_distance: float  # largest distance between two alpha*
     evaluated_distance: float  # largest relative distance between two policies' exact objectives
-    budget_overrun: float  # by which the worst policy breaks the budget; 0 if none does
+    budget_overrun: float  # greatest excess of a policy's failure over the budget; 0 if none
     disagreeing: tuple[str, ...]  # names of methods
-    remarks: tuple[str, ...]  # a sentence for each thing that was noticed
-    reading: SecondReading | None = None  # of the model, which the methods share
+    remarks: tuple[str, ...]  # a sentence for each finding
+    reading: SecondReading | None = None  # second reading of the model
 
     @property
     def agrees(self) -> bool:
-        """Whether no cross-checked method that answered disagrees, and the model is read alike."""
+        """Whether all answers agree, and the second reading of the model is the same."""
         return not self.disagreeing and not (self.reading and self.reading.faults)
 
     @property
     def failed(self) -> tuple[str, ...]:
-        """Cross-checked methods that were asked and gave no answer."""
+        """Names of the methods that ran and gave no answer."""
         return tuple(method.name for method in self.methods if method.failed)
 
     def __repr__(self) -> str:
-        """One line: the methods and the verdict."""
+        """Return the methods and the verdict in one line."""
         names = ", ".join(method.name for method in self.methods)
         return f"CrossCheck({names}: {self._verdict()})"
 
     def tables(self) -> list[Table]:
-        """One table with a row for each method; its notes are policies, remarks and the verdict."""
+        """Return one table, a row for each method, with policies, remarks and verdict as notes."""
         notes = []
         for one in self.methods:
             lottery = (f"{m.weight:.6f} x ({m.cost:.9g}, {m.failure:.6g})" for m in one.members)
@@ -248,7 +252,7 @@ class CrossCheck(Report):
         return [Table(rows, ("method", *_COLUMNS), "", [*notes, self._verdict()], _DIGITS)]
 
     def _verdict(self) -> str:
-        """The verdict on methods that were checked against each other."""
+        """Return the verdict in one line."""
         count = sum(method.answered for method in self.methods)
         distances = (
             f"c* within {self.objective_distance:.1e}, alpha* within {self.weight_distance:.1e}, "
@@ -260,7 +264,7 @@ class CrossCheck(Report):
         if self.disagreeing:
             return f"DISAGREEMENT of {', '.join(self.disagreeing)}: {distances}"
         if count < 2:
-            return "nothing to compare: one method answered"
+            return "nothing to compare: fewer than two answers"
         return f"{count} methods agree: {distances}"
 
 
@@ -274,29 +278,29 @@ def cross_check(
     time_limit: float | None = None,
     verbose: bool = False,
 ) -> CrossCheck:
-    """Cross-check a problem: solve it by every method there is, and compare.
+    """Cross-check a problem: solve it by every method, and compare the results.
 
-    What the methods share, the reading of the model, is compared with a second one by the plain
+    The methods share one reading of the model, which is compared with a second one by the plain
     loops of the certificates' checker (:class:`SecondReading`).
 
     Args:
         problem: a formulation, such as ``MCMP(...)`` or ``S3P(...)``.
         tolerance: relative distance of costs that still counts as agreement.
-        weight_tolerance: distance of two alpha* beyond which their prices are looked at.
+        weight_tolerance: distance of two alpha* above which the prices must be proved.
         lp_backend: the solver of the linear program, see ``solve``; given one, a program of any
             size is solved.
         time_limit: seconds for each method.
-        verbose: show how far it has come (``ssp_lp.progress_shown``).
+        verbose: whether to show the progress (``ssp_lp.progress_shown``).
 
     Returns:
-        The methods side by side. One that cannot be asked stays as a row with a note: the game
-        needs a discount and a budget above 0, least failure has one method only, and a program may
-        be too large to solve from nothing.
+        The results of all methods. A method that cannot solve the problem has a note: the game
+        needs a discount and a budget above 0, least failure has one method only, and a program
+        may be too large to solve by default.
 
     Raises:
-        ModelError: a wrong argument, or a problem with a measure or with limits, which the game
-            does not know.
-        InfeasibleError: every method says that no policy keeps to the budget.
+        ModelError: a wrong argument, or a problem with a risk measure or with limits, which the
+            game does not support.
+        InfeasibleError: every method finds that no policy satisfies the budget.
     """
     check_problem(problem, "cross_check")
     check_between_0_and_1("tolerance", tolerance)
@@ -304,13 +308,13 @@ def cross_check(
     asks = problem.requirements
     if asks.law:
         raise ModelError(
-            f"the game knows costs only, not {type(problem).__name__}: method='lp' compares the "
-            "linear program with column generation"
+            f"cross_check supports expected costs only, not {type(problem).__name__}: solve it "
+            "with method='lp' and with method='columns', and compare"
         )
     if asks.several_rows:
         raise ModelError(
-            f"the comparison knows one row only, not {type(problem).__name__}: method='lp' "
-            "compares the linear program with column generation"
+            f"cross_check supports the failure budget only, not the limits of this "
+            f"{type(problem).__name__}: solve it with method='lp' and 'columns', and compare"
         )
     methods = []
     with progress_shown(verbose):
@@ -324,7 +328,7 @@ def cross_check(
         comparison = compare_methods(
             methods, problem, tolerance=tolerance, weight_tolerance=weight_tolerance
         )
-        with suppress(ModelError):  # a criterion that no certificate in a file covers
+        with suppress(ModelError):  # certificate files do not cover the criterion
             comparison = replace(comparison, reading=second_reading(problem))
         _LOG.info("%r", comparison)
     return comparison
@@ -337,30 +341,30 @@ def compare_methods(
     tolerance: float = 1e-6,
     weight_tolerance: float = 1e-4,
 ) -> CrossCheck:
-    """Cross-check the methods' rows of one problem, wherever they come from.
+    """Compare results of methods for one problem.
 
-    Every method counts a budget within LEAST_BUDGET below the least failure as equal to it.
+    Every method takes a budget up to LEAST_BUDGET below the least failure as equal to it.
     """
     smallest = _NOTHING * float(problem.model.costs.max(initial=0.0))
     budget = 1.0 if problem.failure_budget is None else problem.failure_budget
 
     def distance(one: float | None, other: float | None) -> float:
-        """Relative distance of two costs; infinite if one of them is no number."""
+        """Return the relative distance of two costs; infinite if one of them is not a number."""
         if one is None or other is None or isnan(one) or isnan(other):
             return inf
         return 0.0 if one == other else abs(one - other) / max(abs(one), abs(other), smallest)
 
     def agree(one: float | None, other: float | None) -> bool:
-        """Whether two costs are one."""
+        """Return whether two costs are equal within the tolerance."""
         return distance(one, other) <= tolerance
 
     def is_proved(method: MethodResult) -> bool:
-        """Whether the bound at the method's own price meets its c*: the price is then optimal."""
+        """Return whether the bound at the method's price equals its c*: the price is optimal."""
         return agree(method.objective, method.lower_bound)
 
     answered = [method for method in methods if method.answered]
-    findings = {}  # what is held against a method, by its name
-    for method in answered:  # wrong by itself, whatever others say
+    findings = {}  # method -> objection
+    for method in answered:  # errors that need no second method
         if (overrun := method.overrun(budget)) > 0.0:
             findings[method.name] = f"its policy breaks the budget by {overrun:.1e}"
         elif not agree(method.objective, method.evaluated):
@@ -392,13 +396,13 @@ def compare_methods(
 
 
 def _spread(methods: Sequence[MethodResult]) -> float:
-    """Largest distance between two methods' alpha* in a cross-check."""
+    """Return the largest distance between two methods' alpha*."""
     weights = [w for method in methods if (w := method.adversary_weight) is not None]
     return max(weights) - min(weights) if weights else 0.0
 
 
 def _infeasibility_objections(methods: Sequence[MethodResult], budget: float) -> dict[str, str]:
-    """Objections of a cross-check to methods that call infeasible what another attains."""
+    """Return objections to methods that call a problem infeasible that another one solves."""
     findings = {}
     for method in methods:
         if (error := method.infeasible) is not None:
@@ -410,11 +414,11 @@ def _infeasibility_objections(methods: Sequence[MethodResult], budget: float) ->
 
 
 _Agree = Callable[[float | None, float | None], bool]
-"""Whether two costs are one."""
+"""Whether two costs are equal within the tolerance."""
 
 
 def _refuted(methods: Sequence[MethodResult], agree: _Agree) -> dict[str, str]:
-    """Objections of a cross-check to methods whose bound exceeds an attained value."""
+    """Return objections to methods whose lower bound exceeds an attained value."""
     findings = {}
     for method, other in permutations(methods, 2):
         low, value = method.lower_bound, other.evaluated
@@ -427,7 +431,7 @@ def _refuted(methods: Sequence[MethodResult], agree: _Agree) -> dict[str, str]:
 
 
 def _minority_objections(methods: Sequence[MethodResult], agree: _Agree) -> dict[str, str]:
-    """Objections of a cross-check to methods outside the majority; to all if no two agree."""
+    """Return objections to methods outside the majority; to all if no two agree."""
     near = [[s.name for s in methods if agree(r.objective, s.objective)] for r in methods]
     majority = max(near, key=len, default=[])
     if len(majority) == len(methods):
@@ -435,15 +439,15 @@ def _minority_objections(methods: Sequence[MethodResult], agree: _Agree) -> dict
     if len(majority) < 2:
         return {method.name: "no other method has its c*" for method in methods}
     others = ", ".join(sorted(majority))
-    reason = f"its c* is not that of {others}"
+    reason = f"its c* differs from that of {others}"
     return {method.name: reason for method in methods if method.name not in majority}
 
 
 def second_reading(problem: Problem) -> SecondReading | None:
-    """Read a problem's model a second time and compare; None: it is too large.
+    """Read a problem's model a second time and compare; None if the model is too large.
 
     Raises:
-        ModelError: a criterion that certificates in files do not cover.
+        ModelError: certificate files do not cover the criterion.
     """
     problem = problem.unrolled
     model, semantics = problem.model, problem.semantics
@@ -457,14 +461,14 @@ def second_reading(problem: Problem) -> SecondReading | None:
     entering = dead_end_charges(model, dead, semantics)
     stopping = give_up_charges(model, attention_states(model), nobody, semantics)
     may_stop = np.isfinite(stopping) & ~dead & ~model.goal_mask
-    waits = costless_pairs(model) & ~dead[model.pair_state]  # for ever, or till one can
+    waits = costless_pairs(model) & ~dead[model.pair_state]  # for ever, or until it can leave
     left = np.bincount(model.pair_state[waits], minlength=model.n_states)
     drain(model, waits, left, np.flatnonzero(left == 0))
     wandering = left > 0
     faults: list[str] = []
 
     def compare(part: str, ours: BoolArray, theirs: set[int]) -> int:
-        """Count the states that play a part, and note one that does in one reading only."""
+        """Count the states of a kind, and note one that is of it in one reading only."""
         told = nobody.copy()
         told[sorted(theirs)] = True
         for x in np.flatnonzero(told != ours)[:1].tolist():

@@ -1,11 +1,11 @@
 """Proofs of a certificate's programs: exact bounds and lotteries by column generation.
 
-Nothing in here has to be believed, as ``prove.py`` checks what comes out. Numbers are whole, in
-units of which ``ONE`` are 1. Values at prices come from policy iteration whose equations are solved
-by factors in working precision, refined until they hold but for some units. They are lowered by a
-tiny share of the longest run among rows that are as good as the best, so that every inequality has
-room for the digits that are left out. An upper bound of what a member counts is a lower bound with
-its sign turned. The master program over the members is solved in fractions.
+This module need not be trusted, as ``prove.py`` checks its results. Numbers are whole multiples of
+1 / ``ONE``, called units. Values at prices come from policy iteration; its equations are solved by
+a factorisation in working precision, refined until they hold up to some units. The values are then
+lowered by a tiny share of the longest run among optimal columns, so that every inequality holds
+with room for the digits that are left out. An upper bound of a member's quantity is a lower bound
+with the opposite sign. The master program over the members is solved in fractions.
 """
 
 from __future__ import annotations
@@ -29,55 +29,55 @@ from ssp_lp.verification.expand import ZERO, Program
 from ssp_lp.verification.prove import EXCESS, Column, Counts, Row
 
 ONE = 10**60
-_LOST = 10**28  # values are lowered by at most one part in so many of the largest
-_KEPT = 10**30  # units to which values that follow from others directly are rounded down
-_ROUNDING = 10**15  # units: values that differ by less may differ by rounding alone
-_UNITS = 4  # what an equation may lack in the end
-_BITS = 960  # of whole numbers of which floats are made
-_IMPROVEMENTS = 500  # of a policy, until which iteration has always ended
-_SWEEPS, _SETTLED = 3_000, 1e-13  # of value iteration, until values fall by less than this
-_ROUNDS = 60  # of column generation
-_PARTS = 10**30  # parts of 1 of a price
-_LESS = Fraction(1, 10**20)  # of a ratio, by which less is proved where failure is not limited
-_FAR = 10**6  # prices by which a lottery that breaks a row is led back
-_HEAVY = Fraction(1, 10**12)  # weights below which members are left out, if the rows allow it
-_NARROW, _MANY = Fraction(1, 10**11), 20_000  # width that will do of programs of so many nodes
+_LOST = 10**28  # values are lowered by at most the largest value divided by this
+_KEPT = 10**30  # multiple of units to which values without equations are rounded down
+_ROUNDING = 10**15  # units: smaller differences may be rounding
+_UNITS = 4  # residual of an equation, in units, that ends the refinement
+_BITS = 960  # most bits of whole numbers that are converted to floats
+_IMPROVEMENTS = 500  # most steps of policy iteration, which has always ended before
+_SWEEPS, _SETTLED = 3_000, 1e-13  # most sweeps of value iteration, and the decrease that ends it
+_ROUNDS = 60  # most rounds of column generation
+_PARTS = 10**30  # prices are multiples of 1 / this
+_LESS = Fraction(1, 10**20)  # share by which the proved ratio is lower if failure is not limited
+_FAR = 10**6  # factor of prices while no lottery satisfies the rows
+_HEAVY = Fraction(1, 10**12)  # members of less weight are left out, if the rows allow it
+_NARROW, _MANY = Fraction(1, 10**11), 20_000  # width that suffices for programs of more nodes
 
-Decide = Callable[[int], int]  # the position of the column that a policy takes at a node
+Decide = Callable[[int], int]  # node -> position of the column that a policy takes
 
 
 class _Way(NamedTuple):
-    """A way to go on from a node: with probability a / total to each outcome (a, node)."""
+    """A column within a block: from a node, with probability a / total, to each (a, node)."""
 
     node: int
     total: int
     outcomes: list[tuple[int, int]]
-    own: int  # total times what the step counts, in units
+    own: int  # total times the cost of the step, in units
 
 
 class Member(NamedTuple):
-    """A deterministic policy of a program, with its witnesses, by node."""
+    """A deterministic policy of a program, with the numbers of its proof, by node."""
 
     decision: dict[int, int]
     t: dict[int, int]
-    u: list[dict[int, int]]  # of the objective and of each row
+    u: list[dict[int, int]]  # for the objective and each row
 
     @property
     def totals(self) -> list[Fraction]:
-        """Upper bounds of what the member counts of the objective and of each row."""
+        """Upper bounds of the member's objective and of its rows' values."""
         return [Fraction(values[0], ONE) for values in self.u]
 
 
 class _Lottery(NamedTuple):
     """Optimum of the master program over members, and its duals."""
 
-    weights: list[Fraction]  # [members]; none where no lottery satisfies the rows
-    prices: list[Fraction]  # [rows]; then such that every member breaks the rows at them
+    weights: list[Fraction]  # [members]; empty if no lottery satisfies the rows
+    prices: list[Fraction]  # [rows]; if infeasible, every member violates the rows at them
     value: Fraction  # the least objective, or ratio
 
 
 class Proved(NamedTuple):
-    """The proof of a program in lines of a file, and the interval that it proves."""
+    """The proof of a program as lines of a file, and the interval that it proves."""
 
     lines: list[bytes]
     lower: Fraction
@@ -85,20 +85,20 @@ class Proved(NamedTuple):
 
 
 class Nodes:
-    """Columns of a program node by node, in blocks that lead to themselves and to earlier ones."""
+    """Columns of a program by node, in blocks whose columns lead to the block or earlier ones."""
 
     def __init__(self, program: Program, n_states: int) -> None:
         self.program, n = program, program.graph.size
         self.where = {node: at for at, node in program.place.items()}
         self.kept = defaultdict[int, list[Column]](list)
-        self.last = dict[int, int]()  # a best decision of each node at the last prices
+        self.last = dict[int, int]()  # node -> best decision at the last prices
         first, keeps = program.graph.first, program.keeps
-        self.actions = [  # of each state, the positions of those that count
+        self.actions = [  # [states] positions of the actions that count
             [k - first[x] for k in range(first[x], first[x + 1]) if keeps[k]] for x in range(n)
         ]
         for column in program.columns():
             if column.node in self.where:
-                break  # these are made when they are asked for, as they are many
+                break  # too many to store: `at` builds them
             self.kept[column.node].append(column)
         met, queue = {0}, [0]
         for i in queue if not self.where else ():  # it grows while it is walked
@@ -115,14 +115,14 @@ class Nodes:
         self.size = sum(map(len, self.blocks))
 
     def at(self, node: int) -> list[Column]:
-        """Columns of a node."""
+        """Return the columns of a node."""
         if node not in self.where:
             return self.kept[node]
         x, r = self.where[node]
         return list(self.program.decisions(node, x, self.program.model[x].actions, r))
 
     def values(self, prices: Sequence[Fraction]) -> dict[int, int]:
-        """Values that satisfy every inequality at prices, near the greatest that do."""
+        """Return values that satisfy every inequality at prices, near the greatest such values."""
         value, costs = dict[int, int](), dict[Counts, Fraction]()
         for block in self.blocks:
             inside, columns, own = set(block), [c for i in block for c in self.at(i)], list[int]()
@@ -148,9 +148,9 @@ class Nodes:
     def _connected(
         self, block: list[int], columns: list[Column], own: list[int]
     ) -> dict[int, tuple[int, int]]:
-        """Values of nodes that lead to each other, and a best decision of each.
+        """Return the value and a best decision of each node of a block with cycles.
 
-        Nodes that may be gone about in for nothing are one, as such loops say nothing of them.
+        The nodes of a free end component have one value, as its cycles give no inequality.
         """
         place, position = {i: n for n, i in enumerate(block)}, _positions(columns)
         inner = [[(a, place[j]) for a, j in c.moves if j in place] for c in columns]
@@ -178,11 +178,11 @@ class Nodes:
         best, values = sub_solution(ways, choice)
         taken = np.zeros(len(columns), dtype=np.bool_)
         taken[[leaving[w] for w in best]] = True
-        nearer = nearer_pairs(graph, taken, taken | stays).tolist()  # to where a group is left
+        nearer = nearer_pairs(graph, taken, taken | stays).tolist()  # to where its group is left
         return {i: (values[group[n]], position[nearer[n]]) for i, n in place.items()}
 
     def column(self, node: int, k: int) -> Column:
-        """Column k of a node."""
+        """Return column k of a node."""
         x, r = self.where.get(node, (0, 0))
         if node not in self.where or k >= len(self.actions[x]):
             return self.at(node)[k]
@@ -190,10 +190,10 @@ class Nodes:
         return self.program.column(node, pair, self.program.model[x].actions[self.actions[x][k]], r)
 
     def stop(self, node: int, *, must_wait: bool = False) -> int:
-        """Position of the column by which a node is left for nothing, or else by giving up.
+        """Return the position of a node's column that waits for ever or, without one, gives up.
 
         Raises:
-            SolverError: there is none.
+            SolverError: the node has no such column.
         """
         program, x = self.program, self.state_of(node)
         stops = (x in program.giving_up) + (x in program.waiting)
@@ -202,14 +202,14 @@ class Nodes:
         return len(self.actions[x]) + stops - 1
 
     def state_of(self, node: int) -> int:
-        """State of the model, or (state, steps taken), that a node is of."""
+        """Return the number of a node's state, or of its (state, steps taken)."""
         return self.where[node][0] if node in self.where else (node - 1) % self.program.graph.size
 
     def member(self, decide: Decide) -> Member:
-        """The policy that decides so where it comes to, evaluated; without an end it waits.
+        """Evaluate the policy of given decisions; where it never ends, it waits.
 
         Raises:
-            SolverError: it goes on for ever where that is not free.
+            SolverError: the policy goes on for ever where waiting is not free.
         """
         above, decision, chosen = self.program.follows, dict[int, int](), dict[int, Column]()
         before, queue, ending = defaultdict[int, list[int]](list), [0], list[int]()
@@ -224,7 +224,7 @@ class Nodes:
                 before[j].append(i)
                 queue.append(j)
         ends = set(ending)
-        for j in ending:  # likewise
+        for j in ending:  # as above
             more = set(before[j]) - ends if j not in above else set[int]()
             ends |= more
             ending += more
@@ -233,7 +233,7 @@ class Nodes:
         decision |= stopped
         chosen |= {i: self.column(i, k) for i, k in stopped.items()}
         met, queue = {0}, [0]
-        for i in queue:  # likewise
+        for i in queue:  # as above
             after = {j for _, j in chosen[i].moves} - met
             met |= after
             queue += after
@@ -244,7 +244,7 @@ class Nodes:
             steps |= _followed(some, [Fraction(1)] * len(some), steps, solved)
             for q, known in enumerate(u):
                 known |= _followed(some, [c.counts[q] for c in some], known, _lowered)
-        # whole numbers: rounding up each t adds less than 1 + widest to what follows
+        # whole numbers: rounding each t up adds less than 1 + widest to its successors' mean
         t = {i: -(step * 2 * (1 + widest) // ONE) for i, step in steps.items()}
         kept = {i: decision[i] for i in met}
         return Member(kept, t, [{i: -v for i, v in values.items()} for values in u])
@@ -254,13 +254,13 @@ def _followed(
     chosen: Sequence[Column], own: Sequence[Fraction], known: Mapping[int, int],
     values_of: Callable[[Sequence[_Way]], list[int]],
 ) -> dict[int, int]:  # fmt: skip
-    """Values, negative, of what a policy counts from some nodes on.
+    """Return the negative of a quantity that a policy collects from each of some nodes on.
 
     Args:
-        chosen: its columns.
-        own: what they count themselves.
-        known: values of the nodes that they lead to besides.
-        values_of: those of ways that are all taken.
+        chosen: the policy's columns at these nodes.
+        own: the quantity of each column.
+        known: values of the other nodes that the columns lead to.
+        values_of: solver of the equations, one way for each node.
     """
     place = {column.node: n for n, column in enumerate(chosen)}
     ways = list[_Way]()
@@ -273,7 +273,7 @@ def _followed(
 
 
 def _lowered(ways: Sequence[_Way]) -> list[int]:
-    """Values of ways that are all taken, below what they are by what the file leaves out."""
+    """Return lower bounds of values with one way for each node, in few digits."""
     if not any(way.own for way in ways):
         return [0] * len(ways)
     if not any(way.outcomes for way in ways):
@@ -282,17 +282,17 @@ def _lowered(ways: Sequence[_Way]) -> list[int]:
 
 
 def _positions(columns: Sequence[Column]) -> list[int]:
-    """Position of each column among those of its node, which follow one another."""
+    """Return each column's position among the columns of its node, which are adjacent."""
     first = dict[int, int]()
     return [n - first.setdefault(column.node, n) for n, column in enumerate(columns)]
 
 
 def sub_solution(ways: Sequence[_Way], choice: Sequence[int]) -> tuple[Sequence[int], list[int]]:
-    """A best choice, and values v <= own + mean v for each way, near the greatest that are.
+    """Return a best choice, and values v <= own + mean v for all ways, near the greatest ones.
 
     Args:
-        ways: of all nodes.
-        choice: a way of each node, by which all of them are left.
+        ways: ways of all nodes.
+        choice: a way for each node, such that every node is left eventually.
     """
     choice, values, room = best_values(ways, choice)
     short = [(value + _ROUNDING // 2) // _ROUNDING * _ROUNDING for value in values]
@@ -312,7 +312,7 @@ def sub_solution(ways: Sequence[_Way], choice: Sequence[int]) -> tuple[Sequence[
 
 
 def _ended_exactly(ways: Sequence[_Way], values: list[int], room: int) -> list[int]:
-    """The values with those raised to what ending at once counts, where that is within room."""
+    """Raise values to the cost of ending at once, if the increase is at most ``room``."""
     ends = dict[int, int]()
     for way in ways:
         if not way.outcomes:
@@ -334,10 +334,10 @@ def _ended_exactly(ways: Sequence[_Way], values: list[int], room: int) -> list[i
 def best_values(
     ways: Sequence[_Way], choice: Sequence[int]
 ) -> tuple[Sequence[int], list[int], list[int]]:
-    """Policy iteration: a best choice, its values, and by how much each way counts more.
+    """Find a best choice by policy iteration, with its values and each way's reduced cost.
 
     Raises:
-        SolverError: it does not end.
+        SolverError: policy iteration does not end.
     """
     for _ in range(_IMPROVEMENTS):
         values = solved([ways[n] for n in choice])
@@ -349,11 +349,11 @@ def best_values(
         choice = list(choice)
         for n in sorted(better, key=room.__getitem__, reverse=True):
             choice[ways[n].node] = n
-    raise SolverError("no policy is best for a certificate: are costs near 1e-40 apart?")
+    raise SolverError("policy iteration does not end: round costs that differ by about 1e-40")
 
 
 def swept(ways: Sequence[_Way], choice: Sequence[int]) -> Sequence[int]:
-    """A choice by which all nodes are left, improved by value iteration from above, in floats."""
+    """Improve a choice that leaves every node by value iteration from above, in floats."""
     n, at = len(choice), np.array([way.node for way in ways])
     own, steps = np.array([way.own / way.total / ONE for way in ways]), _chances(ways, n)
     first = list(choice)
@@ -368,7 +368,7 @@ def swept(ways: Sequence[_Way], choice: Sequence[int]) -> Sequence[int]:
 
 
 def _chances(ways: Sequence[_Way], n_nodes: int) -> sp.csr_array:
-    """Probability that each way leads to each node, [ways, nodes]."""
+    """Return the probability that each way leads to each node, [ways, nodes]."""
     entries = [(i, j, a / way.total) for i, way in enumerate(ways) for a, j in way.outcomes]
     at, to, chances = np.array(entries).reshape(-1, 3).T
     place = at.astype(np.int64), to.astype(np.int64)
@@ -376,7 +376,7 @@ def _chances(ways: Sequence[_Way], n_nodes: int) -> sp.csr_array:
 
 
 def solved(chosen: Sequence[_Way]) -> list[int]:
-    """Values of nodes with one way each, at which these are equations but for some units."""
+    """Return the values of nodes with one way each, which satisfy their equations to units."""
     n, values, last = len(chosen), [0] * len(chosen), 0
     if not any(way.outcomes for way in chosen):
         return [way.own // way.total for way in chosen]
@@ -394,7 +394,7 @@ def solved(chosen: Sequence[_Way]) -> list[int]:
 
 
 def leaving_choice(ways: Sequence[_Way], n_nodes: int, preferred: Sequence[bool]) -> list[int]:
-    """Choice of a way per node that comes nearer to an end, preferred ways first.
+    """Choose a way for each node that leads nearer to an end, preferred ways first.
 
     Raises:
         SolverError: a node cannot be left.
@@ -419,20 +419,20 @@ def leaving_choice(ways: Sequence[_Way], n_nodes: int, preferred: Sequence[bool]
 def best_lottery(
     members: Sequence[Sequence[Fraction]], rows: Sequence[Row], room: Fraction, *, ratio: bool
 ) -> _Lottery:
-    """The master program: weights >= 0 of members, of least objective, or ratio, within rows.
+    """Solve the master program: weights >= 0 of members, of least objective or ratio, within rows.
 
-    By the simplex method in fractions, in Bland's order, which ends in every case.
+    The simplex method runs in fractions with Bland's rule, so that it always ends.
 
     Args:
-        members: what each counts of the objective and of each row, [members][1 + rows].
-        rows: that the lottery satisfies.
-        room: part of a bound, or of 1, by which it may exceed it.
+        members: objective and row values of each member, [members][1 + rows].
+        rows: rows that the lottery must satisfy.
+        room: share of min(|bound|, 1) by which the lottery may exceed a row.
         ratio: whether the objective is divided by 1 - row 0.
     """
     n, size = len(members), len(rows)
     beyond = [[one[1 + k] - row.least - room * min(abs(row.least), Fraction(1)) for one in members]
               for k, row in enumerate(rows)]  # fmt: skip
-    # members, a slack for each row, what is missing to the sum 1; and the right side
+    # columns: members, a slack for each row, the artificial variable of the sum, the right side
     table = [[*row, *(Fraction(k == j) for j in range(size)), ZERO, ZERO]
              for k, row in enumerate(beyond)]  # fmt: skip
     table.append([*(1 - ratio * one[1] for one in members), *[ZERO] * size, *[Fraction(1)] * 2])
@@ -463,13 +463,13 @@ def best_lottery(
 def lower_bound(
     program: Program, prices: Sequence[Fraction], begin: int, rows: Sequence[Fraction]
 ) -> Fraction | None:
-    """What values at prices prove of a program; None: nothing of its ratio.
+    """Return the lower bound that values at prices prove; None if they bound no ratio.
 
     Args:
         program: the program.
-        prices: of its rows.
+        prices: prices of its rows.
         begin: value of the beginning, in units.
-        rows: what is paid for each.
+        rows: the bound of each row.
     """
     bound = program.objective.constant + Fraction(begin, ONE) - sum(map(mul, prices, rows), ZERO)
     if not program.question["ratio"]:
@@ -481,12 +481,12 @@ def lower_bound(
 
 
 def proof_of(nodes: Nodes, first: Sequence[Member], prices: Sequence[Fraction]) -> Proved:
-    """The best proof of a program: columns are generated until both sides of it agree.
+    """Return the best proof of a program: generate columns until both bounds agree.
 
     Args:
-        nodes: of the program.
-        first: members of a lottery that is near the best.
-        prices: near the best.
+        nodes: nodes of the program.
+        first: members of a nearly optimal lottery.
+        prices: nearly optimal prices.
 
     Raises:
         SolverError: no lottery satisfies the rows.
@@ -511,7 +511,7 @@ def proof_of(nodes: Nodes, first: Sequence[Member], prices: Sequence[Fraction]) 
             far *= _FAR
             prices = [_of_few_digits(far * price) for price in lottery.prices]
             continue
-        if lower is None and not is_new:  # no policy goes below a somewhat smaller ratio
+        if lower is None and not is_new:  # try to prove a slightly smaller ratio
             prices, less = [_of_few_digits(prices[0] * (1 - less)), *prices[1:]], less * 10**4
             continue
         width = ONE if best is None else lottery.value + program.objective.constant - best[0]
@@ -550,7 +550,7 @@ def proof_of(nodes: Nodes, first: Sequence[Member], prices: Sequence[Fraction]) 
 def _in_lines(
     head: dict[str, object], values: Mapping[int, int], members: Sequence[Member]
 ) -> list[bytes]:
-    """A proof in lines of a file, in the largest unit of which its numbers are multiples."""
+    """Return a proof as lines of a file, in the largest unit that divides its numbers."""
     vectors = [values, *(vector for one in members for vector in one.u)]
     unit = math.gcd(ONE, *(value for vector in vectors for value in vector.values()))
     nodes = sorted(set(values).union(*(one.decision for one in members)))
@@ -564,12 +564,12 @@ def _in_lines(
 
 
 def line_of(content: object) -> bytes:
-    """A line of a certificate file."""
+    """Return content as a line of a certificate file."""
     return json.dumps(content, separators=(",", ":")).encode() + b"\n"
 
 
 def _broken(rows: Sequence[Row], members: Iterable[Member], prices: Sequence[Fraction]) -> str:
-    """Which row no lottery satisfies, and by how little."""
+    """Return the message that names the row that no lottery satisfies, and the excess."""
     k = max(range(len(rows)), key=prices.__getitem__)
     least = min(one.totals[1 + k] for one in members)
     return (f"no policy satisfies row {rows[k].name!r} exactly: {float(least)!r} is more than "
@@ -577,5 +577,5 @@ def _broken(rows: Sequence[Row], members: Iterable[Member], prices: Sequence[Fra
 
 
 def _of_few_digits(price: Fraction) -> Fraction:
-    """A price rounded down, as any price proves something."""
+    """Return a price rounded down to few digits; any price >= 0 proves a bound."""
     return Fraction(math.floor(price * _PARTS), _PARTS)

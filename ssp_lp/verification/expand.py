@@ -1,9 +1,9 @@
-"""From a question about a model to the columns of a linear program, and no further.
+"""The linear program of a question about a model, with its columns in fractions.
 
-Nothing is proved in here; it is the reading of a question: what is a dead-end, where one may give
-up, what failing is charged, where waiting for ever is free, how totals are counted. ``prove.py``
-reads what comes out and knows none of these words. The definitions are those of the page on the
-format, by its numbers; ``program.columns()`` states the program.
+This module proves nothing; it interprets a question: which states are dead-ends, where a policy
+may give up, which cost failing has, where waiting for ever is free, how totals are counted.
+``prove.py`` reads the resulting program and uses none of these terms. Numbers in parentheses are
+those of the definitions on the page on the format; ``program.columns()`` states the program.
 """
 
 from array import array
@@ -20,9 +20,9 @@ else:  # copied elsewhere
     from prove import Column, Counts, Row, need, number, whole  # type: ignore
 
 ZERO, ONE = Fraction(0), Fraction(1)
-LONGEST = 1 << 16  # bits of a common denominator
-SPARSE = 1000  # (state, steps taken) for each line of a file
-COSTS = 63  # fewer than so many, whose set is a word of the machine
+LONGEST = 1 << 16  # most bits of a common denominator
+SPARSE = 1000  # most pairs (state, steps taken) for each line of a file
+COSTS = 63  # costs are fewer, so that a set of them fits a machine word
 
 
 class Action(NamedTuple):
@@ -31,7 +31,7 @@ class Action(NamedTuple):
     name: str
     total: int
     outcomes: list[tuple[int, int, Any]]  # t is a fraction; in a program a number of units
-    costs: list[Fraction]  # mean of each
+    costs: list[Fraction]  # mean of each cost
 
 
 class State(NamedTuple):
@@ -43,7 +43,7 @@ class State(NamedTuple):
 
 
 def in_parts(numbers: Sequence[Fraction]) -> tuple[list[int], int]:
-    """Numbers as multiples of a part of 1, of which there are so many in 1."""
+    """Return numbers as multiples of 1 / parts, and the least such number of parts."""
     parts = 1
     for denominator in {one.denominator for one in numbers}:
         parts = lcm(parts, denominator)
@@ -52,12 +52,12 @@ def in_parts(numbers: Sequence[Fraction]) -> tuple[list[int], int]:
 
 
 class _Graph:
-    """Which action of which state may lead where; actions are numbered, state by state."""
+    """Successors of each state's actions, which are numbered state by state."""
 
     def __init__(self, states: Iterable[State], sets: Iterable[str]) -> None:
         self.sets = {name: set[int]() for name in ("goal", "out of time", *sets)}
         self.home, self.first = array("q"), array("q", [0])  # state of each action; first of each
-        self.to, self.ends = array("q"), array("q", [0])  # successors; where those of each end
+        self.to, self.ends = array("q"), array("q", [0])  # successors; end of each action's
         self.paid = array("q")  # costs that are not 0, as bits
         for x, state in enumerate(states):
             for name in state.sets:
@@ -77,11 +77,11 @@ class _Graph:
                 self.before[y].append(k)
 
     def after(self, k: int) -> Sequence[int]:
-        """States that an action may lead to."""
+        """Return the states that an action may lead to."""
         return self.to[self.ends[k] : self.ends[k + 1]]
 
     def distances(self, allowed: Sequence[bool]) -> dict[int, int]:
-        """Least number of allowed actions to the goal, of the states from which it is reachable."""
+        """Return state -> least number of allowed actions to the goal, if it is reachable."""
         steps = dict.fromkeys(self.goal, 0)
         queue = list(steps)
         for y in queue:  # it grows while it is walked
@@ -92,7 +92,7 @@ class _Graph:
         return steps
 
     def staying(self, states: set[int], allowed: Sequence[bool]) -> set[int]:
-        """Largest part of states in which each has no actions, or an allowed one that stays in."""
+        """Return the largest subset in which each state has no actions or an allowed one inside."""
         inside, stays, counts = set(states), list(allowed), [0] * self.size
         for k, x in enumerate(self.home):
             counts[x] += stays[k]
@@ -110,7 +110,7 @@ class _Graph:
 
 
 class _Quantity:
-    """What a run adds up: costs, and arrivals in states, with weights."""
+    """A weighted sum of a run's costs and of its arrivals in states."""
 
     def __init__(self, stated: Any, sign: int, n_costs: int, graph: _Graph, dead: set[int]) -> None:
         need(type(stated) is dict and stated.keys() == {"constant", "terms"}, "no quantity")
@@ -131,7 +131,7 @@ class _Quantity:
                 self.arrivals[x] += weight
 
     def mean(self, costs: Sequence[Fraction]) -> Fraction:
-        """Weighted sum of some costs."""
+        """Return the weighted sum of costs."""
         return sum(map(mul, self.costs, costs), ZERO)
 
 
@@ -140,9 +140,9 @@ class Program:
 
     Args:
         question: of a certificate; its `failure` is the interval of the allowed failure.
-        states: states of the model, from the first one on each time.
+        states: states of the model, from the first one at each call.
         cap: total from which on totals are not distinguished.
-        lines: how many lines of nodes the proof has, by which the work is limited.
+        lines: number of the proof's lines for nodes, which limits the work.
     """
 
     def __init__(
@@ -168,13 +168,13 @@ class Program:
         self._charge(question["charge"], cap)
 
     def _count_steps(self, n: int, horizon: int) -> None:
-        """Distinguish (state, steps taken) (definition 1)."""
+        """Distinguish states by the number of steps taken (definition 1)."""
         most = SPARSE * (n + self.lines)
         need(n * (whole(horizon, most) + 1) <= most, "the horizon is too far for so few lines")
         needed, flat = self.graph.distances(self.graph.every), list(self.states())
 
         def states() -> Iterator[State]:
-            """States after each number of steps."""
+            """Yield the states after each number of steps."""
             for h in range(horizon + 1):
                 for x, (name, sets, actions) in enumerate(flat):
                     late = ["out of time"] * (needed.get(x, 0) > horizon - h)
@@ -203,7 +203,7 @@ class Program:
             self.rows.append(Row(row["name"], bound, bound))
 
     def _decide(self, give_up: str) -> None:
-        """Say which actions count, where one may stop, what failing is charged (4 to 7)."""
+        """Determine the actions that count, where a policy may stop, failing's charges (4 to 7)."""
         graph, live, every = self.graph, self.live, range(self.graph.size)
         places = {"anywhere": live, "attention": live & self.attention, "dead_ends": set[int]()}
         need(give_up in places, "give_up is", give_up)
@@ -214,7 +214,7 @@ class Program:
                 for k, paid in enumerate(graph.paid)]  # fmt: skip
         self.giving_up, self.keeps = places[give_up], graph.every
         self.waiting = graph.staying(live, free) if self.discount == 1 else set[int]()
-        if self.rows[0].most == 0:  # only what keeps the goal sure counts
+        if self.rows[0].most == 0:  # only actions that keep the goal sure count
             self.giving_up, self.waiting, last = set(), set(), None
             while last != self.live:
                 last = self.live
@@ -238,7 +238,7 @@ class Program:
                 q.arrivals[x] += q.mean(self.charges[x])
 
     def _charge(self, stated: list[Any], cap: str) -> None:
-        """Number the nodes: the beginning, states, what exceeds the cap, totals below it (8)."""
+        """Number the nodes: the beginning, states, the excess over the cap, totals below it (8)."""
         n, sides, sign = self.graph.size, [">=", ">"], self.sign
         steps = [((number(at), sides.index(side)), sign * number(value), sign * number(slope))
                  for side, at, value, slope in stated]  # fmt: skip
@@ -277,13 +277,13 @@ class Program:
         self.size += len(met)
 
     def charge(self, total: int) -> Fraction:
-        """What reaching the goal with a total is charged."""
+        """Return the charge of reaching the goal with a total."""
         exact = Fraction(total, self.unit)
         (at, _), value, slope = max(one for one in self.steps if one[0] <= (exact, 0))
         return value + slope * (exact - at)
 
     def columns(self) -> Iterator[Column]:
-        """All columns, node by node."""
+        """Yield all columns, node by node."""
         parts, scale = in_parts([p for p, _ in self.start])
         outcomes = [(a, x, 0) for a, (_, x) in zip(parts, self.start, strict=True)]
         begin = Action("begin", scale, outcomes, [ZERO] * len(self.objective.costs))
@@ -299,7 +299,7 @@ class Program:
     def decisions(
         self, node: int, x: int, actions: list[Action], r: int | None
     ) -> Iterator[Column]:
-        """Columns of a state at a total (9), or for what exceeds the cap (10; r is None)."""
+        """Yield a state's columns at a total (9), or of the excess over the cap (10; r is None)."""
         for k, action in enumerate(actions, self.graph.first[x]):
             if self.keeps[k]:
                 yield self.column(node, k, action, r)
@@ -313,7 +313,7 @@ class Program:
             yield Column(node, "wait", 1, [], tuple(counts))
 
     def column(self, node: int, k: int, action: Action, r: int | None) -> Column:
-        """Column of action k; the beginning is k = -1, without a discount."""
+        """Return the column of action k; the beginning is k = -1, without a discount."""
         n, discount = self.graph.size, self.discount if k >= 0 else ONE
         if (fixed := self._fixed.get(k)) is None:
             share, counts = discount / action.total, [q.mean(action.costs) for q in self.each]

@@ -1,26 +1,28 @@
 """Bounds of a linear program by inequalities between whole numbers: nothing is solved or rounded.
 
-A program has nodes; everything begins with mass 1 in node 0. A column (i, D, a, c) takes mass out
-of node i, brings a_j / D of it to node j, and counts c_0 of the objective and c_k of row k. Sought
-is x >= 0, one number a column, of least objective, such that at each node as much mass leaves as
-comes in, and each row is at most its bound. A bound is an interval [least, most] that contains it.
-A proof has its numbers in whole units, of which ``unit`` are 1.
+A program has nodes, and mass 1 starts in node 0. A column (i, D, a, c) takes mass out of node i,
+moves a_j / D of it to node j, and adds c_0 to the objective and c_k to row k. The program minimises
+the objective over x >= 0, one number for each column, such that at each node as much mass leaves as
+enters, and each row is at most its bound. A bound is given as an interval [least, most] that
+contains it. Numbers of a proof are whole multiples of 1 / ``unit``.
 
-Below: prices p >= 0, and v at some nodes, node 0 among them, from which columns lead to such nodes
-alone. Every x has objective + sum p_k row_k >= v_0 (weak duality) if, for each of their columns,
+Lower bound: prices p >= 0, and a value v at some nodes, node 0 among them, from which columns lead
+to such nodes only. Every x has objective + sum p_k row_k >= v_0 (weak duality) if, for each column
+of theirs,
 
     D v_i <= D (c_0 + sum p_k c_k) + sum a_j v_j.
 
-Above: a member of a lottery decides on one column at each node that it comes to, and has t >= 0,
-u there. Its mass ends, so that it has a finite x, and x counts at most u_0 of each quantity, if
+Upper bound: a member of a lottery chooses one column at each node that it reaches, and has numbers
+t >= 0 and u there. Its mass leaves the program, so that x is finite, and each quantity of x is at
+most its u_0, if
 
     D t_i >= D + sum a_j t_j   and   D u_i >= D c + sum a_j u_j   for the objective and each row.
 
-A lottery counts the weighted means of its members. It satisfies a row if it takes at most `least`;
-prices pay for `most`, or for what the lottery takes, if that is more.
+The quantities of a lottery are the weighted means of its members' quantities. It satisfies a row if
+its value is at most `least`; prices are multiplied by `most`, or by the lottery's value if greater.
 
 Ratio objective / (1 - row 0): it is at least r if p_0 >= r and bound >= r (1 - bound_0), because
-p_0 - r is a price of row 0, too, and r is paid for the rest of it.
+p_0 - r is a price of row 0, too, and r is the price of the rest of it.
 """
 
 import re
@@ -32,20 +34,20 @@ from itertools import groupby
 from typing import Any, NamedTuple
 
 ZERO = Fraction(0)
-EXCESS = Fraction(1, 10**24)  # of a bound, or of 1: a lottery may exceed a row by so much
+EXCESS = Fraction(1, 10**24)  # times min(|bound|, 1): excess over a row that a lottery may have
 NUMBER = re.compile(r"-?[0-9]+(/[1-9][0-9]*|(\.[0-9]+)?([eE][-+]?[0-9]{1,3})?)")
-DIGITS = 4000  # of a number, fewer than Python converts
-REASON = 2000  # letters of a refusal
+DIGITS = 4000  # characters of a number, below Python's limit for conversion
+REASON = 2000  # characters of the text of a refusal
 
 Counts = tuple[Fraction, ...]
 
 
 class RefusedError(Exception):
-    """A file's claim does not follow: the inequality that fails, and where."""
+    """A file's claim does not follow; the text names the inequality that fails, and where."""
 
 
 class Column(NamedTuple):
-    """A decision at a node: successors (a, j), of weight a / total each, and what it counts."""
+    """A decision at a node: successors (a, j) of weight a / total each, and quantities."""
 
     node: int
     name: str
@@ -55,7 +57,7 @@ class Column(NamedTuple):
 
 
 class Row(NamedTuple):
-    """A limit, the bound of which lies between two numbers."""
+    """A limit whose bound is known to lie between two numbers."""
 
     name: str
     least: Fraction
@@ -64,7 +66,7 @@ class Row(NamedTuple):
 
 @dataclass
 class Member:
-    """A policy of the lottery: by node its decision, t, and u of each quantity."""
+    """A policy of the lottery: its decision, t, and u of each quantity, by node."""
 
     decision: dict[int, int] = field(default_factory=dict)
     t: dict[int, int] = field(default_factory=dict)
@@ -73,18 +75,18 @@ class Member:
 
 @dataclass
 class Proof:
-    """Numbers of a proof; those of nodes in units."""
+    """The numbers of a proof; numbers of nodes are multiples of 1 / unit."""
 
     unit: int
     prices: list[Fraction]
     weights: list[Fraction]
-    ratio: Fraction | None  # a lower bound of the ratio; None: no ratio is asked
+    ratio: Fraction | None  # a lower bound of the ratio; None: the objective is no ratio
     v: dict[int, int]
     members: list[Member]
 
 
 class Bounds(NamedTuple):
-    """The interval that contains the optimum, and by how much the lottery exceeds rows."""
+    """The interval that contains the optimum, and the lottery's excess over rows."""
 
     lower: Fraction
     upper: Fraction
@@ -92,28 +94,28 @@ class Bounds(NamedTuple):
 
 
 def need(holds: bool, *words: object) -> None:
-    """Refuse a file, in these words, unless something holds."""
+    """Raise RefusedError with these words unless a condition holds."""
     if not holds:
         raise RefusedError(" ".join(ascii(str(word))[1:-1] for word in words)[:REASON])
 
 
 @lru_cache(1 << 16)
 def number(text: Any) -> Fraction:
-    """Return the number that a text states."""
+    """Return the number that a text states, a decimal or a fraction."""
     need(isinstance(text, str) and len(text) < DIGITS, "no text of a number:", repr(text)[:99])
     need(NUMBER.fullmatch(text) is not None, "no decimal and no fraction:", repr(text)[:99])
     return Fraction(text)
 
 
 def whole(value: Any, below: int) -> int:
-    """Check that a value is a whole number >= 0 below another."""
+    """Return a value, checked to be a whole number >= 0 and below a limit."""
     if not (type(value) is int and 0 <= value < below):
         need(False, repr(value)[:99], "is no whole number below", repr(below)[:99])
     return int(value)
 
 
 def check_node(columns: list[Column], proof: Proof, price: Callable[[Counts], Fraction]) -> None:
-    """Check the inequalities of one node."""
+    """Check the inequalities of one node's columns."""
     node, unit = columns[0].node, proof.unit
     if node in proof.v:
         for _, name, total, moves, counts in columns:
@@ -139,14 +141,14 @@ def prove(
     columns: Iterable[Column], constant: Fraction, rows: list[Row], follows: Mapping[int, int],
     proof: Proof,
 ) -> Bounds:  # fmt: skip
-    """Check a proof.
+    """Check a proof of a program and return the interval that it proves.
 
     Args:
-        columns: of the program, node by node.
-        constant: what the objective adds to what columns count.
-        rows: of the program; where a ratio is asked, row 0 is what its divisor lacks to 1.
-        follows: nodes at which a member has to decide as at another one.
-        proof: its numbers.
+        columns: columns of the program, node by node.
+        constant: constant term of the objective.
+        rows: rows of the program; for a ratio, the divisor is 1 - row 0.
+        follows: node -> node at which a member must decide alike.
+        proof: the numbers of the proof.
 
     Raises:
         RefusedError: an inequality fails.

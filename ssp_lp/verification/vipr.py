@@ -1,10 +1,10 @@
-"""The lower bound of a certificate's last program in the VIPR format 1.1, which `viprchk` verifies.
+"""Lower bounds of certificates in the VIPR format 1.1, which `viprchk` verifies.
 
-Variables are the columns x >= 0; constraints are a flow balance for each node, and each row. The
-bound is one linear combination of them: v of each node, minus the price of each row, plus what a
-column costs more than its inequality needs. A ratio's program is that of its priced question
-N + r F >= r. The format is that of Cheung, Gleixner and Steffy, "Verifying Integer Programming
-Results", IPCO 2017.
+The file states the certificate's last program. Variables are the columns x >= 0; constraints are a
+flow balance for each node, and the rows. The bound is a linear combination of the constraints: v of
+each node, minus the price of each row, plus the slack of each column's inequality. For a ratio the
+program minimises N + r F, as N + r F >= r says that the ratio is at least r. The format is that of
+Cheung, Gleixner and Steffy, "Verifying Integer Programming Results", IPCO 2017.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ def to_vipr(solution: Solution, path: str | Path) -> Fraction:
     """Write the lower bound of a solution's certificate as a VIPR file.
 
     Args:
-        solution: of ``solve``, of a criterion that a certificate in a file covers.
-        path: of the file, which is plain text; ``viprchk FILE`` verifies it.
+        solution: a solution of ``solve`` for a criterion that certificate files cover.
+        path: path of the file, which is plain text; ``viprchk FILE`` verifies it.
 
     Returns:
-        The bound that is to be verified: a lower bound of the objective; of what is to be large,
-        minus the upper bound; of a ratio, that of N + r F, which is at least r.
+        The bound that the file proves: a lower bound of the objective; for a maximisation problem
+        minus the upper bound; for a ratio a lower bound of N + r F, which is at least r.
 
     Raises:
-        ModelError: a criterion that is not covered.
-        SolverError: the answer is not proved.
+        ModelError: the criterion is not covered.
+        SolverError: the solution is not proved.
     """
     lines = certificate_of(solution)
     rest = iter(lines)

@@ -1206,7 +1206,7 @@ def compared(
             yield f"{told}: refused as infeasible, the reference has {best!r}"
         return
     except SSPError as error:
-        if "go round for ever" in str(error):  # of a state that the start does not lead to
+        if "circulate for ever" in str(error):  # of a state that the start does not lead to
             return
         if best is not None:
             yield f"{told}: {type(error).__name__}: {error}, the reference has {best!r}"

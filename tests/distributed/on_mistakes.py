@@ -139,7 +139,7 @@ def check_questions(model, answer):
     wrong = PartitionedPolicy(model.part, answer.policy.weights, worse)
     refused("is no pair of that state|failed", lambda: model.evaluate(wrong, MCMP, **ASKED))
     for kept in (answer, answer.policy, model):
-        refused(r"answer.policy.save\(\) keeps", lambda kept=kept: pickle.dumps(kept))
+        refused(r"use answer.policy.save\(\)", lambda kept=kept: pickle.dumps(kept))
     assert repr(answer).startswith("PartitionedSolution(MCMP: objective 6.64081737, gap ")
 
 

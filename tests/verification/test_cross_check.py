@@ -79,13 +79,18 @@ SAFE = model_of({"a": {"go": [(1.0, "g", 1.0)]}})
 @pytest.mark.parametrize(
     ("problem", "answered", "note", "verdict"),
     [
-        (first(discount=None), "110", "not asked: the game needs a discount", "2 methods agree"),
+        (first(discount=None), "110", "not run: the game needs a discount", "2 methods agree"),
         (MCMP(SAFE, "a", failure_budget=0.0), "110", "", "2 methods agree"),
-        (first(budget=None, discount=None), "010", "", "nothing to compare: one method answered"),
+        (
+            first(budget=None, discount=None),
+            "010",
+            "",
+            "nothing to compare: fewer than two answers",
+        ),
         (
             first(S3P, cost_cap=50.0),
             "110",
-            "not asked: the game chooses its own cap M: leave cost_cap out",
+            "not run: the game chooses its own cap M: leave cost_cap out",
             "2 methods agree",
         ),
     ],
@@ -103,7 +108,7 @@ def test_roads_that_are_not_asked(problem, answered, note, verdict):
 def test_a_large_program_is_not_asked(monkeypatch):
     monkeypatch.setattr(checking, "MOST_COLUMNS", 1)
     found = cross_check(first())
-    assert found.methods[0].note.startswith("not asked: ")
+    assert found.methods[0].note.startswith("not run: ")
     assert "columns are too many" in found.methods[0].note
     assert found.agrees
     assert cross_check(first(), lp_backend="highs").methods[0].answered
