@@ -10,11 +10,11 @@
 
 :func:`generate` is this loop, on a :class:`Master` of any number of limits.
 
-***One limit.** The optimum of the master lies on an edge of the lower convex hull of the points
+**One limit.** The optimum of the master lies on an edge of the lower convex hull of the points
 (limited quantity, cost): it is the **secant** through a column that satisfies the limit and one
 that violates it, and the price is its slope. All other columns can be dropped.
 
-***Two or more limits.** The master is a small linear program (``restricted_master``). Far from the
+**Two or more limits.** The master is a small linear program (``restricted_master``). Far from the
 optimum its prices zig-zag. Pricing therefore uses a mean of the master's prices and the best known
 prices (Wentges 1997, "Weighted Dantzig-Wolfe decomposition"), and the master's prices themselves
 if the mean gives no new column. Phase 1 is the same search, minimising the violation of the limits
@@ -24,7 +24,7 @@ instead of the cost.
 Between two pricing calls the master minimises ``cost + ratio * failure`` with the ratio of its
 last lottery, until the ratio stops falling (Dinkelbach 1967).
 
-***The first columns of one limit** lie on both sides of it and are found by pricing alone: a high
+**The first columns of one limit** lie on both sides of it and are found by pricing alone: a high
 price of failure gives a policy that satisfies the budget, and the price rises until one does.
 The least failure itself, which takes two stages, is computed only if this fails because the budget
 is near the least failure or below it.
