@@ -1,1 +1,1 @@
-"""The total cost of a run: totals, charges, the process, sweeps over it, and its law."""
+"""Accumulated cost: totals, charges, the layered process, its sweeps, and the law of costs."""

@@ -1,15 +1,15 @@
-"""How much mass of policies' chains arrives at the goal at which total cost.
+"""Arrivals: the mass of policies' chains that reaches the goal at each total cost.
 
-The part of the chains that can still reach the goal is followed layer after layer of the costs'
-common unit. Where costs have none worth counting in, the sums that occur are followed one by one,
-in increasing order. They are whole numbers of a unit all the same, however small: a float means its
-shortest decimal, so that two ways to one sum meet in one number, exactly.
+The part of the chains that can still reach the goal is followed through the layers of the costs'
+common unit. If that unit gives too many layers, the sums that occur are followed one by one, in
+increasing order. Sums are exact multiples of a unit, however small, as a float means its shortest
+decimal: equal sums are found by equal integers.
 
-A chain of few nodes that is hardly left arrives in millions of layers. One layer is a matrix on the
-places where mass can wait, and its powers of two lead to any layer in as many products as the layer
-has binary digits. What leaves is carried as data and sums up without a subtraction; the rows of a
-power are scaled to what it leaves over, so that the rounding of a probability of staying near 1 is
-not raised to the power of the layers.
+A chain of few nodes that hardly leaves may arrive in millions of layers. The transition of one
+layer is a matrix on the places where mass can wait, and its powers of two lead to any layer in as
+many products as its number has binary digits. Exit probabilities are carried as data and summed
+without subtraction. The rows of a power are scaled to 1 minus their exits, so that the rounding
+error of a probability near 1 does not grow with the power.
 """
 
 from __future__ import annotations
@@ -42,20 +42,20 @@ from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.chain import Chain
 
-_FEW = 256  # nodes of which a table of all visits is kept
+_FEW = 256  # most nodes for a table of all visits
 
 
 @dataclass(frozen=True, eq=False)
 class LiveChain:
-    """The parts of one or several chains that can still reach the goal, the goals made one node.
+    """The parts of chains that can still reach the goal, with one node for all goals.
 
-    Moves that lose the goal for good are left out; what they take away is ``lost``.
+    Moves that lose the goal for ever are left out; their probability is ``lost``.
     """
 
-    start: FloatArray  # [nodes + 1] the goal is last, in all three
+    start: FloatArray  # [nodes + 1] here and below, the last entry is the goal
     goal: FloatArray  # [nodes + 1]
     cost: FloatArray  # [nodes + 1]
-    lost: FloatArray  # [nodes] probability of losing the goal with the next decision
+    lost: FloatArray  # [nodes] probability of losing the goal by the next decision
     source: IntArray  # [moves]
     target: IntArray  # [moves]
     probability: FloatArray  # [moves]
@@ -63,7 +63,7 @@ class LiveChain:
 
     @classmethod
     def of(cls, chains: Sequence[Chain], weights: FloatArray) -> LiveChain:
-        """The live chain, able to arrive, of a lottery's members side by side."""
+        """Return the live chain of the members of a lottery, side by side."""
         size = sum(int(chain.alive.sum()) for chain in chains)
         first, start, ahead, moves = 0, np.zeros(size + 1), np.zeros((3, size + 1)), []
         for chain, weight in zip(chains, weights, strict=True):
@@ -87,10 +87,10 @@ class LiveChain:
 
 
 class _FreeMoves:
-    """What moves on at no cost before anything is paid: each layer is a chain of its own."""
+    """Moves of cost 0, which form a chain within each layer."""
 
     def __init__(self, live: LiveChain, free: BoolArray) -> None:
-        """Take the moves marked ``free``, [moves], none of which leads to the goal."""
+        """Store the moves marked ``free``, [moves], which must not lead to the goal."""
         n = len(live.lost)
         where = (live.source[free], live.target[free])
         inside = sp.csr_array((live.probability[free], where), shape=(n, n))
@@ -102,10 +102,10 @@ class _FreeMoves:
         self._busy[self._component[where[0]]] = True
 
     def spread(self, inflow: FloatArray) -> FloatArray:
-        """Expected visits by moves of a live chain within one layer, given what enters it, [nodes].
+        """Return the expected visits within one layer from the mass that enters it, [nodes].
 
-        Few nodes by a table that holds however hardly a loop is left; of many only the components
-        that something enters are solved.
+        For few nodes a table is used, which is accurate even for loops that are hardly left. For
+        many nodes only the components that mass enters are solved.
         """
         if inflow.size <= _FEW:
             return np.asarray(inflow @ self._visits)
@@ -120,61 +120,61 @@ class _FreeMoves:
 
     @cached_property
     def _visits(self) -> FloatArray:
-        """Expected visits of a live chain within a layer, [nodes entered, nodes]."""
+        """Expected visits within a layer, [nodes entered, nodes]."""
         return self.gathered(np.eye(len(self._leaving)))
 
     def gathered(self, rewards: FloatArray) -> FloatArray:
-        """Expected rewards of all visits of a live chain within one layer, by where it is entered.
+        """Return the expected rewards of the visits within one layer, from each node entered.
 
         Args:
-            rewards: of a visit, [nodes, rewards].
+            rewards: rewards of a visit, [nodes, rewards].
         """
         return System(self._inside, self._leaving).solve_by_reduction(rewards)
 
 
 MOST_LEVELS = 62
-"""Layers are counted up to 2^62, as far as integers of 64 bits go."""
+"""Most layers are 2^62, for 64-bit integers."""
 
 _MOSTLY_STAYS = 0.5
-"""Exits up to which what stays is taken from them; above, the subtraction would lose digits."""
+"""Exit probability up to which rows are scaled; above, 1 - exits would lose digits."""
 
 
 class _LayerPower(NamedTuple):
-    """2^k layers as one step."""
+    """The transition of 2^k layers as one step."""
 
     onward: FloatArray  # [places, places]
-    lands: FloatArray  # [places] probability of having arrived at the goal
-    leaves: FloatArray  # [places] probability of having lost it
+    lands: FloatArray  # [places] probability of having reached the goal
+    leaves: FloatArray  # [places] probability of having lost the goal
 
     def scaled(self) -> _LayerPower:
-        """A power of a layer's transition, its rows scaled to what the exits leave."""
+        """Return the power with rows scaled to 1 minus the exits."""
         exits, total = self.lands + self.leaves, self.onward.sum(axis=1)
         stays = exits <= _MOSTLY_STAYS
         factor = np.divide(1.0 - exits, total, out=np.ones_like(exits), where=stays)
         return self._replace(onward=self.onward * factor[:, None])
 
     def doubled(self) -> _LayerPower:
-        """A power of a layer's transition, squared: the step of twice as many layers."""
+        """Return the square: the step of twice as many layers."""
         lands = self.lands + self.onward @ self.lands
         leaves = self.leaves + self.onward @ self.leaves
         return _LayerPower(self.onward @ self.onward, lands, leaves).scaled()
 
 
 class _LayerPowers:
-    """Powers of two of one layer's transition, squared when they are first needed. Mutable.
+    """Powers of two of the transition of one layer, computed when needed. Mutable.
 
-    Mass waits at places: at a node, some layers ahead. Those of a node follow each other.
+    Mass waits at places: a node, a number of layers ahead. Places are sorted by node.
     """
 
     def __init__(
         self, onward: sp.csr_array, lost: FloatArray, free: _FreeMoves | None = None
     ) -> None:
-        """Find the places to which moves lead; each node has one without delay.
+        """Find the places to which moves lead; each node has a place without delay.
 
         Args:
             onward: moves to (layers passed, node), the goal last, [nodes before the goal, columns].
-            lost: probability of losing the goal with the next move, likewise, [nodes before it].
-            free: moves within a layer; None: there are none.
+            lost: probability of losing the goal by the next move, [nodes before the goal].
+            free: moves within a layer, or None.
         """
         self._onward, self._lost, self._free = onward, lost, free
         dearest = np.ones(len(lost) + 1, dtype=np.int64)  # layers that a move to a node passes
@@ -190,7 +190,7 @@ class _LayerPowers:
         return len(self.node)
 
     def _one_layer(self) -> _LayerPower:
-        """Mass without delay leaves, the rest comes one layer nearer."""
+        """Return the step of one layer: mass without delay moves, other mass gets nearer."""
         n_nodes = len(self._lost) + 1
         columns = np.append((self.delay + 1) * n_nodes + self.node, n_nodes - 1)
         leaving = np.hstack([self._onward[:, columns].toarray(), self._lost[:, None]])
@@ -204,11 +204,11 @@ class _LayerPowers:
         return _LayerPower(onward, lands, leaves).scaled()
 
     def after(self, waiting: FloatArray, layers: int) -> tuple[float, FloatArray]:
-        """What has arrived after some layers, and what waits then.
+        """Return the mass that has arrived after some layers, and the waiting mass, [places].
 
         Args:
-            waiting: mass before the first of them, [places].
-            layers: how many, at least 0 and less than 2^62.
+            waiting: waiting mass before the first layer, [places].
+            layers: number of layers, at least 0 and less than 2^62.
         """
         arrived = 0.0
         for k in range(layers.bit_length()):
@@ -219,14 +219,14 @@ class _LayerPowers:
         return arrived, waiting
 
     def until(self, waiting: FloatArray, mass: float) -> int | None:
-        """How many layers pass before the one in which the arrivals reach a mass.
+        """Return the number of layers before the one in which arrivals reach a mass.
 
         Args:
             waiting: mass before the first layer, [places].
             mass: above 0.
 
         Returns:
-            The layers, or None where 2^62 of them are not enough.
+            The layers, or None if 2^62 are not enough.
         """
         k = 0
         while float(waiting @ self._level(k).lands) < mass:
@@ -242,36 +242,36 @@ class _LayerPowers:
         return layers
 
     def _level(self, k: int) -> _LayerPower:
-        """The transition of ``2^k`` layers."""
+        """Return the transition of ``2^k`` layers."""
         while len(self._levels) <= k:
             self._levels.append(self._levels[-1].doubled() if self._levels else self._one_layer())
         return self._levels[k]
 
 
 _FIRST_LAYERS = 64
-_LAST_LAYER = 2**62  # as good as infinitely many
-_NARROW = 100_000  # masses kept at once, up to which sums are not looked for
-_MOST_WAITING = 50_000_000  # masses kept at once, 400 MB
-_MOST_WORK = 3_000_000_000  # moves followed in all, some tens of seconds
-_WORK_OF_A_LAYER = 3_000  # moves that could be followed while one layer is begun
-_WORK_OF_PASSING = 10  # the same while a compiled loop passes a layer in which nothing waits
-_TOGETHER = 1_000_000  # moves that may be followed between two looks at the time
-_MOSTLY = 0.5  # share of a chain's nodes from which all of its moves are followed
-_TINY = 5e-324  # the least mass there is
-_MOST_PLACES = 800  # of a dense matrix of one layer, of which some sixty powers are kept, 300 MB
-_WORK_OF_POWERS = 0.125  # moves that could be followed while powers are taken, per places cubed
+_LAST_LAYER = 2**62  # practically infinite
+_NARROW = 100_000  # most waiting masses for layers rather than sums
+_MOST_WAITING = 50_000_000  # most waiting masses, 400 MB
+_MOST_WORK = 3_000_000_000  # most moves followed in all, some tens of seconds
+_WORK_OF_A_LAYER = 3_000  # overhead of starting one layer, in moves
+_WORK_OF_PASSING = 10  # overhead of passing an empty layer in a compiled loop, in moves
+_TOGETHER = 1_000_000  # most moves between two checks of the time
+_MOSTLY = 0.5  # share of active nodes from which the moves of all nodes are followed
+_TINY = 5e-324  # the least positive float
+_MOST_PLACES = 800  # most places for dense powers, some sixty of which take 300 MB
+_WORK_OF_POWERS = 0.125  # work of the powers, in moves per places cubed
 
 
 class Arrivals:
-    """A sweep over the total cost of a chain in layers of a unit, one after the other. Mutable.
+    """A forward sweep over the total cost of a chain, in layers of a unit. Mutable.
 
-    Mass waits for its total. A layer is settled by spreading its mass over the moves that cost
-    nothing and sending it on along the others; what is then at the goal is that layer's atom. All
-    that is not settled is known exactly from the linear solves of each node's prospects, so the
+    Mass waits in the layer of its total. A layer is settled by spreading its mass over the moves of
+    cost 0 and sending it on along the others; the mass then at the goal is the atom of the layer.
+    The totals of unsettled mass are known exactly from linear solves for each node, so that the
     tail is never a difference of large numbers.
 
-    Mass waits at (layer, node) in a ring as wide as the costliest step. Where the nodes are few,
-    what lies far beyond the settled layers is had from powers of the transition of one layer
+    Mass waits at (layer, node) in a ring as wide as the most expensive step. For few nodes, layers
+    far beyond the settled ones are reached by powers of the transition of one layer
     (:attr:`leaps`).
 
     Raises:
@@ -279,17 +279,17 @@ class Arrivals:
     """
 
     _number: npt.DTypeLike = np.int64
-    _first: int = _FIRST_LAYERS  # layers that are settled at least, once any are
+    _first: int = _FIRST_LAYERS  # number of layers that are settled first
 
     def __init__(
         self, live: LiveChain, exact_costs: Mapping[float, Fraction], unit: Fraction | None = None
     ) -> None:
-        """Begin at total cost 0, nothing settled.
+        """Start at total cost 0, with no layer settled.
 
         Args:
             live: the chain.
-            exact_costs: float cost -> the fraction meant.
-            unit: of which every cost is rounded up to a multiple; None: their common unit.
+            exact_costs: float cost -> the fraction that it means.
+            unit: unit to whose multiples all costs are rounded up; None: their common unit.
         """
         paid = live.paid
         flat = paid.size > 0 and float(paid.min()) == float(paid.max())
@@ -308,18 +308,18 @@ class Arrivals:
         self._waiting = np.zeros(self._width * self._size)
         self._waiting[: self._size] = live.start
         self._occupied = np.arange(self._width) == 0
-        self._lists: tuple[Any, ...] = ()  # of what waits, and of moves, once loops are compiled
+        self._lists: tuple[Any, ...] = ()  # of waiting mass, and moves, for compiled loops
 
     def _begin(self, live: LiveChain, unit: Fraction, steps: IntArray, block: IntArray) -> None:
-        """Begin the sweep over arrivals at total cost 0, no layer settled.
+        """Start the sweep at total cost 0, with no layer settled.
 
         Args:
             live: the chain.
-            unit: of which every cost is a multiple.
-            steps: how many each move costs, [moves].
-            block: of columns to which each move leads, [moves].
+            unit: unit of all costs.
+            steps: cost of each move in units, [moves].
+            block: block of columns to which each move leads, [moves].
         """
-        self.settled, self.unit = 0, unit  # layers 0 .. settled - 1 are
+        self.settled, self.unit = 0, unit  # layers 0 .. settled - 1 are settled
         self._live, self._size = live, len(live.start)
         goal = self._size - 1
         free = np.asarray(steps == 0, dtype=np.bool_) & (live.target != goal)
@@ -331,26 +331,26 @@ class Arrivals:
         self._masses: list[float] = []
 
     def cost_of(self, layers: IntArray) -> FloatArray:
-        """Total cost of arriving in whole layers, rounded once, like ``layers``."""
+        """Return the total cost of layers, rounded once, like ``layers``."""
         return totals_of(layers, self.unit)
 
     @property
     def frontier(self) -> float:
-        """The total cost from which on arrivals are not settled yet."""
+        """Total cost of the first layer that is not settled."""
         return float(self.settled * self.unit)
 
     def atoms(self) -> tuple[IntArray, FloatArray]:
-        """Settled layers at which mass arrives, increasing, and how much: [atoms] each."""
+        """Return the settled layers with arrivals, increasing, and their masses, [atoms] each."""
         return np.array(self._layers, dtype=self._number), np.array(self._masses, dtype=np.float64)
 
     def followed(self, enough: int | None = None) -> Iterator[int]:
-        """Settle arrivals in twice as many layers each time, up to ``enough`` or the support's end.
+        """Settle layers, twice as many each time, up to ``enough`` or the end of the support.
 
         Yields:
-            How many layers are settled; at least once.
+            The number of settled layers, at least once.
 
         Raises:
-            ModelError: this would take too long.
+            ModelError: it would take too long.
         """
         yield self.settled
         while not self.exhausted and (enough is None or self.settled < enough):
@@ -360,11 +360,11 @@ class Arrivals:
 
     @property
     def exhausted(self) -> bool:
-        """Whether no arrival is waited for any more: every atom is known."""
+        """Whether no mass is waiting, so that every atom is known."""
         return not self._occupied.any()
 
     def last_layer(self, bound: float | Fraction) -> int:
-        """The last layer of arrivals within a finite total cost, decided in whole numbers."""
+        """Return the last layer within a total cost, computed in integers."""
         far = float(_LAST_LAYER * self.unit)
         if not isinstance(bound, Rational) and not 0.0 < bound < far:
             return 0 if bound == 0.0 else -1 if bound < 0.0 else _LAST_LAYER
@@ -372,10 +372,10 @@ class Arrivals:
 
     @with_twin
     def settle(self, layers: int) -> None:
-        """Settle the arrivals of all layers below the given number.
+        """Settle all layers below the given number.
 
         Raises:
-            ModelError: this would take too long.
+            ModelError: it would take too long.
             Stop: the time ended.
         """
         while self.settled < layers:
@@ -395,30 +395,30 @@ class Arrivals:
 
     @property
     def is_narrow(self) -> bool:
-        """Whether a step passes so few layers that most of them are reached by arrivals."""
+        """Whether a step passes so few layers that most layers have arrivals."""
         return self._waiting.size <= _NARROW
 
     @property
     def leaps(self) -> bool:
-        """Whether arrivals in layers that are not settled can be asked for: the places are few.
+        """Whether unsettled layers can be reached by powers: there are few places.
 
-        So it is after as much work of settling as the powers will take, and not before.
+        It becomes true after settling has taken as much work as the powers will take.
         """
         size = self._powers.size
         few = size <= _MOST_PLACES and not self.exhausted
         return few and self._work >= _WORK_OF_POWERS * size**3
 
     def arrived(self, layer: int) -> float:
-        """Mass that arrives below a layer, Pr(goal, C < layer); it is settled, or :attr:`leaps`."""
+        """Return Pr(goal, C < layer), for a settled layer, or any layer if :attr:`leaps`."""
         layers, masses = self.atoms()
         arrived = float(masses[np.asarray(layers < layer, dtype=np.bool_)].sum())
         return arrived + self._ahead(layer)[0] if layer > self.settled and self.leaps else arrived
 
     def first_reaching(self, mass: float) -> int:
-        """The layer in which arrivals reach a mass that the settled ones do not; where leaps.
+        """Return the unsettled layer in which arrivals reach a mass; needs :attr:`leaps`.
 
         Raises:
-            ModelError: there are more layers before it than can be counted.
+            ModelError: it lies beyond 2^62 layers.
         """
         beyond = max(mass - sum(self._masses), _TINY)
         layers = self._powers.until(self._here(), beyond)
@@ -427,10 +427,10 @@ class Arrivals:
         return self.settled + layers
 
     def remaining(self, layer: int | None = None) -> tuple[float, float]:
-        """Arrivals in a layer or later: Pr(goal), and E[C - that layer; goal].
+        """Return Pr(goal), and E[C - layer; goal], of arrivals in a layer or later.
 
         Args:
-            layer: the first that is not settled if left out; a later one where :attr:`leaps`.
+            layer: None: the first layer that is not settled; a later one needs :attr:`leaps`.
         """
         if layer is None:
             occupied = np.flatnonzero(self._waiting)
@@ -444,20 +444,20 @@ class Arrivals:
 
     @cached_property
     def _powers(self) -> _LayerPowers:
-        """Powers of one layer's transition between the places where mass waits to arrive."""
+        """Powers of the transition of one layer."""
         return _LayerPowers(self._onward, self._live.lost, self._free)
 
     def _here(self) -> FloatArray:
-        """Mass waiting to arrive before the first layer that is not settled, [places]."""
+        """Return the waiting mass before the first layer that is not settled, [places]."""
         rows = (self.settled + self._powers.delay) % self._width
         return np.asarray(self._waiting[rows * self._size + self._powers.node])
 
     def _ahead(self, layer: int) -> tuple[float, FloatArray]:
-        """Mass that arrives from the settled layers to a later one, and what waits, [places]."""
+        """Return the mass that arrives between the settled layers and a later one, and the rest."""
         return self._powers.after(self._here(), layer - self.settled)
 
     def _to_next(self) -> int | None:
-        """Number of layers ahead at which mass next waits to arrive; None: there is none."""
+        """Return the number of layers to the next waiting mass; None: there is none."""
         row = self.settled % self._width
         for begin, part in ((0, self._occupied[row:]), (-row, self._occupied[:row])):
             first = int(np.argmax(part)) if part.size else 0
@@ -466,7 +466,7 @@ class Arrivals:
         return None
 
     def _settle_one(self) -> None:
-        """Settle the arrivals of one more layer."""
+        """Settle one more layer."""
         row, size = self.settled % self._width, self._size
         here = self._waiting[row * size : (row + 1) * size]
         visits = here[:-1].copy()
@@ -485,11 +485,11 @@ class Arrivals:
         self.settled += 1
 
     def _settle_together(self, layers: int) -> None:
-        """Settle arrivals of several layers without moves at no cost, in compiled loops."""
+        """Settle several layers in compiled loops; there must be no moves of cost 0."""
         from ssp_lp.compiled.layers import stream_layers
 
         lists = self._lists
-        if not lists:  # where mass waits, layer by layer of the ring
+        if not lists:  # linked lists of the waiting mass in each layer of the ring
             places = np.flatnonzero(self._waiting)
             heads, links = np.full(self._width, -1), np.full(self._waiting.size, -1, dtype=np.int32)
             row = places // self._size
@@ -510,13 +510,13 @@ class Arrivals:
         self._count(int(followed) + passed)
 
     def _count(self, work: int) -> None:
-        """Count the moves followed for arrivals; ModelError where they are too many."""
+        """Count the moves followed; raise ModelError if they are too many."""
         self._work += work
         if self._work > _MOST_WORK:
             raise ModelError(self._too_large("the answer lies too far out"))
 
     def _send(self, visits: FloatArray, active: IntArray, begin: int) -> None:
-        """Send mass on to later arrivals along moves that pay or arrive, into the ring."""
+        """Send mass on along moves that cost something or reach the goal, into the ring."""
         moves, waiting = self._onward, self._waiting
         if active.size >= _MOSTLY * visits.size:
             active = np.arange(visits.size)
@@ -534,33 +534,33 @@ class Arrivals:
         waiting[:begin] += sent[turn:]
 
     def _too_large(self, reason: str) -> str:
-        """Why the table of arrivals is too large, as an error says it."""
+        """Return the message of an error about too large a table."""
         return (
             f"the law of success costs takes too large a table: {self._size - 1:,} nodes of the "
             f"policy's chain, {self._width:,} layers of cost {float(self.unit):g} in one step, "
-            f"{self.settled:,} layers so far ({reason}); round the costs to a coarser grid when "
+            f"{self.settled:,} layers so far ({reason}): round the costs to a coarser grid when "
             "building the model, or ask for a lower cost or level"
         )
 
 
-_FIRST_STEPS = 8  # of the dearest kind
-_MOST_STEPS = 64  # of steps by cost
-_EARLY = 0.5  # of the sums, after which some of the runs must have arrived
-_SOME = 0.05  # share of those that succeed
-_COARSE_TOO = 3  # times the sums that are followed, with those of a coarse unit
-_UNLIKELY = 1e-17  # share of those that succeed, less than rounding, by a sum that is unlikely
+_FIRST_STEPS = 8  # sums settled first, in the most expensive steps
+_MOST_STEPS = 64  # most distinct step costs
+_EARLY = 0.5  # share of the sums after which ``_SOME`` of the mass must have arrived
+_SOME = 0.05  # share of the successes
+_COARSE_TOO = 3  # most sums, coarse ones included, as a multiple of the exact ones
+_UNLIKELY = 1e-17  # share of the successes, below rounding, of a sum that is rounded at first
 
 
 class TooManySumsError(ModelError):
-    """A question needs more sums than are followed one by one."""
+    """Too many sums to follow them one by one."""
 
 
 class FollowedSums(Arrivals):
-    """Arrivals in layers of a tiny unit, of which only those at which mass waits are looked at.
+    """Arrivals in layers of a tiny unit, of which only those with waiting mass are visited.
 
-    Likely sums are followed as they are. Mass that waits at an unlikely one goes on from the next
-    multiple of a coarse unit, where it meets that of others: the more sums have been followed, the
-    likelier one must be.
+    Likely sums are followed exactly. Mass at an unlikely sum is rounded up to the next multiple of
+    a coarse unit, where it is merged with other mass. The more sums have been followed, the
+    likelier a sum must be to stay exact.
     """
 
     _number = object
@@ -574,15 +574,15 @@ class FollowedSums(Arrivals):
         most: int,
         rarest: float = _UNLIKELY,
     ) -> None:
-        """Begin at total cost 0, nothing settled.
+        """Start at total cost 0, with no layer settled.
 
         Args:
             live: the chain.
-            exact_costs: float cost -> the fraction meant.
-            coarse: cost of which unlikely sums are rounded up to a multiple.
-            most: sums that are followed.
-            rarest: share of those that succeed up to which the last of them is unlikely; beyond it
-                all are, unless none but the rarest may be rounded.
+            exact_costs: float cost -> the fraction that it means.
+            coarse: unit to whose multiples unlikely sums are rounded up.
+            most: most sums that are followed exactly.
+            rarest: share of the successes up to which the last of these sums is unlikely. With the
+            default, only sums below rounding are rounded; otherwise all sums after ``most`` are.
         """
         distinct, step = np.unique(live.paid, return_inverse=True)
         unit = common_unit(distinct, exact_costs)
@@ -602,25 +602,25 @@ class FollowedSums(Arrivals):
 
     @property
     def exhausted(self) -> bool:
-        """Whether no sum of costs is left to arrive at: every atom is known."""
+        """Whether no mass is waiting, so that every atom is known."""
         return not self._next
 
     def cost_of(self, layers: IntArray) -> FloatArray:
-        """Total cost of a followed sum at which mass arrives, rounded once, like ``layers``."""
+        """Return the total cost of sums, rounded once, like ``layers``."""
         up, down = self.unit.numerator, self.unit.denominator
         totals = [int(layer) * up / down for layer in np.ravel(layers).tolist()]
         return np.array(totals, dtype=np.float64).reshape(np.shape(layers))
 
     def last_layer(self, bound: float | Fraction) -> int:
-        """The last followed sum of at most a bound, which may itself be a sum rounded otherwise."""
+        """Return the last layer within a bound, with a tolerance for a rounded sum."""
         return int(Fraction(bound) * (1 + Fraction(SAME_TOTAL) / 2) // self.unit)
 
     def settle(self, layers: int) -> None:
-        """Settle the arrivals at all sums of costs below the given layer.
+        """Settle all sums below the given layer.
 
         Raises:
             TooManySumsError: there are too many sums below it.
-            Stop: the time ended.
+            Stop: the time limit was reached.
         """
         while self._next and self._next[0] < layers:
             check_time()
@@ -637,7 +637,7 @@ class FollowedSums(Arrivals):
         self.settled = max(self.settled, layers)
 
     def _is_unlikely(self, parts: list[tuple[IntArray, FloatArray]]) -> bool:
-        """Whether so little of what arrives comes by a sum that it is not followed by itself."""
+        """Return whether the mass at a sum is so small that the sum is rounded."""
         if self._followed >= self._most:
             return self._end > self._most
         arriving = sum(float(masses @ self._live.goal[nodes]) for nodes, masses in parts)
@@ -646,13 +646,13 @@ class FollowedSums(Arrivals):
 
     @property
     def _may_be_exhausted(self) -> bool:
-        """Whether there is hope that the followed sums of costs come to an end."""
+        """Whether the sums may still come to an end in time."""
         if self._followed <= _EARLY * self._most:
             return self._followed <= self._end and len(self._units) <= _MOST_STEPS
         return self._followed <= self._end and self._arrived >= _SOME * self._goal
 
     def remaining(self, layer: int | None = None) -> tuple[float, float]:
-        """Arrivals at sums not settled: Pr(goal), and E[C - frontier; goal]."""
+        """Return Pr(goal), and E[C - frontier; goal], of sums that are not settled."""
         goal, cost, frontier = 0.0, 0.0, self.settled if layer is None else layer
         for begun, parts in self._pending.items():
             delay = float((begun - frontier) * self.unit)
@@ -663,7 +663,7 @@ class FollowedSums(Arrivals):
         return goal, cost
 
     def _settle_sum(self, layer: int) -> None:
-        """Settle the arrivals at the least sum that is still followed."""
+        """Settle the least waiting sum."""
         parts = self._pending.pop(layer)
         nodes = np.concatenate([part[0] for part in parts])
         masses = np.concatenate([part[1] for part in parts])
@@ -686,7 +686,7 @@ class FollowedSums(Arrivals):
             self._queue_mass(ahead, target[chosen], share[chosen])
 
     def _queue_mass(self, layer: int, nodes: IntArray, masses: FloatArray) -> None:
-        """Let mass wait to arrive at the sums that steps make of its own."""
+        """Add waiting mass at a layer."""
         if layer not in self._pending:
             self._pending[layer] = []
             heappush(self._next, layer)
@@ -694,5 +694,5 @@ class FollowedSums(Arrivals):
 
 
 def cost_of(sweep: Arrivals, layer: int) -> float:
-    """Total cost of a layer or of a followed sum."""
+    """Return the total cost of a layer or sum."""
     return float(sweep.cost_of(np.array(layer)))

@@ -1,4 +1,4 @@
-"""The law of success costs: how likely a policy reaches the goal at which total cost, exactly."""
+"""The law of success costs: the exact probability of the goal at each total cost."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from ssp_lp.model.arguments import explained
 from ssp_lp.policies.chain import Chain
 from ssp_lp.processes.failure_semantics import as_percentage
 
-_NOTHING = 1e-17  # of a sum: less than its rounding
-_UTILITY_LEFT = 1e-13  # of the expected utility: what the runs not followed could add
-_MOST_SUMS = 10_000  # followed one by one, some seconds
-_MOST_SUMS_BESIDE = 5_000  # where layers, or a policy's own unit, come next
-_RAREST = 1e-9  # share of the successes by a sum that is unlikely, when the last sums are followed
-_FINE = 2_000  # units in the mean of costs that are rounded
-_MOST_UNITS = 20_000  # in the dearest step
-_MOST_ROUNDED = 10_000_000  # masses kept at once, of rounded costs
+_NOTHING = 1e-17  # relative to a sum: below its rounding error
+_UTILITY_LEFT = 1e-13  # relative error of an expected utility at which following ends
+_MOST_SUMS = 10_000  # most sums followed one by one, some seconds
+_MOST_SUMS_BESIDE = 5_000  # the same if layers, or a policy's own unit, are the alternative
+_RAREST = 1e-9  # share of the successes below which the last sums are rounded
+_FINE = 2_000  # units of rounded costs in the mean cost
+_MOST_UNITS = 20_000  # most units in the most expensive step
+_MOST_ROUNDED = 10_000_000  # most waiting masses of rounded costs
 
 _Answer = TypeVar("_Answer")
 
 
 class Atoms(NamedTuple):
-    """Total costs that occur, increasing, and how likely each is together with success."""
+    """Total costs that occur, increasing, with their probabilities."""
 
     costs: FloatArray  # [atoms]
     probabilities: FloatArray  # [atoms] Pr(goal, C = cost)
@@ -48,52 +48,52 @@ class Atoms(NamedTuple):
 class CostLaw:
     """The sub-probability law of the total cost C on the runs that reach the goal.
 
-    What is missing from mass 1 is the failure probability. :attr:`goal`, :attr:`cost` and
-    :meth:`exponential` are linear solves on the policy's chain. The rest follows the chain through
-    layers of the costs' common unit, or through the sums that occur, as far as a question needs;
-    how far it has come is kept within the law for the next question, and changes no answer. Sums
-    that are too unlikely to matter are rounded up. Where likely ones are too many every cost is, by
-    less than a two-thousandth of the mean or to finer layers of a policy that does so itself, so
-    that no total, quantile, excess or late arrival is understated and no utility overstated.
+    The missing mass is the failure probability. :attr:`goal`, :attr:`cost` and :meth:`exponential`
+    are linear solves on the policy's chain. Other numbers follow the chain through layers of the
+    costs' common unit, or through the sums that occur, as far as needed. The progress is cached for
+    the next call, and does not change a result. Very unlikely sums are rounded up. If the likely
+    sums are too many, all costs are rounded up, by less than a two-thousandth of the mean or to the
+    finer layers of a policy that rounds up itself. Rounding never understates a total, quantile,
+    excess or late arrival, and never overstates a utility.
     """
 
-    _chains: tuple[Chain, ...]  # of the members of the lottery
+    _chains: tuple[Chain, ...]  # chains of the members of the lottery
     _weights: FloatArray  # [members]
-    _rounded: tuple[Chain, ...] = ()  # of costs as the members round them up, if they do
+    _rounded: tuple[Chain, ...] = ()  # chains with costs as the members round them up, if they do
 
     @property
     def is_finer(self) -> bool:
-        """Whether the law is of costs as they are paid, while members round them up."""
+        """Whether the law is of the paid costs although the members round costs up."""
         return bool(self._rounded)
 
     @cached_property
     def goal(self) -> float:
-        """Mass of the cost law: the probability of reaching the goal."""
+        """Total mass: the probability of reaching the goal."""
         return self._mean(lambda chain: float(chain.start @ chain.arriving()[0]))
 
     @cached_property
     def cost(self) -> float:
-        """E[C; goal] of the cost law."""
+        """E[C; goal]."""
         return self._mean(lambda chain: float(chain.start @ chain.arriving()[1]))
 
     @property
     def conditional_mean(self) -> float:
-        """Mean E[C | goal] of the cost law; nan where the goal is never reached."""
+        """E[C | goal]; nan if the goal is never reached."""
         return self.cost / self.goal if self.goal > 0.0 else nan
 
     @explained
     def within(self, bound: float | Fraction) -> float:
-        """Distribution function of the cost law: Pr(goal, C <= bound).
+        """Return the distribution function: Pr(goal, C <= bound).
 
-        A float means its shortest decimal (three steps of 0.1 are within 0.3), or the total of
-        whole layers that it is the float of (2/3, where the unit is 1/3); fractions are exact.
+        A float means its shortest decimal (three steps of 0.1 are within 0.3), or the multiple of
+        the unit of which it is the nearest float (2/3 for the unit 1/3); fractions are exact.
         """
         if bound == inf:
             return self.goal
         _check_cost_number(bound, "bound")
 
         def arrived(arrivals: Arrivals) -> float:
-            """What arrives up to the bound."""
+            """Return the mass that arrives within the bound."""
             last = arrivals.last_layer(bound)
             for _ in arrivals.followed(last + 1):
                 if arrivals.leaps or arrivals.remaining()[0] <= _NOTHING * self.goal:
@@ -104,13 +104,13 @@ class CostLaw:
 
     @explained
     def excess(self, threshold: float) -> float:
-        """E[(C - threshold)^+; goal] of the cost law; its far tail is not lost to cancellation."""
+        """Return E[(C - threshold)^+; goal], also in the far tail without cancellation."""
         _check_cost_number(threshold, "threshold")
         if threshold == inf:
             return 0.0
 
         def beyond(arrivals: Arrivals) -> float:
-            """What arrivals beyond the threshold pay beyond it."""
+            """Return the expected excess of arrivals."""
             last = arrivals.last_layer(float(threshold))
             for settled in arrivals.followed(last + 1):
                 if settled > last:
@@ -129,10 +129,10 @@ class CostLaw:
 
     @explained
     def quantile(self, level: float) -> float:
-        """Quantile of the cost law: the least B with Pr(C <= B | goal) >= level; nan: no success.
+        """Return the least B with Pr(C <= B | goal) >= level; nan if the goal is never reached.
 
-        The comparison has a relative slack of 1e-12 (``arrays.QUANTILE``), so that an atom at
-        which the mass reaches the level exactly is not missed. Level 0 asks for the least cost.
+        The comparison has a relative tolerance of 1e-12 (``arrays.QUANTILE``), so that an atom at
+        which the mass equals the level is not missed. Level 0 gives the least cost.
 
         Raises:
             ModelError: the level does not lie in [0, 1).
@@ -144,7 +144,7 @@ class CostLaw:
         needed = level * self.goal * (1.0 - QUANTILE)
 
         def reached(arrivals: Arrivals) -> float:
-            """The first total by which the level is reached."""
+            """Return the first total at which the level is reached."""
             for _ in arrivals.followed():
                 layers, masses = arrivals.atoms()
                 total = np.cumsum(masses)
@@ -160,10 +160,11 @@ class CostLaw:
 
     @explained
     def tail_mean(self, level: float) -> float:
-        """Tail mean (CVaR) of the cost law, over the costliest ``1 - level`` of the successes.
+        """Return the tail mean (CVaR), over the costliest share ``1 - level`` of the successes.
 
-        The conditional value at risk (Rockafellar and Uryasev 2000), where an atom at the quantile
-        counts for as much of it as belongs to the share; nan where the goal is never reached.
+        This is the conditional value at risk (Rockafellar and Uryasev 2000), in which an atom at
+        the quantile counts with the part that belongs to the share; nan if the goal is never
+        reached.
 
         Raises:
             ModelError: the level does not lie in [0, 1).
@@ -173,7 +174,7 @@ class CostLaw:
 
     @explained
     def exponential(self, rate: float) -> float:
-        """E[exp(rate * C); goal] of the cost law, rate <= 0, by a linear solve without a lattice.
+        """Return E[exp(rate * C); goal] for rate <= 0, by a linear solve.
 
         Raises:
             ModelError: a rate above 0, for which the expectation need not be finite.
@@ -182,7 +183,7 @@ class CostLaw:
             raise ModelError(f"rate must be a number of at most 0, not {in_short(rate)}")
 
         def discounted(chain: Chain) -> float:
-            """The expectation for a member: a step's factor counts as giving up."""
+            """Return the expectation for a member, with the factor of a step as giving up."""
             lost, factor = chain.per_node(-np.expm1(rate * chain.cost)), np.exp(rate * chain.cost)
             chance, give_up = chain.probability * factor, chain.give_up + lost
             tilted = replace(chain, probability=chance, give_up=give_up)
@@ -193,15 +194,15 @@ class CostLaw:
 
     @explained
     def expectation(self, utility: Utility, at_infinity: float) -> float:
-        """E[utility(C); goal] of the cost law, followed until the rest cannot matter.
+        """Return E[utility(C); goal], followed until the rest is negligible.
 
         Args:
             utility: a non-increasing function of the total cost, on arrays.
-            at_infinity: what it falls to.
+            at_infinity: its limit at infinite cost.
 
         Raises:
-            ModelError: a utility that is not a finite number for each cost, or one that falls so
-                slowly, of a policy that takes so long, that the table becomes too large.
+            ModelError: the utility is not a finite number for each cost, or it falls so slowly, for
+                a policy of such long runs, that the table becomes too large.
         """
         if not isfinite(at_infinity):
             raise ModelError(f"at_infinity must be a finite number, not {in_short(at_infinity)}")
@@ -209,11 +210,11 @@ class CostLaw:
             return 0.0
 
         def gain(costs: FloatArray) -> FloatArray:
-            """The utility above what it falls to."""
+            """Return the utility minus its limit."""
             return utilities(utility, costs) - at_infinity
 
         def gained(arrivals: Arrivals) -> float:
-            """The expected gain, followed until the rest cannot matter."""
+            """Return the expected gain, followed until the rest is negligible."""
             for _ in arrivals.followed():
                 layers, masses = arrivals.atoms()
                 settled_gain = float(masses @ gain(arrivals.cost_of(layers)))
@@ -226,13 +227,13 @@ class CostLaw:
 
     @explained
     def upto(self, bound: float | Fraction) -> Atoms:
-        """Atoms of the cost law up to a total cost ``bound``, compared as :meth:`within` does."""
+        """Return the atoms up to a total cost ``bound``, compared as :meth:`within` does."""
         if bound == inf:
             raise ModelError("give a finite bound, or all_but(mass)")
         _check_cost_number(bound, "bound")
 
         def atoms(arrivals: Arrivals) -> Atoms:
-            """The atoms up to the bound."""
+            """Return the atoms within the bound."""
             last = arrivals.last_layer(bound)
             for _ in arrivals.followed(last + 1):
                 pass
@@ -244,7 +245,7 @@ class CostLaw:
 
     @explained
     def all_but(self, mass: float) -> Atoms:
-        """Least atoms of the cost law that leave out a mass of at most ``mass`` of the successes.
+        """Return the first atoms, without a mass of at most ``mass`` of the successes.
 
         Raises:
             ModelError: the mass is not above 0.
@@ -253,7 +254,7 @@ class CostLaw:
             raise wrong_argument("mass", "be above 0", mass, ": the support may be infinite")
 
         def atoms(arrivals: Arrivals) -> Atoms:
-            """The atoms but the last ones, which are unlikely enough."""
+            """Return all but the last, unlikely atoms."""
             for _ in arrivals.followed():
                 if arrivals.remaining()[0] <= mass:
                     break
@@ -265,15 +266,15 @@ class CostLaw:
         return self._answer(atoms)
 
     def _mean(self, of: Callable[[Chain], float]) -> float:
-        """A lottery's mean, in the cost law, of a number of each member."""
+        """Return the mean over the members of a number of each member's chain."""
         numbers = zip(self._chains, self._weights, strict=True)
         return sum((float(w) * of(p) for p, w in numbers), start=0.0)
 
     def _answer(self, question: Callable[[Arrivals], _Answer]) -> _Answer:
-        """A question to the cost law answered by the first sweep that can.
+        """Return the answer of the first sweep that does not raise ModelError.
 
         Raises:
-            ModelError: none can.
+            ModelError: all sweeps raise it.
         """
         refused = list[ModelError]()
         for sweep in self._sweeps():
@@ -284,10 +285,10 @@ class CostLaw:
         raise next(e for e in reversed(refused) if not isinstance(e, TooManySumsError))
 
     def _sweeps(self) -> Iterator[Arrivals]:
-        """Sweeps over the law's total cost in the order in which they are asked, begun when needed.
+        """Yield the sweeps over the total cost in the order of use, made when needed.
 
-        Where a step passes many layers of the costs' unit, sums are followed one by one before all
-        layers are; costs are rounded where neither comes to an end.
+        If a step passes many layers of the costs' unit, sums are followed before layers. Costs are
+        rounded if neither is possible.
         """
         layers = self._layers
         is_narrow = layers is not None and layers.is_narrow
@@ -301,12 +302,12 @@ class CostLaw:
 
     @cached_property
     def _live(self) -> LiveChain:
-        """Live chains of the cost law's members, side by side."""
+        """Live chain of the members, side by side."""
         return LiveChain.of(self._chains, self._weights)
 
     @cached_property
     def _layers(self) -> Arrivals | None:
-        """Arrivals of the cost law in layers of a common unit; None: none is worth counting in."""
+        """Arrivals in layers of the common unit; None: there are too many layers."""
         try:
             return Arrivals(self._live, self._exact_costs)
         except ModelError:
@@ -314,7 +315,7 @@ class CostLaw:
 
     @cached_property
     def _sums(self) -> FollowedSums:
-        """Arrivals of the cost law at the sums that costs make, unlikely ones rounded up."""
+        """Arrivals at the sums of costs, with unlikely ones rounded up."""
         how = self._live, self._exact_costs, self._coarse_unit
         if (
             self._layers is not None and not self._layers.is_narrow
@@ -324,7 +325,7 @@ class CostLaw:
 
     @cached_property
     def _rounded_sweep(self) -> Arrivals:
-        """Arrivals of the cost law, costs rounded up to multiples of the smaller of two units."""
+        """Arrivals with costs rounded up to multiples of the policy's or the coarse unit."""
         if self._rounded:
             counted = Arrivals(LiveChain.of(self._rounded, self._weights), self._exact_costs)
             if counted.unit <= self._coarse_unit:
@@ -333,14 +334,14 @@ class CostLaw:
 
     @cached_property
     def _coarse_unit(self) -> Fraction:
-        """Unit of rounded costs, in which the cost law needs few layers."""
+        """Unit of rounded costs, with few layers."""
         most = max(min(_MOST_UNITS, _MOST_ROUNDED // len(self._live.start)), 1)
         least_unit = float(self._live.paid.max(initial=0.0)) / most
         return Fraction(max(self.conditional_mean / _FINE, least_unit))
 
     @property
     def _exact_costs(self) -> Mapping[float, Fraction]:
-        """Fractions that costs of the law's model mean, by float."""
+        """Map from float costs of the model to the fractions that they mean."""
         return self._chains[0].model.exact_costs
 
     def __repr__(self) -> str:

@@ -1,9 +1,9 @@
-"""Exponential utility of the cost of reaching the goal, and from what cost on a tail is optimal.
+"""Exponential utility of the total cost: the optimal tail, and the cost horizon.
 
-A run that has paid r and follows a stationary policy is worth ``exp(rate * r) * E[exp(rate * C);
-goal] + bonus * Pr(goal)``: the utility factors. As r grows the first term vanishes, so that from a
-finite cost on it is optimal to maximise the goal probability first and the exponential moment
-second (Freire, Delgado and Reis, ICAPS 2019: the cost horizon C_max of eGUBS).
+The worth of a stationary policy after paying r is ``exp(rate * r) * E[exp(rate * C); goal] + bonus
+* Pr(goal)``: the utility factors. As r grows the first term vanishes, so that from a finite cost on
+the optimal policy maximises the goal probability first and the exponential moment second (Freire,
+Delgado and Reis, ICAPS 2019: the cost horizon C_max of eGUBS).
 """
 
 from __future__ import annotations
@@ -22,22 +22,23 @@ from ssp_lp.processes.live_rows import costless_pairs, successor_means
 from ssp_lp.processes.quotient import Quotient, build_quotient
 
 _ROUNDING = 2.0
-"""A pair's loss of goal probability may be half of what is computed: the horizon then lies a little
-farther than it need, and no rounding matters."""
+"""Divisor of a computed loss of goal probability: it makes the horizon a little larger, so that
+rounding does not matter."""
 
 _ONE = np.ones(1)
 
 
 def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> ReachPolicy:
-    """Maximise the moment E[exp(rate * C); goal] over the policies that use some pairs only.
+    """Maximise the moment E[exp(rate * C); goal] over the policies on some pairs.
 
-    Every step that costs something shrinks what is to come, so that this is an ordinary problem
-    on a substochastic process; loops that cost nothing are collapsed, and a policy leaves them.
+    Every step of positive cost scales the later worth down, so that this is an ordinary problem on
+    a substochastic process. Free end components are collapsed, and a policy leaves them.
 
     Args:
         model: the model.
         rate: negative.
-        usable: pairs, [model pairs], such as those of greatest goal probability; None: all.
+        usable: pairs that may be used, such as those of greatest goal probability, [model pairs];
+            None: all.
     """
     quotient = build_quotient(model, usable=usable, free=costless_pairs(model))
     shrinking = _tilted_process(quotient, rate)
@@ -57,17 +58,18 @@ def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> ReachP
 
 
 def pairs_keeping_goal(model: SSP, greatest: GoalReach) -> BoolArray:
-    """Pairs that keep the greatest goal probability, or lose no more than its floor, [pairs].
+    """Return a mask of the pairs that preserve the greatest goal probability, [pairs].
 
-    A tail may use all of them: what it loses is in the gap between its value and the bound. A pair
-    of smaller loss would be tempting up to a cost that no table reaches.
+    A loss up to the failure floor is allowed, as a pair of smaller loss could be optimal up to a
+    cost beyond every cap. The loss of a tail on these pairs is part of the gap between its value
+    and the bound.
     """
     floor = FAILURE_FLOOR * greatest.goal[model.pair_state]
     return greatest.usable | (_lost_goal(model, greatest) <= floor)
 
 
 def _lost_goal(model: SSP, greatest: GoalReach) -> FloatArray:
-    """Loss of goal probability by each pair, the greatest being attained after it, [pairs]."""
+    """Return the loss of goal probability by each pair if it is the greatest after it, [pairs]."""
     here = greatest.goal[model.pair_state]
     return np.asarray(here - successor_means(model, greatest.goal))
 
@@ -75,17 +77,17 @@ def _lost_goal(model: SSP, greatest: GoalReach) -> FloatArray:
 def cost_horizon(
     model: SSP, greatest: GoalReach, tail: ReachPolicy, rate: float, bonus: float
 ) -> float:
-    """C_max of eGUBS: accumulated cost from which a tail of exponential utility is optimal.
+    """Return C_max of eGUBS: the accumulated cost from which a tail is optimal.
 
     At (s, r) the tail is optimal if no pair is better: bonus * (P(s) - Q_P(s, a)) >= exp(rate * r)
-    * (Q_V(s, a) - V(s)) for all pairs, with P the greatest goal probability and V the tail's
-    moment. Pairs that keep P, or nearly, satisfy it by V's optimality; each other one from some r
-    on.
+    * (Q_V(s, a) - V(s)) for all pairs, with the greatest goal probability P and the moment V of the
+    tail. Pairs that (nearly) preserve P satisfy it as V is optimal; each other pair satisfies it
+    from some r on.
 
     Args:
         model: the model.
-        greatest: greatest goal probabilities and the pairs that keep them.
-        tail: the greatest moment among those.
+        greatest: greatest goal probabilities and the pairs that attain them.
+        tail: the policy of greatest moment among those.
         rate: negative.
         bonus: positive.
 
@@ -105,14 +107,14 @@ def cost_horizon(
 
 
 def _tilted_arrivals(model: SSP, rate: float, values: FloatArray | None = None) -> FloatArray:
-    """Exponential utility of stage cost and successor: E[exp(rate * cost) * value], [pairs]."""
+    """Return E[exp(rate * cost) * value of the successor] of each pair, [pairs]."""
     worth = model.goal_mask.astype(np.float64) if values is None else values
     terms = model.probabilities * np.exp(rate * model.costs) * worth[model.successors]
     return segment_sums(terms, model.outcome_offsets)
 
 
 def _tilted_process(quotient: Quotient, rate: float) -> Dynamics:
-    """The process whose transitions are weighted by exp(rate * stage cost)."""
+    """Return the dynamics with transitions weighted by exp(rate * stage cost)."""
     model = quotient.model
     node = quotient.node_of[model.successors]
     live = node >= 0

@@ -1,12 +1,12 @@
-"""A policy that remembers its cost, layer by layer of the cost paid, on the model's own outcomes.
+"""Cost-aware policies, followed through layers of accumulated cost on the model's outcomes.
 
-Its mass is followed forwards, with the cost that it has paid; only the layers that a step can reach
-are held at once. Below the cap that tells what the policy attains and with which total cost it
-arrives; what reaches the cap goes on by the policy's tails, whose chains are written out. Within a
-layer, where steps cost nothing, visits are those of a chain of its own.
+The mass of a policy is followed forwards together with the cost paid; only the layers that a step
+can reach are held. Below the cap this gives the value of the policy and the law of its total cost.
+Mass that reaches the cap continues by the policy's tails, whose chains are written out. Free steps
+form a chain within each layer.
 
-A state from which the goal is not reached under a policy is one in which it can be avoided for
-sure, so that the policy may give up there: what it would still pay changes no cost given success.
+If a policy does not reach the goal from a state, the goal can be avoided surely there, so that the
+policy may give up: later costs do not change the cost given success.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from ssp_lp.policies.chain import Chain, policy_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, CostLayers, DeterministicPolicy, Policy
 
 ENDED = -3
-"""In place of a pair where an episode is over."""
+"""Code in place of a pair if the episode is over."""
 
 _NO_CLASSES = np.zeros(0, dtype=np.uint8)
 _NO_MARKS = np.zeros((0, 0), dtype=np.bool_)
@@ -58,29 +58,29 @@ _LOG = logging.getLogger("ssp_lp.evaluation")
 
 @dataclass(frozen=True, eq=False)
 class Staying:
-    """Moves of a layer's decisions that stay in it, among k states from which they stay there."""
+    """Moves within a layer, among k states that such moves connect."""
 
     share: sp.csr_array  # [k, k] probabilities
-    paid: sp.csr_array  # [k, k] the same times the cost
+    paid: sp.csr_array  # [k, k] probabilities times cost
     onward: FloatArray  # [k] probability of moving to a later layer
 
     def closed(self, among: BoolArray) -> BoolArray:
-        """States within a layer whose classes no move of the policy ever leaves, [k].
+        """Return a mask of the states in closed classes within the layer, [k].
 
         Args:
-            among: states outside of which every move leaves, [k].
+            among: states that may be closed; all other states leave, [k].
         """
         closed = np.zeros(len(among), dtype=np.bool_)
         closed[System(self.share, np.where(among, self.onward, 1.0)).closed] = True
         return closed
 
     def visits(self, entering: FloatArray, inside: BoolArray, survival: float) -> FloatArray:
-        """Expected visits of each state within the layer, like ``entering``.
+        """Return the expected visits of each state within the layer, like ``entering``.
 
         Args:
-            entering: the mass that enters the layer, and maybe, in a second column, that times the
-                cost paid before, [k, 1 or 2].
-            inside: states whose moves are followed, from all of which they leave, [k].
+            entering: the mass that enters the layer and, in an optional second column, this mass
+                times the cost paid before, [k, 1 or 2].
+            inside: states whose moves are followed; all of them must leave, [k].
             survival: factor of every move.
         """
         nodes, visits = np.flatnonzero(inside), entering.copy()
@@ -99,9 +99,10 @@ class Staying:
 
 @dataclass(frozen=True, eq=False)
 class LayerMoves:
-    """A model's outcomes by the class of their cost, and which of its states act.
+    """The outcomes of a model by the class of their cost, for a layered policy.
 
-    Layers ahead are rows of a ring: there each class of steps leads, -1 where it stays, [classes].
+    Layers ahead are rows of a ring. ``ring`` gives the row to which each class of steps leads, -1
+    if it stays in the layer, [classes].
     """
 
     model: SSP
@@ -109,12 +110,12 @@ class LayerMoves:
 
     @cached_property
     def acting(self) -> BoolArray:
-        """States at which episodes of the layered policy go on, [states]."""
+        """Mask of the states at which episodes continue, [states]."""
         return ~(dead_ends(self.model) | self.model.goal_mask)
 
     @cached_property
     def classes(self) -> IntArray:
-        """Class of each outcome's cost in the policy's layers, [outcomes]; empty: one class."""
+        """Class of each outcome's cost, [outcomes]; empty if there is one class."""
         costs, model = self.layers.costs, self.model
         if len(costs) == 1:
             return _NO_CLASSES
@@ -125,17 +126,17 @@ class LayerMoves:
 
     @property
     def room(self) -> int:
-        """Layers in a ring that holds all to which a step of the policy may lead."""
+        """Number of rows of the ring: the layers that a step may reach."""
         return max(self.layers.width - 1, 1)
 
     def pairs(self, layer: int, states: IntArray) -> IntArray:
-        """Pairs that the policy takes in a layer; codes stay, -3 elsewhere, like ``states``."""
+        """Return the pairs of the policy in a layer, or codes; ENDED at ends, like ``states``."""
         decision = self.layers.decision[layer][states]
         pair = np.where(decision < 0, decision, self.model.pair_offsets[states] + decision)
         return np.where(self.acting[states], pair, ENDED)
 
     def ring(self, layer: int) -> IntArray:
-        """Rows of the ring of layers to which classes of steps lead, -1: they stay, [classes]."""
+        """Return the row of the ring to which each class leads, [classes]; -1: it stays."""
         leads, room = self.layers.leads(layer), self.room
         ring = leads + layer % room
         ring[ring >= room] -= room  # no step leads beyond the ring
@@ -144,7 +145,7 @@ class LayerMoves:
 
     @cached_property
     def free_order(self) -> IntArray:
-        """States of a layer, each after those that the policy's free moves lead to, [states]."""
+        """States of a layer, each after those reached by its free moves, [states]."""
         model = self.model
         staying = (self.layers.leads(0) <= 0)[self.classes if self.classes.size else [0]]
         begins = model.outcome_offsets[model.pair_offsets]
@@ -152,12 +153,12 @@ class LayerMoves:
 
     @with_twin
     def meet(self, begin: int, end: int, hopeful: BoolArray) -> None:
-        """Mark where a policy's layers may lead to what is marked in them or later, in place.
+        """Mark the states from which a policy may reach marked states, in place.
 
         Args:
-            begin: the first of the layers, which pass equally many with each class of steps.
-            end: behind the last of them; they are taken from the last one on.
-            hopeful: what is marked, and becomes so, [layers and those behind them, states].
+            begin: the first layer; in all the layers a class of steps passes equally many layers.
+            end: the layer after the last one; layers are handled from the last one on.
+            hopeful: marks, updated, [layers and layers ahead, states].
         """
         check_time()
         model, leads, decision = self.model, self.layers.leads(begin), self.layers.decision
@@ -188,20 +189,21 @@ class LayerMoves:
         hopeful: BoolArray | None = None,
         first: int = 0,
     ) -> Iterator[tuple[int, IntArray, IntArray, FloatArray]]:
-        """Follow mass layer by layer; what comes to layers beyond the last one goes on waiting.
+        """Follow mass layer by layer; mass beyond the last layer stays in the ring.
 
         Args:
-            waiting: mass in the rows of the ring, [rows, states, columns]: one column, or three for
-                each discount, of mass that has not lost the goal, of that times the cost paid, and
-                of mass that has; emptied, and written.
+            waiting: mass in the rows of the ring, [rows, states, columns], updated. There is one
+                column, or three for each discount: mass that has not lost the goal, this mass times
+                the cost paid, and mass that has lost the goal.
             survivals: the discounts.
-            hopeful: whence the goal can be reached, [layers, states]; None: one column is followed.
-            first: layer in which to begin.
+            hopeful: mask of the states from which the goal can be reached, [layers, states]; None:
+                there is one column.
+            first: the first layer.
 
         Yields:
-            The layer, the states where mass is, their pairs, [k] each, and their expected visits,
-            [k, columns], infinite where they never end. Mass that has just lost the goal counts in
-            the first column and in the third.
+            The layer, the states with mass, their pairs, [k] each, and their expected visits,
+            [k, columns], infinite if they never end. Mass that has just lost the goal counts in the
+            first and in the third column.
         """
         everywhere, layers = np.arange(self.model.n_states), self.layers
         for layer in range(first, layers.count):
@@ -293,10 +295,10 @@ class LayerMoves:
 
     @with_twin
     def send(self, mass: FloatArray, pairs: IntArray, ring: IntArray, waiting: FloatArray) -> None:
-        """Send the mass of k states by their pairs on to later layers, in place.
+        """Send the mass of k states on to later layers by their pairs, in place.
 
         Args:
-            mass: as ``follow`` holds it, [k, columns].
+            mass: mass as in ``follow``, [k, columns].
             pairs: [k].
             ring: [classes].
             waiting: [rows, states, columns].
@@ -314,12 +316,12 @@ class LayerMoves:
         np.add.at(waiting, place, moved * self.model.probabilities[outcome, None])
 
     def within(self, pairs: IntArray, ring: IntArray, begins: IntArray) -> IntArray:
-        """States reached by the policy within a layer, from some and with these, increasing.
+        """Return the states reached within a layer from some states, these included, increasing.
 
         Args:
-            pairs: of all states, [states].
+            pairs: pairs of all states, [states].
             ring: [classes].
-            begins: increasing.
+            begins: the states, increasing.
         """
         source, outcome, _ = self._taken(pairs, ring < 0)
         if not source.size:
@@ -328,10 +330,10 @@ class LayerMoves:
         return np.flatnonzero(reached_along(self.model.successors[outcome], offsets, begins))
 
     def staying(self, states: IntArray, pairs: IntArray, ring: IntArray) -> Staying | None:
-        """The policy's moves within a layer; None: there are none.
+        """Return the moves within a layer; None: there are none.
 
         Args:
-            states: increasing, from which all such moves lead to one of them, [k].
+            states: states closed under such moves, increasing, [k].
             pairs: [k].
             ring: [classes].
         """
@@ -350,13 +352,13 @@ class LayerMoves:
 
     @property
     def outcomes(self) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
-        """Arrays of a policy's moves by layer for a compiled pass."""
+        """Arrays of the outcomes for compiled loops."""
         model = self.model
         successors = model.successors.view(np.uint32)
         return model.outcome_offsets, successors, model.probabilities, self.classes
 
     def _taken(self, pairs: IntArray, wanted: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
-        """Position, outcome and class of each possible move of the policy by wanted classes."""
+        """Return position, outcome and class of each possible move of the wanted classes."""
         where = np.flatnonzero(pairs >= 0)
         begin = self.model.outcome_offsets[pairs[where]]
         counts = self.model.outcome_offsets[pairs[where] + 1] - begin
@@ -371,12 +373,12 @@ class LayerMoves:
 
 
 def giving_up_where_lost(policy: MixedPolicy) -> MixedPolicy:
-    """A lottery whose members, layer by layer of cost, give up once the goal is lost.
+    """Return a lottery whose cost-aware members give up once the goal is lost.
 
-    It is lost in an attention state, or nowhere.
+    The goal can be lost at attention states only.
 
     Raises:
-        Stop: the time ended.
+        Stop: the time limit was reached.
     """
     members = list(policy.policies)
     if not any(isinstance(member, CostAwarePolicy) for member in members):
@@ -398,16 +400,16 @@ def giving_up_where_lost(policy: MixedPolicy) -> MixedPolicy:
 
 
 def hopeful_layers(moves: LayerMoves) -> tuple[BoolArray, BoolArray]:
-    """Whence the goal can be reached under a policy that remembers its cost.
+    """Return masks of the states from which a cost-aware policy may reach the goal.
 
     Returns:
-        [layers and those that steps lead to beyond the last, states], and [tails, states].
+        [layers and layers beyond the last that steps reach, states], and [tails, states].
 
     Raises:
-        Stop: the time ended.
+        Stop: the time limit was reached.
     """
     model, layers, count = moves.model, moves.layers, moves.layers.count
-    beyond = np.empty(layers.tails.shape, dtype=np.bool_)  # where a tail has not lost the goal
+    beyond = np.empty(layers.tails.shape, dtype=np.bool_)  # states where a tail reaches the goal
     for number, tail in enumerate(layers.tails):
         followed = np.zeros(model.n_pairs, dtype=np.bool_)
         followed[tail[tail >= 0]] = True
@@ -426,10 +428,11 @@ def hopeful_layers(moves: LayerMoves) -> tuple[BoolArray, BoolArray]:
 
 
 def landed_chains(moves: LayerMoves, waiting: FloatArray) -> Iterator[tuple[Chain, FloatArray]]:
-    """The tails' chains, and the mass that ``LayerMoves.follow`` left to each.
+    """Yield the chains of the tails, and the mass that ``LayerMoves.follow`` left for each.
 
     Yields:
-        The chain, and what enters it in each layer from the last one on, [layers, nodes, columns].
+        The chain, and the mass that enters it in each layer beyond the last, [layers, nodes,
+        columns].
 
     Raises:
         ModelError: a tail has no decision in a state that it reaches.
@@ -448,26 +451,26 @@ def landed_chains(moves: LayerMoves, waiting: FloatArray) -> Iterator[tuple[Chai
 
 
 LARGE = 300_000
-"""Nodes, states times layers, above which a chain is not written out."""
+"""Most nodes, states times layers, of a chain that is written out."""
 
 _NOTHING = np.zeros(0, dtype=np.int64)
 
 _FEW_NODES = 1_000
-"""Nodes of a chain that is written out however much its policy may remember: laws soon followed."""
+"""Nodes up to which a chain is written out for any memory, as its law is found quickly."""
 
 
 def chain_of_law(
     model: SSP, policy: Policy, start: FloatArray, *, least_nodes: int = LARGE
 ) -> Chain:
-    """Chain with the law of a layered policy's total cost: its own, or a smaller one by layers.
+    """Return a chain with the law of a policy's total cost: its own, or a smaller one by layers.
 
-    The smaller one of a policy that rounds costs up has the law of the rounded costs.
+    For a policy that rounds costs up, the smaller chain has the law of the rounded costs.
 
     Args:
         model: the model.
-        policy: on the model.
+        policy: policy on the model.
         start: distribution over states, [states].
-        least_nodes: states times layers from which a policy is not written out.
+        least_nodes: states times layers from which the smaller chain is used.
 
     Raises:
         ModelError: the policy has no decision in a state that it reaches.
@@ -484,16 +487,16 @@ def chain_of_law(
 def chains_of_law(
     model: SSP, policy: Policy, start: FloatArray, chain: Chain | None = None, *, soon: bool = False
 ) -> tuple[Chain, Chain]:
-    """Chains with the law of a layered policy's total cost: as paid, and as its layers count it.
+    """Return chains with the law of a policy's total cost: as paid, and as its layers round it.
 
-    Both are one where it rounds nothing up, and where it may remember much and comes to many nodes.
+    They are the same chain if the policy does not round up, or if its own chain is too large.
 
     Args:
         model: the model.
-        policy: on the model.
+        policy: policy on the model.
         start: distribution over states, [states].
-        chain: of the policy, where it is at hand.
-        soon: whether a chain of many nodes is not looked at, even if it may remember little.
+        chain: chain of the policy, if known.
+        soon: whether to avoid a chain of many nodes, even if the policy has little memory.
 
     Raises:
         ModelError: the policy has no decision in a state that it reaches.
@@ -512,13 +515,13 @@ def chains_of_law(
 
 
 def _law_forwards(moves: LayerMoves, start: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Follow a layered policy's mass forwards, layer by layer, to its law.
+    """Compute the law of a layered policy by a forward sweep of its mass.
 
-    None where a decision is missing, or a cost is no whole number of layers but as a float, and is
-    not rounded up to one.
+    The result is None if a decision is missing, or if a cost is not an exact multiple of the unit
+    and is not rounded up to one.
 
     Returns:
-        What arrives at the goal below the cap, [layers]; and what goes on beyond it, as of
+        Mass that reaches the goal below the cap, [layers]; and mass beyond it, as in
         ``LayerMoves.follow``.
     """
     layers, exact = moves.layers, moves.model.exact_costs
@@ -541,12 +544,12 @@ def _law_forwards(moves: LayerMoves, start: FloatArray) -> tuple[FloatArray, Flo
 
 
 def _block_chain_of_law(moves: LayerMoves, arrived: FloatArray, waiting: FloatArray) -> Chain:
-    """Chain of a layered policy's law: a node per block of layers, then the goal and the tails.
+    """Return a chain with a layered policy's law: nodes for blocks of layers, goal, and tails.
 
-    A node goes on to the next block, or to the goal at the cost of each layer of its own; the last
-    one to where the mass lands beyond the cap. Mass that fails below the cap never starts.
+    A block moves to the next block, or to the goal at the cost of each of its layers; the last
+    block also moves to the tails beyond the cap. Mass that fails below the cap is not in the start.
     """
-    model, layers, block = moves.model, moves.layers, moves.room  # no move is much longer
+    model, layers, block = moves.model, moves.layers, moves.room  # about the longest move
     count, unit = -(-layers.count // block), layers.unit or 0.0
     own, tails, first = np.zeros(count + 1), list[Chain](), count + 1
     reached = np.flatnonzero(arrived)

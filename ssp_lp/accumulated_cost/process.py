@@ -1,9 +1,9 @@
-"""The accumulated cost of case S (paper, section 3.1.1) as a layered substochastic process.
+"""The accumulated-cost process of case S (paper, section 3.1.1), in layers.
 
-States are (node, layer), the layer standing for the cost paid so far. Only one layer's structure is
-stored: it is the same in all of them. A failing episode costs nothing here, so where the goal can
-be avoided for sure (attention states) a policy may fail at once. The process is cut at a cap M,
-where tail policies take over; sweeps take it layer by layer.
+States are (node, layer); the layer is the accumulated cost. Only the structure of one layer is
+stored, as it is the same for all. A failing episode costs nothing, so that a policy may fail at
+once where it can avoid the goal surely (attention states). The process is truncated at a cap M,
+where tail policies take over; sweeps solve it layer by layer.
 """
 
 from __future__ import annotations
@@ -47,18 +47,18 @@ from ssp_lp.processes.live_rows import (
 )
 from ssp_lp.processes.quotient import Quotient, Spread, build_quotient
 
-_MOST_TURNS = 300  # to bound the steps within a layer
-_LAST_STEP = 0.4  # what another one adds by then; a half would do but for rounding
+_MOST_TURNS = 300  # most iterations to bound the steps within a layer
+_LAST_STEP = 0.4  # growth of the bound at which it ends; below 1/2 with a margin for rounding
 
 
 @dataclass(frozen=True, eq=False)
 class AccumulatedCost:
-    """One layer of the process, and how its pairs lead to the same and to later layers."""
+    """One layer of the process, with its transitions within the layer and to later layers."""
 
     quotient: Quotient
-    step_classes: StepClasses  # outcomes by what they cost
+    step_classes: StepClasses  # outcomes by cost
     survival: float  # the discount, 1 in the exact setting
-    instant: sp.csr_array  # [pairs, nodes] steps that cost nothing and stay in the layer
+    instant: sp.csr_array  # [pairs, nodes] steps of cost 0, which stay in the layer
     later: SparseRows  # [pairs, (width - 1) * nodes] column 0 is one layer ahead
     gain: FloatArray  # [pairs] probability of stepping into the goal (weight gamma^t)
     gain_cost: FloatArray  # [pairs] E[stage cost; step into the goal]
@@ -66,57 +66,56 @@ class AccumulatedCost:
     start: FloatArray  # [nodes]
     start_goal: float  # start mass on goals
     start_failure: float  # start mass on dead-ends
-    departs: FloatArray  # [pairs] what rows were divided by: they count departures from a node
+    departs: FloatArray  # [pairs] divisors of the rows, which count departures from a node
     arrivals: sp.csr_array | None = None  # [pairs, width] steps into the goal by layers ahead
-    last_steps: FloatArray | None = None  # [width] their costs, where classes are numbers of costs
+    last_steps: FloatArray | None = None  # [width] their costs, if classes are indices of costs
 
     @property
     def exact_unit(self) -> Fraction:
-        """Cost of one layer of the process, as a fraction."""
+        """Cost of one layer, as a fraction."""
         return self.step_classes.unit
 
     @cached_property
     def unit(self) -> float:
-        """Cost of one layer of the process, as a float."""
+        """Cost of one layer, as a float."""
         return float(self.step_classes.unit)
 
     @property
     def by_steps(self) -> bool:
-        """Whether the process tells steps apart by distinct costs, not by multiples of a unit."""
+        """Whether step classes are distinct costs, rather than multiples of a unit."""
         return self.last_steps is not None
 
     @property
     def width(self) -> int:
-        """Layers that one step can reach: 0 .. width - 1 ahead."""
+        """Number of classes of steps; with a unit, steps reach 0 .. width - 1 layers ahead."""
         return self.step_classes.width
 
     def totals(self, cap: int) -> Totals:
-        """Totals of the accumulated-cost process: the multiples of its unit below a cap."""
+        """Return the multiples of the unit up to a cap, as totals."""
         return Totals.of_unit(self.exact_unit, cap, self.width)
 
     @property
     def n_nodes(self) -> int:
-        """States of one layer of the accumulated-cost process."""
+        """Number of nodes of one layer."""
         return self.quotient.n_nodes
 
     @property
     def pair_offsets(self) -> IntArray:
-        """Offsets of the pairs of each node in a layer of the process, [nodes + 1]."""
+        """Offsets of the pairs of each node in a layer, [nodes + 1]."""
         return self.quotient.pair_offsets
 
     @cached_property
     def instant_dynamics(self) -> Dynamics:
-        """Free steps of the process within a layer; whatever goes on to a later layer leaves."""
+        """Dynamics of the free steps within a layer; steps to later layers are exits."""
         onward = np.asarray(written_out(self.later).sum(axis=1)).ravel()
         exits = onward + self.survival * self.gain + self.failure
         return Dynamics(self.pair_offsets, self.instant, exits, is_reused=True)
 
     @cached_property
     def steps_within(self) -> FloatArray | None:
-        """Bound on the process's steps within a layer, [nodes]; None: it is large.
+        """Upper bound of every policy's expected steps within a layer, [nodes]; None: it is large.
 
-        So it bounds the steps that a policy takes before it leaves a layer. Where another step
-        adds at most half a one, twice as many do.
+        If one more step raises the bound by at most 1/2, twice the bound holds.
         """
         steps = np.ones(self.n_nodes)
         for _ in range(_MOST_TURNS):
@@ -129,7 +128,7 @@ class AccumulatedCost:
 
     @property
     def steps(self) -> sp.csr_array:
-        """Steps of the process, [pairs, width * nodes]; column = layers ahead * nodes + node."""
+        """All steps, [pairs, width * nodes]; column = layers ahead * nodes + node."""
         later, n = written_out(self.later), self.n_nodes
         if len(self.instant.indices):
             return sp.csr_array(sp.hstack([self.instant, later]))
@@ -138,7 +137,7 @@ class AccumulatedCost:
 
     @cached_property
     def steps_by_class(self) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-        """Steps of the process as rows: each entry's class (0: free), target and share.
+        """All steps in CSR form: offsets, and class (0: free), target and probability of entries.
 
         [pairs + 1], and [entries] each.
         """
@@ -149,11 +148,11 @@ class AccumulatedCost:
 
 
 def spread_layer(base: AccumulatedCost, spread: Spread, start: FloatArray) -> AccumulatedCost:
-    """One layer of the accumulated-cost process with nothing collapsed and every self-loop kept.
+    """Return one layer without collapsed components and with all self-loops.
 
     Args:
-        base: the layer as methods take it, without discount.
-        spread: its quotient's pairs, each by itself.
+        base: the layer as methods use it, without discount.
+        spread: the uncollapsed pairs of its quotient.
         start: distribution over states, [states].
     """
     instant, later = _steps_by_cost(spread.quotient, base.step_classes, base.survival)
@@ -186,19 +185,19 @@ def accumulate_cost(
     by_steps: bool = False,
     quotient: Quotient | None = None,
 ) -> AccumulatedCost:
-    """Build the process of case S: the states with the accumulated cost.
+    """Build one layer of the accumulated-cost process of case S.
 
     Args:
         model: the model.
         start: distribution over states, [states].
         discount: None keeps real probabilities; a number scales every transition by it.
-        arrivals: place the costs of arriving at the goal on the lattice too, so that any function
-            of the total cost can be charged.
-        usable: pairs that may be used, [model pairs]; with it nobody may fail by choice, which is
-            the second stage of a least-failure problem (mathematics, section 4).
-        side: what is limited besides.
-        by_steps: steps are told apart by their distinct costs, not by multiples of a common unit.
-        quotient: the live part of the model, with the pairs that give up; None: made here.
+        arrivals: also classify the steps into the goal, so that any function of the total cost can
+            be charged.
+        usable: pairs that may be used, [model pairs]; with it a policy may not fail by choice: the
+            second stage of a least-failure problem (mathematics, section 4).
+        side: further limits.
+        by_steps: classify steps by distinct costs, rather than by multiples of a common unit.
+        quotient: the live part of the model, with the pairs that give up; None: built here.
 
     Raises:
         ModelError: the costs have no common unit that gives a sane number of layers.
@@ -242,7 +241,7 @@ def accumulate_cost(
 
 
 def _departing(base: AccumulatedCost) -> AccumulatedCost:
-    """Pairs of the accumulated-cost process on departing only: free waiting changes no total."""
+    """Remove free self-loops by conditioning on departure, which changes no total."""
     later = written_out(base.later)
     leak = base.gain + base.failure + np.asarray(later.sum(axis=1)).ravel()
     instant = base.instant.copy()
@@ -264,7 +263,7 @@ def _departing(base: AccumulatedCost) -> AccumulatedCost:
 
 
 def _scaled_rows(matrix: sp.csr_array, factor: FloatArray) -> sp.csr_array:
-    """Steps of the process with each row multiplied by a factor, [rows]."""
+    """Return a matrix with each row multiplied by a factor, [rows]."""
     data = matrix.data * np.repeat(factor, np.diff(matrix.indptr))
     return sp.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
 
@@ -272,7 +271,7 @@ def _scaled_rows(matrix: sp.csr_array, factor: FloatArray) -> sp.csr_array:
 def _steps_by_cost(
     quotient: Quotient, classes: StepClasses, survival: float
 ) -> tuple[sp.csr_array, SparseRows]:
-    """Steps of the process that cost nothing, and those that add to the accumulated cost."""
+    """Return the steps of cost 0, and the steps to later layers."""
     model, n, width = quotient.model, quotient.n_nodes, classes.width
     rows = RowChoice(model, quotient.node_of, n, quotient.pair_at)
     if classes.least > 0:  # no step stays in its layer
@@ -287,28 +286,28 @@ def _steps_by_cost(
 
 
 _TABLE = 1_000_000
-"""Charges, layers x pairs or x layers of a step, that are worked out together."""
+"""Most charges (layers times pairs) computed at once."""
 
 
 class ChargedLayers:
-    """Layers of an accumulated-cost process, and what arriving at the goal from them is charged."""
+    """Layers of an accumulated-cost process, with the charges of steps into the goal."""
 
     base: AccumulatedCost
-    totals: Totals  # what the layers stand for, and which step leads where
+    totals: Totals  # the accumulated cost of each layer, and the layers that steps lead to
     charge: Charge
 
     @property
     def cap(self) -> int:
-        """Number of layers of the process below the last total."""
+        """Number of layers below the cap."""
         return self.totals.size
 
     @property
     def grows_evenly(self) -> bool:
-        """Whether the process charges the total cost itself: each layer adds the same."""
+        """Whether the charge is the total cost itself."""
         return self.charge.is_the_total
 
     def charged(self, layer: int) -> PairCost:
-        """Expected charge of arriving at the goal by each pair from a layer, [pairs]."""
+        """Return the expected charge of each pair at the goal, from a layer, [pairs]."""
         base, totals = self.base, self.totals.values
         if self.grows_evenly or base.arrivals is None:
             return PairCost(base.gain_cost, base.gain, float(totals[layer]))
@@ -324,17 +323,17 @@ class ChargedLayers:
 
     @cached_property
     def _blocks(self) -> dict[int, FloatArray]:
-        """Charges of arriving from a block of the process's layers, kept: [layers, pairs]."""
+        """Cache of the charges of one block of layers, [layers, pairs]."""
         return {}
 
     @cached_property
     def arriving(self) -> IntArray:
-        """Pairs of a layer of the process by which the goal can be reached, [arriving]."""
+        """Pairs of a layer that may step into the goal, [arriving]."""
         arrivals = self.base.arrivals
         return (self.base.gain if arrivals is None else np.diff(arrivals.indptr)).nonzero()[0]
 
     def charged_arriving(self, some: slice) -> FloatArray:
-        """Expected charge by the arriving pairs from some layers, [some, arriving]."""
+        """Return the expected charges of the arriving pairs from some layers, [some, arriving]."""
         base, arrivals, paid = self.base, self.base.arrivals, self.totals.values[some, None]
         if arrivals is None:
             return base.gain_cost[self.arriving] + paid * base.gain[self.arriving]
@@ -351,45 +350,45 @@ class ChargedLayers:
 
     @property
     def start_charge(self) -> float:
-        """Charge of the process's start mass that lies on goals."""
+        """Charge of the start mass on goals."""
         return self.base.start_goal * float(self.charge.at(np.zeros(1))[0])
 
 
 @dataclass(frozen=True, eq=False)
 class LayeredTails:
-    """Stationary policies for accumulated costs beyond the cap, as values per node.
+    """Stationary policies beyond the cap, with their values at each node.
 
-    Row 0 goes for the goal, where ``exact`` with the least failure; the last row fails most (the
-    paper's pi'_or).
+    Row 0 goes to the goal, with least failure if ``exact``; the last row has the greatest failure
+    (the paper's pi'_or).
     """
 
     decisions: IntArray  # [tails, states]
     values: TailValues  # [tails, nodes] each
-    greatest_goal: FloatArray  # [nodes] checked upper bound of E[gamma^T; goal]
-    least_goal: FloatArray  # [nodes] checked lower bound of it
-    exact: bool = True  # whether row 0 and the upper bound are those of the least failure
-    least_cost: FloatArray | None = None  # [nodes] checked: of E[cost; goal], none where it is 0
-    greatest_moment: FloatArray | None = None  # [nodes] checked: of E[exp(rate * cost); goal]
-    guess: tuple[float, float] | None = None  # E[cost; goal] and goal, where row 0 only fails
+    greatest_goal: FloatArray  # [nodes] certified upper bound of E[gamma^T; goal]
+    least_goal: FloatArray  # [nodes] certified lower bound of E[gamma^T; goal]
+    exact: bool = True  # whether row 0 and the upper bound are those of least failure
+    least_cost: FloatArray | None = None  # [nodes] certified lower bound of E[cost; goal]; None: 0
+    greatest_moment: FloatArray | None = None  # [nodes] certified, of E[exp(rate * cost); goal]
+    guess: tuple[float, float] | None = None  # approximate E[cost; goal] and goal, if row 0 fails
 
     @property
     def goal(self) -> FloatArray:
-        """E[gamma^T; goal] of the tails of the layered process, [tails, nodes]."""
+        """E[gamma^T; goal] of the tails, [tails, nodes]."""
         return self.values.goal
 
     def bounding(self, goal: FloatArray) -> TailValues:
-        """Tail values of an ideal policy, of best goal probability and moment: they bound all."""
+        """Return ideal values that bound those of all policies, at a goal probability."""
         nothing = np.zeros_like(goal)
         moment = nothing if self.greatest_moment is None else nothing + self.greatest_moment
         return TailValues(goal, 1.0 - goal, nothing, nothing, moment)
 
     @property
     def first(self) -> TailValues:
-        """Values of the first tail of the layered process, [nodes] each."""
+        """Values of the first tail, [nodes] each."""
         return self.values.row(0)
 
     def threshold(self, failure_price: float, charge: Charge) -> FloatArray:
-        """Total from which the layered process's last tail is no worse than the first, [nodes].
+        """Return the total from which the last tail is no worse than the first, [nodes].
 
         The value of tail k at accumulated cost r is price * (1 - goal_k) + slope * (r * early_k +
         cost_k) + offset * goal_k.
@@ -405,7 +404,7 @@ class LayeredTails:
 
 @dataclass(frozen=True, eq=False)
 class LayeredProcess(ChargedLayers):
-    """States (node, layer) for layers below ``cap``; beyond it a policy follows a tail for good."""
+    """The process with layers below ``cap``; beyond it a policy follows a tail for ever."""
 
     base: AccumulatedCost
     totals: Totals
@@ -414,27 +413,27 @@ class LayeredProcess(ChargedLayers):
 
     @property
     def end(self) -> float:
-        """The total at which the table of the layered process ends, in units."""
+        """The total of the cap, in units."""
         return float(self.totals.values[-1]) if self.base.by_steps else self.cap
 
     @property
     def beyond_units(self) -> FloatArray:
-        """Totals at which the layered process's tails take over, in units, [layers, 1]."""
+        """Totals at which tails take over, in units, [layers, 1]."""
         if not self.base.by_steps:
             return self.cap + np.arange(self.base.width - 1.0)[:, None]
         return self.totals.beyond[:, None]
 
     def threshold(self, price: float) -> FloatArray:
-        """Total, in units, from which a price follows the layered process's last tail, [nodes].
+        """Return the total, in units, from which the last tail is chosen at a price, [nodes].
 
-        -infinity where it is followed from the cap on, so that equal rules compare equal.
+        It is -infinity if it is chosen from the cap on, so that equal rules compare equal.
         """
         total = self.tails.threshold(price, self.charge) / self.base.unit
         total = total if self.base.by_steps else np.ceil(total - 1e-9)
         return np.where(total <= self.end, -np.inf, total)
 
     def beyond(self, price: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(charge, failure, goal) of the layered process's tails, chosen at a price.
+        """Return (charge, failure, goal) of the tails chosen at a price.
 
         Returns:
             3 x [layers, nodes].
@@ -444,29 +443,29 @@ class LayeredProcess(ChargedLayers):
         return self.charge.beyond(paid, chosen), chosen.failure, chosen.goal
 
     def measures_beyond(self, price: float) -> FloatArray:
-        """Charge, failure and goal of the layered process beyond its cap, [layers, nodes, 3]."""
+        """Return charge, failure and goal beyond the cap, [layers, nodes, 3]."""
         return np.stack(self.beyond(price), axis=-1)
 
     def beyond_value(self, price: float, failing: float) -> FloatArray:
-        """Value of the layered process's tails that a price chooses, [layers, nodes].
+        """Return the value of the tails chosen at a price, [layers, nodes].
 
         Args:
             price: kappa.
-            failing: what failing counts: kappa, or 0 with -kappa for success.
+            failing: weight of failure: kappa, or 0 with weight -kappa of the goal.
         """
         charge, failure, goal = self.beyond(price)
         return charge + failing * failure - (price - failing) * goal
 
     def beyond_bound(self, failure_price: float, failing: float) -> FloatArray:
-        """Lower bound of every policy's value beyond the layered process's cap, [layers, nodes].
+        """Return a lower bound of every policy's value beyond the cap, [layers, nodes].
 
-        Every success is charged at least what it would be if it came at once: charge(r) * early +
-        price * (1 - goal) with early = goal / gamma (mathematics, section 5: r + (kappa - r) F). It
-        is exact where it is best to fail and possible.
+        Success is charged at least the charge at the present total: charge(r) * early + price * (1
+        - goal) with early = goal / gamma (mathematics, section 5: r + (kappa - r) F). The bound is
+        exact where failing is optimal and possible.
 
         Args:
             failure_price: kappa.
-            failing: what failing counts: kappa, or 0 with -kappa for success.
+            failing: weight of failure: kappa, or 0 with weight -kappa of the goal.
         """
         tails, totals = self.tails, self.totals.beyond[:, None]
         paid = self.charge.at(totals) / self.base.survival
@@ -482,11 +481,11 @@ class LayeredProcess(ChargedLayers):
         return np.asarray(rest + bound - rounding)
 
     def policy(self, choice: IntArray, tail_price: float) -> CostAwarePolicy:
-        """The cost-aware policy on the model of a choice in the layered process.
+        """Return the cost-aware policy on the model of a choice.
 
         Args:
             choice: position among the pairs of its node, [cap, nodes].
-            tail_price: the price of failure by which tails are chosen beyond the cap.
+            tail_price: price of failure at which the tails beyond the cap are chosen.
         """
         quotient, model = self.base.quotient, self.base.quotient.model
         threshold = np.full(model.n_states, np.inf)

@@ -1,13 +1,13 @@
 """Sweeps over the layers of an accumulated-cost process: backward for values, forward for mass.
 
-Backward, a sweep finds the best choice, what a choice is worth, or lower bounds of every policy's
-values. Layer by layer each step through the interpreter costs more than a layer of some hundred
-nodes does, and equations of free steps more than turns over the layer (Gauss-Seidel), where any
-policy leaves it after a few steps: such processes are swept in one compiled pass. Where free steps
-can be put in order one turn does.
+A backward sweep finds the optimal choice, evaluates a choice, or gives lower bounds of the values
+of every policy. For layers of some hundred nodes the interpreter takes longer than the arithmetic,
+and if every policy leaves a layer after a few free steps, equations take longer than Gauss-Seidel
+turns over the layer. Such processes are swept in one compiled pass. If the free steps are acyclic,
+one turn is enough.
 
-Forward, one number of each node is sent on, and only from where the choice comes to; a sweep
-backwards gathers all that is counted for every node of every layer.
+A forward sweep sends on one number per node, only from nodes that the choice reaches. A backward
+sweep computes all rewards for every node of every layer.
 """
 
 from __future__ import annotations
@@ -56,72 +56,72 @@ if TYPE_CHECKING:
 _ONE, _NONE = np.ones(1), np.zeros(0)
 
 _BELOW_EVERY_VALUE = 1e-6
-"""No value is below minus the price; a floor this much lower leaves room to count rounding."""
+"""Relative margin of the floor below minus the price, for rounding."""
 
 KEPT_VALUES = 25_000_000
-"""Largest table of checked values that is kept, nodes x layers: 0.2 GB. Of a larger one only the
-shape is: infinite values ask for the best that can be proved, which one more sweep gives."""
+"""Most checked values that are kept, nodes x layers: 0.2 GB. Larger tables are replaced by infinite
+values of the same shape, which ask for the best bound: one more sweep."""
 
 
 _MOST_CELLS = 8_000_000
-"""Nodes times layers that steps lead to, four numbers each; more of them are swept one by one."""
+"""Most nodes times layers ahead, four numbers each, of a compiled pass."""
 
 _MOST_ENTRIES = 30_000
-"""Entries of a layer without free steps from which calling a loop for each is next to nothing."""
+"""Entries of a layer without free steps from which one call for each layer costs little."""
 
 _MOST_WITHIN = 20.0
-"""Steps within a layer, of any policy: with more of them its equations are solved instead."""
+"""Most expected steps within a layer, of any policy, for turns instead of equations."""
 
-_TURNS_A_STEP = 40.0  # that a policy takes within a layer: e^-40 of what was missing is left
+_TURNS_A_STEP = 40.0  # turns for each expected step within a layer: the error falls to e^-40
 
 _MOST_CHARGES = 20_000_000
-"""Charges, pairs that arrive times layers, where they do not grow evenly."""
+"""Most charges, arriving pairs times layers, if the charge is not the total cost."""
 
 
 CompiledPass: TypeAlias = "tuple[Layers, FloatArray]"
-"""Its layers, all of them, and at least one more than after the free steps of any pair, [nodes];
-empty where free steps do not go round."""
+"""The layers, and the bound of the steps within a layer, [nodes]; empty if free steps are
+acyclic."""
 
 
 class Priced(NamedTuple):
-    """What a sweep is asked: what pairs and ends are worth, and what lies beyond the cap."""
+    """The task of a sweep: costs of pairs and ends, and values beyond the cap."""
 
-    owed: FloatArray  # [pairs] what they cost beside the charge, non-negative
-    saved: FloatArray  # [pairs] what they earn, non-negative
-    beyond: FloatArray  # [layers beyond, nodes] values beyond the cap; for bounds, lower ones
-    measures: FloatArray = _NONE  # [layers beyond, nodes, 1 + counted] the same there
+    owed: FloatArray  # [pairs] cost in addition to the charge, non-negative
+    saved: FloatArray  # [pairs] earnings, non-negative
+    beyond: FloatArray  # [layers beyond, nodes] values beyond the cap, or lower bounds
+    measures: FloatArray = _NONE  # [layers beyond, nodes, 1 + counted] totals there
     charged: float = 1.0  # weight of the charge
-    floor: float = 0.0  # no value lies below
+    floor: float = 0.0  # lower bound of all values
     at_start: tuple[tuple[float, float], ...] = ()
-    """Worth of what ends before the first step: weights, and what each is of."""
-    price: float = 0.0  # of failure, where that alone is priced
+    """Pairs of weight and amount for episodes that end before the first step."""
+    price: float = 0.0  # price of failure, if failure alone is priced
 
 
 class PartOfSweep(NamedTuple):
-    """Part of a sweep for the best choice that was done when it was stopped."""
+    """The finished part of a stopped sweep for the optimal choice."""
 
     choice: IntArray  # [cap, nodes] of which the layers from ``layer`` on are written
     price: float  # of failure
     layer: int
-    measures: FloatArray | None  # [nodes, 1 + counted] from there on; None: can be followed
+    measures: FloatArray | None  # [nodes, 1 + counted] from there on; None: follow the choice
 
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """The sweeps over the layers of one process, and what they share.
+    """The sweeps over the layers of one process, with shared data.
 
-    A choice is the position of a pair among those of its node, [cap, nodes]. Its measures are what
-    it is charged, and what else is counted at its pairs: where steps are free, failing and the goal
-    alone.
+    A choice is the position of a pair among the pairs of its node, [cap, nodes]. Its measures are
+    the expected charge and the expected totals of ``counted``; with free steps these must be
+    failure and the goal alone.
     """
 
     process: ChargedLayers
-    counted: FloatArray  # [pairs, counted] beside the charge
-    on_top: FloatArray | None = None  # [pairs] charged besides, whatever has been paid
+    counted: FloatArray  # [pairs, counted] rewards in addition to the charge
+    on_top: FloatArray | None = None  # [pairs] added to the charge in every layer
 
     @classmethod
     def of_ends(cls, process: ChargedLayers) -> Sweep:
-        """The sweeps that count failing and reaching the goal."""
+        """Return the sweeps that count failure and the goal."""
         base = process.base
         return cls(process, np.stack([base.failure, base.survival * base.gain], axis=1))
 
@@ -142,25 +142,25 @@ class Sweep:
 
     @cached_property
     def start(self) -> FloatArray:
-        """Start mass of a layer's nodes, [nodes]."""
+        """Start mass of the nodes, [nodes]."""
         return self.process.base.start
 
     @cached_property
     def charged(self) -> Callable[[int], PairCost]:
-        """What the pairs of a layer are charged in the sweep, [pairs]."""
+        """Function from a layer to the charges of its pairs, [pairs]."""
         charged, more = self.process.charged, self.on_top
         if more is None:
             return charged
 
         def and_more(layer: int) -> PairCost:
-            """With what is charged on top."""
+            """Return the charges with ``on_top`` added."""
             charge = charged(layer)
             return replace(charge, fixed=charge.fixed + more)
 
         return and_more
 
     def room_for_choice(self, layers: int | None = None) -> IntArray:
-        """An array for the choice of a sweep over layers, in the smallest integers that hold it."""
+        """Return an empty array for a choice over layers, in the smallest integer type."""
         most = int(np.diff(self.pair_offsets).max(initial=1))
         size = self.process.cap if layers is None else layers, self.n_nodes
         return np.empty(size, dtype=least_integer_type(most))
@@ -169,16 +169,16 @@ class Sweep:
     def minimise(
         self, priced: Priced, choice: IntArray, begun: FloatArray | None = None
     ) -> FloatArray:
-        """Best choice of a backward sweep, written; its measures from the start, [1 + counted].
+        """Find the optimal choice; return its measures from the start, [1 + counted].
 
         Args:
-            priced: the weights, and what lies beyond the cap.
+            priced: the weights, and the values beyond the cap.
             choice: written, [cap, nodes].
-            begun: written, from the start if an episode began in each layer: the value, and the
-                measures where the sweep has them, [cap, 1 + 1 + counted].
+            begun: written for episodes that begin in each layer: the value, and the measures if the
+                sweep has them, [cap, 1 + 1 + counted].
 
         Raises:
-            Stop: with the part of the sweep that was done.
+            Stop: the time limit was reached; it carries the finished part of the sweep.
         """
         base, values, measures = self.process.base, priced.beyond, priced.measures
         entries = np.flatnonzero(self.start)
@@ -195,7 +195,7 @@ class Sweep:
         def best(
             layer: int, ahead: FloatArray, measured: FloatArray | None = None
         ) -> tuple[FloatArray, ...]:
-            """The values of the best choice, which is written, and its measures if asked for."""
+            """Write the optimal choice; return its values, and its measures if needed."""
             nonlocal inner
             if self.is_acyclic:
                 pair_cost = cost(layer)[0]
@@ -224,11 +224,11 @@ class Sweep:
 
     @with_twin
     def measure(self, choice: IntArray, beyond: FloatArray) -> FloatArray:
-        """Measures of a choice by a sweep over the layers, from the start on, [1 + counted].
+        """Evaluate a choice by a backward sweep; return its measures from the start, [1 + counted].
 
         Args:
             choice: [cap, nodes].
-            beyond: those beyond the cap, [layers beyond, nodes, 1 + counted].
+            beyond: measures beyond the cap, [layers beyond, nodes, 1 + counted].
         """
         if (one_pass := self.one_pass) is not None:
             given = Priced(_NONE, _NONE, _NONE), beyond[:, :, 0], beyond, choice
@@ -238,7 +238,7 @@ class Sweep:
             return self.follow(choice, beyond)
 
         def measured(layer: int, ahead: FloatArray) -> tuple[FloatArray]:
-            """The measures of a layer's choice."""
+            """Return the measures of a layer's choice."""
             return (self._measures(layer, self.first_pairs + choice[layer], ahead),)
 
         swept = self._backward(measured, beyond)
@@ -252,24 +252,23 @@ class Sweep:
         *,
         keeps: bool = True,
     ) -> tuple[FloatArray, FloatArray]:
-        """Lower bounds of all policies' values, by a backward sweep; rounding counts.
+        """Return lower bounds of the values of all policies, rounded down, by a backward sweep.
 
         Args:
-            priced: with lower bounds beyond the cap.
-            given: values that are not to be exceeded, [cap, nodes]; infinite: none.
-            choice: written by compiled loops where there are no free steps: whose values these
-                are, [cap, nodes].
-            keeps: whether the values are asked for.
+            priced: weights, with lower bounds beyond the cap.
+            given: upper limits of the bounds, [cap, nodes]; infinite: no limit.
+            choice: if given, the minimising choice is written, [cap, nodes]; not with free steps.
+                keeps: whether the values are needed.
 
         Returns:
-            The bound if an episode began in each layer, [cap]; and the values, [cap, nodes],
-            infinite where they are too many to be kept.
+            The bound for an episode that begins in each layer, [cap]; and the values, [cap, nodes],
+            infinite if they are not kept.
         """
         process, base = self.process, self.process.base
         inner, floor = self._first_choice, priced.floor
 
         def lower(layer: int, ahead: FloatArray) -> tuple[FloatArray]:
-            """Lower bounds of a layer; within one with free steps its best choice is kept."""
+            """Return the lower bounds of a layer; free steps reuse the last layer's choice."""
             nonlocal inner
             most, is_free = given[layer], bool(np.isposinf(given[layer]).all())
             if not is_free:
@@ -307,22 +306,22 @@ class Sweep:
             if is_kept:
                 kept[some] = lowest
         ended = np.array(priced.at_start).reshape(-1, 2).prod(axis=1)
-        terms = len(entries) + int(np.count_nonzero(ended))  # each a product, that is added
+        terms = len(entries) + int(np.count_nonzero(ended))  # number of products in the sum
         if terms == 1 and (
             shares[0] == 1.0
             if len(entries)
             else all(Fraction(w) * Fraction(a) == Fraction(w * a) for w, a in priced.at_start)
         ):
-            terms = 0  # one number, of which nothing was rounded
+            terms = 0  # a single exact product
         loss = terms * MACHINE_EPSILON * (sizes + float(np.abs(ended).sum()))
         return begun + sum(ended.tolist()) - loss, kept
 
     def follow(self, choice: IntArray, beyond: FloatArray) -> FloatArray:
-        """Measures of a choice by a forward sweep of its mass, [1 + counted].
+        """Evaluate a choice by a forward sweep of its mass; return its measures, [1 + counted].
 
         Args:
             choice: [cap, nodes].
-            beyond: the measures beyond the cap, [layers beyond, nodes, 1 + counted].
+            beyond: measures beyond the cap, [layers beyond, nodes, 1 + counted].
         """
         process, mass, sums = self.process, self._begun_mass, list[list[float]]()
         for layer in range(process.cap):
@@ -333,12 +332,12 @@ class Sweep:
 
     @property
     def _begun_mass(self) -> LayerMass:
-        """The mass of the sweep's first layer, to be followed forwards."""
+        """The start mass in the first layer, for a forward sweep."""
         rows = LayerRows(self.process.base.later, self.pair_offsets, self.counted, self.start)
         return LayerMass(rows, self.process.totals)
 
     def mass_beyond(self, choice: IntArray) -> FloatArray:
-        """Mass of a choice that gets beyond the cap, by a forward sweep, [layers beyond, nodes]."""
+        """Return a choice's mass beyond the cap, by a forward sweep, [layers beyond, nodes]."""
         mass = self._begun_mass
         for chosen in choice:
             mass.follow(chosen, PairCost(self.process.base.gain_cost))
@@ -355,21 +354,21 @@ class Sweep:
         keeps: bool = False,
         limits: FloatArray | None = None,
     ) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
-        """Sweep block after block of layers in the compiled pass, the last first.
+        """Sweep blocks of layers in the compiled pass, the last block first.
 
         Args:
             compiled: the pass.
-            priced: what is asked.
-            values: beyond the cap, [layers beyond, nodes].
-            measures: those there, [layers beyond, nodes, 1 + counted]; None: not asked for.
-            choice: written, or given where ``keeps``, [cap, nodes].
-            keeps: whether the choice is given; then values do not matter.
-            limits: values not to be exceeded, [cap, nodes]: lower bounds are asked for, rounding
-                counted; None: the least values.
+            priced: the task.
+            values: values beyond the cap, [layers beyond, nodes].
+            measures: measures beyond the cap, [layers beyond, nodes, 1 + counted], or None.
+            choice: written, or given if ``keeps``, [cap, nodes].
+            keeps: whether the choice is given; then the values have no effect.
+            limits: upper limits, [cap, nodes], to compute lower bounds, rounded down; None:
+                compute the least values.
 
         Yields:
             The layers of the block, their values, [layers, nodes], and measures, [layers, nodes,
-            1 + counted]. The memory is the next block's as well.
+            1 + counted]. The next block reuses the memory.
         """
         from ssp_lp.compiled.layers import sweep_layers
 
@@ -387,7 +386,7 @@ class Sweep:
                 paid=whole.paid[some],
                 charge=whole.charge if len(whole.charge) == 1 else whole.charge[some],
             )
-            if not rooms:  # one after the other in the same memory; blocks differ by one layer
+            if not rooms:  # all blocks share this memory; their sizes differ by one layer
                 size = many + 1 + max(span, len(values))
                 make = np.empty if whole.turns == 1 else np.zeros
                 rooms = [make((size, *a.shape[1:])) for a in ahead]
@@ -405,7 +404,7 @@ class Sweep:
     def _pair_costs(
         self, priced: Priced, *, sizes: bool = False
     ) -> Callable[[int], tuple[PairCost, FloatArray, FloatArray]]:
-        """Pair costs of a sweep by layer, ``charge + owed - saved``, with sizes if asked for."""
+        """Return a function from a layer to pair costs, ``charge + owed - saved``, and sizes."""
         process, (owed, saved), weight = self.process, priced[:2], priced.charged
         alone = np.maximum(owed, saved)
         if process.grows_evenly:
@@ -416,7 +415,7 @@ class Sweep:
             return lambda layer: (replace(cost, factor=float(totals[layer])), *sizes_of)
 
         def summed(layer: int) -> tuple[PairCost, FloatArray, FloatArray]:
-            """What the pairs of a layer sum up, each layer's charges by themselves."""
+            """Return the pair costs of a layer, with its own charges."""
             fixed = weight * self.charged(layer).fixed
             size, most = (np.abs(fixed) + owed + saved, np.abs(fixed)) if sizes else (owed, owed)
             return PairCost(fixed + owed - saved), size, np.maximum(alone, most)
@@ -426,11 +425,11 @@ class Sweep:
     def _backward(
         self, step: Callable[..., tuple[FloatArray, ...]], *beyond: FloatArray
     ) -> Iterator[tuple[int, tuple[FloatArray, ...]]]:
-        """Sweep backward layer by layer, each from the values of the layers that it leads to.
+        """Sweep backward layer by layer, each from the values of the layers ahead.
 
         Args:
-            step: of a layer and the numbers of what its steps lead to, [layers * nodes, ...] each.
-            beyond: those beyond the cap, [layers beyond, nodes, ...] each.
+            step: function of a layer and the numbers of the layers ahead, [layers * nodes, ...].
+            beyond: numbers beyond the cap, [layers beyond, nodes, ...] each.
 
         Yields:
             The layer, and its numbers, [nodes, ...] each.
@@ -444,12 +443,12 @@ class Sweep:
             yield layer, swept
 
     def _measures(self, layer: int, chosen: IntArray, ahead: FloatArray) -> FloatArray:
-        """Measures of a layer's choice in the sweep, [nodes, 1 + counted].
+        """Return the measures of a layer's choice, [nodes, 1 + counted].
 
         Args:
             layer: the layer.
             chosen: a pair of each node, [nodes].
-            ahead: measures of what steps lead to, [layers * nodes, 1 + counted].
+            ahead: measures of the layers ahead, [layers * nodes, 1 + counted].
         """
         base, charge = self.process.base, self.charged(layer)
         measures = np.empty((len(chosen), 1 + self.counted.shape[1]))
@@ -461,7 +460,7 @@ class Sweep:
         if not self.is_acyclic:
             chain = base.instant_dynamics.chain(chosen)
             solved = chain.solve(measures)
-            missing = np.abs(solved[:, 1:].sum(axis=1) - 1.0)  # whatever fails not reaches the goal
+            missing = np.abs(solved[:, 1:].sum(axis=1) - 1.0)  # failure + goal = 1
             if missing.max(initial=0.0) <= _ALL_ENDS:
                 return solved
             measures = evaluate_chain(chain, measures).values
@@ -469,17 +468,17 @@ class Sweep:
 
     @cached_property
     def is_acyclic(self) -> bool:
-        """Whether every step between states costs something, so that a sweep solves no layer."""
+        """Whether there are no free steps, so that no layer needs a solve of its own."""
         return self.process.base.instant.nnz == 0
 
     @property
     def can_follow(self) -> bool:
-        """Whether a choice can be swept forwards, in compiled loops."""
+        """Whether a forward sweep is possible: no free steps, and compiled loops."""
         return self.is_acyclic and accelerated(self.process.base.later.nnz, "layers.follow_layer")
 
     @property
     def one_pass(self) -> CompiledPass | None:
-        """The layers as the compiled backward sweep reads them; None: it does not run compiled."""
+        """The data of the compiled backward pass; None: it does not run compiled."""
         process, base = self.process, self.process.base
         cells = base.n_nodes * process.totals.span * (1 + self.counted.shape[1]) // 3
         if cells > _MOST_CELLS or (base.instant.nnz == 0 and base.later.nnz > _MOST_ENTRIES):
@@ -491,9 +490,9 @@ class Sweep:
 
     @cached_property
     def _compiled_pass(self) -> CompiledPass | None:
-        """The layers as the compiled backward sweep reads them, whatever is asked for.
+        """The data of the compiled backward pass, for any task.
 
-        None where layers are long, or free steps go round for long.
+        None if the charges are too many, or runs of free steps too long.
         """
         process, base, cap = self.process, self.process.base, self.process.cap
         arriving = process.arriving
@@ -513,7 +512,7 @@ class Sweep:
                 begins[:-1], begins[1:], instant.indices, instant.data
             )
             order = unsigned(order)
-            if n_components < base.n_nodes or (instant.indices == owner).any():  # they go round
+            if n_components < base.n_nodes or (instant.indices == owner).any():  # cycles
                 if base.steps_within is None or base.steps_within.max() > _MOST_WITHIN:
                     return None
                 within = base.steps_within
@@ -543,7 +542,7 @@ class Sweep:
 
     @cached_property
     def _first_choice(self) -> IntArray:
-        """The sweep's first choice, by which each layer with free steps is left, [nodes]."""
+        """A first choice, which leaves each layer with free steps, [nodes]."""
         base = self.process.base
         if self.is_acyclic:
             return self.first_pairs
@@ -559,14 +558,14 @@ def at_weights(
     *,
     bounds: bool = False,
 ) -> Priced:
-    """What a sweep is asked at weights of the charge and of what else is counted.
+    """Return the task of a sweep at weights of the charge and the counted rewards.
 
     Args:
-        sweep: over the layers.
+        sweep: the sweeps.
         weights: [1 + counted].
-        beyond: values beyond the cap; for bounds, lower ones, [layers beyond, nodes].
-        measures: those there, [layers beyond, nodes, 1 + counted]; for bounds none.
-        bounds: what pairs are worth is rounded down.
+        beyond: values beyond the cap, or lower bounds, [layers beyond, nodes].
+        measures: measures beyond the cap, [layers beyond, nodes, 1 + counted]; none for bounds.
+        bounds: round the pair costs down.
     """
     parts = sweep.counted * weights[1:]
     owed, saved = np.maximum(parts, 0.0).sum(axis=1), -np.minimum(parts, 0.0).sum(axis=1)
@@ -576,12 +575,12 @@ def at_weights(
 
 
 def at_price(sweep: Sweep, price: float, failing: float, *, bounds: bool = False) -> Priced:
-    """What a sweep that counts failing and the goal is asked at a price of failure alone.
+    """Return the task of a sweep of failure and goal at a price of failure.
 
-    A run is worth its charge, ``failing`` where it fails and ``failing - price`` where it arrives:
-    with ``failing`` equal to the price this is ``charge + price * failure``; with 0 it is ``charge
-    - price * goal``, where no digit is lost if failing is likely. Beyond the cap lie the tails of
-    that price, or, for bounds, what no policy is worth less than.
+    The cost of a run is its charge plus ``failing`` if it fails, or plus ``failing - price`` if it
+    reaches the goal. With ``failing`` equal to the price this is ``charge + price * failure``; with
+    0 it is ``charge - price * goal``, which is exact if failure is likely. Beyond the cap are the
+    tails of that price or, for bounds, the lower bounds of every policy.
     """
     process, earned, measures = cast("LayeredProcess", sweep.process), price - failing, _NONE
     weights = np.array([1.0, failing, -earned])
@@ -603,34 +602,34 @@ def at_price(sweep: Sweep, price: float, failing: float, *, bounds: bool = False
 
 
 def _at_least(values: FloatArray, floor: float) -> FloatArray:
-    """Values of a sweep raised to a floor, which also stands for what is no number."""
+    """Return values raised to a floor, which also replaces nan."""
     return np.maximum(np.nan_to_num(values, nan=floor, posinf=np.inf), floor)
 
 
 _ALL_ENDS = 1e-9
-"""Mass by which failure and goal may miss 1 before runs within a layer are evaluated with care."""
+"""Deviation of failure + goal from 1 above which a layer is evaluated with the exact method."""
 
 _ON_ITS_WAY = 0.01
-"""Share of what has arrived that may be on its way still, where a rule is followed for a guess."""
+"""Share of the arrived mass that may still be waiting, for a guess."""
 
-_LAYERS_BETWEEN = 8  # two looks at that
+_LAYERS_BETWEEN = 8  # layers between two checks of it
 
 _DROPPED = 1e-9
-"""Mass of a node that a guess leaves out, so that it follows what matters."""
+"""Mass of a node that a guess drops."""
 
 
 def follow_rule(
     base: AccumulatedCost, rule: IntArray, most_layers: int
 ) -> tuple[float, float] | None:
-    """(E[cost; goal], goal), about, of taking the same pair per node in all layers, swept forwards.
+    """Return approximate (E[cost; goal], goal) of a stationary rule, by a forward sweep.
 
     Args:
         base: one layer of a process without free steps.
         rule: position among the pairs of each node, [nodes].
-        most_layers: layers to follow it through.
+        most_layers: most layers of the sweep.
 
     Returns:
-        None where nothing is seen to arrive, or much is still on its way by then.
+        The pair; None if nothing arrives, or much mass is still waiting then.
     """
     counted = np.stack([base.failure, base.survival * base.gain], axis=1)
     rows = LayerRows(base.later, base.pair_offsets, counted, base.start)
@@ -644,23 +643,23 @@ def follow_rule(
 
 
 class LayerRows(NamedTuple):
-    """One layer of a process without free steps, as far as mass is sent on from it."""
+    """The data of one layer for forward sweeps, without free steps."""
 
     later: SparseRows  # [pairs, layers ahead * nodes]
     pair_offsets: IntArray  # [nodes that have pairs + 1]
-    counted: FloatArray  # [pairs, counted] beside the charge
+    counted: FloatArray  # [pairs, counted] rewards in addition to the charge
     start: FloatArray  # [nodes]
 
 
 class LayerMass:
-    """The mass of a layer and of those that its steps lead to. Mutable: layer after layer."""
+    """The mass of a layer and of the layers ahead, in a forward sweep. Mutable."""
 
     def __init__(self, rows: LayerRows, totals: Totals) -> None:
-        """Begin in the first layer of a process without free steps.
+        """Start with the start mass in the first layer.
 
         Args:
-            rows: of one layer of it.
-            totals: of the layers, and which step leads where.
+            rows: one layer, without free steps.
+            totals: the totals of the layers, and the layers that steps lead to.
         """
         self._rows, self._span, self._leads = rows, totals.span, totals.ahead
         self._buffer = np.zeros((2 * self._span + 1, len(rows.start)))
@@ -670,30 +669,30 @@ class LayerMass:
 
     @property
     def here(self) -> FloatArray:
-        """The mass of the layer, [nodes]; where a node has no pairs it must be 0."""
+        """The mass of the layer, [nodes]; it must be 0 at nodes without pairs."""
         here: FloatArray = self._buffer[self._front]
         return here
 
     @property
     def left(self) -> FloatArray:
-        """The mass of the layer and of those after it, [layers, nodes]."""
+        """The mass of the layer and of the layers after it, [layers, nodes]."""
         return self._buffer[self._front :]
 
     def follow(self, choice: IntArray, charge: PairCost) -> FloatArray:
-        """Send the layer's mass on, and go on to the next layer.
+        """Send the mass of the layer on, and move to the next layer.
 
         Args:
             choice: position among the pairs of each node, [nodes].
-            charge: of arriving by the pairs.
+            charge: charges of the pairs.
 
         Returns:
-            What it is charged, and what else is counted, [1 + counted].
+            The charge and the counted rewards of this mass, [1 + counted].
         """
         from ssp_lp.compiled.layers import follow_layer
 
         check_time()
         rows = self._rows
-        sums = np.zeros((1 + rows.counted.shape[1], 2))  # and what was rounded off them
+        sums = np.zeros((1 + rows.counted.shape[1], 2))  # sums, and their rounding errors
         first, leads = self._front + 1, self._leads
         onward = self._buffer[first : first + self._span] if leads is None else self._by_class
         follow_layer(

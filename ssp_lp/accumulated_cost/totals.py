@@ -1,13 +1,15 @@
-"""The totals that are told apart: multiples of a unit, the sums that can occur, or a grid.
+"""Totals (accumulated costs) as layers: multiples of a unit, sums that can occur, or a grid.
 
-Where costs have a common unit (paper, Assumption 2-1) every multiple of it is a total, and a step
-leads as many of them ahead as it has units. Elsewhere the totals are the sums of step costs that
-can occur, and a table says where each step leads. Where these are too many they are a grid,
-and a step that ends between two of its totals leads to both, in shares that keep its mean: as the
-value at a price is concave in the cost already paid (each policy's is affine, and the best one's is
-the least of them), interpolating it between totals never exceeds it. So the process on a grid
-bounds the optimum of case S from below (paper, section 3.1.1). A step beyond the cap leads to a
-total of its own, at which a tail takes over.
+- If costs have a common unit (paper, Assumption 2-1), every multiple of it is a total, and a step
+  of k units leads k totals ahead.
+- Otherwise the totals are the sums of step costs that can occur, and a table gives the total to
+  which each step leads.
+- If these sums are too many, the totals are a grid. A step that ends between two grid totals leads
+  to both, with shares that preserve its mean. At a price the value is concave in the cost paid (a
+  minimum of one affine function per policy), so that interpolation never exceeds it, and the
+  process on a grid gives a lower bound of case S (paper, section 3.1.1).
+
+A step beyond the cap leads to a total of its own, at which a tail takes over.
 """
 
 from __future__ import annotations
@@ -29,19 +31,19 @@ from ssp_lp.model.graph import dead_ends, kept
 from ssp_lp.processes.live_rows import uniform_cost
 
 _MOST_LAYERS_PER_STEP = 1_000_000
-_SHORT = 9  # digits of a decimal that a person would write down
-_MEANT = 1e-12  # relative distance at which a cost is such a decimal
+_SHORT = 9  # most digits of a short decimal
+_MEANT = 1e-12  # relative distance at which a cost means a short decimal
 _NO_COSTS: Mapping[float, Fraction] = MappingProxyType({})
 
 
 def exact_cost(cost: float | Fraction, exact: Mapping[float, Fraction] = _NO_COSTS) -> Fraction:
-    """The fraction that a cost on a lattice of totals stands for: a float's shortest decimal.
+    """Return the fraction that a cost means: by default its shortest decimal.
 
-    Sums of decimals that were rounded on the way are what they were meant to be: 0.1 * 3 is 0.3.
+    Rounded sums of decimals mean the short decimal nearby: 0.1 * 3 means 0.3.
 
     Args:
         cost: the cost.
-        exact: float cost -> the fraction that it means instead.
+        exact: float cost -> the fraction that it means.
     """
     if isinstance(cost, Rational):
         return Fraction(cost)
@@ -53,10 +55,10 @@ def exact_cost(cost: float | Fraction, exact: Mapping[float, Fraction] = _NO_COS
 
 
 def last_layer(bound: float | Fraction, unit: Fraction) -> int:
-    """The last layer of a lattice of totals within a finite bound; negative: there is none.
+    """Return the last layer of a lattice within a finite bound; negative: there is none.
 
-    A float means its shortest decimal, to the last digit (three steps of 0.1 are within 0.3), or
-    the whole number of layers of which it is the nearest float (2/3, where the unit is 1/3).
+    A float means its shortest decimal (three steps of 0.1 are within 0.3), or the multiple of the
+    unit of which it is the nearest float (2/3 for the unit 1/3).
     """
     if not isinstance(bound, Rational):
         nearest = round(Fraction(float(bound)) / unit)
@@ -67,26 +69,26 @@ def last_layer(bound: float | Fraction, unit: Fraction) -> int:
 
 
 def layers_within(total: float | Fraction, unit: Fraction) -> int:
-    """Number of layers of a lattice with a total of at most so much."""
+    """Return the number of layers of a lattice up to a total."""
     return max(last_layer(total, unit) + 1, 0)
 
 
 def totals_of(layers: IntArray, unit: Fraction) -> FloatArray:
-    """Totals of whole layers of a lattice, rounded once, like ``layers``."""
+    """Return the totals of layers of a lattice, rounded once, like ``layers``."""
     return np.asarray(layers * float(unit.numerator) / float(unit.denominator))
 
 
 def common_unit(costs: FloatArray, exact: Mapping[float, Fraction]) -> Fraction:
-    """The unit of a lattice of totals: the greatest number that divides every cost.
+    """Return the unit of a lattice of totals: the greatest common divisor of the costs.
 
-    A float means a decimal (``exact_cost``) unless ``exact`` says which fraction it is.
+    A float means a decimal (``exact_cost``), unless ``exact`` gives its fraction.
 
     Args:
         costs: non-negative; zeros do not matter.
-        exact: float cost -> the fraction meant.
+        exact: float cost -> the fraction that it means.
 
     Returns:
-        The unit; 1 where every cost is zero.
+        The unit; 1 if every cost is zero.
     """
     fractions = [exact_cost(c, exact) for c in np.unique(costs).tolist() if c > 0]
     if not fractions:
@@ -96,7 +98,7 @@ def common_unit(costs: FloatArray, exact: Mapping[float, Fraction]) -> Fraction:
 
 
 def layers_of(costs: FloatArray, unit: Fraction, exact: Mapping[float, Fraction]) -> IntArray:
-    """Whole number of a lattice's units in each cost, like ``costs``.
+    """Return the number of units in each cost, like ``costs``.
 
     Raises:
         ModelError: a single step passes too many layers for a table over accumulated cost.
@@ -105,8 +107,8 @@ def layers_of(costs: FloatArray, unit: Fraction, exact: Mapping[float, Fraction]
     counts = [int(exact_cost(c, exact) / unit) if c > 0 else 0 for c in distinct.tolist()]
     if max(counts, default=0) > _MOST_LAYERS_PER_STEP:
         raise ModelError(
-            f"the costs have the common unit {float(unit):g}, so the step of cost "
-            f"{float(distinct[-1]):g} passes {max(counts):,} layers of accumulated cost; round "
+            f"the costs have the common unit {float(unit):g}, so that the step of cost "
+            f"{float(distinct[-1]):g} passes {max(counts):,} layers of accumulated cost: round "
             "the costs to a coarser grid (for instance to multiples of "
             f"{float(distinct[-1]) / 100:g}) when building the model"
         )
@@ -115,25 +117,25 @@ def layers_of(costs: FloatArray, unit: Fraction, exact: Mapping[float, Fraction]
 
 @dataclass(frozen=True, eq=False)
 class StepClasses:
-    """The steps of a model by what they cost: whole layers of a unit, or a number for each cost."""
+    """The class of each step by its cost: its number of units, or the index of its cost."""
 
     unit: Fraction
-    ahead: IntArray  # [outcomes] class of each one that is counted: layers, or a number; 0: none
+    ahead: IntArray  # [outcomes] class of each counted outcome; 0 for others
     width: int  # classes: 0 .. width - 1
-    least: int  # the cheapest class of all
+    least: int  # the cheapest class
 
     @classmethod
     def of(
         cls, model: SSP, counted: BoolArray, unit: Fraction, costs: FloatArray, classes: IntArray
     ) -> StepClasses:
-        """Class, among steps that totals tell apart, of each outcome into some states, [states].
+        """Return the classes of the outcomes that lead into counted states.
 
         Args:
             model: the model.
-            counted: the states.
+            counted: the states, [states].
             unit: cost of a layer, or 1.
-            costs: of the steps into them, increasing, [costs].
-            classes: [costs].
+            costs: distinct costs of the steps into them, increasing, [costs].
+            classes: class of each cost, [costs].
         """
         least, classes = int(classes.min()) if classes.size else 0, classes.astype(np.int32)
         if uniform_cost(model) is not None and costs.size <= 1:
@@ -147,12 +149,12 @@ class StepClasses:
 
 
 def _is_counted(model: SSP, counted: BoolArray, some: slice) -> BoolArray:
-    """Outcomes, of some, that lead to a state in which a total counts, [some]."""
+    """Return a mask of the possible outcomes, of some, that lead to counted states, [some]."""
     return np.asarray(counted[model.successors[some]] & (model.probabilities[some] > 0))
 
 
 def _costs_into(model: SSP, counted: BoolArray) -> FloatArray:
-    """The distinct costs of the steps into some states, [states], increasing."""
+    """Return the distinct costs of the steps into counted states, increasing."""
     same, costs = uniform_cost(model), [np.zeros(0)]
     for some in chunks(model.n_outcomes):
         is_counted = _is_counted(model, counted, some)
@@ -164,7 +166,7 @@ def _costs_into(model: SSP, counted: BoolArray) -> FloatArray:
 
 
 def multiples_of_unit(model: SSP, counted: BoolArray) -> StepClasses:
-    """Steps by the number of layers that they pass, totals being multiples of a common unit.
+    """Return the classes of steps by the number of layers that they pass.
 
     Args:
         model: the model.
@@ -180,35 +182,35 @@ def multiples_of_unit(model: SSP, counted: BoolArray) -> StepClasses:
 
 
 MOST_SUMS = 20_000
-"""Sums up to which all of them are told apart, where there is room."""
+"""Most sums that are exact layers, if they fit into memory."""
 
-_PRODUCTS = 50  # sums that are formed at once, times those that may be kept
-_MOST_PLACES = 300_000  # states times sums that are followed through a model
-_MOST_MARKS = 30_000_000  # sums times states, or times steps, whether they are met or not
-_UNKNOWN, _BEYOND = -2, -1  # in place of the number of a total
+_PRODUCTS = 50  # sums formed at once, as a multiple of those that may be kept
+_MOST_PLACES = 300_000  # most pairs of state and sum that walks reach
+_MOST_MARKS = 30_000_000  # most sums times states, or times steps, reached or not
+_UNKNOWN, _BEYOND = -2, -1  # codes instead of the number of a total
 _MOST_ROUNDS = 1_000
 
 _SAME = 1e-11
-"""Totals this near to each other, relative to the cap, are one summed in two ways; yet never so far
-from each other as a small share of the cheapest step."""
+"""Relative distance, to the cap, of sums that are equal up to rounding; limited by a share of the
+cheapest step."""
 
 _SHARE = 1e-3  # of the cheapest step
 
 
 @kept
 def step_costs(model: SSP) -> tuple[StepClasses, FloatArray]:
-    """Steps that go on, by the number of their cost, and the costs that add up to totals."""
+    """Return the classes and distinct costs of the steps that do not end the episode."""
     return _numbered_costs(model, ~(dead_ends(model) | model.goal_mask))
 
 
 @kept
 def last_steps(model: SSP) -> tuple[StepClasses, FloatArray]:
-    """Steps into a goal, by the number of their cost: totals end with them."""
+    """Return the classes and distinct costs of the steps into a goal."""
     return _numbered_costs(model, model.goal_mask)
 
 
 def _numbered_costs(model: SSP, counted: BoolArray) -> tuple[StepClasses, FloatArray]:
-    """The distinct costs of the steps into some states, [states], numbered from 0 for none."""
+    """Return the classes and distinct costs of the steps into states; class 0 is cost 0."""
     costs = _costs_into(model, counted)
     steps = np.union1d(0.0, costs)
     number = np.searchsorted(steps, costs)
@@ -216,7 +218,7 @@ def _numbered_costs(model: SSP, counted: BoolArray) -> tuple[StepClasses, FloatA
 
 
 def room_of(steps: FloatArray, cap: float) -> float:
-    """Difference up to which two sums of steps below a cap are one total.
+    """Return the difference up to which two sums of steps are the same total.
 
     Args:
         steps: distinct costs of a step, the first of which is 0, [steps].
@@ -227,10 +229,10 @@ def room_of(steps: FloatArray, cap: float) -> float:
 
 
 def sums_of(steps: FloatArray, cap: float, most: int) -> FloatArray | None:
-    """Totals that sums of steps make below a cap, increasing; None: there are more than so many."""
+    """Return the sums of steps below a cap, increasing; None: more than ``most``."""
     moves, sums, room = steps[1:], np.zeros(1), room_of(steps, cap)
     if moves.size and cap > (most + 1) * float(moves[0]):
-        return None  # the multiples of the cheapest are too many
+        return None  # the multiples of the cheapest step are too many
     fresh, chunk = sums, max(_PRODUCTS * (most + 1) // max(moves.size, 1), 1)
     while fresh.size:
         together = sums
@@ -247,9 +249,9 @@ def sums_of(steps: FloatArray, cap: float, most: int) -> FloatArray | None:
 
 
 def sums_in(model: SSP, cap: float, most: int) -> FloatArray | None:
-    """Totals below a cap that can occur in a model, increasing; None: there are too many.
+    """Return the totals below a cap that can occur in a model, increasing; None: too many.
 
-    All sums of steps, if these are few, else those that some walk through the model makes.
+    These are all sums of steps, if they are few; otherwise the sums along walks through the model.
     """
     steps = step_costs(model)[1]
     sums = sums_of(steps, cap, most)
@@ -257,16 +259,16 @@ def sums_in(model: SSP, cap: float, most: int) -> FloatArray | None:
 
 
 def _sums_of_walks(model: SSP, steps: FloatArray, cap: float, most: int) -> FloatArray | None:
-    """Totals that walks from any state make, breadth first.
+    """Return the sums along walks from any state, found breadth first; None: too many.
 
-    Totals are numbered as they are found: which one a total and a kind of step lead to is worked
-    out once for all states.
+    Totals are numbered as they are found. The successor of a total by a kind of step is computed
+    once for all states.
     """
     n, kinds, room = model.n_states, len(steps), room_of(steps, cap)
     offsets, target, kind = _steps_to_sum(model, steps)
     state, number = np.arange(n), np.zeros(n, dtype=np.int64)
-    sums, seen = np.zeros(1), np.ones(n, dtype=np.bool_)  # of totals by number, then the state
-    leads = np.full(kinds, _UNKNOWN)  # number that a total and a kind of step lead to
+    sums, seen = np.zeros(1), np.ones(n, dtype=np.bool_)  # by total, then by state
+    leads = np.full(kinds, _UNKNOWN)  # successor of each total by each kind of step
     for _ in range(_MOST_ROUNDS):
         count = offsets[state + 1] - offsets[state]
         edge = concatenated_ranges(offsets[state], count)
@@ -303,7 +305,7 @@ def _sums_of_walks(model: SSP, steps: FloatArray, cap: float, most: int) -> Floa
 
 
 def _steps_to_sum(model: SSP, steps: FloatArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Distinct (successor, class) of each state's steps that add to totals: offsets, both."""
+    """Return the distinct (successor, class) of each state's steps: offsets, both arrays."""
     pair = np.repeat(np.arange(model.n_pairs), np.diff(model.outcome_offsets))
     ended = dead_ends(model) | model.goal_mask
     moving = (model.probabilities > 0.0) & ~ended[model.successors] & ~ended[model.pair_state[pair]]
@@ -315,27 +317,27 @@ def _steps_to_sum(model: SSP, steps: FloatArray) -> tuple[IntArray, IntArray, In
     return np.searchsorted(source, np.arange(model.n_states + 1)), target, kind
 
 
-_SUMS_PER_TOTAL = 5  # sums told apart rather than a grid of so many fewer
-_ULPS = 1e-15  # relative: the rounding of one sum
+_SUMS_PER_TOTAL = 5  # most exact sums for each total of a grid
+_ULPS = 1e-15  # relative rounding error of one sum
 
 
 @dataclass(frozen=True, eq=False)
 class Totals:
-    """Totals in increasing order, the last of which is the cap and stands for all beyond it.
+    """The totals of the layers in increasing order; the last one is the cap.
 
-    A step from below the cap leads to the total that it makes: one beyond the cap has a place of
-    its own (``beyond``), at which a tail takes over. Where the last total stands for all beyond it
-    instead, and on a grid, ``leads`` rounds.
+    A step from below the cap leads to its exact total; totals beyond the cap have layers of their
+    own (``beyond``), at which tails take over. ``leads`` instead makes the last layer stand for all
+    totals beyond it, and rounds on a grid.
     """
 
     values: FloatArray  # [totals] the first is 0
     steps: FloatArray  # [steps] distinct costs of a step, increasing, the first is 0
-    complete: bool = False  # known to be all sums that can occur below the cap
-    unit: Fraction | None = None  # of which they are the multiples
+    complete: bool = False  # whether these are known to be all sums below the cap
+    unit: Fraction | None = None  # if they are all multiples of it
 
     @classmethod
     def of_unit(cls, unit: Fraction, cap: int, width: int) -> Totals:
-        """The multiples of a unit below a cap, where steps pass 0 .. width - 1 of them."""
+        """Return the multiples of a unit up to a cap, for steps of 0 .. width - 1 units."""
         values, steps = (read_only(totals_of(np.arange(n), unit)) for n in (cap + 1, width))
         return cls(values, steps, complete=True, unit=unit)
 
@@ -355,10 +357,10 @@ class Totals:
 
     @cached_property
     def leads(self) -> tuple[IntArray, FloatArray]:
-        """The total to which each step leads from each, the last for all beyond it as well.
+        """The total to which each step leads from each total, at most the last one.
 
         Returns:
-            The total below, and the share that goes to the one above that, [totals, steps] each.
+            The total below, and the share of the next one, [totals, steps] each.
         """
         if self.unit is not None:
             return self.leads_by(np.arange(len(self.steps)))
@@ -369,10 +371,10 @@ class Totals:
         below[last] = last
         gap = np.diff(self.values, append=2.0 * self.values[-1] + 1.0)[below]
         share = np.where(below < last, np.clip((reached - self.values[below]) / gap, 0.0, 1.0), 0.0)
-        return below, np.where(share * gap <= self._room, 0.0, share)  # down: never too dear
+        return below, np.where(share * gap <= self._room, 0.0, share)  # rounded down: a lower bound
 
     def leads_by(self, kinds: IntArray) -> tuple[IntArray, FloatArray]:
-        """Totals to which some classes of steps lead, and shares of the next, [totals, classes]."""
+        """Return ``leads`` for some classes of steps, [totals, classes] each."""
         if self.unit is None:
             below, share = self.leads
             return below[:, kinds], share[:, kinds]
@@ -381,12 +383,12 @@ class Totals:
 
     @property
     def _room(self) -> float:
-        """Difference up to which two sums are one total."""
+        """Difference up to which two sums are the same total."""
         return room_of(self.steps, float(self.values[-1]))
 
     @cached_property
     def beyond(self) -> FloatArray:
-        """The totals from the cap on that steps from below it make, increasing, [beyond]."""
+        """The totals from the cap on that a step from below it reaches, increasing, [beyond]."""
         if self.unit is not None:
             return totals_of(self.size + np.arange(len(self.steps) - 1), self.unit)
         reached = self.values[:-1, None] + self.steps[1:]
@@ -395,19 +397,19 @@ class Totals:
 
     @property
     def with_beyond(self) -> FloatArray:
-        """The totals below the cap, and those that steps make from there on."""
+        """The totals below the cap, followed by ``beyond``."""
         return np.append(self.values[:-1], self.beyond)
 
     @property
     def reached(self) -> IntArray:
-        """Number of the total that each step makes, totals beyond the cap included.
+        """Number of the total that each step reaches, totals beyond the cap included.
 
         [totals below the cap, steps].
         """
         return self.reached_by(np.arange(len(self.steps)))
 
     def reached_by(self, kinds: IntArray) -> IntArray:
-        """Number of the total that some classes of steps make, [totals below the cap, classes]."""
+        """Return ``reached`` for some classes of steps, [totals below the cap, classes]."""
         if self.unit is not None:
             return np.arange(self.size)[:, None] + kinds
         sums = self.values[:-1, None] + self.steps[kinds]
@@ -415,9 +417,10 @@ class Totals:
 
     @cached_property
     def ahead(self) -> IntArray | None:
-        """The total that a step leads to, less the next one, [totals below the cap, steps - 1].
+        """Number of the total a step leads to, minus that of the next one.
 
-        None where each step leads to as many totals ahead as it costs units.
+        [totals below the cap, steps - 1]; None for multiples of a unit, where it follows from the
+        class.
         """
         if self.unit is not None:
             return None
@@ -425,23 +428,23 @@ class Totals:
 
     @property
     def span(self) -> int:
-        """Number of totals that must be at hand: up to the farthest that steps lead to."""
+        """Number of layers ahead that a sweep must hold: up to the farthest a step leads to."""
         farthest = -1 if self.ahead is None else int(self.ahead.max(initial=-1))
         return max(len(self.beyond), farthest + 1)
 
 
-_SLACK = 4  # the buffer holds this many windows, so that all is moved once in three windows
+_SLACK = 4  # windows in the buffer, which is moved once every three windows
 
 
 class Window:
-    """Values of the next layers, nearest first; a layer is pushed at the front."""
+    """Values of the next layers in a backward sweep, nearest first; layers are pushed in front."""
 
     def __init__(self, first: FloatArray, totals: Totals | None = None) -> None:
-        """Begin at the cap.
+        """Start at the cap.
 
         Args:
             first: values of the layers beyond the cap, [layers, ...].
-            totals: which step leads where; None: to as many layers ahead as it costs units.
+            totals: the totals to which steps lead; None: as many layers ahead as they have units.
         """
         self._length = len(first) if totals is None else totals.span
         self._leads = None if totals is None else totals.ahead
@@ -452,19 +455,19 @@ class Window:
 
     @property
     def ahead(self) -> FloatArray:
-        """Values of the totals ahead, a layer each, contiguous, [layers, ...]."""
+        """Values of the layers ahead, contiguous, [layers, ...]."""
         return self._buffer[self._front : self._front + self._length]
 
     @property
     def flat(self) -> FloatArray:
-        """Values of the totals that steps lead to, one layer after the other, [layers * nodes]."""
+        """Values of the layers that steps lead to, [layers * nodes, ...]."""
         ahead = self.ahead
         if self._leads is not None:
             ahead = ahead[self._leads[self._layer]]
         return ahead.reshape(-1, *ahead.shape[2:])
 
     def push(self, layer: FloatArray) -> None:
-        """Put a total's layer at the front of the window and drop the farthest."""
+        """Push a layer in front and drop the farthest one."""
         self._layer -= 1
         if self._length == 0:
             return
@@ -476,39 +479,39 @@ class Window:
         self._buffer[self._front] = layer
 
 
-_MOST_ON_GRID = 1600  # of a grid, unless more are asked for
+_MOST_ON_GRID = 1600  # most totals of a grid, unless the user sets more
 
 FIRST_TOTALS = 200
 """Totals on a first grid."""
 
-_MARGIN = 1.02  # beyond what a price asks for: the price still moves a little
-_FEW = 16  # layers that a step may pass before sums are thought of
-_STEPS_AHEAD = 32  # steps whose sums are counted
-_FEWER = 4  # times as many layers as sums make the sums worth while
-_LEAST_STEPS = 4.0  # a cap allows for, of the dearest
-_MOST_ENTRIES = 200_000_000  # layers times pairs beyond which a grid is taken
-_NEARBY = 1.1  # times a cap: no reason to move it by less
-_GROWTH = 2.0  # of a cap that loses something
+_MARGIN = 1.02  # factor of the cap that a price implies, as the price still changes a little
+_FEW = 16  # most layers a step may pass for multiples of a unit without comparing sums
+_STEPS_AHEAD = 32  # length, in the most expensive steps, of the comparison of layers and sums
+_FEWER = 4  # ratio of layers to sums from which sums are used
+_LEAST_STEPS = 4.0  # least cap, in the most expensive steps
+_MOST_ENTRIES = 200_000_000  # layers times pairs beyond which a grid is used
+_NEARBY = 1.1  # least factor by which a cap is raised
+_GROWTH = 2.0  # factor of a cap that loses something
 
 
 @dataclass(frozen=True)
 class Resolution:
-    """Resolution of totals that are no multiples of a unit: how finely they are told apart."""
+    """The choice of layers that are not multiples of a unit: cap, and sums or a grid."""
 
     cap: float | None = None  # the last total; None: a first guess
-    grid: int = FIRST_TOTALS  # totals on it, where the sums are too many
-    most: int = 0  # sums that are told apart rather than taking a grid; 0: by the grid's size
-    turn: int = 0  # of refining
-    fixed: tuple[float, ...] | None = None  # the totals themselves
+    grid: int = FIRST_TOTALS  # totals of a grid, if there are too many sums
+    most: int = 0  # most sums as exact layers; 0: a multiple of the grid's size
+    turn: int = 0  # number of refinements
+    fixed: tuple[float, ...] | None = None  # given totals
 
     def totals(self, model: SSP, first: float, room: int, *, grows: bool = True) -> Totals:
-        """Totals of a model at this resolution.
+        """Return the totals of a model at this resolution.
 
         Args:
             model: the model.
-            first: the last total of a first attempt.
-            room: totals for which there is room.
-            grows: whether what arriving is charged still grows there.
+            first: the cap of a first attempt.
+            room: most totals that fit into memory.
+            grows: whether the charge still grows at the cap.
         """
         steps = step_costs(model)[1]
         if self.fixed is not None:
@@ -523,21 +526,21 @@ class Resolution:
         sums = sums_in(model, cap, min(most, room))
         if sums is not None:
             return Totals(read_only(np.append(sums, cap)), steps, complete=True)
-        moving = int(min(np.ceil(2.0 * cap / steps[1]), 1e9))  # a step must not round to nothing
+        moving = int(min(np.ceil(2.0 * cap / steps[1]), 1e9))  # a step must not round to 0
         size = min(max(self.grid, min(moving, self.most or MOST_SUMS)), room)
         return Totals(read_only(np.linspace(0.0, cap, size + 1)), steps)
 
     def up_to(self, total: float) -> Resolution:
-        """Resolution of totals up to where failing is best, where about that is known."""
+        """Return the resolution with a cap at a total from which failing is optimal."""
         return replace(self, cap=_MARGIN * total) if self.cap is None and total > 0.0 else self
 
     def finer(self, totals: Totals, enough: float | None, most: int) -> Resolution | None:
-        """Totals with a higher cap or on a finer grid; None: no room, or nothing to be gained.
+        """Return a resolution with a higher cap or a finer grid; None: no room, or no gain.
 
         Args:
-            totals: the present ones.
-            enough: total from which on failing is best, 0: unknown; None: the cap loses nothing.
-            most: totals that there is room for.
+            totals: the present totals.
+            enough: total from which failing is optimal; 0: unknown; None: the cap loses nothing.
+            most: most totals that fit into memory.
         """
         cap, wanted = float(totals.values[-1]), _MARGIN * (enough or 0.0)
         if enough is not None and (totals.exact or _NEARBY * cap < wanted):
@@ -546,7 +549,7 @@ class Resolution:
         finest, grid = min(self.most or _MOST_ON_GRID, most), max(self.grid, totals.size)
         if grid >= finest or totals.exact:
             return None
-        lower = enough is not None and self.turn % 3 == 2  # either of the two may lose
+        lower = enough is not None and self.turn % 3 == 2  # cap and grid may both lose
         higher = cap * _GROWTH if lower else cap
         return replace(self, cap=higher, grid=min(2 * grid, finest), turn=self.turn + 1)
 
@@ -554,16 +557,16 @@ class Resolution:
 def resolution_for(
     model: SSP, most: int | None, cap: float | None, *, of_law: bool
 ) -> Resolution | None:
-    """Resolution of totals that a problem asks for; None where multiples of a unit serve.
+    """Return the resolution that a problem needs; None: multiples of a unit are enough.
 
-    They do not where costs that are told apart have no common unit, or one so small that the sums
-    that can occur are far fewer than its multiples.
+    They are not if the costs have no common unit, or one so small that far fewer sums than
+    multiples can occur.
 
     Args:
         model: the model.
-        most: totals at most, as a user says; None: nothing is said.
-        cap: the last total, likewise.
-        of_law: whether steps into the goal have to be told apart as well.
+        most: the user's number of levels, or None.
+        cap: the user's cap, or None.
+        of_law: whether the cost of the last step into the goal matters as well.
     """
     if most is not None:
         return Resolution(cap, grid=min(int(most), FIRST_TOTALS), most=int(most))
@@ -573,18 +576,18 @@ def resolution_for(
 
 @kept
 def resolution_of_costs(model: SSP) -> Resolution | None:
-    """Resolution of a model's totals; None where multiples of its unit serve."""
+    """Return the resolution of a model's totals; None: multiples of its unit are enough."""
     return _resolution(model, step_costs(model)[1])
 
 
 @kept
 def resolution_of_law(model: SSP) -> Resolution | None:
-    """Resolution of a model's totals, steps into the goal told apart as well."""
+    """Return the resolution of a model's totals, with the costs of steps into the goal."""
     return _resolution(model, np.union1d(step_costs(model)[1], last_steps(model)[1]))
 
 
 def _resolution(model: SSP, steps: FloatArray) -> Resolution | None:
-    """Resolution of totals by some step costs; None where their unit's multiples serve."""
+    """Return the resolution for some step costs; None: multiples of their unit are enough."""
     if uniform_cost(model) is not None:
         return None
     ahead, per_step = _STEPS_AHEAD * float(steps[-1]), 0
@@ -600,7 +603,7 @@ def _resolution(model: SSP, steps: FloatArray) -> Resolution | None:
         if sums_in(model, ahead, min(layers // _FEWER, MOST_SUMS)) is not None:
             return Resolution(most=MOST_SUMS)
         return Resolution() if layers * model.n_pairs > _MOST_ENTRIES else None
-    # few layers for each step that goes on, yet maybe too many for the last one
+    # few layers for each step, but maybe too many for the last step into the goal
     last = _STEPS_AHEAD * float(last_steps(model)[1][-1])
     unit = common_unit(steps, model.exact_costs)
     if not steps[-1] > 0.0 or last * model.n_pairs <= _MOST_ENTRIES * float(unit):

@@ -1,12 +1,11 @@
-"""The accumulated-cost process written out state by state, for methods that need it so.
+"""The accumulated-cost process as an explicit process, for methods that need one.
 
-:func:`materialise` ends with the tails of a layered process. :class:`OpenEnded` has one place for
-all costs beyond the cap: there a policy goes on as it likes, but does not count the cost any more:
-arriving there is charged as if the cap had just been reached, and each step what it costs those
-that succeed at least. That is too little, so that the least objective bounds every policy's from
-below; everything else (failing, visits, secondary costs, ends) is exact. As every policy of this
-process is one of the model, too, its true objective bounds the optimum from above, and the two meet
-as the cap grows (paper, section 3.5, with a tail that is free to choose).
+:func:`materialise` ends with the tails of a layered process. :class:`OpenEnded` has one last layer
+for all costs beyond the cap, with free choice of the policy. An arrival from it is charged as if
+the cap had just been reached, and each step there costs its least cost to runs that succeed. This
+is too little, so that the optimum is a lower bound; everything else (failure, visits, secondary
+costs, ends) is exact. Every policy of this process is a policy of the model, so that its true
+objective is an upper bound, and both meet as the cap grows (paper, section 3.5, with a free tail).
 """
 
 from __future__ import annotations
@@ -32,10 +31,10 @@ from ssp_lp.processes.live_rows import cost_means
 
 
 def materialise(process: LayeredProcess) -> ExplicitProcess:
-    """Write all layers of the accumulated-cost process out: state = layer * nodes + node.
+    """Write out all layers of a layered process: state = layer * nodes + node.
 
-    The layers beyond the cap that a step can reach follow, with one pair for each tail policy,
-    so that the written-out process can do all that either tail can; the source state comes last.
+    Then come the layers beyond the cap that a step can reach, with one pair for each tail policy,
+    so that the choice of the tail is free at each node, and last the source state.
 
     Args:
         process: the layered process.
@@ -71,12 +70,12 @@ def _entered_process(
     n_pairs: IntArray,
     rewards: tuple[FloatArray, FloatArray, FloatArray],
 ) -> ExplicitProcess:
-    """A written-out process that is entered by a source, its last state, where nothing is paid.
+    """Return an explicit process that starts at a source, its last state.
 
     Args:
         base: one layer.
-        steps: of all pairs but the source's, in order, [some pairs, states] each.
-        n_pairs: of each state but the source, [states - 1].
+        steps: transitions of all pairs except the source's, in order, [some pairs, states] each.
+        n_pairs: number of pairs of each state except the source, [states - 1].
         rewards: cost, failure and goal, [pairs + 1] each.
     """
     source = np.zeros(len(n_pairs) + 1)
@@ -96,12 +95,12 @@ def _entered_process(
 
 
 def chosen_pairs(process: LayeredProcess, choice: IntArray, tail_price: float) -> IntArray:
-    """The pair that a policy takes in each state of the written-out process, [states].
+    """Return the pair that a policy takes in each state of the explicit process, [states].
 
     Args:
         process: the layered process.
         choice: position among the pairs of its node, [cap, nodes].
-        tail_price: the price of failure by which tails are chosen beyond the cap.
+        tail_price: price of failure at which the tails beyond the cap are chosen.
     """
     base, cap, n_tails = process.base, process.cap, len(process.tails.goal)
     within = np.arange(cap)[:, None] * len(base.gain) + base.pair_offsets[:-1] + choice
@@ -116,13 +115,13 @@ def steps_of_layers(
     leads: Callable[[IntArray], tuple[IntArray, FloatArray | None]],
     n_states: int,
 ) -> sp.csr_array:
-    """Transitions of the pairs of all layers, [layers * pairs, states].
+    """Return the transitions of the pairs of all layers, [layers * pairs, states].
 
     Args:
         base: one layer.
-        leads: classes of steps -> the layer to which each leads, [layers, classes], and the share
-            of it that goes to the layer after that one, likewise; None: nothing does.
-        n_states: of the process.
+        leads: classes of steps -> the layer to which each leads, and the share that goes to the
+            next layer, [layers, classes] each; None: no share.
+        n_states: number of states of the process.
     """
     steps, n = base.steps, base.n_nodes
     ahead, node = np.divmod(steps.indices.astype(np.int64), max(n, 1))
@@ -153,35 +152,35 @@ def steps_of_layers(
     return sp.csr_array(below + above)
 
 
-_FIRST_LAYERS = 64  # of accumulated cost, where nothing says how many are needed
-_MOST_AT_FIRST = 1_000  # layers of a first attempt: a policy of higher cost may be a long shot
-_TYPICAL = 2.5  # layers of a first attempt, in costs given success of the safest policy
+_FIRST_LAYERS = 64  # first cap of a charge that never settles
+_MOST_AT_FIRST = 1_000  # most layers of a first cap, as a policy of higher cost may be a long shot
+_TYPICAL = 2.5  # first cap, in costs given success of the safest policy
 _BEYOND = 1e-9  # relative distance of a total that lies beyond another
 
 
 MOST_WRITTEN: Final = 20_000_000
-"""Pairs of a process that is written out."""
+"""Most pairs of a process that is written out."""
 
 
 @dataclass(frozen=True, eq=False)
 class OpenEnded(ChargedLayers):
-    """States (node, layer) below the cap, then the nodes beyond it, then the source."""
+    """States (node, layer) below the cap, then the last layer beyond it, then the source."""
 
     base: AccumulatedCost
     charge: Charge
-    shift: float  # what every episode is charged on top
-    totals: Totals  # what each layer stands for, the last for all beyond it as well
+    shift: float  # added to the charge of every episode
+    totals: Totals  # accumulated cost of each layer; the last one stands for all beyond it
     start: FloatArray  # [states]
-    least_goal: FloatArray | None = None  # [states] of every policy that counts; None: unknown
+    least_goal: FloatArray | None = None  # [states] lower bound for every policy; None: unknown
 
     @property
     def n_nodes(self) -> int:
-        """States of one layer of the open-ended table."""
+        """Number of nodes of one layer."""
         return self.base.n_nodes
 
     @cached_property
     def process(self) -> ExplicitProcess:
-        """The open-ended table written out; ModelError: there is no room for it."""
+        """The explicit process; ModelError: it has too many pairs."""
         check_room(self.base, self.cap, MOST_WRITTEN)
         base, copies = self.base, self.cap + 1
         steps = steps_of_layers(base, self.leads, copies * self.n_nodes + 1)
@@ -195,9 +194,9 @@ class OpenEnded(ChargedLayers):
         return _entered_process(base, [steps], n_pairs, (cost, failure, goal))
 
     def reachable_part(self) -> ReachablePart:
-        """The open-ended table's states, each at the totals that a run can come to.
+        """Return the part of the process that runs can reach.
 
-        The source is left out where no start mass lies on goals and dead-ends.
+        The source is left out if no start mass lies on goals and dead-ends.
         """
         process, base = self.process, self.base
         start = process.start
@@ -206,16 +205,16 @@ class OpenEnded(ChargedLayers):
         return reachable_part(process, start)
 
     def everywhere(self, per_pair: FloatArray, at_source: float) -> FloatArray:
-        """A number per pair of a layer, written out for all layers and the source.
+        """Repeat numbers per pair for all layers, and append the source's, [process pairs].
 
         Args:
             per_pair: [pairs of a layer].
-            at_source: at the only pair of the source.
+            at_source: number of the source's pair.
         """
         return np.append(np.tile(per_pair, self.cap + 1), at_source)
 
     def counting(self, semantics: FailureSemantics) -> Counting:
-        """Counting of quantities other than the total at the pairs of a layer written out."""
+        """Return the counting of quantities other than the total, at the pairs of a layer."""
         base = self.base
         goal = base.survival * base.gain
         return Counting(
@@ -223,10 +222,10 @@ class OpenEnded(ChargedLayers):
         )
 
     def policy(self, choice: IntArray) -> CostAwarePolicy:
-        """The cost-aware policy of a choice in the open-ended table, its last layer for all beyond.
+        """Return the cost-aware policy of a choice; its tail is the choice in the last layer.
 
         Args:
-            choice: one pair of each state of the process, [process states].
+            choice: pair of each state of the process, [process states].
         """
         base, n = self.base, self.n_nodes
         quotient, model = base.quotient, base.quotient.model
@@ -238,17 +237,17 @@ class OpenEnded(ChargedLayers):
         return CostAwarePolicy(model, base.unit, decision, beyond, never, levels=levels)
 
     def nearer_goal(self, *, safely: bool = False) -> None:
-        """None: pairs nearer to the goal have to be found on the written-out process."""
+        """Return None: these pairs must be found on the explicit process."""
         return
 
     @cached_property
     def own_cost(self) -> FloatArray:
-        """Charges of arriving in the open-ended table, [process pairs]."""
+        """Charges at the goal, [process pairs]."""
         each = [self.own_cost_from(layer) for layer in backward(self.cap + 1)][::-1]
         return np.append(np.concatenate(each), self.start_charge)
 
     def own_cost_from(self, layer: int) -> FloatArray:
-        """Charges of arriving from a layer of the open-ended table, [pairs]."""
+        """Return the charges at the goal from a layer, [pairs]."""
         charged = self.charged(layer).total
         if layer < self.cap or self.charge.slope == 0.0:
             return charged
@@ -256,14 +255,14 @@ class OpenEnded(ChargedLayers):
 
     @property
     def is_settled(self) -> bool:
-        """Whether the open end's charge has become its line at the cap, or only comes near one."""
+        """Whether the charge is affine from the cap on."""
         return bool(self.totals.values[-1] >= (self.charge.settled or 0.0))
 
     @cached_property
     def _step_beyond(self) -> FloatArray:
-        """Least cost of a step in the open end beyond the cap, to runs that succeed, [pairs].
+        """Least cost of a step beyond the cap to runs that succeed, [pairs].
 
-        However a policy goes on, it reaches the goal with the least probability that there is.
+        Every policy reaches the goal with at least the least goal probability.
         """
         if self.least_goal is None:
             return np.zeros(len(self.base.gain))
@@ -271,35 +270,35 @@ class OpenEnded(ChargedLayers):
         return self.step_cost(np.where(going_on, self.least_goal, 0.0))
 
     def reaching(self, goal: FloatArray) -> FloatArray:
-        """Probability of succeeding from each state, [states], by that of each node."""
+        """Return the goal probability from each state, [states], from that of each node."""
         states = self.base.quotient.lift(goal)
         states[self.base.quotient.model.goal_mask] = 1.0
         return states
 
     def step_cost(self, goal: FloatArray) -> FloatArray:
-        """Cost of a step to those of the open-ended table's runs that succeed after it, [pairs].
+        """Return the cost of a step to runs that succeed after it, [pairs].
 
         Args:
-            goal: probability of succeeding from each state on, [states].
+            goal: goal probability from each state, [states].
         """
         quotient = self.base.quotient
         return quotient.at_pairs(cost_means(quotient.model, goal)) / self.base.departs
 
     @cached_property
     def shift_of_ends(self) -> tuple[FloatArray, float]:
-        """Charge of every episode on top where it ends, [pairs], and at the written-out source."""
+        """The shift, charged where an episode ends, [pairs], and at the source."""
         base = self.base
         ends = base.survival * base.gain + base.failure
         return self.shift * ends, self.shift * (base.start_goal + base.start_failure)
 
     @cached_property
     def beyond(self) -> LastLayer:
-        """The open end by itself, which stands for all costs beyond the cap."""
+        """The last layer as a process of its own."""
         base, n = self.base, self.n_nodes
         steps = sp.csr_array(base.steps)
         onward = steps.data.copy(), steps.indices % max(n, 1), steps.indptr.copy()
         rows = sp.csr_array(onward, shape=(len(base.gain), n))
-        rows.sum_duplicates()  # in place: hence the copies
+        rows.sum_duplicates()  # in place, on the copies
         process = ExplicitProcess(
             pair_offsets=base.pair_offsets,
             transitions=rows,
@@ -311,10 +310,10 @@ class OpenEnded(ChargedLayers):
         return LastLayer(process, self)
 
     def leads(self, kinds: IntArray) -> tuple[IntArray, FloatArray]:
-        """Layer of the open-ended table that steps lead to; share of the next, [layers, kinds].
+        """Return the layer that steps lead to, and the share of the next one, [layers, kinds].
 
-        On a grid a step is rounded down, whence no charge is more; where interpolating the charge
-        does not exceed it either, it leads to both neighbours of what it makes.
+        On a grid a step is rounded down, which does not raise a charge. If interpolation does not
+        raise the charge either, the step leads to both neighbours of its total.
         """
         below, share = self.totals.leads_by(kinds)
         return below, share if self.charge.is_concave else np.zeros_like(share)
@@ -322,48 +321,48 @@ class OpenEnded(ChargedLayers):
 
 @dataclass(frozen=True, eq=False)
 class LastLayer:
-    """The open end by itself: whatever is paid there, one stays in it until the episode ends."""
+    """The last layer of an open-ended process; steps stay in it until the episode ends."""
 
     process: ExplicitProcess
     layered: OpenEnded
 
     @property
     def own_cost(self) -> FloatArray:
-        """Charges of arriving from the open end, [pairs]."""
+        """Charges at the goal, [pairs]."""
         return self.layered.own_cost_from(self.layered.cap)
 
     def policy(self, choice: IntArray) -> CostAwarePolicy:
-        """The policy of a choice in the open end: one decision for each state.
+        """Return the policy of a choice in the last layer, followed at all costs.
 
         Args:
-            choice: one pair of each node, [nodes].
+            choice: pair of each node, [nodes].
         """
         return self.layered.policy(np.tile(choice, self.layered.cap + 1))
 
     def nearer_goal(self, *, safely: bool = False) -> None:
-        """None: pairs of the open end nearer to the goal have to be found on the process itself."""
+        """Return None: these pairs must be found on the process itself."""
         return
 
 
 def check_room(base: AccumulatedCost, layers: int, most: int) -> None:
-    """Raise :class:`ModelError` where so many layers written out have too many pairs."""
+    """Check that layers written out have few enough pairs; else raise :class:`ModelError`."""
     n_pairs = (layers + 1) * len(base.gain)
     if n_pairs > most:
         raise ModelError(
-            f"{layers:,} layers of accumulated cost (unit {base.unit:g}) make {n_pairs:,} pairs, "
-            f"of which there is room for {most:,}; a coarser grid of costs makes it less"
+            f"{layers:,} layers of accumulated cost (unit {base.unit:g}) have {n_pairs:,} pairs, "
+            f"more than the limit of {most:,}: use a coarser grid of costs"
         )
 
 
 def first_cap(
     base: AccumulatedCost, charge: Charge | None, typical: float, fixed: float | None
 ) -> int:
-    """A cap of the open-ended table: as many layers as the charge needs to settle, or some more.
+    """Return a first cap: the layers until the charge settles, and some more if it grows.
 
     Args:
         base: one layer of the process.
-        charge: of arriving; None: nothing is told apart.
-        typical: a cost given success.
+        charge: the charge; None: without accumulated cost.
+        typical: a cost given success of a typical policy.
         fixed: the user's cap on accumulated cost.
     """
     if charge is None:
@@ -379,7 +378,7 @@ def first_cap(
 
 
 def first_total(charge: Charge, typical: float) -> float:
-    """A cap of the open-ended table as a total, where layers are no multiples of a unit."""
+    """Return a first cap as a total, if layers are not multiples of a unit."""
     settled = _settled_open_end(charge)
     if settled is not None and charge.slope == 0.0:
         return settled * (1.0 + _BEYOND)
@@ -387,7 +386,7 @@ def first_total(charge: Charge, typical: float) -> float:
 
 
 def truncates(charge: Charge | None, total: float) -> bool:
-    """Whether the open end may lose something: the charge still changes beyond the cap."""
+    """Return whether the last layer may lose something, as the charge changes beyond the cap."""
     if charge is None or charge.slope > 0.0:
         return charge is not None
     settled = charge.settled
@@ -395,7 +394,7 @@ def truncates(charge: Charge | None, total: float) -> bool:
 
 
 def _settled_open_end(charge: Charge) -> float | None:
-    """Total beyond which the open end's charge is its line; None: it only comes near it."""
+    """Return the total beyond which the charge is affine; None: it is never exactly affine."""
     settled = charge.settled
     if settled is None or not charge.is_affine_beyond(settled * (1.0 + _BEYOND)):
         return None

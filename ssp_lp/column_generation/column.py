@@ -29,26 +29,26 @@ class Column:
 
     cost: float
     failure: float
-    goal: float  # 1 - failure, measured by itself: each is exact where it is small
-    choice: IntArray | None  # the pricing problem's own form of the policy
-    tail_price: float = 0.0  # case S: the price by which tails beyond the cap are chosen
-    policy: Policy | None = None  # the policy on the model, where it did not come from pricing
-    totals: FloatArray | None = None  # [states, rewards] the same from each state, a warm start
-    found_at: float | None = None  # a price at which no policy of its process is worth less
-    work: Work = field(default_factory=Work)  # what finding it took
-    rows: tuple[float, ...] = ()  # what it takes of each row beside the failure row
-    by_goal: bool = False  # the pricing counts success, as minus the goal, in place of failing
+    goal: float  # 1 - failure, computed separately: the smaller of the two is exact
+    choice: IntArray | None  # the policy, as an array of the pricing problem
+    tail_price: float = 0.0  # case S: the failure price at which tails beyond the cap are chosen
+    policy: Policy | None = None  # the policy on the model, if pricing did not find it
+    totals: FloatArray | None = None  # [states, rewards] expected from each state; a warm start
+    found_at: float | None = None  # a price at which it is optimal in its process
+    work: Work = field(default_factory=Work)  # the work of finding it
+    rows: tuple[float, ...] = ()  # its value in each row other than the failure row
+    by_goal: bool = False  # the second reward is minus the goal probability instead of failure
     by_layer: FloatArray | None = None
-    """Case S, if begun in each layer as if nothing had been paid: the least cost - price * goal,
-    and the cost, failure and goal of going on from the start's nodes, or nan, [layers, 4]."""
-    swept: Column | None = None  # case S: whose sweep it was found in, where that is another one
-    beyond: Column | None = None  # of layers without tails of their own: what is done beyond them
+    """Case S, for an episode that begins in each layer with nothing paid: the least cost - price *
+    goal, and the cost, failure and goal from the start's nodes, or nan, [layers, 4]."""
+    swept: Column | None = None  # case S: the column of the sweep that found it, if another one
+    beyond: Column | None = None  # the policy beyond the layers, if these have no tails
 
     @classmethod
     def of_figures(
         cls, figures: FloatArray, choice: IntArray | None, *, by_goal: bool = False, **more: Any
     ) -> Column:
-        """A column from its rewards, verified: beyond 0 and 1 lies rounding."""
+        """Return a column with these rewards; failure or goal is clipped to [0, 1]."""
         cost, counted, *rows = figures.tolist()
         counted = min(max(-counted if by_goal else counted, 0.0), 1.0)
         failure, goal = (1.0 - counted, counted) if by_goal else (counted, 1.0 - counted)
@@ -56,12 +56,12 @@ class Column:
 
     @cached_property
     def figures(self) -> FloatArray:
-        """Rewards of a column, [rewards]: cost, failure, and its coefficients in the rows."""
+        """Rewards, [rewards]: cost, failure (or minus goal), and the value in each further row."""
         return np.array([self.cost, -self.goal if self.by_goal else self.failure, *self.rows])
 
 
 def excess_failure(risky: Column, safe: Column) -> float:
-    """Failure of a column in excess of another's, without cancellation."""
+    """Return ``risky.failure - safe.failure`` without cancellation."""
     if max(risky.goal, safe.goal) < 0.5:
         return safe.goal - risky.goal
     return risky.failure - safe.failure
@@ -69,163 +69,163 @@ def excess_failure(risky: Column, safe: Column) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Proof:
-    """A certified lower bound of the value of every policy at a price of failure.
+    """A certified dual bound: no policy has a lower value at this price of failure.
 
     A policy's value is ``cost + failing * failure - (price - failing) * goal``. With ``failing``
     equal to the price this is ``cost + price * failure``; with 0 it is ``cost - price * goal``,
-    which is exact where it is best to fail and serves in case S where the budget is slack.
+    which is exact where failing is optimal, and is used in case S if the budget is slack.
     """
 
     price: float
     failing: float
     bound: float  # at the start
-    values: FloatArray  # the checked sub-solution behind it, in the pricing problem's own shape
+    values: FloatArray  # the checked sub-solution that gives it, [value_shape]
     work: Work = field(default_factory=Work)
-    choice: IntArray | None = None  # case S, where values were checked: whose they are
-    by_layer: FloatArray | None = None  # [layers] the bound if an episode began in each
+    choice: IntArray | None = None  # case S, if values were checked: their policy
+    by_layer: FloatArray | None = None  # [layers] the bound for an episode that begins in each
 
 
 def required(part: _Array | None) -> _Array:
-    """The choice or totals of a column that its pricing problem must have made.
+    """Return the choice or totals of a column, which only its pricing problem fills in.
 
     Raises:
-        ModelError: the column came from elsewhere.
+        ModelError: the column has none, as it was not made by pricing.
     """
     if part is None:
-        raise ModelError("this column was not made by the pricing and carries no choice")
+        raise ModelError("this column has no choice or totals: pricing did not make it")
     return part
 
 
 class PricingProblem(ABC):
-    """Minimises ``cost + failure_price * failure`` and measures what it found.
+    """Minimises ``cost + failure_price * failure`` and evaluates the policy found.
 
-    Nothing here assumes that the states of the process fit into one array: an implementation may
-    be explicit, layered, or one whose states lie in several places.
+    The states need not fit into one array: an implementation may be explicit, layered or
+    distributed.
     """
 
-    by_goal: bool = False  # success, as minus the goal, is counted in place of failing
+    by_goal: bool = False  # the second reward is minus the goal probability instead of failure
 
     @property
     @abstractmethod
     def n_rewards(self) -> int:
-        """Number of rewards that a pricing problem counts: cost, failure and limits."""
+        """Number of rewards: cost, failure and one per further limit."""
 
     def counting_success(self) -> Self:
-        """The pricing problem whose columns count success in place of failing, where it can."""
+        """Return this pricing problem with minus the goal as second reward, if supported."""
         return self
 
     @property
     @abstractmethod
     def value_shape(self) -> tuple[int, ...]:
-        """Shape of the value functions that a pricing problem's ``check`` takes."""
+        """Shape of the value functions that ``check`` takes."""
 
     def incumbent(self, reached: Any) -> Column | None:
-        """The column that a stopped pricing problem had come to, by its Stop; None: no policy."""
+        """Return the last column before a Stop, from the Stop's choice; None: no policy."""
         return None
 
     @abstractmethod
     def first(self) -> Column:
-        """A first column of the pricing problem, cheap to find, that reaches the goal if it can."""
+        """Return a column that is cheap to find and reaches the goal if possible."""
 
     @abstractmethod
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
-        """Solve the pricing problem: a column of least priced cost, measured exactly.
+        """Solve the pricing problem: return a column of least priced cost, evaluated exactly.
 
         Args:
             price: of failure, or the weight of each reward, [rewards].
-            warm: policies to start from, the one that is thought to be nearest first; None: none.
+            warm: policies to start from, the presumably nearest first; None entries are ignored.
 
         Raises:
-            Stop: the time ended, with a policy that may do where one was known.
+            Stop: the time limit was reached; it carries the incumbent policy, if any.
         """
 
     @property
     def covered(self) -> float:
-        """Price of failure below which pricing a column prices all columns; 0: it does not."""
+        """Price of failure up to which one pricing call covers all lower prices; 0: none."""
         return 0.0
 
     def beside(self, column: Column, row: FailureRow) -> tuple[Column, ...]:
-        """Columns of other prices, next to the budget, that pricing a column found on its way."""
+        """Return the columns next to the budget that pricing a column found at other prices."""
         return ()
 
     def policy_failing(self, column: Column, failure: float, *, above: bool) -> Policy | None:
-        """Policy found on a column's way that fails about as often as is asked for; None: none."""
+        """Return a policy of about this failure that pricing a column found; None: none."""
         return None
 
     def taken_on(self, columns: Sequence[Column]) -> list[Column] | None:
-        """Columns of the process with a lower cap, measured in this one; None: it has no cap."""
+        """Return columns of a process with a lower cap, evaluated in this one; None: no cap."""
         return None
 
     def true_cost(self, column: Column) -> float | None:
-        """Cost of a column on the model, with what its process cuts off; None: unknown here."""
+        """Return a column's cost on the model, beyond the cap included; None: unknown."""
         return None
 
     def aligned(self, column: Column, price: float) -> Column:
-        """A column with its tails, where it has any, chosen by this price; measured again."""
+        """Return the column with its tails, if any, chosen at this price, and evaluated."""
         return column
 
     @abstractmethod
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
-        """Prove a lower bound of every column's priced value.
+        """Prove a dual bound: a lower bound of the priced value of every column.
 
         Args:
             price: of failure, or the weight of each reward, [rewards].
-            best: a policy of least value at this price.
-            slack: count failing as 0 and success as minus the price.
+            best: an optimal policy at this price.
+            slack: use the form ``cost - price * goal`` (:class:`Proof`).
         """
 
     def prove_afresh(self, weights: FloatArray, warm: Column) -> Proof:
-        """Best lower bound of the pricing problem at weights that nothing has been priced at."""
+        """Solve the pricing problem at new weights and prove its dual bound."""
         return self.prove(weights, warm)
 
     @abstractmethod
     def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
-        """Lower values to a checked sub-solution of the pricing problem.
+        """Lower values to a sub-solution of the pricing problem, and check it.
 
         Raises:
-            ModelError: values of another shape.
+            ModelError: values have the wrong shape.
         """
 
     @property
     def anything(self) -> FloatArray:
-        """Values that ask for the best that can be proved."""
+        """Infinite values, which ``check`` lowers to the best sub-solution that it can prove."""
         return np.broadcast_to(np.inf, self.value_shape)
 
     def policy(self, column: Column) -> Policy:
-        """A column's policy on the original states."""
+        """Return a column's policy on the original states."""
         return self.pulled_back(column) if column.policy is None else column.policy
 
     @abstractmethod
     def pulled_back(self, column: Column) -> Policy:
-        """The choice of a column of this pricing problem, on the original states."""
+        """Return the policy of a column's choice, on the original states."""
 
     def check_shape(self, values: FloatArray) -> None:
-        """Raise :class:`ModelError` unless a pricing problem's values have their shape."""
+        """Check that values have the shape ``value_shape``; else raise :class:`ModelError`."""
         if values.shape != self.value_shape:
-            raise ModelError(f"a value function of shape {self.value_shape} is needed")
+            raise ModelError(f"values of a wrong shape: pass an array of {self.value_shape}")
 
 
 def pricing_weights(price: float | FloatArray) -> FloatArray:
-    """The weight of each reward in a pricing problem, [rewards]."""
+    """Return the weight of each reward, [rewards], for a price of failure or weights."""
     return price if isinstance(price, np.ndarray) else np.array([1.0, price])
 
 
-_ROUNDED = 4.0 * MACHINE_EPSILON  # of a bound and of what the budget is worth at its price
-_TINY = 1e-12  # costs below this are compared with 0
+_ROUNDED = 4.0 * MACHINE_EPSILON  # relative rounding error of a bound and of price * budget
+_TINY = 1e-12  # absolute tolerance of costs near 0
 _SAME = 4.0 * MACHINE_EPSILON
-"""Relative distance of two failures, or of two rare successes, that are one summed in two ways."""
+"""Relative difference of failures, or rare successes, due to the order of summation."""
 
 
 @dataclass(frozen=True)
 class FailureRow:
-    """The failure row and the objective's form."""
+    """The failure row of the restricted master, and whether the objective is a ratio."""
 
     budget: float
     ratio: bool
-    lowest: float = 0.0  # no objective is less
-    demanded: float = field(init=False)  # goal probability that the budget leaves
-    is_rare: bool = field(init=False)  # so little that it is counted in place of failing
-    rounding: float = field(init=False)  # by which a column may seem to miss a budget it meets
+    lowest: float = 0.0  # a lower bound of every objective
+    demanded: float = field(init=False)  # least goal probability that the budget requires
+    is_rare: bool = field(init=False)  # demanded is small: the goal replaces failure in the rewards
+    rounding: float = field(init=False)  # feasibility tolerance: rounding of failure and budget
 
     def __post_init__(self) -> None:
         budget = self.budget
@@ -235,39 +235,39 @@ class FailureRow:
         follows["rounding"] = _SAME * max(min(budget, demanded), 0.0)
 
     def raised_to(self, least: Column) -> FailureRow:
-        """The failure row with a budget that the column of least failure keeps to."""
+        """Return the failure row with the budget raised, if need be, to the least failure."""
         return self if self.spare(least) >= 0.0 else self.equal_to(least)
 
     def equal_to(self, least: Column) -> FailureRow:
-        """The failure row whose budget is what the column of least failure takes."""
+        """Return the failure row with the least failure as the budget."""
         return replace(self, budget=GoalShare(least.goal) if self.is_rare else least.failure)
 
     def spare(self, column: Column) -> float:
-        """Failure that a column leaves of the budget, without cancellation; below 0: it breaks."""
+        """Return the budget minus a column's failure, without cancellation; < 0: violated."""
         demanded = self.demanded
         return column.goal - demanded if demanded < 0.5 else self.budget - column.failure
 
     def leaves_only(self, least: Column) -> bool:
-        """Whether the budget exceeds the least failing column's failure by rounding at most."""
+        """Return whether the budget equals the least failure within rounding."""
         return self.spare(least) <= self.rounding
 
     def breaks(self, column: Column) -> bool:
-        """Whether a column breaks the failure row's budget by more than rounding."""
+        """Return whether a column violates the budget by more than rounding."""
         return self.spare(column) < -self.rounding
 
     def objective(self, cost: float, goal: float) -> float:
-        """Objective of a mixture of columns by its cost and failure."""
+        """Return the objective of a lottery with this cost and goal probability."""
         if not self.ratio:
             return cost
         return cost / goal if goal > 0.0 else np.inf
 
     def lower_bound(self, proof: Proof) -> float:
-        """Lower bound of the objective within the failure row, from a proof about every column.
+        """Return the lower bound of the objective within the budget that a proof implies.
 
         Case M: cost + price * failure >= bound gives cost >= bound - price * budget. Case S:
         cost >= c * goal follows for c = bound if bound >= price, else, as failure <= budget, for
-        c = (bound - price * budget) / (1 - budget). With failing counted 0 the value is shifted
-        by the price, which is exact where the budget is slack, or success rare.
+        c = (bound - price * budget) / (1 - budget). With ``proof.failing == 0`` the value is lower
+        by the price, which is exact if the budget is slack or success is rare.
         """
         bound, price, share = proof.bound, proof.price, self.demanded
         worth = price * (share if proof.failing == 0.0 else self.budget)
@@ -284,34 +284,34 @@ class FailureRow:
 
 
 def _per_success(rest: float, share: float) -> float:
-    """The rest of a bound on columns, over the success that is required; unknown where none is."""
+    """Return the rest of a dual bound divided by the required goal probability; -inf if 0."""
     return rest / share if share > 0.0 else -np.inf
 
 
 def relative_gap(objective: float, lower_bound: float) -> float:
-    """Relative gap of a column's objective: (objective - lower_bound) / |objective|; 0 / 0 is 0."""
+    """Return (objective - lower_bound) / abs(objective), at least 0; 0 / 0 is 0."""
     difference = max(objective - lower_bound, 0.0)
     return 0.0 if difference == 0.0 else difference / max(abs(objective), 1e-300)
 
 
 def two_sided_gap(one: float, other: float) -> float:
-    """Relative gap between columns' objective and its bound, on whichever side that lies."""
+    """Return the relative gap between an objective and its bound, in either order."""
     return relative_gap(max(one, other), min(one, other))
 
 
 CONTRADICTION = 1e-9
-"""Relative excess of a lower bound over a value that no rounding explains."""
+"""Relative excess of a lower bound over an objective that rounding cannot explain."""
 
 
 def least_of(lower_bound: float, objective: float) -> float:
-    """The failure row's lower bound, or the objective where rounding puts the bound above it.
+    """Return the lower bound, or the objective if rounding puts the bound above it.
 
     Raises:
-        SolverError: the bound lies above by more than rounding; then one of them is wrong.
+        SolverError: the bound exceeds the objective by more than rounding, so one is wrong.
     """
     if lower_bound > objective + CONTRADICTION * max(abs(objective), abs(lower_bound)) + _TINY:
         raise SolverError(
-            f"a policy's value, {objective!r}, lies below a bound of all policies, "
+            f"the value of a policy, {objective!r}, lies below the lower bound of all policies, "
             f"{lower_bound!r}: the model is too ill-conditioned for double precision"
         )
     return min(lower_bound, objective)

@@ -1,9 +1,9 @@
-"""Compiled problems: an augmented process with everything that methods ask of it.
+"""Compiled problems: an augmented process, its limits and the ways to refine it.
 
-:class:`CompiledExplicit` is written out, with any number of rows: case M, which counts no total, on
-the failure label; every charge of the total cost in layers. Where failure alone is limited, layers
-need not be written out: case S (:class:`CompiledAccumulatedCost`), and any charge of the total cost
-(:class:`CompiledArrivalCost`).
+- :class:`CompiledExplicit` has any number of rows: case M on states x failure label, and any charge
+  of the accumulated cost in layers.
+- :class:`CompiledAccumulatedCost` (case S) and :class:`CompiledArrivalCost` (any charge of the
+  accumulated cost) limit failure alone. Their layers need not be written out.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ from ssp_lp.processes.live_rows import uniform_cost
 
 @dataclass(frozen=True, eq=False)
 class LeastFailure:
-    """The cheapest policy among those that fail least (mathematics, section 4: two stages)."""
+    """The cheapest policy of least failure (mathematics, section 4: two stages)."""
 
     policy: Policy
     column: Column  # its cost and failure, both discounted under a discount
@@ -83,74 +83,74 @@ class LeastFailure:
 
     @property
     def is_proved(self) -> bool:
-        """Whether no policy fails less than the safest one by as much as budgets may lie below."""
+        """Whether the least failure is proved up to the tolerance of a budget."""
         return self.column.failure - self.proved <= LEAST_BUDGET
 
 
 class CompiledProblem(ABC):
-    """A problem compiled for methods: a process, a charge, rows, a ratio, and how to refine them.
+    """A problem compiled for methods: a process, a charge, rows and perhaps a ratio.
 
-    What is said here holds of a process that is written out and truncates nothing (case M).
+    The defaults are those of an explicit process without truncation (case M).
     """
 
     model: SSP
     start: FloatArray  # [states] the distribution in which an episode begins
     discount: float | None  # None: exact
     ratio: bool  # whether the objective is cost / (1 - failure) (case S) rather than cost (case M)
-    charge: Charge | None  # of arriving, for the total cost; None: no total is counted (case M)
+    charge: Charge | None  # of the total cost at the goal; None: case M, no accumulated cost
 
     @property
     def lowest(self) -> float:
-        """Lower bound of the compiled problem's objective that needs no search."""
+        """Lower bound of the objective, known without a search."""
         return 0.0
 
     @property
     def is_trial(self) -> bool:
-        """Whether the compiled problem only serves to learn the price, hence its size."""
+        """Whether this problem only serves to find the price, which determines its size."""
         return False
 
     @property
     def is_long_shot(self) -> bool:
-        """Whether a compiled problem's first size can only be guessed; case M tells of it."""
+        """Whether the first cap is only a guess: case M gives a better one (``capped_at``)."""
         return False
 
     @property
     def cost_horizon(self) -> float:
-        """Total from which the compiled problem has a stationary optimal policy; 0: unknown."""
+        """Accumulated cost from which a stationary policy is optimal; 0: unknown."""
         return 0.0
 
     @property
     @abstractmethod
     def layers(self) -> int:
-        """Number of totals that the compiled problem tells apart; 1 where none is counted."""
+        """Number of layers of accumulated cost; 1 without accumulated cost."""
 
     @property
     @abstractmethod
     def n_columns(self) -> int:
-        """Columns of the compiled problem's linear program."""
+        """Number of columns of the linear program."""
 
     @property
     def survival(self) -> float:
-        """The compiled problem's discount, 1 in the exact setting."""
+        """The discount, 1 in the exact setting."""
         return survival_of(self.discount)
 
     def capped_at(self, cost: float) -> Self:
-        """The same with totals told apart up to about this one, for a long shot."""
+        """Return the problem with a cap of about this accumulated cost, if ``is_long_shot``."""
         return self
 
     @abstractmethod
     def least_failure(self) -> LeastFailure:
-        """The first column: it, not a status of an LP, decides whether the problem is feasible."""
+        """Return the policy of least failure, which decides whether the problem is feasible."""
 
     def proved_failure(self, reach: goal_reach.GoalReach, failure: float) -> float:
-        """Lower bound of the failure of every policy of the compiled problem.
+        """Return a lower bound of the failure of every policy.
 
         Args:
             reach: the greatest goal probability.
-            failure: that of the safest policy.
+            failure: failure of the safest policy.
         """
         proved = reach.least_failure(self.start)
-        if failure - proved > PROVED_OF_MANY:  # sweeps may prove what an evaluation leaves open
+        if failure - proved > PROVED_OF_MANY:  # sweeps may prove more than an evaluation
             again = goal_reach.greatest_goal_reach(
                 self.model, self.survival, self.start, last_digits=False
             )
@@ -158,17 +158,17 @@ class CompiledProblem(ABC):
         return min(proved, failure)
 
     def failure_at_least(self, discount: float | None) -> float:
-        """The least failure of all policies of the compiled problem, whatever they cost."""
+        """Return the least failure of all policies under a discount."""
         survival = survival_of(discount)
         reach = goal_reach.greatest_goal_reach(self.model, survival, self.start).goal
         return max(1.0 - float(self.start @ reach), 0.0)
 
     @abstractmethod
     def pricing(self) -> PricingProblem:
-        """The pricing problem of the compiled problem as it stands."""
+        """Return the pricing problem."""
 
     def counting_rare_success(self, budget: float | None) -> Self:
-        """The compiled problem with success counted in place of failing where it is rare.
+        """Return the problem, with the goal as reward instead of failure if success is rare.
 
         Args:
             budget: failure budget; None: as low as possible.
@@ -176,53 +176,53 @@ class CompiledProblem(ABC):
         return self
 
     def for_program(self) -> Self:
-        """The compiled problem whose written-out process has the problem's optimum."""
+        """Return the problem whose explicit process has the optimum of this problem."""
         return self
 
     @abstractmethod
     def explicit(self) -> ExplicitProcess:
-        """The compiled problem's process written out, for the linear program."""
+        """Return the process written out, for the linear program."""
 
     def explicit_choice(self, column: Column) -> IntArray:
-        """The pair of the written-out process that a column takes in each state, [states].
+        """Return the pair of the explicit process that a column takes in each state, [states].
 
         Raises:
-            ModelError: the pricing did not make the column.
+            ModelError: pricing did not make the column.
         """
         return required(column.choice)
 
     @abstractmethod
     def refined(self, price: float) -> Self | None:
-        """A larger compiled problem with a smaller truncation error; None: there is none.
+        """Return a larger problem with a smaller truncation error; None: none exists.
 
         Args:
-            price: price of failure at the optimum of this one.
+            price: price of failure at the optimum of this problem.
         """
 
     @abstractmethod
     def matching(self, values: FloatArray, levels: FloatArray | None = None) -> Self:
-        """The compiled problem whose value functions have the shape of this one.
+        """Return the problem whose value functions have the shape of the given one.
 
         Args:
             values: the value function.
-            levels: totals that a policy found beside it tells apart; None: multiples of a unit.
+            levels: layer totals of a policy found with it; None: multiples of a unit.
 
         Raises:
-            ModelError: none has such value functions.
+            ModelError: no compiled problem has such value functions.
         """
 
     def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
-        """Part of a bound at this price that the compiled problem loses to truncation.
+        """Return the part of a bound at this price that truncation loses.
 
         Args:
             price: of failure.
-            slack: whether success is counted rather than failure.
-            proof: what was proved at this price, which may save the work.
+            slack: whether the bound is of ``cost - price * goal`` (:class:`Proof`).
+            proof: a proof at this price, which may save work.
         """
         return 0.0
 
     def _copy_with_results(self, other: Self, *own: str) -> Self:
-        """Hand what has been worked out to a copy, but for what is each one's own."""
+        """Copy cached results to another problem, except those named ``own``; return it."""
         shared = vars(self).keys() - vars(other).keys() - set(own)
         vars(other).update((name, vars(self)[name]) for name in shared)
         return other
@@ -235,14 +235,14 @@ def unreachable(
     discount: float | None,
     why: str = "no cost given success exists",
 ) -> InfeasibleError:
-    """The error of a problem whose goal is out of reach, where that leaves no answer.
+    """Return the error of a problem that has no answer as its goal cannot be reached.
 
     Args:
         model: the model.
         start: [states].
         budget: failure budget.
         discount: of the problem.
-        why: what the answer lacks.
+        why: the consequence.
     """
     words = goal_out_of_reach(model, start) or "the goal cannot be reached from the start"
     return InfeasibleError(
@@ -256,15 +256,15 @@ def unreachable(
 
 
 def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> LeastFailure:
-    """The compiled problem's column of least failure, which has to keep to the budget.
+    """Return the policy of least failure, checked to satisfy the budget.
 
     Args:
         compiled: the problem.
-        budget: failure budget; None: whatever is least.
+        budget: failure budget; None: the least failure.
 
     Raises:
-        InfeasibleError: it does not, or no cost given success exists.
-        SolverError: it does not, and it is not proved that no policy does.
+        InfeasibleError: no policy satisfies the budget, or no cost given success exists.
+        SolverError: the policy violates the budget, but the proof leaves open whether all do.
     """
     least_failure = compiled.least_failure()
     failure, discounted = least_failure.column.failure, compiled.discount is not None
@@ -279,9 +279,9 @@ def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> Le
     if proved <= budget:
         kind = "discounted failure" if discounted else "failure probability"
         raise SolverError(
-            f"whether a policy keeps to the budget {budget:g} is not decided: the least {kind} is "
+            f"the feasibility of the budget {budget:g} is not decided: the least {kind} is "
             f"proved to lie between {proved:.12g} and {failure:.12g} only, as runs are too long "
-            f"for double precision; a budget of {failure:.12g} can be kept"
+            f"for double precision; use a budget of at least {failure:.12g}"
         )
     told = f"at least {proved:.12g}, above the budget {budget:g}"
     if f"{proved:.12g}" != f"{failure:.12g}":
@@ -291,7 +291,7 @@ def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> Le
             f"every policy fails with probability {told}",
             "; ",
             Argument("failure_budget", None),
-            " asks for the least",
+            " minimises it",
             failure_budget=budget,
             least_failure=failure,
             conflicting_rows=("failure",),
@@ -311,15 +311,15 @@ def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> Le
 
 
 MOST_ENTRIES = 800_000_000
-"""Largest table of decisions, nodes x layers: 0.8 GB a policy at a byte each."""
+"""Most decisions of a table, nodes x layers: 0.8 GB a policy at a byte each."""
 
 
 def check_compiled_table(layers: int, base: AccumulatedCost, remedy: str) -> None:
-    """Raise :class:`ModelError` where a compiled problem's table has too many layers."""
+    """Check that the table of decisions is not too large; else raise :class:`ModelError`."""
     if (layers + base.width) * base.n_nodes > MOST_ENTRIES:
         raise ModelError(
-            f"{layers:.6g} layers of accumulated cost (unit {base.unit:g}) on {base.n_nodes:,} "
-            f"states are too many; a coarser grid of costs, or a smaller {remedy}, makes it less"
+            f"too many layers of accumulated cost ({layers:.6g} of unit {base.unit:g}, on "
+            f"{base.n_nodes:,} states): use a coarser grid of costs or a smaller {remedy}"
         )
 
 
@@ -336,7 +336,7 @@ class _CompiledLayered(CompiledProblem):
     @property
     @abstractmethod
     def process(self) -> LayeredProcess:
-        """The process cut at the cap."""
+        """The process, truncated at the cap."""
 
     @cached_property
     def greatest(self) -> goal_reach.GoalReach:
@@ -362,7 +362,7 @@ class _CompiledLayered(CompiledProblem):
         least: FloatArray,
         **more: Any,
     ) -> LayeredTails:
-        """Tails: one that goes for the goal, one that fails; and bounds of the goal, [states]."""
+        """Return the tails: a policy to the goal, one that fails, and goal bounds, [states]."""
         decisions = np.stack([first.decision, last.decision]).astype(np.int32)
         at = self.base.quotient.least_over_members
         values = TailValues.stacked([first.values, last.values], at)
@@ -370,59 +370,59 @@ class _CompiledLayered(CompiledProblem):
 
     @property
     def layers(self) -> int:
-        """Layers below the cap."""
+        """Number of layers below the cap."""
         return self.process.cap
 
     @property
     def n_columns(self) -> int:
-        """Pairs of all layers."""
+        """Number of pairs of all layers."""
         return self.process.cap * len(self.base.quotient.pair_at)
 
     def pricing(self) -> LayeredPricing:
-        """One backward sweep over the layers."""
+        """Return the pricing problem, solved by one backward sweep over the layers."""
         return LayeredPricing(self.process)
 
     def explicit(self) -> ExplicitProcess:
-        """All layers below the cap, written out."""
+        """Return the process with all layers below the cap written out."""
         return written_out.materialise(self.process)
 
     def explicit_choice(self, column: Column) -> IntArray:
-        """The column's pairs in all layers, its tails beyond them and the source's only pair."""
+        """Return the column's pairs: in all layers, in the tails, and at the source."""
         return written_out.chosen_pairs(self.process, required(column.choice), column.tail_price)
 
     def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
-        """How much of a bound at this price the cap costs; 0 where it is proved lossless."""
+        """Return the part of a bound that the cap loses; 0 if it is proved lossless."""
         return self.pricing().tail_loss(price, slack=slack, proof=proof)
 
 
 _UNPROVED = 1e-10
-"""Relative gap at least failure from which pairs are compared in twice the working precision."""
+"""Relative gap at least failure above which pairs are compared in twice the working precision."""
 
 _FIRST_LAYERS = 2.5
-"""Layers of the first attempt, as a multiple of the first tail policy's conditional cost."""
+"""First cap, as a multiple of the first tail policy's cost given success."""
 
 _MOST_STEPS = 256
-"""Steps of a first attempt beyond which that policy is no guide but a long shot."""
+"""First cap, in steps, above which it is a long shot: the tail policy is no guide."""
 
 _LARGE = 10_000_000
-"""Entries of a layer from which the equations of a policy that goes for the goal are not solved."""
+"""Entries of a layer from which a policy to the goal is followed, not solved for."""
 
 _MARGIN = 1.02
-"""Layers beyond what a trial's price asks for: the price still moves a little."""
+"""Factor of the cap that a trial's price implies, as the price still changes a little."""
 
 _MOST_GROWTH = 4
-"""A cap that would have to grow by more comes from a steep price near the least failure."""
+"""Most growth of a cap in one step: more comes from a high price near the least failure."""
 
 
 @dataclass(frozen=True, eq=False)
 class CompiledAccumulatedCost(_CompiledLayered):
     """Minimise E[cost | goal], failure limited (paper, section 3.1.1).
 
-    ``cap`` says where the table of accumulated costs ends; None: a first guess, to learn the
-    price from. From accumulated cost kappa on it is best to fail wherever that can be done for
-    sure, so a cap there loses (almost) nothing whatever is followed beyond it: a policy that goes
-    for the goal and the trivial bound on it will do. Only where kappa is too large for that are
-    the exact policies of greatest goal probability worked out.
+    ``cap`` is the last layer of accumulated cost; None: a first guess, to find the price. From
+    accumulated cost kappa on, failing is optimal in every state where it is possible for sure.
+    A cap at kappa therefore loses (almost) nothing with simple tails: any policy to the goal and
+    the trivial bound of its goal probability. The exact policies of greatest goal probability are
+    computed only if kappa is too large for such a cap.
     """
 
     model: SSP
@@ -430,15 +430,15 @@ class CompiledAccumulatedCost(_CompiledLayered):
     discount: float | None = None
     fixed_cap: float | None = None  # the user's cap on accumulated cost
     cap: int | None = None  # layers
-    exact_tails: bool = False  # beyond the cap: the least failure, or any way to the goal
-    is_for_bounds: bool = False  # nothing is followed: no way to the goal is looked for
+    exact_tails: bool = False  # tails of least failure beyond the cap, not any way to the goal
+    is_for_bounds: bool = False  # for bounds only: no tail to the goal is computed
 
     ratio = True
     charge = TOTAL_COST
 
     @cached_property
     def lowest(self) -> float:
-        """Compiled problem's lower bound: some steps on the way, each at the least cost."""
+        """Lower bound of the objective: least number of steps times least cost."""
         begins = np.flatnonzero(self.start)
         begins = begins[~dead_ends(self.model)[begins]]
         if self.discount is not None or not begins.size:
@@ -452,25 +452,25 @@ class CompiledAccumulatedCost(_CompiledLayered):
 
     @cached_property
     def base(self) -> AccumulatedCost:
-        """One layer of the compiled problem's accumulated-cost process."""
+        """One layer of the accumulated-cost process."""
         return accumulate_cost(self.model, self.start, self.discount)
 
     @property
     def is_trial(self) -> bool:
-        """Whether the compiled problem's cap on the accumulated cost is a guess."""
+        """Whether the cap on accumulated cost is a guess."""
         return self.cap is None and self.fixed_cap is None and not self._has_exact_tails
 
     @cached_property
     def _directed(self) -> goal_reach.ReachPolicy:
-        """The compiled problem's tail that goes for the goal beyond the accumulated cost's cap."""
+        """A policy to the goal, the tail beyond the cap."""
         return goal_reach.goal_directed(self.model, self.survival)
 
     @cached_property
     def _guess(self) -> tuple[float, float] | None:
-        """(E[cost; goal], goal), about, of a goal-directed policy of the compiled problem.
+        """Approximate (E[cost; goal], goal) of a policy to the goal, in a large process.
 
-        In a large process they take longer than a sweep. Beyond the cap the riskiest policy is then
-        followed: where that loses something, the cap is raised or the tails become exact.
+        There an evaluation would take longer than a sweep. The tail beyond the cap is then the
+        riskiest policy; if this loses something, the cap is raised or the tails become exact.
         """
         base, later = self.base, self.base.later
         is_large = base.instant.nnz == 0 and later.nnz >= _LARGE
@@ -483,7 +483,7 @@ class CompiledAccumulatedCost(_CompiledLayered):
 
     @cached_property
     def is_long_shot(self) -> bool:
-        """Whether the compiled problem's goal-directed policy takes too long to tell a cap."""
+        """Whether the policy to the goal takes too many steps to give a cap."""
         if self.exact_tails or self.base.quotient.merged.any():
             return False
         if self.cap is not None or self.fixed_cap is not None:
@@ -498,13 +498,14 @@ class CompiledAccumulatedCost(_CompiledLayered):
 
     @cached_property
     def _has_exact_tails(self) -> bool:
-        """Whether the compiled problem's tails are those of the least failure."""
+        """Whether the tails are the policies of least failure."""
         return self.exact_tails or bool(self.base.quotient.merged.any()) or self.is_long_shot
 
     def capped_at(self, cost: float) -> CompiledAccumulatedCost:
-        """The compiled problem with a cap of about this accumulated cost.
+        """Return the problem with a cap of about this accumulated cost.
 
-        Where the start cannot avoid the goal no cap is beyond loss: the tails are exact at once.
+        If no policy avoids the goal surely from the start, every cap loses something, and the tails
+        become exact at once.
         """
         exact = float(self.start @ self.riskiest[0].goal) > 0.0
         most = MOST_ENTRIES // max(self.base.n_nodes, 1) - 2 * self.base.width
@@ -512,7 +513,7 @@ class CompiledAccumulatedCost(_CompiledLayered):
         return self._copy_for_cap(replace(self, cap=layers, exact_tails=exact))
 
     def least_failure(self) -> LeastFailure:
-        """First column: greatest goal probability, then the least E[cost; goal] among its actions.
+        """Return the policy of greatest goal probability, then of least E[cost; goal].
 
         At least failure the accumulated cost is not needed: a transition to x' is priced
         ``g * Pmax(x')`` (mathematics, section 4).
@@ -530,7 +531,7 @@ class CompiledAccumulatedCost(_CompiledLayered):
 
     @cached_property
     def process(self) -> LayeredProcess:
-        """The compiled problem's layered process, cut at the cap."""
+        """The layered process, truncated at the cap."""
         base, layers = self.base, self.cap
         if layers is None and self.fixed_cap is not None:
             layers = max(int(np.ceil(self.fixed_cap / base.unit)), 1)
@@ -543,7 +544,7 @@ class CompiledAccumulatedCost(_CompiledLayered):
         return LayeredProcess(base, base.totals(layers), self._tails)
 
     def refined(self, price: float) -> CompiledAccumulatedCost | None:
-        """The compiled problem with more layers or better tails; None: nothing to improve."""
+        """Return the problem with more layers or better tails; None: nothing to improve."""
         here, exact = self.process.cap, self._has_exact_tails
         lossless = int(np.ceil(_MARGIN * price / self.base.unit)) + 1
         if self.fixed_cap is not None:
@@ -563,27 +564,26 @@ class CompiledAccumulatedCost(_CompiledLayered):
     def matching(
         self, values: FloatArray, levels: FloatArray | None = None
     ) -> CompiledAccumulatedCost:
-        """The compiled problem with as many layers as the value function, [layers, nodes].
+        """Return the problem with as many layers as the value function, [layers, nodes].
 
-        Its tails are the riskiest policy alone: where the cap loses something with that,
-        :meth:`for_program` has the exact ones.
+        Its tails are the riskiest policy alone; :meth:`for_program` has exact tails.
 
         Raises:
             ModelError: the array has no layers.
         """
         if values.ndim != 2 or values.shape[0] == 0:
-            raise ModelError("a value function of shape [layers, nodes] is needed")
+            raise ModelError("values of a wrong shape: pass an array of [layers, nodes]")
         return self._copy_for_cap(replace(self, cap=values.shape[0], is_for_bounds=True))
 
     def for_program(self) -> CompiledAccumulatedCost:
-        """The compiled problem with exact tails: beyond the cap no program does better."""
+        """Return the problem with exact tails, the best beyond the cap in any program."""
         if self._has_exact_tails:
             return self
         exact = self._copy_for_cap(replace(self, exact_tails=True))
         return self._copy_for_cap(replace(exact, cap=exact.process.cap))
 
     def _copy_for_cap(self, other: CompiledAccumulatedCost) -> CompiledAccumulatedCost:
-        """A copy of the compiled problem with whatever does not depend on the cap."""
+        """Copy all results that do not depend on the cap; return the copy."""
         own = "process", "is_long_shot", "_has_exact_tails", "_tails"
         other = self._copy_with_results(other, *own)
         if "_tails" in vars(self) and self._has_exact_tails == other._has_exact_tails:
@@ -592,7 +592,7 @@ class CompiledAccumulatedCost(_CompiledLayered):
 
     @cached_property
     def _tails(self) -> LayeredTails:
-        """Tails of the compiled problem beyond the cap on accumulated cost."""
+        """The tails beyond the cap."""
         least, riskiest = self.riskiest
         if self._has_exact_tails:
             return self._tails_of(self.safest_policy, riskiest, self.greatest.bound, least.bound)
@@ -602,28 +602,28 @@ class CompiledAccumulatedCost(_CompiledLayered):
         return self._tails_of(first, riskiest, greatest, least.bound, exact=False, guess=guess)
 
 
-_FIRST_TOTALS = 64  # of a first attempt where nothing says how many are needed
-_NEARLY = 1.25  # costs given success of a way to the goal: from there on failing may be best
-_TYPICAL = 2.5  # layers of a first attempt, in costs given success of the safest policy
+_FIRST_TOTALS = 64  # first cap of a charge that never settles
+_NEARLY = 1.25  # first cap of a trial, in costs given success of a policy to the goal
+_TYPICAL = 2.5  # first cap, in costs given success of the safest policy
 
 _MOST_LAYERS = 100_000
-"""Layers of a charge that does not settle, after which the gap that is left is left."""
+"""Most layers of a charge that never settles; the gap that remains is reported."""
 
-_DOUBLINGS = 60  # of a cap, if all sums that there are lie below it
-_LOWER = 0.5  # cap, times the one whose sums are too many
+_DOUBLINGS = 60  # most doublings of a cap
+_LOWER = 0.5  # factor of a cap below which too many sums lie
 _BEYOND = 1e-9  # relative distance of a total that lies beyond another
-_LEAST = 1e-12  # relative room below the goal probability of policies that all attain it
+_LEAST = 1e-12  # relative rounding of the goal probability that all safest policies attain
 _OF_TAILS: tuple[str, ...] = ("_tails", "_moments", "cost_horizon")
-_LOST = 1e-6  # goal probability that a policy of least failure may lack, by rounding of long runs
+_LOST = 1e-6  # goal probability that a policy of least failure may lose to rounding of long runs
 
 
 @dataclass(frozen=True, eq=False)
 class CompiledArrivalCost(_CompiledLayered):
     """Minimise E[charge(total cost); goal], or its ratio to Pr(goal), failure limited; exact.
 
-    The table of accumulated costs ends where the charge has become affine: what is best beyond it
-    follows in closed form, or, where the charge still grows, as in case S from the price on at
-    which it is best to fail. A charge that never settles is cut and refined.
+    The layers of accumulated cost end where the charge becomes affine, as the optimal tail is then
+    known in closed form. If the affine charge grows, they end, as in case S, at the price from
+    which failing is optimal. A charge that never becomes affine is truncated and refined.
     """
 
     model: SSP
@@ -631,19 +631,19 @@ class CompiledArrivalCost(_CompiledLayered):
     charge: Charge
     ratio: bool = False
     safest_only: bool = False  # only policies of least failure
-    cap: float | None = None  # total at which the table ends, in units; None: as the charge asks
-    by_sums: bool = False  # totals are the sums of steps that can occur, and a unit is 1
+    cap: float | None = None  # total at which the layers end, in units; None: from the charge
+    by_sums: bool = False  # layers are the sums of step costs that can occur, and a unit is 1
     discount: None = None
 
     @property
     def is_trial(self) -> bool:
-        """Whether the compiled problem's cap is a guess to learn the price from."""
+        """Whether the cap is a guess to find the price."""
         grows = self.charge.slope > 0.0 and not self.safest_only
         return self.by_sums and self.cap is None and grows
 
     @cached_property
     def base(self) -> AccumulatedCost:
-        """One layer of the process of the compiled problem with a charge."""
+        """One layer of the process."""
         usable = self.greatest.usable if self.safest_only else None
         return accumulate_cost(
             self.model, self.start, None, arrivals=True, usable=usable, by_steps=self.by_sums
@@ -651,7 +651,7 @@ class CompiledArrivalCost(_CompiledLayered):
 
     @cached_property
     def _moments(self) -> goal_reach.ReachPolicy | None:
-        """The compiled problem's tail of an exponential utility."""
+        """The tail of an exponential utility; None: another charge."""
         if not isinstance(self.charge, ExponentialUtility):
             return None
         keeping = pairs_keeping_goal(self.model, self.greatest) if self.charge.bonus > 0.0 else None
@@ -659,7 +659,7 @@ class CompiledArrivalCost(_CompiledLayered):
 
     @cached_property
     def cost_horizon(self) -> float:
-        """Cost from which the compiled problem's stationary tail is optimal; 0: unknown."""
+        """Accumulated cost from which the stationary tail is optimal; 0: unknown."""
         charge, moments = self.charge, self._moments
         if moments is None or not isinstance(charge, ExponentialUtility) or charge.bonus == 0.0:
             return 0.0
@@ -667,10 +667,10 @@ class CompiledArrivalCost(_CompiledLayered):
 
     @cached_property
     def process(self) -> LayeredProcess:
-        """The process of the compiled problem with a charge, cut at the cap."""
+        """The process, truncated at the cap."""
         cap = self._first_guess() if self.cap is None else self.cap
         if self.by_sums:
-            while (totals := self._totals(cap)) is None:  # as far as there is room: the gap tells
+            while (totals := self._totals(cap)) is None:  # as many as fit; the gap shows the loss
                 check_time()
                 cap *= _LOWER
         else:
@@ -679,7 +679,7 @@ class CompiledArrivalCost(_CompiledLayered):
         return LayeredProcess(self.base, totals, self._tails, self.charge)
 
     def _totals(self, cap: float) -> Totals | None:
-        """Sums of steps below a cap as the compiled problem's totals; None: too many."""
+        """Return the sums of step costs below a cap, as layers; None: too many."""
         room = min(MOST_SUMS, MOST_ENTRIES // max(self.base.n_nodes, 1))
         sums, steps = sums_in(self.model, cap, room), step_costs(self.model)[1]
         if sums is None:
@@ -687,27 +687,27 @@ class CompiledArrivalCost(_CompiledLayered):
         return Totals(read_only(np.append(sums, cap)), steps, complete=True)
 
     def _units(self, total: float) -> float:
-        """A total of the compiled problem in units, whole ones if layers are their multiples."""
+        """Return a total in units, rounded up if layers are multiples of the unit."""
         return total if self.by_sums else int(min(np.ceil(total / self.base.unit), 1e15))
 
     def _settled_units(self) -> float:
-        """Total from which the compiled problem has an affine charge, or an optimal tail."""
+        """Return the total, in units, from which the charge is affine or the tail optimal."""
         settled = self.charge.settled or 0.0
         if isinstance(self.charge, ExponentialUtility):
             return max(self._units(self.cost_horizon), self._least_units)
         if self.base.width == 1 and not self.by_sums:
-            return 1  # no step costs anything: nothing is ever paid
+            return 1  # no step costs anything
         if not self.by_sums:
             return max(layers_within(settled, self.base.exact_unit), 1)
         return max(settled * (1.0 + _BEYOND), self._least_units)
 
     @property
     def _least_units(self) -> float:
-        """The compiled problem's smallest table: one layer; of sums, that of nothing paid."""
+        """Smallest cap: one layer; by sums, that of total 0."""
         return _BEYOND * float(step_costs(self.model)[1].max()) or 1.0 if self.by_sums else 1
 
     def _first_guess(self) -> float:
-        """The compiled problem's first cap: layers that are surely needed, and some more."""
+        """Return the first cap: the layers that are needed in any case, and a guess of more."""
         if self.is_trial:
             directed = goal_reach.goal_directed(self.model).values
             cost, goal = float(self.start @ directed.cost), float(self.start @ directed.goal)
@@ -725,14 +725,14 @@ class CompiledArrivalCost(_CompiledLayered):
 
     @cached_property
     def _tails(self) -> LayeredTails:
-        """Tails of the compiled problem, followed and charged beyond the cap."""
+        """The tails beyond the cap."""
         at, moments = self.base.quotient.least_over_members, self._moments
         first = self.safest_policy if moments is None else moments
         last, least, least_cost = first, np.zeros(self.model.n_states), None
         if self.safest_only:
             least = self.greatest.goal * (1.0 - _LEAST)
             least_cost = at(self.safest_policy.bound)
-        elif self.ratio:  # else an arrival is never worse than failing
+        elif self.ratio:  # otherwise the goal is never worse than failing
             least, last = self.riskiest[0].bound, self.riskiest[1]
         greatest_moment = None if moments is None else -at(-moments.bound)
         return self._tails_of(
@@ -746,21 +746,21 @@ class CompiledArrivalCost(_CompiledLayered):
 
     @property
     def lowest(self) -> float:
-        """Lower bound of a compiled problem with a charge that needs no search."""
+        """Lower bound of the objective, known without a search."""
         return self.charge.lowest
 
     def least_failure(self) -> LeastFailure:
-        """First column: least charged of the policies that fail least; it may remember the cost.
+        """Return the policy of least charge among those of least failure; it may remember the cost.
 
         Raises:
-            ModelError: its runs take so many free steps that what each loses adds up.
+            ModelError: its runs have so many zero-cost steps that rounding errors add up.
         """
         pricing = self.safest().pricing()
         best = pricing.minimise(0.0)
         if best.goal < float(self.start @ self.greatest.goal) - _LOST:
             raise ModelError(
-                "free steps take some policy so long that its failure cannot be told; costs of "
-                "fewer digits, or none of 0, make it shorter"
+                "zero-cost cycles make a policy run too long for its failure probability to be "
+                "computed: give these actions a positive cost, or round the costs"
             )
         policy, bound = pricing.policy(best), pricing.prove(0.0, best).bound
         greatest = min(float(self.start @ self.greatest.bound), 1.0)
@@ -770,9 +770,9 @@ class CompiledArrivalCost(_CompiledLayered):
         return LeastFailure(policy, replace(best, choice=None, policy=policy), bound, proved)
 
     def lossless_units(self, price: float) -> float:
-        """Total from which a compiled problem's policy best fails at this price, with room.
+        """Return the total from which failing is optimal at this price, with a margin.
 
-        As many units as the charge needs to settle where it grows no more from there.
+        If the charge is constant in the end, it is the total from which it is.
         """
         charge, settled = self.charge, self._settled_units()
         if charge.slope == 0.0:
@@ -781,7 +781,7 @@ class CompiledArrivalCost(_CompiledLayered):
         return max(settled, self._units(_MARGIN * charge.lossless(price)) + room)
 
     def refined(self, price: float) -> CompiledArrivalCost | None:
-        """The compiled problem with more layers: as its price asks, else twice as many."""
+        """Return the problem with the layers that the price requires, or twice as many."""
         here, charge = self.process.end, self.charge
         wanted = 2 * here
         if charge.settled is None:
@@ -796,13 +796,13 @@ class CompiledArrivalCost(_CompiledLayered):
             entries = (wanted + self.base.width) * self.base.n_nodes
             fits = here < wanted and entries <= MOST_ENTRIES
         elif not (fits := self._totals(wanted) is not None) and self.is_trial:
-            return self.charging(charge, here)  # the trial's table, for good
+            return self.charging(charge, here)  # keep the cap of the trial
         return self.charging(charge, wanted) if fits else None
 
     def charging(self, charge: Charge, cap: float | None = None) -> CompiledArrivalCost:
-        """The compiled problem with another charge and cap; shared work is done once.
+        """Return the problem with another charge and cap; common results are shared.
 
-        An exponential reward has tails of its own.
+        An exponential utility has other tails.
         """
         own = _OF_TAILS
         exponential = (isinstance(c, ExponentialUtility) for c in (charge, self.charge))
@@ -811,27 +811,27 @@ class CompiledArrivalCost(_CompiledLayered):
         return self._copy_with_results(replace(self, charge=charge, cap=cap), "process", *own)
 
     def safest(self) -> CompiledArrivalCost:
-        """The compiled problem restricted to the policies of least failure."""
+        """Return the problem restricted to the policies of least failure."""
         safest = replace(self, safest_only=True, cap=None)
         return self._copy_with_results(safest, "process", "base", *_OF_TAILS)
 
     def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledArrivalCost:
-        """The charged compiled problem with as many layers as the value function, [layers, nodes].
+        """Return the problem with as many layers as the value function, [layers, nodes].
 
         Args:
             values: the value function.
-            levels: totals of a policy found beside it, the last of which is the cap.
+            levels: layer totals of a policy found with it, of which the last is the cap.
 
         Raises:
-            ModelError: the array has fewer layers than the charge needs to settle.
+            ModelError: the array has too few or too many layers for the charge.
         """
         least = self._settled_units()
         if values.ndim != 2 or values.shape[0] < (1 if self.by_sums else least):
-            raise ModelError(f"a value function of {least} or more layers is needed")
+            raise ModelError(f"values of too few layers: pass an array of {least} or more layers")
         if not self.by_sums:
             return self.charging(self.charge, values.shape[0])
         cap, n_layers, end = least, values.shape[0], None
-        while self._totals(cap) is None:  # as far as there was room
+        while self._totals(cap) is None:  # as many as fitted
             check_time()
             cap *= _LOWER
         if levels is not None and levels[-1] >= cap:
@@ -841,13 +841,13 @@ class CompiledArrivalCost(_CompiledLayered):
         for _ in range(_DOUBLINGS):
             if (totals := self._totals(cap)) is None:
                 break
-            if totals.size >= n_layers:  # the greatest cap below which there are so many sums
+            if totals.size >= n_layers:  # the greatest cap with this number of sums
                 end = float(totals.values[n_layers])
             if totals.size > n_layers:
                 break
             cap *= 2.0
         if end is None:
-            raise ModelError("a value function of fewer layers is needed")
+            raise ModelError("values of too many layers: pass an array of fewer layers")
         return self.charging(self.charge, end)
 
 
@@ -855,23 +855,23 @@ ATTAINABLE = 1e-10
 """A bound this much below the least attainable total, relative to it, counts as equal to it."""
 
 _MOST_SWEPT = 400_000_000
-"""Pairs of all layers of a process that is not written out: a choice takes a byte for each node."""
+"""Most pairs of all layers without writing them out: a choice takes a byte for each node."""
 
-_WORTH_SWEEPING = 400  # entries of a layer from which pricing by layers pays
+_WORTH_SWEEPING = 400  # entries of a layer from which pricing by layers is faster
 
-_ROOM = 6_000_000  # pairs of a process on levels, each of which is priced many times
-_ROUGHLY = 0.5  # of the layers of a first attempt, those of a trial, which can be taken on
-_CLEARLY = 1e-9  # share of a budget, or of the success that it demands: more than rounding
+_ROOM = 6_000_000  # most pairs with layers that are not multiples of a unit
+_ROUGHLY = 0.5  # layers of a trial, in those of a first attempt
+_CLEARLY = 1e-9  # share of a budget, or of the goal it demands, that exceeds rounding
 _OWN = {"augmented", "explicit_pricing", "_pricing", "totals", "layers"}
-"""What depends on the charge, the cap or the resolution."""
+"""Cached results that depend on the charge, the cap or the resolution."""
 
 
 @dataclass(frozen=True, eq=False)
 class CompiledExplicit(CompiledProblem):
-    """Minimise a cost, failure and other quantities limited; a budget of None: at least failure.
+    """Minimise a cost with limits on failure and other quantities; budget None: least failure.
 
-    Without a charge this is case M (paper, section 3.1.2), nothing truncated. With one, arriving is
-    charged for the total cost (section 3.1.1), E[charge; goal], or E[charge | goal] as ``ratio``.
+    Without a charge this is case M (paper, section 3.1.2), without truncation. With a charge of the
+    total cost (section 3.1.1) the objective is E[charge; goal], or E[charge | goal] if ``ratio``.
     """
 
     model: SSP
@@ -885,18 +885,18 @@ class CompiledExplicit(CompiledProblem):
     ratio: bool = False
     cap: int | None = None  # layers; None: a first guess
     fixed_cap: float | None = None  # the user's cap on accumulated cost
-    exact_tails: bool = True  # beyond the cap of layers the best is done, not about the best
-    is_trial: bool = False  # its layers are a guess, to learn the price from
-    objective: UpperRow | None = None  # minimised in place of the cost; no charge then
-    resolution: Resolution | None = None  # totals that are no multiples of a unit
-    by_goal: bool = False  # success, as minus the goal, is counted in place of failing
+    exact_tails: bool = True  # optimal tails beyond the cap, not the better of two policies
+    is_trial: bool = False  # its layers are a guess to find the price
+    objective: UpperRow | None = None  # minimised instead of the cost; then without a charge
+    resolution: Resolution | None = None  # of layers that are not multiples of a unit
+    by_goal: bool = False  # the second reward is minus the goal probability instead of failure
 
-    is_whole: ClassVar[bool] = True  # other questions can be asked of the model as well
+    is_whole: ClassVar[bool] = True  # whether the model is in memory, for further computations
 
     def counting_rare_success(self, budget: float | None) -> Self:
-        """The compiled problem with success counted in place of failing where it is rare.
+        """Return the problem, with the goal as reward instead of failure if success is rare.
 
-        Nothing is then one minus a small number: not the goal, nor what a limit asks of an end.
+        This avoids cancellation in ``1 - failure`` and in limits on the probability of ends.
         """
         demanded = 0.0 if budget is None else demanded_goal(budget)
         side = tuple(row.by_digits for row in self.side)
@@ -907,19 +907,19 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def may_be_rare(self) -> bool:
-        """Whether rows alone may make success rare, which is not counted by itself yet."""
+        """Whether rows alone may make success rare while failure is the reward."""
         is_greatest = self.semantics.aim is Aim.GREATEST_GOAL and self.objective is None
         is_free = self.ratio and self.budget is not None and self._demanded == 0.0
         return (is_greatest or is_free) and not self.by_goal
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the compiled problem's rows: the failure row first, limited or not."""
+        """Names of the rows: first the failure row, limited or not."""
         return (FAILURE_ROW, *(row.name for row in self.side))
 
     @property
     def sense(self) -> ObjectiveSense:
-        """Sense of the compiled problem: how its minimum stands for the optimum asked for."""
+        """Relation between the minimum and the objective that the user asked for."""
         shift = 0.0 if self.charge is None else max(-self.charge.lowest, 0.0)
         if self.objective is not None:
             return ObjectiveSense(None, shift, self.objective.offset)
@@ -930,19 +930,19 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def wants_ends(self) -> bool:
-        """Whether the compiled problem's rows or objective ask for an end other than the goal."""
+        """Whether a row or the objective counts an end other than the goal."""
         rows = self.side if self.objective is None else (*self.side, self.objective)
         return any(row.condition.wants_ends for row in rows)
 
     @property
     def told(self) -> tuple[str, ...]:
-        """Words for the quantities that the compiled problem's rows bound."""
+        """Descriptions of the limited quantities, for messages."""
         ending = "- goal probability" if self.by_goal else FAILURE_ROW
         return (ending, *(row.told for row in self.side))
 
     @property
     def bounds(self) -> FloatArray:
-        """Bound of each of the compiled problem's rows; infinite: no limit, [rows]."""
+        """Bound of each row, [rows]; infinite: no limit."""
         granted, demanded = np.inf, self._demanded
         if self.budget is not None and demanded > 0.0:
             granted = -demanded if self.by_goal else max(self.budget, 0.0)
@@ -950,16 +950,16 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def _demanded(self) -> float:
-        """Goal probability that the compiled problem's budget demands; 0: none."""
+        """Least goal probability that the budget requires; 0: none."""
         return 0.0 if self.budget is None else max(demanded_goal(self.budget), 0.0)
 
     @cached_property
     def least(self) -> LeastFailure:
-        """The compiled problem's column of least failure; InfeasibleError: it breaks the budget."""
+        """The policy of least failure; InfeasibleError: it violates the budget."""
         return checked_least_failure(self, self.budget)
 
     def least_failure(self) -> LeastFailure:
-        """First column: greatest goal probability, then the least cost among its actions."""
+        """Return the policy of greatest goal probability, then of least cost."""
         how = self.model, self.start, self.semantics, self.discount
         self.check_sure()
         stage = label_failure(*how, self.greatest.usable)
@@ -978,10 +978,10 @@ class CompiledExplicit(CompiledProblem):
         )
 
     def check_sure(self) -> None:
-        """Check that the compiled problem's goal can be reached surely, if failing is forbidden.
+        """Check that the goal can be reached surely, if failing is forbidden.
 
         Raises:
-            InfeasibleError: it cannot.
+            InfeasibleError: no policy reaches the goal surely.
         """
         if not self.semantics.forbids_failing:
             return
@@ -995,26 +995,26 @@ class CompiledExplicit(CompiledProblem):
         if goal_out_of_reach(self.model, self.start):
             raise unreachable(self.model, self.start, 0.0, self.discount, words)
         raise InfeasibleError(
-            f"{words}; MCMP asks for the cheapest of the policies that fail least",
+            f"{words}; use MCMP for the cheapest of the policies that fail least",
             failure_budget=0.0,
             least_failure=self._least_failure_alone,
         )
 
     def _least_failure_alone(self) -> float:
-        """The compiled problem's least failure probability, for an error that is asked for it."""
-        with limited(READING, "the least failure probability was worked out"):
+        """Return the least failure probability, computed when an error is asked for it."""
+        with limited(READING, "the least failure probability was computed"):
             return max(1.0 - goal_reach.greatest_goal_from(self.model, self.start), 0.0)
 
     @property
     def limits_failure(self) -> bool:
-        """Whether the compiled problem has a failure budget that some policy may break."""
+        """Whether there is a failure budget that some policy may violate."""
         return self.budget is not None and self._demanded > 0.0
 
     def settled(self, *known: Column) -> CompiledExplicit:
-        """The compiled problem at least failure, where the budget does not exceed that.
+        """Return the problem of least failure if the budget does not exceed it, else this problem.
 
         Args:
-            known: columns, of which one may show that it does.
+            known: columns, of which one may lie clearly within the budget.
 
         Raises:
             InfeasibleError: the budget is below the least failure by more than rounding; case S,
@@ -1033,48 +1033,48 @@ class CompiledExplicit(CompiledProblem):
 
     @cached_property
     def greatest_goal(self) -> float:
-        """Upper bound of the compiled problem's goal probability, discounted where that is."""
+        """Upper bound of the goal probability, discounted under a discount."""
         reach = self.greatest
         return float(self.start @ np.maximum(reach.goal, reach.bound))
 
     @cached_property
     def greatest(self) -> goal_reach.GoalReach:
-        """The compiled problem's greatest goal probability from the start, and its pairs."""
+        """The greatest goal probability, and the pairs that attain it."""
         return goal_reach.greatest_goal_reach(self.model, self.survival, self.start)
 
     @cached_property
     def least_goal(self) -> float:
-        """Goal probability that every policy within the compiled problem's budget has at least."""
+        """Lower bound of the goal probability of every policy within the budget."""
         least = float(self.start @ self._least_goals)
         return max(self._demanded, least, 0.0)
 
     @cached_property
     def _least_goals(self) -> FloatArray:
-        """Goal probability that every policy of the compiled problem attains, [states]."""
+        """Lower bound of the goal probability of every policy, [states]."""
         if self.budget is None:
             return self.greatest.goal * (1.0 - ATTAINABLE)
         return goal_reach.least_goal_reach(self.model, self.survival).bound
 
     @cached_property
     def augmented(self) -> FailureLabelled | written_out.OpenEnded:
-        """The compiled problem's process, collapsed where it is free in all that is counted."""
+        """The process, with end components collapsed that are free in all rewards."""
         if self.charge is None:
             self.check_sure()
             usable = None if self.budget is not None else self.greatest.usable
             setting = self.start, self.semantics, self.discount, usable
             return label_failure(self.model, *setting, self.side, self.objective)
-        layers = self.layers  # checks that there is room
+        layers = self.layers  # checks the number of pairs
         how = self.base, self.charge, self.sense.shift, self.totals or self.base.totals(layers)
         return written_out.OpenEnded(*how, self.start, self._least_goals)
 
     @property
     def is_rounded(self) -> bool:
-        """Whether the compiled problem rounds totals: its policies are not the model's."""
+        """Whether totals are rounded, so that values differ from those on the model."""
         return self.totals is not None and not self.totals.exact
 
     @cached_property
     def totals(self) -> Totals | None:
-        """Totals that the compiled problem tells apart, where they are no multiples of a unit."""
+        """The layers' totals; None: multiples of a unit, or no charge."""
         if self.resolution is None or self.charge is None:
             return None
         first = written_out.first_total(self.charge, self.typical_cost)
@@ -1082,11 +1082,11 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def _room(self) -> int:
-        """Number of totals that a compiled problem with rows has room for."""
+        """Most layers that fit into memory."""
         return max(_ROOM // max(len(self.base.gain), 1), 2)  # levels
 
     def pricing(self) -> ExplicitPricing | OpenEndedPricing:
-        """The compiled problem's pricing with a price for each row: by layers where that pays.
+        """Return the pricing problem with a price for each row: by layers if this is faster.
 
         Raises:
             InfeasibleError: failing is forbidden and cannot be avoided.
@@ -1095,7 +1095,7 @@ class CompiledExplicit(CompiledProblem):
 
     @cached_property
     def _pricing(self) -> ExplicitPricing | OpenEndedPricing:
-        """The pricing problem, kept."""
+        """The pricing problem, cached."""
         layered = self.augmented
         if not isinstance(layered, written_out.OpenEnded) or not self._is_swept:
             return self.explicit_pricing
@@ -1105,14 +1105,14 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def _is_swept(self) -> bool:
-        """Whether the compiled problem prices layer by layer: large ones without free pairs."""
+        """Whether pricing is by layers: large processes without free pairs."""
         if self.charge is None or self.base.by_steps or self.base.instant.nnz > 0:
             return False
         return self.base.later.nnz >= _WORTH_SWEEPING
 
     @cached_property
     def explicit_pricing(self) -> ExplicitPricing:
-        """The compiled problem's pricing by policy iteration, with a price for each row."""
+        """The pricing problem by policy iteration, with a price for each row."""
         own = () if self.objective is None else (self.objective,)
         rows = self.row_coefficients((*own, *self.side))
         counted = rows.pop(0) if own else None
@@ -1123,14 +1123,14 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def _sure_choice(self) -> IntArray | None:
-        """The compiled problem's choice that surely reaches the goal; None: it may fail."""
+        """A choice that reaches the goal surely; None: failing is allowed."""
         augmented = self.augmented
         if not self.semantics.forbids_failing or isinstance(augmented, written_out.OpenEnded):
             return None
         return augmented.placed(surely_reaching(self.model)[2])
 
     def row_coefficients(self, rows: Sequence[UpperRow]) -> list[FloatArray]:
-        """Coefficients of the compiled problem's rows at each pair, [process pairs] each."""
+        """Return the coefficients of each row, [process pairs] each."""
         augmented = self.augmented
         if isinstance(augmented, written_out.OpenEnded):
             counting = augmented.counting(self.semantics)
@@ -1140,7 +1140,7 @@ class CompiledExplicit(CompiledProblem):
 
     @cached_property
     def base(self) -> AccumulatedCost:
-        """One layer of the compiled problem's process with rows."""
+        """One layer of the process."""
         return accumulate_cost(
             self.model,
             self.start,
@@ -1153,20 +1153,20 @@ class CompiledExplicit(CompiledProblem):
 
     @cached_property
     def typical_cost(self) -> float:
-        """Cost given success of the compiled problem's least failing policy, to size a table."""
+        """Cost given success of the policy of least failure, to choose a cap."""
         safest = goal_reach.cheapest_reach(self.model, self.greatest, self.survival).values
         return float(self.start @ safest.cost) / max(float(self.start @ safest.goal), 1e-300)
 
     @property
     def _cost_of_a_way(self) -> float:
-        """Cost given success of a policy that goes for the goal, to size a trial's table."""
+        """Cost given success of a policy to the goal, to choose the cap of a trial."""
         directed = goal_reach.goal_directed(self.model, self.survival).values
         cost, goal = float(self.start @ directed.cost), float(self.start @ directed.goal)
         return cost / max(goal, 1e-300)
 
     @cached_property
     def layers(self) -> int:
-        """Totals of the compiled problem; 1: none counted. ModelError: too many to write out."""
+        """Number of layers; 1 without a charge. ModelError: too many to write out."""
         if self.charge is None:
             return 1
         layers = self.cap if self.totals is None else self.totals.size
@@ -1177,9 +1177,9 @@ class CompiledExplicit(CompiledProblem):
         return layers
 
     def with_tails(self, *, exact: bool) -> CompiledExplicit:
-        """The compiled problem with what is best beyond its cap, or, to search fast, about that.
+        """Return the problem with optimal tails beyond its cap or, for speed, simple ones.
 
-        Where failing is best beyond the cap little hangs on it; elsewhere tails stay exact.
+        Tails become simple only if failing is optimal beyond the cap, where they matter little.
         """
         grows = self.charge is not None and self.charge.slope > 0.0
         if exact == self.exact_tails or not (exact or (grows and self._is_swept)):
@@ -1190,14 +1190,14 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def _most_pairs(self) -> int:
-        """Most pairs that the compiled problem's layers have room for together."""
+        """Most pairs of all layers together."""
         return _MOST_SWEPT if self._is_swept else written_out.MOST_WRITTEN
 
     def refined(self, price: float) -> CompiledExplicit | None:
-        """The compiled problem with more layers, or more digits if no total counts; None: no more.
+        """Return the problem with more layers or, in case M, precision; None: at its finest.
 
         Args:
-            price: what failing is worth, from which accumulated cost on it is best to fail.
+            price: price of failure, which is the accumulated cost from which failing is optimal.
         """
         if self.charge is None:
             if self.precise:
@@ -1229,30 +1229,30 @@ class CompiledExplicit(CompiledProblem):
         return self._copy_with_results(replace(self, cap=wanted, is_trial=False), *_OWN)
 
     def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledExplicit:
-        """The compiled problem with as many layers as a value function; or ModelError."""
+        """Return the problem with as many layers as a value function, or raise ModelError."""
         if self.charge is None or self.resolution is not None:
             return self
         nodes = self.base.n_nodes
         layers, odd = divmod(values.size - 1, nodes) if nodes else (2, values.size - 1)
         if values.ndim != 1 or odd or layers < 2:
-            raise ModelError("a value function of [(layers + 1) x nodes + 1] is needed")
+            raise ModelError("values of a wrong shape: pass an array of [(layers + 1) x nodes + 1]")
         return self._copy_with_results(replace(self, cap=layers - 1), *_OWN)
 
     def bounded(self, budget: float | None, side: tuple[UpperRow, ...]) -> CompiledExplicit:
-        """The same rows with other bounds: all else that is known of the process is handed on."""
+        """Return the problem with other bounds; results for the process are shared."""
         return self._copy_with_results(
             replace(self, budget=budget, side=side), "least", "least_goal"
         )
 
     def charging(self, charge: Charge) -> CompiledExplicit:
-        """The compiled problem with another charge, if its arrivals lie on the lattice of costs."""
+        """Return the problem with another charge, whose arrivals lie on the lattice of costs."""
         return self._copy_with_results(replace(self, charge=charge, cap=None), *_OWN)
 
     @property
     def n_columns(self) -> int:
-        """Pairs of the compiled problem's process."""
+        """Number of pairs of the process."""
         return self.augmented.process.n_pairs
 
     def explicit(self) -> ExplicitProcess:
-        """The compiled problem's process, which is written out already."""
+        """Return the process, which is explicit already."""
         return self.augmented.process

@@ -1,17 +1,17 @@
-"""The pricing problem of an explicit process: policy iteration over all its states.
+"""The pricing problem of an explicit process, solved by policy iteration.
 
-Where a row's price is 0, end components that cost nothing but that row are free in the pricing
-problem, and to stay in one for ever would be a policy of less priced cost than any that leaves.
-Such policies do not count: their expected total of that row is infinite. What is free is contracted
-(``processes.explicit_process``), and policy iteration never finds a policy that stays:
+If the price of a row is 0, end components that add to that row alone are free in the pricing
+problem: staying in one for ever would have a lower priced cost than any policy that leaves. Such
+policies are excluded, as their expected total of that row is infinite. Free end components are
+contracted (``processes.explicit_process``), and policy iteration never finds a policy that stays:
 
 Let v be the values of a policy that leaves, and pi a policy that takes a pair of strictly smaller
-``c + P v`` in some states and the first one's pair elsewhere, so that v >= c_pi + P_pi v. If pi had
-a closed class, with stationary distribution m, then m (v - c_pi - P_pi v) = -m c_pi <= 0, so that
-no pair of the class is a changed one, and the first policy would not leave: pi leaves. And where no
-pair is strictly smaller, v <= c_u + P_u v for every pair u, and iterating this along any policy
-that leaves shows that v bounds its priced cost from below. In exact numbers this needs no
-contraction; in rounded ones a cycle that costs nothing is a gain wherever rounding says so.
+``c + P v`` in some states and the pair of the first policy elsewhere, so that v >= c_pi + P_pi v.
+If pi had a closed class, with stationary distribution m, then m (v - c_pi - P_pi v) = -m c_pi <= 0,
+so that no pair of the class was changed, and the first policy would not leave: hence pi leaves. If
+no pair is strictly smaller, v <= c_u + P_u v for every pair u, and iterating this along any policy
+that leaves shows that v is a lower bound of its priced cost. In exact arithmetic this needs no
+contraction; in floating point, rounding can make a free cycle look like an improvement.
 """
 
 from __future__ import annotations
@@ -57,52 +57,52 @@ from ssp_lp.processes.explicit_process import (
 from ssp_lp.processes.failure_label import FailureLabelled
 
 LOST = 4.0 * MACHINE_EPSILON
-"""What rounding may take of a sum of a few terms, relative to these."""
+"""Relative rounding error of a sum of a few terms."""
 
 LARGEST = 1e150
-"""Prices and values beyond this are no numbers: products of two such overflow."""
+"""Prices and values beyond this count as infinite: products of two of them overflow."""
 
-_ROUNDED = 1e-13  # of what every episode pays: less than that is nothing
+_ROUNDED = 1e-13  # relative to the amount that every episode pays: smaller values are rounding
 _UNIT = np.ones(1)
 _NONE = Work()
 
 
 @dataclass(frozen=True, eq=False)
 class ExplicitPricing(PricingProblem):
-    """Minimises a process's cost at a price of failure, or at a weight of each thing counted.
+    """Minimises the cost of a process at a price of failure, or at a weight of each reward.
 
-    A price is the one number of ``PricingProblem``, or, where there are rows beside the failure
-    row, the weights of cost, failure and all rows, >= 0, [rewards].
+    A price is the number of ``PricingProblem`` or, with rows other than the failure row, the
+    weights of cost, failure and all rows, >= 0, [rewards].
     """
 
-    augmented: FailureLabelled | OpenEnded | LastLayer  # the process, and the way back to the model
+    augmented: FailureLabelled | OpenEnded | LastLayer  # the process, and its map to the model
     precise: bool = False  # compare pairs in twice the working precision
-    rows: tuple[FloatArray, ...] = ()  # [pairs] each: what is counted besides cost and failure
-    counted: FloatArray | None = None  # [pairs] in place of the process's cost
-    begun_from: IntArray | None = None  # [states] a policy that leaves, where one is known
-    by_goal: bool = False  # success, as minus the goal, is counted in place of failing
-    _known: dict[bytes, Contraction | None] = field(default_factory=dict)  # by what is priced
+    rows: tuple[FloatArray, ...] = ()  # [pairs] each: the rewards after cost and failure
+    counted: FloatArray | None = None  # [pairs] replaces the cost of the process
+    begun_from: IntArray | None = None  # [states] a known policy that leaves
+    by_goal: bool = False  # the second reward is minus the goal probability instead of failure
+    _known: dict[bytes, Contraction | None] = field(default_factory=dict)  # by the weights' support
 
-    no_gain: ClassVar[float] = 1e-14  # of a value, of another pair at a known policy: rounding
+    no_gain: ClassVar[float] = 1e-14  # relative improvement by another pair that is rounding
 
     @property
     def process(self) -> ExplicitProcess:
-        """The written-out process of explicit pricing."""
+        """The explicit process."""
         return self.augmented.process
 
     @cached_property
     def dynamics(self) -> Dynamics:
-        """Dynamics of the process of explicit pricing."""
+        """Dynamics of the process."""
         return self.process.dynamics
 
     @property
     def n_rewards(self) -> int:
-        """Number of rewards of explicit pricing: cost, failure and rows."""
+        """Number of rewards: cost, failure and one per row."""
         return 2 + len(self.rows)
 
     @cached_property
     def rewards(self) -> FloatArray:
-        """Rewards of each pair in explicit pricing, [pairs, rewards]: cost, failure and rows."""
+        """Rewards of each pair, [pairs, rewards]: cost, failure and rows."""
         process = self.process
         cost = process.cost if self.counted is None else self.counted
         ending = -process.goal if self.by_goal else process.failure
@@ -110,9 +110,9 @@ class ExplicitPricing(PricingProblem):
 
     @cached_property
     def _leaving(self) -> IntArray:
-        """A policy of explicit pricing that leaves from every state, goal first, [states].
+        """A policy that leaves from every state, to the goal if possible, [states].
 
-        Where there is little time the first policy may be the answer: it keeps off what is risky.
+        Under a time limit this policy may be the answer: it then avoids risk.
         """
         if self.begun_from is not None:
             return self.begun_from
@@ -121,26 +121,27 @@ class ExplicitPricing(PricingProblem):
 
     @property
     def value_shape(self) -> tuple[int, ...]:
-        """[states]: a value for each state of the explicit process."""
+        """[states] of the explicit process."""
         return (self.process.n_states,)
 
     def incumbent(self, reached: Any) -> Column | None:
-        """The column that explicit pricing's policy iteration had come to when it was stopped."""
+        """Return the column of the policy at which policy iteration was stopped."""
         return None if reached is None else self.measure(reached)
 
     def first(self) -> Column:
-        """Explicit pricing's first column: every step comes nearer to the goal, where it can."""
+        """Return the column of a policy that leaves and takes a shortest way to the goal."""
         return self._first
 
     @cached_property
     def _first(self) -> Column:
-        """The column of explicit pricing's leaving policy."""
+        """The column of the policy that leaves."""
         return self.measure(self._leaving)
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
-        """Explicit pricing: a column of least priced cost by policy iteration, measured exactly.
+        """Return a column of least priced cost, by policy iteration, evaluated exactly.
 
-        What is free at the price is contracted first: rounding would find policies that stay.
+        End components that are free at the price are contracted first: without this, rounding could
+        lead to policies that stay.
         """
         weights = pricing_weights(price)
         choice, guess = self._begun(weights, warm)
@@ -167,7 +168,7 @@ class ExplicitPricing(PricingProblem):
     def _begun(
         self, weights: FloatArray, warm: Sequence[Column | None]
     ) -> tuple[IntArray, FloatArray | None]:
-        """A policy for explicit pricing to start from, [states], and its totals, about."""
+        """Return a policy to start from, [states], and its approximate totals."""
         columns = [c for c in warm if c is not None and c.choice is not None]
         if not columns:
             return self._leaving, None
@@ -187,7 +188,7 @@ class ExplicitPricing(PricingProblem):
         return choice, np.stack(totals)[follows, np.arange(len(choice))]
 
     def contracted(self, weights: FloatArray) -> Contraction | None:
-        """The explicit process without what is free at the weights, kept; None: nothing is."""
+        """Return the process with free end components contracted, cached; None: there are none."""
         priced = weights != 0.0
         key = priced.tobytes()
         if key not in self._known:
@@ -196,7 +197,7 @@ class ExplicitPricing(PricingProblem):
         return self._known[key]
 
     def is_best(self, column: Column, weights: FloatArray) -> bool:
-        """Whether no pair gains on a known column of explicit pricing at other weights."""
+        """Return whether a column is optimal at other weights: no pair improves its values."""
         values = weighted(required(column.totals), weights)
         cost, held = weighted(self.rewards, weights), required(column.choice)
         backup = self.dynamics.back_up(cost, values, held)
@@ -206,29 +207,29 @@ class ExplicitPricing(PricingProblem):
     def measure(
         self, choice: IntArray, work: Work = _NONE, found_at: float | None = None
     ) -> Column:
-        """Exact totals of a policy in explicit pricing, by a sparse linear solve.
+        """Return the column of a policy, evaluated by a sparse linear solve.
 
         Args:
             choice: [states].
-            work: what finding it took.
-            found_at: a price at which no policy is worth less.
+            work: the work of finding it.
+            found_at: a price at which it is optimal.
         """
         totals = evaluate_policy(self.dynamics, choice, self.rewards)
         return self._column(choice, totals.values, work=work + Work(1, 0), found_at=found_at)
 
     def _column(self, choice: IntArray, totals: FloatArray, **more: Any) -> Column:
-        """A column of explicit pricing from its choice and its totals."""
+        """Return the column of a choice with these totals."""
         figures = expected(self.process.start, totals)
         return Column.of_figures(figures, choice, by_goal=self.by_goal, totals=totals, **more)
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
-        """Lower bound of explicit pricing by the values of a policy of least priced cost."""
+        """Prove a dual bound from the values of a policy of least priced cost."""
         column = best if best.totals is not None else self.minimise(price, best)
         values = weighted(required(column.totals), pricing_weights(price))
         return self.check(price, values, choice=column.choice)
 
     def prove_afresh(self, weights: FloatArray, warm: Column) -> Proof:
-        """Best lower bound of explicit pricing at weights that nothing has been priced at yet."""
+        """Minimise at new weights and prove the dual bound there."""
         values = weighted(required(self.minimise(weights, warm).totals), weights)
         return self.check(weights, values)
 
@@ -240,10 +241,10 @@ class ExplicitPricing(PricingProblem):
         slack: bool = False,
         choice: IntArray | None = None,
     ) -> Proof:
-        """Lower values, [states], to a checked sub-solution; with a policy of about these values.
+        """Lower values, [states], to a checked sub-solution, and return its bound.
 
         Raises:
-            ModelError: values of another shape.
+            ModelError: values have the wrong shape.
         """
         self.check_shape(values)
         weights = pricing_weights(price)
@@ -254,38 +255,38 @@ class ExplicitPricing(PricingProblem):
     def lowered(
         self, weights: FloatArray, values: FloatArray, choice: IntArray | None = None
     ) -> DualBound:
-        """Explicit pricing's weighted totals, lowered to a checked sub-solution.
+        """Lower weighted totals to a checked sub-solution.
 
         Args:
             weights: of the rewards, >= 0, [rewards].
-            values: near-optimal ones, [states].
-            choice: a policy of about these values, which leaves, [states].
+            values: near-optimal values, [states].
+            choice: a policy of about these values that leaves, [states].
         """
         priced = weighted(self.rewards, weights)
         size = weighted(np.abs(self.rewards), np.abs(weights))
         priced -= weighted_rounding(self.rewards, weights) * size  # a bound rounds down
-        values = np.where(np.abs(values) <= LARGEST, values, 0.0)  # 0: a bound, if a poor one
+        values = np.where(np.abs(values) <= LARGEST, values, 0.0)  # 0 is a weak bound
         floor = least_constant(self.process, priced) if self.by_goal or self.rows else 0.0
         return bound_of(self.process, self.contracted(weights), priced, values, floor, choice)
 
     def check_less(
         self, weights: FloatArray, ratio: float, paid: float, values: FloatArray
     ) -> float:
-        """Explicit pricing's certified bound at the start, less what every episode pays."""
+        """Return the certified bound at the start minus the amount that every episode pays."""
         return self.lowered_less(weights, ratio, paid, values).at(self.process.start)
 
     def lowered_less(
         self, weights: FloatArray, ratio: float, paid: float, values: FloatArray
     ) -> DualBound:
-        """Explicit pricing's checked sub-solution, less what every episode pays.
+        """Return a checked sub-solution of the totals minus the amount that every episode pays.
 
-        ``check`` says the same but for rounding; this is exact where nothing else is paid, and sums
-        what is left by itself, without taking one large number from another.
+        Up to rounding this is ``check`` minus ``paid``. Here the difference is summed directly,
+        without cancellation, and is exact if nothing else is paid.
 
         Args:
             weights: of the rewards, >= 0, without the ratio, [rewards].
-            ratio: what failing counts, and success earns here.
-            paid: on ending, whatever the end.
+            ratio: the price of failure in the ratio, here a reward of success.
+            paid: amount paid at every end.
             values: lower values of the weighted totals, [states].
         """
         process, cost, counted = self.process, self.augmented.own_cost, weights.copy()
@@ -298,15 +299,15 @@ class ExplicitPricing(PricingProblem):
         return bound_of(process, self.contracted(counted), left, values, floor)
 
     def pulled_back(self, column: Column) -> Policy:
-        """The policy of a choice of explicit pricing."""
+        """Return the policy of a column's choice, on the original states."""
         return self.augmented.policy(required(column.choice))
 
 
 def costs_less_earned(own: FloatArray, costs: FloatArray, earned: FloatArray) -> FloatArray:
-    """Costs of explicit pricing less what is earned, rounded down where a sum was, [pairs].
+    """Return ``costs - earned``, [pairs], rounded down where the difference is not exact.
 
     Args:
-        own: the only part of the costs that is exact by itself, [pairs].
+        own: the part of the costs that is exact, [pairs].
         costs: [pairs].
         earned: non-negative, [pairs].
     """
@@ -316,17 +317,17 @@ def costs_less_earned(own: FloatArray, costs: FloatArray, earned: FloatArray) ->
 
 
 def values_less_paid(values: FloatArray, paid: float) -> FloatArray:
-    """Explicit pricing's values less what all episodes pay, 0 where that is rounding, [states]."""
+    """Return ``values - paid``, [states], with differences of rounding size set to 0."""
     left = values - paid
     return np.where(np.abs(left) <= _ROUNDED * paid, 0.0, left)
 
 
 def _noise(weights: FloatArray, columns: Sequence[Column | None]) -> float:
-    """Gain in explicit pricing that is none: the rounding of costs that earnings cancel.
+    """Return the largest improvement that may be rounding, as costs and earnings cancel.
 
     Args:
         weights: of the rewards, [rewards].
-        columns: known ones, of which the first that is measured tells the size of what is added.
+        columns: known columns; the first that is evaluated gives the size of the summands.
     """
     measured = (column for column in columns if column is not None)
     known = next((column for column in measured if len(column.figures) == len(weights)), None)

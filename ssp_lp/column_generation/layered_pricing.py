@@ -1,12 +1,12 @@
-"""The pricing problems of accumulated cost by layers: backward sweeps, nothing written out.
+"""Pricing problems of layered processes, solved by backward sweeps over accumulated cost.
 
-:class:`LayeredPricing` limits failure alone; tails follow beyond the cap. :class:`OpenEndedPricing`
-has any rows: every step costs something, so that each layer follows from later ones, and beyond the
-cap lies one place with cycles of its own, where policy iteration says what is best; from there one
-sweep prices all layers, and measures what the choice takes of each row on the way.
+- :class:`LayeredPricing` limits failure alone; beyond the cap lie tails in closed form.
+- :class:`OpenEndedPricing` has any rows. Every step costs something, so that each layer depends on
+  later ones only. Beyond the cap lies one last layer with cycles, solved by policy iteration; one
+  sweep from there prices all layers and evaluates the choice in each row.
 
-A choice is the position of a pair among those of its node, [layers, nodes], in the smallest
-integers that hold it.
+A choice is the position of a pair among the pairs of its node, [layers, nodes], in the smallest
+integer type that holds it.
 """
 
 from __future__ import annotations
@@ -44,37 +44,37 @@ from ssp_lp.dynamic_programming.evaluation import evaluate_policy
 from ssp_lp.policies.policy import DeterministicPolicy, Policy
 
 _SAME = 1e-14
-"""Relative difference of values below which there is only rounding."""
+"""Relative difference of values that is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class LayeredPricing(PricingProblem):
-    """Column generation's pricing problem for case S; a choice has [cap, nodes]."""
+    """Pricing problem of a layered process with a failure row alone; a choice has [cap, nodes]."""
 
     process: LayeredProcess
-    by_goal: bool = False  # columns count success, as minus the goal, in place of failing
+    by_goal: bool = False  # the second reward is minus the goal probability instead of failure
 
     n_rewards: ClassVar[int] = 2
 
     def counting_success(self) -> LayeredPricing:
-        """The same with success in the columns: both are measured."""
+        """Return this pricing problem with minus the goal as second reward."""
         return replace(self, by_goal=True)
 
     @property
     def value_shape(self) -> tuple[int, ...]:
-        """[layers, nodes]: a value for each node in each priced layer."""
+        """[cap, nodes] of the layered process."""
         return self.process.cap, self.process.base.n_nodes
 
     @cached_property
     def sweep(self) -> Sweep:
-        """The sweeps of layered pricing over its process."""
+        """The backward sweeps over the process."""
         return Sweep.of_ends(self.process)
 
     def incumbent(self, reached: Any) -> Column | None:
-        """The best column of a layered pricing that was stopped, at a lower price of failure.
+        """Return the column of a stopped sweep, which is optimal at a lower price of failure.
 
-        Whoever begins in its last layer as if nothing had been paid does what is best at the price
-        less what the layer stands for. None where the charge is another one than the cost itself.
+        A policy that begins in the last swept layer with nothing paid is optimal at the price minus
+        the layer's total. None if the charge is not the cost itself.
         """
         if not isinstance(reached, PartOfSweep) or reached.layer == self.process.cap:
             return None
@@ -89,27 +89,27 @@ class LayeredPricing(PricingProblem):
 
     @property
     def covered(self) -> float:
-        """The total at the cap: the process is cut there, at whatever price."""
+        """Total of the last layer: one sweep prices all failure prices up to it; 0: it does not."""
         return float(self._paid[-1]) if self.is_shifted else 0.0
 
     @cached_property
     def is_shifted(self) -> bool:
-        """Whether beginning in a later layer is beginning at a lower price of failure."""
+        """Whether beginning in a later layer is equivalent to a lower price of failure."""
         return self.process.grows_evenly and not self.process.base.by_steps
 
     @property
     def _paid(self) -> FloatArray:
-        """What a price of failure falls by in each layer, [cap]."""
+        """Reduction of the price of failure in each layer, [cap]."""
         process = self.process
         return process.totals.values[: process.cap] / process.base.survival
 
     def _begun_in(self, layer: int, swept: Column, measures: FloatArray | None = None) -> Column:
-        """The column of beginning in a layer as if nothing had been paid.
+        """Return the column of an episode that begins in a layer with nothing paid.
 
         Args:
             layer: the layer.
-            swept: the column of beginning in the first one, as far as its choice is known.
-            measures: of the column; None: not known yet.
+            swept: the column of beginning in the first layer, with its choice from ``layer`` on.
+            measures: cost, failure and goal of the column; None: not known yet.
         """
         if layer == 0 and swept.by_layer is not None:
             return swept
@@ -126,10 +126,10 @@ class LayeredPricing(PricingProblem):
         return replace(column, choice=None, policy=policy, swept=swept)
 
     def beside(self, column: Column, row: FailureRow) -> tuple[Column, ...]:
-        """Columns of lower prices, next to the budget, that pricing a column found on its way.
+        """Return the columns of lower prices, next to the budget, that the column's sweep found.
 
-        One sweep prices every policy at its price less what each layer stands for. The best bound
-        among these prices lies next to the optimal one.
+        One sweep solves the pricing problem at its price minus the total of each layer. The best
+        dual bound among these prices lies next to the optimal price.
         """
         rest = column.by_layer
         if rest is None or column.choice is None or not (row.ratio and row.demanded > 0.0):
@@ -144,15 +144,14 @@ class LayeredPricing(PricingProblem):
         return replace(nearest, found_at=float(prices[best])), self._begun_in(other, column)
 
     def policy_failing(self, column: Column, failure: float, *, above: bool) -> Policy | None:
-        """Policy of a lower price, found on the way, that fails about as often as is asked for.
+        """Return a policy of about this failure, found by a column's sweep at a lower price.
 
-        How often follows from the slope of the least values by price, whose steps lie between two
-        layers.
+        The failure at each price is the slope of the least value as a function of the price.
 
         Args:
-            column: found by pricing, or on its way.
-            failure: the nearest one to it is taken.
-            above: whether it is to fail more rather than less.
+            column: found by pricing, or by its sweep.
+            failure: the policy next to this failure probability is taken.
+            above: whether the policy must fail more often rather than less often.
         """
         swept = column.swept or column
         if swept.by_layer is None or swept.choice is None:
@@ -166,12 +165,12 @@ class LayeredPricing(PricingProblem):
         return self._process_begun_in(layer).policy(swept.choice[layer:], price)
 
     def _process_begun_in(self, layer: int) -> LayeredProcess:
-        """The process of beginning in a layer as if nothing had been paid."""
+        """Return the process of an episode that begins in a layer with nothing paid."""
         totals = self.process.base.totals(self.process.cap - layer)
         return replace(self.process, totals=totals)
 
     def first(self) -> Column:
-        """Layered pricing's first column: the tail that goes for the goal, from the start on."""
+        """Return the column of the tail to the goal, followed from the start."""
         base, tails = self.process.base, self.process.tails
         if tails.guess is not None:
             guess = tails.guess[0], 1.0, tails.guess[1] + base.start_goal
@@ -185,11 +184,11 @@ class LayeredPricing(PricingProblem):
         return Column(*found, policy=policy, by_goal=self.by_goal)
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
-        """Layered pricing: a column of least ``E[charge; goal] + price * failure``."""
+        """Return a column of least ``E[charge; goal] + price * failure``."""
         failure_price = float(pricing_weights(price)[1])
         base, tails, choice = self.process.base, self.process.tails, self.sweep.room_for_choice()
         goal = tails.guess[1] if tails.guess else float(base.start @ tails.goal[0])
-        # where no policy probably succeeds success is counted rather than failure
+        # if success is improbable, use the form cost - price * goal
         failing = failure_price if goal + base.start_goal >= 0.5 else 0.0
         begun = np.full((self.process.cap, 4), np.nan) if self.is_shifted else None
         measures = self.sweep.minimise(at_price(self.sweep, failure_price, failing), choice, begun)
@@ -206,11 +205,11 @@ class LayeredPricing(PricingProblem):
         return replace(column, by_layer=begun)
 
     def measure(self, choice: IntArray, tail_price: float) -> Column:
-        """Exact E[cost; goal] and failure of a choice in layered pricing.
+        """Return the column of a choice, with its exact E[cost; goal] and failure.
 
         Args:
             choice: [cap, nodes].
-            tail_price: the price of failure by which tails are chosen beyond the cap.
+            tail_price: price of failure at which the tails beyond the cap are chosen.
         """
         measures = self.sweep.measure(choice, self.process.measures_beyond(tail_price))
         return self._column(measures, choice, tail_price, 0)
@@ -218,16 +217,16 @@ class LayeredPricing(PricingProblem):
     def _column(
         self, totals: FloatArray, choice: IntArray, tail_price: float, backups: int
     ) -> Column:
-        """The column of a layered choice: its charge, failure and goal from the start."""
+        """Return the column of a choice from its totals: charge, failure and goal."""
         base, work = self.process.base, bellman.Work(backups, self.process.cap)
         cost, failure, goal = totals.tolist()
-        failure = max(failure + base.start_failure, 0.0)  # verified: below it lies rounding
+        failure = max(failure + base.start_failure, 0.0)  # a negative value is rounding
         goal = max(goal + base.start_goal, 0.0)
         cost += self.process.start_charge
         return Column(cost, failure, goal, choice, tail_price, work=work, by_goal=self.by_goal)
 
     def aligned(self, column: Column, price: float) -> Column:
-        """A layered column with its tails chosen by this price, measured again."""
+        """Return the column with its tails chosen at this price, and evaluated."""
         if column.choice is None:
             return column
         here, there = self.process.threshold(column.tail_price), self.process.threshold(price)
@@ -236,19 +235,19 @@ class LayeredPricing(PricingProblem):
     def prove(
         self, price: float | FloatArray, best: Column | None = None, *, slack: bool = False
     ) -> Proof:
-        """Best lower bound of every column that layered pricing's sweep gives."""
+        """Prove the best dual bound of one sweep."""
         price = float(pricing_weights(price)[1])
         return self._proof(price, 0.0 if slack else price, self.anything)
 
     def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
-        """Lower layered values, [cap, nodes], to a checked sub-solution of the pricing problem.
+        """Lower values, [cap, nodes], to a checked sub-solution of the pricing problem.
 
-        The sweep starts from the lower bound beyond the cap and counts the rounding of every
-        backup against itself. Infinite values ask for the best that can be proved: then the choice
-        behind them is kept, where it can be followed.
+        The sweep starts from the lower bound beyond the cap and subtracts the rounding error of
+        every backup. Infinite values give the best bound; the proof then carries its choice, if
+        this can be followed.
 
         Raises:
-            ModelError: values of another shape.
+            ModelError: values have the wrong shape.
         """
         choice = None
         self.check_shape(values)
@@ -258,16 +257,16 @@ class LayeredPricing(PricingProblem):
         return self._proof(price, 0.0 if slack else price, values, choice)
 
     def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
-        """Most of layered pricing's bound that the cap costs: 0 where its tails are optimal.
+        """Return an upper bound of the loss of the dual bound by the cap; 0 if tails are optimal.
 
-        The difference, at the start, between the bound with the tail policies' own values beyond
-        the cap and the one with the lower bound there. It is no more than what the choice behind
-        the latter loses where it gets beyond the cap.
+        The loss is the difference at the start between the bound with the values of the tail
+        policies beyond the cap and the bound with the lower bound there. It is at most the loss of
+        the choice of the second bound: mass beyond the cap times the difference there.
 
         Args:
             price: of failure.
-            slack: as of :meth:`check`.
-            proof: what was proved at this price; where its bound is as high, that is all.
+            slack: as in :meth:`check`.
+            proof: a proof at this price; if its bound is as high, the loss is 0.
         """
         process, failing = self.process, 0.0 if slack else price
         tails = process.beyond_value(price, failing)
@@ -290,14 +289,14 @@ class LayeredPricing(PricingProblem):
     def _proof(
         self, price: float, failing: float, values: FloatArray, choice: IntArray | None = None
     ) -> Proof:
-        """Lower values layer by layer, from the bound beyond the cap."""
+        """Lower values layer by layer, starting from the bound beyond the cap."""
         priced = at_price(self.sweep, price, failing, bounds=True)
         bounds, kept = self.sweep.bound(priced, values, choice)
         work = bellman.Work(self.process.cap, 0)
         return Proof(price, failing, float(bounds[0]), kept, work, choice, by_layer=bounds)
 
     def pulled_back(self, column: Column) -> Policy:
-        """The cost-aware policy of a layered choice and its tails."""
+        """Return the cost-aware policy of a column's choice and its tails."""
         return self.process.policy(required(column.choice), column.tail_price)
 
 
@@ -305,55 +304,55 @@ class LayeredPricing(PricingProblem):
 class OpenEndedPricing(PricingProblem):
     """Minimises weighted totals of cost, failure and rows; see :class:`ExplicitPricing`.
 
-    Nothing in a layer is free, and totals are multiples of a unit.
+    No pair of a layer is free, and totals are multiples of a unit.
     """
 
     augmented: OpenEnded
     precise: bool  # compare pairs beyond the cap in twice the working precision
-    rows: tuple[tuple[FloatArray, float], ...]  # what is counted besides: [pairs], and at the start
-    by_goal: bool = False  # success, as minus the goal, is counted in place of failing
-    exact_tails: bool = True  # beyond the cap the best is done, not the better of two policies
+    rows: tuple[tuple[FloatArray, float], ...]  # further rewards: [pairs], at the start
+    by_goal: bool = False  # the second reward is minus the goal probability instead of failure
+    exact_tails: bool = True  # optimal tails beyond the cap, not the better of two policies
 
     @property
     def n_rewards(self) -> int:
-        """Number of rewards of layered pricing with rows: cost, failure and rows."""
+        """Number of rewards: cost, failure and one per row."""
         return 2 + len(self.rows)
 
     @property
     def value_shape(self) -> tuple[int, ...]:
-        """[layers * nodes + 1]: layered values as for the process written out."""
+        """[(cap + 1) * nodes + 1], as of the process written out."""
         return ((self.augmented.cap + 1) * self.augmented.n_nodes + 1,)
 
     @cached_property
     def _beyond(self) -> ExplicitPricing:
-        """The pricing problem of the open end beyond the layers."""
+        """The pricing problem of the last layer, beyond the cap."""
         rows = tuple(row for row, _ in self.rows)
         return ExplicitPricing(self.augmented.beyond, self.precise, rows, by_goal=self.by_goal)
 
     @cached_property
     def sweep(self) -> Sweep:
-        """The sweeps of layered pricing with rows."""
+        """The backward sweeps over the layers."""
         return open_sweep(self.augmented, [row for row, _ in self.rows], by_goal=self.by_goal)
 
     @cached_property
     def _at_source(self) -> FloatArray:
-        """Rewards of an episode before its first step in layered pricing, [rewards]."""
+        """Rewards of an episode before its first step, [rewards]."""
         layered = self.augmented
         cost = layered.start_charge + layered.shift_of_ends[1]
         ending = -layered.base.start_goal if self.by_goal else layered.base.start_failure
         return np.array([cost, ending, *(at for _, at in self.rows)])
 
     def first(self) -> Column:
-        """The policy that leaves the open end, whatever has been paid: nearer to the goal."""
+        """Return the column of the policy that leaves the last layer, followed in all layers."""
         return self._swept(self._beyond.first(), None)
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
-        """Layered pricing with rows: a column of least priced cost, measured exactly."""
+        """Return a column of least priced cost, evaluated exactly."""
         weights = pricing_weights(price)
         return self._swept(self._tail(weights, *warm), weights)
 
     def taken_on(self, columns: Sequence[Column]) -> list[Column]:
-        """Columns of fewer layers: in those that are new each follows its tail, as before."""
+        """Return columns of fewer layers, evaluated here: their tails fill the new layers."""
         first, tails, known = self.sweep.first_pairs, dict[Column | None, Column](), list[Column]()
         for column in columns:
             choice, old = required(column.choice), column.beyond
@@ -367,7 +366,7 @@ class OpenEndedPricing(PricingProblem):
         return known
 
     def true_cost(self, column: Column) -> float | None:
-        """Cost of a column with all that is paid beyond the cap, where the charge is a line."""
+        """Return the cost with the exact charge beyond the cap; None: it is not affine there."""
         layered, last = self.augmented, column.beyond
         if last is None or layered.shift > 0.0 or not layered.is_settled:
             return None
@@ -385,11 +384,11 @@ class OpenEndedPricing(PricingProblem):
         return float((figures + self._at_source)[0])
 
     def _swept(self, last: Column, weights: FloatArray | None) -> Column:
-        """A policy with its totals from the start, found layer by layer.
+        """Return the column that the sweep finds in front of a tail.
 
         Args:
-            last: what is done beyond the cap, with its totals.
-            weights: at which the best is done in each layer, [rewards]; None: always the same.
+            last: the tail beyond the cap, with its totals.
+            weights: of the rewards that the layers minimise, [rewards]; None: follow the tail.
         """
         totals, position = required(last.totals), required(last.choice) - self.sweep.first_pairs
         measures = ahead_of(self.augmented, totals)
@@ -399,9 +398,9 @@ class OpenEndedPricing(PricingProblem):
         return Column.of_figures(figures, choice, by_goal=self.by_goal, **kept)
 
     def _tail(self, weights: FloatArray, *warm: Column | None) -> Column:
-        """What is done beyond the cap at some weights: failing early or not, unless it is exact.
+        """Return the tail at the weights: optimal if exact, else the better of two policies.
 
-        Whether the limits can be kept, where no cost counts, is asked of all policies.
+        With weight 0 of the cost (phase 1: feasibility) it is always optimal.
         """
         if self.exact_tails or weights[0] == 0.0:
             return self._best_beyond(weights, *warm)
@@ -410,11 +409,11 @@ class OpenEndedPricing(PricingProblem):
 
     @cached_property
     def _fails_early(self) -> Column:
-        """What is cheapest beyond the cap where failing costs nothing."""
+        """The tail of least cost at price 0 of failure."""
         return self._beyond.minimise(np.eye(1, self.n_rewards)[0])
 
     def _best_beyond(self, weights: FloatArray, *warm: Column | None) -> Column:
-        """What is best beyond the cap at some weights: most often what was best before."""
+        """Return an optimal tail at the weights, a known one if possible."""
         known = [c.beyond for c in warm if c is not None and c.beyond is not None]
         for last in dict.fromkeys(known):
             if self._beyond.is_best(last, weights):
@@ -422,20 +421,20 @@ class OpenEndedPricing(PricingProblem):
         return self._beyond.minimise(weights, *known)
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
-        """Best lower bound that layered pricing's sweep with rows gives."""
+        """Prove the best dual bound of one sweep."""
         return self._proved(pricing_weights(price), self.anything, best)
 
     def check(self, price: float | FloatArray, values: FloatArray, *, slack: bool = False) -> Proof:
-        """Lower layered values, [states], to a checked sub-solution; infinite: the best.
+        """Lower values, [states], to a checked sub-solution; infinite values give the best.
 
         Raises:
-            ModelError: values of another shape.
+            ModelError: values have the wrong shape.
         """
         self.check_shape(values)
         return self._proved(pricing_weights(price), values, None)
 
     def _proved(self, weights: FloatArray, values: FloatArray, best: Column | None) -> Proof:
-        """Lower layered values to a proof; a policy that is best, or about, saves work."""
+        """Return the proof of lowered values; a (nearly) optimal policy saves work."""
         last = self._beyond.lowered(weights, self._asked_beyond(values, weights, best)).rounded
         beyond, price = ahead_of(self.augmented, last), float(weights[1])
         priced = at_weights(self.sweep, weights, beyond, bounds=True)
@@ -448,7 +447,7 @@ class OpenEndedPricing(PricingProblem):
     def check_less(
         self, weights: FloatArray, ratio: float, paid: float, values: FloatArray
     ) -> float:
-        """Layered pricing's certified bound at the start, less what every episode pays.
+        """Return the certified bound at the start minus the amount that every episode pays.
 
         See :meth:`ExplicitPricing.check_less`.
         """
@@ -461,11 +460,11 @@ class OpenEndedPricing(PricingProblem):
         amounts = [layered.start_charge, *self._at_source[1:].tolist(), base.start_goal]
         ended = tuple(zip(every.tolist(), amounts, strict=True))
         priced = priced._replace(floor=-paid, at_start=ended)
-        return self._lowered(self._less_paid, priced, self.anything, last)[0]  # as high as can be
+        return self._lowered(self._less_paid, priced, self.anything, last)[0]  # the best bound
 
     @cached_property
     def _less_paid(self) -> Sweep:
-        """The sweeps of layered pricing that count the goal, too, and nothing on top."""
+        """The sweeps with the goal as a further reward, and without the shift of ends."""
         goal = self.augmented.base.survival * self.augmented.base.gain
         counted = np.append(self.sweep.counted, goal[:, None], axis=1)
         return replace(self.sweep, counted=counted, on_top=None)
@@ -473,7 +472,7 @@ class OpenEndedPricing(PricingProblem):
     def _asked_beyond(
         self, values: FloatArray, weights: FloatArray, best: Column | None = None
     ) -> FloatArray:
-        """Values of layered pricing beyond the cap; if infinite, those of the best policy."""
+        """Return the values beyond the cap; if infinite, those of an optimal policy."""
         self.check_shape(values)
         beyond = values[self.augmented.cap * self.augmented.n_nodes : -1]
         if np.isfinite(beyond).all():
@@ -483,13 +482,13 @@ class OpenEndedPricing(PricingProblem):
     def _lowered(
         self, sweep: Sweep, priced: Priced, values: FloatArray, last: FloatArray
     ) -> tuple[float, FloatArray]:
-        """Layered pricing's bound at the start by lowered values, and these, [states].
+        """Return the bound at the start and the lowered values behind it, [states].
 
         Args:
             sweep: over the layers.
             priced: with lower bounds beyond the cap.
-            values: not to be exceeded, [states].
-            last: the bounds beyond the cap, [nodes].
+            values: upper limits of the lowered values, [states].
+            last: lower bounds beyond the cap, [nodes].
         """
         layered = self.augmented
         given = values[:-1].reshape(layered.cap + 1, layered.n_nodes)
@@ -500,18 +499,18 @@ class OpenEndedPricing(PricingProblem):
         return bound, np.concatenate([kept.ravel(), last, [bound]])
 
     def pulled_back(self, column: Column) -> Policy:
-        """The cost-aware policy of a layered choice with an open end."""
+        """Return the cost-aware policy of a column's choice."""
         chosen = self.augmented.base.pair_offsets[:-1] + required(column.choice)
         return self.augmented.policy(chosen.ravel())
 
 
 def open_sweep(table: OpenEnded, rows: Sequence[FloatArray], *, by_goal: bool) -> Sweep:
-    """The sweeps over an open-ended table that count failing, or minus the goal, and rows.
+    """Return the sweeps over an open-ended table for failure, or minus the goal, and rows.
 
     Args:
         table: the layers.
-        rows: what is counted besides, [pairs] each.
-        by_goal: whether minus the goal is counted.
+        rows: the further rewards, [pairs] each.
+        by_goal: whether minus the goal replaces failure.
     """
     base = table.base
     ending = -base.survival * base.gain if by_goal else base.failure
@@ -520,7 +519,7 @@ def open_sweep(table: OpenEnded, rows: Sequence[FloatArray], *, by_goal: bool) -
 
 
 def ahead_of(table: OpenEnded, beyond: FloatArray) -> FloatArray:
-    """What lies beyond a table's cap, in each layer that a step can reach, [layers, nodes, ...]."""
+    """Repeat values beyond the cap for each layer that a step can reach, [layers, nodes, ...]."""
     return np.broadcast_to(beyond, (table.base.width - 1, *beyond.shape))
 
 
@@ -531,14 +530,14 @@ def swept(
     totals: FloatArray,
     measures: FloatArray,
 ) -> tuple[IntArray, FloatArray]:
-    """A choice over an open-ended table, [layers + 1, nodes], and its measures, [rewards].
+    """Return a choice over an open-ended table, [layers + 1, nodes], and its totals, [rewards].
 
     Args:
         sweep: over the layers.
-        last: positions of the pairs that are taken beyond the cap, [nodes].
-        weights: at which the best is done in each layer, [rewards]; None: always the same.
-        totals: what is counted beyond the cap, at least, [nodes, rewards].
-        measures: the same as it is, in each layer there, [layers, nodes, rewards].
+        last: positions of the pairs taken beyond the cap, [nodes].
+        weights: of the rewards that the layers minimise, [rewards]; None: take ``last`` everywhere.
+        totals: lower bounds of the totals beyond the cap, [nodes, rewards].
+        measures: exact totals in each layer there, [layers, nodes, rewards].
     """
     choice = sweep.room_for_choice(sweep.process.cap + 1)
     choice[-1 if weights is not None else slice(None)] = last

@@ -1,24 +1,27 @@
-"""The restricted master of column generation with several rows: a tiny program over known policies.
+"""The restricted master with several rows: a small linear program over the known columns.
 
     minimise    sum_j w_j cost_j  (+ sum_k e_k)
     subject to  sum_j w_j (activity_kj - bound_k) (- scale_k e_k) <= 0
                 sum_j w_j = 1,   w, e >= 0
 
-As the weights sum to one, bounds are subtracted from the activities: what tells policies near a
-bound apart is not lost in the size of the bound. With ``elastic`` the e_k measure by how much rows
-are violated, in units of their scales, and costs are left out (phase 1).
+As the weights sum to one, the bounds are subtracted from the activities, so that small differences
+between policies near a large bound are kept. With ``elastic`` the e_k measure the violation of the
+rows in units of their scales, and costs are left out (phase 1).
 
-The simplex method begins at one policy. The cheapest with the slacks of all rows is a basis whose
-prices are 0 and at which nothing is worth entering: dual steps follow until no weight is negative.
-Elastic, the least violating policy with the excesses of the rows that it breaks is a basis without
-negative values: primal steps follow. Whatever rounding spoils, steps of the other kind repair. A
-basis has one variable more than there are rows, so that each step inverts it afresh, and tells a 0
-from its rounding. Where steps lead in a circle others enter first; should rounding alone lead on,
-the basis that lacks least is taken.
+The simplex method starts from one policy:
 
-Both sides of what that ends with are checked: every row holds to a share of its own bound, and no
-policy is worth less at the prices. Where one is not so, a limit being tiny beside what policies
-take, steps go on from that basis in fractions, until both are so.
+- The cheapest policy with the slacks of all rows is a dual feasible basis with prices 0: dual steps
+  follow until no weight is negative.
+- If elastic, the policy of least violation with the excesses of the rows that it violates is a
+  primal feasible basis: primal steps follow.
+
+Steps of the other kind repair infeasibility caused by rounding. A basis has one variable more than
+there are rows, so each step recomputes its inverse. If steps cycle, the preference of the entering
+variable changes; if cycling continues, the basis of least infeasibility is taken.
+
+The final basis is checked for primal feasibility, relative to each bound, and for dual feasibility.
+If either fails, because a limit is tiny compared with the activities, exact steps in fractions
+continue from that basis.
 """
 
 from __future__ import annotations
@@ -33,24 +36,24 @@ from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray
 from ssp_lp.errors import SolverError
 
 _NEGATIVE = 1e-14
-"""A basic weight this far below 0, over the policy's greatest entry, is the rounding of a 0."""
+"""Tolerance of a negative basic weight, divided by the policy's largest entry."""
 
 _BROKEN = 4.0 * MACHINE_EPSILON
-"""A row that is violated by so much of its scale is met but for rounding."""
+"""Feasibility tolerance of a row, relative to its scale."""
 
-_TIED = 1e-14  # of the numbers that a reduced cost is made of: then it is 0
-_PIVOT = 1e-13  # of the numbers that an entry is made of: then it is 0
-_CIRCLES = 10  # of bases, in each of which others enter first, after which rounding alone leads on
-_GOLDEN = 0.618  # whose multiples are spread evenly: what enters first in a circle
+_TIED = 1e-14  # relative to its summands: a smaller reduced cost is 0
+_PIVOT = 1e-13  # relative to its summands: a smaller pivot is 0
+_CIRCLES = 10  # most cycles of bases, each with other entering variables preferred
+_GOLDEN = 0.618  # its multiples mod 1 are spread evenly: preferences of entering variables
 
 _KEPT = 1e-13
-"""Share of a row's bound by which an answer in floating point may exceed it; of a value, by which
-its two sides may differ: a tenth of what is promised."""
+"""Relative tolerance in floating point: of a row's bound, and between primal and dual value. A
+tenth of the library's tolerance."""
 
 _ROOM = 4.0 * MACHINE_EPSILON
-"""Share of a bound that counts as none in fractions: policies' totals are rounded sums."""
+"""Relative tolerance of a bound in fractions, as the policies' totals are rounded sums."""
 
-_MOST_STEPS = 10_000  # in fractions, which no rounding leads in a circle
+_MOST_STEPS = 10_000  # in fractions, where Bland's rule excludes cycles
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,19 +73,19 @@ def solve_master(
 
     Args:
         cost: [columns].
-        activity: what each policy takes of each row, [rows, columns].
+        activity: value of each policy in each row, [rows, columns].
         bounds: [rows].
-        scales: size of each row's numbers, > 0, [rows].
+        scales: magnitude of each row, > 0, [rows].
         elastic: minimise the violation instead of the cost.
 
     Raises:
-        SolverError: numbers so far apart that a basis is singular.
+        SolverError: a basis is singular, as its numbers differ too much in size.
     """
     n_rows, n_columns = activity.shape
     cost = np.zeros(n_columns) if elastic else cost
     unit = float(np.abs(cost).max(initial=0.0)) or 1.0
     beyond, units = activity - bounds[:, None], scales
-    if not elastic:  # how far from its bound the policies take each row at most
+    if not elastic:  # largest distance of the activities from each bound
         spread = np.abs(beyond).max(axis=1, initial=0.0)
         units = np.where(spread > MACHINE_EPSILON * scales, spread, scales)
     beyond = beyond / units[:, None]
@@ -110,7 +113,7 @@ def solve_master(
 
 @dataclass(frozen=True, eq=False)
 class _Program:
-    """The restricted master as it is stated. Variables: policies, excesses if elastic, slacks."""
+    """The restricted master, unscaled. Variables: policies, excesses if elastic, slacks."""
 
     cost: FloatArray  # [columns]
     activity: FloatArray  # [rows, columns]
@@ -119,12 +122,12 @@ class _Program:
     elastic: bool
 
     def optimum(self, weights: FloatArray, prices: FloatArray, excess: FloatArray) -> MasterOptimum:
-        """The restricted master's optimum with its value."""
+        """Return the weights, prices and excesses with their objective value."""
         value = float(excess.sum()) if self.elastic else float(self.cost @ weights)
         return MasterOptimum(value, weights, prices, excess)
 
     def is_settled(self, optimum: MasterOptimum) -> bool:
-        """Whether both sides of the restricted master's optimum hold, each in its own size."""
+        """Return whether an optimum is primal and dual feasible, each relative to its size."""
         weights, prices = optimum.weights, optimum.prices
         over = self.activity @ weights - self.bounds - optimum.excess * self.scales
         if not (over <= _KEPT * np.abs(self.bounds)).all():
@@ -135,7 +138,7 @@ class _Program:
         return bool(optimum.value - least <= _KEPT * abs(optimum.value))
 
     def solved_in_fractions(self, basis: list[int]) -> MasterOptimum | None:
-        """The restricted master's optimum by steps in fractions; None: no lottery is within.
+        """Solve the program by simplex steps in fractions; None: it is infeasible.
 
         Args:
             basis: variables to begin with, [rows + 1].
@@ -152,7 +155,7 @@ class _Program:
         stated = _ExactSimplex(self._entries(self.bounds), exact.cost).values(final)
         values = np.zeros(len(exact.cost))
         values[final] = [float(max(each, Fraction(0))) for each in stated]
-        if min(stated) < 0:  # by the room alone, if what is left keeps to that
+        if min(stated) < 0:  # feasible within the tolerance only: clip at 0 if that stays feasible
             left = values[:n_columns] / values[:n_columns].sum()
             excess = values[n_columns : n_columns + n_rows] * self.elastic
             if (self.activity @ left - excess * self.scales > granted).any():
@@ -163,12 +166,12 @@ class _Program:
         return self.optimum(weights / weights.sum(), prices, excess)
 
     def _entries(self, bounds: FloatArray) -> list[list[Fraction]]:
-        """Entries of the restricted master's variables in its rows, [variables][rows + 1]."""
+        """Return the entries of the variables in the rows, [variables][rows + 1]."""
         n_rows, zero, one = len(bounds), Fraction(0), Fraction(1)
         limits = [Fraction(bound) for bound in bounds.tolist()]
 
         def unit(row: int, entry: Fraction) -> list[Fraction]:
-            """A column with one entry."""
+            """Return a unit vector times a number."""
             return [entry if k == row else zero for k in range(n_rows + 1)]
 
         entries = [
@@ -180,13 +183,13 @@ class _Program:
         return entries + [unit(k, one) for k in range(n_rows)]
 
     def _costs(self) -> list[Fraction]:
-        """Costs of the restricted master's variables, [variables]."""
+        """Return the costs of the variables, [variables]."""
         n_rows = len(self.bounds)
         costs = [Fraction(c) for c in self.cost.tolist()] + [Fraction(1)] * (n_rows * self.elastic)
         return costs + [Fraction(0)] * n_rows
 
     def _first_basis(self, granted: FloatArray) -> list[int]:
-        """The basis of one policy that steps in fractions begin with, [rows + 1]."""
+        """Return the starting basis of one policy with slacks or excesses, [rows + 1]."""
         n_rows, n_columns = self.activity.shape
         beyond = self.activity - granted[:, None]
         over = (np.maximum(beyond, 0.0) / self.scales[:, None]).sum(axis=0)
@@ -196,26 +199,26 @@ class _Program:
 
 
 class _ExactSimplex:
-    """Simplex steps in fractions: min ``cost @ x``, the entries' sum being (0, ..., 0, 1), x >= 0.
+    """Simplex in fractions: min ``cost @ x``, ``entries.T @ x == (0, ..., 0, 1)``, x >= 0.
 
-    Of the variables that may enter or leave the first one is taken (Bland), so that steps end.
+    The first variable that may enter or leave is taken (Bland's rule), so that the steps end.
     """
 
     def __init__(self, entries: Sequence[Sequence[Fraction]], cost: Sequence[Fraction]) -> None:
-        """Keep the entries, [variables][rows], and the costs, [variables]."""
+        """Store the entries, [variables][rows], and the costs, [variables]."""
         self.entries, self.cost = entries, cost
 
     def values(self, basis: Sequence[int]) -> list[Fraction]:
-        """Values of the basic variables, [rows]."""
+        """Return the values of the basic variables, [rows]."""
         rows = list(zip(*(self.entries[j] for j in basis), strict=True))
         return _solved(rows, [Fraction(int(k == len(rows) - 1)) for k in range(len(rows))])
 
     def duals(self, basis: Sequence[int]) -> list[Fraction]:
-        """Duals of the rows, [rows]."""
+        """Return the duals of the rows, [rows]."""
         return _solved([self.entries[j] for j in basis], [self.cost[j] for j in basis])
 
     def solved(self, basis: Sequence[int]) -> list[int] | None:
-        """An optimal basis; None: there is none, or the first one is of neither kind."""
+        """Return an optimal basis; None: none exists, or the first is feasible on no side."""
         basis = list(basis)
         for _ in range(_MOST_STEPS):
             try:
@@ -252,17 +255,17 @@ class _ExactSimplex:
         return None
 
     def _variables(self) -> zip[tuple[Fraction, Sequence[Fraction]]]:
-        """Cost and entries of each variable in turn."""
+        """Return pairs of cost and entries, one for each variable."""
         return zip(self.cost, self.entries, strict=True)
 
 
 def _dot(one: Sequence[Fraction], other: Sequence[Fraction]) -> Fraction:
-    """Product of two exact vectors, zeros being left out."""
+    """Return the scalar product of two exact vectors."""
     return sum((a * b for a, b in zip(one, other, strict=True) if a and b), Fraction(0))
 
 
 def _solved(rows: Sequence[Sequence[Fraction]], right: Sequence[Fraction]) -> list[Fraction]:
-    """Solution of equations in fractions; ZeroDivisionError: they are singular."""
+    """Solve linear equations in fractions; ZeroDivisionError: they are singular."""
     table = [[*row, b] for row, b in zip(rows, right, strict=True)]
     for k in range(len(table)):
         pivot = next((i for i in range(k, len(table)) if table[i][k]), k)
@@ -278,14 +281,14 @@ def _solved(rows: Sequence[Sequence[Fraction]], right: Sequence[Fraction]) -> li
 def _by_simplex(
     cost: FloatArray, matrix: FloatArray, basis: IntArray, rounding: FloatArray, noise: FloatArray
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Simplex on the restricted master: min ``cost @ x``, ``matrix @ x == (0, ..., 0, 1)``, x >= 0.
+    """Simplex in floating point: min ``cost @ x``, ``matrix @ x == (0, ..., 0, 1)``, x >= 0.
 
     Args:
         cost: [variables].
         matrix: [rows, variables].
-        basis: variables to begin with, [rows]; moved on.
-        rounding: a value so far below 0 is a 0, [variables].
-        noise: of an entry, from what it is the difference of, [rows].
+        basis: starting basis, [rows]; updated in place.
+        rounding: tolerance of negative values, [variables].
+        noise: rounding error of the entries of each row, [rows].
 
     Returns:
         The optimal values, [variables], the rows' duals, [rows], and the basis, [rows].
@@ -301,7 +304,7 @@ def _by_simplex(
         try:
             inverse = np.asarray(np.linalg.inv(square), dtype=np.float64)
         except np.linalg.LinAlgError as error:
-            raise SolverError("the master program's basis is singular") from error
+            raise SolverError("a basis of the restricted master is singular") from error
         values, x = _refined(inverse, square, right), np.zeros(cost.size)
         x[basis] = np.maximum(values, 0.0)
         dual = _refined(inverse.T, square.T, cost[basis])
@@ -335,12 +338,12 @@ def _by_simplex(
 
 
 def _least_ratio(over: FloatArray, under: FloatArray, able: BoolArray) -> int:
-    """Ratio test of the restricted master's simplex: of equal ratios the largest divisor."""
+    """Ratio test: return the index of the least ratio; among ties, of the largest divisor."""
     ratio = np.where(able, np.maximum(over, 0.0), np.inf) / np.where(able, under, 1.0)
     return int(np.lexsort((-under, ratio))[0])
 
 
 def _refined(inverse: FloatArray, square: FloatArray, right: FloatArray) -> FloatArray:
-    """Dense solve of the restricted master's basis, with one step of refinement."""
+    """Return ``inverse @ right`` with one step of iterative refinement."""
     x = inverse @ right
     return np.asarray(x + inverse @ (right - square @ x))

@@ -1,34 +1,33 @@
 """Column generation (Dantzig-Wolfe) over deterministic policies.
 
-1. The **restricted master** mixes the known columns into the best lottery within the limits; its
-   duals are prices of the limits.
-2. The **pricing problem** finds a policy of least cost plus priced limits: the column of least
-   **reduced cost** (``minimise`` of a :class:`~ssp_lp.column_generation.column.PricingProblem`).
-3. Where that lies below the master's own valuation it enters; else the search **stops**: the least
-   priced cost, less what the limits allow at these prices, is a lower bound of the optimum
-   (Lagrange).
+1. The **restricted master** finds the best lottery of known columns within the limits; its duals
+   are the prices of the limits.
+2. The **pricing problem** finds the policy that minimises cost plus priced limits: the column of
+   least **reduced cost** (``minimise`` of a
+   :class:`~ssp_lp.column_generation.column.PricingProblem`).
+3. A column of negative reduced cost enters the master. Without one the search **stops**: the least
+   priced cost minus the sum of price times bound is a lower bound of the optimum (Lagrange).
 
-:func:`generate` is that loop, on a :class:`Master` of any number of limits.
+:func:`generate` is this loop, on a :class:`Master` of any number of limits.
 
 **One limit.** The optimum of the master lies on an edge of the lower convex hull of the points
-(what is limited, cost): its closed form is the **secant** through a column within the limit and one
-beyond it, and the price is its slope. All other columns can be forgotten.
+(limited quantity, cost): it is the **secant** through a column that satisfies the limit and one
+that violates it, and the price is its slope. All other columns can be dropped.
 
 **Two or more limits.** The master is a small linear program (``restricted_master``). Far from the
-optimum its prices zig-zag, so that pricing happens in between them and the best prices known
-(Wentges 1997, "Weighted Dantzig-Wolfe decomposition"); where that finds nothing new, at the
-master's prices themselves. Phase 1 is the same search with the violation of the limits in place of
-the cost.
+optimum its prices zig-zag. Pricing therefore uses a mean of the master's prices and the best known
+prices (Wentges 1997, "Weighted Dantzig-Wolfe decomposition"), and the master's prices themselves
+if the mean gives no new column. Phase 1 is the same search, minimising the violation of the limits
+instead of the cost.
 
 **Given success** (case S) the objective is the ratio ``cost / goal`` (paper, eq. s3p_gamma_j_obj).
-Between two pricing calls the master minimises ``cost + ratio * failure``, the ratio being what its
-lottery attains, until that falls no more (Dinkelbach 1967).
+Between two pricing calls the master minimises ``cost + ratio * failure`` with the ratio of its
+last lottery, until the ratio stops falling (Dinkelbach 1967).
 
-**First columns within one limit** lie on both sides of it, and are found by pricing alone. The
-cheapest policy of least failure takes two stages to find. A search does not need it: any policy
-that keeps to the budget will do to begin with, and one is found at a steep price of failure, if not
-at the first guess then at a steeper one. Only where that fails, because the budget is near the
-least failure or below it, is the least failure itself worked out.
+**The first columns of one limit** lie on both sides of it and are found by pricing alone: a high
+price of failure gives a policy that satisfies the budget, and the price rises until one does.
+The least failure itself, which takes two stages, is computed only if this fails because the budget
+is near the least failure or below it.
 """
 
 from __future__ import annotations
@@ -58,66 +57,66 @@ from ssp_lp.errors import ModelError
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 
-_NEVER = 1e-14  # a goal probability that is the rounding of none
+_NEVER = 1e-14  # a goal probability this small is a rounded 0
 
 
 @dataclass(frozen=True, eq=False)
 class Generated:
-    """Result of the loop: the best lottery over columns, and the prices that prove it."""
+    """Result of column generation: the best lottery of columns, and the prices of its bound."""
 
     columns: tuple[Column, ...]
     weights: FloatArray  # [columns]
-    prices: FloatArray  # [limits] at which the bound holds
-    ratio: float  # case S: at which the bound holds
-    objective: float  # of the lottery; in phase 1 by how much it violates the limits
+    prices: FloatArray  # [limits] at which the bound was computed
+    ratio: float  # case S: the ratio at which the bound was computed
+    objective: float  # of the lottery; in phase 1 the violation of the limits
     lower_bound: float  # of the optimum
     finished: bool  # false: stopped by the time limit
-    values: FloatArray | None = None  # the checked sub-solution, where the bound is certified
+    values: FloatArray | None = None  # the checked sub-solution, if the bound is certified
     excess: FloatArray = field(default_factory=partial(np.zeros, 0))
     """Phase 1: the violation in units of the limits' scales, [limits]."""
 
     @property
     def price(self) -> float:
-        """Price of failing: that of the first limit, in case S with the ratio."""
+        """Price of failure: the price of the first limit, in case S plus the ratio."""
         return float(self.prices[:1].sum()) + self.ratio
 
     @property
     def figures(self) -> FloatArray:
-        """Rewards of column generation's lottery, [rewards]: cost, failure and limits."""
+        """Expected rewards of the lottery, [rewards]: cost, failure and limits."""
         if len(self.columns) == 1:
             return self.columns[0].figures
         return np.asarray(self.weights @ np.stack([column.figures for column in self.columns]))
 
     @property
     def failure(self) -> float:
-        """Failure of column generation's lottery."""
+        """Failure probability of the lottery."""
         return float(self.weights @ [column.failure for column in self.columns])
 
     @property
     def goal(self) -> float:
-        """Goal probability of column generation's lottery.
+        """Goal probability of the lottery.
 
-        Summed over the members' own goal probabilities, which are exact where the sum is small.
+        It is the weighted sum of the members' goal probabilities, so that a small one is exact.
         """
         return float(self.weights @ [column.goal for column in self.columns])
 
     @property
     def given_success(self) -> float:
-        """Cost given success of column generation's lottery; infinite where there is none."""
+        """Expected cost given success; infinite if the goal probability is 0."""
         goal, never = self.goal, 0.0 if self.columns[0].by_goal else _NEVER
         return float(self.figures[0]) / goal if goal > never else np.inf
 
     def lottery(self, pricing: PricingProblem) -> MixedPolicy:
-        """Column generation's lottery over policies of the model."""
+        """Return the lottery over policies of the model."""
         return MixedPolicy(tuple(pricing.policy(column) for column in self.columns), self.weights)
 
 
 def generate(master: Master, options: SolveOptions) -> Generated:
-    """Column generation: add columns until none is worth having, or time is up.
+    """Add columns until none has a negative reduced cost, or the time limit is reached.
 
     Args:
-        master: where to begin; it moves on.
-        options: tolerance, deadline, and who is told after each pricing call.
+        master: the first restricted master; updated in place.
+        options: tolerance, deadline and progress callback, called after each pricing call.
     """
     begun, finished = master.pool.calls, False
     with deadline.WithIncumbent():
@@ -144,62 +143,63 @@ def generate(master: Master, options: SolveOptions) -> Generated:
     )
 
 
-_SHARE = 0.25  # of a search that its bounds on the way may take
-_LONG = 0.1  # seconds of a pricing call, below which its proof can wait for the end
+_SHARE = 0.25  # share of the search time for intermediate proofs
+_LONG = 0.1  # seconds; a shorter pricing call is proved at the end only
 _MOST_ROUNDS = 2_000
-_NEAR = 0.1  # of the gap that is asked for: a reduced cost that is not worth a further column
+_NEAR = 0.1  # of the tolerance: a smaller reduced cost does not justify a column
 _RATIOS = 40  # steps of Dinkelbach's iteration between two pricing calls
 _SETTLED = 1e-14  # relative change of a ratio that is rounding
-_STEEP_RATIO = 1e3  # factor of a ratio at which no lottery reaches the goal
-_STEEPEST = 1e15  # times the first ratio: then no lottery does
-_SAME_COST = 1e-15  # relative; a weight so far below 1 is 1
-_SAME_FAILURE = 1e-15  # of columns, one of which is the other, found again
-_SAME_SMALL = 1e-14  # the same, relative to failures that are small and to goals that are rare
-_IN_BETWEEN = 0.5  # share of the best known prices in those that are tried
-_SLIGHT = 1e-6  # worth of a limit, relative to the objective, that a price in between may neglect
-_ROUNDING = 1e-15  # relative, of weighted totals
+_STEEP_RATIO = 1e3  # factor of the ratio while no lottery reaches the goal
+_STEEPEST = 1e15  # times the first ratio: no lottery reaches the goal at all
+_SAME_COST = 1e-15  # relative difference of cost between equal columns
+_SAME_FAILURE = 1e-15  # absolute difference of failure between equal columns
+_SAME_SMALL = 1e-14  # the same, relative to a small failure or a rare goal
+_IN_BETWEEN = 0.5  # weight of the best known prices in the mean
+_SLIGHT = 1e-6  # worth of a limit, relative to the objective, below which the mean drops its price
+_ROUNDING = 1e-15  # relative rounding error of weighted totals
 _FEASIBLE = 1e-15
-"""Sum of the limits' violations, relative to their sizes, that is no more than rounding."""
+"""Feasibility tolerance: sum of the violations, each relative to its scale."""
 _MET = 4.0 * MACHINE_EPSILON
-"""Share of a bound by which a column may seem to miss a limit that it satisfies."""
+"""Feasibility tolerance of one limit, relative to its bound."""
 
 
 @dataclass(eq=False)
 class Master:
-    """The restricted master over a pool, some lottery over which satisfies the limits.
+    """The restricted master over a pool of columns that can satisfy the limits.
 
-    Elastic: it minimises the violation of the limits, each relative to its scale, not the cost.
+    If elastic (phase 1), it minimises the violation of the limits, each relative to its scale,
+    instead of the cost.
     """
 
     pool: Pool
-    rows: Rows  # in case S with the ratio that the lottery attains
-    prices: FloatArray  # [limits] the best that are known, or thought to be good
-    bound: float = 0.0  # of the optimum at these prices, uncertified
+    rows: Rows  # in case S with the ratio of the lottery
+    prices: FloatArray  # [limits] best known prices, or a guess
+    bound: float = 0.0  # lower bound of the optimum at these prices, not certified
     elastic: bool = False
     given_success: bool = False
-    luck: float = 0.0  # a goal probability that is the rounding of none
-    limit: FailureRow | None = None  # where failure alone is limited: proves bounds on the way
+    luck: float = 0.0  # a goal probability this small is a rounded 0
+    limit: FailureRow | None = None  # if failure alone is limited: gives intermediate proofs
     lottery: tuple[tuple[Column, ...], FloatArray] = ((), np.zeros(0))  # columns, their weights
     objective: float = np.inf  # of the lottery
     tried: FloatArray | None = None  # [rewards] weights of the last pricing call
-    last: Column | None = None  # what it found
-    best: Column | None = None  # what was found at the best prices
-    proof: Proof | None = None  # the best one on the way
+    last: Column | None = None  # the column that it found
+    best: Column | None = None  # the column found at the best prices
+    proof: Proof | None = None  # the best intermediate proof
     optimum: MasterOptimum = field(init=False)  # at the ratio
-    basic: Column = field(init=False)  # of the optimum: its reduced cost is 0
-    size: float = 0.0  # of the numbers that the optimum is the sum of
-    in_between: float = _IN_BETWEEN  # share of the best known prices in those that are tried
-    share: float = _IN_BETWEEN  # the same in those that are tried next
+    basic: Column = field(init=False)  # a column of the optimum: its reduced cost is 0
+    size: float = 0.0  # magnitude of the optimum, for relative tolerances
+    in_between: float = _IN_BETWEEN  # weight of the best known prices in the mean
+    share: float = _IN_BETWEEN  # the same in the next pricing call
     _asked: FloatArray = field(init=False)  # [limits] prices of the last pricing call
     _first_ratio: float = 0.0
     _spent: float = 0.0  # seconds on proofs
     _since: float = field(default_factory=time.perf_counter)
 
     def begin_at_bound(self, row: FailureRow) -> None:
-        """Begin at a price at which a column is known to be best, and at the bound there.
+        """Set the prices and the bound to those of a column that is known to be optimal.
 
         Args:
-            row: the budget, which failure alone is limited by.
+            row: the failure row, the only limit.
         """
         for column in self.pool.columns:
             if (price := column.found_at) is None or self.rows.by_goal:
@@ -210,7 +210,12 @@ class Master:
             self.bound = column.cost + price * column.failure - owed
 
     def seek(self, tolerance: float) -> Column | None:
-        """A best column at the next prices; None where all limits are satisfied in phase 1."""
+        """Solve the master and price a column at the next prices.
+
+        Returns:
+            The column, or None if no pricing is needed: the limits are satisfied in phase 1, or the
+                gap is small.
+        """
         self.solve()
         best, own = self.optimum.value, self.optimum.prices
         is_near = best - self.bound <= _NEAR * tolerance * self.size
@@ -223,7 +228,7 @@ class Master:
             return None
         if len(own) > 1:
             own = without_negligible_prices(own, self.pool.sizes(self.rows), best)
-        if self.share > 0.0:  # in between the best prices and the master's
+        if self.share > 0.0:  # a mean of the best prices and the master's
             mixed = self.share * self.prices + (1.0 - self.share) * own
             own = without_negligible_prices(mixed, self.rows.scales, best, _SLIGHT)
         weights = self.rows.weights(own, 0.0 if self.elastic else 1.0)
@@ -236,7 +241,7 @@ class Master:
         return self.last
 
     def learn(self, column: Column, tolerance: float) -> bool:
-        """Keep the better bound, and a column below the master's valuation; whether it is done."""
+        """Update the bound, add a column of negative reduced cost; return whether to stop."""
         own, settled = self.optimum.prices, _NEAR * tolerance * self.size
         best, near, several = self.optimum.value, settled, len(own) > 1
         beyond = column.figures[self.rows.index] - self.rows.bounds
@@ -258,7 +263,7 @@ class Master:
         return finished
 
     def solve(self) -> None:
-        """Find the best lottery over the pool, in case S by Dinkelbach's iteration."""
+        """Find the best lottery of the pool, in case S by Dinkelbach's iteration."""
         rows, columns, figures = self.rows, self.pool.columns, self.pool.figures
         for _ in range(_RATIOS):
             cost, taken = figures[0] + self.rows.ratio * figures[1], figures[rows.index]
@@ -290,7 +295,7 @@ class Master:
             self.pool.columns = list(dict.fromkeys((*self.lottery[0], *mixed)))
 
     def _begin_at_larger_ratio(self) -> bool:
-        """Go on at the ratio that is attained, or a steeper one while none is; whether none can."""
+        """Raise the ratio to the one attained, or a steeper one; return whether to stop."""
         attained, steeper = self.objective, self.rows.ratio * _STEEP_RATIO
         self._first_ratio = self._first_ratio or max(self.rows.ratio, 1.0)
         if not np.isfinite(attained) and steeper > _STEEPEST * self._first_ratio:
@@ -300,7 +305,7 @@ class Master:
         return False
 
     def _price_success_at(self, ratio: float) -> None:
-        """Price success at another ratio; the bound stays one, as no policy fails beyond surely."""
+        """Change the ratio and lower the bound, which stays valid as failure is at most 1."""
         rise = ratio - self.rows.ratio
         self.bound -= max(rise if self.rows.by_goal else -rise, 0.0)
         self.rows = replace(self.rows, ratio=ratio)
@@ -308,13 +313,13 @@ class Master:
     def _prove_on_the_way(
         self, limit: FailureRow, weights: FloatArray, best: Column, began: float
     ) -> None:
-        """Prove the bound at some weights, if that takes little of the time.
+        """Prove the bound at the weights if this takes a small share of the search time.
 
         Args:
-            limit: what is limited.
+            limit: the failure row.
             weights: of the rewards, [rewards].
-            best: a policy of least value at these weights.
-            began: when its pricing began, on the clock of ``time.perf_counter``.
+            best: an optimal policy at these weights.
+            began: the start of its pricing call, by ``time.perf_counter``.
         """
         now = time.perf_counter()
         if now - began < _LONG or self._spent > _SHARE * (now - self._since):
@@ -327,19 +332,19 @@ class Master:
 
 
 def secant(cost: FloatArray, taken: FloatArray, bounds: FloatArray) -> MasterOptimum:
-    """The restricted master of one limit, or of none, in closed form.
+    """Solve the restricted master of at most one limit in closed form.
 
-    Of all lines through a column within the limit and one beyond it, the lowest at the bound is an
-    edge of the lower convex hull; where none falls, the cheapest column within is the optimum.
+    Among all lines through a column within the limit and one beyond it, the lowest at the bound is
+    an edge of the lower convex hull. If no line falls, the cheapest column within is the optimum.
 
     Args:
         cost: [columns].
-        taken: of the limit, [columns]; empty: nothing is limited.
-        bounds: the limit's, [1], or empty.
+        taken: value of each column in the limit, [columns]; empty: no limit.
+        bounds: the bound of the limit, [1], or empty.
     """
     weights, price, bound = np.zeros(len(cost)), 0.0, float(bounds.sum())
     spent = taken if len(bounds) else np.zeros(len(cost))
-    most = max(bound + _MET * abs(bound), float(spent.min()))  # else rounding breaks the limit
+    most = max(bound + _MET * abs(bound), float(spent.min()))  # rounding leaves a column within
     is_within, value = spent <= most, np.inf
     inside = outside = -1
     for i in np.flatnonzero(is_within).tolist():
@@ -354,26 +359,26 @@ def secant(cost: FloatArray, taken: FloatArray, bounds: FloatArray) -> MasterOpt
     earns_nothing = room <= most - bound and price * room <= _ROUNDING * abs(value)
     if inside == outside or room <= 0.0 or earns_nothing:
         weights[inside] = 1.0
-    else:  # each by itself, so that the small one is exact
+    else:  # each computed separately, so that the small one is exact
         weights[[inside, outside]] = np.array([left, room]) / (left + room)
     return MasterOptimum(float(value), weights, np.full_like(bounds, price), np.zeros_like(bounds))
 
 
 def certified(master: Master, generated: Generated, tolerance: float) -> Generated:
-    """What a search with a failure row alone ended with, with a certified bound.
+    """Return the result of a search with a failure row alone, with a certified bound.
 
-    Tails beyond a cap are chosen by the final price, if one column is still on each side of the
-    budget. Where there is no time for a proof the best one so far counts, or a trivial one, whose
-    values ask a certificate for the best that can be had.
+    Tails beyond a cap are first chosen at the final price, if the two columns then still lie on
+    both sides of the budget. Without time for a proof the best intermediate one is used, or the
+    bound -inf with infinite values, which a later certificate lowers.
 
     Args:
         master: of the search.
-        generated: how it ended.
-        tolerance: relative gap that is asked for.
+        generated: its result.
+        tolerance: relative gap.
     """
     row, pricing, pool = master.limit, master.pool.pricing, master.pool
     if row is None:
-        raise ModelError("a search with several limits is certified by the prices of all")
+        raise ModelError("the search limits more than failure: certify it with all prices")
     price, last = generated.price, master.best or master.last or generated.columns[0]
     if len(generated.columns) > 1 and deadline.has_time_for(pool.took):
         with deadline.WithIncumbent(), deadline.closing():
@@ -407,32 +412,32 @@ def certified(master: Master, generated: Generated, tolerance: float) -> Generat
     )
 
 
-_SELDOM = 0.5  # a demanded goal probability below which success tells columns apart more exactly
-_STEEP = 5.0  # first price of failure, in costs of a policy that goes for the goal
-_STEPS = (3.0, 15.0, 255.0)  # relative steps of the price until both sides are known
-_LEAST_FACTOR = 1.5  # by which the price moves at least while it is a guess
-_HINTED_STEPS = (1.0, 1e2, 1e4, 1e6)  # the same from a guess, in units of the guess's uncertainty
+_SELDOM = 0.5  # below this demanded goal probability, columns count the goal instead of failure
+_STEEP = 5.0  # first price of failure, in units of the first policy's cost
+_STEPS = (3.0, 15.0, 255.0)  # relative steps of the price until columns lie on both sides
+_LEAST_FACTOR = 1.5  # least factor of a step
+_HINTED_STEPS = (1.0, 1e2, 1e4, 1e6)  # steps from a dual guess, in units of its spread
 
 
 @dataclass(frozen=True)
 class DualGuess:
-    """A price to begin with, such as the dual of a linear program or of a coarser process."""
+    """A first price of failure, such as the dual of a linear program or of a coarser process."""
 
     price: float
     spread: float  # relative uncertainty
-    slack: bool = False  # whether the budget was slack there, so that one side is all there is
+    slack: bool = False  # whether the budget was slack there, so that one column is enough
 
 
 def master_at(
     pricing: PricingProblem, row: FailureRow, *known: Column | None, **more: Any
 ) -> Master:
-    """The master of a failure row alone, over columns of which one satisfies it.
+    """Return the master of a failure row alone, over columns of which one satisfies it.
 
     Args:
         pricing: makes the columns.
-        row: the budget, and the form of the objective.
-        known: columns to begin with, the first of which satisfies it.
-        more: what the pool knows besides, by name.
+        row: the budget and the form of the objective.
+        known: first columns, of which the first satisfies the budget; None entries are ignored.
+        more: further fields of :class:`Pool`.
     """
     pool = Pool(pricing, [], forgets=True, **more)
     for column in known:
@@ -451,26 +456,28 @@ def master_at(
 def columns_by_pricing(
     compiled: CompiledProblem, row: FailureRow, guess: DualGuess | None, options: SolveOptions
 ) -> Master | None:
-    """Begin the search: price failure up and down until columns lie on both sides of the budget.
+    """Return a master whose columns lie on both sides of the budget, found by pricing.
+
+    The price rises while the columns violate the budget, and falls while they satisfy it.
 
     Args:
-        compiled: says the process and the pricing.
-        row: budget and form of the objective.
-        guess: a price to begin with; None: a multiple of what a run costs.
-        options: deadline, and who is told after each pricing call.
+        compiled: makes the pricing problem.
+        row: the budget and the form of the objective.
+        guess: a first price; None: a multiple of the first policy's cost.
+        options: deadline and progress callback, called after each pricing call.
 
     Raises:
-        Stop: the time ended before a column that keeps to the budget was found.
+        Stop: the time limit was reached before a column satisfied the budget.
 
     Returns:
-        None where no column that keeps to the budget was found.
+        None if no column satisfies the budget.
     """
-    last, dearest, doing = None, 0.0, "the process was still being built"
+    last, dearest, doing = None, 0.0, "the process was being built"
     with deadline.WithIncumbent() as search:
         pricing = compiled.pricing()
         if row.demanded < _SELDOM:
             pricing = pricing.counting_success()
-        doing = "the totals of a first policy were being worked out"
+        doing = "the first policy was being evaluated"
         if guess is None:
             last = pricing.first()
             typical = last.cost if last.goal <= 0.0 else row.objective(last.cost, last.goal)
@@ -480,7 +487,7 @@ def columns_by_pricing(
         else:
             price = guess.price
         if row.ratio and (covered := pricing.covered) > 0.0 and not (guess and guess.slack):
-            dearest, price = price, covered  # one sweep tells of all prices below
+            dearest, price = price, covered  # one sweep covers all lower prices
             if guess is not None:
                 price = min(max(guess.price, covered), guess.price * (1.0 + guess.spread))
     if search.stop:
@@ -512,8 +519,8 @@ def columns_by_pricing(
             if row.is_rare:
                 ends = last.goal, row.demanded
             if guess is None and min(ends) > 0.0:
-                # failure falls about as fast as the price rises; the square of their ratio
-                # overshoots, so that the columns lie on both sides and not far apart
+                # failure falls about as fast as the price rises: the square of their ratio
+                # overshoots, so that the columns lie on both sides, close together
                 ratio = max(ends) / min(ends)
                 size = min(max(ratio * ratio, _LEAST_FACTOR), size)
             price = max(price, dearest) * size if row.spare(last) < 0.0 else price / size
@@ -533,20 +540,20 @@ def columns_by_pricing(
 def _initial_column_within(
     pricing: PricingProblem, row: FailureRow, stop: BaseException, *candidates: Column | None
 ) -> Column:
-    """Best known column within the budget to begin with, when the time ends.
+    """Return the best known column within the budget after a stop.
 
     Args:
-        pricing: was stopped.
+        pricing: the stopped pricing problem.
         row: the budget.
-        stop: what stopped it.
-        candidates: columns so far.
+        stop: the exception that stopped it.
+        candidates: known columns; None entries are ignored.
 
     Raises:
-        Stop: none of them keeps to the budget.
+        Stop: no known column satisfies the budget.
     """
 
     def is_answer(column: Column) -> bool:
-        """Whether a column is a policy, no guess at one, that has a worth within the budget."""
+        """Return whether a column is a policy within the budget and of finite objective."""
         is_policy = column.choice is not None or column.policy is not None
         has_worth = row.objective(column.cost, column.goal) < np.inf
         return is_policy and has_worth and not row.breaks(column)
@@ -568,40 +575,40 @@ def _initial_column_within(
 def without_negligible_prices(
     prices: FloatArray, sizes: FloatArray, objective: float, trifle: float = 1e-12
 ) -> FloatArray:
-    """The master's prices in the search, those too small to matter set to 0, [rows].
+    """Return the prices with negligible ones set to 0, [rows].
 
     Args:
         prices: [rows].
-        sizes: of each row: what policies take of it, for a price that is to prove a bound; what is
-            allowed of it is not enough, since the saving of a policy that takes more counts.
-        objective: to which a price's worth is compared.
-        trifle: share of it that does not matter.
+        sizes: size of each row, [rows]. Prices that prove a bound need the most that policies take
+            of the row: the bound of the row is too small for a policy that takes more.
+        objective: to compare price times size with.
+        trifle: share of the objective that is negligible.
     """
     return np.where(prices * sizes <= trifle * abs(objective), 0.0, prices)
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """The rows that are limited: which, by how much, and the size of their numbers."""
+    """The limited rows: positions, bounds and scales."""
 
     index: IntArray  # [rows] position among the pricing problem's rewards
     bounds: FloatArray  # [rows]
     scales: FloatArray  # [rows] > 0
     n_rewards: int
-    by_goal: bool  # the second reward is minus the goal, in place of failing
-    ratio: float = 0.0  # what failing counts in the objective besides (Dinkelbach)
+    by_goal: bool  # the second reward is minus the goal probability instead of failure
+    ratio: float = 0.0  # weight of failure in the objective (Dinkelbach)
 
     def among(self, some: tuple[int, ...]) -> Rows:
-        """Rows of a column search by their positions in the pool."""
+        """Return the rows at these positions."""
         k = list(some)
         return replace(self, index=self.index[k], bounds=self.bounds[k], scales=self.scales[k])
 
     def relaxed(self, excess: FloatArray) -> Rows:
-        """Rows of a column search, bounds raised by an excess in units of scales, [rows]."""
+        """Return the rows with bounds raised by an excess in units of the scales, [rows]."""
         return replace(self, bounds=self.bounds + np.maximum(excess, 0.0) * self.scales)
 
     def weights(self, prices: FloatArray, cost: float = 1.0) -> FloatArray:
-        """Weights of the rewards in pricing columns, by prices of rows and cost, [rewards]."""
+        """Return the weight of each reward, [rewards], from the prices of the rows and of cost."""
         weights = np.zeros(self.n_rewards)
         weights[self.index] = prices
         weights[0] = cost
@@ -611,35 +618,35 @@ class Rows:
 
 @dataclass(eq=False)
 class Pool:
-    """The policies found so far, in every phase, and the work that it took."""
+    """The columns found so far, in all phases, and the work of finding them."""
 
     pricing: PricingProblem
     columns: list[Column]
     calls: int = 0
     work: Work = field(default_factory=Work)
-    took: float = 0.0  # seconds of the longest pricing call; a proof needs about as many
-    forgets: bool = False  # whether columns that no lottery needs are let go
+    took: float = 0.0  # seconds of the longest pricing call, about those of a proof
+    forgets: bool = False  # whether columns outside the lottery are dropped
 
     @property
     def figures(self) -> FloatArray:
-        """Rewards of all columns in the pool, [rewards, columns]."""
+        """Rewards of all columns, [rewards, columns]."""
         return np.stack(tuple(map(attrgetter("figures"), self.columns)), axis=1)
 
     def sizes(self, rows: Rows) -> FloatArray:
-        """Size of each row: its bound, or the most that a column of the pool takes, [rows]."""
+        """Return the size of each row, [rows]: the largest of its bound and the columns' values."""
         taken = np.abs(self.figures[rows.index]).max(axis=1, initial=0.0)
         return np.asarray(np.maximum(np.abs(rows.bounds), taken))
 
     def best(self, weights: FloatArray) -> Column:
-        """The column of the pool of least weighted totals."""
+        """Return the column of least weighted rewards."""
         return self.columns[-1 - int(np.argmin((weights @ self.figures)[::-1]))]
 
     def priced(self, weights: FloatArray, *warm: Column) -> Column:
-        """Price a new column of least weighted totals, improved from known ones.
+        """Solve the pricing problem at the weights, starting from known columns.
 
         Args:
             weights: of the rewards, [rewards].
-            warm: columns to start from; none: the pool's best one.
+            warm: columns to start from; without any, the best column of the pool.
         """
         began = time.perf_counter()
         column = self.pricing.minimise(weights, *(warm or (self.best(weights),)))
@@ -648,21 +655,21 @@ class Pool:
         return column
 
     def proved(self, weights: FloatArray) -> Proof:
-        """Checked lower bound of every column's weighted totals, lowered as little as can be."""
+        """Prove a lower bound of the weighted rewards of every column."""
         return self.pricing.prove_afresh(weights, self.best(weights))
 
     def add(self, column: Column) -> bool:
-        """Keep a column in the pool; false where one with the same totals is known."""
+        """Add a column; return whether it is new."""
         if any(_is_same(column, known) for known in self.columns):
             return False
         self.columns.append(column)
         return True
 
     def rows(self, index: IntArray, bounds: FloatArray) -> Rows:
-        """The pool's rows with scales: the bound, or, of a bound of 0, what columns take.
+        """Return rows with scales: the bound, or the columns' largest value if the bound is 0.
 
         Args:
-            index: of the limited rows among the rewards, [rows].
+            index: positions of the limited rows among the rewards, [rows].
             bounds: [rows].
         """
         taken = np.abs(self.figures[index]).max(axis=1, initial=0.0)
@@ -672,7 +679,7 @@ class Pool:
 
 
 def _is_same(column: Column, known: Column) -> bool:
-    """Whether a column is a known one, but for the rounding of its cost and failure."""
+    """Return whether two columns are equal up to rounding of cost and failure."""
     same = min(_SAME_FAILURE, _SAME_SMALL * min(known.failure, known.goal))
     return (
         abs(column.cost - known.cost) <= _SAME_COST * abs(known.cost)

@@ -1,8 +1,8 @@
-"""Which approach answers which problem, and how it proves its answer.
+"""The table of approaches: each solves a class of problems and proves its solutions.
 
-A problem says what it asks (:class:`~ssp_lp.problem.Requirements`); an approach says which problems
-it answers. ``solve`` and ``certify`` look both up in one table, the first that answers being taken;
-what a method refuses, and why, is said here too.
+A problem states its :class:`~ssp_lp.problem.Requirements`, an approach states the cases that it
+answers. ``solve`` and ``certify`` take the first approach of the table that answers the case.
+:func:`refusal` explains why a method does not support a problem.
 """
 
 from __future__ import annotations
@@ -45,52 +45,52 @@ from ssp_lp.solution import Solution
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A problem that is to be solved, or a solution of it that is to be proved."""
+    """A problem to solve, or whose solution to prove."""
 
     problem: Problem
-    seconds: float = np.inf  # that are left
-    by_program: bool = False  # written out, for the full linear program
-    on_levels: bool = False  # the policy tells levels of a grid apart
-    by_game: bool = False  # by the paper's own construction
+    seconds: float = np.inf  # time left
+    by_program: bool = False  # by the full linear program
+    on_levels: bool = False  # the policy remembers totals rounded to levels
+    by_game: bool = False  # by the paper's construction, the game
 
     @staticmethod
     def of_solution(solution: Solution) -> Case:
-        """The case, to choose an approach to, of a solution; one without values lacked the time."""
+        """Return the case of a solution; without a value function it has no time left."""
         seconds = 0.0 if solution.value_function is None else np.inf
         on_levels = levels_of(solution.policy.policies) is not None
         return Case(solution.problem, seconds, on_levels=on_levels)
 
     @cached_property
     def asks(self) -> Requirements:
-        """Requirements of the case's problem, by which an approach answers it."""
+        """Requirements of the problem."""
         return self.problem.requirements
 
     @property
     def has_cheapest_way(self) -> bool:
-        """Whether the approach may bound the optimum by the least total of a way to the goal."""
+        """Whether the least total of a way to the goal bounds the optimum."""
         return self.asks.counts_totals and not self.asks.least_failure
 
 
 @dataclass(frozen=True, eq=False)
 class _Approach:
-    """How some problems are solved, and how an answer is proved from the model alone."""
+    """A way to solve a class of problems, and to prove a solution from the model alone."""
 
     answers: Callable[[Case], bool]
     solve: Callable[[Problem, options.SolveOptions], Solution]
     prove: Callable[[Solution, Evaluation, float], Proved]
-    """Of a solution, what its policy attains, and the least failure of its members."""
-    afresh: bool = False  # whether the proof needs nothing of what the solution claims
+    """Arguments: a solution, the evaluation of its policy, and the least failure of its members."""
+    afresh: bool = False  # whether the proof uses no claims of the solution
 
 
 def _is_on_rounded_costs(case: Case) -> bool:
-    """Whether the approach to a case is by rounded costs: a law of too many sums, no rows."""
+    """Return whether costs are rounded: a law of costs with too many sums, without rows."""
     asks, on_grid = case.asks, case.asks.totals is TotalScale.GRID
     written_out = asks.rows or case.by_program or case.on_levels
     return asks.law and on_grid and not written_out
 
 
 def _is_split(case: Case) -> bool:
-    """Whether the approach to a case is by split costs: case S with too many sums."""
+    """Return whether costs are split: case S with too many sums."""
     return not case.by_program and is_split(case.problem, case.asks, case.seconds)
 
 
@@ -109,18 +109,18 @@ APPROACHES = (
     ),
     _Approach(lambda case: True, best_within_budget, prove_within_budget),
 )
-"""The first that answers is taken."""
+"""The first approach that answers a case is taken."""
 
 
 def approach_to(case: Case) -> _Approach:
-    """The approach that answers a case."""
+    """Return the approach that answers a case."""
     return next(approach for approach in APPROACHES if approach.answers(case))
 
 
 def refusal(problem: Problem, method: options.Method) -> ModelError | None:
-    """Why no approach of a method answers a problem; None: one does."""
+    """Return the error of a method that does not support a problem; None: it does."""
     if isinstance(method, options.ColumnGeneration | options.LinearProgramming):
-        return None  # a budget of a share is not worked out for it
+        return None  # without computing the requirements
     asks, named = problem.requirements, Argument("method", method.name)
     name = f"{type(problem).__name__}{' with limits' if problem.conditions else ''}"
     if isinstance(method, options.DeterministicPolicies) and (
@@ -130,7 +130,7 @@ def refusal(problem: Problem, method: options.Method) -> ModelError | None:
     if not isinstance(method, options.Game):
         return None
     if asks.rows:
-        return ModelError(named, f" knows one row only, not {name}: take 'columns' or 'lp'")
+        return ModelError(named, f" supports no limits: use 'columns' or 'lp' for {name}")
     if asks.ratio and problem.cost_cap is not None:
         return ModelError("the game chooses its own cap M: leave ", Argument("cost_cap"), " out")
     if method.tail is not None and not asks.ratio:

@@ -1,4 +1,4 @@
-"""Problems with one row, or none: search, and refine until the gap meets the tolerance."""
+"""Problems with a failure row at most: column generation, refined until the gap is met."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ _REASONS = {
 
 
 def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
-    """Solve for the greatest or least goal probability; the full program, if asked for, agrees."""
+    """Solve for the greatest or least goal probability, checked by the full program if chosen."""
     compiled, aim = problem.compile(), problem.semantics.aim
     reach = extreme_goal_reach(problem.model, aim, compiled.start)
     objective, bound = float(compiled.start @ reach.goal), float(compiled.start @ reach.bound)
@@ -78,7 +78,7 @@ def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
 
 
 def cheapest_at_least_failure(problem: Problem, options: SolveOptions) -> Solution:
-    """Solve at least failure: the best column of those that fail least, by two stages.
+    """Solve at least failure, in two stages: the cheapest policy of greatest goal probability.
 
     Raises:
         InfeasibleError: case S, and the goal cannot be reached.
@@ -95,22 +95,22 @@ def cheapest_at_least_failure(problem: Problem, options: SolveOptions) -> Soluti
 
 
 _LEAST_TOLERANCE = 1e-15
-_UNSETTLED = "the utility has not come near its limit within the table of costs: a gap is left"
+_UNSETTLED = "the utility is not close to its limit at the cap on costs, which leaves a gap"
 
 
 def best_within_budget(
     problem: Problem, options: SolveOptions, guess: DualGuess | None = None
 ) -> Solution:
-    """Solve by columns within a failure budget: the best lottery, or the best single policy.
+    """Solve within a failure budget: return the best lottery, or the best deterministic policy.
 
     Args:
         problem: the problem.
-        options: tolerance and limits, and whether no lottery will do.
-        guess: of what a failure costs; None: nothing is known.
+        options: tolerance, limits, and whether the policy must be deterministic.
+        guess: a guess of the price of failure, or None.
 
     Raises:
-        InfeasibleError: no policy keeps to the budget.
-        SolverError: the linear program's answer fails its check.
+        InfeasibleError: no policy satisfies the budget.
+        SolverError: the solution of the linear program fails its check.
     """
     budget, sense = problem.failure_budget, problem.semantics.sense
     budget = 1.0 if budget is None else budget
@@ -121,7 +121,7 @@ def best_within_budget(
     generated = outcome.generated
     worth, bound = sense.worth(generated.objective), sense.worth(generated.lower_bound)
     gained, is_met = -generated.objective, relative_gap(bound, worth) <= options.tolerance
-    if sense.constant and 0.0 < abs(worth) < gained and not is_met:  # a difference of larger worths
+    if sense.constant and 0.0 < abs(worth) < gained and not is_met:  # cancellation in the worth
         finer = max(options.tolerance * abs(worth) / gained, _LEAST_TOLERANCE)
         exactly = replace(options, tolerance=finer)
         outcome = outcome.followed_by(refined_optimum(outcome.compiled, budget, exactly))
@@ -158,7 +158,7 @@ def best_within_budget(
 
 
 def prove_goal(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
-    """Prove a bound of the goal probability that can be had, above or below."""
+    """Prove an upper or lower bound of the goal probability."""
     problem = solution.problem
     start = start_distribution(problem.model, problem.start)
     reach = extreme_goal_reach(problem.model, problem.semantics.aim, start)
@@ -166,17 +166,17 @@ def prove_goal(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
 
 
 _STEEP_PRICES = (1e1, 1e3, 1e5)
-"""Prices of failure, in values of the policy, at which least failure is proved best."""
+"""Prices of failure, in units of the objective, at which least failure is proved optimal."""
 
-_LITTLE = 1e-13  # of the bound: less than this is not looked for beyond the cap
-_SURELY = 1.0 - 1e-9  # of the budget: a policy that fails less shows it to be above the least
+_LITTLE = 1e-13  # relative loss of the bound by the cap that is accepted
+_SURELY = 1.0 - 1e-9  # share of the budget: a lower failure proves that the least is below it
 
 
 def prove_least_failure(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
-    """Prove a bound at least failure, by finite prices of failure that hold for every policy.
+    """Prove a lower bound at least failure, by finite prices of failure.
 
-    Where rounding at such prices leaves a gap, the bound is that of the second stage over the pairs
-    that were decided to maximise.
+    Such a bound holds for every policy. If rounding leaves a gap at these prices, the bound of the
+    second stage is used, over the pairs that were found to attain the greatest goal probability.
     """
     compiled, sense = solution.problem.compile(), solution.problem.semantics.sense
     safest = compiled.least_failure()
@@ -197,33 +197,33 @@ def prove_least_failure(solution: Solution, evaluation: Evaluation, _: float) ->
 def _proof_of_stated_optimum(
     sense: ObjectiveSense, evaluation: Evaluation, bound: float, allowed: float, tail: float = 0.0
 ) -> Proved:
-    """Proof for the optimum asked for, from a bound of the minimum; attained but for rounding."""
+    """Return the proof for the stated objective, from a bound of the minimised value."""
     objective = evaluation.objective
-    value = sense.worth(objective)  # a difference, taken twice, leads back
+    value = sense.worth(objective)  # ``worth`` is its own inverse
     if sense.constant is not None and sense.settled_bound(value, bound) == value:
         return Proved(objective, objective, allowed)
     return Proved(objective, sense.worth(bound), allowed, tail=tail)
 
 
 def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: float) -> Proved:
-    """Prove the bound that the failure budget's price gives.
+    """Prove the lower bound that the price of failure gives.
 
     Args:
-        solution: what is certified.
-        evaluation: what its policy attains.
-        attained: the failure of some policy, the least that is known.
+        solution: the solution to certify.
+        evaluation: evaluation of its policy.
+        attained: the least failure of a known policy.
 
     Raises:
-        ModelError: the solution carries no price and value function, or one that does not fit.
+        ModelError: the solution has no price and value function, or these do not fit the problem.
     """
     problem, budget = solution.problem, max(solution.problem.failure_budget or 0.0, 0.0)
     is_priced = not solution.run.deterministic or solution.failure_price is not None
-    if not is_priced:  # the bound is that of lotteries, and so are the prices that prove it
+    if not is_priced:  # the bound is that of lotteries: solve for their prices
         solution = best_within_budget(problem, CERTIFYING)
     sense, price, values = problem.semantics.sense, solution.failure_price, solution.value_function
     if price is None or values is None:
-        raise ModelError("a certificate needs the failure price and its value function")
-    penalty = problem.semantics.penalty  # part of the cost: the price beyond it is what limits
+        raise ModelError("the solution has no price and value function to certify")
+    penalty = problem.semantics.penalty  # part of the cost, not of the failure row's price
     price = 0.0 if price == penalty else price - penalty
     if not (np.isfinite(price) and price >= 0.0):
         reason = f"the price is not a number >= {penalty:g}"
@@ -238,14 +238,14 @@ def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: fl
     if attained >= budget * _SURELY:
         least = compiled.least_failure()
         if least.column.failure <= budget + LEAST_BUDGET:
-            row = row.raised_to(least.column)  # above it by rounding only
+            row = row.raised_to(least.column)  # by rounding only
     bound, tail = _bound_by_values(compiled, row, kappa, price == 0.0, solution)
     if tail > _LITTLE and (exact := compiled.for_program()) is not compiled:
-        # it may be less beyond the cap with better policies there
+        # better tails may reduce the loss by the cap
         bound, tail = _bound_by_values(exact, row, kappa, price == 0.0, solution)
     is_least = least is not None and least.is_proved and row.leaves_only(least.column)
     if least is not None and is_least and least.column.goal > 0.0:
-        # to the last digit, which tells it from others
+        # the least failure is exact to the last digit
         is_kept = evaluation.limited_failure <= budget
         value = sense.worth(evaluation.objective)
         if not (is_kept and relative_gap(least.objective_bound, value) > CONTRADICTION):
@@ -256,7 +256,7 @@ def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: fl
 def _bound_by_values(
     compiled: CompiledProblem, row: FailureRow, price: float, slack: bool, solution: Solution
 ) -> tuple[float, float]:
-    """Lower bound within a failure budget by values, and the gap that truncation leaves in it."""
+    """Return the lower bound that values prove, and the relative gap that truncation leaves."""
     slack = slack and row.ratio
     price = price * BELOW_RATIO if slack else price
     by_success = slack or row.is_rare
@@ -270,9 +270,10 @@ def _bound_by_values(
 
 
 def solve_by_game(problem: Problem, options: SolveOptions) -> Solution:
-    """Solve by the paper's own construction, the game, which knows neither columns nor programs.
+    """Solve by the paper's construction, the game, without columns or linear programs.
 
-    Of a fixed M the policy is measured like any other, and the bound is that of all policies.
+    With a fixed M (``options.tail``) the policy is evaluated exactly, and the bound is still that
+    of all policies.
     """
     from ssp_lp.game.optimum import stationary_game, value_function
 
@@ -304,57 +305,57 @@ def solve_by_game(problem: Problem, options: SolveOptions) -> Solution:
 _PATIENCE = 3
 
 _TRIAL_TOLERANCE = 1e-2
-"""A trial only learns the price, from which the next one's size follows."""
+"""Relative gap of a trial, whose price gives the next cap."""
 
-_LABEL_SPREAD = 0.25  # relative uncertainty of a price of case M in case S
-_LABEL_MARGIN = 1.5  # cap, as a multiple of it
+_LABEL_SPREAD = 0.25  # relative uncertainty of a price of case M as a guess in case S
+_LABEL_MARGIN = 1.5  # cap in case S, as a multiple of the price of case M
 
-_NEAR = 1e-9  # of the budget: then it may be the least failure, whose own bound is exact
-_SPREAD = 1e-6  # relative uncertainty of a price that a search or a program ended with
+_NEAR = 1e-9  # distance of a failure from the budget at which this may be the least failure
+_SPREAD = 1e-6  # relative uncertainty of the final price of a search or program
 
 
 @dataclass(frozen=True, eq=False)
 class RefinedOutcome:
-    """The last search, the compiled problem that it ran on, and the work done in all."""
+    """Result of the last search, its compiled problem, and the work of all searches."""
 
     generated: Generated
     compiled: CompiledProblem
     row: FailureRow
-    least: LeastFailure | None = None  # where it had to be worked out
+    least: LeastFailure | None = None  # if it had to be computed
     calls: int = 0
     work: Work = field(default_factory=Work)
     program: str = ""  # report of the last linear program
 
     @property
     def gap(self) -> float:
-        """Relative gap of a refined search for columns."""
+        """Relative gap between the objective and its lower bound."""
         return relative_gap(self.generated.objective, self.generated.lower_bound)
 
     @property
     def lottery(self) -> MixedPolicy:
-        """Lottery on the model that a refined search for columns ended with."""
+        """The lottery over policies of the model."""
         return self.generated.lottery(self.compiled.pricing())
 
     def followed_by(self, other: RefinedOutcome) -> RefinedOutcome:
-        """The later outcome of a refined search for columns, with the work of both."""
+        """Return the later outcome, with the work of both."""
         return replace(other, calls=self.calls + other.calls, work=self.work + other.work)
 
 
 def refined_optimum(
     compiled: CompiledProblem, budget: float, options: SolveOptions, guess: DualGuess | None = None
 ) -> RefinedOutcome:
-    """Search for columns on finer and finer compiled problems until the gap is met, or no finer.
+    """Run column generation on finer and finer compiled problems until the gap is met.
 
     Args:
-        compiled: the problem to begin with.
+        compiled: the first problem.
         budget: failure budget.
         options: method, tolerance and limits.
-        guess: of the price; None: nothing is known.
+        guess: a guess of the price, or None.
 
     Raises:
-        InfeasibleError: no policy keeps to the budget.
-        SolverError: the linear program's answer fails its check.
-        Stop: the time ended before a policy that keeps to the budget was found.
+        InfeasibleError: no policy satisfies the budget.
+        SolverError: the solution of the linear program fails its check.
+        Stop: the time limit was reached before a policy satisfied the budget.
     """
     compiled = compiled if options.program is None else compiled.for_program()
     row, least = FailureRow(budget, compiled.ratio), None
@@ -376,7 +377,7 @@ def refined_optimum(
 
 
 def _finer_outcomes(outcome: RefinedOutcome, options: SolveOptions) -> Iterator[RefinedOutcome]:
-    """Outcomes of the column search on finer problems; of least failure, once that is known."""
+    """Yield outcomes on finer problems, of least failure if the budget turns out to equal it."""
     gaps: list[float] = []
     while True:
         yield outcome
@@ -390,7 +391,7 @@ def _finer_outcomes(outcome: RefinedOutcome, options: SolveOptions) -> Iterator[
                 row = row.equal_to(safest.column)
                 outcome = outcome.followed_by(_attempt(compiled, row, safest, later, None))
                 continue
-        is_stagnant = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]  # rounding?
+        is_stagnant = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]
         is_done = is_stagnant and compiled.tail_loss(generated.price) == 0.0
         finer = None if is_done else compiled.refined(generated.price)
         if finer is None:
@@ -404,9 +405,9 @@ def _finer_outcomes(outcome: RefinedOutcome, options: SolveOptions) -> Iterator[
 def _capped_by_case_m(
     compiled: CompiledProblem, budget: float
 ) -> tuple[CompiledProblem, DualGuess | None]:
-    """First cap of a search for columns, by case M's price, where no policy tells of it.
+    """Return the problem with a first cap from the price of case M, if ``is_long_shot``.
 
-    Its process has one layer, and failing early saves about as much in both.
+    Case M has one layer, and its price is about that of case S.
     """
     if not compiled.is_long_shot:
         return compiled, None
@@ -428,12 +429,12 @@ def _capped_by_case_m(
 def _safest_outcome(
     compiled: CompiledProblem, row: FailureRow, least: LeastFailure | None, stop: BaseException
 ) -> RefinedOutcome:
-    """The column of least failure, where time ended before any other within the budget.
+    """Return the column of least failure after a stop without a column within the budget.
 
     Raises:
-        Stop: there is no time for it either.
+        Stop: there is no time for it either, or a better incumbent exists.
     """
-    if prepared() is not None:  # there is a better one already
+    if prepared() is not None:  # a better incumbent exists
         raise Stop from stop
     with WithIncumbent(), closing():
         least = checked_least_failure(compiled, row.budget) if least is None else least
@@ -443,7 +444,7 @@ def _safest_outcome(
         generated = certified(master, replace(generated, finished=False), _TRIAL_TOLERANCE)
         return RefinedOutcome(generated, compiled, row, least)
     words = stop.told if isinstance(stop, Stop) else ""
-    raise Stop(told=words or "no policy was measured by then") from stop
+    raise Stop(told=words or "no policy had been evaluated") from stop
 
 
 def _attempt(
@@ -453,10 +454,10 @@ def _attempt(
     options: SolveOptions,
     guess: DualGuess | None,
 ) -> RefinedOutcome:
-    """One search for columns, begun at the linear program's dual where that is the method.
+    """Run one search, started at the dual of the linear program if that is the method.
 
-    A budget equal to the least failure needs no program, whose feasibility would hang on rounding:
-    the first column is the answer, and its own bound holds.
+    If the budget equals the least failure, no program is solved, as its feasibility would depend
+    on rounding: the column of least failure is the answer, with its own bound.
     """
     optimum = None
     if options.program is not None and least is not None:
@@ -464,13 +465,13 @@ def _attempt(
         if row.spare(least.column) > (0.0 if row.is_rare else LEAST_BUDGET):
             process = compiled.explicit()
             limits = {FAILURE_ROW: (process.failure, row.budget)}
-            if row.is_rare:  # in units of what is demanded, as no solver tells it from nothing
+            if row.is_rare:  # in units of the demanded goal, which is below solver tolerances
                 limits = {FAILURE_ROW: (-process.goal / row.demanded, -1.0)}
             optimum = solve_program(process, limits, options, ratio=row.ratio)
             kappa = optimum.prices.get(FAILURE_ROW, 0.0) + row.ratio * optimum.objective
             guess = DualGuess(kappa, _SPREAD)
     if guess is None and row.demanded <= 0.0 and not row.ratio:
-        guess = DualGuess(0.0, _SPREAD, slack=True)  # nothing is limited: no price has to be found
+        guess = DualGuess(0.0, _SPREAD, slack=True)  # no limit, so the price is 0
     master = None
     if least is None or row.spare(least.column) > 0.0:
         master = columns_by_pricing(compiled, row, guess, options)

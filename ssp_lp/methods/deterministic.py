@@ -1,36 +1,34 @@
-"""The best single policy, for a controller that may not toss a coin.
+"""The best deterministic policy, for a controller without a lottery.
 
-The best lottery attains c*; one deterministic policy that keeps to the budget may have to cost
-more. It is found by a mixed-integer program over the states of the process (case S: state and
-accumulated cost): x counts expected visits, a binary y per pair says which is taken,
+The best lottery attains c*; the best deterministic policy within the budget may cost more. It is
+found by a mixed-integer program over the states of the process (case S: state and accumulated
+cost). x counts expected visits; a binary y per pair selects the pair of each state:
 
     x_pair <= V_state * y_pair,   sum over the pairs of a state of y = 1.
 
 **The bound V on visits** is the greatest expected number of visits of the state over all policies,
-randomised ones included, that keep to the budget and cost no more than the best policy known
-beforehand: a linear program for each state (one for all states together where there are many), 1
-where no state can be visited twice. No better policy is lost by it. It is finite because what
-costs nothing and could go on for ever is collapsed in the process. Under a discount it cannot
-exceed 1 / (1 - discount). V is an optimum over all policies with a margin for rounding, so that an
-answer whose visits come up to it needs no second try with a larger one.
+also randomised ones, that satisfy the budget and cost no more than the best known policy. It takes
+a linear program for each state (one for all states together if there are many), and is 1 if no
+state can be visited twice. It excludes no better policy. It is finite because free end components
+are collapsed in the process, and at most 1 / (1 - discount) under a discount. V includes a margin
+for rounding, so that a solution that attains it needs no second try with a larger V.
 
-The ratio of case S is minimised by Dinkelbach's iteration. Every policy is read off y and measured
-exactly on the process; one that keeps to the budget only within HiGHS's tolerances is refused and
-excluded by a further row. The lower bound is the better of the lottery's and HiGHS's dual bound,
-lowered by 1e-9 of itself: that carries HiGHS's tolerances and is not a checked sub-solution. Where
-it misses the tolerance for that, the best policies, whose values are exact, are excluded one by
-one, and HiGHS's bound is needed of the others alone.
+The ratio of case S is minimised by Dinkelbach's iteration. Every policy is read off y and evaluated
+exactly on the process; one that satisfies the budget only within HiGHS's tolerances is refused and
+excluded by a further row. The lower bound is the better of the lottery's bound and HiGHS's dual
+bound, lowered by 1e-9 of itself: that has HiGHS's tolerances and is not a checked sub-solution. If
+the gap misses the tolerance for this reason, the best policies, whose values are exact, are
+excluded one by one, so that HiGHS's bound is needed for the other policies only.
 
-A deterministic optimum has no price of failure unless the budget is slack: as a function of the
-budget it is a step function.
+A deterministic optimum is a step function of the budget: it has no price of failure unless the
+budget is slack.
 
-Policies that leave a collapsed component by a way that depends on where it was entered, or go on
-beyond the cap of case S otherwise than by the tails, are counted in the bound but not searched: a
-gap may then remain that is not due to the time limit. Policies with more memory than the state of
-the process, which could take coins from chance itself, are not counted at all where the bound is
-HiGHS's.
+Two kinds of policies are covered by the bound but not searched, so that a gap may remain without a
+time limit: those whose exit from a collapsed component depends on the entry, and those that differ
+from the tails beyond the cap of case S. Policies with more memory than the state of the process,
+which could randomise by observing chance, are not covered if the bound is HiGHS's.
 
-A state without a choice, and one that is left free, has no y.
+States with one pair, and states that may randomise, have no y.
 """
 
 from __future__ import annotations
@@ -69,33 +67,33 @@ from ssp_lp.solution import Answer, Solution
 if TYPE_CHECKING:
     from ssp_lp.methods.columns import RefinedOutcome
 
-_OPEN = 1e-6  # relative gap from which determinism is said to cost at most so much
-_DUAL = 1e-9  # relative error that is allowed to HiGHS's bound
-_RATIOS = 30  # Dinkelbach's iteration converges in a handful
-_SPREADS = (1e-6, 0.03, 0.1, 0.3, 1.0, 3.0)  # relative distances of prices, up and down
-_SKIPS = 8  # states skipped on the way between two policies
-_REFUSED = 100  # policies that keep to the budget by HiGHS's tolerances only
+_OPEN = 1e-6  # relative gap above which the cost of determinism is reported as "at most"
+_DUAL = 1e-9  # relative tolerance of HiGHS's bound
+_RATIOS = 30  # most steps of Dinkelbach's iteration, which takes a handful
+_SPREADS = (1e-6, 0.03, 0.1, 0.3, 1.0, 3.0)  # relative distances from the price, up and down
+_SKIPS = 8  # most states skipped between two policies
+_REFUSED = 100  # most policies that satisfy the budget only within HiGHS's tolerances
 _EXCLUDED = (
-    8  # policies that are as good as the best but for HiGHS's tolerances; each costs a search
+    8  # most policies excluded as equal to the best within HiGHS's tolerances; each takes a search
 )
 _ROUNDING = 1e-13
 _SMALL = 1e-10  # relative
-"""A policy's failure, summed in another order, may lie so far above the budget that it meets."""
+"""Feasibility tolerance of the budget, as failure may be summed in another order."""
 
 
 def best_deterministic(
     mixed: Solution, outcome: RefinedOutcome, tolerance: float, deadline: float
 ) -> Solution:
-    """Solve for the best single deterministic policy, beside the best lottery.
+    """Solve for the best deterministic policy, given the best lottery.
 
-    The search begins with the best member of the lottery that keeps to the budget and the policies
-    between its members; the lottery's own bound is the first lower bound.
+    The search begins with the best member of the lottery within the budget and the policies
+    between its members. The lower bound of the lottery is the first lower bound.
 
     Args:
         mixed: the best lottery; its value function is kept.
-        outcome: of the search that found it.
+        outcome: outcome of the search that found it.
         tolerance: relative gap at which to stop.
-        deadline: on the clock of ``time.perf_counter``.
+        deadline: by ``time.perf_counter``.
 
     Raises:
         ModelError: the process is too large.
@@ -122,7 +120,7 @@ def best_deterministic(
     if not finished and "stopped" not in mixed.note:
         remarks.append("stopped before the search was finished; the gap is honest")
     if finished and gap > max(_OPEN, 2.0 * tolerance):
-        remarks.append("the gap is what policies outside the search could gain at most")
+        remarks.append("the gap bounds the gain of policies outside the search")
     is_slack = (
         len(generated.columns) == 1 and mixed.failure_price == mixed.problem.semantics.penalty
     )
@@ -140,22 +138,22 @@ def best_deterministic(
 
 @dataclass(eq=False)
 class _PolicySearch:
-    """The best policy so far, and the process that it is measured on. Mutable: it improves."""
+    """A search for the best deterministic policy. Mutable: ``best`` improves."""
 
-    outcome: RefinedOutcome  # of the search for the best lottery
-    most: float  # failure of a policy that keeps to the budget: rounding is allowed for
-    best: Answer  # its bound holds of every policy
+    outcome: RefinedOutcome  # outcome of the search for the best lottery
+    most: float  # the budget plus a tolerance for rounding
+    best: Answer  # the incumbent; its bound holds for every policy
     tolerance: float  # relative
     deadline: float
     refused: int = 0
 
     @cached_property
     def relaxation(self) -> _DeterministicRelaxation:
-        """The process written out for the search for deterministic policies, as a relaxation."""
+        """The process written out, with its relaxation."""
         return deterministic_relaxation(self.outcome.compiled, self.outcome.generated.price)
 
     def run(self) -> bool:
-        """Search deterministic policies by walks and integer programs; whether it was finished."""
+        """Search by walks and integer programs; return whether the search was finished."""
         relaxation, bound = self.relaxation, self.outcome.generated.lower_bound
         self._walk_between_members()
         if relative_gap(self.best.value, bound) <= self.tolerance:
@@ -168,7 +166,7 @@ class _PolicySearch:
         return finished
 
     def offer(self, choice: IntArray) -> bool:
-        """Measure a choice and keep it if it is the best; whether it is within the budget."""
+        """Evaluate a choice, keep it if it is the best; return whether it is within the budget."""
         relaxation, row, kept = self.relaxation, self.outcome.row, False
         whole = relaxation.completed(choice)[0]
         for column in () if whole is None else relaxation.measure(whole):
@@ -181,11 +179,12 @@ class _PolicySearch:
         return kept
 
     def _walk_between_members(self) -> None:
-        """Begin with deterministic policies between two members, as near the budget as may be.
+        """Evaluate policies between two optimal ones, as close to the budget as possible.
 
-        The two that are best at prices just beside the lottery's are both optimal at it, and so is
-        every policy that follows the one in some states and the other elsewhere: of these, the one
-        that fails most within the budget is cheapest. Farther prices differ in more states.
+        Two policies that are optimal at prices just below and above the lottery's price are both
+        optimal at it. So is every policy that follows one in some states and the other elsewhere:
+        among these, the one of largest failure within the budget is cheapest. Policies of prices
+        farther away differ in more states.
         """
         compiled, price = self.relaxation.compiled, self.outcome.generated.price
         for spread in _SPREADS:
@@ -201,12 +200,12 @@ class _PolicySearch:
                     self._walk(safe, risky, order)
 
     def _walk(self, safe: IntArray, risky: IntArray, order: IntArray) -> None:
-        """Change a deterministic policy's states in order within the budget, by bisection.
+        """Switch states from one policy to another within the budget, in order, by bisection.
 
         Args:
-            safe: a choice that keeps to the budget, [states].
-            risky: another, [states].
-            order: states in which they differ.
+            safe: a choice within the budget, [states].
+            risky: another choice, [states].
+            order: the states in which they differ.
         """
         here = safe
         for _ in range(_SKIPS):
@@ -220,15 +219,14 @@ class _PolicySearch:
                 return
 
     def _integer_bound(self, process: ExplicitProcess, free: BoolArray) -> tuple[float, bool]:
-        """Lower bound of deterministic policies by integer programs, and whether they ended.
+        """Return a lower bound of deterministic policies by integer programs; whether they ended.
 
-        Case S by Dinkelbach's iteration. Where no policy is worth less than D >= -1 at the price c
-        of success, ``cost >= c * goal + D``, so that ``cost / goal >= c + D / (1 - budget)`` for
-        D < 0.
+        Case S uses Dinkelbach's iteration. If ``cost - c * goal >= D`` for every policy within the
+        budget, then ``cost / goal >= c + D / (1 - budget)`` for D < 0.
 
         Args:
             process: the process.
-            free: states that may randomise, so that answers are no policies, [states].
+            free: states that may randomise, so that solutions are not deterministic, [states].
         """
         row, incumbent = self.outcome.row, self.best.value
         share, ratio, most = 1.0 - row.budget, 0.0, incumbent
@@ -240,7 +238,7 @@ class _PolicySearch:
         gap = 0.0 if row.ratio else self.tolerance
         program = _IntegerProgram(process, self.most, visits, free, max(gap, _LEAST_GAP))
         if program.pairs.size == 0:
-            return 0.0, True  # nothing is to be decided: the lottery's bound is all there is
+            return 0.0, True  # no decisions: the lottery's bound remains
         bound, excluded = 0.0, 0
         for _ in range(_RATIOS):
             answer = self._solved_without_refused(program, process.cost - ratio * process.goal)
@@ -250,7 +248,7 @@ class _PolicySearch:
                 if row.ratio:
                     beyond = least / share if share > 0.0 else -np.inf
                     least = ratio if least >= 0.0 else max(ratio + beyond, 0.0)
-            bound = max(bound, min(least, self.best.value))  # no policy that is excluded has less
+            bound = max(bound, min(least, self.best.value))  # excluded policies have no lower value
             if not answer.finished:
                 return bound, False
             better = ratio
@@ -268,7 +266,7 @@ class _PolicySearch:
         return bound, False
 
     def _solved_without_refused(self, program: _IntegerProgram, cost: FloatArray) -> _IntegerAnswer:
-        """Solve the integer program again without policies that break the budget when measured."""
+        """Solve the integer program, excluding policies that violate the budget when evaluated."""
         while True:
             answer = program.solve(cost, self.deadline)
             choice = answer.choice
@@ -285,35 +283,35 @@ class _PolicySearch:
 
 
 def _with_states(choice: IntArray, other: IntArray, states: IntArray) -> IntArray:
-    """A deterministic choice with another one's pairs in some states, [states]."""
+    """Return a choice with the pairs of another one in some states, [states]."""
     mixed = choice.copy()
     mixed[states] = other[states]
     return mixed
 
 
 _MOST_PAIRS = 500_000
-_ENDLESS = 1e9  # price of failure, relative to 1 + the optimal one, by which no tail fails at will
+_ENDLESS = 1e9  # price of failure, relative to 1 + the optimal one, at which no tail gives up
 
 
 @dataclass(frozen=True, eq=False)
 class _DeterministicRelaxation:
-    """The process that policies live on, and one of which they are special cases.
+    """A process, and a relaxation that contains all its deterministic policies.
 
-    A deterministic policy may leave a collapsed component by a way that depends on where it came
-    in, and may go on beyond the cap of case S by other policies than the tails. In ``relaxed`` this
-    is allowed for: some states ``may_randomise``, and beyond the cap success costs no more than
-    what had been paid at its border, with any probability that some policy attains.
+    The exit of a deterministic policy from a collapsed component may depend on the entry, and the
+    policy may differ from the tails beyond the cap of case S. ``relaxed`` allows for both: some
+    states ``may_randomise``, and beyond the cap success costs no more than the amount paid at the
+    cap, with any probability that some policy attains.
     """
 
     compiled: CompiledProblem
     process: ExplicitProcess
     relaxed: ExplicitProcess
-    may_randomise: BoolArray  # [states] those within reach of the start
+    may_randomise: BoolArray  # [states] reachable from the start
     fallback: IntArray  # [states] pairs of a policy that leaves from every state
-    measure: Callable[[IntArray], list[Column]]  # a choice to policies, each measured exactly
+    measure: Callable[[IntArray], list[Column]]  # evaluates the policies of a choice exactly
 
     def completed(self, choice: IntArray) -> tuple[IntArray | None, BoolArray]:
-        """The choice where it leads, a safe one elsewhere; None if it holds mass for ever."""
+        """Return the choice, with ``fallback`` in unreached states; None if it may never leave."""
         process = self.process
         chain = sp.csr_array(process.transitions[choice])
         chain.eliminate_zeros()
@@ -327,11 +325,11 @@ class _DeterministicRelaxation:
 
 
 def deterministic_relaxation(compiled: CompiledProblem, price: float) -> _DeterministicRelaxation:
-    """Write a process out as a relaxation for deterministic policies.
+    """Write a process out, with its relaxation for deterministic policies.
 
     Args:
-        compiled: of case M or S.
-        price: of failure at the best lottery.
+        compiled: a problem of case M or S.
+        price: price of failure of the best lottery.
 
     Raises:
         ModelError: there are too many pairs.
@@ -341,9 +339,9 @@ def deterministic_relaxation(compiled: CompiledProblem, price: float) -> _Determ
         raise ModelError(
             Argument("method", "deterministic"),
             f": a mixed-integer program of {exact.n_columns:,} pairs is too large (at most "
-            f"{_MOST_PAIRS:,}); a coarser grid of costs or a lower ",
+            f"{_MOST_PAIRS:,}): set a lower ",
             Argument("cost_cap"),
-            " makes it less",
+            ", or use a coarser grid of costs",
         )
     process = relaxed = exact.explicit()
     free = np.zeros(process.n_states, dtype=np.bool_)
@@ -353,7 +351,7 @@ def deterministic_relaxation(compiled: CompiledProblem, price: float) -> _Determ
         free[: len(merged)] = merged
 
         def measure(choice: IntArray) -> list[Column]:
-            """A choice, measured."""
+            """Evaluate a choice."""
             return [labelled.explicit_pricing.measure(choice.astype(np.int32))]
 
     else:
@@ -365,7 +363,7 @@ def deterministic_relaxation(compiled: CompiledProblem, price: float) -> _Determ
         relaxed = _with_loose_tails(process, layered.process, beyond)
 
         def measure(choice: IntArray) -> list[Column]:
-            """A choice followed by the tails of each price, measured."""
+            """Evaluate a choice with the tails of several prices."""
             within = choice[: cap * base.n_nodes].reshape(cap, base.n_nodes)
             shift = np.arange(cap)[:, None] * len(base.gain) + base.pair_offsets[:-1]
             tails = (price, 0.0, _ENDLESS * (1.0 + price))
@@ -384,10 +382,10 @@ def deterministic_relaxation(compiled: CompiledProblem, price: float) -> _Determ
 def _with_loose_tails(
     process: ExplicitProcess, layered: LayeredProcess, beyond: IntArray
 ) -> ExplicitProcess:
-    """Relax tails of deterministic policies to the greatest and least success at the cost paid.
+    """Return a process whose tails attain the greatest and the least success at the cost paid.
 
-    Every success from accumulated cost r on costs at least ``r * E[gamma^(T-1); goal]``, and its
-    probability lies between the two: their mixtures are no dearer than any policy.
+    Success from accumulated cost r on costs at least ``r * E[gamma^(T-1); goal]``, and its
+    probability lies between the two: some mixture of the tails costs no more than any policy.
     """
     base, tails = layered.base, layered.tails
     n_layers = base.width - 1
@@ -402,13 +400,13 @@ def _with_loose_tails(
 
 
 def _merged_nodes(quotient: Quotient) -> BoolArray:
-    """Nodes that stand for several states, where a deterministic policy is relaxed, [nodes]."""
+    """Return a mask of the nodes that stand for several states, [nodes]."""
     members = np.bincount(quotient.node_of[quotient.merged], minlength=quotient.n_nodes)
     return np.asarray(members > 1)
 
 
 def _reached_states(process: ExplicitProcess) -> BoolArray:
-    """States of a process to which a path leads from its start, [states]."""
+    """Return a mask of the states that are reachable from the start, [states]."""
     rows, start = process.transitions, np.flatnonzero(process.start > 0)
     return reached_along(rows.indices, rows.indptr[process.pair_offsets], start)
 
@@ -426,7 +424,7 @@ _OVER = {highspy.HighsModelStatus.kInfeasible, highspy.HighsModelStatus.kUnbound
 
 
 def _has_time(solver: highspy.Highs, cost: FloatArray, deadline: float) -> bool:
-    """Give HiGHS the integer program's first costs and the time left, if there is any."""
+    """Set the costs and the time left in HiGHS; return whether time is left."""
     left = deadline - time.perf_counter()
     if left <= 0.0:
         return False
@@ -437,16 +435,16 @@ def _has_time(solver: highspy.Highs, cost: FloatArray, deadline: float) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _IntegerAnswer:
-    """What HiGHS says; nothing in it is trusted but the bound."""
+    """The solution of HiGHS, of which only the bound is trusted."""
 
     x: FloatArray | None  # [pairs] None: no policy was found
     choice: IntArray | None  # [states]
-    bound: float  # of <cost, x>; infinite where there is no policy
+    bound: float  # lower bound of <cost, x>; infinite if there is no policy
     finished: bool
 
 
 class _IntegerProgram:
-    """The mixed-integer program of a process, from which policies can be excluded one by one."""
+    """The mixed-integer program of a process; policies can be excluded one by one."""
 
     def __init__(
         self,
@@ -456,12 +454,12 @@ class _IntegerProgram:
         free: BoolArray,
         gap: float,
     ) -> None:
-        """State the program.
+        """Build the program.
 
         Args:
             process: the process.
             budget: failure budget.
-            visits: upper bounds of the expected visits, [states]; 0: out of reach.
+            visits: upper bounds of the expected visits, [states]; 0: unreachable.
             free: states that may randomise, [states].
             gap: relative gap at which to stop.
         """
@@ -493,14 +491,14 @@ class _IntegerProgram:
         self._solver = highs_solver(lp, {**_OPTIONS, "mip_rel_gap": gap})
 
     def forbid(self, pairs: IntArray) -> None:
-        """Exclude all policies that take these pairs, one for each state that they reach."""
+        """Exclude all policies that take these pairs, one for each state reached."""
         position = np.flatnonzero(np.isin(self.pairs, pairs))
         columns = (self.process.n_pairs + position).astype(np.int32)
         most = float(position.size) - 1.0
         self._solver.addRow(-highspy.kHighsInf, most, position.size, columns, np.ones(columns.size))
 
     def solve(self, cost: FloatArray, deadline: float) -> _IntegerAnswer:
-        """Minimise a cost of the pairs, [pairs], until the deadline of ``time.perf_counter``."""
+        """Minimise a cost of the pairs, [pairs], until a deadline by ``time.perf_counter``."""
         solver, n = self._solver, self.process.n_pairs
         if not _has_time(solver, cost, deadline):
             return _IntegerAnswer(None, None, -np.inf, finished=False)
@@ -515,39 +513,39 @@ class _IntegerProgram:
         values = np.asarray(solver.getSolution().col_value, dtype=np.float64)
         weight = values[:n].copy()
         weight[self.pairs] = values[n:]
-        # the pair of greatest y, or of greatest x where there is no y
+        # the pair of greatest y, or of greatest x without y
         order = np.lexsort((weight, self.process.pair_state))
         choice = order[self.process.pair_offsets[1:] - 1]
         return _IntegerAnswer(values[:n], choice, bound, finished)
 
 
 _MARGIN = 1e-6
-"""Relative room above the optimum of a linear program, a thousand times HiGHS's tolerances."""
+"""Relative margin above the optimum of a linear program, 1000 times HiGHS's tolerances."""
 
-_ROOM = 1e-9  # relative, in the rows that say which policies count
-_EACH = 400  # states up to which each gets a program of its own
+_ROOM = 1e-9  # relative margin of the rows for budget and value
+_EACH = 400  # most states with a program each
 
 
 def most_visits(
     process: ExplicitProcess, budget: float, most: float, ratio: float, deadline: float
 ) -> FloatArray | None:
-    """Bound the visits that an integer program allows each state, over all policies, [states].
+    """Return an upper bound of the expected visits of each state over all policies, [states].
 
-    States out of reach get 0. Where no state can be visited twice all others get 1. Else one
-    linear program finds the greatest expected number of visits of all states together, and, where
-    there are few states, one more for each state the greatest number of its own visits. They are
-    finite: what costs nothing and could go on for ever has been collapsed in the process, so that
-    a limited cost limits the visits.
+    Unreachable states get 0. If no state can be visited twice, all others get 1. Otherwise one
+    linear program finds the greatest expected number of visits of all states together and, if
+    there are few states, a further program for each state finds its own greatest number. These are
+    finite: free end components are collapsed in the process, so that a limited cost limits the
+    visits.
 
     Args:
         process: the process; policies may be randomised.
         budget: of failure.
-        most: ``<cost - ratio * goal, x>`` of a policy that is as good as a known one.
-        ratio: what success earns; 0 in case M.
-        deadline: on the clock of ``time.perf_counter``.
+        most: largest ``<cost - ratio * goal, x>``, that of a known policy.
+        ratio: reward of success; 0 in case M.
+        deadline: by ``time.perf_counter``.
 
     Returns:
-        None where time ran out.
+        The bounds; None if the time ran out.
 
     Raises:
         SolverError: a program has no optimum.
@@ -567,7 +565,7 @@ def most_visits(
     solver = highs_solver(lp, {})
 
     def greatest(counted: FloatArray) -> float | None:
-        """The greatest expected number of counted steps, with a margin; None: time ran out."""
+        """Return the greatest expected number of counted steps, with a margin; None: no time."""
         if not _has_time(solver, counted, deadline):
             return None
         run_highs(solver)

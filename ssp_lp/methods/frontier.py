@@ -1,21 +1,21 @@
 """The trade-off between the objective and one limit: the turning points of the frontier.
 
-The least objective is convex in the bound, and linear between turning points. A segment between two
-of them is looked at: how far below it may policies lie, and where? There it is split, the segment
-with most below it first, until no policy lies below any by more than the gap. Two searches look:
+The least objective is convex in the bound, and linear between turning points. Segments between
+two points are split, the one with the largest gap below it first, until no policy lies below any
+segment by more than the gap. Two searches find the split point:
 
-- **Columns**, where failure is limited and nothing else. A segment is priced at its own slope:
-  either no policy lies below it, or the policy that is found is the next point.
-- **Optima at bounds**, over any limit, the others held. An optimum's lottery, mixed with that of
-  another bound, attains what lies between; its prices prove of every bound that no policy has less
-  than ``L - price * (bound - its own bound)``. Where the lines that two neighbours prove meet below
-  the segment, the problem is solved next.
+- **Columns**, if failure alone is limited. The pricing problem is solved at the slope of the
+  segment: either no policy lies below it, or the column found is the next point.
+- **Optima at bounds**, over any limit, with the other limits fixed. A mixture of the lotteries of
+  two bounds attains every bound between them. The prices of an optimum with lower bound L prove for
+  every bound that no policy has less than ``L - price * (bound - its own bound)``. The problem is
+  solved next where the lines of two neighbours meet below the segment.
 
-**Given success** the objective is a ratio, of which prices prove ``cost / goal >= c - (c - L +
-price * (bound - its own bound)) * t``, where c is what was attained and ``t = 1 / goal``. The goal
-probability of a lottery is not known, but it is one number in all these lines: the least that their
-greatest comes to for any t >= 1 is a bound. Lines proved inside of a segment pass through both its
-ends, and meet nowhere else: there the bound is tight.
+**Given success** the objective is a ratio, for which prices prove ``cost / goal >= c - (c - L +
+price * (bound - its own bound)) * t`` with the attained value c and ``t = 1 / goal``. The goal
+probability of a lottery is unknown, but it is the same in all these lines: the least over t >= 1
+of their maximum is a bound. Lines that are tight inside a segment pass through both its ends and
+meet nowhere else: there the bound is tight.
 """
 
 from __future__ import annotations
@@ -89,19 +89,19 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _LOG = logging.getLogger("ssp_lp.frontier")
-_SHOWN = 5  # points that a summary lists
-_BENT = 0.1  # of its height: a frontier that lies less below its chord has no bend
-_AROUND = 3.0  # times as far as the bend of a frontier is worth looking at
+_SHOWN = 5  # points in a summary
+_BENT = 0.1  # least distance below the chord, relative to the height, of a bend
+_AROUND = 3.0  # the region of interest, in distances to the bend
 _REFINEMENTS = 6
-_STEEP_SHARE = 3  # one in so many of the points that are allowed is sought at the steep end
-_FINER = 0.1  # of the gap that is asked for: how exactly the problem is solved at each bound
-_STRAIGHT = 1e-11  # relative: a point so little below the line of its neighbours is none that turns
-_NARROW = 1e-9  # of the whole range: segments are not split further
-_NEAR = 1e-4, 1e-2, 0.1  # of the range: so near to a least that no policy that counts attains
-_INSIDE = 1e-4  # of a segment: so far from its ends it is split at least
-_RAREST = 1e-12  # goal probability below which nothing is proved of a cost given success
-_SPLITS = 0.25, 0.5, 0.75  # of a segment, given success, where lines meet nowhere in particular
-_LEAST = 1e-300  # costs below are compared with this
+_STEEP_SHARE = 3  # one in so many of the allowed points is at the steep end
+_FINER = 0.1  # tolerance at each bound, relative to the gap
+_STRAIGHT = 1e-11  # relative distance below its neighbours' line of a turning point
+_NARROW = 1e-9  # width of the narrowest segment that is split, relative to the range
+_NEAR = 1e-4, 1e-2, 0.1  # distances from a least that cannot be attained, relative to the range
+_INSIDE = 1e-4  # least distance of a split from the ends, relative to the segment
+_RAREST = 1e-12  # least goal probability for bounds of a cost given success
+_SPLITS = 0.25, 0.5, 0.75  # further splits of a segment given success
+_LEAST = 1e-300  # least divisor of relative costs
 
 
 @explained
@@ -116,35 +116,36 @@ def trace_frontier(
     progress: Callable[[int, int], None] | None = None,
     verbose: bool = False,
 ) -> Frontier:
-    """Trace the frontier over a budget, from the least of it to where more of it buys nothing.
+    """Trace the least objective as a function of a budget, from the least feasible budget on.
 
-    Over the failure budget each segment is priced at its own slope: either no policy lies below it
-    and it is part of the frontier, or the policy found splits it. Case M ends at price 0; case S
-    where the price falls to the ratio itself, beyond which failing more does not lower the cost
-    given success. Over another limit, and where others are held at their bounds, the problem is
-    solved at one bound after another, where its bounds from above and below lie apart most.
+    The frontier ends where a larger budget no longer lowers the objective. Over the failure budget,
+    the pricing problem is solved at the slope of each segment: either no policy lies below it and
+    it is part of the frontier, or the policy found splits it. Case M ends at price 0; case S ends
+    where the price equals the ratio, beyond which more failure does not lower the cost given
+    success. Over another limit, or with other limits fixed, the problem is solved at the bound with
+    the largest gap between upper and lower bound, one after another.
 
     Args:
-        problem: what it allows of what is traced does not matter; all other limits are kept.
+        problem: its bound on the traced quantity is ignored; all other limits hold.
         over: "failure", or the name of a limit that bounds a quantity from above.
-        gap: how far a policy may lie below a segment, as a share of the cost at its safer end
-            (over other limits of the larger objective at its ends).
-        steepest_price: begin with the policy that is best at this price of failure (kappa in case
-            S) rather than at the least failure, near which the price grows without bound.
-        point_limit: stop splitting after so many turning points, of which the segments with most
-            below them get theirs first; ``gap`` is then what was reached.
+        gap: largest distance of a policy below a segment, relative to the cost at its safer end
+            (over other limits: to the larger objective at its ends).
+        steepest_price: begin with the policy that is optimal at this price of failure (kappa in
+            case S) rather than at the least failure, near which the price grows without bound.
+        point_limit: stop splitting after this number of turning points. Segments with the largest
+            gap are split first, and the frontier's ``gap`` is the one reached.
         time_limit: seconds after which splitting stops, also within a pricing call, as Ctrl-C does
-            at once. The points found are kept; ``open_segments`` says where others may be missing.
+            at once. The points found are kept; ``open_segments`` lists where points may be missing.
         progress: called after each pricing call with (calls, turning points so far).
-        verbose: show how far it has come (``ssp_lp.progress_shown``).
+        verbose: show the progress (``ssp_lp.progress_shown``).
 
     Raises:
-        ModelError: an argument out of range, a problem without a failure budget, no such limit, or
-            a criterion that is no linear program.
-        InfeasibleError: case S, and the goal cannot be reached from the start; or the other limits
-            cannot be kept.
-        OutOfTimeError: the time limit passed before there was a point.
-        KeyboardInterrupt: Ctrl-C came before there was one.
+        ModelError: an argument out of range, a problem without a failure budget, an unknown limit,
+            or a criterion that is no linear program.
+        InfeasibleError: case S, and the goal cannot be reached from the start; or no policy
+            satisfies the other limits.
+        OutOfTimeError: the time limit was reached before the first point.
+        KeyboardInterrupt: Ctrl-C before the first point.
 
     Example:
         >>> from ssp_lp import MCMP, SSP, trace_frontier, visits
@@ -176,15 +177,16 @@ def trace_frontier(
 
 
 def _traceable(problem: Problem, over: str, limits: TraceLimits) -> Problem:
-    """The problem that is solved, once it is known that what is traced can be.
+    """Return the problem, checked that its frontier over the limit can be traced.
 
     Raises:
-        ModelError: it cannot: nothing of this name is limited from above, or no program says so.
+        ModelError: it cannot, as no limit of this name bounds from above, or the criterion is no
+            linear program.
     """
     name, asked = type(problem).__name__, problem.requirements
     if over == FAILURE_ROW:
         if asked.aim is not Aim.LEAST_COST or problem.semantics.forbids_failing:
-            raise ModelError(f"{name} has no failure budget to trace: trace MCMP's")
+            raise ModelError(f"{name} has no failure budget to trace: trace MCMP instead")
         if not asked.rows:
             return problem
     else:
@@ -196,12 +198,12 @@ def _traceable(problem: Problem, over: str, limits: TraceLimits) -> Problem:
                 f"{over!r}{did_you_mean(over, names)}",
             )  # fmt: skip
         if problem.conditions[names.index(over)].lower is not None:
-            raise ModelError(f"limit {over!r} bounds from below: state what is to be little, such "
+            raise ModelError(f"limit {over!r} bounds from below: state it as an upper limit, such "
                              "as 1 - end_probability(...) <= 0.1, to trace it")  # fmt: skip
     if asked.is_risk:
-        raise ModelError(f"{name} is no linear program: trace the limits of another criterion")
+        raise ModelError(f"{name} is no linear program: trace the limit with another criterion")
     if limits.steepest_price is not None:
-        raise ModelError(Argument("steepest_price"), " goes with the failure budget alone")
+        raise ModelError(Argument("steepest_price"), " is for the failure budget alone")
     return problem
 
 
@@ -209,40 +211,41 @@ def _traceable(problem: Problem, over: str, limits: TraceLimits) -> Problem:
 class Frontier(Report):
     """Turning points of the lower convex hull of (failure, cost), by increasing failure.
 
-    Between two of them the optimum is their lottery: cost is piecewise linear and convex in the
+    Between two points the optimum is their lottery: the cost is piecewise linear and convex in the
     failure. In case S ``cost`` is E[cost; goal], and the objective is cost / goal along a segment.
-    Under a discount all three are discounted. Over another limit, ``spent`` is what is spent of it,
-    and takes the place of the failure.
+    Under a discount all three are discounted. Over another limit, ``spent`` is its quantity, in
+    place of the failure.
     """
 
-    spent: FloatArray  # [points] increasing: of what is traced, failure unless ``over`` says else
+    spent: FloatArray  # [points] increasing: the traced quantity, by default the failure
     goal: FloatArray  # [points] 1 - failure
     cost: FloatArray  # [points] decreasing
-    price: FloatArray  # [points - 1] of what is traced, on each segment, decreasing
-    below: FloatArray  # [points - 1] no policy lies further below, as a share of the safer cost
-    tolerance: float  # share below a segment up to which it was not split
-    hidden: float  # share by which what a cap on the accumulated cost hides may lie below
+    price: FloatArray  # [points - 1] decreasing: minus the slope of the cost on each segment
+    below: FloatArray  # [points - 1] largest distance of policies below, over the safer cost
+    tolerance: float  # relative distance below a segment up to which it was not split
+    hidden: float  # relative distance below due to the cap on accumulated cost
     ratio: bool  # case S
-    complete: bool  # whether it begins at the least, not at a price asked for or near the least
+    complete: bool  # whether it begins at the least feasible bound
     pricing_calls: int
     work: Work  # passes over the process
-    _points: _ColumnPoints | _OptimumPoints  # policies of its points, and proofs between them
+    _points: _ColumnPoints | _OptimumPoints  # policies of the points, and proofs between them
     problem: Problem | None = None  # as stated
     ends_early: bool = False  # whether tracing was stopped before it found the other end
     status: Status = Status.OPTIMAL
-    over: str = FAILURE_ROW  # the limit that is traced
-    maximises: bool = False  # then the objective grows, and what is said to lie below lies above
+    over: str = FAILURE_ROW  # the traced limit
+    maximises: bool = False  # a maximisation: the objective grows, and "below" means above
 
     @property
     def failure(self) -> FloatArray:
-        """What fails at each turning point, [points]."""
+        """Failure probability at each turning point, [points]."""
         return self.spent if self.over == FAILURE_ROW else 1.0 - self.goal
 
     @property
     def region(self) -> tuple[float, float]:
-        """The bounds worth looking at: three times as far as the curve lies most below its chord.
+        """The bounds of interest: up to three times the distance to the bend of the curve.
 
-        Beyond, more of the budget buys little; all of them where the curve has no such bend.
+        The bend is where the curve lies most below its chord; beyond the region a larger budget
+        lowers the objective little. Without a bend the region is the whole range.
         """
         first, last = float(self.spent[0]), float(self.spent[-1])
         if len(self.spent) < 3:
@@ -257,32 +260,32 @@ class Frontier(Report):
 
     @property
     def gap(self) -> float:
-        """Gap of the frontier: how far policies may lie below a segment."""
+        """Largest relative distance of policies below a segment."""
         return max(self.tolerance, self.hidden, float(self.below.max(initial=0.0)))
 
     @property
     def open_segments(self) -> tuple[int, ...]:
-        """Numbers of the frontier's segments below which points may be missing, from point k."""
+        """Indices of the segments below which points may be missing; k begins at point k."""
         numbers = np.flatnonzero(self.below > self.tolerance).tolist()
         return (*numbers, len(self.price)) if self.ends_early else tuple(numbers)
 
     @property
     def objective(self) -> FloatArray:
-        """Objective at each turning point of the frontier, [points]."""
+        """Objective at each turning point, [points]."""
         return self.cost / self.goal if self.ratio else self.cost
 
     @explained
     def objective_at(self, budget: float) -> float:
-        """The frontier's least objective within a failure budget; no pricing call is made.
+        """Return the least objective within a failure budget, without a pricing call.
 
-        Too high by at most ``tolerance`` times the cost at the safer end of the segment, in case S
-        divided by 1 - budget: at budgets near 1 that may be a larger share of what is returned.
+        It is too high by at most ``tolerance`` times the cost at the safer end of the segment, in
+        case S divided by 1 - budget: near budget 1 this may be a larger share of the value.
 
         Raises:
             InfeasibleError: the budget is below the least failure.
             ModelError: the frontier was not traced down to the budget.
-            SolverError: tracing was cut short there, and a cheaper policy is known to exist; the
-                message has :meth:`bounds_at`.
+            SolverError: tracing stopped before this segment was settled; the message has the bounds
+                of :meth:`bounds_at`.
         """
         number, weight = self._locate(budget)
         share = self.hidden if weight == 0.0 else max(self.hidden, float(self.below[number]))
@@ -292,25 +295,25 @@ class Frontier(Report):
             raise SolverError(
                 f"the frontier is not settled at the budget {budget:g}: the least objective lies "
                 f"between {low!r} and {high!r} (bounds_at); policy_at attains the latter. "
-                "A higher ",
+                "Set a higher ",
                 Argument("point_limit"),
                 " or ",
                 Argument("time_limit"),
-                " of trace_frontier settles more",
+                " of trace_frontier",
             )
         return self._attained(number, weight)
 
     @explained
     def bounds_at(self, budget: float) -> tuple[float, float]:
-        """Certified bounds of the frontier's optimum within a bound, failure budget or another.
+        """Return certified lower and upper bounds of the optimum at a bound, such as a budget.
 
-        One of them is what :meth:`policy_at` attains. Over the failure budget alone the other is
-        proved afresh, at the price of the segment, and where that is not settled also at those at
-        which its ends are best: one to three pricing calls, remembered for every budget. Else it is
-        what the prices of all optima on the way prove.
+        One of them is the value of :meth:`policy_at`. Over the failure budget alone the other is
+        proved at the price of the segment and, if the segment is not settled, at the prices of its
+        ends: one to three pricing calls, cached for all budgets. Otherwise the prices of all optima
+        prove it.
 
         Raises:
-            InfeasibleError: the budget is below the least.
+            InfeasibleError: the budget is below the least feasible one.
             ModelError: the frontier was not traced down to the budget.
         """
         number, weight = self._locate(budget)
@@ -319,7 +322,7 @@ class Frontier(Report):
         return (attained, proved) if self.maximises else (proved, attained)
 
     def _attained(self, number: int, weight: float) -> float:
-        """Objective of a lottery over a turning point of the frontier and the next one."""
+        """Return the objective of a lottery over a turning point and the next one."""
         if weight == 0.0:
             return float(self.objective[number])
         ends, pair = np.array([1.0 - weight, weight]), slice(number, number + 2)
@@ -328,9 +331,9 @@ class Frontier(Report):
 
     @explained
     def policy_at(self, budget: float) -> MixedPolicy:
-        """Lottery of the frontier's turning points around a budget; no pricing call is made.
+        """Return the lottery of the turning points around a budget, without a pricing call.
 
-        It attains the upper end of :meth:`bounds_at`, which is :meth:`objective_at` where settled.
+        It attains the upper bound of :meth:`bounds_at`, which is :meth:`objective_at` if settled.
 
         Raises:
             InfeasibleError: the budget is below the least failure.
@@ -350,7 +353,7 @@ class Frontier(Report):
 
     @explained
     def slopes_at(self, budget: float) -> list[float]:
-        """Slopes of the objective in the budget, of each segment that meets it and is settled."""
+        """Return the slope of the objective on each settled segment that contains the budget."""
         slopes = []
         for k in np.flatnonzero(self.below <= self.tolerance).tolist():
             if not self.spent[k] <= budget <= self.spent[k + 1]:
@@ -367,20 +370,20 @@ class Frontier(Report):
 
     @property
     def axis(self) -> str:
-        """What is traced, in words."""
+        """Description of the traced bound."""
         return "failure budget" if self.over == FAILURE_ROW else f"bound on {self.over}"
 
     def plot(self, budget: float | None = None, *, ax: Axes | None = None, **style: Any) -> Axes:
-        """Draw the frontier: :func:`ssp_lp.plotting.plot_frontier`."""
-        pictures = optional_module("ssp_lp.plotting.curves", "plot")  # which know frontiers
+        """Draw the frontier with :func:`ssp_lp.plotting.plot_frontier`."""
+        pictures = optional_module("ssp_lp.plotting.curves", "plot")
         axes: Axes = pictures.plot_frontier(self, budget, ax=ax, **style)
         return axes
 
     def tables(self) -> list[Table]:
-        """One table with a row for each turning point, of which text shows a few.
+        """Return one table with a row for each turning point, of which text shows a few.
 
-        Columns: what is traced by its name, goal, cost, objective; price and below of the segment
-        that begins at the point, without a value at the last.
+        Columns: the traced quantity under its name, goal, cost, objective; price and below of the
+        segment that begins at the point, empty at the last point.
         """
         price, below = ([*each.tolist(), None] for each in (self.price, self.below))
         points = (x.tolist() for x in (self.spent, self.goal, self.cost, self.objective))
@@ -403,7 +406,7 @@ class Frontier(Report):
 
     @property
     def _title(self) -> str:
-        """Title of the frontier's table: how many points, from where to where, and how near."""
+        """Title of the table: number of points, ranges and gap."""
         spent, value, count = self.spent, self.objective, len(self.open_segments)
         unfinished = f", {count} segment{'s' * (count != 1)} open: {self.status}" if count else ""
         return (
@@ -412,17 +415,17 @@ class Frontier(Report):
         )
 
     def _locate(self, budget: float) -> tuple[int, float]:
-        """The frontier's turning point at or before a budget, and the weight of the next one."""
+        """Return the turning point at or before a budget, and the weight of the next one."""
         check_numbers(budget=budget)
         if self.over == FAILURE_ROW and budget > 1.0 + LEAST_BUDGET:
             raise ModelError(f"budget must be a probability, not {budget!r}{as_percentage(budget)}")
         lowest, spent = float(self.spent[0]), self.spent
         if not self.complete and not budget >= lowest:
             of_failure = self.over == FAILURE_ROW
-            more = "; a steeper steepest_price traces more of it" if of_failure else ""
+            more = ": set a higher steepest_price" if of_failure else ""
             raise ModelError(
-                f"the frontier was traced from {self.over} {lowest:.12g} on, which the budget "
-                f"{budget!r} is below{more}"
+                f"the frontier was traced from {self.over} {lowest:.12g} on, above the budget "
+                f"{budget!r}{more}"
             )
         if not budget >= lowest - LEAST_BUDGET:
             told = "fails with" if self.over == FAILURE_ROW else f"takes of {self.over!r}"
@@ -439,7 +442,7 @@ class Frontier(Report):
         return number, (budget - float(spent[number])) / width
 
     def _least_failure(self) -> float:
-        """The least failure probability of all policies, worked out where an error asks for it."""
+        """Return the least failure probability, computed when an error is asked for it."""
         if self.problem is None:
             return float(self.failure.min())
         return budget_of_share(self.problem.model, self.problem.start, 1.0)
@@ -447,7 +450,7 @@ class Frontier(Report):
 
 @dataclass(frozen=True)
 class TraceLimits:
-    """How far to trace."""
+    """Limits and options of a trace."""
 
     gap: float
     steepest_price: float | None
@@ -464,37 +467,37 @@ class TraceLimits:
             raise wrong_argument("steepest_price", "be a positive number", steepest)
 
     def report(self, calls: int, points: int) -> None:
-        """Tell whoever asked how far tracing has come."""
+        """Call the progress callback, if any."""
         if self.progress is not None:
             self.progress(calls, points)
 
     @property
     def may_stop(self) -> bool:
-        """Whether some segments may be left, so that it matters which are split."""
+        """Whether tracing may stop early, so that the order of splitting matters."""
         return self.point_limit is not None or self.has_deadline
 
     def allows(self, points: int) -> bool:
-        """Whether a segment may still be split."""
+        """Return whether a segment may still be split."""
         full = self.point_limit is not None and points >= self.point_limit
         return not full and not is_late()
 
 
 @dataclass(frozen=True, eq=False)
 class _ColumnPoints:
-    """Columns that are turning points, and proofs at prices, kept as they are asked for."""
+    """The turning points as columns, with cached proofs at prices."""
 
     pricing: PricingProblem
     columns: tuple[Column, ...]  # [points]
     proofs: dict[tuple[float, bool], Proof] = field(default_factory=dict)  # by price and slack
 
     def policy(self, point: int) -> Policy:
-        """The policy of a turning point."""
+        """Return the policy of a turning point."""
         return self.pricing.policy(self.columns[point])
 
     def proved(
         self, frontier: Frontier, number: int, weight: float, budget: float, attained: float
     ) -> float:
-        """What no policy within a budget falls below, by the prices that matter around it."""
+        """Return a lower bound within a budget, proved at the prices around it."""
         last, open_below = len(self.columns) - 1, frontier.below > frontier.tolerance
         segments = {number} if weight > 0.0 else {max(number - 1, 0), number}
         proofs = [self._proof_below(frontier, segment) for segment in segments]
@@ -509,7 +512,7 @@ class _ColumnPoints:
         return least_of(max(map(row.lower_bound, proofs)), attained)
 
     def _proof_below(self, frontier: Frontier, segment: int) -> Proof:
-        """Proof at a segment's price; beyond the last, at that of the best policy."""
+        """Return the proof at a segment's price; beyond the last, for a slack budget."""
         column = self.columns[segment]
         if segment < len(self.columns) - 1:
             return self.proof(float(frontier.price[segment]), column)
@@ -517,39 +520,39 @@ class _ColumnPoints:
         return self.proof(price, column, slack=frontier.ratio)
 
     def proof(self, price: float, column: Column, *, slack: bool = False) -> Proof:
-        """Proof at a price; ``column`` is a policy perhaps near to the best."""
+        """Return the proof at a price; ``column`` is a presumably good policy there."""
         if (price, slack) not in self.proofs:
             proof = self.pricing.prove(price, column, slack=slack)
-            self.proofs[price, slack] = replace(proof, values=np.zeros(0))  # only bounds are asked
+            self.proofs[price, slack] = replace(proof, values=np.zeros(0))  # only bounds are used
         return self.proofs[price, slack]
 
 
 @dataclass(frozen=True, eq=False)
 class _OptimumPoints:
-    """Lotteries that are turning points, and what the prices of all optima prove at any bound."""
+    """The turning points as lotteries, and the bounds that the prices of all optima prove."""
 
     policies: tuple[MixedPolicy, ...]  # [points]
     sense: ObjectiveSense
-    bounds: FloatArray  # [optima] of each
-    value: FloatArray  # [optima] attained at them, in what is minimised
-    bound: FloatArray  # [optima] proved at them
-    prices: FloatArray  # [optima] infinite: no word of larger bounds
-    least_goal: float | None  # that all lotteries have; None: nothing is counted given success
+    bounds: FloatArray  # [optima] at which the problem was solved
+    value: FloatArray  # [optima] minimised value attained there
+    bound: FloatArray  # [optima] lower bound proved there
+    prices: FloatArray  # [optima] infinite: proves nothing of larger bounds
+    least_goal: float | None  # least goal probability of all lotteries; None: not given success
     is_failure: bool  # whether the bounds are failure budgets
 
     def policy(self, point: int) -> MixedPolicy:
-        """The lottery of a turning point."""
+        """Return the lottery of a turning point."""
         return self.policies[point]
 
     def proved(
         self, frontier: Frontier, number: int, weight: float, budget: float, attained: float
     ) -> float:
-        """What no policy within a bound betters."""
+        """Return a proved bound of all policies within a bound of the traced quantity."""
         proved = self.sense.worth(self.least(budget))
         return max(proved, attained) if frontier.maximises else min(proved, attained)
 
     def least(self, bound: float) -> float:
-        """No policy that keeps to a bound has less: the least over t of the greatest line."""
+        """Return a lower bound within a bound: the least over t of the greatest line."""
         beyond = bound - self.bounds
         tells = (beyond <= 0.0) | np.isfinite(self.prices)
         saved = np.where(np.isfinite(self.prices), self.prices, 0.0) * beyond
@@ -568,7 +571,7 @@ class _OptimumPoints:
 
 
 def _rounded_down(height: FloatArray, slope: FloatArray, t: FloatArray | float) -> FloatArray:
-    """``height + slope * t``, rounding counted against it."""
+    """Return ``height + slope * t``, rounded down."""
     rise = slope * t
     return np.asarray(height + rise - 4.0 * MACHINE_EPSILON * (np.abs(height) + np.abs(rise)))
 
@@ -576,17 +579,17 @@ def _rounded_down(height: FloatArray, slope: FloatArray, t: FloatArray | float) 
 def _split(search: _Columns | _Optima, *, steep_only: bool = False) -> None:
     """Split segments until no policy lies below any by more than the gap.
 
-    Where not all can be split, the segment with most below it comes first; else the one that was
-    found last, whose policies are the warmest starts.
+    If not all may be split, the segment with the largest gap comes first; otherwise the one found
+    last, whose policies are the best warm starts.
 
     Args:
-        search: what looks below segments and splits them.
+        search: finds points below segments and splits them.
         steep_only: split only the first segment, until it is settled.
     """
     limits, waiting, numbers = search.limits, list[Any](), count()
 
     def look(p: Any, q: Any) -> None:
-        """Have a segment wait, unless it is settled."""
+        """Add a segment to the queue, unless it is settled."""
         below, candidate = search.look(p, q)
         if candidate is not None:
             number = next(numbers)
@@ -597,7 +600,7 @@ def _split(search: _Columns | _Optima, *, steep_only: bool = False) -> None:
     while waiting and limits.allows(len(search.points) * (_STEEP_SHARE if steep_only else 1)):
         *_, p, q = heappop(waiting)
         candidate: Any
-        below, candidate = search.look(p, q)  # what was found since may have closed it
+        below, candidate = search.look(p, q)  # newer points may have closed it
         if candidate is None:
             continue
         if search.worst_first and waiting and below < -waiting[0][0]:
@@ -609,13 +612,13 @@ def _split(search: _Columns | _Optima, *, steep_only: bool = False) -> None:
 
 
 class _Columns:
-    """Columns of a process, each the best at the slope of a segment. Grows."""
+    """Columns of a process, each optimal at the slope of a segment. Mutable."""
 
     def __init__(self, compiled: CompiledProblem, limits: TraceLimits) -> None:
-        """The columns at both ends.
+        """Find the columns at both ends.
 
         Raises:
-            ModelError: at the steepest price it is best to fail.
+            ModelError: failing is optimal at the steepest price.
         """
         self.limits, self.worst_first = limits, limits.may_stop
         self.pricing, self.ratio = compiled.pricing(), compiled.ratio
@@ -626,8 +629,8 @@ class _Columns:
             safest, self.calls = self.pricing.minimise(steepest, self.pricing.first()), 1
             if row.ratio and row.objective(safest.cost, safest.goal) >= steepest:
                 raise ModelError(
-                    f"at the price {steepest:g} of failure it is best to fail: "
-                    "steepest_price must lie above the least cost given success"
+                    f"at the price {steepest:g} of failure failing is optimal: "
+                    "set steepest_price above the least cost given success"
                 )
         master = master_at(self.pricing, row, safest, calls=self.calls, work=safest.work)
         free = generate(master, SolveOptions(limits.gap))
@@ -635,20 +638,20 @@ class _Columns:
         self.calls, self.work = master.pool.calls, master.pool.work
         self.ends_early = not free.finished
         self.ends = [safest] if last.failure <= safest.failure else [safest, last]
-        self._priced: dict[float, Column] = {}  # found so far, by price
+        self._priced: dict[float, Column] = {}  # columns by price
         self.begin()
 
     def begin(self) -> None:
-        """Forget which columns are points; what was found at a price stays known."""
+        """Reset the points to both ends; the columns found at prices are kept."""
         self._columns, self._below = [*self.ends], dict[float, float]()
 
     @property
     def points(self) -> list[Column]:
-        """The columns that are points, by their failure."""
+        """The points, by increasing failure."""
         return sorted(self._columns, key=lambda column: column.failure)
 
     def look(self, p: Column, q: Column) -> tuple[float, Column | None]:
-        """Share by which policies may lie below a segment, priced at its slope, and the lowest."""
+        """Price at a segment's slope; return the relative gap below and the column found."""
         price = max((p.cost - q.cost) / excess_failure(q, p), 0.0)
         below, gap = self._below.get(p.failure, 1.0), self.limits.gap
         column = self._priced.get(price)
@@ -662,12 +665,12 @@ class _Columns:
             below = _share_below(p, q, column, price)
         self._below[p.failure] = below
         waits = column is not None and below > gap
-        if column is not None:  # only those that wait start others warmly
+        if column is not None:  # only queued columns serve as warm starts
             self._priced[price] = column if waits else replace(column, totals=None)
         return below, column if waits else None
 
     def split(self, p: Column, q: Column, column: Column) -> tuple[Column, ...]:
-        """Make the column below a segment a point."""
+        """Add the column below a segment to the points."""
         light = replace(column, totals=None)
         self._columns.append(light)
         self._priced[column.found_at or 0.0] = light
@@ -675,7 +678,7 @@ class _Columns:
         return p, column, q
 
     def frontier(self) -> Frontier:
-        """The frontier through all points."""
+        """Return the frontier through all points."""
         columns = self.points
         spent, goal, cost = np.array([(c.failure, c.goal, c.cost) for c in columns]).T
         light = tuple(replace(column, totals=None) for column in columns)
@@ -689,7 +692,7 @@ class _Columns:
 
 
 def _share_below(p: Column, q: Column, column: Column | None, price: float) -> float:
-    """Distance of a column below a segment of the frontier, relative to its cost; else 0."""
+    """Return the distance of a column below a segment, relative to the cost at p; else 0."""
     if column is None or not p.failure < column.failure < q.failure:
         return 0.0
     below = p.cost - column.cost - price * (column.failure - p.failure)
@@ -697,23 +700,23 @@ def _share_below(p: Column, q: Column, column: Column | None, price: float) -> f
 
 
 def _traced_by_columns(problem: Problem, limits: TraceLimits) -> Frontier:
-    """Trace over failure alone, again more finely while a cap on the cost hides more than the gap.
+    """Trace over failure alone, on finer processes while the cap on the cost loses too much.
 
-    It hides most where the price is steepest, so that a few pricing calls at that end tell first
-    how fine a process is needed; the rest is then traced once.
+    The cap loses most where the price is steepest. A few pricing calls at that end first find out
+    how fine the process must be; the rest is then traced once.
 
     Raises:
-        ModelError: the problem has no failure budget, or no mean of costs, to trace.
+        ModelError: the problem has no expected cost to trace.
         InfeasibleError: case S, and the goal cannot be reached from the start.
-        Stop: the time ended before there was a point.
+        Stop: the time limit was reached before the first point.
     """
     name, asked = type(problem).__name__, problem.requirements
     if asked.law:
-        raise ModelError(f"{name} is no mean of costs to trace: trace S3P's")
+        raise ModelError(f"{name} has no expected cost to trace: trace S3P instead")
     if asked.several_rows:
         raise ModelError(
-            f"{name}'s costs have no common unit and too many sums to tell apart: round them, or "
-            "trace MCMP's frontier"
+            f"{name} has too many distinct total costs and no common unit: round the costs, "
+            "or trace MCMP instead"
         )
     compiled = problem.compile()
     if limits.steepest_price is None:
@@ -745,7 +748,7 @@ def _traced_by_columns(problem: Problem, limits: TraceLimits) -> Frontier:
 
 
 def _share_lost(compiled: CompiledProblem, traced: Frontier) -> float:
-    """Share by which the cap on the cost may hide policies below the traced frontier."""
+    """Return the relative distance below the frontier that the cap on the cost may lose."""
     if len(traced.price) == 0:
         return 0.0
     lost = np.inf
@@ -756,44 +759,44 @@ def _share_lost(compiled: CompiledProblem, traced: Frontier) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Optimum:
-    """The optimum at a bound, in what is minimised: a point, and a line below all policies."""
+    """The optimum at a bound: a point, and a line below all policies."""
 
-    spent: float  # of what is traced
+    spent: float  # of the traced quantity
     value: float
     goal: float
     bound: float
-    proved: float  # of every policy that keeps to it
-    price: float  # of the bound in that proof; infinite: no word of larger bounds
+    proved: float  # lower bound of every policy within it
+    price: float  # of the bound in that proof; infinite: proves nothing of larger bounds
     policy: MixedPolicy
 
 
 class _Optima:
-    """Optima at bounds of a limit, the others held. Grows."""
+    """Optima at bounds of one limit, with the others fixed. Mutable."""
 
     worst_first = True
 
     def __init__(self, problem: Problem, over: str, limits: TraceLimits) -> None:
-        """Nothing is solved yet."""
+        """Compile the problem, without solving it."""
         self.problem, self.over, self.limits = problem, over, limits
         self.calls, self.work, self.optima = 0, Work(), list[_Optimum]()
         self.stated = compiled_constrained(problem)
-        if over == FAILURE_ROW:  # whatever was allowed, even if that was the least
+        if over == FAILURE_ROW:  # the stated budget is ignored, even if it is the least
             self.stated = replace(self.stated, budget=1.0)
         self.truth = true_figures(problem, self.stated)
         self.options = SolveOptions(_FINER * limits.gap)
 
     def traced(self) -> Frontier:
-        """The frontier.
+        """Trace the frontier.
 
         Raises:
-            InfeasibleError: the other limits cannot be kept.
-            Stop: the time ended before both ends were known.
+            InfeasibleError: no policy satisfies the other limits.
+            Stop: the time limit was reached before both ends were known.
         """
         _ = self.stated.pricing()  # for all bounds
         self.add(1.0 if self.over == FAILURE_ROW else np.inf)
         least, free = self.least(), self.optima[0].spent
         is_least = least >= free
-        # only policies that never succeed, which do not count, may spend the least
+        # the least may be attained only by policies that never reach the goal
         for share in () if is_least else (0.0, *_NEAR):
             with suppress(InfeasibleError):
                 self.add(least + share * (free - least))
@@ -805,7 +808,7 @@ class _Optima:
 
     @property
     def points(self) -> list[_Optimum]:
-        """The optima that cost less than all that spend no more, by what they spend."""
+        """The optima that no other optimum dominates, by increasing ``spent``."""
         points: list[_Optimum] = []
         for one in sorted(self.optima, key=lambda o: (o.spent, o.value)):
             if not points or one.value < points[-1].value - _STRAIGHT * abs(points[-1].value):
@@ -813,7 +816,7 @@ class _Optima:
         return points
 
     def look(self, p: _Optimum, q: _Optimum) -> tuple[float, float | None]:
-        """Share by which policies may lie below a segment, and the bound to solve at next."""
+        """Return the relative gap below a segment, and the next bound; None: it is settled."""
         below, bound = self._apart(p, q)
         own = max((o.value - o.proved) for o in (p, q)) / self._scale(p, q)
         points = self.points
@@ -822,14 +825,14 @@ class _Optima:
         return below, None if settled else bound
 
     def split(self, p: _Optimum, q: _Optimum, bound: float) -> tuple[_Optimum, ...]:
-        """Solve at a bound inside of a segment; its points, the ends included."""
+        """Solve at a bound inside a segment; return the points of the segment with its ends."""
         self.add(bound)
         if not p.spent < self.optima[-1].spent < q.spent:
             return ()
         return tuple(o for o in self.points if p.spent <= o.spent <= q.spent)
 
     def lines(self, *turning: _Optimum) -> _OptimumPoints:
-        """What the optima so far prove."""
+        """Return the turning points with the lines that all optima prove."""
         told = [(o.bound, o.value, o.proved, o.price) for o in self.optima]
         bounds, value, proved, prices = np.array(told).T
         policies, goal = tuple(o.policy for o in turning), None
@@ -839,21 +842,21 @@ class _Optima:
         return _OptimumPoints(*told_of, goal, self.over == FAILURE_ROW)
 
     def _scale(self, p: _Optimum, q: _Optimum) -> float:
-        """To which what lies below a segment is compared: the larger objective of its ends."""
+        """Return the larger objective of the ends, the unit of relative gaps."""
         worth = self.stated.sense.worth
         return max(abs(worth(p.value)), abs(worth(q.value)), _LEAST)
 
     def _mixed(self, p: _Optimum, q: _Optimum, bound: float) -> float:
-        """What the lottery of two optima that meets a bound in between attains."""
+        """Return the value of the lottery of two optima that meets a bound between them."""
         w = (bound - p.spent) / (q.spent - p.spent)
         goals = ((1.0 - w) * p.goal, w * q.goal) if self.stated.ratio else (1.0 - w, w)
         return (goals[0] * p.value + goals[1] * q.value) / sum(goals)
 
     def _apart(self, p: _Optimum, q: _Optimum) -> tuple[float, float]:
-        """How far below a segment policies may lie, as a share, and the bound to split it at."""
+        """Return the largest relative gap below a segment, and the bound at which to split it."""
         width, share, lines = q.spent - p.spent, 0.5, self.lines()
         left, right = (o.price / (o.goal if self.stated.ratio else 1.0) for o in (p, q))
-        if np.isfinite(left) and left > right:  # where the lines of both ends meet
+        if np.isfinite(left) and left > right:  # the lines of both ends meet
             share = (p.value - q.value - right * width) / ((left - right) * width)
         shares = [min(max(share, _INSIDE), 1.0 - _INSIDE), *(_SPLITS if self.stated.ratio else ())]
         shares += [] if np.isfinite(left) else [_NARROW]
@@ -863,7 +866,7 @@ class _Optima:
         return most / self._scale(p, q), p.spent + split * width
 
     def least(self) -> float:
-        """The least that can be spent of what is traced, the other limits held."""
+        """Return the least value of the traced quantity within the other limits."""
         problem, of_failure = self.problem, self.over == FAILURE_ROW
         conditions = {condition.name: condition for condition in problem.conditions}
         objective = conditions.pop(self.over, None)
@@ -877,7 +880,7 @@ class _Optima:
         return 1.0 - least if of_failure else least
 
     def add(self, bound: float) -> None:
-        """Solve at a bound of what is traced."""
+        """Solve the problem at a bound of the traced quantity."""
         stated, over, budget = self.stated, self.over, self.stated.budget
         if over == FAILURE_ROW:
             budget = bound
@@ -888,7 +891,7 @@ class _Optima:
         optimum = rows_optimum(stated.bounded(budget, side), self.options, self.truth)
         compiled = optimum.compiled
         if compiled.layers > stated.layers and (compiled.budget is None) == (stated.budget is None):
-            self.stated = compiled.bounded(stated.budget, stated.side)  # begun there next
+            self.stated = compiled.bounded(stated.budget, stated.side)  # for the next bound
         found = evaluate(optimum.policy, self.problem)
         failure = found.limited_failure
         spent = failure if over == FAILURE_ROW else found.secondary_costs[over]
@@ -905,7 +908,7 @@ class _Optima:
         self.limits.report(self.calls, len(self.optima))
 
     def frontier(self, *, complete: bool) -> Frontier:
-        """The frontier through all points that turn."""
+        """Return the frontier through all turning points."""
         points, sense, ratio = self.points, self.stated.sense, self.stated.ratio
         turning = points[:1]
         for one, after in pairwise(points[1:]):

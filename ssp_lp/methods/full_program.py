@@ -36,12 +36,12 @@ def solve_program(
     Args:
         process: the process.
         limits: name -> (coefficient of each pair, [pairs], and bound).
-        options: the backend, and the deadline.
+        options: backend and deadline.
         ratio: case S, the objective <cost, x> / <goal, x>.
 
     Raises:
         ModelError: unknown backend.
-        SolverError: no backend's answer passes the check of its residuals.
+        SolverError: no backend's solution passes the check of its residuals.
     """
     program = rows_program(process, limits, ratio)
     backend = None if options.program is None else options.program.backend
@@ -59,9 +59,9 @@ def solve_program(
 
 
 def check_agreement(optimum: ProgramOptimum, objective: float) -> None:
-    """Raise :class:`SolverError` if the full program's optimum and its policy's value differ."""
+    """Check that the optimum equals the value of the policies; else raise :class:`SolverError`."""
     if abs(optimum.objective - objective) > _AGREEMENT * max(abs(objective), 1.0):
         raise SolverError(
-            f"the linear program says {optimum.objective!r} ({optimum.report}) but the policies "
-            f"priced at its dual attain {objective!r}"
+            f"the linear program reports {optimum.objective!r} ({optimum.report}), but the "
+            f"policies priced at its dual attain {objective!r}"
         )

@@ -1,8 +1,8 @@
-"""An answer in hand while a search goes on: a policy of case M, judged by the criterion itself.
+"""The incumbent of a search on accumulated cost: a policy of case M, evaluated by the criterion.
 
-A policy that keeps to the budget and to all limits in case M keeps to them in every criterion on
-the same model. It is found in the time that a few pricing calls on the model take, while a search
-on accumulated costs may not come to its first policy in minutes.
+A policy that satisfies the budget and all limits in case M satisfies them in every criterion on the
+same model. It is found in a few pricing calls on the model, while a search on accumulated costs may
+not find its first policy in minutes.
 """
 
 from __future__ import annotations
@@ -44,28 +44,28 @@ from ssp_lp.processes.failure_semantics import (
 from ssp_lp.processes.goal_reach import greatest_goal_reach
 from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 
-_ROUGH = SolveOptions(1e-3)  # how exactly case M is solved: its policy is not the best one anyway
-_NOTHING = 1e-290  # a bound below it is 0
-_VARIANCE = 1e-6  # of the mean: so far the root of a variance may be rounded
-_MOMENTS = "its law takes longer: mean and variance of its cost bound what it attains"
-_DEAREST = 1.0 - 1e-12  # of the least total: what its sums may have been rounded by
+_ROUGH = SolveOptions(1e-3)  # tolerance in case M, whose policy is not optimal anyway
+_NOTHING = 1e-290  # a smaller bound is 0
+_VARIANCE = 1e-6  # rounding error of a standard deviation, relative to the mean
+_MOMENTS = "its objective is a bound by mean and variance, as its law of costs takes longer"
+_DEAREST = 1.0 - 1e-12  # factor of the least total that covers the rounding of its sums
 
 
 @dataclass(eq=False)
 class Incumbent:
-    """The best policy of case M. Mutable: it is there once it has been found and judged."""
+    """The best policy of case M. Mutable: ``solution`` is None until it is found and evaluated."""
 
     stated: Problem
-    deterministic: bool = False  # no lottery will do
+    deterministic: bool = False  # the policy must be deterministic
     policies: dict[bool, MixedPolicy | None] = field(default_factory=dict, init=False)
     outcome: RefinedOutcome | None = field(default=None, init=False)  # of case M
     solution: Solution | None = field(default=None, init=False)
 
     def find(self) -> Incumbent | None:
-        """Find the incumbent, where it is of use and there is none yet, as far as time allows.
+        """Find the incumbent if the problem has accumulated costs and time allows.
 
         Returns:
-            Itself; None: there is none.
+            Itself; None: there is no incumbent.
         """
         if self.solution is not None:
             return self
@@ -73,14 +73,14 @@ class Incumbent:
             return None
         problem = self.stated.unrolled
         for at_least_failure in (False, True):  # the cheapest policy may be one that only fails
-            with WithIncumbent(), suppress(SSPError):  # what the search itself will find, and name
+            with WithIncumbent(), suppress(SSPError):  # the search itself will raise it
                 if at_least_failure not in self.policies:
                     policy = self._cheapest_policy(problem, at_least_failure=at_least_failure)
                     self.policies[at_least_failure] = policy
                 policy = self.policies[at_least_failure]
                 if policy is not None and not (self.deterministic and len(policy.policies) > 1):
                     room = LEAST_BUDGET if at_least_failure else 0.0
-                    if problem.semantics.counts_law:  # while its law is not known
+                    if problem.semantics.counts_law:  # a bound until its law is known
                         self.solution = _incumbent_value(problem, policy, room, by_moments)
                     self.solution = _incumbent_value(problem, policy, room)
             if self.solution is not None:
@@ -88,9 +88,9 @@ class Incumbent:
         return None
 
     def improving(self, other: Solution) -> Solution:
-        """A search's solution cut short, with the incumbent's policy or bound where better.
+        """Return the solution of a stopped search, with the incumbent's policy or bound if better.
 
-        What proves the search's bound, its prices and values, goes with it.
+        The prices and values that prove the search's bound are kept.
         """
         if not self.stated.requirements.counts_totals:
             return other
@@ -99,7 +99,7 @@ class Incumbent:
         if sign * other.objective <= sign * best.objective:
             best = other
         price = other.failure_price
-        if price is not None and best.problem.ratio:  # with the ratio it stays the same
+        if price is not None and best.problem.ratio:  # price + ratio does not change
             price = max(price + other.objective - best.objective, 0.0)
         best = replace(
             best, failure_price=price, value_function=other.value_function, prices=other.prices
@@ -109,7 +109,7 @@ class Incumbent:
         return replace(best, lower_bound=min(max(other.lower_bound, bound), best.objective))
 
     def _cheapest_policy(self, problem: Problem, *, at_least_failure: bool) -> MixedPolicy | None:
-        """Incumbent: a policy of about least cost in case M within all limits; None: not sought.
+        """Return a nearly optimal lottery of case M within all limits; None: not computed.
 
         Args:
             problem: the problem.
@@ -137,13 +137,13 @@ def _incumbent_value(
     room: float,
     judge: Callable[[MixedPolicy, Problem], Evaluation] = evaluate,
 ) -> Solution | None:
-    """Value of an incumbent in a problem's own terms; None where it breaks a limit, or fails.
+    """Return the incumbent as a solution; None: it violates a limit or never reaches the goal.
 
     Args:
         problem: the problem.
         policy: the policy.
-        room: beyond the budget, of what fails least; for others there is rounding alone.
-        judge: evaluates it, exactly or for the worse.
+        room: tolerance of the budget for the policy of least failure; others have rounding alone.
+        judge: evaluates the policy, exactly or pessimistically.
     """
     evaluation, budget = judge(policy, problem), problem.failure_budget
     failure = evaluation.limited_failure
@@ -155,25 +155,25 @@ def _incumbent_value(
     bound, sense, sign = worth_bound(problem), AS_ASKED, 1.0
     if problem.semantics.maximises:
         sense, sign = ObjectiveSense(0.0), -1.0
-    reason = "a policy of case M, as the search had none so good by then"
+    reason = "the incumbent of case M, which the search had not improved"
     note = CUT_SHORT if judge is evaluate else f"{CUT_SHORT}; {_MOMENTS}"
     answer = Answer(policy, sign * evaluation.objective, sign * bound, failure, note=note)
     return assembled(problem, answer, Run("columns", reason, 0, 0.0), sense)
 
 
 def by_moments(policy: MixedPolicy, problem: Problem) -> Evaluation:
-    """Evaluation of an incumbent by mean and variance of the total cost, never too good.
+    """Evaluate a policy pessimistically, by mean and variance of the total cost.
 
     With mean m and variance s^2 of the total cost C given success, ``E[(C - z)^+]`` is at most
     ``(sqrt(s^2 + (z - m)^2) - (z - m)) / 2`` (Scarf 1958), and the least of ``z + E[(C - z)^+] / (1
     - level)`` over z is the tail mean (Rockafellar and Uryasev 2000): no law with these moments has
     a tail mean, or a quantile, beyond ``m + s sqrt(level / (1 - level))``. For B > m Cantelli's
-    ``Pr(C <= B) >= d^2 / (s^2 + d^2)``, d = B - m, bounds what arriving is worth. Three systems of
-    linear equations say so, however many totals there are.
+    ``Pr(C <= B) >= d^2 / (s^2 + d^2)``, d = B - m, bounds the worth of the goal. This takes three
+    systems of linear equations, for any number of totals.
 
     Args:
         policy: a lottery on the problem's model.
-        problem: with a measure of the law of costs.
+        problem: a problem with a measure of the law of costs.
     """
     model, semantics, risk = problem.model, problem.semantics, problem.semantics.risk
     asked = problem.start, True, problem.failure_budget, replace(semantics, measure=None)
@@ -193,7 +193,7 @@ def by_moments(policy: MixedPolicy, problem: Problem) -> Evaluation:
         odds = risk.level / (1.0 - risk.level)
         return replace(evaluation, objective=mean + spread * sqrt(odds))
     charge = semantics.charge(problem.ratio) or TOTAL_COST
-    if charge.slope > 0.0:  # at most what the line's beginning costs, and what lies beyond it
+    if charge.slope > 0.0:  # at most the charge where the line begins, plus the excess beyond it
         line = charge.settled or 0.0
         beyond = 0.5 * (hypot(spread, line - mean) - (line - mean))
         first = float(charge.at(np.array([line]))[0])
@@ -207,7 +207,7 @@ def by_moments(policy: MixedPolicy, problem: Problem) -> Evaluation:
 
 
 def prove_by_cheapest_way(problem: Problem, evaluation: Evaluation) -> Proved:
-    """Bound beside the incumbent that needs no search: ``worth_bound``."""
+    """Return the proof by ``worth_bound``, which needs no search."""
     return Proved(evaluation.objective, worth_bound(problem), problem.failure_budget or 0.0)
 
 
@@ -217,13 +217,13 @@ def broken_limit(
     room: float = 2.0 * ATTAINABLE,
     granted: Mapping[str, float] | None = None,
 ) -> str:
-    """The limit that an incumbent policy breaks, in words; empty: none.
+    """Return a message about a limit that a policy violates; empty: it violates none.
 
     Args:
         problem: the problem.
-        evaluation: what its policy attains.
-        room: beyond the bound, relative to it.
-        granted: bounds by name that count in place of those that are stated; None: none does.
+        evaluation: evaluation of the policy.
+        room: tolerance, relative to the bound.
+        granted: bounds, by name, that replace the stated ones.
     """
     granted = granted or {}
     for condition in problem.conditions:
@@ -236,22 +236,22 @@ def broken_limit(
     goal, budget = evaluation.limited_goal, problem.failure_budget
     demanded = budget.demanded if isinstance(budget, GoalShare) else 0.0
     if demanded < RARE_GOAL and goal < demanded * (1.0 - room):
-        return f"the policy reaches the goal with {goal:.12g}, {demanded:.12g} demanded"
+        return f"the policy reaches the goal with {goal:.12g}, {demanded:.12g} required"
     return ""
 
 
 def worth_bound(problem: Problem) -> float:
-    """Bound beside an incumbent: the goal costs no run less than the least total of a way.
+    """Return a bound of the optimum: no run to the goal costs less than the cheapest way there.
 
-    It holds for costs given success, for their quantiles and tail means, and from above for what
-    arriving is worth, as no charge falls as the total grows.
+    It is a lower bound of costs given success, of their quantiles and tail means, and an upper
+    bound of the worth of the goal, as charges do not fall as the total grows.
 
     Args:
-        problem: its cost is counted given success, or something is made of its law.
+        problem: a problem with a cost given success, or a measure of its law.
     """
     model, semantics = problem.model, problem.semantics
     start = start_distribution(model, problem.start)
-    # the least cost of a way from the start to the goal; 0 where there is none
+    # the least cost of a way from the start to the goal; 0 if there is none
     begins = np.asarray(model.outcome_offsets)[model.pair_offsets].astype(np.int32)
     ways = model.costs, model.successors.astype(np.int32), begins
     graph = sp.csr_array(ways, shape=(model.n_states, model.n_states))

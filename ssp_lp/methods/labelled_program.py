@@ -1,4 +1,4 @@
-"""From a problem to its occupation-measure program."""
+"""The labelled occupation-measure program of a problem."""
 
 from __future__ import annotations
 
@@ -29,32 +29,33 @@ def program_of(
     bounds: Mapping[str, float] | None = None,
     start: Hashable | Mapping[Hashable, float] | None = None,
 ) -> OccupationProgram:
-    """The labelled program of a problem: linear, over expected visits, with its optimum.
+    """Return the labelled program of a problem: a linear program over expected visits.
 
     At least failure (``failure_budget=None``) it is the program of the second stage: over the
     actions that attain the greatest goal probability, without a failure row (mathematics, section
-    4). In case S accumulated costs are told apart up to where column generation proves the
-    optimum, or up to the problem's ``cost_cap``; from there on one place stands for all of them,
-    and arriving is charged as if it had just been reached. So the program bounds the problem from
-    below, whatever rows and bounds it is given, and ``OccupationMeasure.beyond`` says how much is
-    charged too little.
+    4). In case S the layers of accumulated cost end where column generation proves the optimum,
+    or at the problem's ``cost_cap``. One last layer stands for all larger costs, and an arrival
+    from it is charged as if its cost had just been reached. The program is therefore a lower
+    bound of the problem with any further rows and bounds, and ``OccupationMeasure.beyond`` is the
+    missing charge.
 
     Args:
         problem: a formulation.
-        bounds: other bounds of rows than the problem's, by name.
-        start: another start than the problem's.
+        bounds: bounds of rows, by name, that replace those of the problem.
+        start: a start that replaces that of the problem.
 
     Returns:
-        The program: labelled, and open to every solver.
+        The labelled program, for any solver.
 
     Raises:
-        ModelError: the criterion is no linear program (a quantile or a tail mean of the cost).
+        ModelError: the criterion is no linear program (a quantile or a tail mean of the cost), or
+        the costs have too many sums for an exact program.
         InfeasibleError: the budget is below the least failure.
     """
     if problem.requirements.is_risk:
         raise ModelError(
             f"{type(problem).__name__} is no linear program but a search over many: "
-            "CostBoundedReach(...).program() is the one at a fixed cost"
+            "use CostBoundedReach(...).program() for one fixed cost"
         )
     problem = problem if start is None else replace(cast("Any", problem), start=start)
     inner, horizon = problem.unrolled, problem.horizon
@@ -65,27 +66,27 @@ def program_of(
     augmented: Augmented | None = None
     total = compiled.ratio and isinstance(compiled.charge, TotalCostCharge)
     if total and compiled.budget is None and not inner.has_rows and compiled.fixed_cap is None:
-        augmented = _cost_given_success(compiled)  # where no total has to be remembered
+        augmented = _cost_given_success(compiled)  # without accumulated cost
     elif compiled.charge is not None and (compiled.fixed_cap is None or compiled.resolution):
         compiled = rows_optimum(compiled, CERTIFYING, true_figures(inner, compiled)).compiled
         if compiled.totals is not None and not compiled.totals.exact:
             raise ModelError(
-                f"the costs have more than {compiled.layers:,} sums: on a grid of totals the "
-                "program is a bound, no problem; fewer distinct costs make it one"
+                f"too many distinct total costs (over {compiled.layers:,}) for an exact program: "
+                "round the costs to fewer distinct values"
             )
     rows = list[ProgramRow]()
     if augmented is None:
         inside = compiled.augmented
         if isinstance(inside, OpenEnded):
             augmented = LayeredModel.of(inside, compiled.start, compiled.semantics)
-        else:  # what is minimised as the cost
+        else:  # the objective as the cost
             cost = np.ascontiguousarray(compiled.explicit_pricing.rewards[:, 0])
             labelled = replace(inside, process=replace(inside.process, cost=cost))
             setting = compiled.start, compiled.semantics, compiled.discount
             augmented = LabelledModel.of(labelled, *setting)
         limits = compiled.bounds
         if compiled.budget is not None and inner.semantics.aim is Aim.LEAST_COST:
-            limits[0] = compiled.budget  # a row even where it limits nothing: sweeps begin there
+            limits[0] = compiled.budget  # a row even without effect: budgets can vary
         pairs = augmented.part.pairs
         of_side = (row[pairs] for row in compiled.row_coefficients(compiled.side))
         taken = (augmented.process.failure, *of_side)
@@ -111,9 +112,9 @@ def program_of(
 
 
 def _cost_given_success(compiled: CompiledExplicit) -> LabelledModel:
-    """Cost in the labelled program at least failure: each step's, by success from its end.
+    """Return case S at least failure: the cost of a step times the goal probability after it.
 
-    All policies have the greatest one there, so that no total needs to be remembered.
+    All policies have the greatest goal probability there, so that no accumulated cost is needed.
     """
     model, start, usable = compiled.model, compiled.start, compiled.greatest.usable
     labelled = label_failure(model, start, compiled.semantics, compiled.discount, usable)
@@ -126,7 +127,7 @@ def _cost_given_success(compiled: CompiledExplicit) -> LabelledModel:
 
 
 def _objective_word(problem: Problem, compiled: CompiledExplicit) -> str:
-    """The labelled program's objective in a word."""
+    """Return a short name of the objective."""
     semantics = problem.semantics
     if compiled.objective is not None:
         return "objective"

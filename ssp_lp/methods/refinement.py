@@ -1,7 +1,7 @@
-"""Refinement: attempts at finer and finer processes, until the gap meets the tolerance.
+"""Refinement: solve on finer and finer processes until the gap meets the tolerance.
 
-A process that truncates, rounds or compares too coarsely leaves a gap. What to refine next is each
-method's own: it hands in its attempts one by one. When to end is decided here, for all of them.
+A process that truncates, rounds or compares too coarsely leaves a gap. Each method yields its
+attempts on finer processes; :func:`refine` decides when to stop.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from ssp_lp.errors import ModelError
 
 @dataclass(frozen=True)
 class Proved:
-    """A bound of every policy that counts, beside what one of them attains."""
+    """A proved bound of all policies within the allowed failure, and the value of one policy."""
 
     attained: float
     bound: float
-    allowed: float  # the failure with which a policy counts
-    reason: str = ""  # why nothing is proved
-    tail: float = 0.0  # case S: the part of the relative gap that a cap leaves
-    least_failure_bound: float | None = None  # at least failure: of the failure of every policy
+    allowed: float  # largest failure of the policies that the bound is about
+    reason: str = ""  # why there is no proof
+    tail: float = 0.0  # case S: the part of the relative gap that is due to the cap
+    least_failure_bound: float | None = None  # at least failure: lower bound of all failures
 
     @property
     def gap(self) -> float:
-        """Relative gap between a value and the bound that is proved."""
+        """Relative gap between the value and the bound."""
         return two_sided_gap(self.attained, self.bound)
 
 
 class _WithGap(Protocol):
-    """An answer, or a proof, as far as one process gives it."""
+    """An answer or a proof from one process."""
 
     @property
     def gap(self) -> float:
-        """Relative gap between what is attained and what is proved."""
+        """Relative gap between value and bound."""
         ...
 
 
@@ -45,15 +45,17 @@ _Attempt = TypeVar("_Attempt", bound=_WithGap)
 
 
 def refine(attempts: Iterable[_Attempt], tolerance: float) -> _Attempt:
-    """The attempt of least gap, once that meets the tolerance, none is finer, or time is up.
+    """Return the attempt of least gap, from attempts on finer and finer processes.
+
+    It stops when the gap meets the tolerance, the attempts end, or the time limit is reached.
 
     Args:
-        attempts: each by a finer process; they end where refining would not help, or with a
-            ModelError where a table would be too large.
+        attempts: each from a finer process; they end if refining would not help, or with a
+            ModelError if a table would be too large.
         tolerance: relative gap.
 
     Raises:
-        Stop: the time ended before the first of them.
+        Stop: the time limit was reached before the first attempt ended.
     """
     best: _Attempt | None = None
     with WithIncumbent() as search:

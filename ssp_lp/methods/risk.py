@@ -1,33 +1,33 @@
-"""Risk of the total cost given success: its least quantile and its least conditional value at risk.
+"""Least quantile and least conditional value at risk of the total cost given success.
 
-Both are searches over trials, each of which minimises E[charge(total cost) | goal].
+Both are searches over thresholds; each trial minimises E[charge(total cost) | goal].
 
 **The quantile**, by Newton's method on its bound. With a charge of 1 for every arrival beyond B the
-least E[charge | goal] is the least Pr(C > B | goal), which falls as B grows. The least B at which
-it keeps to 1 - level is the answer; its policy is the one that keeps to B most often. At given
-prices of failure and of the other rows a lower bound of that share is known for every B, where
-failure alone is limited by one sweep; so the greatest B that is refuted at those prices is, and at
-the best prices it is the answer's neighbour. The search alternates: the best prices at a B, and the
-first B that they do not refute.
+least E[charge | goal] is the least Pr(C > B | goal), which falls as B grows. The answer is the
+least B at which it is at most 1 - level, with the policy of least Pr(C > B | goal). Prices of
+failure and of the other rows give a lower bound of that share for every B (by one sweep, if failure
+alone is limited), hence the greatest B that they refute. At the optimal prices this is the
+neighbour of the answer. The search alternates between the optimal prices at a B and the first B
+that these do not refute.
 
 **The conditional value at risk.** For any policy it is the least over z of z + E[(C - z)^+ | goal]
-/ share, share = 1 - level (Rockafellar and Uryasev 2000), attained at the quantile, a total that
-can occur. So the optimum is the least over such z of F(z), the least E[charge | goal] with that
-integrand as the charge: S3P with a kink. The search alternates between the best policy at z and
-that policy's own quantile.
+/ share, share = 1 - level (Rockafellar and Uryasev 2000). The least is attained at the quantile,
+which is a total that can occur. The optimum is therefore the least over such z of F(z), the least
+E[charge | goal] with that integrand as the charge. The search alternates between the best policy at
+z and that policy's own quantile.
 
-F is a least of convex functions and need not be convex itself, so that values on both sides of a z
-prove nothing of it. What is proved is proved of whole intervals: for a <= z <= b and every c
+F is a minimum of convex functions and need not be convex itself, so that values on both sides of a
+z prove nothing at z. Bounds are proved for whole intervals: for a <= z <= b and every c
 
     z + (c - z)^+ / share  >=  max(a, min(b, c)) + (c - b)^+ / share.
 
 For c <= z the left side is z, and the right one max(a, min(b, c)) <= z. For z < c <= b the right
 side is c, and the left one z + (c - z) / share >= c. For c > b the left side falls by 1 / share - 1
 where z rises by 1, and at z = b both are equal. The right side is a charge that does not fall as c
-grows: one backward sweep at any price of failure bounds F on all of [a, b] from below. Intervals
-whose bound lies below the best value are split, the weakest first, down to single totals, which are
-searched; beyond the best value none is needed, as F(z) >= z. The bound of the whole is the least of
-what is left: it is what the sweeps say, whenever the search ends.
+grows: one backward sweep at any price of failure gives a lower bound of F on all of [a, b].
+Intervals whose bound lies below the best value are split, the weakest first, down to single totals,
+which are searched. Thresholds beyond the best value are not needed, as F(z) >= z. The lower bound
+of the optimum is the least bound of all intervals, whenever the search ends.
 """
 
 from __future__ import annotations
@@ -83,17 +83,17 @@ def least_risk(
     question: _Question | None = None,
     near: Near | None = None,
 ) -> Solution:
-    """The least quantile, or the least conditional value at risk, of the cost given success.
+    """Solve for the least quantile, or conditional value at risk, of the cost given success.
 
     Args:
-        problem: its measure says which, and at which level.
+        problem: the problem; it has the measure and its level.
         options: method, tolerance and limits.
-        question: the policies that count; None: as the problem says.
-        near: where the search may begin; None: unknown.
+        question: the admissible policies; None: those of the problem.
+        near: where the search may begin, or None.
 
     Raises:
         InfeasibleError: the budget is below the least failure, or the goal is out of reach.
-        ModelError: a table of costs that would be too large.
+        ModelError: the layers of accumulated cost do not fit into memory.
     """
     question = question_of(problem) if question is None else question
     is_quantile = isinstance(problem.semantics.risk, CostQuantileOf)
@@ -102,12 +102,12 @@ def least_risk(
 
 
 def prove_risk(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
-    """Prove a lower bound of the least risk afresh, from the model alone.
+    """Prove a lower bound of the least risk, from the model alone.
 
     Args:
         solution: of the problem.
-        evaluation: what its policy attains; no policy is shown to have a lower quantile, or than
-            one below it.
+        evaluation: evaluation of its policy. The bound of a quantile is the policy's own value, or
+            below it.
     """
     problem, value, bound = solution.problem, evaluation.objective, 0.0
     question, risk = question_of(problem), _risk_of(problem)
@@ -119,37 +119,37 @@ def prove_risk(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
             trial = question.attempt(LateCharge(question.thresholds.total(number - 1)), CERTIFYING)
             refuted = _last_refuted(question, trial, level, -1, number)
             bound = _beyond_refuted(question, refuted)
-    except ModelError:  # a table of totals that would be too large
+    except ModelError:  # too many layers
         bound = worth_bound(problem)
     return Proved(value, bound, question.allowed)
 
 
 def _risk_of(problem: Problem) -> CostQuantileOf | TailMeanOf:
-    """The measure of a problem of risk (``problem.requirements.is_risk``)."""
+    """Return the measure of a problem of risk (``problem.requirements.is_risk``)."""
     return cast("CostQuantileOf | TailMeanOf", problem.semantics.risk)
 
 
 @dataclass(frozen=True)
 class _Multiples:
-    """Multiples of a unit: of all costs, or, not sharp, of a grid."""
+    """Multiples of a unit: of the unit of all costs or, if not ``sharp``, of a grid."""
 
     unit: Fraction
-    sharp: bool = True  # no total can occur between two of them
+    sharp: bool = True  # whether no total can lie between two of them
 
     def total(self, number: int) -> float:
-        """The total of a number, as the nearest float."""
+        """Return the total of a number, as the nearest float."""
         return float(number * self.unit)
 
     def number(self, total: float) -> int:
-        """The number of the multiple nearest to a total."""
+        """Return the number of the multiple nearest to a total."""
         return round(total / float(self.unit))
 
 
 class _Sums:
-    """Sums of steps of which the last one leads into the goal. Mutable: they are found as needed.
+    """Sums of step costs of which the last leads into the goal. Mutable: computed as needed.
 
     Raises:
-        ModelError: more of them are needed than are told apart.
+        ModelError: too many sums are needed.
     """
 
     sharp = True
@@ -160,7 +160,7 @@ class _Sums:
         self._grow(4.0 * float(max(self._steps[-1], self._last[-1])) or 1.0)
 
     def total(self, number: int) -> float:
-        """The total of a number; the greatest one where there are no more."""
+        """Return the total of a number, or the greatest total if there are no more."""
         size = 0
         while size < len(self._totals) <= number:
             size = len(self._totals)
@@ -168,16 +168,16 @@ class _Sums:
         return float(self._totals[min(number, len(self._totals) - 1)])
 
     def number(self, total: float) -> int:
-        """The number of the nearest total."""
+        """Return the number of the nearest total."""
         while self._cap <= total * (1.0 + 1e-9):
             self._grow(2.0 * self._cap)
         return int(np.abs(self._totals - total).argmin())
 
     def _grow(self, cap: float) -> None:
-        """Find all sums up to the cap that a threshold may be."""
+        """Compute all sums below a cap that a threshold may take."""
         sums = sums_in(self._model, cap, MOST_SUMS)
         if sums is None:
-            raise ModelError(f"more than {MOST_SUMS:,} sums of costs lie below {cap:g}")
+            raise ModelError(f"too many distinct total costs (over {MOST_SUMS:,} below {cap:g})")
         every = np.unique((sums[:, None] + self._last).ravel())
         every = every[every < cap]
         room = room_of(np.union1d(self._steps, self._last), cap)
@@ -185,19 +185,19 @@ class _Sums:
 
 
 _Thresholds = _Multiples | _Sums
-"""Totals, each with its number, 0, 1, ..."""
+"""The possible totals, numbered 0, 1, ..."""
 
 
-_AHEAD = 8.0  # typical costs up to which all sums must be few to be told apart
-_FINE = 500  # thresholds in a typical cost, where totals are rounded
-_NEARBY = 1e-2  # relative uncertainty of a price of failure from another threshold
+_AHEAD = 8.0  # exact thresholds need few sums up to so many typical costs
+_FINE = 500  # thresholds of a grid in a typical cost
+_NEARBY = 1e-2  # relative uncertainty of a price from another threshold
 _ROUNDING = 1e-14
-"""A budget above the least failure by this share of the success is meant to be equal to it."""
+"""A budget this close above the least failure, relative to the goal, counts as equal to it."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """The least E[charge | goal], with its proof."""
+    """The least E[charge | goal], with its lower bound."""
 
     value: float
     lower_bound: float
@@ -208,64 +208,64 @@ class _Trial:
 
 
 Near = tuple[float, float]
-"""Where a search may begin, from rounder costs: the quantile of a good policy, and what failing is
-worth there; 0: unknown."""
+"""A start of a search, from coarser costs: the quantile of a good policy, and the price of failure
+there (0: unknown)."""
 
 _Charge = LateCharge | ExcessCharge
 
 
 class _Guess(NamedTuple):
-    """What failing and what is limited besides are thought to be worth."""
+    """A guess of the prices of failure and of the further rows."""
 
-    kappa: float  # of failing
-    rows: Mapping[str, float]  # multipliers of further rows, by name
+    kappa: float  # price of failure
+    rows: Mapping[str, float]  # prices of further rows, by name
     slack: bool = False
-    """The budget is thought to be slack: success is counted rather than failure, which is exact
-    where it is best to fail."""
+    """Whether the budget is presumably slack: then use the form cost - price * goal, which is
+    exact if failing is optimal."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Question(ABC):
-    """The policies among which the least risk is sought."""
+    """The admissible policies, and how to minimise a charge over them."""
 
-    budget: float | None  # of failure; None: only policies of least failure
-    allowed: float  # the failure that is allowed: the budget, or what is least
-    typical: float  # a cost given success: of the policy that fails least
-    thresholds: _Thresholds  # the totals that can occur, or those of a grid
+    budget: float | None  # failure budget; None: policies of least failure
+    allowed: float  # largest failure: the budget, or the least failure
+    typical: float  # cost given success of the policy of least failure
+    thresholds: _Thresholds  # the totals that can occur, or a grid
     note: str = ""
 
     @abstractmethod
     def attempt(self, charge: _Charge, options: SolveOptions, kappa: float = 0.0) -> _Trial:
-        """Minimise E[charge | goal] by one search.
+        """Minimise E[charge | goal].
 
         Args:
             charge: of the total cost.
             options: method, tolerance and limits.
-            kappa: what the price of failure may be, to choose the size of the table; 0: unknown.
+            kappa: a guess of the price of failure, to choose the cap; 0: unknown.
         """
 
     @abstractmethod
     def refuted_below(self, charge: _Charge, guess: _Guess) -> float:
-        """A lower bound of E[charge | goal] at a guess of prices."""
+        """Return a lower bound of E[charge | goal] at a guess of the prices."""
 
     def late_shares(self, number: int, guess: _Guess) -> Callable[[int], float]:
-        """Lower bounds of Pr(C > B | goal) for the bounds B up to one, by their numbers.
+        """Return a function of lower bounds of Pr(C > B | goal), by the number of the bound B.
 
         Args:
-            number: of the greatest bound.
-            guess: of prices.
+            number: number of the greatest bound.
+            guess: a guess of the prices.
         """
         return lambda k: self.refuted_below(LateCharge(self.thresholds.total(k)), guess)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _WithinBudget(_Question):
-    """Failure alone is limited. Policies of least failure fail alike: there no price matters."""
+    """Policies with a limit on failure alone. At least failure the price has no effect."""
 
-    compiled: CompiledArrivalCost  # of the total cost
+    compiled: CompiledArrivalCost
 
     def attempt(self, charge: _Charge, options: SolveOptions, kappa: float = 0.0) -> _Trial:
-        """One search on layers of the total cost."""
+        """Minimise E[charge | goal] on layers of accumulated cost."""
         compiled = self._charging(charge, kappa)
         if self.budget is None:
             pricing = compiled.pricing()
@@ -279,14 +279,14 @@ class _WithinBudget(_Question):
         return _Trial(value, bound, outcome.lottery, outcome.generated.price, outcome.calls)
 
     def refuted_below(self, charge: _Charge, guess: _Guess) -> float:
-        """The bound of one sweep; there are no prices of further rows."""
+        """Return the lower bound of one sweep."""
         return self.share(self._proof(charge, guess))
 
     def late_shares(self, number: int, guess: _Guess) -> Callable[[int], float]:
-        """The same where layers are multiples of a unit: one sweep for the greatest bound.
+        """Return the lower bounds of all shares by one sweep, if layers are multiples of a unit.
 
-        What is best depends on what is left of the bound alone: whoever begins with as much paid as
-        parts two bounds has the lesser one left.
+        The optimal policy depends only on the rest of the bound: beginning in the layer of the
+        difference of two bounds is beginning with the smaller one.
         """
         if self.compiled.by_sums:
             return super().late_shares(number, guess)
@@ -296,19 +296,19 @@ class _WithinBudget(_Question):
         return lambda k: self.share(replace(proof, bound=by_layer[min(number - k, last)]))
 
     def _proof(self, charge: _Charge, guess: _Guess) -> Proof:
-        """A bound of every policy's value; at least failure no price matters."""
+        """Return the dual bound of a charge at a guess of the price."""
         kappa, slack = (0.0, False) if self.budget is None else (guess.kappa, guess.slack)
         return self._charging(charge, kappa).pricing().prove(kappa, slack=slack)
 
     def _charging(self, charge: _Charge, kappa: float) -> CompiledArrivalCost:
-        """The process with a charge, as large as a price of failure asks for."""
+        """Return the problem with a charge and the cap that a price of failure requires."""
         compiled = self.compiled.charging(charge)
         if kappa <= 0.0 or self.budget is None:
             return compiled
         return self.compiled.charging(charge, compiled.lossless_units(kappa))
 
     def share(self, proof: Proof) -> float:
-        """A bound given success, from one of every policy's value."""
+        """Return the lower bound of E[charge | goal] that a proof implies."""
         if self.budget is not None:
             return FailureRow(self.budget, ratio=True).lower_bound(proof)
         greatest = float(self.compiled.start @ self.compiled.greatest.bound)
@@ -317,21 +317,21 @@ class _WithinBudget(_Question):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _WithinRows(_Question):
-    """Other quantities are limited, too."""
+    """Policies with limits on failure and other quantities."""
 
     problem: Problem
-    compiled: CompiledExplicit  # of the total cost
+    compiled: CompiledExplicit
 
     def attempt(self, charge: _Charge, options: SolveOptions, kappa: float = 0.0) -> _Trial:
-        """Column generation with all rows; the table grows until its gap is closed."""
+        """Minimise E[charge | goal] by column generation with all rows."""
 
         def value(policy: MixedPolicy) -> float:
-            """The charge given success of a lottery, by the law of its total cost."""
+            """Return E[charge | goal] of a lottery, by the law of its total cost."""
             law = success_costs(policy, self.problem)
             return _expected_charge(charge, law) / law.goal
 
         def figures(policy: Policy) -> FloatArray:
-            """Charge, failure and rows of one policy."""
+            """Return charge, failure and rows of one policy, [rewards]."""
             law, evaluation = success_costs(policy, self.problem), evaluate(policy, self.problem)
             spent = row_activities(self.compiled, evaluation)
             return np.array([_expected_charge(charge, law), evaluation.failure_probability, *spent])
@@ -343,25 +343,25 @@ class _WithinRows(_Question):
         )
 
     def refuted_below(self, charge: _Charge, guess: _Guess) -> float:
-        """The bound at the prices of another charge's optimum."""
+        """Return the lower bound at the prices of another charge's optimum."""
         ratio = guess.kappa - guess.rows.get(FAILURE_ROW, 0.0)
         return bound_at(self.compiled.charging(charge), guess.rows, ratio, self._least_goal)
 
     @cached_property
     def _least_goal(self) -> float:
-        """A goal probability that all lotteries within the rows have."""
+        """Lower bound of the goal probability of all lotteries within the rows."""
         return least_goal_within(self.compiled, limited_rows(self.compiled))
 
 
 def _expected_charge(charge: _Charge, law: CostLaw) -> float:
-    """E[charge; goal]."""
+    """Return E[charge; goal]."""
     if isinstance(charge, LateCharge):
         return law.goal - law.within(charge.bound)
     return charge.threshold * law.goal + law.excess(charge.threshold) / charge.share
 
 
 def question_of(problem: Problem) -> _Question:
-    """Policies among which the least risk is sought, the budget checked.
+    """Return the admissible policies of a problem, with the budget checked.
 
     A budget above the least failure by no more than rounding counts as equal to it.
 
@@ -379,7 +379,7 @@ def question_of(problem: Problem) -> _Question:
     if compiled.resolution is None:
         thresholds = _Multiples(compiled.base.exact_unit)
     else:
-        with suppress(ModelError):  # more sums than are told apart
+        with suppress(ModelError):  # too many sums
             sums = _Sums(compiled.model)
             sums.number(_AHEAD * typical)
             thresholds = sums
@@ -394,11 +394,11 @@ def question_of(problem: Problem) -> _Question:
 
 
 def question_of_compiled(compiled: CompiledArrivalCost, budget: float | None) -> _WithinBudget:
-    """Policies among which the least risk is sought, by a compiled problem.
+    """Return the admissible policies of a compiled problem, with the budget checked.
 
     Args:
-        compiled: of the total cost.
-        budget: of failure; None: only policies of least failure count.
+        compiled: the compiled problem.
+        budget: failure budget; None: policies of least failure.
 
     Raises:
         InfeasibleError: the budget is below the least failure, or the goal is out of reach.
@@ -424,30 +424,30 @@ def question_of_compiled(compiled: CompiledArrivalCost, budget: float | None) ->
     )
 
 
-_ROUGH = 1e-2  # how exactly a share is worked out that need only lie on one side of another
-_NEWTON = 6  # steps, after which the bounds in question are halved, or doubled while none is kept
-_ABOVE = 1e-9  # relative: by which a price of failure lies above a share, where both are equal
+_ROUGH = 1e-2  # tolerance of a share that is only compared with the level
+_NEWTON = 6  # steps after which bounds are bisected, or doubled while all are infeasible
+_ABOVE = 1e-9  # relative margin of a price above the share for a slack budget
 
 
 def least_quantile(
     problem: Problem, question: _Question, options: SolveOptions, near: Near | None = None
 ) -> Solution:
-    """Search for the least bound that some policy keeps to.
+    """Search for the least bound B with Pr(C > B | goal) <= 1 - level for some policy.
 
     Args:
         problem: the problem.
-        question: the policies that count.
+        question: the admissible policies.
         options: method, tolerance and limits.
-        near: where the quantile may be; None: unknown.
+        near: a guess of the quantile, or None.
 
     Raises:
-        ModelError: the quantile lies beyond the largest table of costs.
-        Stop: the time ended before some policy kept to a bound.
+        ModelError: the quantile lies beyond the largest possible cap.
+        Stop: the time limit was reached before a feasible bound was found.
     """
     level = _risk_of(problem).level
     places, (total, kappa) = question.thresholds, near or (question.typical, 0.0)
     incumbent, calls, number = None, 0, places.number(total)
-    low, refuted, high, tried = -1, -1, 0, 0  # too low, proved so; kept to; and bounds tried
+    low, refuted, high, tried = -1, -1, 0, 0  # infeasible, proved infeasible, feasible; trials
     rough = replace(options, tolerance=max(options.tolerance, _ROUGH))
     with WithIncumbent():
         while incumbent is None or (high - low > 1 and not is_late()):
@@ -467,13 +467,13 @@ def least_quantile(
             low, number = max(low, refuted), max(low, refuted) + 1
             if tried > _NEWTON:
                 number = (low + high) // 2 if incumbent is not None else last
-        if incumbent is not None and not is_late():  # of all that keep to the bound: most often
+        if incumbent is not None and not is_late():  # least Pr(C > B | goal)
             best = question.attempt(LateCharge(places.total(high)), options, kappa)
             calls += best.calls
             incumbent = min(incumbent, best, key=lambda trial: trial.value)
     if incumbent is None:
         below = _beyond_refuted(question, refuted)
-        raise Stop(told=f"no policy's quantile lies below {below:g}")
+        raise Stop(told=f"the least quantile is at least {below:g}")
     law = success_costs(incumbent.policy, problem)
     objective = law.quantile(level)
     answer = Answer(
@@ -488,14 +488,14 @@ def least_quantile(
 
 
 def _last_refuted(question: _Question, trial: _Trial, level: float, first: int, last: int) -> int:
-    """Greatest threshold, by number, that no policy keeps to, as a trial's prices prove.
+    """Return the number of the greatest threshold that a trial's prices prove infeasible.
 
     Args:
-        question: the policies that count.
-        trial: of some bound.
+        question: the admissible policies.
+        trial: trial at some bound.
         level: in (0, 1).
-        first: a number that is too low.
-        last: a number that is looked for below.
+        first: an infeasible number.
+        last: a number above all that are tried.
     """
     share = _late_share(level)
     slack = trial.kappa <= trial.value * (1.0 + _ABOVE)  # of the budget
@@ -506,7 +506,7 @@ def _last_refuted(question: _Question, trial: _Trial, level: float, first: int, 
 
 
 def _beyond_refuted(question: _Question, refuted: int) -> float:
-    """Least total that can occur beyond a refuted threshold of the quantile."""
+    """Return the least total above a refuted threshold: a lower bound of the quantile."""
     places = question.thresholds
     if places.sharp:
         return places.total(refuted + 1)
@@ -514,22 +514,22 @@ def _beyond_refuted(question: _Question, refuted: int) -> float:
 
 
 def _late_share(level: float) -> float:
-    """Share of the successes that may lie beyond the quantile, with the slack of its law.
+    """Return the share of the successes that may lie beyond the quantile, with its tolerance.
 
-    Below 1, however low the level: some success must be in time, beyond what may be rounding.
+    It is below 1 at every level: some success must lie within, by more than rounding.
     """
     return 1.0 - max(level, QUANTILE) * (1.0 - QUANTILE)
 
 
 _TIED = 1e-12  # relative difference of values that is rounding
-_PRICES = 8  # of failure that are tried at a threshold before it is searched
-_FACTOR = 1.5  # between the first two
-_NEAR = 0.02  # relative distance of prices at which trying others ends
+_PRICES = 8  # most prices of failure tried at a threshold before it is searched
+_FACTOR = 1.5  # ratio of the first two prices
+_NEAR = 0.02  # relative distance of prices at which this ends
 
 
 @dataclass(eq=False)
 class _TailMeanSearch:
-    """A search over thresholds. Mutable: it learns."""
+    """A search over thresholds for the least conditional value at risk. Mutable."""
 
     problem: Problem
     question: _Question
@@ -538,12 +538,12 @@ class _TailMeanSearch:
     best: Answer | None = None
     quantile: int = 0  # number of the best policy's own quantile
     tried: dict[int, _Trial] = field(default_factory=dict)  # by the number of the threshold
-    kappas: dict[int, float] = field(default_factory=dict)  # what failing is worth there
+    kappas: dict[int, float] = field(default_factory=dict)  # prices of failure there
     calls: int = 0
     sweeps: int = 0
 
     def attempt(self, threshold: int) -> Answer:
-        """Better of the best tail mean so far and that of the best policy at a threshold."""
+        """Minimise at a threshold; return the better of the incumbent and the new policy."""
         charge = ExcessCharge(self.question.thresholds.total(threshold), 1.0 - self.level)
         trial = self.question.attempt(charge, self.options, self._kappa(threshold))
         self.tried[threshold], self.kappas[threshold] = trial, trial.kappa
@@ -551,9 +551,9 @@ class _TailMeanSearch:
         law = success_costs(trial.policy, self.problem)
         value, best = law.tail_mean(self.level), self.best
         quantile = self.question.thresholds.number(law.quantile(self.level))
-        tied = _TIED if quantile == threshold else -_TIED  # of equals: whose z is its quantile
+        tied = _TIED if quantile == threshold else -_TIED  # prefer z equal to the quantile
         if best is None or value <= best.value * (1.0 + tied):
-            beyond = trial.kappa - value  # what failing costs beyond the value
+            beyond = trial.kappa - value  # price of the failure row
             price = beyond if beyond > _TIED * value else 0.0
             failure = complement(law.goal)
             best = Answer(trial.policy, value, 0.0, failure, price, None, trial.prices)
@@ -561,9 +561,9 @@ class _TailMeanSearch:
         return best
 
     def refuted(self, first: int, last: int) -> float:
-        """Lower bound of the tail mean's F on all thresholds between two, by one sweep.
+        """Return a lower bound of F on all thresholds between two, by one sweep.
 
-        Of a single one the price of failure is sought that proves most: the bound is concave in it.
+        For a single threshold the price of failure is improved; the bound is concave in it.
         """
         places, middle = self.question.thresholds, (first + last) // 2
         charge = ExcessCharge(places.total(last), 1.0 - self.level, places.total(first))
@@ -571,7 +571,7 @@ class _TailMeanSearch:
         prices, kappa = self.tried[nearest].prices, self._kappa(middle)
 
         def swept(kappa: float) -> float:
-            """The bound at a guess of what failing is worth."""
+            """Return the bound at a guess of the price of failure."""
             self.sweeps += 1
             guess = _Guess(max(kappa, self.target), prices, kappa <= self.target)
             return self.question.refuted_below(charge, guess)
@@ -593,35 +593,35 @@ class _TailMeanSearch:
 
     @property
     def target(self) -> float:
-        """Value that the tail mean's thresholds must not fall below."""
+        """Value that the bounds must reach: the incumbent's, less the tolerance."""
         return 0.0 if self.best is None else self.best.value * (1.0 - self.options.tolerance)
 
     def _kappa(self, threshold: int) -> float:
-        """Price of failing at a tail mean's threshold, between those at which it is known."""
+        """Return the price of failure at a threshold, interpolated between known ones."""
         numbers = sorted(self.kappas)
         kappas = [self.kappas[number] for number in numbers]
         return float(np.interp(threshold, numbers, kappas)) if numbers else 0.0
 
     def run(self, near: Near | None = None) -> tuple[Answer, float]:
-        """Search for the best tail mean: the policy, and a lower bound of every policy's.
+        """Run the search; return the best policy and a lower bound for every policy.
 
         Args:
-            near: where the best threshold may be; None: unknown.
+            near: a guess of the best threshold, or None.
         """
         places, best = self.question.thresholds, self.attempt(0)
         whole = self.tried[0].lower_bound
         if self.level == 0.0:
-            return best, max(whole, 0.0)  # the whole mean: the least threshold is best
+            return best, max(whole, 0.0)  # the mean: the least threshold is optimal
         if near is not None:
             self.kappas.setdefault(places.number(near[0]), near[1])
         with WithIncumbent():
             while self.quantile not in self.tried and not is_late():
                 best = self.attempt(self.quantile)
         last = places.number(best.value) + 1
-        least = whole * (1.0 - self.level)  # no tail's mean is below its share of the whole's
+        least = whole * (1.0 - self.level)  # a lower bound of every tail mean
         bounds = [trial.lower_bound for trial in self.tried.values()]
         numbers = sorted(number for number in self.tried if number < last)
-        between = 1 if places.sharp else 0  # else every real number has to be covered
+        between = 1 if places.sharp else 0  # a grid must cover all real numbers
         weakest = [
             (least, after + between, before - between)
             for after, before in zip(numbers, [*numbers[1:], last + 1], strict=True)
@@ -634,11 +634,11 @@ class _TailMeanSearch:
         return best, max(min([*bounds, *(part[0] for part in weakest), best.value]), 0.0)
 
     def _split(self, weakest: list[tuple[float, int, int]], bounds: list[float]) -> None:
-        """Refute the tail mean's interval of least bound, or halve it; of one, find a policy.
+        """Refute or halve the interval of least bound; at a single threshold, minimise.
 
         Args:
-            weakest: bound, first and last threshold of each interval, a heap; changed.
-            bounds: of what will not be looked at again; added to.
+            weakest: heap of bound, first and last threshold of each interval; updated.
+            bounds: bounds of settled thresholds; updated.
         """
         places, (bound, first, final) = self.question.thresholds, weakest[0]
         if self.best is not None and places.total(first) >= self.best.value:
@@ -663,13 +663,13 @@ class _TailMeanSearch:
 def least_tail_mean(
     problem: Problem, question: _Question, options: SolveOptions, near: Near | None = None
 ) -> Solution:
-    """Find a policy by alternating, and prove that no other threshold gives a better one.
+    """Minimise the conditional value at risk, with a proof for all thresholds.
 
     Args:
         problem: the problem.
-        question: the policies that count.
+        question: the admissible policies.
         options: method, tolerance and limits.
-        near: where the best threshold may be; None: unknown.
+        near: a guess of the best threshold, or None.
     """
     search = _TailMeanSearch(problem, question, _risk_of(problem).level, options)
     best, bound = search.run(near)

@@ -1,28 +1,28 @@
-"""Costs as multiples of a unit, where the sums of costs are too many to tell apart.
+"""Split and rounded costs: multiples of a unit, for models with too many distinct total costs.
 
-**Split costs, case S.** The optimum of the model with split costs bounds that of the true one from
-below. The policies found there remember the nearest multiple of what they paid. What they cost and
-how they fail on the true model is evaluated exactly, and the lottery is chosen by that, which
-bounds the optimum from above. Where the value is smooth in the cost paid both miss it by about the
-square of the unit, else by a share of the unit.
+**Split costs, case S.** The optimum of the model with split costs is a lower bound of the true
+optimum. Its policies remember the nearest multiple of the cost paid. They are evaluated exactly on
+the true model, and the lottery is chosen by these numbers: an upper bound. Both bounds differ from
+the optimum by about the square of the unit if the value is smooth in the cost paid, else by a share
+of the unit.
 
-A step of cost c that goes on becomes two, whose costs are the multiples of a unit next to c, with
-probabilities that keep the mean. At a price of failure the value as a function of the cost already
-paid is a minimum of affine functions, hence concave, so that no policy of the true model does
-better than the best one of this (mathematics, section 8): its optimum is a lower bound, and its
+Each outcome of cost c that does not end the episode is split into two, whose costs are the
+multiples of the unit next to c, with probabilities that preserve the mean. At a price of failure
+the value as a function of the cost paid is a minimum of affine functions, hence concave, so that no
+policy of the true model is better than the best one of this model (mathematics, section 8). Its
 totals are layers of a lattice.
 
-A lattice of many totals is looked at through a coarser unit first, most often that of most costs.
-Where only costs that hardly matter are split by it, both sides meet at once, and the search on all
-totals is spared; else it begins near its price.
+A lattice of many totals is first solved with a coarser unit, usually the unit of most costs. If the
+split costs hardly matter, both bounds meet at once, and the search on all totals is not needed;
+otherwise it starts at the price found.
 
 **Rounded costs, criteria of the law of the total cost.** With every cost rounded down to a multiple
-of a unit a model has a lattice of totals, and as no charge falls as the total grows its optimum
-bounds every policy of the true model from below. With every cost rounded up its best policy, which
-remembers the rounded total, is one of the true model too: it reaches the goal as often, and later
-by the rounded costs than by the true ones. So the two optima enclose the truth, whatever the unit,
-and approach each other as that gets smaller (mathematics, section 8). A coarse unit answers in a
-moment; finer ones follow, by the time left.
+of a unit, a model has a lattice of totals. As charges do not fall as the total grows, its optimum
+is a lower bound for every policy of the true model. With every cost rounded up, the best policy,
+which remembers the rounded total, is also a policy of the true model, with the same goal
+probability and at most the rounded costs. The two optima enclose the true one for every unit, and
+converge as the unit gets smaller (mathematics, section 8). Coarse units are solved in a moment;
+finer ones follow as time allows.
 """
 
 from __future__ import annotations
@@ -75,34 +75,34 @@ from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.processes.live_rows import uniform_cost
 from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 
-_ROUGH = 1e-4  # how exactly the first model of split costs is solved
-_ROUGH_FIRST = 1e-3  # and one that only says where a price lies, with steps far below a unit
-_ENOUGH = 0.3  # of the tolerance: as exactly at least
-_SHARE = 0.1  # of the gap that splitting leaves: as exactly is the next one solved
-_ROUGH_COARSE = 1e-5  # how exactly a lattice of a coarser unit is solved, for its price
+_ROUGH = 1e-4  # tolerance of the first model of split costs
+_ROUGH_FIRST = 1e-3  # tolerance of a model for its price alone, whose steps are far below a unit
+_ENOUGH = 0.3  # least tolerance of split costs, relative to the tolerance asked for
+_SHARE = 0.1  # tolerance of the next model, relative to the current gap
+_ROUGH_COARSE = 1e-5  # tolerance of a coarser lattice, solved for its price
 _SPREAD = 1e-2  # relative uncertainty of a price from a coarser unit
-_HALFWAY = 1e-6  # of a level: a cost so near to the middle between two
-_STRETCH = 1e-7  # of levels, so that no cost is halfway
-_MET = 0.75  # of the tolerance: a unit is chosen that should leave so much
-_BELOW_FINEST = 0.6  # of the finest unit of all: one that meets the tolerance may be so small
-_BESIDE = (1.003, 1.01, 1.03, 1.1, 1.5, 10.0, 1e3)  # times the price: policies of the other side
-_SHIFT = 1e-9  # of a failure by rounding, from which policies beside are looked for
-_APART = (0.1, 0.5, 2.0)  # shifts beyond the budget at which a policy is tried
-_REACH = 0.5  # of the totals that matter: so far they are remembered at first
-_CELLS = 100_000_000  # states times levels that a policy measured truly may have
-_ROUNDING = 1e-12  # of the budget, or of what it leaves: so far a policy may seem to break it
+_HALFWAY = 1e-6  # distance from the middle of two levels, in levels, that rounding decides
+_STRETCH = 1e-7  # relative stretching of levels, so that no cost is halfway
+_MET = 0.75  # share of the tolerance that the next unit should leave as gap
+_BELOW_FINEST = 0.6  # least unit that may be chosen to meet the tolerance, in finest units
+_BESIDE = (1.003, 1.01, 1.03, 1.1, 1.5, 10.0, 1e3)  # factors of the price for further policies
+_SHIFT = 1e-9  # change of a failure by rounding above which neighbouring policies are tried
+_APART = (0.1, 0.5, 2.0)  # distances from the budget of such policies, in shifts
+_REACH = 0.5  # first cap, as a share of the span of totals
+_CELLS = 100_000_000  # most states times levels of a policy that is evaluated
+_ROUNDING = 1e-12  # feasibility tolerance, relative to the smaller of budget and 1 - budget
 
 
 def solve_on_split_costs(problem: Problem, options: SolveOptions) -> Solution:
-    """Solve on split costs: best lottery and best bound that finer and finer units give.
+    """Solve on split costs: return the best lottery and the best bound of finer and finer units.
 
     Args:
-        problem: of case S, failure alone limited.
+        problem: of case S, with a limit on failure alone.
         options: tolerance and limits.
 
     Raises:
-        InfeasibleError: no policy keeps to the budget.
-        Stop: the time ended before one that does was found.
+        InfeasibleError: no policy satisfies the budget.
+        Stop: the time limit was reached before a policy satisfied the budget.
     """
     best = refine(_split_attempts(problem, options), options.tolerance)
     if best.note != CUT_SHORT and (best.gap <= options.tolerance or is_late()):
@@ -111,7 +111,7 @@ def solve_on_split_costs(problem: Problem, options: SolveOptions) -> Solution:
 
 
 def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solution]:
-    """Best lottery of the true model and best bound after each unit of split costs."""
+    """Yield the best lottery of the true model and the best bound after each unit."""
     incumbent, best, bound, calls, work = Incumbent(problem), None, 0.0, 0, Work()
     ensure_incumbent(by_itself=incumbent.find() is not None)
     if (solution := incumbent.solution) is not None:
@@ -139,7 +139,7 @@ def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solutio
         work, price, total = work + outcome.work, generated.price, layers * float(_unit_of(outcome))
         reach = total if total > _FAR_BEYOND * price else _MARGIN * price
         guess = DualGuess(price, _SPREAD, slack=len(generated.columns) == 1)
-        if not for_price:  # a coarse unit only says where the price lies
+        if not for_price:  # a coarse unit only gives the price
             with WithIncumbent() as measuring, closing():
                 lottery = _true_lottery(problem, outcome)
                 best = lottery if lottery.value < value else best
@@ -148,7 +148,7 @@ def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solutio
         if best is None:
             continue
         levels = f"{layers:,} levels up to {layers * float(_unit_of(outcome)):.6g}"
-        more = "more of them leave a smaller gap" if most else "no room for more of them"
+        more = "set more levels for a smaller gap" if most else "no room for more levels"
         note = f"totals are rounded to {levels}: {more}" if generated.finished else CUT_SHORT
         gap = relative_gap(best.value, bound)
         if units and most is None and gap > options.tolerance and not for_price:
@@ -163,15 +163,15 @@ def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solutio
 
 
 def solve_on_fine_lattice(problem: Problem, options: SolveOptions) -> Solution:
-    """Solve on a lattice of many totals, of which a coarser unit says first where the price lies.
+    """Solve on a lattice of many totals, after a coarser unit has given the price.
 
     Args:
-        problem: of case S, failure alone limited.
+        problem: of case S, with a limit on failure alone.
         options: tolerance and limits.
 
     Raises:
-        InfeasibleError: no policy keeps to the budget.
-        Stop: the time ended before one that does was found.
+        InfeasibleError: no policy satisfies the budget.
+        Stop: the time limit was reached before a policy satisfied the budget.
     """
     coarse = coarser_unit(problem, problem.requirements)
     if coarse is None or options.deterministic or options.program:
@@ -182,7 +182,7 @@ def solve_on_fine_lattice(problem: Problem, options: SolveOptions) -> Solution:
 def _lattice_attempts(
     problem: Problem, options: SolveOptions, unit: Fraction, is_of_most: bool
 ) -> Iterator[Solution]:
-    """Best lottery that costs split on a lattice's coarser unit give; then the optimum."""
+    """Yield the best lottery of costs split on a coarser unit, then the optimum."""
     closely = replace(options, tolerance=max(_ROUGH_COARSE, options.tolerance))
     outcome = split_optimum(problem, unit, options if is_of_most else closely, None)
     generated, calls, work = outcome.generated, outcome.calls, outcome.work
@@ -204,15 +204,14 @@ def _lattice_attempts(
 
 
 def prove_by_units(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
-    """Prove a bound afresh by rounding units, and the failure that is allowed.
+    """Prove a bound by split or rounded costs, from the model alone.
 
-    Units get smaller until the gap is what the solution says, which is taken for no more than that,
-    or as small as the tolerance; of split costs, until a smaller one brings next to nothing of what
-    is missing.
+    Units get smaller until the gap is that of the solution, whose claim serves for nothing else, or
+    the tolerance; with split costs also until a smaller unit adds almost nothing to the bound.
 
     Args:
         solution: of a problem with split or rounded costs.
-        evaluation: what its policy attains.
+        evaluation: evaluation of its policy.
     """
     problem, attained = solution.problem, evaluation.objective
     rough = replace(CERTIFYING, tolerance=max(CERTIFYING.tolerance, _SHARE * solution.gap))
@@ -225,7 +224,7 @@ def prove_by_units(solution: Solution, evaluation: Evaluation, _: float) -> Prov
 def _split_proofs(
     problem: Problem, attained: float, enough: float, rough: SolveOptions
 ) -> Iterator[Proved]:
-    """Best bound that units of split costs prove, until a finer one adds next to nothing."""
+    """Yield the best bound of finer and finer split costs, until it hardly rises."""
     guess, bound, allowed, before = None, 0.0, problem.failure_budget or 0.0, -np.inf
     for unit in _split_units(problem, finest=True):
         outcome = split_optimum(problem, unit, rough, guess)
@@ -238,12 +237,12 @@ def _split_proofs(
 
 
 def _true_lottery(problem: Problem, outcome: RefinedOutcome) -> Answer:
-    """Best lottery over one rounding unit's policies, evaluated on the true model."""
+    """Return the best lottery of one unit's policies, evaluated on the true model."""
     row, least, columns, members = outcome.row, outcome.least, list[Column](), None
     if least is None or row.budget > least.column.failure:
         columns = _true_columns(problem, outcome)
         members = _best_lottery(columns, row)
-    if members is None:  # the least failure keeps to the budget, if nothing else does
+    if members is None:  # the policy of least failure is feasible if any is
         least = least or outcome.compiled.least_failure()
         columns.append(_true_column(problem, outcome, least.policy))
         members = _best_lottery(columns, row) or [(columns[-1], 1.0)]
@@ -254,13 +253,13 @@ def _true_lottery(problem: Problem, outcome: RefinedOutcome) -> Answer:
 
 
 def _true_columns(problem: Problem, outcome: RefinedOutcome) -> list[Column]:
-    """Policies that split costs found, measured on the true model, on both sides of the budget.
+    """Return policies of split costs, evaluated on the true model, on both sides of the budget.
 
-    What keeps to the budget with split costs may break it by rounding, and the other way round:
-    then prices beside the optimal one are tried.
+    A policy that satisfies the budget with split costs may violate it on the true model, and vice
+    versa: then prices near the optimal one are tried.
 
     Raises:
-        Stop: the time ended before one within the budget was measured.
+        Stop: the time limit was reached before a policy within the budget was evaluated.
     """
     generated, pricing, row = outcome.generated, outcome.compiled.pricing(), outcome.row
     columns, last, one_sided = list[Column](), generated.columns[0], len(generated.columns) == 1
@@ -284,19 +283,19 @@ def _true_columns(problem: Problem, outcome: RefinedOutcome) -> list[Column]:
 
 
 def _true_column(problem: Problem, outcome: RefinedOutcome, policy: Policy) -> Column:
-    """Policy of the model with split costs on the true one, where memory is the nearest level.
+    """Evaluate a policy of split costs on the true model, where it remembers the nearest level.
 
-    Where a step is less than a unit its levels are parts of one: else it would round to nothing.
+    If a step is less than a unit, levels are fractions of a unit: otherwise it would round to 0.
     """
     if isinstance(policy, CostAwarePolicy):
         unit, most = _unit_of(outcome), _levels_asked(problem)
         room = _CELLS // max(problem.model.n_states, 1) if most is None else most
-        # parts of which the cheapest step takes one at least
+        # so many that the cheapest step is at least one of them
         parts = int(np.ceil(float(unit) / float(step_costs(problem.model)[1][1])))
         parts = max(min(parts, room // policy.cap), 1)
         levels = totals_of(np.arange(policy.cap * parts + 1), unit / parts)
         halves = step_costs(problem.model)[1] / float(unit / parts) % 1.0 - 0.5
-        if (np.abs(halves) < _HALFWAY).any():  # else rounding chooses the nearest level
+        if (np.abs(halves) < _HALFWAY).any():  # otherwise rounding would choose the level
             levels = levels * (1.0 + _STRETCH)
         nearest = np.minimum((np.arange(policy.cap * parts) + parts // 2) // parts, policy.cap - 1)
         policy = replace(
@@ -317,14 +316,14 @@ def _true_column(problem: Problem, outcome: RefinedOutcome, policy: Policy) -> C
 
 
 def _columns_beside(problem: Problem, outcome: RefinedOutcome, shift: float) -> list[Column]:
-    """Policies that split costs found on the way, measured truly, next to the budget on both sides.
+    """Return policies that the sweep of split costs found next to the budget, on both sides.
 
-    Rounding shifts how often all of them fail by about as much.
+    They are evaluated on the true model. Rounding shifts their failure by about the same amount.
 
     Args:
         problem: of case S.
         outcome: of the search on split costs.
-        shift: of how often they fail, by rounding.
+        shift: change of their failure by rounding.
     """
     pricing, row, first = outcome.compiled.pricing(), outcome.row, outcome.generated.columns[0]
     tried = {pricing.policy(first).memory_size}  # each has its own number of layers
@@ -343,14 +342,14 @@ def _columns_beside(problem: Problem, outcome: RefinedOutcome, shift: float) -> 
 
 
 def _keeps_to_budget(column: Column, row: FailureRow) -> bool:
-    """Whether a policy of split costs keeps to the budget on the true model, up to rounding."""
+    """Return whether an evaluated policy satisfies the budget, up to rounding."""
     return row.spare(column) >= -_ROUNDING * min(row.budget, 1.0 - row.budget)
 
 
 def _best_lottery(columns: list[Column], row: FailureRow) -> list[tuple[Column, float]] | None:
-    """Members and weights of split costs' cheapest lottery given success; None: none is allowed.
+    """Return the members and weights of the lottery of least ratio; None: all are infeasible.
 
-    A ratio is least at a vertex: a policy within the budget, or two between which it lies.
+    A ratio is least at a vertex: one policy within the budget, or two on both sides of it.
     """
     best, members = np.inf, None
     for inside in columns:
@@ -369,21 +368,21 @@ def _best_lottery(columns: list[Column], row: FailureRow) -> list[tuple[Column, 
     return members
 
 
-_WIDEST = 1_000.0  # times as dear may one step be as another, or a unit rounds too much to nothing
-_FEW_SUMS = 1_000  # that are told apart exactly rather than by a grid
-_SECONDS = 1.5e-8  # that a search takes for each sum and outcome
-_FAR_BEYOND = 1.5  # times the price: a cap that had to be so high is kept
-_MARGIN = 1.05  # beyond a price from a coarser unit: what is paid there still counts for something
-_TRIES = 6  # units, until levels are as few as is asked for
-_OUTCOMES = 1_000  # of a model that takes some time
-_MANY = 200.0  # totals of a lattice at least that a coarser unit is worth looking at for
-_FEWER = 4.0  # times as few are its own
-_MOSTLY = 0.95  # of the outcomes: a unit of their costs is that of most
+_WIDEST = 1_000.0  # largest ratio of two step costs for split costs
+_FEW_SUMS = 1_000  # sums up to which layers are exact
+_SECONDS = 1.5e-8  # of a search for each sum and outcome
+_FAR_BEYOND = 1.5  # a cap of more than this multiple of the price is used again
+_MARGIN = 1.05  # cap, as a multiple of the price from a coarser unit
+_TRIES = 6  # most units tried to satisfy the number of levels
+_OUTCOMES = 1_000  # least outcomes of a model for a coarser unit
+_MANY = 200.0  # least totals of a lattice for a coarser unit
+_FEWER = 4.0  # least ratio of a coarser unit to the unit
+_MOSTLY = 0.95  # share of the outcomes whose costs define the unit of most costs
 
 
 @kept
 def _unit_of_steps(model: SSP) -> tuple[float, float, Fraction, Fraction]:
-    """Costs of a lattice's steps: the least, the mean, their unit, and that of most of them."""
+    """Return the least and the mean step cost, the unit of all, and the unit of most costs."""
     going_on = ~(dead_ends(model) | model.goal_mask)[model.successors]
     costs, counts = np.unique(model.costs[going_on], return_counts=True)
     paid = costs > 0.0
@@ -397,15 +396,15 @@ def _unit_of_steps(model: SSP) -> tuple[float, float, Fraction, Fraction]:
 
 
 def coarser_unit(problem: Problem, asked: Requirements) -> tuple[Fraction, bool] | None:
-    """A coarser unit to look first at totals that are told apart exactly, and are many.
+    """Return a coarser unit for a first solve on a lattice of many exact totals.
 
     Args:
         problem: the problem.
-        asked: what it asks.
+        asked: its requirements.
 
     Returns:
-        The unit, no larger than any step, and whether it divides most costs. None: it is of no use,
-        or the problem is not case S with failure alone limited.
+        The unit, at most the least step, and whether it is the unit of most costs. None: it does
+        not help, or the problem is not case S with a limit on failure alone.
     """
     is_mean = asked.ratio and not (asked.law or asked.rows or asked.least_failure)
     is_exact = asked.totals in (TotalScale.UNITS, TotalScale.SUMS) and problem.cost_cap is None
@@ -425,16 +424,16 @@ def coarser_unit(problem: Problem, asked: Requirements) -> tuple[Fraction, bool]
 
 
 def is_split(problem: Problem, asked: Requirements, seconds: float = np.inf) -> bool:
-    """Whether the costs of a problem are to be split.
+    """Return whether the costs of a problem must be split.
 
-    They are in case S where the sums of costs are too many to be told apart, or, where these are
-    known to be told apart, if that hardly ends in the time that is left; where failure alone is
-    limited, and no step is far dearer than others.
+    They are split in case S with a limit on failure alone, if no step is far more expensive than
+    the others, and if the sums of costs are too many for exact layers, or are known to take longer
+    than the time left.
 
     Args:
         problem: the problem.
-        asked: what it asks.
-        seconds: that are left.
+        asked: its requirements.
+        seconds: time left.
     """
     on_grid = asked.totals is TotalScale.GRID
     is_mean = asked.ratio and not (asked.law or asked.rows or asked.least_failure)
@@ -455,13 +454,13 @@ def is_split(problem: Problem, asked: Requirements, seconds: float = np.inf) -> 
 
 
 def with_split_costs(model: SSP, unit: Fraction) -> SSP:
-    """The model with each step that goes on split between two multiples of a unit.
+    """Return the model with the cost of each step split between two multiples of a unit.
 
-    The last step of an episode is left as it is: whatever it costs, nothing has to remember it.
+    The last step of an episode is not split, as no policy has to remember its cost.
 
     Args:
         model: the model.
-        unit: of which costs become multiples.
+        unit: unit of the costs.
     """
     ended = dead_ends(model) | model.goal_mask
     units = np.where(ended[model.successors], 0.0, model.costs / float(unit))
@@ -486,18 +485,18 @@ def with_split_costs(model: SSP, unit: Fraction) -> SSP:
 
 
 def _levels_asked(problem: Problem) -> int | None:
-    """Number of totals for rounding to tell apart; None: as many as there is room for."""
+    """Return the user's number of levels; None: as many as fit into memory."""
     return problem.cost_levels
 
 
 def _split_units(problem: Problem, *, finest: bool = False) -> Iterator[Fraction]:
-    """Finer and finer units of split costs, without one that splits no step, if these are few.
+    """Yield finer and finer units of split costs.
 
-    That which a lattice of many totals is looked at by comes first.
+    The coarser unit of a lattice of many totals, if any, comes first.
 
     Args:
         problem: of case S.
-        finest: as far as there is room, whatever is asked for.
+        finest: down to the finest unit that fits, whatever ``cost_levels`` says.
     """
     cheapest = float(step_costs(problem.model)[1][1])
     if coarse := coarser_unit(problem, problem.requirements):
@@ -506,7 +505,7 @@ def _split_units(problem: Problem, *, finest: bool = False) -> Iterator[Fraction
 
 
 def _span_of_steps(problem: Problem) -> float:
-    """Totals that matter to split costs; steps that only end an episode are not remembered."""
+    """Return the span of totals for split costs, without the last steps of episodes."""
     return span_of_totals(problem, float(step_costs(problem.model)[1][-1]))
 
 
@@ -518,22 +517,22 @@ def split_optimum(
     most: int | None = None,
     reach: float = np.inf,
 ) -> RefinedOutcome:
-    """Optimum with split costs, of a larger unit where totals are more than asked for.
+    """Return the optimum with split costs, of a larger unit if there are too many levels.
 
-    Where no larger one makes them few enough, they are cut where as many are passed.
+    If no larger unit makes them few enough, the layers are capped.
 
     Args:
         problem: of case S.
-        unit: of which costs become multiples.
+        unit: unit of the costs.
         options: tolerance and limits.
-        guess: of the price of failure; None: nothing is known.
-        most: levels; None: any number.
-        reach: total up to which layers are told apart at first; infinite: a guess is made.
+        guess: a guess of the price of failure, or None.
+        most: most levels; None: any number.
+        reach: total of the first cap; infinite: a guess.
 
     Raises:
-        InfeasibleError: no policy keeps to the budget.
-        ModelError: a table of so many layers is too large.
-        Stop: the time ended before a policy that keeps to the budget was found.
+        InfeasibleError: no policy satisfies the budget.
+        ModelError: the table of layers is too large.
+        Stop: the time limit was reached before a policy satisfied the budget.
     """
     budget = 1.0 if problem.failure_budget is None else problem.failure_budget
     for tried in range(_TRIES):
@@ -552,14 +551,14 @@ def split_optimum(
 
 
 def _unit_of(outcome: RefinedOutcome) -> Fraction:
-    """Rounding unit of the process that a search on split costs ended with."""
+    """Return the unit of the process of an outcome."""
     return cast("CompiledAccumulatedCost", outcome.compiled).base.exact_unit
 
 
 def _solved_on_lattice(
     problem: Restated, options: SolveOptions, near: Near | None = None
 ) -> Solution:
-    """Solution of a problem of rounded costs, exact but for the rounding."""
+    """Solve a problem with rounded costs, whose totals lie on a lattice."""
     if not problem.requirements.is_risk:
         solved = cheapest_at_least_failure if problem.failure_budget is None else best_within_budget
         return solved(problem, options)
@@ -568,28 +567,28 @@ def _solved_on_lattice(
 
 
 def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
-    """Solve on rounded costs: the best policy by costs rounded up, the bound by costs rounded down.
+    """Solve on rounded costs: a policy by costs rounded up, a bound by costs rounded down.
 
     Args:
-        problem: a criterion of the law of the total cost, failure alone limited.
+        problem: a criterion of the law of the total cost, with a limit on failure alone.
         options: tolerance and limits.
 
     Raises:
-        InfeasibleError: no policy keeps to the budget.
-        Stop: the time ended before one that does was found.
+        InfeasibleError: no policy satisfies the budget.
+        Stop: the time limit was reached before a policy satisfied the budget.
     """
     best = refine(_rounded_attempts(problem, options), options.tolerance)
     maximised, charge = problem.semantics.maximises, problem.semantics.charge(problem.ratio)
     attained, note = best.objective, best.note
     bound = best.lower_bound if best.upper_bound is None else best.upper_bound
     if charge is not None and charge.settled is None and not is_late():
-        with WithIncumbent():  # beyond its table, too
+        with WithIncumbent():  # also beyond the cap
             attained = problem.semantics.worth_of(measured_costs(best.policy, problem))
     if two_sided_gap(attained, bound) > options.tolerance and not is_late():
         unit = cast("CostAwarePolicy", best.policy.policies[0]).unit
         more = "no room for more levels"
         if _levels_asked(problem) is not None:
-            more = "more levels leave a smaller gap"
+            more = "set more levels for a smaller gap"
         note = f"costs are rounded to multiples of {unit:g}: {more}"
     return replace(
         best,
@@ -602,19 +601,19 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
 
 
 def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solution]:
-    """Best policy by costs rounded up, with the best bound of all, after each unit."""
+    """Yield the best policy by costs rounded up, with the best bound, after each unit."""
     best, semantics, risk = None, problem.semantics, problem.semantics.risk
     sign = -1.0 if semantics.maximises else 1.0
     bound, span = _trivial_bound(problem), span_of_totals(problem)
     for unit in rounding_units(problem, span):
         rough = float(unit) / span if best is None else _SHARE * best.gap
         finer = replace(options, tolerance=max(options.tolerance, rough))
-        near = None  # where a risk's search may begin, from the policy of coarser costs
+        near = None  # where a search for a risk may begin, from the policy of coarser costs
         if best is not None and risk is not None:
             quantile = measured_costs(best.policy, problem).quantile(risk.level)
             price = best.failure_price
             near = quantile, 0.0 if price is None else price + best.objective
-        # the best policy of costs rounded up, on the model itself
+        # the optimal policy of costs rounded up, on the model itself
         solution = _solved_on_lattice(_with_rounded_costs(problem, unit, up=True), finer, near)
         members = tuple(_rounding_up(p, problem.model, unit) for p in solution.policy.policies)
         policy = MixedPolicy(members, solution.policy.weights)
@@ -634,7 +633,7 @@ def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solut
 
 
 def _rounded_proofs(problem: Problem, attained: float, rough: SolveOptions) -> Iterator[Proved]:
-    """Best bound by rounded costs after each unit."""
+    """Yield the best bound by rounded costs after each unit."""
     sign, bound = -1.0 if problem.semantics.maximises else 1.0, _trivial_bound(problem)
     for unit in rounding_units(problem, span_of_totals(problem), finest=True):
         proved, allowed = lattice_bound(problem, unit, rough)
@@ -648,13 +647,13 @@ def lattice_bound(
     options: SolveOptions,
     near: Near | None = None,
 ) -> tuple[float, float]:
-    """Bound by costs rounded down to a lattice, and the failure that is allowed.
+    """Return the bound by costs rounded down to a lattice, and the allowed failure.
 
     Args:
         problem: the problem.
-        unit: of which costs are multiples.
+        unit: unit of the rounded costs.
         options: tolerance and limits.
-        near: where a search may begin; None: unknown.
+        near: where a search may begin, or None.
     """
     rounded, budget = _with_rounded_costs(problem, unit, up=False), problem.failure_budget
     solution = _solved_on_lattice(rounded, options, near)
@@ -663,12 +662,12 @@ def lattice_bound(
 
 
 def _rounding_up(policy: Policy, model: SSP, unit: Fraction) -> CostAwarePolicy:
-    """Policy of the model with rounded costs on the model itself.
+    """Return a policy of the model with rounded costs as a policy of the model itself.
 
-    One that remembers nothing is given a layer to remember, so that its law is rounded alike.
+    A policy without memory gets one layer, so that its law is rounded in the same way.
 
     Raises:
-        ModelError: it remembers something else than the cost paid.
+        ModelError: its memory is not the cost paid.
     """
     if isinstance(policy, CostAwarePolicy):
         return replace(policy, model=model, rounds_up=True)
@@ -681,13 +680,13 @@ def _rounding_up(policy: Policy, model: SSP, unit: Fraction) -> CostAwarePolicy:
 
 
 def _with_rounded_costs(problem: Problem, unit: Fraction, *, up: bool) -> Restated:
-    """Problem with costs rounded to multiples of a unit."""
+    """Return the problem with costs rounded to multiples of a unit."""
     model = problem.model
     kinds, kind = np.unique(model.costs, return_inverse=True)
     units = kinds / float(unit)
     whole = np.ceil(units * (1.0 - SAME_TOTAL)) if up else np.floor(units * (1.0 + SAME_TOTAL))
     charge = problem.semantics.charge(problem.ratio)
-    if isinstance(charge, WithinBound):  # one step beyond the bound is as late as any
+    if isinstance(charge, WithinBound):  # all totals beyond the bound are equal
         whole = np.minimum(whole, np.ceil(float(charge.bound) / float(unit)) + 2.0)
     costs = totals_of(whole.astype(np.int64), unit)[kind]
     rounded = replace(model, costs=read_only(costs), exact_costs={})
@@ -697,35 +696,35 @@ def _with_rounded_costs(problem: Problem, unit: Fraction, *, up: bool) -> Restat
 
 
 def _trivial_bound(problem: Problem) -> float:
-    """Bound of the optimum that is known before any rounded problem is solved."""
+    """Return a bound of the optimum that needs no solve."""
     semantics, charge = problem.semantics, problem.semantics.charge(problem.ratio)
     if charge is None or not semantics.maximises:
         return 0.0
     return semantics.failing_worth - charge.lowest
 
 
-_FIRST = 128  # units in the totals that matter, at first
-_FINER = 4.0  # times as many next
-_QUICK = 3e8  # units times outcomes that a sweep soon passes over
-_MOST = 8_192  # unless more are asked for
-_ROOM = 6_000_000  # states times units
-_FINEST = 65_536  # in any case
-_ROOM_FOR_DIGITS = 1.1  # by which a number of two digits may lie above another
-_WORTH_WHILE = 1.5  # times as many units: no reason to search again for fewer
-_TYPICAL = 2.0  # costs given success of the safest policy: beyond them few totals matter
-_RARE = 20.0  # times as dear as all that matters may a single step be
+_FIRST = 128  # units in the span of totals at first
+_FINER = 4.0  # factor of the number of units from one solve to the next
+_QUICK = 3e8  # most units times outcomes of a quick sweep
+_MOST = 8_192  # most units, unless the user sets more
+_ROOM = 6_000_000  # most states times units
+_FINEST = 65_536  # most units in any case
+_ROOM_FOR_DIGITS = 1.1  # most by which rounding up to two digits raises a number
+_WORTH_WHILE = 1.5  # least factor of the number of units for another solve
+_TYPICAL = 2.0  # span of totals, in costs given success of the safest policy
+_RARE = 20.0  # most by which a single step may exceed the span
 
 
 def rounding_units(
     problem: Problem, span: float, *, cheapest: float = np.inf, finest: bool = False
 ) -> Iterator[Fraction]:
-    """Finer and finer rounding units, as far as is asked for.
+    """Yield finer and finer rounding units.
 
     Args:
-        problem: with ``cost_levels`` if these are limited.
-        span: the totals that matter.
-        cheapest: step that is to be a unit at least, if that makes no great many.
-        finest: as far as there is room, whatever is asked for.
+        problem: its ``cost_levels``, if any, limit the number of units.
+        span: span of totals.
+        cheapest: cost of a step that the first unit must not exceed, if that is quick to solve.
+        finest: down to the finest unit that fits, whatever ``cost_levels`` says.
     """
     room = min(max(_MOST, _ROOM // problem.model.n_states), _FINEST)
     most = (None if finest else _levels_asked(problem)) or room
@@ -738,17 +737,17 @@ def rounding_units(
 
 
 def short_decimal(size: float) -> Fraction:
-    """Rounding unit of two digits, the least that is no smaller: multiples are short decimals."""
+    """Return the least number of two digits that is not smaller: its multiples are short."""
     power = Fraction(10) ** (int(np.floor(np.log10(size))) - 1)
     return int(np.ceil(size / float(power) * (1.0 - SAME_TOTAL))) * power
 
 
 def span_of_totals(problem: Problem, dearest: float | None = None) -> float:
-    """Totals that matter to rounding: up to the bound, or some typical costs.
+    """Return the span of totals that rounding must resolve: the bound, or some typical costs.
 
     Args:
         problem: the problem.
-        dearest: the greatest cost of a single step to be remembered; None: of any step.
+        dearest: greatest cost of a single step that is remembered; None: of any step.
     """
     charge = problem.semantics.charge(problem.ratio)
     dearest = float(problem.model.costs.max(initial=0.0)) if dearest is None else dearest

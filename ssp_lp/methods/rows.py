@@ -1,20 +1,20 @@
-"""Problems with rows: several quantities limited at once, and priced one by one.
+"""Problems with several limits, solved by column generation with a price for each row.
 
-Column generation with phase 1 and phase 2 (``column_generation.search``), or the full linear
-program first, whose duals are then the prices to begin with. A cost given success is found by
-Dinkelbach's iteration: the least of ``cost + ratio * failure`` falls to the ratio itself at the
-optimum. Where accumulated cost is cut at a cap, the process bounds the optimum from below and the
-policy's own value from above. Where the first cap is a guess, a rough search says by its prices
-which one loses nothing; its lottery is taken on to a higher one, until both sides meet.
+Column generation runs phase 1 and phase 2 (``column_generation.search``). If the full linear
+program is solved first, its duals are the first prices. A cost given success is found by
+Dinkelbach's iteration: at the optimum the least ``cost + ratio * failure`` equals the ratio.
 
-On a grid of totals the process bounds every policy from below. The policies that it finds remember
-the rounded total; what they cost and how they fail is evaluated with the true costs, and the
-lottery is chosen by these numbers, so that it keeps to the budget and to all limits.
+If accumulated cost is truncated at a cap, the process gives a lower bound and the policy's own
+value an upper bound. If the first cap is a guess, the prices of a rough search give the cap that
+loses nothing; its lottery is carried over to higher caps until both bounds meet.
 
-Phase 1 ends with a lottery that keeps to all rows, or with a set of rows that none keeps to, none
-of which can be left out. That is proved by prices z >= 0 at which every policy's ``z @ activity``
-exceeds ``z @ bounds`` (Farkas), never by the status of a program; rows are taken away from it as
-long as it stays a conflict.
+On a grid of totals the process gives a lower bound for every policy. Its policies remember the
+rounded total; they are evaluated with the true costs, and the lottery is chosen by these numbers,
+so that it satisfies the budget and all limits.
+
+Phase 1 ends with a feasible lottery, or with an irreducible set of conflicting rows. The conflict
+is proved by prices z >= 0 at which ``z @ activity`` of every policy exceeds ``z @ bounds``
+(Farkas), never by the status of a program; rows are deleted while the rest is still in conflict.
 """
 
 from __future__ import annotations
@@ -65,54 +65,54 @@ from ssp_lp.processes.failure_semantics import (
 )
 from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 
-_PATIENCE = 6  # refinements that need not even halve the gap
-_COARSE_TOTALS = 64  # of the grid that a search on totals begins with
-_COARSE_GAP = 1e-4  # and how exactly it is solved
-_COARSE = 0.5  # relative gap of a search that is only to find out whether there is an answer
-_TRIAL_TOLERANCE = 1e-2  # of a trial, which only learns the price that says the next cap
-_FINER = 1e-3  # of the tolerance, where a complement is minimised, which may be much larger
+_PATIENCE = 6  # refinements in which the gap must at least halve
+_COARSE_TOTALS = 64  # totals of the first, coarse grid
+_COARSE_GAP = 1e-4  # relative gap on the coarse grid
+_COARSE = 0.5  # relative gap of a search that only decides feasibility
+_TRIAL_TOLERANCE = 1e-2  # relative gap of a trial, whose price gives the next cap
+_FINER = 1e-3  # factor of the tolerance if a complement is minimised, which may be much larger
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _RowsOptimum(Answer):
-    """The best lottery that was found, with its proof, and what it took."""
+    """The best lottery found, with its proof and the work done."""
 
     policy: MixedPolicy
     compiled: CompiledExplicit
     calls: int
     work: Work
-    search: Master  # how it ended
+    search: Master  # the final restricted master
     program: str = ""
 
     @property
     def kappa(self) -> float:
-        """What a failure may cost: the failure row's price, in case S with the ratio."""
+        """Price of failure: the dual of the failure row, in case S plus the ratio."""
         ratio = self.value if self.compiled.ratio else 0.0
         return ratio + self.prices.get(FAILURE_ROW, 0.0)
 
     @property
     def gap(self) -> float:
-        """Relative gap, of what is asked for."""
+        """Relative gap of the objective that the user asked for."""
         worth = self.compiled.sense.worth
         is_attained = np.isfinite(self.value)
         return two_sided_gap(worth(self.value), worth(self.bound)) if is_attained else np.inf
 
 
 def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
-    """Solve a problem with constraints beside its failure budget.
+    """Solve a problem with constraints in addition to its failure budget.
 
     Args:
-        problem: the problem; no measure of risk.
+        problem: the problem, without a measure of risk.
         options: method, tolerance and limits.
 
     Returns:
-        The solution; its objective is infinite where the time was enough for a bound alone.
+        The solution; its objective is infinite if the time sufficed for a bound alone.
 
     Raises:
-        InfeasibleError: no policy keeps to the failure budget and the limits; names a
-            conflict none of whose rows can be left out.
-        SolverError: the time ran out before any such policy was found, or the linear program's
-            answer fails its check.
+        InfeasibleError: no policy satisfies the failure budget and the limits; it names an
+        irreducible set of conflicting rows.
+        SolverError: the time limit was reached before a feasible policy was found, or the
+        solution of the linear program fails its check.
     """
     stated = compiled_constrained(problem).counting_rare_success(problem.failure_budget)
     try:
@@ -143,9 +143,9 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
 
 
 def _may_be_rarer(stated: CompiledExplicit, optimum: _RowsOptimum, options: SolveOptions) -> bool:
-    """Whether success that rows make rare is worth more than what was found.
+    """Return whether a policy of rare success, counted by goal, improves the optimum.
 
-    It is looked for within rows that are a little tighter, where their room for rounding buys none.
+    The search uses slightly tighter rows, so that no success comes from the tolerance of a row.
     """
     if not stated.may_be_rare or optimum.gap <= options.tolerance or is_late():
         return False
@@ -160,11 +160,11 @@ def _may_be_rarer(stated: CompiledExplicit, optimum: _RowsOptimum, options: Solv
 
 
 def is_rarely_reached(stated: CompiledExplicit, goal: float) -> bool:
-    """Whether the goal is reached so seldom within the rows that success is to be counted.
+    """Return whether success is so rare within the rows that the goal must be the reward.
 
     Args:
         stated: the problem.
-        goal: probability that its policy reaches the goal with.
+        goal: goal probability of its policy.
     """
     return stated.may_be_rare and 0.0 < goal < RARE_GOAL
 
@@ -172,18 +172,19 @@ def is_rarely_reached(stated: CompiledExplicit, goal: float) -> bool:
 def rows_optimum(
     stated: CompiledExplicit, options: SolveOptions, truth: Truth | None = None
 ) -> _RowsOptimum:
-    """The best lottery that keeps to all rows, refined until the gap meets the tolerance.
+    """Return the best lottery within all rows, refined until the gap meets the tolerance.
 
     Args:
         stated: the problem.
         options: method, tolerance and limits.
-        truth: where accumulated cost is told apart, the true value of a lottery.
+        truth: evaluates policies on the model if the process has accumulated cost.
 
     Raises:
-        InfeasibleError: no policy keeps to all rows; names some that none keeps to together.
-        SolverError: the time ran out before any such policy was found, or the linear program's
-            answer fails its check.
-        Stop: the time ended before any policy was evaluated; it carries what has a bound alone.
+        InfeasibleError: no policy satisfies all rows; it names conflicting rows.
+        SolverError: the time limit was reached before a feasible policy was found, or the
+        solution of the linear program fails its check.
+        Stop: the time limit was reached before a policy was evaluated; it carries an optimum
+        with a bound alone.
     """
     guess: _RowsOptimum | None = None
     if stated.charge is not None and options.program is None:
@@ -191,7 +192,7 @@ def rows_optimum(
     if stated.resolution is not None and stated.charge is not None:
         coarse = replace(stated, resolution=Resolution(grid=_COARSE_TOTALS, most=_COARSE_TOTALS))
         guess = _rows_attempt(coarse, SolveOptions(_COARSE_GAP, options.deadline), None, None)
-        lossless = stated.charge.lossless(guess.kappa)  # from there on failing is best
+        lossless = stated.charge.lossless(guess.kappa)  # failing is optimal from there on
         stated = replace(stated, resolution=stated.resolution.up_to(lossless))
     try:
         best = refine(_rows_attempts(stated, options, truth, guess), options.tolerance)
@@ -210,19 +211,19 @@ def rows_optimum(
             bound = best.bound if guess is None else max(best.bound, guess.bound)
             raise Stop(replace(best, bound=bound, note=note))
         raise SolverError(
-            f"no policy on {levels} of accumulated cost keeps to the limits: more ",
+            f"no policy on {levels} of accumulated cost satisfies the limits: set more ",
             Argument("cost_levels"),
-            ", or more time, make them finer",
+            ", or allow more time",
         )
     if compiled.is_rounded and not note:
-        note = f"totals are rounded to {levels}: more of them leave a smaller gap"
+        note = f"totals are rounded to {levels}: set more levels for a smaller gap"
     return replace(best, note=note)
 
 
 def _rows_attempts(
     stated: CompiledExplicit, options: SolveOptions, truth: Truth | None, guess: _RowsOptimum | None
 ) -> Iterator[_RowsOptimum]:
-    """Attempts at the rows' optimum on finer totals, in the end in twice the precision."""
+    """Yield optima on finer and finer totals, at last in twice the working precision."""
     calls, work, gaps, begun = 0, Work(), list[float](), None
     while True:
         try:
@@ -254,10 +255,10 @@ def _rows_attempt(
     guess: _RowsOptimum | None,
     begun: Master | None = None,
 ) -> _RowsOptimum:
-    """One search for the rows' optimum, in the precision that the compiled problem says.
+    """Return the optimum of one search within the rows, with a certified bound.
 
-    With a certified bound at the prices that the search ended with; a trial ends roughly, with no
-    bound where no time limit may end it.
+    The bound is proved at the final prices. A trial ends at a coarse gap, and without a bound
+    unless there is a time limit.
     """
     finer, rough = _FINER if stated.sense.constant else 1.0, _TRIAL_TOLERANCE * stated.is_trial
     options = replace(options, tolerance=max(finer * options.tolerance, rough))
@@ -269,14 +270,14 @@ def _rows_attempt(
     if options.program is not None:
         program, rule = search_begun_at_duals(compiled, rule, options)
     generated = best_lottery(compiled, rule, options)
-    pool, rows, ratio = rule.pool, rule.rows, generated.ratio  # in case S with the ratio
+    pool, rows, ratio = rule.pool, rule.rows, generated.ratio
     cost, failure, value = float(generated.figures[0]), generated.failure, generated.objective
     size = abs(cost) + ratio * abs(float(generated.figures[1]))
     if program is not None and generated.finished:
         check_agreement(program, value)
     prices = without_negligible_prices(generated.prices, pool.sizes(rows), size)
     bound, values, is_proved = 0.0, compiled.pricing().anything, not stated.is_trial or is_limited()
-    with WithIncumbent(), closing():  # where no time is left the values ask for the best
+    with WithIncumbent(), closing():  # without time left the values stay infinite
         if is_proved:
             bound, proof = rows_bound(compiled, rows, prices, pool.proved)
             values = read_only(proof.values)
@@ -284,8 +285,8 @@ def _rows_attempt(
     taken = dict(zip(names_of(compiled, rows), taken, strict=True))
     if truth is not None and compiled.is_rounded:
         value = np.inf
-        with WithIncumbent(), closing():  # where no time is left the bound counts by itself
-            taken = {}  # by the true lottery
+        with WithIncumbent(), closing():  # without time left there is a bound alone
+            taken = {}  # those of the process are rounded
             repaired = true_lottery(compiled, rows, pool, rows.weights(prices), truth[1])
             if repaired is not None:
                 value, (policy, failure) = truth[0](repaired[0]), repaired
@@ -316,9 +317,9 @@ def _rows_attempt(
 def _of_rows(
     compiled: CompiledExplicit, rows: Rows, prices: FloatArray
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Bounds of rows that were raised to what is attainable, and prices of all rows, by name.
+    """Return bounds that were raised to the attainable value, and prices of all rows, by name.
 
-    The price is 0 where nothing is limited; at least failure there is none of failing.
+    Rows without a limit have price 0. At least failure there is no price of failure.
     """
     granted = {
         compiled.names[place]: float(bound)
@@ -333,7 +334,7 @@ def _of_rows(
 
 
 def _true_value(generated: Generated, compiled: CompiledExplicit) -> float | None:
-    """Value of a lottery within rows by its members' true costs; None: one of them is unknown."""
+    """Return the value of a lottery by its members' true costs; None: one is unknown."""
     costs = [compiled.pricing().true_cost(column) for column in generated.columns]
     known = [cost for cost in costs if cost is not None]
     if len(known) < len(costs):
@@ -343,10 +344,10 @@ def _true_value(generated: Generated, compiled: CompiledExplicit) -> float | Non
 
 
 def _taken_on(search: Master, pricing: PricingProblem) -> Master | None:
-    """The search within rows on a process of a higher cap: its lottery is known from the start.
+    """Return the search, carried over to a process with a higher cap; None: it has no cap.
 
-    Policies fail, and take of each row, as before: the lottery keeps to the rows. None where the
-    process has no cap of its own.
+    The failure and the row activities of its policies do not change, so that the lottery still
+    satisfies the rows.
     """
     known = pricing.taken_on(search.lottery[0])
     if known is None:
@@ -363,45 +364,46 @@ def _taken_on(search: Master, pricing: PricingProblem) -> Master | None:
 
 
 def _remarks(compiled: CompiledExplicit, granted: Mapping[str, float], finished: bool) -> str:
-    """Remarks on an optimum within rows: raised bounds, a search cut short."""
+    """Return the notes on an optimum: raised bounds, or a search cut short."""
     remarks = []
     bounds = dict(zip(compiled.names, compiled.bounds.tolist(), strict=True))
     for name, most in granted.items():
         remarks.append(
             f"the bound of {name!r} lies {most - bounds[name]:.1e} below "
-            "what is attainable and counts as equal to it"
+            "the attainable value and counts as equal to it"
         )
     if not finished:
         remarks.append(CUT_SHORT)
     return "; ".join(remarks)
 
 
-_TRACE = 1e-15  # a weight of a member that is the rounding of none
-_MOST = 8  # policies of the search that are evaluated
-_STEEPER = (0.01, 0.1, 1.0, 100.0)  # shares of the prices that are added for further ones
-_LUCK = 1e-12  # of the greatest goal probability: what the room for rounding of a limit may buy
-_TIGHTER = 1e-12  # share of a bound, far beyond its room for rounding
-_KEPT = 1e-12  # share of its own bound to which every row is kept
-_CLOSE = 1e-12  # relative gap of a bound: not worth another proof
+_TRACE = 1e-15  # a weight this small is a rounded 0
+_MOST = 8  # most policies of the search that are evaluated
+_STEEPER = (0.01, 0.1, 1.0, 100.0)  # relative increases of the prices, one for each new policy
+_LUCK = 1e-12  # share of the greatest goal probability that a row's tolerance may allow
+_TIGHTER = 1e-12  # share of a bound, far above its tolerance
+_KEPT = 1e-12  # feasibility tolerance of a row, relative to its bound
+_CLOSE = 1e-12  # relative gap of a bound that needs no further proof
 
 
 Truth = tuple[Callable[[MixedPolicy], float], Callable[[Policy], FloatArray]]
-"""Where the process truncates or rounds policies: what a lottery is worth by itself, in what is
-minimised; and cost, failure and rows of one policy."""
+"""Evaluation on the model, for a process that truncates or rounds totals: the minimised value of a
+lottery, and the cost, failure and rows of one policy."""
 
 
 def best_lottery(compiled: CompiledExplicit, opened: Master, options: SolveOptions) -> Generated:
-    """Best lottery within the limits, by the search as it was opened.
+    """Return the best lottery within the limits, continuing an opened search.
 
     Raises:
-        InfeasibleError: case S, and none within the limits reaches the goal.
+        InfeasibleError: case S, and no policy within the limits reaches the goal.
+        SolverError: the same, but the time limit was reached first.
     """
     generated = generate(opened, options)
     if not np.isfinite(generated.objective):
         if not generated.finished:
             raise SolverError("no policy that reaches the goal was found within the time limit")
         raise InfeasibleError(
-            "no policy that keeps to all limits reaches the goal: no cost given success exists",
+            "no policy within all limits reaches the goal: no cost given success exists",
             failure_budget=compiled.budget,
             least_failure=max(1.0 - compiled.greatest_goal, 0.0),
         )
@@ -415,23 +417,23 @@ def true_lottery(
     weights: FloatArray,
     figures: Callable[[Policy], FloatArray],
 ) -> tuple[MixedPolicy, float] | None:
-    """Best lottery within the rows by true figures, and its failure.
+    """Return the best lottery within the rows by true figures, and its failure.
 
     Args:
         compiled: the problem.
-        rows: what is limited.
-        pool: policies of the process; the first goes for the goal.
-        weights: prices of their totals, by which the best are chosen, [rewards].
-        figures: a policy's true cost, failure and rows.
+        rows: the limited rows.
+        pool: policies of the process.
+        weights: weights of the rewards that rank them, [rewards].
+        figures: returns the true cost, failure and rows of a policy.
 
     Returns:
-        None where none of them keeps to the rows, and succeeds: the grid is too coarse.
+        None if no lottery satisfies the rows and reaches the goal: the grid is too coarse.
     """
     pricing, order = compiled.pricing(), np.argsort(weights @ pool.figures, kind="stable")
     best, points = pool.columns[int(order[0])], [pool.columns[k] for k in order[:_MOST].tolist()]
     if not compiled.ratio and rows.index.size == 0:
         points = [best]
-    else:  # what breaks a limit by rounding needs a policy on the other side, of steeper prices
+    else:  # steeper prices give policies that offset a violation by rounding
         worth = weights[0] * float(best.figures @ weights)
         least = np.where(rows.bounds > 0.0, worth / rows.scales, 0.0)
         for factor in _STEEPER:
@@ -467,13 +469,13 @@ def true_lottery(
 
 
 def _luck(compiled: CompiledExplicit) -> float:
-    """Goal probability that the room for rounding of a limit may buy."""
+    """Return the goal probability that may come from the tolerance of a limit."""
     is_told = compiled.by_goal or not compiled.ratio or compiled.limits_failure
     return 0.0 if is_told else _LUCK * compiled.greatest_goal
 
 
 def true_figures(problem: Problem, stated: CompiledExplicit) -> Truth | None:
-    """True figures in the rows of a lottery's policies on the model, where tables truncate them."""
+    """Return functions that evaluate policies on the model; None: the process is exact."""
     if stated.charge is None:
         return None
     plain = problem.unrolled
@@ -481,11 +483,11 @@ def true_figures(problem: Problem, stated: CompiledExplicit) -> Truth | None:
     unlimited = Restated(plain.model, *asked, discount=plain.discount)
 
     def value(policy: MixedPolicy) -> float:
-        """What a lottery is worth, in what is minimised: a difference, taken twice, leads back."""
+        """Return the minimised value of a lottery; ``worth`` is its own inverse."""
         return stated.sense.worth(evaluate(policy, unlimited).objective)
 
     def figures(policy: Policy) -> FloatArray:
-        """Cost, failure and rows of one policy."""
+        """Return cost, failure and rows of one policy, [rewards]."""
         evaluation = evaluate(policy, problem)
         goal = evaluation.limited_goal
         if stated.ratio:
@@ -499,15 +501,16 @@ def true_figures(problem: Problem, stated: CompiledExplicit) -> Truth | None:
 
 
 def row_activities(stated: CompiledExplicit, evaluation: Evaluation) -> list[float]:
-    """Activity of a lottery's policy in each row beside failure."""
+    """Return the activity of an evaluated policy in each row other than failure."""
     spent = evaluation.secondary_costs
     return [row.activity(spent[row.condition.name]) for row in stated.side]
 
 
 def opened(stated: CompiledExplicit, options: SolveOptions) -> tuple[CompiledExplicit, Master]:
-    """The problem, at least failure where its budget is equal to that, and phase 1 of the search.
+    """Run phase 1; return the problem and the search that phase 2 starts from.
 
-    The least failure is not worked out where some policy of phase 1 fails less than the budget.
+    If the budget equals the least failure, the problem becomes that of least failure. The least
+    failure is not computed if a policy of phase 1 fails less often than the budget allows.
     """
     if not (stated.limits_failure and stated.is_whole):
         compiled = stated.settled()
@@ -528,16 +531,21 @@ def opened(stated: CompiledExplicit, options: SolveOptions) -> tuple[CompiledExp
 def phase_one(
     compiled: CompiledExplicit, stated: CompiledExplicit, options: SolveOptions
 ) -> Master:
-    """Phase 1 of a search with rows: columns until some lottery keeps to all of them.
+    """Run phase 1: add columns until a lottery satisfies all rows.
 
     Args:
-        compiled: at least failure, where the stated budget is equal to that.
-        stated: the problem with the budget that was stated.
+        compiled: the problem, of least failure if the stated budget equals it.
+        stated: the problem with the stated budget.
         options: tolerance and limits.
 
     Returns:
-        The search for the least cost to begin with: its rows raised where they lie below what is
-        attainable by rounding, and in case S with the ratio of some lottery.
+        The master of phase 2. Bounds that lie below the attainable value by rounding are raised; in
+        case S it has the ratio of a known lottery.
+
+    Raises:
+        InfeasibleError: the rows are in conflict.
+        SolverError: no feasible lottery was found, and no conflict was proved.
+        Stop: the time limit was reached first.
     """
     pricing = compiled.pricing()
     pool = Pool(pricing, [pricing.first()])
@@ -562,21 +570,21 @@ def phase_one(
         )
     if compiled.budget is None and stated.budget is not None:
         anyhow = replace(stated, budget=1.0)
-        phase_one(anyhow, anyhow, options)  # raises where the limits contradict each other anyhow
+        phase_one(anyhow, anyhow, options)  # raises if the limits conflict at any failure
     with closing():
         first = _proved_conflict(pool, rows, ended)
     if first is None and not ended.finished:
         raise Stop
     if first is None:
         raise SolverError(
-            "no policy within all limits was found, and it was not proved that there is none: "
-            "rounding ended the search"
+            "rounding ended the search before a policy within all limits was found or a conflict "
+            "of the limits was proved"
         )
     raise _infeasible(compiled, stated, _irreducible_conflict(pool, rows, first, options), rows)
 
 
 def _positive_ratio(pool: Pool, ended: Generated) -> float:
-    """A ratio for phase 1 within rows to begin with: of the known lottery, or some policy."""
+    """Return a positive first ratio of phase 2: of the lottery, or of a policy."""
     attained = ended.given_success
     if np.isfinite(attained) and attained > 0.0:
         return attained
@@ -587,25 +595,25 @@ def _positive_ratio(pool: Pool, ended: Generated) -> float:
 
 
 class _Conflict(NamedTuple):
-    """Rows that no lottery keeps to together, with the proof."""
+    """Rows that no lottery satisfies together, with the proof (Farkas)."""
 
     rows: tuple[int, ...]  # positions
-    shares: FloatArray  # [rows] > 0, sum 1: of each row in the sum that is too large
-    least: float  # certified: the sum is at least this under every policy
-    allowed: float  # the sum that the bounds allow
+    shares: FloatArray  # [rows] > 0, sum 1: weights of the rows
+    least: float  # certified lower bound of the weighted activity of every policy
+    allowed: float  # weighted sum of the bounds
 
 
 def _infeasible(
     compiled: CompiledExplicit, stated: CompiledExplicit, conflict: _Conflict, rows: Rows
 ) -> InfeasibleError:
-    """InfeasibleError that names the rows in conflict, with the least failure of all policies."""
+    """Return the InfeasibleError that names the conflicting rows and the least failure."""
     at_least, budget = compiled.budget is None, stated.budget
     places = (rows.index[list(conflict.rows)] - 1).tolist()
     named, names = [compiled.names[k] for k in places], [compiled.told[k] for k in places]
     every = "every policy of least failure" if at_least else "every policy"
     both = conflict.least, conflict.allowed
     side = compiled.side[places[0] - 1] if len(places) == 1 and places[0] > 0 else None
-    if side is not None and side.sign < 0.0:  # the quantity itself, which is limited from below
+    if side is not None and side.sign < 0.0:  # a lower limit: report the quantity itself
         both = side.offset - both[0], side.offset - both[1]
     digits = next((d for d in (6, 9, 12) if f"{both[0]:.{d}g}" != f"{both[1]:.{d}g}"), 17)
     least, allowed = (f"{number:.{digits}g}" for number in both)
@@ -623,11 +631,11 @@ def _infeasible(
         terms = zip(conflict.shares, names, strict=True)
         total = " + ".join(f"{share:.{digits}g} {name}" for share, name in terms)
         words = (
-            f"no policy keeps to {together} together: {total} is at least {least} under {every}, "
+            f"no policy satisfies {together} together: {total} is at least {least} under {every}, "
             f"{allowed} allowed"
         )
     if at_least and budget is not None:
-        words = f"no policy keeps to {FAILURE_ROW!r} <= {budget:.12g} and the limits: {words}"
+        words = f"no policy satisfies {FAILURE_ROW!r} <= {budget:.12g} and the limits: {words}"
         named = [FAILURE_ROW, *named]
 
     if far := goal_out_of_reach(compiled.model, compiled.start):
@@ -643,12 +651,12 @@ def _infeasible(
 
 
 def _proved_conflict(pool: Pool, rows: Rows, generated: Generated) -> _Conflict | None:
-    """Conflict of rows that phase 1 ended with, if its bound can be certified (Farkas).
+    """Return the conflict that phase 1 ended with, if it can be certified (Farkas).
 
     Args:
-        pool: the policies that it found.
-        rows: the rows that it was about.
-        generated: how it ended.
+        pool: the policies of phase 1.
+        rows: the rows of phase 1.
+        generated: its result.
     """
     sizes = pool.sizes(rows)
     matters = generated.prices * sizes > ATTAINABLE * min(generated.objective, 1.0)
@@ -670,10 +678,10 @@ def _proved_conflict(pool: Pool, rows: Rows, generated: Generated) -> _Conflict 
 def _irreducible_conflict(
     pool: Pool, rows: Rows, first: _Conflict, options: SolveOptions
 ) -> _Conflict:
-    """Irreducible conflict of rows, by the deletion filter (Chinneck 1991).
+    """Return an irreducible conflict of rows, by the deletion filter (Chinneck 1991).
 
     Args:
-        pool: policies to begin with; what is found is added.
+        pool: known policies; new ones are added.
         rows: all rows.
         first: a conflict among them.
         options: tolerance and limits.
@@ -693,15 +701,14 @@ def _irreducible_conflict(
 
 
 def _kept_to(ended: Generated, rows: Rows) -> bool:
-    """Whether phase 1 ended with every row kept, but for an excess that counts as none."""
+    """Return whether phase 1 ended with every row satisfied within its tolerance."""
     return bool((ended.excess * rows.scales <= ATTAINABLE * np.abs(rows.bounds)).all())
 
 
 def _without_traces(ended: Generated, rows: Rows) -> Generated:
-    """The end of phase 1 without members of next to no weight.
+    """Return the result of phase 1 without members of negligible weight.
 
-    They may be there because a row that asks for nothing is broken to keep another to its last
-    digit.
+    Such members may violate one row only to satisfy another to its last digit.
     """
     weights = np.where(ended.weights > _TRACE, ended.weights, 0.0)
     weights /= weights.sum()
@@ -711,14 +718,14 @@ def _without_traces(ended: Generated, rows: Rows) -> Generated:
 
 
 def names_of(compiled: CompiledExplicit, rows: Rows) -> list[str]:
-    """Names of the rows that are limited."""
+    """Return the names of the limited rows."""
     return [compiled.names[index - 1] for index in rows.index.tolist()]
 
 
 def search_begun_at(
     compiled: CompiledExplicit, rule: Master, ratio: float, prices: Mapping[str, float]
 ) -> Master:
-    """The search within rows, begun at a ratio, in case S, and at prices by name."""
+    """Return the search with first prices by name and, in case S, a first ratio."""
     rows = replace(rule.rows, ratio=ratio or rule.rows.ratio) if compiled.ratio else rule.rows
     begun = np.array([prices.get(name, 0.0) for name in names_of(compiled, rows)])
     return replace(rule, rows=rows, prices=begun, bound=0.0)
@@ -727,8 +734,8 @@ def search_begun_at(
 def search_begun_at_duals(
     compiled: CompiledExplicit, rule: Master, options: SolveOptions
 ) -> tuple[ProgramOptimum, Master]:
-    """Full linear program's optimum with rows, and the search begun at its duals."""
-    if compiled.ratio:  # whether any lottery within the rows succeeds is no solver's to say
+    """Solve the full linear program; return its optimum and the search started at its duals."""
+    if compiled.ratio:  # feasibility is decided here, not by the LP solver
         best_lottery(compiled, rule, replace(options, tolerance=_COARSE))
     pricing, rows = compiled.explicit_pricing, rule.rows
     limited = zip(names_of(compiled, rows), rows.index, rows.bounds.tolist(), strict=True)
@@ -744,10 +751,10 @@ def search_begun_at_duals(
 
 
 def lagrange_bound(least: float, prices: FloatArray, bounds: FloatArray) -> float:
-    """Lagrange's lower bound within rows, ``least - prices @ bounds``, rounding counted.
+    """Return the Lagrangian lower bound ``least - prices @ bounds``, rounded down.
 
     Args:
-        least: certified bound of ``cost + prices @ activity`` of every policy.
+        least: certified lower bound of ``cost + prices @ activity`` of every policy.
         prices: >= 0, [rows].
         bounds: [rows].
     """
@@ -756,7 +763,7 @@ def lagrange_bound(least: float, prices: FloatArray, bounds: FloatArray) -> floa
 
 
 def limited_rows(compiled: CompiledExplicit) -> Rows:
-    """The rows of a problem that are limited, none of them in a size of its own."""
+    """Return the limited rows of a problem, with scales of 1."""
     limited = np.flatnonzero(np.isfinite(compiled.bounds))
     ones, n_rewards = np.ones(limited.size), 1 + len(compiled.names)
     return Rows(1 + limited, compiled.bounds[limited], ones, n_rewards, compiled.by_goal)
@@ -769,18 +776,18 @@ def rows_bound(
     prove: Callable[[FloatArray], Proof],
     least_goal: float | None = None,
 ) -> tuple[float, Proof]:
-    """What checked bounds of the priced cost say of the objective, and the best of them.
+    """Return the best lower bound of the objective that proofs at the prices give, and its proof.
 
-    As ``cost - ratio * goal >= D`` for every lottery within the rows, the cost given success is at
-    least ``ratio + D / goal``. That is tried at the ratio itself, and at one where failing is best.
+    If ``cost - ratio * goal >= D`` for every lottery within the rows, the cost given success is at
+    least ``ratio + D / goal``. Two ratios are tried: ``rows.ratio``, and one just below it.
 
     Args:
         compiled: the problem.
-        rows: what is limited; in case S with the ratio that is to be proved.
+        rows: the limited rows; in case S with the ratio to prove.
         prices: >= 0, [rows].
-        prove: a checked bound of every policy's totals, by the weights of the rewards.
-        least_goal: a goal probability that all lotteries within the rows have; None: worked out
-            where a bound without it is poor.
+        prove: returns a checked bound of every policy's totals at weights of the rewards.
+        least_goal: a lower bound of the goal probability of all lotteries within the rows; None:
+            computed only if the bound is poor without it.
     """
     if not compiled.ratio:
         proof = prove(rows.weights(prices))
@@ -790,7 +797,7 @@ def rows_bound(
     proofs: list[tuple[float, float, Proof]] = []
 
     def best(goal: float) -> tuple[float, Proof]:
-        """The best bound, where every lottery has a goal probability."""
+        """Return the best bound, if every lottery has at least this goal probability."""
         goal = max(goal, compiled.least_goal, 1.0 / LARGEST)
         proved = [(max(r + min(beyond, 0.0) / goal, 0.0), proof) for r, beyond, proof in proofs]
         return max(proved, key=lambda pair: pair[0])
@@ -809,10 +816,10 @@ def rows_bound(
 def _excess_over_paid(
     compiled: CompiledExplicit, rows: Rows, prices: FloatArray, proof: Proof
 ) -> float:
-    """Least excess of lotteries within the rows over what every episode pays."""
+    """Return a lower bound of the priced value minus the amount that every episode pays."""
     paid, less = rows.ratio if compiled.ratio else compiled.sense.shift, -np.inf
     if compiled.by_goal and compiled.ratio:
-        paid = 0.0  # success is counted, failing is not
+        paid = 0.0  # the reward is the goal, not failure
     beyond = lagrange_bound(proof.bound, prices, rows.bounds) - paid
     if paid > 0.0 and beyond < 0.0:
         weights = replace(rows, ratio=0.0).weights(prices)
@@ -821,14 +828,14 @@ def _excess_over_paid(
 
 
 def least_goal_within(compiled: CompiledExplicit, rows: Rows) -> float:
-    """A certified goal probability that every lottery within the rows has, by a search of its own.
+    """Return a certified lower bound of the goal probability of lotteries within the rows.
 
-    It follows from all rows together: where "little fuel" and "seldom the pit" leave no room for
-    giving up, it is more than any of them says. Costs need not be told apart.
+    A search of its own minimises the goal probability within all rows together, which may imply
+    more than each row alone. It needs no accumulated cost.
 
     Args:
         compiled: the problem, settled.
-        rows: what is limited, all of it.
+        rows: all limited rows.
     """
     if compiled.budget is None or not compiled.is_whole:
         return compiled.least_goal
@@ -837,7 +844,7 @@ def least_goal_within(compiled: CompiledExplicit, rows: Rows) -> float:
     try:
         opened = phase_one(reach, reach, CERTIFYING)
     except InfeasibleError:
-        return 0.0  # then no lottery is within the rows, and nothing is to be proved
+        return 0.0  # no lottery is within the rows: there is nothing to prove
     generated = generate(opened, CERTIFYING)
     return rows_bound(reach, replace(rows, ratio=0.0), generated.prices, opened.pool.proved)[0]
 
@@ -845,13 +852,13 @@ def least_goal_within(compiled: CompiledExplicit, rows: Rows) -> float:
 def bound_at(
     compiled: CompiledExplicit, prices: Mapping[str, float], ratio: float, least_goal: float
 ) -> float:
-    """Proof of a lower bound of every lottery within the rows, at prices by name.
+    """Return a lower bound of every lottery within the rows, at prices by name.
 
     Args:
         compiled: the problem, settled.
         prices: multipliers of the rows, >= 0.
-        ratio: case S: the value that is to be proved.
-        least_goal: a goal probability that all of them have.
+        ratio: case S: the value to prove.
+        least_goal: a lower bound of their goal probabilities.
     """
     pool = Pool(compiled.pricing(), [compiled.pricing().first()])
     rows = replace(limited_rows(compiled), ratio=ratio)
@@ -861,7 +868,7 @@ def bound_at(
 
 
 def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
-    """Prove the bound within limits that the prices of all rows give.
+    """Prove the lower bound within the limits that the prices of all rows give.
 
     Raises:
         ModelError: the value function does not fit.
@@ -872,7 +879,7 @@ def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved
         stated = replace(stated, by_goal=True)
     compiled = stated.settled()
     if values is None:
-        raise ModelError("a certificate needs the prices and their value function")
+        raise ModelError("a certificate needs a value function: the solution has none")
     if not np.isfinite(evaluation.objective):
         return Proved(
             evaluation.objective, 0.0, 1.0, f"the policy's objective is {evaluation.objective}"
@@ -884,11 +891,11 @@ def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved
     compiled = compiled.matching(values)
     least = compiled.least.column.failure if compiled.budget is None else 0.0
     budget, claims = max(stated.budget or 0.0, least), (evaluation.objective, solution.lower_bound)
-    own_values = None if solution.method == Game.name else values  # a game's are of its own layers
+    own_values = None if solution.method == Game.name else values  # a game has other layers
     pricing = compiled.pricing()
 
     def prove(weights: FloatArray) -> Proof:
-        """What the values prove at weights of the rewards; without them, worked out afresh."""
+        """Return the proof of the values at weights; without values, of a new pricing call."""
         if own_values is None:
             return pricing.prove(weights, pricing.minimise(weights))
         return pricing.check(weights, own_values)
@@ -905,15 +912,15 @@ def proved_at_prices(
     prove: Callable[[FloatArray], Proof],
     ratios: Sequence[float] = (0.0,),
 ) -> Proved:
-    """What prices of all rows prove of an evaluated lottery, by checked bounds of priced totals.
+    """Return the bound for an evaluated lottery that the prices of all rows prove.
 
     Args:
         compiled: the problem.
-        evaluation: of the lottery.
-        budget: the failure allowed.
+        evaluation: evaluation of the lottery.
+        budget: the failure budget.
         named: prices by name.
-        prove: a checked bound of every policy's totals, by the weights of the rewards.
-        ratios: in case S those that are tried.
+        prove: returns a checked bound of every policy's totals at weights of the rewards.
+        ratios: the ratios to try in case S.
     """
     prices = np.array([named.get(name, 0.0) for name in compiled.names])
     if not ((prices >= 0.0) & (prices <= LARGEST)).all():

@@ -1,1 +1,1 @@
-"""Substochastic processes: the augmentations of a model that a criterion is solved on."""
+"""Substochastic processes: augmentations of a model, on which criteria are solved."""

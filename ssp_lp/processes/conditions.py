@@ -1,8 +1,8 @@
-"""Constraints on a model, checked, and the rows of a program that they become.
+"""Checked constraints on a model, and their rows in a program.
 
-Every row reads ``<coefficients, x> <= bound`` with coefficients >= 0, so that every price of it
-makes a cost: a lower bound on a probability is an upper bound on its complement. Visits and costs
-have no upper limit of their own, so that nothing bounds them from below in this form.
+Every row is ``<coefficients, x> <= bound`` with coefficients >= 0, so that it is a cost at every
+price. A lower bound on a probability is an upper bound on its complement. Visits and costs have no
+complement, as they are unbounded, so that this form has no lower bound on them.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from ssp_lp.processes.failure_semantics import RARE_GOAL, Counting
 from ssp_lp.processes.live_rows import costless_pairs
 
 FAILURE_ROW = "failure"
-"""Name of the row of the failure budget; no other constraint may bear it."""
+"""Name of the row of the failure budget; no other constraint may have it."""
 
 OBJECTIVE = "objective"
-"""Name of what is minimised, where that is a quantity of its own."""
+"""Name of the objective if it is a quantity."""
 
 RESERVED = {
     FAILURE_ROW: "the failure budget",
@@ -31,48 +31,48 @@ RESERVED = {
     "balance": "the rows of flow balance",
     "normaliser": "the row that makes a ratio linear",
 }
-"""Names of rows that every program has."""
+"""Names of rows that every program has, with their meaning."""
 
 
-_ROOM = 1e-14  # of a bound and of what its complement is made from
+_ROOM = 1e-14  # relative rounding error of a bound and of its complement
 
 
 @dataclass(frozen=True, eq=False)
 class StepTerm:
-    """A cost of steps, as the own cost of a copy of the model."""
+    """A cost of steps, given as the cost of a copy of the model."""
 
     model: SSP
-    through: bool = False  # also what is paid after failing
+    through: bool = False  # also costs after failing
 
     @property
     def free(self) -> BoolArray:
-        """Pairs that cost nothing in the condition, [pairs]."""
+        """Mask of the pairs that cost nothing, [pairs]."""
         return costless_pairs(self.model)
 
     def at(self, counting: Counting) -> tuple[FloatArray, float]:
-        """Cost of each pair in the condition, [pairs], and at the source."""
+        """Return the cost of each pair, [pairs], and at the source."""
         return counting.cost(self.model)
 
 
 @dataclass(frozen=True, eq=False)
 class ArrivalTerm:
-    """Arrivals in some states, the start counted; or, as ``others``, endings anywhere else."""
+    """Arrivals in some states, the start included; or, if ``others``, ends anywhere else."""
 
     model: SSP
     states: BoolArray  # [states]
     final: bool = False  # episodes end in all of them
     others: bool = False
-    through: bool = False  # also arrivals after failing; ends always are the true ones
+    through: bool = False  # also arrivals after failing; ends are always the true ends
 
     @property
     def free(self) -> BoolArray:
-        """Pairs that never arrive where the condition counts, [pairs]; endings are no steps."""
+        """Mask of the pairs that never arrive in the states, [pairs]; all pairs if final."""
         if self.final:
             return np.ones(self.model.n_pairs, dtype=np.bool_)
         return ~pairs_into(self.model, self.states)
 
     def at(self, counting: Counting) -> tuple[FloatArray, float]:
-        """Probability of arriving where the condition counts, [pairs], and at the source."""
+        """Return the probability of arriving in the states, [pairs], and at the source."""
         if self.others:
             return counting.other_endings(self.states)
         return counting.arrivals(self.states)
@@ -86,20 +86,20 @@ class UpperRow:
     """``<coefficients, x> <= bound``: terms with weights > 0 and a constant >= 0."""
 
     name: str
-    told: str  # what is bounded, in words
+    told: str  # description of the limited quantity
     terms: tuple[tuple[float, Term], ...]
     constant: float
     bound: float
     condition: Condition
     sign: float  # the row is ``offset + sign * quantity``
     offset: float
-    direct: UpperRow | None = None  # the same by its own terms; None: no complement is in the row
+    direct: UpperRow | None = None  # the row without complements; None: it has none
 
     @property
     def by_digits(self) -> UpperRow:
-        """The condition's row whose bound is not lost in what a complement is made from.
+        """The form of the row, with or without complements, whose bound keeps its digits.
 
-        Its own terms may be negative, where an episode ends.
+        Terms without complements may be negative where an episode ends.
         """
         direct = self.direct
         is_small = direct is not None and abs(direct.bound) < RARE_GOAL * abs(self.bound)
@@ -107,9 +107,9 @@ class UpperRow:
 
     @property
     def size(self) -> float:
-        """Size of the numbers whose rounding decides whether the condition's row is satisfied.
+        """Magnitude of the numbers whose rounding decides whether the row is satisfied.
 
-        Where terms of both signs cancel, that is the size of the terms, not of the bound.
+        If terms of both signs cancel, this is the magnitude of the terms, not of the bound.
         """
         gains = [weight for weight, _ in self.terms] + [self.offset]
         lost = -sum(gain for gain in gains if gain < 0.0)
@@ -117,18 +117,18 @@ class UpperRow:
 
     @cached_property
     def free(self) -> BoolArray:
-        """Pairs of the model that add nothing to the condition's row, [pairs]."""
+        """Mask of the pairs of the model that add nothing to the row, [pairs]."""
         result = np.ones(self.condition.model.n_pairs, dtype=np.bool_)
         for _, term in self.terms:
             result &= term.free
         return result
 
     def activity(self, value: float) -> float:
-        """Left side of the condition's row at a value of the quantity."""
+        """Return the left side of the row at a value of the quantity."""
         return self.offset + self.sign * value
 
     def at(self, counting: Counting) -> tuple[FloatArray, float]:
-        """Coefficient of each pair in the condition's row, [pairs], and at the source."""
+        """Return the coefficient of each pair, [pairs], and at the source."""
         row, source = np.zeros(len(counting.goal)), 0.0
         if self.constant > 0.0:
             ends, there = counting.endings()
@@ -141,20 +141,20 @@ class UpperRow:
 
 @dataclass(frozen=True, eq=False)
 class Condition:
-    """A constraint whose words have been looked up in a model."""
+    """A constraint whose names have been looked up in a model."""
 
     name: str
     model: SSP
     terms: tuple[tuple[float, Term], ...]
-    constant: float  # what the quantity is at the start already
+    constant: float  # value of the quantity at the start
     lower: float | None
     upper: float | None
 
     @property
     def wants_ends(self) -> bool:
-        """Whether the condition counts an end other than the goal.
+        """Whether the constraint counts an end other than the goal.
 
-        A policy on its way to such an end has not failed before it is there, though it will not
+        A policy on its way to such an end fails only when it arrives there, although it cannot
         reach the goal any more.
         """
         goal = self.model.goal_mask
@@ -166,7 +166,7 @@ class Condition:
 
     @property
     def least_goal(self) -> float:
-        """Goal probability of every policy that satisfies the condition; 0: nothing is implied."""
+        """Least goal probability that the constraint implies; 0: none."""
         goal, weights = self.model.goal_mask, [weight for weight, _ in self.terms]
         among = all(
             isinstance(term, ArrivalTerm) and term.final and not term.others
@@ -178,7 +178,7 @@ class Condition:
 
     @cached_property
     def rows(self) -> tuple[UpperRow, ...]:
-        """Rows of a condition, one for each bound.
+        """Rows of the constraint, one for each bound.
 
         Raises:
             ModelError: costs or visits are bounded from below.
@@ -199,7 +199,7 @@ class Condition:
         return tuple(rows)
 
     def minimised(self) -> UpperRow:
-        """The condition's quantity as a row without a bound, to be minimised.
+        """Return the quantity as a row without a bound, for an objective.
 
         Raises:
             ModelError: costs or visits would be maximised.
@@ -207,7 +207,7 @@ class Condition:
         return self._row(self.name, 1.0, np.inf)
 
     def _row(self, name: str, sign: float, bound: float) -> UpperRow:
-        """A condition's row ``sign * quantity <= bound`` with weights >= 0."""
+        """Return the row ``sign * quantity <= bound`` with weights >= 0."""
         terms, own, offset = [], [], 0.0
         for stated, term in self.terms:
             weight = sign * stated
@@ -216,8 +216,8 @@ class Condition:
                 if not (isinstance(term, ArrivalTerm) and term.final):
                     raise ModelError(
                         f"constraint {self.name!r} bounds costs, visits or exceeding from below, "
-                        "which takes a policy that tosses coins on the way; without accumulated "
-                        "costs, a row added to the linear program says so"
+                        "which needs policies that randomise on the way: without accumulated "
+                        "costs, add a row to the linear program"
                     )
                 offset -= weight
                 term, weight = replace(term, others=not term.others), -weight
@@ -231,7 +231,7 @@ class Condition:
             direct = UpperRow(name, told, plain, 0.0, less, self, sign, offset=-constant)
         shift = max(-constant, 0.0)  # no coefficient may be negative
         size, bound = max(offset, shift, abs(bound)), bound + offset + shift
-        bound = 0.0 if -_ROOM * size <= bound < 0.0 else bound  # the rounding of a complement
+        bound = 0.0 if -_ROOM * size <= bound < 0.0 else bound  # rounding of the complement
         offset += shift
         told = f"{f'{offset:g} ' if offset else ''}{'+' if sign > 0.0 else '-'} {self.name}"
         told = self.name if sign > 0.0 and offset == 0.0 else told

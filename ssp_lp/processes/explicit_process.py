@@ -1,13 +1,13 @@
-"""A substochastic process in explicit form, and its contraction at a vector of prices.
+"""An explicit substochastic process, and its contraction at a vector of prices.
 
-In a contraction components that are free at the prices become one state.
+A contraction makes each end component that is free at the prices one state.
 
-At prices some of which are 0 a process may hold end components that cost nothing though they cost
-something in an unpriced row. They are free in the pricing problem (mathematics, section 4): every
-state of such a component is worth the same. So a value function on the contracted process proves as
-much as one on the process, a policy on it is one on the process that goes to the pair chosen, and
-rounding has no cycle to go round in. Nobody may stay in one for ever by that: of the process only
-pairs that stay are taken away, and none is added.
+If some prices are 0, a process may have end components that cost nothing at the prices, although
+they add to a row of price 0. They are free in the pricing problem (mathematics, section 4): all
+states of such a component have the same value. A value function on the contraction therefore proves
+as much as one on the process, a policy on it is a policy on the process that moves to the chosen
+pair, and rounding has no cycle to improve along. No policy may stay in a component for ever: a
+contraction only removes pairs that stay.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.errors import SolverError
 from ssp_lp.model.graph import end_components, nearer_pairs, reached_along
 
-_NOT_BEST = 1e-6  # excess, relative to the optimum, of pairs that no optimal measure uses
-_LITTLE = 1e-5  # visits of such pairs that are noise of a solver
+_NOT_BEST = 1e-6  # reduced cost, relative to the optimum, of a pair that is not optimal
+_LITTLE = 1e-5  # visits of such a pair that are noise of a solver
 
 
 @dataclass(frozen=True, eq=False)
 class ExplicitProcess:
-    """A process from which goal, failure, giving up and discounting take mass out for good.
+    """A process in which goal, failure, giving up and discounting remove mass.
 
-    The rows satisfy ``transitions.sum(axis=1) + goal + failure == 1``: what does not go on has
-    reached the goal or counts as failure (mathematics, section 3).
+    The rows satisfy ``transitions.sum(axis=1) + goal + failure == 1``: mass that leaves has reached
+    the goal or counts as failure (mathematics, section 3).
     """
 
     pair_offsets: IntArray  # [states + 1]
@@ -47,40 +47,40 @@ class ExplicitProcess:
 
     @property
     def n_states(self) -> int:
-        """Number of states of the explicit process."""
+        """Number of states."""
         return len(self.pair_offsets) - 1
 
     @property
     def n_pairs(self) -> int:
-        """Number of pairs of the explicit process."""
+        """Number of pairs."""
         return len(self.cost)
 
     @cached_property
     def dynamics(self) -> Dynamics:
-        """Dynamics of the explicit process, whatever it costs."""
+        """Dynamics of the process, without costs."""
         return Dynamics(self.pair_offsets, self.transitions, self.goal + self.failure)
 
     @cached_property
     def pair_state(self) -> IntArray:
-        """The state of each pair of the explicit process, [pairs]."""
+        """The state of each pair, [pairs]."""
         return np.repeat(np.arange(self.n_states), np.diff(self.pair_offsets))
 
 
 @dataclass(frozen=True, eq=False)
 class ReachablePart:
-    """The part of an explicit process that some policy comes to from the start."""
+    """The part of an explicit process that is reachable from the start."""
 
-    process: ExplicitProcess  # on these states alone
-    states: IntArray  # [its states] their numbers in the whole process, ascending
-    pairs: IntArray  # [its pairs] likewise
+    process: ExplicitProcess  # on the reachable states
+    states: IntArray  # [its states] their indices in the whole process, ascending
+    pairs: IntArray  # [its pairs] their indices in the whole process, ascending
 
 
 def reachable_part(process: ExplicitProcess, start: FloatArray) -> ReachablePart:
-    """Leave out the states of an explicit process that no policy comes to.
+    """Remove the unreachable states of an explicit process.
 
     Args:
         process: the whole process.
-        start: the distribution to begin with, [states].
+        start: the start distribution, [states].
     """
     steps = process.transitions
     if not steps.data.all():
@@ -106,24 +106,24 @@ def reachable_part(process: ExplicitProcess, start: FloatArray) -> ReachablePart
 
 @dataclass(frozen=True, eq=False)
 class Contraction:
-    """The pairs of a process that leave its free components, sorted by node."""
+    """A process without the pairs inside its free end components, sorted by node."""
 
     dynamics: Dynamics  # of the nodes
     pairs: IntArray  # [kept pairs] pair of the process
     node_of: IntArray  # [states]
-    inside: BoolArray  # [pairs] of the process: pairs that stay in a component
+    inside: BoolArray  # [pairs] pairs of the process that stay in a component
 
     def least(self, values: FloatArray) -> FloatArray:
-        """Least value over the explicit states of each contracted node, [nodes]."""
+        """Return the least value over the states of each node, [nodes]."""
         result = np.full(self.dynamics.n_states, np.inf)
         np.minimum.at(result, self.node_of, values)
         return result
 
     def begun(self, process: ExplicitProcess, choice: IntArray) -> IntArray:
-        """A policy that leaves the contraction, from one that leaves the explicit process, [nodes].
+        """Return a policy that leaves the contraction, from one that leaves the process, [nodes].
 
-        Each node takes the pair of its state that is nearest to leaving, in number of steps: that
-        pair leads out of the node, to a node that is nearer.
+        Each node takes the pair of its state that is nearest to leaving, in number of steps. This
+        pair leads out of the node, to a nearer node.
 
         Args:
             process: the process.
@@ -139,7 +139,7 @@ class Contraction:
         return place[choice[order[first]]]
 
     def expanded(self, process: ExplicitProcess, choice: IntArray) -> IntArray:
-        """Policy on the explicit process that moves for free to the pairs chosen, [states].
+        """Return the policy on the process that moves at no cost to the chosen pairs, [states].
 
         Args:
             process: the process.
@@ -159,18 +159,18 @@ def bound_of(
     floor: float = 0.0,
     choice: IntArray | None = None,
 ) -> DualBound:
-    """Checked sub-solution of an explicit process, proved on its contraction.
+    """Return a checked sub-solution of an explicit process, proved on its contraction.
 
     Args:
         process: the process.
-        smaller: the process contracted at the cost, if there is anything to contract.
+        smaller: the contraction at the cost, or None.
         pair_cost: [pairs].
-        values: near-optimal ones, [states].
-        floor: a constant that is known to be a sub-solution.
-        choice: a policy of about these values, which leaves, [states].
+        values: near-optimal values, [states].
+        floor: a constant that is a known sub-solution.
+        choice: a policy of about these values that leaves, [states].
     """
-    # optimal where the cheapest way to end costs the same everywhere; lowering other values there
-    # takes as many steps
+    # the least constant is optimal if the cheapest way to end costs the same everywhere;
+    # lowering other values to it would take many steps
     floor = max(floor, least_constant(process, pair_cost))
     if smaller is None:
         return dual_bound(process.dynamics, pair_cost, values, floor, choice)
@@ -180,9 +180,9 @@ def bound_of(
 
 
 def least_constant(process: ExplicitProcess, pair_cost: FloatArray) -> float:
-    """The greatest constant v with ``exit_u v <= c_u`` for every pair u of an explicit process.
+    """Return the greatest constant v with ``exit_u v <= c_u`` for every pair u.
 
-    It is a sub-solution; -inf: none is, as a pair that does not end gains something.
+    It is a sub-solution. -inf: no constant is one, as a pair without exit has a negative cost.
 
     Args:
         process: the process.
@@ -197,14 +197,14 @@ def least_constant(process: ExplicitProcess, pair_cost: FloatArray) -> float:
 
 
 def contract(process: ExplicitProcess, free: BoolArray) -> Contraction | None:
-    """Contract the end components of an explicit process's pairs that cost nothing.
+    """Contract the end components of the pairs that cost nothing.
 
     Args:
         process: the process.
         free: pairs that cost nothing at the prices, [pairs].
 
     Returns:
-        None where there are no such components.
+        The contraction; None if there are no such components.
     """
     free = free & (process.goal == 0.0) & (process.failure == 0.0)
     if not free.any():
@@ -240,15 +240,15 @@ class PricedMinimum:
     """The least expected total cost of a process, and a policy that attains it."""
 
     choice: IntArray  # [states]
-    bound: float  # certified: no policy's is less
-    goal: float  # what the policy reaches the goal with
-    values: FloatArray  # [states] the least from each, the duals of balance
-    excess: FloatArray  # [pairs] reduced costs: what each costs more than the best of its state
+    bound: float  # certified lower bound of every policy's cost
+    goal: float  # goal probability of the policy
+    values: FloatArray  # [states] least cost from each state, the duals of flow balance
+    excess: FloatArray  # [pairs] reduced costs
 
     def without_noise(self, visits: FloatArray) -> FloatArray:
-        """Visits of an explicit process without those of pairs that are not optimal, [pairs].
+        """Return visits with those of suboptimal pairs set to 0, [pairs].
 
-        An interior point gives a little to every pair.
+        Interior-point solutions give small visits to every pair.
         """
         scale = 1.0 + abs(self.bound)
         noise = (self.excess > _NOT_BEST * scale) & (visits < _LITTLE)
@@ -258,16 +258,16 @@ class PricedMinimum:
 def priced_minimum(process: ExplicitProcess, pair_cost: FloatArray) -> PricedMinimum:
     """Minimise a cost over all policies of an explicit process.
 
-    Cycles that cost nothing are contracted first: rounding would find policies that stay there.
+    Free end components are contracted first, as rounding could lead to policies that stay there.
 
     Args:
         process: the process.
-        pair_cost: [pairs]; where it is negative though the goal is not reached, the least may be
-            unbounded, and its bound -inf.
+        pair_cost: [pairs]; if it is negative for a pair that does not reach the goal, the minimum
+            may be unbounded, with bound -inf.
     """
     reached = process.goal > 0.0
     floor = float((pair_cost[reached] / process.goal[reached]).min(initial=0.0))
-    gainful = bool((pair_cost[~reached] < 0.0).any())  # no constant is known to be below
+    gainful = bool((pair_cost[~reached] < 0.0).any())  # without a constant lower bound
     leaving = leaving_choice(process.dynamics, process.goal)
     rewards, weights = np.stack([pair_cost, process.goal], axis=1), np.array([1.0, 0.0])
     smaller = contract(process, pair_cost == 0.0)

@@ -1,7 +1,7 @@
 """The failure label {s, f} of case M (paper, section 3.1.2) as a substochastic process.
 
-States labelled f cost nothing more and never reach the goal, so they are not kept: a pair that
-gives up takes its mass out as failure. What is left are the states labelled s.
+States with label f cost nothing more and never reach the goal. They are left out: a pair that gives
+up removes its mass as failure. The states with label s remain.
 """
 
 from __future__ import annotations
@@ -34,33 +34,33 @@ from ssp_lp.processes.quotient import Quotient, build_quotient
 
 @dataclass(frozen=True, eq=False)
 class FailureLabelled:
-    """The process of case M together with the way back to the model."""
+    """The process of case M, with the map back to the model."""
 
     process: ExplicitProcess
     quotient: Quotient
-    departs: FloatArray  # [quotient pairs] what rows were divided by, see ``live_rows``
+    departs: FloatArray  # [quotient pairs] divisors of the rows (see ``live_rows``)
 
     @property
     def own_cost(self) -> FloatArray:
-        """Cost that is minimised with the failure label, [process pairs]."""
+        """The minimised cost, [process pairs]."""
         return self.process.cost
 
     def policy(self, choice: IntArray) -> DeterministicPolicy:
-        """Policy on the model of a choice in the process with the failure label.
+        """Return the policy on the model of a choice in the process.
 
         Args:
-            choice: one pair of the process per state of the process, [states].
+            choice: pair of the process, [states].
         """
         decision = self.quotient.pull_back(choice[: self.quotient.n_nodes])
         return DeterministicPolicy(self.quotient.model, decision)
 
     def nearer_goal(self, *, safely: bool = False) -> IntArray | None:
-        """A pair of each state, with the failure label, that may come nearer to the goal, or -1.
+        """Return a pair of each state that may come nearer to the goal, [states]; -1: none.
 
-        None where it has to be found on the process itself (see ``Quotient.nearer``).
+        The result is None if it must be found on the process itself (see ``Quotient.nearer``).
 
         Args:
-            safely: by pairs that risk no dead-end, where these are enough.
+            safely: by pairs without risk of a dead-end, if these suffice.
         """
         model = self.quotient.model
         nearer = self.quotient.nearer(goal_pairs(model))
@@ -71,7 +71,7 @@ class FailureLabelled:
         return None if nearer is None else self._with_source(nearer)
 
     def placed(self, decision: IntArray) -> IntArray | None:
-        """A policy of the model as a choice in the labelled process, [states]; None: it is none.
+        """Return a policy of the model as a choice in the process, [states]; None: it is none.
 
         Args:
             decision: pair of the model, negative for none, [model states].
@@ -82,7 +82,7 @@ class FailureLabelled:
         return None if (choice < 0).any() else self._with_source(choice).astype(np.int32)
 
     def _with_source(self, choice: IntArray) -> IntArray:
-        """A choice of the labelled process with the source's only pair, where there is one."""
+        """Return the choice with the pair of the source appended, if there is a source."""
         if self.process.n_states == len(choice):
             return choice
         return np.append(choice, self.process.n_pairs - 1)
@@ -103,15 +103,15 @@ def label_failure(
     Args:
         model: the model.
         start: distribution over states, [states].
-        semantics: where giving up is allowed, what failing costs and what is counted as cost;
-            where failing is forbidden, only what keeps the goal sure is left of the model.
-        discount: None keeps real probabilities; a number scales every transition by it, so that
-            what leaks out of a non-goal state counts as failure (paper, section 3.5).
-        usable: pairs that may be used, [pairs]; with it nobody may give up or wander, which is
-            the second stage of a least-failure problem (mathematics, section 4).
-        side: what is limited besides.
-        objective: what is minimised in place of what the aim counts.
-        quotient: the live part of the model, with the pairs that give up; None: made here.
+        semantics: where giving up is allowed, and the costs of failing. If failing is forbidden,
+            only pairs from which the goal stays sure are kept.
+        discount: None: real probabilities. A number scales every transition, and the mass lost in
+            a non-goal state counts as failure (paper, section 3.5).
+        usable: pairs that may be used, [pairs]; with it a policy may not give up or wander: the
+            second stage of a least-failure problem (mathematics, section 4).
+        side: further limits.
+        objective: a quantity minimised instead of the aim of the semantics.
+        quotient: the live part of the model, with the pairs that give up; None: built here.
     """
     if quotient is None:
         free = None if discount is not None else free_pairs(model, semantics.aim, side, objective)
@@ -155,13 +155,13 @@ def counting_of(
     semantics: FailureSemantics,
     discount: float | None = None,
 ) -> Counting:
-    """Counting of other quantities at the pairs of the process with a failure label.
+    """Return the counting of further quantities at the pairs of the process.
 
     Args:
-        labelled: the process, in which only what is free in everything counted is collapsed.
+        labelled: the process; only components that are free in all quantities are collapsed.
         start: distribution over states, [states].
-        semantics: as of the process.
-        discount: as of the process.
+        semantics: those of the process.
+        discount: that of the process.
     """
     process, n_pairs = labelled.process, len(labelled.departs)
     ends = process.goal[:n_pairs], process.failure[:n_pairs]
@@ -172,7 +172,7 @@ def counting_of(
 def _with_start(
     process: ExplicitProcess, quotient: Quotient, start: FloatArray, entering: FloatArray
 ) -> ExplicitProcess:
-    """Set the labelled process's start; mass on goals or dead-ends enters through a source."""
+    """Set the start of the process; mass on goals or dead-ends enters through a source."""
     model, live_start = quotient.model, quotient.gather(start)
     at_goal = float(start[model.goal_mask].sum())
     at_dead = float(start[quotient.dead].sum())

@@ -1,6 +1,6 @@
-"""What is counted, who may give up where, what failing costs, and where an episode starts.
+"""Semantics of failure: where a policy may give up, the charges of failing, and the start.
 
-And how costs and arrivals of a model are counted, by that, at the pairs of an augmented process.
+Also the counting of costs and arrivals, by these semantics, at the pairs of an augmented process.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class GiveUp(enum.StrEnum):
 
 
 class Aim(enum.StrEnum):
-    """Aim of a criterion: little cost, or much or little of the goal."""
+    """Aim of a criterion: least cost, or greatest or least goal probability."""
 
     LEAST_COST = "least_cost"
     GREATEST_GOAL = "greatest_goal"
@@ -64,11 +64,11 @@ class Aim(enum.StrEnum):
 
 @dataclass(frozen=True)
 class FailureSemantics:
-    """The choices that decide what an episode is worth.
+    """The choices that define the value of an episode.
 
-    A penalty is paid for failing, on top of the cost until then; under a discount it is paid for
-    the discounted failure. An infinite one forbids failing: only policies that reach the goal
-    surely are left. Where a measure is named, it is what counts of the total cost of a success.
+    A penalty is paid for failing, in addition to the cost until then; under a discount it is paid
+    for the discounted failure. An infinite penalty forbids failing: only policies that reach the
+    goal surely are feasible. A measure, if given, replaces the mean of the total cost of successes.
     """
 
     give_up: GiveUp = GiveUp.ATTENTION
@@ -82,23 +82,23 @@ class FailureSemantics:
 
     @property
     def forbids_failing(self) -> bool:
-        """Whether a policy that may fail is worth nothing."""
+        """Whether only policies that reach the goal surely are feasible."""
         return self.penalty == np.inf
 
     @property
     def counts_law(self) -> bool:
-        """Whether a measure of the law of the total cost counts, in place of its mean."""
+        """Whether a measure of the law of the total cost replaces its mean."""
         return self.measure is not None
 
     @property
     def risk(self) -> CostQuantileOf | TailMeanOf | None:
-        """The measure of the law that only a search answers; None: a single program does."""
+        """The measure of risk, which needs a search; None: one program is enough."""
         if self.measure is None or self.measure.is_expectation:
             return None
         return cast("CostQuantileOf | TailMeanOf", self.measure)
 
     def worth_of(self, law: CostLaw) -> float:
-        """What a law of success costs is worth, by the measure or its mean."""
+        """Return the measure, or the mean, of a law of the costs of successes."""
         return law.conditional_mean if self.measure is None else self.measure.of(law)
 
     @property
@@ -108,61 +108,61 @@ class FailureSemantics:
 
     @property
     def maximises(self) -> bool:
-        """Whether failure semantics ask for a worth, the greater the better."""
+        """Whether the measure is maximised."""
         return self.measure is not None and self.measure.maximised
 
     def charge(self, ratio: bool) -> Charge | None:
-        """Charge of arriving by these failure semantics; None: no total is counted (case M)."""
+        """Return the charge of the total cost at the goal; None: no accumulated cost (case M)."""
         if self.measure is not None:
             return self.measure.charge
         return TOTAL_COST if ratio else None
 
     @property
     def sense(self) -> ObjectiveSense:
-        """Sense of the objective by the failure semantics, no quantity being minimised instead."""
+        """Sense of the objective, unless a quantity is minimised instead."""
         if self.aim is Aim.GREATEST_GOAL:
             return ObjectiveSense(0.0)
         return ObjectiveSense(self.failing_worth) if self.maximises else AS_ASKED
 
     @property
     def counts_cost_alone(self) -> bool:
-        """Whether only a budget can keep a policy from failing: no penalty, aim or measure."""
+        """Whether only a budget limits failure: there is no penalty, aim or measure."""
         return self.penalty == 0.0 and self.aim is Aim.LEAST_COST and not self.counts_law
 
 
-_MOST_NAMED = 3  # states of a start that an error names
-_ROUNDED = 2e-14  # of what a difference is taken from, sums along a process included
+_MOST_NAMED = 3  # most states of a start in an error
+_ROUNDED = 2e-14  # rounding error of a difference, relative to its terms
 
 
 @dataclass(frozen=True)
 class ObjectiveSense:
-    """A minimum in place of a maximum, or of a quantity with negative weights on ends."""
+    """Relation between the minimised value and the stated objective, such as a maximum."""
 
-    constant: float | None = None  # what is maximised is this, less what is minimised
-    shift: float = 0.0  # what every episode is charged on top, so that no charge is negative
-    offset: float = 0.0  # what is minimised is so much more than what is asked
+    constant: float | None = None  # a maximised objective is this minus the minimised value
+    shift: float = 0.0  # added to the charge of every episode, so that no charge is negative
+    offset: float = 0.0  # the minimised value minus the stated objective
 
     def worth(self, value: float) -> float:
-        """Worth asked for, from the minimised objective's value."""
+        """Return the stated objective of a minimised value."""
         return value - self.offset if self.constant is None else self.constant - value
 
     def worth_of_bound(self, bound: float) -> float:
-        """Worth of a bound of the objective, rounded outwards where it is a difference."""
+        """Return the bound of the stated objective, rounded outwards if it is a difference."""
         worth = self.worth(bound)
         if self.constant is None:
             return worth if worth + self.offset == bound else float(np.nextafter(worth, -np.inf))
         return worth if self.constant - worth == bound else float(np.nextafter(worth, np.inf))
 
     def settled_bound(self, value: float, bound: float, paid: float = 0.0) -> float:
-        """The objective's bound, or its value where only rounding parts them.
+        """Return the bound, or the value if they differ by rounding only.
 
         Args:
-            value: what a lottery attains, in what is minimised.
-            bound: of every lottery.
-            paid: what the bounds of rows are worth at their prices, which is taken off a bound.
+            value: minimised value of a lottery.
+            bound: lower bound of every lottery.
+            paid: sum of price times bound of the rows, which a dual bound subtracts.
         """
         taken = abs(self.offset if self.constant is None else self.constant)
-        taken = max(taken, paid) if taken > 0.0 else 0.0  # else what is asked is no difference
+        taken = max(taken, paid) if taken > 0.0 else 0.0  # 0 if the objective is no difference
         return value if abs(value - bound) <= _ROUNDED * taken else bound
 
 
@@ -170,12 +170,12 @@ AS_ASKED = ObjectiveSense()
 
 
 def survival_of(discount: float | None) -> float:
-    """Survival factor of every transition: the discount, 1 in the exact setting."""
+    """Return the factor of every transition: the discount, 1 in the exact setting."""
     return 1.0 if discount is None else discount
 
 
 def parse_give_up(value: str | GiveUp) -> GiveUp:
-    """Turn a word into a :class:`GiveUp` of failure semantics; :class:`ModelError` if unknown."""
+    """Convert a word to :class:`GiveUp`; raise :class:`ModelError` if it is unknown."""
     try:
         return GiveUp(value)
     except ValueError as error:
@@ -186,14 +186,14 @@ def parse_give_up(value: str | GiveUp) -> GiveUp:
 def dead_end_charges(
     model: SSP, dead: BoolArray, semantics: FailureSemantics, costs: FloatArray | None = None
 ) -> FloatArray:
-    """Charge of entering each dead-end, once: its least expected stage cost, [states].
+    """Return the charge of entering each dead-end once, its least expected stage cost, [states].
 
-    Zero for other states, for dead-ends without actions and without ``charge_failing_step``.
+    It is 0 for other states, for dead-ends without actions and without ``charge_failing_step``.
 
     Args:
         dead: dead-ends, [states].
         semantics: whether they are charged.
-        costs: expected stage costs, [pairs]; None: worked out here.
+        costs: expected stage costs, [pairs]; None: computed here.
     """
     if not semantics.charge_failing_step:
         return np.zeros(model.n_states)
@@ -208,16 +208,16 @@ def give_up_charges(
     semantics: FailureSemantics,
     costs: FloatArray | None = None,
 ) -> FloatArray:
-    """Charge of giving up in each state, infinite where it is not allowed, [states].
+    """Return the charge of giving up in each state, [states]; infinite if not allowed.
 
     Args:
         attention: attention states, [states].
         wandering: states of zero-cost end components, where staying for ever is free, [states].
         semantics: where giving up is allowed and whether it is charged.
-        costs: expected stage costs, [pairs]; None: worked out here.
+        costs: expected stage costs, [pairs]; None: computed here.
     """
     charge = np.full(model.n_states, np.inf)
-    if (label := model.failure_label) is not None:  # who may give up is declared
+    if (label := model.failure_label) is not None:  # the product says where giving up is allowed
         allowed = label.stops | label.after | np.append(label.is_open, label.is_open)
         charge[allowed] = 0.0
         if semantics.charge_failing_step:
@@ -238,13 +238,13 @@ def give_up_charges(
 
 
 def giving_up_states(model: SSP, give_up: GiveUp, usable: BoolArray | None = None) -> BoolArray:
-    """States in which the failure semantics allow giving up, dead-ends included, [states].
+    """Return a mask of the states in which giving up is allowed, dead-ends included, [states].
 
     Args:
         model: the model.
-        give_up: where a policy may.
-        usable: pairs that attain the least failure, where only they may be used, [pairs]: nobody
-            gives up who can go on.
+        give_up: where a policy may give up.
+        usable: pairs that attain the least failure, [pairs]: with it only these may be used, and
+            giving up is allowed only in states without a usable pair.
     """
     if (label := model.failure_label) is not None:
         usable = np.zeros(model.n_pairs, dtype=np.bool_) if usable is None else usable
@@ -256,7 +256,7 @@ def giving_up_states(model: SSP, give_up: GiveUp, usable: BoolArray | None = Non
 
 
 def start_distribution(model: SSP, start: Hashable | Mapping[Hashable, float]) -> FloatArray:
-    """The distribution over states in which an episode begins, [states].
+    """Return the start distribution over states, [states].
 
     Args:
         start: the label of a state, or ``{label: probability}``.
@@ -274,7 +274,7 @@ def start_distribution(model: SSP, start: Hashable | Mapping[Hashable, float]) -
     for state, probability in weights.items():
         if not is_number(probability):
             given = in_short(probability)
-            raise ModelError(f"start probability of state {state!r} is no number: {given}")
+            raise ModelError(f"start probability of state {state!r} must be a number, not {given}")
         if not 0.0 <= float(probability) <= 1.0 + 1e-12:
             raise ModelError(f"start probability of state {state!r} is {probability!r}")
         distribution[model.index_of(state, "start")] += float(probability)
@@ -287,37 +287,37 @@ def start_distribution(model: SSP, start: Hashable | Mapping[Hashable, float]) -
 class GoalShare(float):
     """A failure budget that follows from a demanded goal probability.
 
-    Where that is rare the budget is 1 but for rounding: whoever limits failing asks
-    :func:`demanded_goal` for what it is made of.
+    If the demanded probability is rare, the budget is rounded to 1; :func:`demanded_goal` returns
+    the exact demand.
     """
 
     demanded: float
 
     def __new__(cls, demanded: float) -> GoalShare:
-        """The budget that leaves a demanded goal probability, in [0, 1]."""
+        """Return the budget 1 - demanded, for a demanded goal probability in [0, 1]."""
         budget = super().__new__(cls, 1.0 - demanded)
         budget.demanded = demanded
         return budget
 
     def __getnewargs__(self) -> tuple[float]:
-        """Copied by what is demanded."""
+        """Return the arguments of copies."""
         return (self.demanded,)
 
 
 def demanded_goal(budget: float) -> float:
-    """Goal probability that a failure budget demands; of a share, without its rounding."""
+    """Return the goal probability that a budget demands; without rounding for a share."""
     return budget.demanded if isinstance(budget, GoalShare) else 1.0 - budget
 
 
 RARE_GOAL = 1e-3
-"""Demanded goal probability below which success is counted in place of failing.
+"""Demanded goal probability below which the goal replaces failure in the rewards.
 
-More often than that, 1 - failure has 13 digits of it; and failing may be rare itself.
+For larger goal probabilities 1 - failure has 13 correct digits; and failure may be rare itself.
 """
 
 
 def goal_out_of_reach(model: SSP, start: FloatArray) -> str:
-    """Words for a goal that no policy reaches from any state of a start; "": some policy does.
+    """Return a message if no policy reaches the goal from the start; else an empty string.
 
     Args:
         model: the model.
@@ -334,7 +334,7 @@ def goal_out_of_reach(model: SSP, start: FloatArray) -> str:
 
 
 def check_penalty(penalty: float) -> None:
-    """Check the penalty of failing, a number of the failure semantics.
+    """Check the penalty of failing.
 
     Raises:
         ModelError: it is not a positive number, or is infinite.
@@ -350,11 +350,11 @@ def check_failure_setting(
     reach_fraction: float | None = None,
     charge_failing_step: object = False,
 ) -> None:
-    """Check budget, discount, share, and whether the failing step is paid.
+    """Check the budget, discount, share, and the charge of the failing step.
 
     Raises:
         ModelError: a budget or a share outside [0, 1], both of them, a discount outside (0, 1),
-            least failure together with a discount, or a charge that is no truth value.
+            least failure together with a discount, or a charge that is not a bool.
     """
     check_flag("charge_failing_step", charge_failing_step)
     budgets = {"failure_budget": failure_budget, "reach_fraction": reach_fraction}
@@ -365,7 +365,7 @@ def check_failure_setting(
             raise wrong_argument(name, "be a number or None", value, hint)
     if reach_fraction is not None and failure_budget is not None:
         either = Argument("failure_budget"), " or ", Argument("reach_fraction")
-        raise ModelError("give ", *either, ", not both: each says the other")
+        raise ModelError("give ", *either, ", not both: each determines the other")
     if reach_fraction is not None and not 0.0 <= reach_fraction <= 1.0:
         hint = as_percentage(reach_fraction)
         raise wrong_argument("reach_fraction", "lie between 0 and 1", reach_fraction, hint)
@@ -373,7 +373,7 @@ def check_failure_setting(
         hint = as_percentage(failure_budget)
         raise wrong_argument("failure_budget", "be a probability", failure_budget, hint)
     if discount is not None:
-        check_between_0_and_1("discount", discount, "; left out it is exact")
+        check_between_0_and_1("discount", discount, "; leave it out for the exact setting")
     if failure_budget is None and reach_fraction is None and discount is not None:
         raise ModelError(
             Argument("failure_budget", None),
@@ -384,28 +384,28 @@ def check_failure_setting(
 
 
 def as_percentage(share: float) -> str:
-    """Hint for a failure budget above 1: the percentage that it may have meant."""
+    """Return a hint for a budget above 1 that may be a percentage."""
     return f"; did you mean {float(share) / 100.0:.12g}?" if 1.0 < share <= 100.0 else ""
 
 
 def free_pairs(
     model: SSP, aim: Aim, side: Iterable[UpperRow] = (), objective: UpperRow | None = None
 ) -> BoolArray:
-    """Pairs free in all that is minimised and limited, failing included, [pairs].
+    """Return a mask of the pairs that add nothing to the objective and the limits, [pairs].
 
-    To move among them for ever is a way to fail that costs nothing, whatever the model's own cost
-    is: that counts only where it is asked for.
+    A policy may fail by staying for ever in such pairs at no cost. The cost of the model matters
+    only if it is the objective or limited.
 
     Args:
         model: the model.
-        aim: what is minimised unless there is an objective.
-        side: what is limited.
-        objective: a quantity that is minimised; None: what the aim counts.
+        aim: the objective, unless ``objective`` is given.
+        side: the limits.
+        objective: a quantity minimised instead of the aim.
     """
     if objective is not None:
         free = objective.free
     elif aim is Aim.GREATEST_GOAL:
-        free = np.ones(model.n_pairs, dtype=np.bool_)  # only leaving a component risks anything
+        free = np.ones(model.n_pairs, dtype=np.bool_)  # only leaving a component has a risk
     else:
         free = ~goal_pairs(model) if aim is Aim.LEAST_GOAL else costless_pairs(model)
     for row in side:
@@ -413,19 +413,19 @@ def free_pairs(
     return free
 
 
-_DUST = 8.0 * MACHINE_EPSILON  # of what leaves by a pair: the rounding of a difference
+_DUST = 8.0 * MACHINE_EPSILON  # rounding error of a difference, relative to the leaving mass
 
 
 @dataclass(frozen=True, eq=False)
 class Counting:
-    """A process as far as counting needs it: pairs of its quotient, and a source.
+    """Coefficients of costs, arrivals and ends at the pairs of a process, and at its source.
 
-    The source is where start mass on goals and dead-ends enters (``programs.augmented``); what is
-    counted there comes second in every answer.
+    Start mass on goals and dead-ends enters through the source (``programs.augmented``). The
+    second number of every result is the coefficient there.
     """
 
     quotient: Quotient
-    departs: FloatArray  # [pairs] what rows were divided by
+    departs: FloatArray  # [pairs] divisors of the rows
     goal: FloatArray  # [pairs] mass that reaches the goal
     failure: FloatArray  # [pairs] mass that fails
     start: FloatArray  # [states]
@@ -433,26 +433,26 @@ class Counting:
     survival: float  # the discount, 1 in the exact setting
 
     def cost(self, model: SSP) -> tuple[FloatArray, float]:
-        """A secondary cost of the model, charged by failure semantics as its own is, [pairs].
+        """Return a secondary cost, charged at failing as the model's own cost is, [pairs].
 
         Args:
-            model: the model with the other costs.
+            model: the model with the secondary cost as its cost.
         """
         cost, entering = stage_costs(model, self.quotient, self.semantics, self.survival)
         return cost / self.departs, float(self.start @ entering)
 
     def arrivals(self, states: BoolArray) -> tuple[FloatArray, float]:
-        """Probability of stepping into some states until failing, [pairs], and at the start."""
+        """Return the probability of entering states until failing, [pairs], and at the start."""
         into = self.quotient.at_pairs(successor_means(self.quotient.model, states))
         ended = states & (self.quotient.node_of < 0)
         return self.survival * into / self.departs, float(self.start[ended].sum())
 
     def endings(self) -> tuple[FloatArray, float]:
-        """Mass that leaves the process with each pair, by goal or failure, [pairs]."""
+        """Return the mass that ends by goal or failure, [pairs], and at the start."""
         return self.goal + self.failure, float(self.start[self.quotient.node_of < 0].sum())
 
     def other_endings(self, states: BoolArray) -> tuple[FloatArray, float]:
-        """Mass that ends otherwise than by stepping into some final states, [pairs]."""
+        """Return the mass that ends other than in some final states, [pairs], and at the start."""
         if (states == self.quotient.model.goal_mask).all():
             return self.failure, float(self.start[self.quotient.dead].sum())
         (every, at_once), (into, there) = self.endings(), self.arrivals(states)
@@ -463,12 +463,12 @@ class Counting:
 def stage_costs(
     model: SSP, quotient: Quotient, semantics: FailureSemantics, survival: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Expected cost of each pair with charges of failing; what entering each dead-end costs.
+    """Return the expected cost of each pair, with charges of failing, and of entering dead-ends.
 
     Args:
-        model: the model whose costs are meant.
-        quotient: the live part of it.
-        semantics: what giving up and entering a dead-end is charged.
+        model: the model with the costs.
+        quotient: its live part.
+        semantics: the charges of giving up and of entering a dead-end.
         survival: the discount.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Greatest and least probability of reaching the goal, and the cheapest policies that attain it.
+"""Greatest and least goal probability, and the cheapest policies that attain them.
 
 MAXPROB and MINPROB of section 2.3 of the paper, exact or discounted (E[gamma^T]), followed by a
 second stage that minimises a cost over the policies that attain the first (mathematics, section 4).
@@ -31,29 +31,30 @@ from ssp_lp.processes.live_rows import (
 )
 from ssp_lp.processes.quotient import Quotient, build_quotient
 
-_RARE = 1e-4  # failure below which what sweeps enclose a success by leaves it few digits
+_RARE = 1e-4  # failure below which the bounds of sweeps on success leave it few digits
 
 
 @dataclass(frozen=True, eq=False)
 class GoalReach:
-    """An extreme probability of reaching the goal, with the pairs that attain it."""
+    """An extreme goal probability, with the pairs that attain it."""
 
     goal: FloatArray  # [states] E[gamma^T; goal]; 1 at goals, 0 at dead-ends
-    bound: FloatArray  # [states] checked: an upper bound of the greatest, a lower of the least
+    bound: FloatArray  # [states] certified: upper bound of the greatest, lower bound of the least
     decision: IntArray  # [states] one policy that attains it
-    surely: BoolArray  # [model pairs] pairs that attain the extreme as the graph says
-    solved: tuple[Quotient, ExtremeReach] | None = None  # where the graph does not decide
+    surely: BoolArray  # [model pairs] pairs that attain the extreme by the graph alone
+    solved: tuple[Quotient, ExtremeReach] | None = None  # for states that the graph does not decide
 
     def least_failure(self, start: FloatArray) -> float:
-        """Lower bound of every policy's failure from a start, [states]; of the greatest reach.
+        """Return a lower bound of every policy's failure from a start, [states].
 
-        Rounded down: a sum, a difference and the rounding of each state's bound.
+        Only for the greatest goal probability. It is rounded down by the errors of the sum, the
+        difference and the bound of each state.
         """
         return max(1.0 - float(start @ self.bound) - 4.0 * MACHINE_EPSILON, 0.0)
 
     @cached_property
     def usable(self) -> BoolArray:
-        """Pairs that attain the extreme goal probability, [model pairs]."""
+        """Mask of the pairs that attain the extreme goal probability, [model pairs]."""
         if self.solved is None:
             return self.surely
         quotient, reach = self.solved
@@ -64,27 +65,27 @@ class GoalReach:
 
 @dataclass(frozen=True, eq=False)
 class ReachPolicy:
-    """A stationary policy of extreme goal probability, or moment, with what it attains."""
+    """A stationary policy of extreme goal probability, or moment, with its values."""
 
     decision: IntArray  # [states]
-    values: TailValues  # [states] each, of following it from there on
-    bound: FloatArray  # [states] checked, of all that may be followed: least cost, greatest moment
+    values: TailValues  # [states] each, of following it from each state
+    bound: FloatArray  # [states] certified, of all such policies: least cost, or greatest moment
 
 
 def greatest_goal_reach(
     model: SSP, survival: float = 1.0, start: FloatArray | None = None, *, last_digits: bool = True
 ) -> GoalReach:
-    """MAXPROB: the greatest E[survival^T; goal] from every state.
+    """Solve MAXPROB: the greatest E[survival^T; goal] from every state.
 
-    Where the goal is reached for sure, and where it never is, is decided on the graph. Where that
-    says that it is reached for sure from the start, nothing else is worked out: states from which
-    it is not count as if it was not reached from there.
+    The graph decides from which states the goal can be reached surely, and from which never. If it
+    decides all states of the start, nothing else is computed: the goal probability of all states
+    without sure success is then reported as 0.
 
     Args:
         model: the model.
         survival: the discount; 1 for probabilities.
-        start: where it is asked for, positive there, [states]; None: in every state.
-        last_digits: whether all that attains it is asked for; else one policy and a bound.
+        start: only states with positive entries are needed, [states]; None: every state.
+        last_digits: whether all pairs that attain it are needed; else one policy and a bound.
     """
     exact, setting = survival == 1.0, (survival, start, last_digits)
     if exact:
@@ -95,7 +96,7 @@ def greatest_goal_reach(
         if start is not None and model.failure_label is None and sure[start > 0.0].all():
             return GoalReach(reached, np.ones(model.n_states), decision, surely)
     hopeless = graph.hopeless_states(model)
-    # after failing all pairs are as good
+    # all pairs are equally good once the goal is out of reach
     lost = (hopeless & ~graph.dead_ends(model))[model.pair_state]
     if not exact:
         quotient = build_quotient(model, ended=model.goal_mask | hopeless)
@@ -106,27 +107,27 @@ def greatest_goal_reach(
     if not (starts & ~sure).any():  # the graph decides it all
         return GoalReach(reached, (~hopeless).astype(np.float64), decision, surely)
     everything = np.ones(model.n_pairs, dtype=np.bool_)
-    # moving about in a component risks nothing
+    # moves in an end component have no risk
     quotient = build_quotient(model, free=everything, ended=sure | hopeless)
     reach = _extreme_reach(quotient, sure, surely, *setting, greatest=True)
     return replace(reach, decision=np.where(inside, nearer, reach.decision))
 
 
 def greatest_goal_from(model: SSP, start: FloatArray) -> float:
-    """Greatest goal probability from a start, [states]; rare failing to its last digits.
+    """Return the greatest goal probability from a start, [states], exact for rare failure.
 
     Raises:
-        Stop: the time ended before it was settled.
+        Stop: the time limit was reached before it was computed.
     """
     reached = float(start @ greatest_goal_reach(model, start=start, last_digits=False).goal)
-    check_time()  # it is not the greatest where the time has ended
+    check_time()  # at a time limit it may not be the greatest
     if 1.0 - _RARE < reached < 1.0:
         return float(start @ greatest_goal_reach(model, start=start).goal)
     return reached
 
 
 def extreme_goal_reach(model: SSP, aim: Aim, start: FloatArray) -> GoalReach:
-    """Extreme goal probability from a start, MAXPROB or MINPROB as the aim says, [states]."""
+    """Solve MAXPROB or MINPROB, according to the aim, from a start, [states]."""
     if aim is Aim.GREATEST_GOAL:
         return greatest_goal_reach(model, start=start, last_digits=False)
     return least_goal_reach(model, start=start)
@@ -135,10 +136,10 @@ def extreme_goal_reach(model: SSP, aim: Aim, start: FloatArray) -> GoalReach:
 def least_goal_reach(
     model: SSP, survival: float = 1.0, start: FloatArray | None = None
 ) -> GoalReach:
-    """MINPROB: the least E[survival^T; goal] from every state; 0 at attention states.
+    """Solve MINPROB: the least E[survival^T; goal] from every state; 0 at attention states.
 
-    Only states that cannot avoid the goal for sure need to be solved for, and of those only the
-    ones that can come to an attention state: from the others it is reached for sure.
+    Equations are solved only for states that cannot avoid the goal surely but can reach an
+    attention state; from all other such states the goal is reached surely.
     """
     attention = graph.attention_states(model)
     bound_to = model.goal_mask
@@ -162,16 +163,16 @@ def _extreme_reach(
     *,
     greatest: bool,
 ) -> GoalReach:
-    """Extreme goal probability E[survival^T; hit] over the live states.
+    """Solve for the extreme E[survival^T; hit] over the live states.
 
     Args:
         quotient: the live states.
-        hit_states: where episodes that count end, [states]; all others that end do not count.
-        surely: pairs that attain the extreme as the graph says, [model pairs].
+        hit_states: ends that count, [states]; other ends do not.
+        surely: pairs that attain the extreme by the graph alone, [model pairs].
         survival: the discount.
-        start: where it is asked for, [states]; None: everywhere.
-        last_digits: as ``extreme_reach`` takes it.
-        greatest: or least.
+        start: only states with positive entries are needed, [states]; None: all.
+        last_digits: as of ``extreme_reach``.
+        greatest: maximise, rather than minimise.
     """
     model = quotient.model
     dynamics, departs = quotient.dynamics(survival, departing=survival == 1.0)
@@ -194,11 +195,11 @@ def _extreme_reach(
 
 
 def cheapest_reach(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy:
-    """Cheapest of the policies that attain the extreme goal probability, by E[cost; goal].
+    """Return the policy of least E[cost; goal] among those of extreme goal probability.
 
-    A transition to x' is priced g * reach(x'), reach taken one step early under discounting, so
-    the second stage is an ordinary problem without accumulated cost (paper, S3P; mathematics,
-    section 4). Loops that cost nothing are collapsed: a policy must leave them.
+    A transition to x' costs g * reach(x'), with reach one step early under discounting, so that the
+    second stage is an ordinary problem without accumulated cost (paper, S3P; mathematics, section
+    4). Free end components are collapsed: a policy must leave them.
     """
     early = np.where(model.goal_mask, 0.0, reach.goal / survival)
     weight = np.where(model.goal_mask, 1.0, survival * early)
@@ -206,7 +207,7 @@ def cheapest_reach(model: SSP, reach: GoalReach, survival: float = 1.0) -> Reach
     free = costless_pairs(model, weight) & ~exits[model.pair_state] if survival == 1.0 else None
     usable = reach.usable & ~exits[model.pair_state]
     hopeless = graph.hopeless_states(model)
-    if model.failure_label is not None:  # the only ways to the goal may never end after failing
+    if model.failure_label is not None:  # ways to the goal may have been excluded after failing
         hopeless = hopeless | (reach.goal == 0.0) & ~exits
     quotient = build_quotient(model, usable=usable, free=free, exits=exits, ended=hopeless)
     dynamics, departs = quotient.dynamics(survival, departing=survival == 1.0)
@@ -219,7 +220,7 @@ def cheapest_reach(model: SSP, reach: GoalReach, survival: float = 1.0) -> Reach
     settled = iterate_policy(dynamics, rewards, only_cost, leaving)
     bound = dual_bound(dynamics, pair_cost, settled.totals[:, 0], choice=settled.choice).rounded
     early_goal = np.clip(quotient.lift(settled.totals[:, 1]), 0.0, 1.0)
-    surely = reach.goal == 1.0  # decided on the graph
+    surely = reach.goal == 1.0  # decided by the graph
     values = TailValues(
         goal=np.where(surely, 1.0, survival * early_goal),
         failure=_failing_to_reach(model, surely, quotient.node_of, settled.totals[:, 2]),
@@ -233,13 +234,13 @@ def cheapest_reach(model: SSP, reach: GoalReach, survival: float = 1.0) -> Reach
 def _failing_to_reach(
     model: SSP, surely: BoolArray, node_of: IntArray, missed: FloatArray
 ) -> FloatArray:
-    """Probability of not reaching the goal from each state; 1 where no node stands for it.
+    """Return the probability of not reaching the goal, [states]; 1 for states without a node.
 
     Args:
         model: the model.
-        surely: states from which the goal is reached for sure but for rounding, [states].
+        surely: states from which the goal is reached surely, [states].
         node_of: the node of each live state, negative elsewhere, [states].
-        missed: of the nodes, [nodes].
+        missed: probability of not reaching the goal, [nodes].
     """
     failure = np.where(model.goal_mask | surely, 0.0, 1.0)
     solved = ((node_of >= 0) & ~model.goal_mask).nonzero()[0]
@@ -248,10 +249,10 @@ def _failing_to_reach(
 
 
 def goal_directed(model: SSP, survival: float = 1.0) -> ReachPolicy:
-    """A policy every step of which may come nearer to the goal, in number of steps.
+    """Return a policy whose every step may come nearer to the goal, in number of steps.
 
-    It reaches the goal with positive probability from wherever that can be done, and is found and
-    evaluated without optimising anything; its cost bound is the trivial one.
+    It reaches the goal with positive probability wherever that is possible, and is found and
+    evaluated without optimisation; its cost bound is 0.
     """
     decision, _ = graph.goal_approach(model)
     live = (decision >= 0).nonzero()[0]
@@ -277,17 +278,17 @@ def goal_directed(model: SSP, survival: float = 1.0) -> ReachPolicy:
 
 
 def max_goal_probability(model: SSP) -> FloatArray:
-    """The greatest probability of reaching the goal from each state, [states].
+    """Return the greatest probability of reaching the goal from each state, [states].
 
-    MAXPROB (Kolobov et al. 2011; paper, section 2.3), by policy iteration from a policy that
-    reaches the goal from wherever it can be reached.
+    This is MAXPROB (Kolobov et al. 2011; paper, section 2.3), solved by policy iteration from a
+    policy that reaches the goal wherever possible.
     """
     return read_only(greatest_goal_reach(model).goal)
 
 
 def min_goal_probability(model: SSP) -> FloatArray:
-    """The least probability of reaching the goal from each state, [states].
+    """Return the least probability of reaching the goal from each state, [states].
 
-    MINPROB (paper, section 2.3); exactly 0 at the attention states, which are found on the graph.
+    This is MINPROB (paper, section 2.3); it is exactly 0 at the attention states, by the graph.
     """
     return read_only(least_goal_reach(model).goal)

@@ -1,7 +1,7 @@
-"""What a model's outcomes make of its pairs: expectations over them, and the rows of a process.
+"""Sums over the outcomes of each pair: expectations, and the rows of a process.
 
-Neither makes large copies: expectations go through the outcomes piece by piece, and a process's
-rows are the outcomes among live nodes, selected.
+Neither makes large copies: expectations go through the outcomes piece by piece, and the rows of a
+process are the selected outcomes among live nodes.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from ssp_lp.model.graph import kept
 
 
 def uniform_cost(model: SSP) -> float | None:
-    """The cost of every outcome in the rows, where it was given as one number; else None."""
+    """Return the cost of all outcomes if it was given as one number; else None."""
     same = model.n_outcomes > 0 and model.costs.strides == (0,)
     return float(model.costs[0]) if same else None
 
 
 @with_twin
 def successor_means(model: SSP, values: FloatArray | BoolArray) -> FloatArray:
-    """Row by row of the model, E[value of the successor] under each pair, [pairs].
+    """Return E[value of the successor] of each pair, [pairs].
 
     Args:
         values: [states], finite.
@@ -62,10 +62,10 @@ def successor_means(model: SSP, values: FloatArray | BoolArray) -> FloatArray:
 
 
 def cost_means(model: SSP, weights: FloatArray | BoolArray | None = None) -> FloatArray:
-    """Row by row of the model, E[stage cost * weight of the successor] of each pair, [pairs].
+    """Return E[stage cost * weight of the successor] of each pair, [pairs].
 
     Args:
-        weights: [states]; 1 everywhere if left out: the expected stage cost E[g(x, u, w)].
+        weights: [states]; None: 1, for the expected stage cost E[g(x, u, w)].
     """
     if weights is None:
         return mean_costs(model)
@@ -75,13 +75,13 @@ def cost_means(model: SSP, weights: FloatArray | BoolArray | None = None) -> Flo
 
 @kept
 def mean_costs(model: SSP) -> FloatArray:
-    """Expected stage cost E[g(x, u, w)] of each of the model's rows, kept with it, [pairs]."""
+    """Return the expected stage cost E[g(x, u, w)] of each pair, cached, [pairs]."""
     cost = uniform_cost(model)
     return _summed_costs(model) if cost is None else np.full(model.n_pairs, cost)
 
 
 def _summed_costs(model: SSP, weights: FloatArray | BoolArray | None = None) -> FloatArray:
-    """Weighted costs summed row by row of the model, as :func:`cost_means`, [pairs]."""
+    """Compute :func:`cost_means` from the outcomes, [pairs]."""
     result = np.zeros(model.n_pairs)
     for pairs in segment_chunks(model.outcome_offsets):
         check_time()
@@ -95,54 +95,55 @@ def _summed_costs(model: SSP, weights: FloatArray | BoolArray | None = None) -> 
 
 
 def costless_pairs(model: SSP, weights: FloatArray | BoolArray | None = None) -> BoolArray:
-    """Pairs in whose row every possible outcome costs nothing, [pairs].
+    """Return a mask of the pairs whose possible outcomes all cost 0, [pairs].
 
     Args:
-        weights: factor of the costs by successor, [states]; 1 everywhere if left out.
+        weights: factor of the costs by successor, [states]; None: 1.
     """
     return np.asarray(cost_means(model, None if weights is None else weights > 0) == 0.0)
 
 
 _WORTH_SHARING = 1_000_000
-"""Entries from which rows are looked at for others that are equal."""
+"""Least number of entries for which equal rows are shared."""
 
 _TIMES_SHARED = 4
-"""How often each number is to be shared on average: less gains too little."""
+"""Least average number of uses of each stored number: fewer save too little."""
 
 _MOST_NUMBERS = 2**19
-"""Different rows' numbers: 4 MB, so that they stay near a core while columns stream by."""
+"""Most stored numbers: 4 MB, so that they stay in the cache of a core."""
 
 _NOWHERE = np.zeros(0, dtype=np.int32)
 
 
 @dataclass(frozen=True, eq=False)
 class RowChoice:
-    """Outcomes that make up the rows of a process, and the columns in which they go."""
+    """The outcomes that form the rows of a process, and their columns."""
 
     model: SSP
     node_of: IntArray  # [states] int32 node, -1 where the process ends
     n_nodes: int
     pair_at: IntArray  # [rows] int32 pair of the model; negative: an empty row
-    home: IntArray | None = None  # [rows] int32 node to be departed from; None: waiting is kept
-    ahead: IntArray | None = None  # [outcomes] blocks of columns ahead; None: none
-    width: int = 1  # blocks of columns
+    home: IntArray | None = None  # [rows] int32 node to depart from; None: self-loops stay
+    ahead: IntArray | None = None  # [outcomes] offset in blocks of columns; None: 0
+    width: int = 1  # number of blocks of columns
 
 
 class LiveRows(NamedTuple):
-    """Rows of a process, what they were divided by, and what leaves it."""
+    """Rows of a process, their divisors, and the mass that leaves the process."""
 
     matrix: sp.csr_array  # [rows, width * nodes], possibly several entries for one column
-    departs: FloatArray  # [rows] probability of departing, 1 where nothing was divided
-    exits: FloatArray  # [rows] probability of going where the process ends, or being discounted
+    departs: FloatArray  # [rows] probability of departing, 1 without a self-loop
+    exits: FloatArray  # [rows] probability that the process ends, or is discounted
 
 
 @with_twin
 def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
-    """Live rows: probabilities of going from each row's pair to each node.
+    """Return the transition probabilities from the pair of each row to each node.
 
-    Where a home is given, rows are seen on departing only: waiting in place changes no total but
-    divides everything else by the probability of departing. That is summed from what leaves,
-    never formed as 1 - p, which would cancel for slow loops. A row that never departs is kept.
+    With ``home``, rows are conditioned on departing from their node: self-loops are removed, and
+    all other entries are divided by the probability of departing. This is summed from the outcomes
+    that depart, never computed as 1 - p, which would cancel for slow loops. Rows that never depart
+    are not changed.
 
     Args:
         rows: the rows.
@@ -159,7 +160,7 @@ def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
 
 @with_twin
 def shared_live_rows(rows: RowChoice, survival: float = 1.0) -> SparseRows:
-    """The matrix of live rows, each probability once where rows repeat each other.
+    """Return the matrix of ``live_rows``, with the numbers of equal rows stored once.
 
     Args:
         rows: the rows.
@@ -185,14 +186,14 @@ def shared_live_rows(rows: RowChoice, survival: float = 1.0) -> SparseRows:
         numbers = np.empty(end - first) if end - first > numbers.size else numbers
         _fill_compiled(rows, some, departs, survival, own, indices[first:end], numbers)
         used = share_rows(own, numbers, begins[some], data, slots, used)
-        if used < 0 or used > end // _TIMES_SHARED:  # few of them repeat each other
+        if used < 0 or used > end // _TIMES_SHARED:  # few rows are equal
             return _filled_rows(rows, survival, departs, bounds)
     shape = n_rows, rows.width * rows.n_nodes
     return SharedRows(bounds, begins, indices, data[:used].copy(), shape)
 
 
 def _row_bounds(rows: RowChoice, counts: IntArray) -> IntArray:
-    """Offsets of the entries of each live row, and the end, [rows + 1]."""
+    """Return the offsets of the entries of each row, and the end, [rows + 1]."""
     bounds = offsets_of(counts)
     small = max(int(bounds[-1]), rows.width * rows.n_nodes) < 2**31
     return bounds.astype(np.int32) if small else bounds
@@ -207,7 +208,7 @@ def _fill_compiled(
     indices: IntArray,
     data: FloatArray,
 ) -> None:
-    """Write columns and probabilities of some live rows, at given bounds, in compiled loops."""
+    """Write columns and probabilities of some rows, at given bounds, in compiled loops."""
     from ssp_lp.compiled.matrix_rows import fill_rows
 
     model, home = rows.model, _row_array(rows.home)
@@ -221,7 +222,7 @@ def _fill_compiled(
 def _filled_rows(
     rows: RowChoice, survival: float, departs: FloatArray, bounds: IntArray
 ) -> sp.csr_array:
-    """The live rows that were counted, each entry's probability beside its column."""
+    """Return the counted rows as a CSR matrix."""
     n_rows, n_columns = len(rows.pair_at), rows.width * rows.n_nodes
     indices, data = np.empty(int(bounds[-1]), dtype=bounds.dtype), np.empty(int(bounds[-1]))
     for some in pieces(n_rows, rows.model.n_outcomes):
@@ -231,7 +232,7 @@ def _filled_rows(
 
 
 def _count_live(rows: RowChoice) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Entries of each live row, its probability of departing, and what ends there, [rows] each."""
+    """Count the entries, departing probability and ending mass of each row, [rows] each."""
     from ssp_lp.compiled.matrix_rows import count_rows
 
     n_rows, model, home = len(rows.pair_at), rows.model, _row_array(rows.home)
@@ -246,14 +247,14 @@ def _count_live(rows: RowChoice) -> tuple[IntArray, FloatArray, FloatArray]:
 
 
 def _row_array(given: IntArray | None) -> IntArray:
-    """An array that says where each live row goes on; none says nowhere."""
+    """Return an optional array, or an empty one in place of None, for compiled loops."""
     return _NOWHERE if given is None else given
 
 
 def _live_rows_in_numpy(
     rows: RowChoice, survival: float
 ) -> tuple[sp.csr_array, FloatArray, FloatArray]:
-    """The same without compiled loops: the rows, what they depart with, and what ends there."""
+    """Compute rows, departing probability and ending mass in NumPy, without compiled loops."""
     model, n_rows, pairs = rows.model, len(rows.pair_at), rows.pair_at
     begins = np.where(pairs < 0, 0, model.outcome_offsets[pairs])
     lengths = np.where(pairs < 0, 0, model.outcome_offsets[pairs + 1] - begins)
@@ -271,7 +272,7 @@ def _live_rows_in_numpy(
         leaks[some] = np.where(pairs[some] < 0, 1.0, leak)
         waits = np.bincount(row[loop], minlength=size) > 0
         departs[some] = np.where(waits & (mass > 0), mass, 1.0)
-        kept = np.where((mass == 0)[row], live, away)  # a row that never departs is kept
+        kept = np.where((mass == 0)[row], live, away)  # rows that never depart stay
         column = node[kept].astype(np.int64)
         if rows.ahead is not None:
             column += rows.ahead[outcome[kept]].astype(np.int64) * rows.n_nodes

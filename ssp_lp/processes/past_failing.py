@@ -1,8 +1,8 @@
-"""What a problem counts after failing, and the product with the label in which it is counted.
+"""Quantities counted after failing, and the product with the failure label that counts them.
 
-Failing ends the cost, not the run (mathematics, section 2). Where an end that is asked for, or what
-is to be counted through failure, can be reached from a dead-end or by giving up, the problem is
-restated on states with the label of failing; else it stays as it is.
+Failing ends the cost, not the run (mathematics, section 2). If a quantity counts an end, or steps
+or visits through failure, that can occur after a dead-end or after giving up, the problem is
+restated on the product of states and failure label. Otherwise the model is not changed.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ def labelled_past_failing(
     ratio: bool,
     discount: float | None,
 ) -> FailureSSP | None:
-    """Model with the label of failing, to count past failing; None: nothing counts there.
+    """Return the product with the failure label; None: no quantity counts past failing.
 
     Args:
         model: the model.
-        limits: what is limited.
-        objective: what is minimised in place of the cost.
-        semantics: who may give up, and what failing costs.
+        limits: the limited quantities.
+        objective: a quantity minimised instead of the cost.
+        semantics: where a policy may give up, and the cost of failing.
         ratio: whether the cost is counted given success.
-        discount: with one everything that is counted stays finite.
+        discount: a number makes every total finite; None: exact.
     """
     limits_and_objective = (*limits, *(() if objective is None else (objective,)))
     terms = [term for condition in limits_and_objective for _, term in condition.terms]
@@ -47,14 +47,14 @@ def labelled_past_failing(
     if semantics.forbids_failing or not (targets.any() or dear):
         return None
 
-    # who may give up: with totals of the cost, as in case S, whoever can avoid the goal
+    # with accumulated cost, as in case S, a policy may give up at attention states
     dead, attention = graph.dead_ends(model), graph.attention_states(model)
     give_up = GiveUp.ATTENTION if semantics.charge(ratio) is not None else semantics.give_up
     staying = graph.attention_pairs(model, attention)
     usable = (dead & ~ends)[model.pair_state]
     if give_up is not GiveUp.DEAD_ENDS:
         usable |= staying & ~dead[model.pair_state]
-    counts = np.zeros(model.n_pairs, dtype=np.bool_)  # each time, after failing
+    counts = np.zeros(model.n_pairs, dtype=np.bool_)  # at every use after failing
     for term in terms:
         if term.through:
             counts |= ~term.free
@@ -83,18 +83,18 @@ def labelled_past_failing(
 def check_counted_past_failing(
     model: SSP, asked: Condition, semantics: FailureSemantics, *, ratio: bool
 ) -> None:
-    """Check that a process tells apart what a quantity counts past failing.
+    """Check that a process can count a quantity past failing.
 
     Args:
         model: of the process.
-        asked: the quantity, looked up in the model, or in the original of one with the label.
-        semantics: who may give up.
+        asked: the quantity, looked up in the model, or in the original of a product.
+        semantics: where a policy may give up.
         ratio: whether the cost is counted given success.
 
     Raises:
-        ModelError: it does not.
+        ModelError: it cannot, as the process has no failure label for it.
     """
-    # whether it stays finite does not matter here, as if it was discounted
+    # finiteness does not matter here: the discount skips that check
     needed = labelled_past_failing(asked.model, (), asked, semantics, ratio=ratio, discount=1.0)
     if (label := model.failure_label) is None:
         is_told = needed is None
@@ -106,13 +106,13 @@ def check_counted_past_failing(
     if is_told:
         return
     raise ModelError(
-        "the quantity counts what happens after failing, which the program does not tell apart: "
-        "limit it in the problem's constraints too, if only by a bound that allows everything"
+        "the quantity counts events after failing, which the program does not contain: also "
+        "limit it in the problem's constraints, if only by a bound that is always satisfied"
     )
 
 
 def _ends_past_failing(model: SSP, terms: Iterable[Term]) -> tuple[BoolArray, BoolArray]:
-    """Dead-ends that are ends, and all states in which arriving may count past failing."""
+    """Return masks of dead-ends counted as ends, and of all states counted past failing."""
     ends, targets = np.zeros((2, model.n_states), dtype=np.bool_)
     for term in terms:
         if isinstance(term, ArrivalTerm) and term.final:
@@ -123,7 +123,7 @@ def _ends_past_failing(model: SSP, terms: Iterable[Term]) -> tuple[BoolArray, Bo
 
 
 def _costs_until_failing(label: FailureSSP, costs: FloatArray, charges: bool) -> FloatArray:
-    """A cost of the original until failing, and as failing is charged, not past it, [outcomes]."""
+    """Return a cost until failing, with the charge of failing, 0 past it, [outcomes]."""
     charge = np.zeros(label.n_original)
     if charges:
         means = cost_means(replace(label.original, costs=read_only(costs)))
@@ -134,10 +134,10 @@ def _costs_until_failing(label: FailureSSP, costs: FloatArray, charges: bool) ->
 
 
 def past_failing_term(label: FailureSSP, term: Term) -> Term:
-    """A term's count on the model as one on that with the label, past failing.
+    """Return a term on the product with the failure label, counting past failing.
 
-    Ends are the true ones, after failing as before; costs and visits count until failing unless
-    they are asked for through it.
+    Ends are the true ends, also after failing. Costs and visits count until failing, unless they
+    are counted through failure.
     """
     if isinstance(term, StepTerm):
         costs = term.model.costs

@@ -1,8 +1,8 @@
-"""Promises: limits on the probability that single runs keep to a bound, or satisfy a task.
+"""Promises: limits on the probability that single runs satisfy a bound or a task.
 
-``within(fuel, 10) >= 0.95``: with probability 0.95 the run reaches the goal and has used at most 10
-units. The model is multiplied with the total so far, capped beyond the bound, or with the task's
-automaton (:mod:`ssp_lp.model.tracked_product`).
+``within(fuel, 10) >= 0.95``: with probability 0.95 the run reaches the goal and uses at most 10
+units. The model is extended by the total so far, capped beyond the bound, or by the automaton of
+the task (:mod:`ssp_lp.model.tracked_product`).
 """
 
 from __future__ import annotations
@@ -27,27 +27,29 @@ _ROUNDING = 8.0 * MACHINE_EPSILON
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Total(Followed):
-    """Runs whose total of a quantity keeps to a bound, or passes it."""
+    """Runs whose total of a quantity stays within a bound, or passes it."""
 
     quantity: Quantity
     bound: float
     passes: bool = False  # runs that pass the bound, wherever they end
 
     def __repr__(self) -> str:
-        """What was called."""
+        """Return the call as text."""
         return f"{'exceeds' if self.passes else 'within'}({self.quantity!r}, {self.bound:g})"
 
     def automaton(self, model: SSP) -> Automaton:
-        """Totals so far, up to the bound, and one value beyond it; two where passing it counts.
+        """Return the automaton of totals up to the bound, with one or two values beyond it.
+
+        With ``passes`` there are two: just passed, and passed before.
 
         Raises:
-            ModelError: a word that the model does not know, no total of costs and visits, or too
+            ModelError: an unknown name, a quantity that is no total of costs and visits, or too
                 many totals.
         """
         amounts, begun = run_amounts(model, self.quantity)
         constant = self.quantity.constant
         bound = self.bound - constant
-        if abs(bound) <= _ROUNDING * abs(constant):  # the constant is the bound, but for rounding
+        if abs(bound) <= _ROUNDING * abs(constant):  # the constant equals the bound up to rounding
             bound = 0.0
         used = np.minimum(np.append(amounts, begun), 2.0 * abs(bound) + 1.0)  # beyond it at once
         steps, letter = np.unique(used, return_inverse=True)
@@ -62,7 +64,7 @@ class _Total(Followed):
         over = totals.size
 
         def value_of(total: FloatArray) -> IntArray:
-            """Number of a total: the sum that it is, or beyond."""
+            """Return the number of a total: that of an equal sum, or the one beyond."""
             nearest = np.searchsorted(totals, total - room)
             return np.where(total > bound + room, over, nearest)
 
@@ -78,7 +80,7 @@ class _Total(Followed):
         return Automaton(name, tuple(words), letters, moves, letter[:n], begin)
 
     def term(self, product: TrackedSSP) -> ArrivalTerm:
-        """Goals reached within the bound, or states in which it has just been passed."""
+        """Return the term of goals reached within the bound, or of states that just pass it."""
         value, over = product.labels.number, len(product.automaton.words) - 1 - self.passes
         if self.passes:
             return ArrivalTerm(product, value == over)
@@ -87,33 +89,33 @@ class _Total(Followed):
 
 @QuantityFunction
 def within(quantity: Quantity, bound: float) -> Quantity:
-    """The probability that a run reaches the goal with a total of at most a bound.
+    """Return the probability that a run reaches the goal with a total of at most a bound.
 
-    All other runs break the promise: with too much, by failing, by giving up, by wandering. The
+    All other runs break the promise: with a larger total, by failing, giving up or wandering. The
     total counts from the start, a visit there included, to the step onto the goal.
 
     Args:
         quantity: costs and visits that a run adds up, such as ``secondary_cost("fuel")``.
-        bound: the largest total that keeps the promise, >= 0.
+        bound: the largest total that satisfies the promise, >= 0.
 
     Raises:
-        ModelError: no quantity, or a bound that is no number >= 0.
+        ModelError: not a quantity, or a bound that is not a number >= 0.
     """
     return _promise("within", quantity, bound, passes=False)
 
 
 @QuantityFunction
 def exceeds(quantity: Quantity, bound: float) -> Quantity:
-    """The probability that a run's total passes a bound by the time it ends.
+    """Return the probability that the total of a run exceeds a bound.
 
-    The step onto the goal, or into a dead-end, counts; what giving up is charged does not.
+    The step onto the goal, or into a dead-end, counts; the charge of giving up does not.
 
     Args:
         quantity: costs and visits that a run adds up, such as ``secondary_cost("fuel")``.
         bound: the largest total that does not count, >= 0.
 
     Raises:
-        ModelError: no quantity, or a bound that is no number >= 0.
+        ModelError: not a quantity, or a bound that is not a number >= 0.
     """
     return _promise("exceeds", quantity, bound, passes=True)
 
@@ -125,29 +127,29 @@ class _Traces(Followed):
     task: Task
 
     def __repr__(self) -> str:
-        """What was called."""
+        """Return the call as text."""
         return f"holds({self.task!r})"
 
     def automaton(self, model: SSP) -> Automaton:
-        """The task's."""
+        """Return the automaton of the task."""
         return self.task.automaton(model)
 
     def term(self, product: TrackedSSP) -> ArrivalTerm:
-        """Goals at which the trace satisfies the task."""
+        """Return the term of goals at which the trace satisfies the task."""
         return ArrivalTerm(product, product.goal_mask & self.task.satisfied(product), final=True)
 
 
 @QuantityFunction
 def holds(task: Task) -> Quantity:
-    """The probability that a run reaches the goal and its trace satisfies a task.
+    """Return the probability that a run reaches the goal and its trace satisfies a task.
 
-    A run that fails, gives up or wanders satisfies nothing.
+    A run that fails, gives up or wanders does not satisfy the task.
 
     Args:
-        task: such as ``task("F key & (!door U key)")``.
+        task: a task, such as ``task("F key & (!door U key)")``.
 
     Raises:
-        ModelError: it is no task.
+        ModelError: not a task.
     """
     if not isinstance(task, Task):
         raise ModelError(f"holds takes a task, such as task('F key'), not {in_short(task)}")
@@ -155,7 +157,7 @@ def holds(task: Task) -> Quantity:
 
 
 def _promise(verb: str, quantity: Quantity, bound: float, *, passes: bool) -> Quantity:
-    """The quantity that counts runs by their total."""
+    """Return the quantity of runs whose total satisfies, or exceeds, a bound."""
     if not isinstance(quantity, Quantity):
         hint = "a quantity first, such as secondary_cost('fuel')"
         raise ModelError(f"{verb} takes {hint}, not {in_short(quantity)}")

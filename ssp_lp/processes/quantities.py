@@ -1,9 +1,9 @@
-"""What can be counted and limited: named linear functionals of an occupation measure.
+"""Quantities: linear functionals of an occupation measure, to minimise or limit.
 
-A quantity says what it counts in the model's own words; what it is at the pairs of an augmented
-process is worked out when a problem is stated: words are looked up in the model and become
-``processes.conditions``. Quantities add and scale, and comparing one with a number makes a
-constraint:
+A quantity is stated by names of the model, such as states, labels and costs. When a problem is
+stated, the names are looked up in the model (``processes.conditions``), which gives the coefficient
+of each pair of an augmented process. Quantities can be added and scaled; comparing one with a
+number makes a constraint:
 
     secondary_cost(fuel) + 2.0 * visits("ward") <= 12.0
     end_probability("wall") >= 0.1
@@ -40,74 +40,74 @@ NestedCosts = Mapping[Hashable, Mapping[Hashable, float]]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _StageCosts:
-    """A cost of steps: None: the model's own; else a name, by pair, by outcome, or nested dicts."""
+    """A cost of steps: the model's own (None), a name, per pair, per outcome, or nested dicts."""
 
     cost: NestedCosts | npt.ArrayLike | str | None = None
     through_failure: bool = False
 
     def __repr__(self) -> str:
-        """What was called, without the costs."""
+        """Return the call as text, without the costs."""
         told = repr(self.cost) if isinstance(self.cost, str) else "..."
         return "expected_cost()" if self.cost is None else f"secondary_cost({told})"
 
 
 @dataclass(frozen=True, repr=False)
 class _Visits:
-    """How often some states are entered or started in; names are states or labels of states."""
+    """Visits of states, the start included; names are states or labels of states."""
 
     of: tuple[Hashable, ...]
     through_failure: bool = False
 
     def __repr__(self) -> str:
-        """What was called."""
+        """Return the call as text."""
         return f"visits({', '.join(map(repr, self.of))})"
 
 
 @dataclass(frozen=True, repr=False)
 class _Ends:
-    """The probability of ending in one of several ways, or, as ``others``, in none of them."""
+    """The probability of ending in one of several ways or, if ``others``, in another way."""
 
     ways: tuple[Hashable, ...]
     others: bool = False
 
     def __repr__(self) -> str:
-        """What was called."""
+        """Return the call as text."""
         ways = f"end_probability({', '.join(map(repr, self.ways))})"
         return f"1 - {ways}" if self.others else ways
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _ArrivalCosts:
-    """What arriving at the goal costs: a function of the total cost, in the end a line."""
+    """A charge at the goal: a function of the total cost that is affine in the end."""
 
     function: Callable[[FloatArray], FloatArray]
     affine_from: float
 
     def __repr__(self) -> str:
-        """What was called."""
+        """Return the call as text."""
         return "arrival_cost(...)"
 
 
 class Followed(ABC):
-    """Runs that a quantity counts by an automaton that follows them (``model.tracked_product``)."""
+    """Runs that a quantity counts by an automaton (``model.tracked_product``)."""
 
     @abstractmethod
     def automaton(self, model: SSP) -> Automaton:
-        """The automaton, on a model.
+        """Return the automaton on a model.
 
         Raises:
-            ModelError: a word that the model does not know, or too many values.
+            ModelError: an unknown name, or too many values.
         """
 
     @abstractmethod
     def term(self, product: TrackedSSP) -> ArrivalTerm:
-        """The runs counted, as arrivals in states of the product with the automaton."""
+        """Return the term of arrivals in states of the product that counts the runs."""
 
     def looked_up(self, model: SSP) -> ArrivalTerm:
-        """The runs counted, as arrivals in states of a product made of the automaton's."""
+        """Return the term on a model that contains the product with the automaton."""
         found = followed_in(model, self)
         if found is None:
-            raise ModelError(f"{self!r} is limited in a problem's constraints only")
+            raise ModelError(f"{self!r} can be limited in a problem's constraints only")
         term = self.term(found[0])
         return replace(term, model=model, states=term.states[found[1]])
 
@@ -117,14 +117,14 @@ Counted = _StageCosts | _Visits | _Ends | _ArrivalCosts | Followed
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Quantity:
-    """A weighted sum of what is counted, and a constant."""
+    """A weighted sum of counted terms, and a constant."""
 
     terms: tuple[tuple[float, Counted], ...]
     constant: float = 0.0
-    __array_ufunc__ = None  # numbers of numpy's go with it as others do
+    __array_ufunc__ = None  # so that NumPy numbers can scale it
 
     def __array__(self, *_: object) -> None:
-        """Refused: ``parameter * quantity``, of cvxpy, takes it for an array.
+        """Raise an error, as ``parameter * quantity`` of cvxpy would treat it as an array.
 
         Raises:
             ModelError: always.
@@ -132,50 +132,50 @@ class Quantity:
         raise ModelError(f"{self!r} is no array{_WITH_CVXPY}")
 
     def __add__(self, other: Quantity | float) -> Quantity:
-        """The sum."""
+        """Return the sum."""
         if isinstance(other, Quantity):
             return Quantity(self.terms + other.terms, self.constant + other.constant)
         return Quantity(self.terms, self.constant + _quantity_number(other))
 
     def __mul__(self, factor: float) -> Quantity:
-        """The multiple."""
+        """Return the multiple."""
         times = _quantity_number(factor)
         terms = tuple((weight * times, counted) for weight, counted in self.terms)
         return Quantity(terms, self.constant * times)
 
     def __truediv__(self, divisor: float) -> Quantity:
-        """The quotient by a number."""
+        """Return the quotient by a number."""
         return self * (1.0 / _quantity_number(divisor))
 
     __radd__ = __add__
     __rmul__ = __mul__
 
     def __neg__(self) -> Quantity:
-        """The opposite."""
+        """Return the negative."""
         return self * -1.0
 
     def __sub__(self, other: Quantity | float) -> Quantity:
-        """The difference."""
+        """Return the difference."""
         return self + -1.0 * (other if isinstance(other, Quantity) else _quantity_number(other))
 
     def __rsub__(self, other: float) -> Quantity:
-        """The difference."""
+        """Return the difference."""
         return -self + other
 
     def __le__(self, bound: Quantity | float) -> Constraint:
-        """At most a number, or another quantity."""
+        """Return the constraint "at most a number, or another quantity"."""
         if isinstance(bound, Quantity):
             return Constraint(self - bound, upper=0.0)
         return Constraint(self, upper=_quantity_number(bound))
 
     def __ge__(self, bound: Quantity | float) -> Constraint:
-        """At least a number, or another quantity."""
+        """Return the constraint "at least a number, or another quantity"."""
         if isinstance(bound, Quantity):
             return Constraint(self - bound, lower=0.0)
         return Constraint(self, lower=_quantity_number(bound))
 
     def __lt__(self, bound: object) -> Constraint:
-        """Refused: a limit includes its bound.
+        """Raise an error, as a limit includes its bound.
 
         Raises:
             ModelError: always.
@@ -183,7 +183,7 @@ class Quantity:
         raise ModelError(f"a limit includes its bound: write {self!r} <= {bound!r}")
 
     def __gt__(self, bound: object) -> Constraint:
-        """Refused: a limit includes its bound.
+        """Raise an error, as a limit includes its bound.
 
         Raises:
             ModelError: always.
@@ -191,11 +191,11 @@ class Quantity:
         raise ModelError(f"a limit includes its bound: write {self!r} >= {bound!r}")
 
     def __eq__(self, value: float) -> Constraint:  # type: ignore[override]
-        """Exactly a number."""
+        """Return the constraint "exactly a number"."""
         return Constraint(self, lower=_quantity_number(value), upper=_quantity_number(value))
 
     def __repr__(self) -> str:
-        """The sum as it would be typed."""
+        """Return the sum as Python code."""
         parts = [f"{c!r}" if w == 1.0 else f"{w:g} * {c!r}" for w, c in self.terms]
         parts += [f"{self.constant:g}"] if self.constant or not parts else []
         return " + ".join(parts)
@@ -210,13 +210,13 @@ class Constraint:
     upper: float | None = None
 
     def __repr__(self) -> str:
-        """The quantity between its bounds."""
+        """Return the quantity between its bounds, as text."""
         low = "" if self.lower is None else f"{self.lower:g} <= "
         high = "" if self.upper is None else f" <= {self.upper:g}"
         return f"{low}{self.quantity!r}{high}"
 
     def __bool__(self) -> bool:
-        """Refused: ``0.1 <= quantity <= 0.2`` would silently drop its first half.
+        """Raise an error, as ``0.1 <= quantity <= 0.2`` would silently drop its first half.
 
         Raises:
             ModelError: always.
@@ -225,7 +225,7 @@ class Constraint:
 
 
 class QuantityFunction(Generic[_Given]):
-    """A function that makes a quantity; comparing or adding the function itself is an error."""
+    """A function that makes a quantity; using it in an expression uncalled is an error."""
 
     def __init__(self, make: Callable[_Given, Quantity]) -> None:
         update_wrapper(self, make)
@@ -236,15 +236,15 @@ class QuantityFunction(Generic[_Given]):
         return self._make(*arguments, **named)
 
     def __reduce__(self) -> str:
-        """Pickled by its name, as functions are."""
+        """Return the name, by which functions are pickled."""
         return self._make.__qualname__
 
     def __repr__(self) -> str:
-        """The function's name and arguments."""
+        """Return the function's name and signature."""
         return f"{self._make.__name__}{signature(self._make)}"
 
     def _uncalled(self, other: object) -> Quantity:
-        """Refused: the function has not been called.
+        """Raise an error, as the function has not been called.
 
         Raises:
             ModelError: always.
@@ -258,7 +258,7 @@ class QuantityFunction(Generic[_Given]):
 
 @QuantityFunction
 def expected_cost() -> Quantity:
-    """The quantity "expected total cost" of the model, counted as the criterion counts costs."""
+    """Return the expected total cost of the model, counted as the criterion counts costs."""
     return Quantity(((1.0, _StageCosts()),))
 
 
@@ -266,30 +266,31 @@ def expected_cost() -> Quantity:
 def secondary_cost(
     cost: NestedCosts | npt.ArrayLike | str, *, through_failure: bool = False
 ) -> Quantity:
-    """The expected total of another cost, counted as the model's own is: until failing.
+    """Return the expected total of another cost, counted until failing as the model's own is.
 
     Args:
-        cost: the name of a cost of the model's, "fuel"; ``{state: {action: cost}}``, pairs that are
-            not listed costing nothing; or an array, [pairs], or [outcomes]; finite and >= 0.
-        through_failure: count it to the true end of the run (mathematics, section 2): each step
-            that is taken after failing, and no charge in its place.
+        cost: the name of a cost of the model, such as "fuel"; ``{state: {action: cost}}``, 0 for
+            pairs that are not listed; or an array, [pairs] or [outcomes]; finite and >= 0.
+        through_failure: count to the true end of the run (mathematics, section 2): each step after
+            failing, without a charge of failing.
     """
     return Quantity(((1.0, _StageCosts(cost, through_failure)),))
 
 
 @QuantityFunction
 def visits(*states: Hashable, through_failure: bool = False) -> Quantity:
-    """The quantity "expected visits" of some states, entered or begun in; staying counts too.
+    """Return the expected visits of some states: entering, starting and staying count.
 
-    Counted until the goal is reached or failure declared; a dead-end is entered once at most.
+    Visits count until the goal is reached or failure is declared; a dead-end is entered at most
+    once.
 
     Args:
         states: states, or labels of states.
-        through_failure: count after failing too, to the true end of the run (mathematics, section
-            2).
+        through_failure: also count after failing, to the true end of the run (mathematics,
+            section 2).
 
     Raises:
-        ModelError: none is given, or a list in place of a state.
+        ModelError: no state, or a list instead of states.
     """
     _check_quantity_names("visits", states)
     return Quantity(((1.0, _Visits(states, through_failure)),))
@@ -297,14 +298,14 @@ def visits(*states: Hashable, through_failure: bool = False) -> Quantity:
 
 @QuantityFunction
 def end_probability(*ways: Hashable) -> Quantity:
-    """The quantity "probability that an episode ends in one of some ways".
+    """Return the probability that an episode ends in one of some ways.
 
-    Failing ends the cost, not the run: from a dead-end that has actions, and from where a policy
-    gave up, it goes on to its true end (mathematics, section 2). That is the goal, the first
-    dead-end that bears one of the names a problem asks for, else where it can go no further.
+    Failing ends the cost, not the run: from a dead-end with actions, and from a state where the
+    policy gave up, the run continues to its true end (mathematics, section 2). This is the goal,
+    the first dead-end with one of the names used in the problem, or a state without actions.
 
     Args:
-        ways: "goal", a label of dead-ends, "dead_end" (one without a label), as in the ``ends`` of
+        ways: "goal", a label of dead-ends, "dead_end" (without a label), as in the ``ends`` of
             reports; or a state at which episodes end.
     """
     _check_quantity_names("end_probability", ways)
@@ -313,13 +314,13 @@ def end_probability(*ways: Hashable) -> Quantity:
 
 @QuantityFunction
 def goal_probability() -> Quantity:
-    """The quantity "probability of reaching the goal"."""
+    """Return the probability of reaching the goal."""
     return end_probability("goal")
 
 
 @QuantityFunction
 def failure_probability() -> Quantity:
-    """The quantity "probability of never reaching the goal"."""
+    """Return the probability of never reaching the goal."""
     return Quantity(((1.0, _Ends(("goal",), others=True)),))
 
 
@@ -327,19 +328,19 @@ def failure_probability() -> Quantity:
 def arrival_cost(
     function: Callable[[FloatArray], FloatArray] | None = None, *, affine_from: float = 0.0
 ) -> Quantity:
-    """The quantity "cost of arriving", a function of the total cost: minimised given success.
+    """Return the charge of the total cost at the goal, to minimise given success.
 
-    As the ``quantity`` of a criterion of one's own with ``ratio = True`` it is E[f(C) | goal], such
-    as the mean lateness ``arrival_cost(lambda c: np.maximum(c - due, 0.0), affine_from=due)``.
-    Several add and scale. What depends on the total of a whole run is no row of a program: it is
-    not limited, nor added to what is counted on the way.
+    As the ``quantity`` of a user's criterion with ``ratio = True`` it is E[f(C) | goal], such as
+    the mean lateness ``arrival_cost(lambda c: np.maximum(c - due, 0.0), affine_from=due)``.
+    Several can be added and scaled. A function of the total cost of a run is no row of a program:
+    it cannot be limited, nor added to other quantities.
 
     Args:
-        function: f, on arrays of total costs: at least 0, and non-decreasing; None: the total cost.
-        affine_from: a total from which on f is a line.
+        function: f, on arrays of total costs: non-negative, non-decreasing; None: the total cost.
+        affine_from: a total from which f is affine.
 
     Raises:
-        ModelError: no function, or a total that is no number >= 0.
+        ModelError: not a function, or a total that is not a number >= 0.
     """
     if function is not None and not callable(function):
         raise ModelError(f"arrival_cost takes a function of total costs, not {in_short(function)}")
@@ -349,40 +350,40 @@ def arrival_cost(
 
 
 def _check_quantity_names(verb: str, names: tuple[object, ...]) -> None:
-    """Raise :class:`ModelError` unless a quantity takes its names one by one."""
+    """Check that names are given one by one; else raise :class:`ModelError`."""
     for name in names:
         if not isinstance(name, Hashable):
             raise ModelError(f"{verb} takes names one by one, {verb}('a', 'b'), not {name!r}")
 
 
 def _quantity_number(value: object) -> float:
-    """A finite number that a quantity goes with."""
+    """Return a finite number to scale, shift or bound a quantity."""
     if is_number(value) and isfinite(number := float(value)):
         return number
-    complaint = f"a quantity goes with finite numbers, not with {in_short(value)}"
+    complaint = f"a quantity can be combined with finite numbers, not with {in_short(value)}"
     raise ModelError(complaint + cvxpy_hint(value))
 
 
 _WITH_CVXPY = (
-    ": with cvxpy's parameters and variables goes what it is in a program, "
-    "convex.expression(quantity) * parameter; costs of actions that are such are "
-    "convex.visits(state, action) * parameter, summed"
+    ": with parameters and variables of cvxpy, use its expression in a program, "
+    "convex.expression(quantity) * parameter; for costs of actions, sum "
+    "convex.visits(state, action) * parameter"
 )
 
 
 def cvxpy_hint(value: object) -> str:
-    """Hint of an error for a quantity's number that is to be an expression of cvxpy."""
+    """Return a hint for an expression of cvxpy in place of a number; else an empty string."""
     return _WITH_CVXPY if hasattr(value, "is_dcp") else ""
 
 
 @explained_class
 @dataclass(frozen=True, eq=False)
 class CostLimit:
-    """An upper bound on the expected total of a secondary cost: ``secondary_cost(cost) <= bound``.
+    """An upper bound on an expected secondary cost: ``secondary_cost(cost) <= bound``.
 
     Args:
-        cost: ``{state: {action: cost}}``, pairs that are not listed costing nothing; or an array,
-            [pairs], or [outcomes].
+        cost: ``{state: {action: cost}}``, 0 for pairs that are not listed; or an array, [pairs] or
+            [outcomes].
         bound: the largest expected total, in the unit of the cost, >= 0.
     """
 
@@ -391,10 +392,10 @@ class CostLimit:
 
 
 def constraints_of(limits: Mapping[str, CostLimit]) -> dict[str, Constraint]:
-    """Limits of secondary costs as constraints on quantities.
+    """Return limits of secondary costs as constraints on quantities.
 
     Raises:
-        ModelError: no mapping, no limit, or a bound that is not a finite number >= 0.
+        ModelError: not a mapping of limits, or a bound that is not a finite number >= 0.
     """
     if not isinstance(limits, Mapping):
         raise ModelError(f"limits must be {{name: CostLimit(cost, bound)}}, not {limits!r}")
@@ -409,16 +410,16 @@ def constraints_of(limits: Mapping[str, CostLimit]) -> dict[str, Constraint]:
 
 
 def outcome_costs(model: SSP, cost: NestedCosts | npt.ArrayLike | str) -> FloatArray:
-    """A quantity's cost by outcome, [outcomes].
+    """Return a cost by outcome, [outcomes].
 
     Args:
         model: the model.
-        cost: the name of one of the model's; ``{state: {action: cost}}``, or an array, [pairs] or
+        cost: the name of a cost of the model, ``{state: {action: cost}}``, or an array, [pairs] or
             [outcomes].
 
     Raises:
-        ModelError: no cost of this name, one that is not a finite number >= 0, an array of the
-            wrong length, an unknown state or action.
+        ModelError: an unknown name, a cost that is not a finite number >= 0, an array of a wrong
+            length, or an unknown state or action.
     """
     if isinstance(cost, str):
         return model.cost_named(cost)
@@ -427,11 +428,11 @@ def outcome_costs(model: SSP, cost: NestedCosts | npt.ArrayLike | str) -> FloatA
     else:
         try:
             numbers = np.array(cost)
-            if numbers.dtype.kind not in "biufO":  # complex ones and texts numpy would convert
-                raise TypeError(f"{numbers.dtype} is no type of real numbers")
+            if numbers.dtype.kind not in "biufO":  # NumPy would convert complex numbers and text
+                raise TypeError(f"{numbers.dtype} is not a type of real numbers")
             numbers = numbers.astype(np.float64)
         except (TypeError, ValueError, OverflowError) as error:
-            raise ModelError(f"the cost is no array of numbers: {error}") from error
+            raise ModelError(f"the cost is not an array of numbers: {error}") from error
         given = _spread_costs(model, numbers)
     costs = read_only(given, np.float64)
     wrong = ~(np.isfinite(costs) & (costs >= 0.0))
@@ -443,12 +444,12 @@ def outcome_costs(model: SSP, cost: NestedCosts | npt.ArrayLike | str) -> FloatA
 
 
 def is_amount(value: object) -> bool:
-    """Whether a quantity's bound or cost is a finite number >= 0 that a float can hold."""
+    """Return whether a value is a finite number >= 0 that a float can hold."""
     return is_number(value) and 0.0 <= float(value) < float("inf")
 
 
 def _listed_costs(model: SSP, cost: NestedCosts) -> FloatArray:
-    """A quantity's costs from nested dicts, 0 where nothing is listed, [pairs]."""
+    """Return costs from nested dicts, 0 for pairs that are not listed, [pairs]."""
     result = np.zeros(model.n_pairs)
     for state, actions in cost.items():
         places = model.places_of(state)
@@ -456,7 +457,7 @@ def _listed_costs(model: SSP, cost: NestedCosts) -> FloatArray:
             raise ModelError(f"state {state!r}: not {{action: cost}}: {actions!r}")
         acting = [int(k) for k in places if model.pair_offsets[k] < model.pair_offsets[k + 1]]
         if not acting and isinstance(model, ProductSSP) and model.find(state) is None:
-            _listed_costs(model.original, {state: actions})  # nobody acts there: a check only
+            _listed_costs(model.original, {state: actions})  # without actions there: only check
             continue
         for place in acting or places.tolist():
             pair_of = {model.action_of(pair): pair for pair in model.pairs_of(place)}
@@ -473,7 +474,7 @@ def _listed_costs(model: SSP, cost: NestedCosts) -> FloatArray:
 
 
 def _spread_costs(model: SSP, given: FloatArray) -> FloatArray:
-    """A quantity's costs from an array of pairs or outcomes, also of an original, [outcomes]."""
+    """Return costs from an array of pairs or outcomes, also of a product's original, [outcomes]."""
     if isinstance(model, ProductSSP) and model.is_hidden:
         return np.asarray(_spread_costs(model.original, given)[model.original_outcome])
     own, theirs = _costs_by_outcome(model, given), None
@@ -488,14 +489,14 @@ def _spread_costs(model: SSP, given: FloatArray) -> FloatArray:
     spread = theirs if own is None else own
     if spread is None:
         raise ModelError(
-            f"the cost has shape {given.shape}; {model.n_pairs} pairs or {model.n_outcomes} "
-            "outcomes are needed"
+            f"the cost has shape {given.shape}: give an array of {model.n_pairs} pairs or "
+            f"{model.n_outcomes} outcomes"
         )
     return spread
 
 
 def _costs_by_outcome(model: SSP, given: FloatArray) -> FloatArray | None:
-    """A quantity's costs by pair or by outcome, [outcomes]; None if they are neither."""
+    """Return costs given by pair or by outcome, [outcomes]; None: neither."""
     if given.shape == (model.n_outcomes,):
         return given
     if given.shape == (model.n_pairs,):
@@ -514,8 +515,9 @@ def conditions(
         constraints: name -> constraint.
 
     Raises:
-        ModelError: a name that is no text or is reserved, no constraint, an unknown state, action,
-            label or end, costs of the wrong shape or below 0, or a lower bound of costs or visits.
+        ModelError: a name that is not text or is reserved, not a constraint, an unknown state,
+            action, label or end, costs of a wrong shape or below 0, or a lower bound of costs or
+            visits.
     """
     if not isinstance(constraints, Mapping):
         raise ModelError(f"constraints must be {{name: quantity <= bound}}, not {constraints!r}")
@@ -538,7 +540,7 @@ def conditions(
 def objective_of(
     model: SSP, start: FloatArray, quantity: Quantity, *, signed: bool = False
 ) -> Condition:
-    """The quantity to be minimised, its names looked up in the model.
+    """Return the objective, with the names of its quantity looked up in the model.
 
     Args:
         model: the model.
@@ -547,7 +549,7 @@ def objective_of(
         signed: whether costs and visits may be subtracted, as in an expression.
 
     Raises:
-        ModelError: no quantity, an unknown state, action, label or end, costs of the wrong shape
+        ModelError: not a quantity, an unknown state, action, label or end, costs of a wrong shape
             or below 0, or costs or visits that would be maximised.
     """
     if not isinstance(quantity, Quantity):
@@ -559,19 +561,19 @@ def objective_of(
 
 
 def words_visited(constraint: Constraint) -> list[Hashable]:
-    """Names of states and labels whose visits a constraint's quantity counts."""
+    """Return the names of states and labels whose visits a constraint counts."""
     counted = (counted for _, counted in constraint.quantity.terms)
     return [word for one in counted if isinstance(one, _Visits) for word in one.of]
 
 
 def followed_by(constraints: Iterable[Constraint]) -> list[Followed]:
-    """Runs that constraints count by automata, each once."""
+    """Return the automaton terms of constraints, without repetitions."""
     terms = (counted for each in constraints for _, counted in each.quantity.terms)
     return list(dict.fromkeys(counted for counted in terms if isinstance(counted, Followed)))
 
 
 def run_amounts(model: SSP, quantity: Quantity) -> tuple[FloatArray, FloatArray]:
-    """Amounts of a quantity that a run adds up: of each outcome, and at each start.
+    """Return the amounts of a quantity that a run adds up, of each outcome and each start.
 
     Args:
         model: the model.
@@ -581,7 +583,7 @@ def run_amounts(model: SSP, quantity: Quantity) -> tuple[FloatArray, FloatArray]
         [outcomes], and [states] for a visit at the start.
 
     Raises:
-        ModelError: something else is counted, or a weight is below 0.
+        ModelError: the quantity has other terms, or a weight below 0.
     """
     amounts, begun = np.zeros(model.n_outcomes), np.zeros(model.n_states)
     for weight, counted in quantity.terms:
@@ -595,17 +597,17 @@ def run_amounts(model: SSP, quantity: Quantity) -> tuple[FloatArray, FloatArray]
                 there = _looked_up_states(model, of).astype(np.float64)
                 amounts, begun = amounts + weight * there[model.successors], begun + weight * there
             case _:
-                told = "a total that ends with the goal or failing is one of costs and visits"
+                told = "a total up to the goal or failing must be one of costs and visits"
                 raise ModelError(f"{told}, without through_failure, not of {counted!r}")
     return amounts, begun
 
 
 def beyond_exploring(constraint: Constraint) -> str | None:
-    """Why no explored part of an implicit model bounds a constraint's quantity; None: it does."""
+    """Return the reason why no explored part of a model bounds a quantity, or None."""
     for _, counted in constraint.quantity.terms:
         match counted:
             case _StageCosts(_, True) | _Visits(_, True):
-                return f"{counted!r} counts what comes after failing, which is not explored"
+                return f"{counted!r} counts events after failing, which are not explored"
             case _StageCosts(cost, _) if not (cost is None or isinstance(cost, str)):
                 return "costs of an implicit model have names: secondary_cost('fuel')"
             case Followed():
@@ -617,10 +619,10 @@ def beyond_exploring(constraint: Constraint) -> str | None:
 
 
 def arrival_measure(quantity: Quantity) -> ExpectedArrivalCost | None:
-    """The measure of a quantity that is made of arrival costs; None: it is not.
+    """Return the measure of a sum of arrival costs; None: the quantity has none.
 
     Raises:
-        ModelError: other quantities are added to it, or it is to be large.
+        ModelError: other quantities are added, or a weight is negative.
     """
     terms = quantity.terms if isinstance(quantity, Quantity) else ()
     costs = [(weight, counted) for weight, counted in terms if isinstance(counted, _ArrivalCosts)]
@@ -628,13 +630,13 @@ def arrival_measure(quantity: Quantity) -> ExpectedArrivalCost | None:
         return None
     if len(costs) < len(terms) or min(weight for weight, _ in costs) < 0.0:
         raise ModelError(
-            "an arrival cost goes with other arrival costs, at weights >= 0: limit what is counted "
-            "on the way"
+            "an arrival cost can be added to arrival costs only, with weights >= 0: limit other "
+            "quantities instead"
         )
     constant = quantity.constant
 
     def function(totals: FloatArray) -> FloatArray:
-        """The weighted sum of all of them."""
+        """Return the weighted sum of the charges."""
         charges = [weight * np.asarray(counted.function(totals)) for weight, counted in costs]
         return np.asarray(np.sum(charges, axis=0) + constant)
 
@@ -643,9 +645,9 @@ def arrival_measure(quantity: Quantity) -> ExpectedArrivalCost | None:
 
 
 def _looked_up_terms(model: SSP, start: FloatArray, name: str, constraint: Constraint) -> Condition:
-    """A constraint with the terms of its quantity looked up in the model."""
+    """Return a constraint with the terms of its quantity looked up in the model."""
     weights: dict[Counted, float] = {}
-    for weight, counted in constraint.quantity.terms:  # those that count the same are added up
+    for weight, counted in constraint.quantity.terms:  # weights of equal terms are added
         weights[counted] = weights.get(counted, 0.0) + weight
     try:
         terms = tuple((w, _looked_up_term(model, c)) for c, w in weights.items() if w != 0.0)
@@ -662,7 +664,7 @@ def _looked_up_terms(model: SSP, start: FloatArray, name: str, constraint: Const
 
 
 def _looked_up_term(model: SSP, counted: Counted) -> Term:
-    """One term of a quantity, looked up in the model."""
+    """Return a term of a quantity, looked up in the model."""
     if (label := model.failure_label) is not None:
         return past_failing_term(label, _looked_up_term(label.original, counted))
     match counted:
@@ -673,8 +675,8 @@ def _looked_up_term(model: SSP, counted: Counted) -> Term:
             return StepTerm(replace(model, costs=costs, exact_costs={}), through)
         case _ArrivalCosts():
             raise ModelError(
-                "an arrival cost depends on the total of a whole run; it is minimised given "
-                "success (ratio = True), not limited"
+                "an arrival cost depends on the total of a whole run and cannot be limited: "
+                "minimise it given success (ratio = True)"
             )
         case Followed():
             return counted.looked_up(model)
@@ -686,7 +688,7 @@ def _looked_up_term(model: SSP, counted: Counted) -> Term:
 
 
 def _as_an_action(model: SSP, word: Hashable) -> str:
-    """For an error: a clause for a word in the place of a state that names an action, or nearly."""
+    """Return a hint if a word in place of a state is, or resembles, the name of an action."""
     meant = nearest_name(word, model.action_names)
     if meant is None or nearest_name(word, model.states) is not None:
         return ""
@@ -695,7 +697,7 @@ def _as_an_action(model: SSP, word: Hashable) -> str:
 
 
 def _looked_up_states(model: SSP, words: tuple[Hashable, ...], *, final: bool = False) -> BoolArray:
-    """A quantity's states, by their names or a label's; or those that end in a way, [states]."""
+    """Return a mask of the states with these names, labels or, if final, ends, [states]."""
     marks, labels = end_marks(model), model.state_labels
     named: list[Hashable] = ["goal", *labels, "dead_end"]
     mask = np.zeros(model.n_states, dtype=np.bool_)
@@ -703,7 +705,7 @@ def _looked_up_states(model: SSP, words: tuple[Hashable, ...], *, final: bool = 
         labelled = labels[word] if isinstance(word, str) and word in labels else None
         if final and word in named:
             ends = marks == named.index(word)
-            if labelled is not None:  # a goal that bears it is an end, too
+            if labelled is not None:  # a goal with this label is an end, too
                 ends[labelled] |= model.goal_mask[labelled]
                 if labelled.size and not ends.any():
                     raise ModelError(f"no episode ends in a state labelled {word!r}{_NO_END}")
@@ -727,4 +729,4 @@ def _looked_up_states(model: SSP, words: tuple[Hashable, ...], *, final: bool = 
     return mask
 
 
-_NO_END = ": take visits(...)"
+_NO_END = ": use visits(...)"

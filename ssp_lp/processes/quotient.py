@@ -1,13 +1,13 @@
-"""The live part of a model: states that are neither goals nor dead-ends, grouped into nodes.
+"""The MEC quotient of a model: live states (neither goals nor dead-ends), grouped into nodes.
 
-A node is one live state, or a maximal end component of pairs that cost nothing: moving about in it
-is free, so an exact process treats it as one place (mathematics, section 4).
+A node is one live state, or a maximal end component of pairs that cost nothing. Moves inside such a
+component are free, so that an exact process treats it as one state (mathematics, section 4).
 
-What is found on it is taken back to the pairs of the model: whatever enters such a place at one
-member may leave it at another, and how to get there is free, but must be said. It goes to each
-member by which the component is left with that member's share of all that leaves, the shortest way
-in number of steps. Drawing each member's move in proportion to the visits that this makes realises
-the visits of the process exactly (paper, section 2.2).
+Visits of the quotient are mapped back to the pairs of the model. Flow that enters a component at
+one member may leave it at another, and the moves between them must be stated. Flow goes to each
+exit member in proportion to the flow that leaves there, by the shortest way in number of steps.
+Drawing each move in proportion to the resulting visits realises the visits of the process exactly
+(paper, section 2.2).
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ from ssp_lp.model.graph import dead_ends, end_components, hopeless_states, neare
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED
 from ssp_lp.processes.live_rows import LiveRows, RowChoice, live_rows
 
-_TOGETHER = 1_000_000  # decisions, states times layers, that are pulled back at once
+_TOGETHER = 1_000_000  # most decisions, states times layers, pulled back at once
 
 
 @dataclass(frozen=True, eq=False)
 class Quotient:
-    """Nodes and the pairs by which they can be left, in the order of the nodes."""
+    """Nodes, and the pairs that leave them, in the order of the nodes."""
 
     model: SSP
     dead: BoolArray  # [states] dead-ends
@@ -53,16 +53,16 @@ class Quotient:
     n_nodes: int
     inside: BoolArray  # [model pairs] pairs that stay in a collapsed component
     merged: BoolArray  # [states] members of collapsed components
-    pair_at: IntArray  # [pairs] pair of the model, or GIVE_UP_CODE for giving up
+    pair_at: IntArray  # [pairs] pair of the model, or GIVE_UP_CODE
     pair_node: IntArray  # [pairs] increasing
     pair_offsets: IntArray  # [nodes + 1]
 
     def transitions(self, survival: float, *, departing: bool) -> LiveRows:
-        """Transitions of the quotient: from each pair to each node, and to an end, [pairs, nodes].
+        """Return the transitions from each pair to each node, and to ends, [pairs, nodes].
 
         Args:
             survival: factor of every probability, the discount.
-            departing: see each node's outcomes on departing from it only (see ``live_rows``).
+            departing: condition the outcomes of each node on departing (see ``live_rows``).
         """
         home = self.pair_node if departing else None
         return live_rows(
@@ -70,12 +70,12 @@ class Quotient:
         )
 
     def dynamics(self, survival: float, *, departing: bool) -> tuple[Dynamics, FloatArray]:
-        """The quotient as a process to be solved, and what its rows were divided by, [pairs]."""
+        """Return the dynamics, and the divisors of the rows, [pairs]."""
         rows = self.transitions(survival, departing=departing)
         return Dynamics(self.pair_offsets, rows.matrix, rows.exits), rows.departs
 
     def at_pairs(self, per_pair: FloatArray, give_up: float | FloatArray = 0.0) -> FloatArray:
-        """Values of the model's pairs, in the order of the quotient's pairs, [pairs].
+        """Return values of model pairs in the order of the quotient's pairs, [pairs].
 
         Args:
             per_pair: [model pairs].
@@ -86,11 +86,11 @@ class Quotient:
 
     @property
     def gives_up(self) -> BoolArray:
-        """Pairs of the quotient that give up, [pairs]."""
+        """Mask of the pairs that give up, [pairs]."""
         return np.asarray(self.pair_at == GIVE_UP_CODE)
 
     def named(self, pair: int) -> tuple[Hashable, Hashable]:
-        """State and action of a quotient's pair; of one that gives up, the node's first state."""
+        """Return the state and action of a pair; for giving up, the first state of the node."""
         acting = int(self.pair_at[pair])
         if acting == GIVE_UP_CODE:
             return self.model.states[int(self.first_states[self.pair_node[pair]])], GIVE_UP
@@ -98,12 +98,12 @@ class Quotient:
 
     @cached_property
     def first_states(self) -> IntArray:
-        """First state of each node of the quotient, [nodes]."""
+        """First state of each node, [nodes]."""
         live = (self.node_of >= 0).nonzero()[0]
         return live[np.unique(self.node_of[live], return_index=True)[1]]
 
     def split(self) -> Quotient:
-        """The quotient with nothing collapsed: each live state a node, with all of its pairs."""
+        """Return the quotient without collapsing: each live state is a node with all its pairs."""
         live, none = self.node_of >= 0, np.zeros_like(self.merged)
         kept, gives_up = self.inside.copy(), np.zeros(self.n_nodes, dtype=np.bool_)
         kept[self.pair_at[self.pair_at >= 0]] = True
@@ -113,13 +113,13 @@ class Quotient:
         return _quotient_with_pairs(self.model, self.dead, node_of, inside, none, kept, leaving)
 
     def nearer(self, leaving: BoolArray, usable: BoolArray | None = None) -> IntArray | None:
-        """A pair of each quotient node that may come nearer to a leaving pair; -1: none, [nodes].
+        """Return a pair of each node on a shortest way to a leaving pair, [nodes]; -1: none.
 
-        None where components are merged, whose members need not be equally near.
+        The result is None if components are merged, as their members differ in distance.
 
         Args:
             leaving: [model pairs].
-            usable: pairs that may be taken, [model pairs]; all of them if left out.
+            usable: pairs that may be taken, [model pairs]; None: all.
         """
         if self.merged.any():
             return None
@@ -127,38 +127,38 @@ class Quotient:
         return self.placed(nearer_pairs(self.model, leaving, kept))
 
     def placed(self, decision: IntArray) -> IntArray:
-        """The quotient's pairs that are pairs of the live states, -1: nowhere or no pair, [nodes].
+        """Return the quotient's pairs of decisions on live states, [nodes]; -1: no pair.
 
         Args:
-            decision: pair of the model, negative for none, [states]; no components are merged.
+            decision: pair of the model, negative for none, [states]. No component may be merged.
         """
         taken = decision[self.node_of >= 0]
         return np.where(taken >= 0, self.places[taken], -1)
 
     @cached_property
     def places(self) -> IntArray:
-        """The quotient's pair of each pair of the model, -1: none, [model pairs]."""
+        """The quotient's pair of each pair of the model, [model pairs]; -1: none."""
         place = np.full(self.model.n_pairs, -1, dtype=np.int32)
         acting = (self.pair_at >= 0).nonzero()[0]
         place[self.pair_at[acting]] = acting
         return place
 
     def least_over_members(self, values: FloatArray) -> FloatArray:
-        """Minimum of state values over the members of each quotient node, [nodes]."""
+        """Return the minimum of state values over the members of each node, [nodes]."""
         result = np.full(self.n_nodes, np.inf)
         live = self.node_of >= 0
         np.minimum.at(result, self.node_of[live], values[live])
         return result
 
     def lift(self, values: FloatArray) -> FloatArray:
-        """Values of quotient nodes as values of states, 0 at goals and dead-ends, [states]."""
+        """Return node values as state values, [states]; 0 at goals and dead-ends."""
         result = np.zeros(self.model.n_states)
         live = self.node_of >= 0
         result[live] = values[self.node_of[live]]
         return result
 
     def gather(self, distribution: FloatArray) -> FloatArray:
-        """Sum a distribution over states by quotient node, [nodes]."""
+        """Sum a distribution over states by node, [nodes]."""
         live = self.node_of >= 0
         return np.bincount(
             self.node_of[live], weights=distribution[live], minlength=self.n_nodes
@@ -166,14 +166,14 @@ class Quotient:
 
     @with_twin
     def positions(self, first: IntArray, choice: IntArray) -> IntArray:
-        """Decisions on states in many layers from a quotient's, as positions among their pairs.
+        """Return decisions on states in many layers, as positions among the pairs of each state.
 
         Args:
-            first: what a choice is counted from among this quotient's pairs, [nodes].
+            first: pair of the quotient from which a choice is counted, [nodes].
             choice: [layers, nodes].
 
         Returns:
-            Positions or codes, in the smallest integers that hold them, [layers, states].
+            Positions or codes, in the smallest integer type that holds them, [layers, states].
         """
         model, offsets = self.model, self.model.pair_offsets[:-1]
         most = int(np.diff(model.pair_offsets).max(initial=1))
@@ -185,7 +185,7 @@ class Quotient:
             return places
         live, several = (self.node_of >= 0).nonzero()[0], max(_TOGETHER // max(len(offsets), 1), 1)
         nodes, own, last = self.node_of[live], self.pair_offsets[:-1], self.pair_offsets[1:] - 1
-        # the ways of a node's members depend on its pair alone: each once
+        # the moves of a node's members depend on its pair alone
         most = int(np.diff(self.pair_offsets).max(initial=1))
         pairs = np.stack([self.pull_back(np.minimum(own + k, last)) for k in range(most)])
         table = np.where(pairs < 0, pairs, pairs - offsets)[:, live].astype(places.dtype)
@@ -195,15 +195,15 @@ class Quotient:
         return places
 
     def pull_back(self, choice: IntArray) -> IntArray:
-        """Decisions on states from one chosen pair per quotient node.
+        """Return decisions on states from one chosen pair per node.
 
-        Inside a component the other members move, for free, to the member whose pair is chosen.
+        Inside a component the other members move, at no cost, to the member of the chosen pair.
 
         Args:
             choice: position among this quotient's pairs, [nodes].
 
         Returns:
-            [states] pair of the model, GIVE_UP_CODE or UNDECIDED.
+            Pair of the model, GIVE_UP_CODE or UNDECIDED, [states].
         """
         decision = np.full(self.model.n_states, UNDECIDED, dtype=np.int32)
         chosen = self.pair_at[choice]
@@ -211,7 +211,7 @@ class Quotient:
         decision[live[chosen[self.node_of[live]] == GIVE_UP_CODE]] = GIVE_UP_CODE
         acting = chosen[chosen >= 0]
         decision[self.model.pair_state[acting]] = acting
-        # decisions on states, with a way through the node for its members that have none
+        # moves for the other members of components
         lost = self.merged & (decision == UNDECIDED)
         if not lost.any():
             return decision
@@ -229,24 +229,24 @@ def build_quotient(
     free_exits: bool = False,
     ended: BoolArray | None = None,
 ) -> Quotient:
-    """Build the quotient: group live states into nodes, and list the pairs that leave each.
+    """Build the quotient: group live states into nodes, and list the pairs that leave them.
 
     Args:
-        usable: pairs of the model that may be used, [model pairs]; all if left out.
+        usable: pairs of the model that may be used, [model pairs]; None: all.
         free: usable pairs that cost nothing; their end components are collapsed. None: no
             collapsing (discounted processes leak mass everywhere and need none).
         exits: states in which giving up is allowed, [states].
-        free_exits: also allow giving up in collapsed components, that is staying for ever; where
-            the goal is out of reach anyone may.
+        free_exits: also allow giving up, that is staying for ever, in all collapsed components;
+            otherwise only in those from which the goal cannot be reached.
         ended: further states at which the process ends, [states].
     """
     dead = dead_ends(model)
     live = ~dead & ~model.goal_mask
     live = live if ended is None else live & ~ended
-    if model.failure_label is not None:  # what never ends after failing is for nobody
+    if model.failure_label is not None:  # exclude pairs with infinite totals after failing
         finite, keeping = model.failure_label.finite
         live, usable = live & finite, keeping if usable is None else keeping & usable
-    if usable is not None:  # where nothing may be done an episode is over
+    if usable is not None:  # states without a usable pair end the episode
         acting = np.bincount(model.pair_state[usable], minlength=model.n_states) > 0
         live &= acting if exits is None else acting | exits
     usable = live[model.pair_state] if usable is None else usable & live[model.pair_state]
@@ -263,7 +263,7 @@ def build_quotient(
 
 
 def _numbered_nodes(live: BoolArray, component: IntArray) -> IntArray:
-    """Quotient node of each state, in the order of first states, -1 if not live, [states]."""
+    """Return the node of each state, in the order of first states, [states]; -1: not live."""
     group = np.where(component >= 0, component + live.size, np.arange(live.size))
     first = np.arange(live.size)
     members = (component >= 0).nonzero()[0]
@@ -284,7 +284,7 @@ def _quotient_with_pairs(
     kept: BoolArray,
     leaving: BoolArray,
 ) -> Quotient:
-    """The quotient with the pairs that its nodes keep."""
+    """Return the quotient with the given pairs, and giving up at ``leaving`` states."""
     n_nodes = int(node_of.max(initial=-1)) + 1
     pairs = kept.nonzero()[0].astype(np.int32)
     pair_node = node_of[model.pair_state[pairs]]
@@ -297,7 +297,7 @@ def _quotient_with_pairs(
     offsets = offsets_of(counts).astype(np.int32)
     pair_at = np.full(int(offsets[-1]), GIVE_UP_CODE, dtype=np.int32)
     acting = np.ones(len(pair_at), dtype=np.bool_)
-    acting[offsets[:-1][gives_up > 0]] = False  # first in its node: among equals giving up wins
+    acting[offsets[:-1][gives_up > 0]] = False  # first in its node, so that it wins ties
     pair_at[acting] = pairs
     return Quotient(
         model=model,
@@ -314,29 +314,29 @@ def _quotient_with_pairs(
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """A quotient's states and pairs, each by itself, beside the pairs of the quotient.
+    """The uncollapsed quotient, and the map between its pairs and those of the merged one.
 
-    Methods count departures from a node; what is stated counts how often each pair is taken. Pairs
-    within a component cost nothing and are taken by nobody there, and staying in it for ever is
-    giving up, possible in each of its states.
+    Methods count departures from a node; stated programs count the visits of each pair. Pairs
+    within a component cost nothing and have no visits here. Staying in a component for ever is
+    giving up, which is possible in each of its states.
     """
 
     quotient: Quotient  # of the same live states, none merged
-    place: IntArray  # [its pairs] where each stands in the merged quotient, -1: inside a component
-    departs: FloatArray  # [its pairs] chance that taking it is departing from the merged node
+    place: IntArray  # [its pairs] pair of the merged quotient, -1: inside a component
+    departs: FloatArray  # [its pairs] probability of departing from the merged node
 
     def per_taking(self, per_departure: FloatArray) -> FloatArray:
-        """A number per pair taken, from that per departure of the quotient, [pairs]."""
+        """Return numbers per visit of a pair, from numbers per departure, [pairs]."""
         return np.where(self.place >= 0, per_departure[self.place] * self.departs, 0.0)
 
     def departures(self, visits: FloatArray) -> FloatArray:
-        """Departures from the quotient's nodes, [merged pairs], from visits [pairs]."""
+        """Return departures from merged nodes, [merged pairs], from visits, [pairs]."""
         own, size = self.place >= 0, int(self.place.max(initial=-1)) + 1
         gone = visits[own] * self.departs[own]
         return np.bincount(self.place[own], weights=gone, minlength=size).astype(np.float64)
 
     def visits(self, flow: ModelFlow) -> FloatArray:
-        """The model's flow at these pairs of the quotient, [pairs]."""
+        """Return the flow of the model at these pairs, [pairs]."""
         given_up = flow.give_up[self.quotient.first_states[self.quotient.pair_node]]
         return self.quotient.at_pairs(flow.pairs, 0.0) + np.where(
             self.quotient.gives_up, given_up, 0.0
@@ -344,11 +344,11 @@ class Spread:
 
 
 def spread_out(quotient: Quotient, departs: FloatArray) -> Spread | None:
-    """Undo a quotient's collapsing and leaving out; None: there is none.
+    """Undo the collapsing, and the conditioning on departure; None: nothing to undo.
 
     Args:
         quotient: the live part of a model.
-        departs: [pairs] what rows were divided by, see ``live_rows``.
+        departs: divisors of the rows, [pairs] (see ``live_rows``).
     """
     if not quotient.merged.any() and (departs == 1.0).all():
         return None
@@ -369,7 +369,7 @@ class ModelFlow:
     give_up: FloatArray  # [states]
 
     def entering(self, quotient: Quotient) -> FloatArray:
-        """Flow into each state of the model, undone from a quotient, [states]."""
+        """Return the flow into each state of the model by its outcomes, [states]."""
         model = quotient.model
         taken = np.repeat(self.pairs, np.diff(model.outcome_offsets))
         return np.bincount(
@@ -378,11 +378,11 @@ class ModelFlow:
 
 
 def model_flow(quotient: Quotient, visits: FloatArray) -> ModelFlow:
-    """The model's flow from a quotient's visits; moves within components are missing.
+    """Return the flow of the model from visits of a quotient, without moves in components.
 
     Args:
         quotient: the live part of the model.
-        visits: how often each pair is taken, repetitions counted, [pairs].
+        visits: visits of each pair, repetitions included, [pairs].
     """
     acting = quotient.pair_at >= 0
     pairs = np.zeros(quotient.model.n_pairs)
@@ -394,12 +394,12 @@ def model_flow(quotient: Quotient, visits: FloatArray) -> ModelFlow:
 
 
 def moving_within(quotient: Quotient, flow: ModelFlow, entering: FloatArray) -> ModelFlow:
-    """The model's flow with the moves within a quotient's components, giving up shared.
+    """Return the flow with the moves within components, and giving up shared by members.
 
     Args:
         quotient: the live part of the model.
-        flow: as ``model_flow`` has it: every member of a component gives up as often as all do.
-        entering: how often each state is entered or started in, [states].
+        flow: from ``model_flow``, where each member has the giving up of the whole component.
+        entering: flow into each state, start included, [states].
     """
     members = np.flatnonzero(quotient.merged)
     if members.size == 0:
@@ -416,10 +416,9 @@ def moving_within(quotient: Quotient, flow: ModelFlow, entering: FloatArray) -> 
 def _flow_of_moves(
     quotient: Quotient, members: IntArray, entering: FloatArray, leaving: FloatArray
 ) -> FloatArray:
-    """Flow of each pair inside a collapsed component, [model pairs].
+    """Return the flow of each pair inside a collapsed component, [model pairs].
 
-    Each component's first exit is served first, then the second one of each that has one, and so
-    on: moves of different components never meet.
+    The k-th exits of all components are handled together, as components do not overlap.
 
     Args:
         quotient: the live part of the model.
@@ -445,7 +444,7 @@ def _flow_of_moves(
         choice = nearer_pairs(model, last, usable)
         moving = np.flatnonzero((choice[members] >= 0) & (share[node] > 0.0))
         taken, entered = choice[members[moving]], (entering * share[node])[moving]
-        # the visits of states that each take one pair until they are left
+        # visits of the chain in which each state takes its one pair
         outcomes, lengths = entries_of(model.outcome_offsets, taken)
         place = np.full(model.n_states, -1)
         place[members[moving]] = np.arange(moving.size)
@@ -461,15 +460,15 @@ def _flow_of_moves(
 def decisions(
     quotient: Quotient, flow: ModelFlow, otherwise: IntArray
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Decisions on the model with their flows from a quotient; where there is none, one of flow 1.
+    """Return decisions on the model with their flows; states without flow get one of flow 1.
 
     Args:
         quotient: the live part of the model.
-        flow: with the moves within components.
-        otherwise: pair, code of giving up or of no decision, for states not visited, [states].
+        flow: flow with the moves within components.
+        otherwise: decision in states without flow: a pair or a code, [states].
 
     Returns:
-        State, pair or code of giving up, and flow, [decisions] each.
+        State, pair or GIVE_UP_CODE, and flow, [decisions] each.
     """
     model = quotient.model
     taken, giving = np.flatnonzero(flow.pairs > 0.0), np.flatnonzero(flow.give_up > 0.0)

@@ -246,7 +246,7 @@ def test_an_idle_limit_costs_no_accuracy():
 
 def test_a_bound_above_a_value_is_a_contradiction():
     assert least_of(1.0 + 1e-12, 1.0) == 1.0
-    with pytest.raises(SolverError, match="lies below a bound"):
+    with pytest.raises(SolverError, match="lies below the lower bound"):
         least_of(2.0, 1.0)
 
 

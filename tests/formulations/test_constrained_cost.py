@@ -208,7 +208,7 @@ def test_contradictory_rows_are_named(method):
     error = refused(ConstrainedCost(THREE, "a", limits), method)
     assert error.conflicting_rows == ("fuel", "time")
     assert (error.failure_budget, error.least_failure) == (None, 0.0)
-    assert "no policy keeps to 'fuel' <= 1 and 'time' <= 1 together" in str(error)
+    assert "no policy satisfies 'fuel' <= 1 and 'time' <= 1 together" in str(error)
     assert "under every policy" in str(error)
     limits["low"] = CostLimit({"a": {"x": 9, "y": 4.2, "z": 5}}, 3)
     told = r"'low' is at least 4\.2 under every policy.*, 3 all"

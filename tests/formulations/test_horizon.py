@@ -364,7 +364,7 @@ def test_an_array_that_would_fit_the_unrolled_model_too_is_the_stated_models() -
     problem = LeastQuantity(model, "x", secondary_cost(cost), horizon=2)
     assert problem.unrolled.model.n_outcomes == model.n_outcomes == 3
     assert solve(problem).objective == pytest.approx(0.5 * 2.0 + 0.5 * (3.0 + 1.0))
-    with pytest.raises(ModelError, match="2 pairs or 3 outcomes are needed"):
+    with pytest.raises(ModelError, match="give an array of 2 pairs or 3 outcomes"):
         LeastQuantity(model, "x", secondary_cost(np.ones(4)), horizon=2)
     remembering = product(model, Memory(0, lambda memory, *step: memory + 1))
     within = LeastQuantity(remembering, ("x", 0), secondary_cost({"y": {"b": 8.0}}), horizon=2)

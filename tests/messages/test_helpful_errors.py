@@ -261,9 +261,7 @@ def test_a_label_of_goals_is_a_way_to_end_and_one_of_places_on_the_way_is_none()
     )
     few = {"few": end_probability("cosy") <= 0.1}
     assert solve(MCMP(model, "depot", 1.0, constraints=few)).objective == pytest.approx(2.5)
-    with pytest.raises(
-        ModelError, match="no episode ends in a state labelled 'begun': take visits"
-    ):
+    with pytest.raises(ModelError, match="no episode ends in a state labelled 'begun': use visits"):
         solve(MCMP(model, "depot", 1.0, constraints={"few": end_probability("begun") <= 0.1}))
 
 

@@ -223,7 +223,7 @@ def test_a_safest_policy_that_loses_the_goal_on_the_way_makes_no_budget_infeasib
         return replace(found, failure=found.failure + 0.5, goal=found.goal - 0.5)
 
     monkeypatch.setattr(LayeredPricing, "minimise", lost)
-    with pytest.raises(ModelError, match="so long that its failure cannot be told"):
+    with pytest.raises(ModelError, match="run too long for its failure probability"):
         CVaR(corridor([1.0, 1.0, 0.0], 2.0), "r0", 0.8, 0.2).compile().least_failure()
     certificate = certify(solution)  # what the cheapest way costs, in place of a search
     assert certificate.accepted
